@@ -1,0 +1,4 @@
+"""What a biosensor emits, said once: shared by the capture agent and the ROS node.
+
+Standard library only, so that a ROS machine needs nothing else to read it.
+"""

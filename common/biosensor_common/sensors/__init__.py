@@ -1,0 +1,1 @@
+"""One module a sensor, each with one table: ``SENSOR``."""

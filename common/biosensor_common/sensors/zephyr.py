@@ -1,0 +1,41 @@
+"""Zephyr BioHarness 3 (BioModule)."""
+
+from biosensor_common.quantities import ChannelFormat, ContentType, MessageType, Unit
+from biosensor_common.spec import ChannelSpec, NominalScale, SensorSpec
+from biosensor_common.table import channels, hardware, raw
+
+# Datasheet value; peers use up to 0.025 mV per count, so it is only nominal.
+_ECG = ChannelSpec("ECG", Unit.COUNTS, NominalScale(0.013405, Unit.MILLIVOLTS, zero=512))
+_QUALITY = (
+    *channels(Unit.BOOLEAN, "worn"),
+    *channels(Unit.PERCENT, "hr_confidence"),
+    *channels(Unit.BOOLEAN, "hr_unreliable", "br_unreliable", "hrv_unreliable"),
+    *channels(Unit.INDEX, "link_quality"),
+)
+
+SENSOR = SensorSpec(
+    name="zephyr",
+    title="Zephyr BioHarness 3",
+    manufacturer="Zephyr Technology",
+    model="BioHarness 3",
+    streams=(
+        raw("hr", ContentType.HR, channels(Unit.BEATS_PER_MINUTE, "HR"), contract=True,
+            channel_format=ChannelFormat.INT16, message_type=MessageType.UINT8),
+        raw("hrv", ContentType.HRV, channels(Unit.MILLISECONDS, "SDNN"), contract=True,
+            channel_format=ChannelFormat.INT32, message_type=MessageType.UINT16),
+        raw("ecg", ContentType.ECG, (_ECG,), 250, chunk="ecg"),
+        raw("br", ContentType.RESPIRATION_RATE, channels(Unit.BREATHS_PER_MINUTE, "rate"),
+            contract=True),
+        # The original framework named the waveform's chunk after the rate's topic.
+        raw("breathing", ContentType.RESPIRATION, channels(Unit.COUNTS, "chest expansion"),
+            1000 / 56, chunk="br"),
+        raw("ibi", ContentType.RR, channels(Unit.SECONDS, "RR")),
+        hardware("acc", ContentType.ACCELEROMETER, channels(Unit.G, *"XYZ"), 50),
+        raw("posture", ContentType.POSTURE, channels(Unit.DEGREES, "angle")),
+        raw("activity", ContentType.ACTIVITY, channels(Unit.G, "VMU")),
+        raw("st", ContentType.TEMPERATURE, channels(Unit.CELSIUS, "skin")),
+        hardware("bat", ContentType.BATTERY, channels(Unit.PERCENT, "level")),
+        hardware("rssi", ContentType.RSSI, channels(Unit.DBM, "signal")),
+        hardware("quality", ContentType.QUALITY, _QUALITY),
+    ),
+)  # fmt: skip

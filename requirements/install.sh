@@ -1,0 +1,31 @@
+#!/bin/sh
+# Makes .venv and installs one hashed lock into it, then this project (editable).
+#   requirements/install.sh LOCK        e.g. requirements/install.sh ros
+# Needs a Python 3.11-3.13 with venv; uv itself comes from PyPI by its own lock.
+set -eu
+cd "$(dirname "$0")/.."
+lock="requirements/$1.txt"
+stamp=".venv/.installed-$1"
+wanted=$(cat "$lock" pyproject.toml | sha256sum | cut -d' ' -f1)
+if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$wanted" ]; then exit 0; fi
+
+# A name on PATH proves nothing: version-manager shims exist for Pythons that do not run.
+usable='import ensurepip, sys, venv; raise SystemExit(not (3, 11) <= sys.version_info[:2] <= (3, 13))'
+python=
+for candidate in "${PYTHON:-python3}" python3.12 python3.11 python3.13 /usr/bin/python3; do
+    if "$candidate" -c "$usable" >/dev/null 2>&1; then python=$candidate; break; fi
+done
+if [ -z "$python" ]; then
+    echo "No Python 3.11-3.13 with venv found: install one (Debian: apt install python3-venv) or set PYTHON." >&2
+    exit 1
+fi
+
+if ! [ -x .uv/bin/uv ]; then
+    "$python" -m venv --clear .uv
+    .uv/bin/pip install --quiet --require-hashes -r requirements/uv.txt
+fi
+export UV_PYTHON_DOWNLOADS=never UV_LINK_MODE=copy
+[ -x .venv/bin/python ] || .uv/bin/uv venv --quiet --python "$("$python" -c 'import sys; print(sys.executable)')" .venv
+.uv/bin/uv pip install --quiet --python .venv/bin/python --require-hashes -r "$lock"
+.uv/bin/uv pip install --quiet --python .venv/bin/python --no-deps --editable .
+echo "$wanted" >"$stamp"
