@@ -104,7 +104,7 @@ class GatewayError(Exception):
         return self._reason
 
 
-class _Reasoned(GatewayError, Generic[_ReasonT]):
+class _ReasonedError(GatewayError, Generic[_ReasonT]):
     """Narrows ``reason`` to one enum, for the type checker."""
 
     def __init__(self, reason: _ReasonT, message: str) -> None:
@@ -116,21 +116,21 @@ class _Reasoned(GatewayError, Generic[_ReasonT]):
         return self._narrowed
 
 
-class TransportError(_Reasoned[TransportReason]):
+class TransportError(_ReasonedError[TransportReason]):
     """The bytes do not flow."""
 
 
-class ProtocolError(_Reasoned[ProtocolReason]):
+class ProtocolError(_ReasonedError[ProtocolReason]):
     """The device does not keep to its protocol."""
 
 
-class SpecError(_Reasoned[SpecReason]):
+class SpecError(_ReasonedError[SpecReason]):
     """A declaration or an LSL description is wrong."""
 
 
-class ConfigError(_Reasoned[ConfigReason]):
+class ConfigError(_ReasonedError[ConfigReason]):
     """The user's settings are wrong."""
 
 
-class CredentialError(_Reasoned[CredentialReason]):
+class CredentialError(_ReasonedError[CredentialReason]):
     """A secret is missing or was refused."""
