@@ -1,0 +1,1 @@
+"""The capture agent: talks to each sensor and re-emits its signals as LSL outlets."""

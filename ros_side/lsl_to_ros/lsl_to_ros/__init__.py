@@ -1,0 +1,1 @@
+"""Every LSL stream in the lab as ROS 2 topics."""

@@ -1,0 +1,297 @@
+"""The clock of one device, mapped to the LSL clock.
+
+A packet that was ready at device time ``d`` arrives at LSL time ``a``, and
+``a - d`` is the offset between the two clocks plus the delay of the way. The
+delay is never negative and often close to its minimum, so the offset runs along
+the *lower edge* of the points ``(d, a - d)``; averages would follow the radio's
+jitter. `DeviceClock` keeps a straight line under that edge and moves its output
+to the line without ever turning back.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from dataclasses import dataclass
+from enum import Enum, unique
+
+from biosensor_common.lower_envelope import LowerEnvelope
+
+READING_LIMIT_S = 1e11
+"""64 bits of nanoseconds end at 1.8e10 s: a larger number is not a time."""
+BACKWARD_LIMIT_S = 2.5
+"""Interleaved packet kinds may lag up to 2 s behind each other; beyond, the clock stepped."""
+BELOW_LIMIT_S = 1.0
+FAR_ABOVE_LIMIT_S = 10.0
+"""Longer than any stall that the drivers' watchdogs let pass."""
+STAYED_ABOVE_LIMIT_S = 0.5
+STAYED_ABOVE_FOR_S = 5.0
+STAYED_ABOVE_OBSERVATIONS = 10
+
+SLEW_TIME_CONSTANT_S = 1.0
+SLEW_LIMIT = 0.5
+"""Reached only by a step or a backlog at the start: usual errors make less than 1 %."""
+SLEW_SHARE = 0.25
+"""Largest part of an error taken off in one segment: keeps the spacing at one packet a second."""
+SEGMENT_MIN_S = 0.05
+HISTORY_SEGMENTS = 512
+"""At least 12 s of mapping stay valid for late samples."""
+
+
+@unique
+class ReanchorReason(Enum):
+    """Why the mapping jumped."""
+
+    DEVICE_BACKWARD = "device_backward"
+    """Device time fell far behind the newest seen: a restart, or its clock was set."""
+    BELOW = "below"
+    """A packet came earlier than any delay explains: the device clock stepped forward."""
+    FAR_ABOVE = "far_above"
+    """A packet is later than a stall can last."""
+    STAYED_ABOVE = "stayed_above"
+    """Packets stay late: the device clock stepped back, or the way became longer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reanchor:
+    """A jump of the mapping.
+
+    Attributes
+    ----------
+    reason : ReanchorReason
+    size_s : float
+        Change of the observed device time's LSL time, in seconds; positive is ahead.
+    """
+
+    reason: ReanchorReason
+    size_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class ClockState:
+    """What a device clock knows, for diagnostics.
+
+    Attributes
+    ----------
+    offset_s : float
+        LSL time minus device time at the newest device time; NaN before the first
+        observation. Contains the smallest delay of the way.
+    drift_ppm : float
+        LSL microseconds gained per device second: positive for a slow device clock;
+        NaN before the first observation.
+    residual_rms_s : float
+        RMS distance of the lowest points of each half second from the line; NaN
+        before the first observation.
+    reanchors : int
+    observations : int
+    """
+
+    offset_s: float
+    drift_ppm: float
+    residual_rms_s: float
+    reanchors: int
+    observations: int
+
+
+class DeviceClock:
+    """Maps device seconds to LSL seconds; one instance per device.
+
+    The mapping is continuous, piecewise linear and strictly increasing in device
+    time between two re-anchors (down to the resolution of a float). Up to the
+    newest observed device time it is final; beyond, it is extrapolated and the
+    next observation may still bend it. So observe a packet first, then map its
+    samples: they lie on one straight piece and keep their spacing.
+
+    Notes
+    -----
+    What cannot be seen from one side stays in the result: the smallest delay of
+    the way (constant) and, in the first seconds, the distance of the luckiest
+    packet so far from it. A step of less than 0.5 s that delays packets is
+    followed only as old points leave the window.
+    """
+
+    def __init__(self) -> None:
+        self._envelope: LowerEnvelope | None = None
+        self._mapping = _SlewedMapping(0.0)
+        self._device_origin = math.nan
+        self._lsl_origin = math.nan
+        self._newest = 0.0
+        self._late = _LateRun()
+        self._reanchors = 0
+        self._observations = 0
+
+    def observe(self, device_s: float, arrival_s: float) -> Reanchor | None:
+        """Take in one packet.
+
+        Parameters
+        ----------
+        device_s : float
+            Device time of the packet's last sample, in seconds. Kinds of packets
+            may interleave: up to 2 s behind the newest is normal.
+        arrival_s : float
+            LSL clock when the packet arrived, in seconds.
+
+        Returns
+        -------
+        Reanchor or None
+            The jump, if the mapping jumped.
+
+        Raises
+        ------
+        ValueError
+            If an argument is not finite, or beyond 1e11 s.
+        """
+        _require_readings(device_s, arrival_s)
+        self._observations += 1
+        if self._envelope is None:
+            self._envelope = self._anchor(device_s, arrival_s, 0.0)
+            return None
+        x = device_s - self._device_origin
+        y = (arrival_s - self._lsl_origin) - x
+        distance = y - self._envelope.at(x)
+        self._late.add(distance, arrival_s)
+        reason = self._jump_reason(x, distance, (x + y) - self._mapping.at(x))
+        if reason is not None:
+            return self._reanchor(self._envelope, reason, device_s, distance)
+        self._envelope.add(x, y)
+        self._newest = max(self._newest, x)
+        self._mapping.advance(x, self._envelope)
+        return None
+
+    def to_lsl(self, device_s: float) -> float:
+        """Return the LSL time, in seconds, of a device time in seconds.
+
+        Raises
+        ------
+        ValueError
+            If `device_s` is not finite, or beyond 1e11 s.
+        RuntimeError
+            Before the first observation.
+        """
+        _require_readings(device_s)
+        if self._envelope is None:
+            raise RuntimeError("a device clock maps nothing before its first observation")
+        return self._lsl_origin + self._mapping.at(device_s - self._device_origin)
+
+    @property
+    def state(self) -> ClockState:
+        """The present offset, drift and counts."""
+        if self._envelope is None:
+            return ClockState(math.nan, math.nan, math.nan, 0, 0)
+        newest = self._device_origin + self._newest
+        return ClockState(
+            offset_s=self.to_lsl(newest) - newest,
+            drift_ppm=self._envelope.slope * 1e6,
+            residual_rms_s=self._envelope.residual_rms(),
+            reanchors=self._reanchors,
+            observations=self._observations,
+        )
+
+    def _jump_reason(self, x: float, distance: float, delay: float) -> ReanchorReason | None:
+        if x < self._newest - BACKWARD_LIMIT_S:
+            return ReanchorReason.DEVICE_BACKWARD
+        if delay < -BELOW_LIMIT_S:
+            return ReanchorReason.BELOW
+        if distance > FAR_ABOVE_LIMIT_S:
+            return ReanchorReason.FAR_ABOVE
+        if self._late.lasts:
+            return ReanchorReason.STAYED_ABOVE
+        return None
+
+    def _reanchor(
+        self, envelope: LowerEnvelope, reason: ReanchorReason, device_s: float, distance: float
+    ) -> Reanchor:
+        x = device_s - self._device_origin
+        # The best packet of a late run, not its last one, tells the new offset.
+        least = self._late.least if reason is ReanchorReason.STAYED_ABOVE else distance
+        target = x + envelope.at(x) + least
+        size = target - self._mapping.at(x)
+        # The crystal is the same as before the jump, so its drift is a good first guess.
+        self._envelope = self._anchor(device_s, self._lsl_origin + target, envelope.slope)
+        self._reanchors += 1
+        return Reanchor(reason, size)
+
+    def _anchor(self, device_s: float, lsl_s: float, slope: float) -> LowerEnvelope:
+        """Start over at one point; coordinates are relative to it to keep precision."""
+        self._device_origin = device_s
+        self._lsl_origin = lsl_s
+        self._newest = 0.0
+        self._late = _LateRun()
+        self._mapping = _SlewedMapping(slope)
+        return LowerEnvelope(slope)
+
+
+class _LateRun:
+    """The present run of observations far above the line."""
+
+    def __init__(self) -> None:
+        self._since = math.nan
+        self._until = math.nan
+        self._count = 0
+        self.least = math.inf
+
+    def add(self, distance: float, arrival_s: float) -> None:
+        if distance <= STAYED_ABOVE_LIMIT_S:
+            self._count = 0
+            self.least = math.inf
+            return
+        if self._count == 0:
+            self._since = arrival_s
+        self._until = arrival_s
+        self._count += 1
+        self.least = min(self.least, distance)
+
+    @property
+    def lasts(self) -> bool:
+        """Whether this is no stall any more."""
+        return (
+            self._count >= STAYED_ABOVE_OBSERVATIONS
+            and self._until - self._since >= STAYED_ABOVE_FOR_S
+        )
+
+
+class _SlewedMapping:
+    """Continuous piecewise linear map of device to LSL time, both from the anchor."""
+
+    def __init__(self, slope: float) -> None:
+        # The piece before the anchor is separate, so that later bends leave it alone.
+        rate = 1.0 + slope
+        self._starts = [-SEGMENT_MIN_S, 0.0]
+        self._values = [-SEGMENT_MIN_S * rate, 0.0]
+        self._rates = [rate, rate]
+
+    def at(self, x: float) -> float:
+        piece = max(bisect_right(self._starts, x) - 1, 0)
+        return self._values[piece] + self._rates[piece] * (x - self._starts[piece])
+
+    def advance(self, x: float, target: LowerEnvelope) -> None:
+        """Fix the map up to `x`, on the way to the target line."""
+        start, value = self._starts[-1], self._values[-1]
+        step = x - start
+        if step <= 0.0:
+            return
+        drift_rate = 1.0 + target.slope
+        if x - self._starts[-2] < SEGMENT_MIN_S:
+            # Packets of a few ms lengthen the piece at its rate, to bound the number of pieces.
+            value = self._values[-2] + self._rates[-2] * (x - self._starts[-2])
+            self._starts[-1], self._values[-1], self._rates[-1] = x, value, drift_rate
+            return
+        self._rates[-1] = drift_rate + _slew(start + target.at(start) - value, step)
+        self._starts.append(x)
+        self._values.append(value + self._rates[-1] * step)
+        self._rates.append(drift_rate)
+        if len(self._starts) > 2 * HISTORY_SEGMENTS:
+            for column in (self._starts, self._values, self._rates):
+                del column[:-HISTORY_SEGMENTS]
+
+
+def _slew(error: float, step: float) -> float:
+    """Return the rate, in s/s, at which to take off an error over the next `step` seconds."""
+    share = min(1.0 - math.exp(-step / SLEW_TIME_CONSTANT_S), SLEW_SHARE)
+    return min(max(error * share / step, -SLEW_LIMIT), SLEW_LIMIT)
+
+
+def _require_readings(*readings: float) -> None:
+    for reading in readings:
+        if not abs(reading) <= READING_LIMIT_S:
+            raise ValueError(f"no clock reads {reading} s")

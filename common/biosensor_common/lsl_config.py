@@ -1,0 +1,93 @@
+"""The LSL configuration of this process: the user's own file, overlaid by ours.
+
+liblsl reads one file and takes all or nothing. Both programs pass their
+configuration in memory before the first LSL call, so they must carry over what
+the user had put into ``lsl_api.cfg``.
+"""
+
+from __future__ import annotations
+
+import configparser
+import io
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from biosensor_common.errors import ConfigError, ConfigReason
+
+# Two ports an outlet; liblsl's default of 32 hides every stream beyond the 16th.
+DEFAULT_PORT_RANGE = 256
+
+
+@dataclass(frozen=True, slots=True)
+class LslOverrides:
+    """What our settings say; an empty value leaves the user's own.
+
+    Attributes
+    ----------
+    session_id
+        Other sessions neither see nor are seen; LabRecorder must use the same.
+    known_peers
+        Hosts to ask directly where multicast does not reach.
+    port_range
+        Number of ports from 16572 on.
+    """
+
+    session_id: str = ""
+    known_peers: tuple[str, ...] = ()
+    port_range: int = DEFAULT_PORT_RANGE
+
+
+def user_config_file(environment: Mapping[str, str], home: Path, folder: Path) -> Path | None:
+    """Find the file that liblsl itself would read.
+
+    Order of https://labstreaminglayer.readthedocs.io/info/lslapicfg.html: the
+    variable ``LSLAPICFG``, the working folder, the home folder, the system.
+    """
+    candidates: Iterable[Path] = (
+        *([Path(environment["LSLAPICFG"])] if environment.get("LSLAPICFG") else []),
+        folder / "lsl_api.cfg",
+        home / "lsl_api" / "lsl_api.cfg",
+        Path("/etc/lsl_api/lsl_api.cfg"),
+    )
+    return next((path for path in candidates if path.is_file()), None)
+
+
+def effective_config(user_file: Path | None, overrides: LslOverrides) -> str:
+    """Text for ``pylsl.set_config_content``.
+
+    Raises
+    ------
+    ConfigError
+        ``UNREADABLE`` or ``MALFORMED``, for the user's own file.
+    """
+    parser = configparser.ConfigParser(interpolation=None, strict=False)
+    parser.optionxform = str  # type: ignore[assignment,method-assign]  # liblsl's keys have case
+    if user_file is not None:
+        _read(parser, user_file)
+    _set(parser, "ports", "PortRange", str(overrides.port_range))
+    if overrides.session_id:
+        _set(parser, "lab", "SessionID", overrides.session_id)
+    if overrides.known_peers:
+        _set(parser, "lab", "KnownPeers", "{" + ", ".join(overrides.known_peers) + "}")
+    text = io.StringIO()
+    parser.write(text)
+    return text.getvalue()
+
+
+def _read(parser: configparser.ConfigParser, path: Path) -> None:
+    try:
+        parser.read_string(path.read_text(encoding="utf-8"), source=str(path))
+    except (OSError, UnicodeDecodeError) as error:
+        message = f"{path}: the LSL configuration cannot be read ({error}); mend or remove it"
+        raise ConfigError(ConfigReason.UNREADABLE, message) from error
+    except configparser.Error as error:
+        first_line = str(error).splitlines()[0]
+        message = f"{path}: not an LSL configuration ({first_line}); mend or remove it"
+        raise ConfigError(ConfigReason.MALFORMED, message) from error
+
+
+def _set(parser: configparser.ConfigParser, section: str, key: str, value: str) -> None:
+    if not parser.has_section(section):
+        parser.add_section(section)
+    parser.set(section, key, value)

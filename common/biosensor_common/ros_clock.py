@@ -1,0 +1,163 @@
+"""LSL time to ROS time: the offset between the two clocks of one machine.
+
+On Linux the LSL clock is monotonic and the ROS clock is the system clock, which
+NTP slews and people set. Not for simulated time, where there is nothing to map.
+Nothing here reads a clock; the readers are passed in.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable
+from dataclasses import dataclass
+
+SLEW_S = 1.0
+STEP_NS = 1_000_000
+KNOTS_KEPT = 16
+"""Samples that are late by as many seconds keep the offset of their time."""
+
+NS_PER_S = 1_000_000_000
+
+
+def measure_offset_ns(
+    system_ns: Callable[[], int], lsl_s: Callable[[], float], rounds: int = 10
+) -> int:
+    """Measure system clock minus LSL clock.
+
+    Reads system, LSL, system and takes the round with the closest system readings:
+    an interruption between the reads can only widen them.
+
+    Parameters
+    ----------
+    system_ns : callable
+        Reads the system (ROS) clock in nanoseconds.
+    lsl_s : callable
+        Reads the LSL clock in seconds.
+    rounds : int
+        How often to try, at least 1.
+
+    Returns
+    -------
+    int
+        Offset in nanoseconds, off by at most half the time between the two reads.
+
+    Raises
+    ------
+    ValueError
+        If `rounds` is less than 1.
+    """
+    if rounds < 1:
+        raise ValueError(f"an offset takes at least one round, not {rounds}")
+    brackets: list[tuple[int, int]] = []
+    for _ in range(rounds):
+        before, lsl, after = system_ns(), lsl_s(), system_ns()
+        # A clock set back in between makes the width negative, and as bad as it is large.
+        brackets.append((abs(after - before), (before + after) // 2 - _to_ns(lsl)))
+    return min(brackets)[1]
+
+
+@dataclass(frozen=True, slots=True)
+class OffsetStep:
+    """A jump of the system clock against the LSL clock, applied at once.
+
+    Attributes
+    ----------
+    size_ns : int
+        New offset minus the one that was in use, in nanoseconds.
+    """
+
+    size_ns: int
+
+
+class OffsetTracker:
+    """Maps LSL times to ROS times with an offset that is measured again and again.
+
+    The offset is a polyline over LSL time: from its present value to each new
+    measurement within one second, so at most 1 ms/s. Times before keep the offset
+    they had. A change of more than 1 ms is a step, which holds for all times.
+
+    One thread may update while others convert.
+
+    Parameters
+    ----------
+    offset_ns : int
+        First measurement, from `measure_offset_ns`.
+    now_s : float
+        LSL clock at that measurement, in seconds.
+    """
+
+    def __init__(self, offset_ns: int, now_s: float) -> None:
+        # Replaced as a whole, never changed: that is what makes reading thread-safe.
+        self._knots: tuple[tuple[float, int], ...] = ((_finite(now_s), offset_ns),)
+        self._steps = 0
+
+    @property
+    def steps(self) -> int:
+        """How often the offset jumped."""
+        return self._steps
+
+    def update(self, offset_ns: int, now_s: float) -> OffsetStep | None:
+        """Take in a measurement.
+
+        Parameters
+        ----------
+        offset_ns : int
+            System clock minus LSL clock, in nanoseconds.
+        now_s : float
+            LSL clock at the measurement, in seconds.
+
+        Returns
+        -------
+        OffsetStep or None
+            The step, if there was one.
+
+        Raises
+        ------
+        ValueError
+            If `now_s` is not finite.
+        """
+        present = self._offset_at(_finite(now_s))
+        change = offset_ns - present
+        if abs(change) > STEP_NS:
+            self._knots = ((now_s, offset_ns),)
+            self._steps += 1
+            return OffsetStep(change)
+        past = tuple(knot for knot in self._knots if knot[0] < now_s)
+        ramp = ((now_s, present), (now_s + SLEW_S, offset_ns))
+        self._knots = past[-KNOTS_KEPT:] + ramp
+        return None
+
+    def to_ros_ns(self, lsl_s: float) -> int:
+        """Return the ROS time of an LSL time, in nanoseconds.
+
+        The sum is made of integers: nanoseconds since 1970 do not fit a float.
+
+        Raises
+        ------
+        ValueError
+            If `lsl_s` is not finite.
+        """
+        return _to_ns(lsl_s) + self._offset_at(lsl_s)
+
+    def _offset_at(self, lsl_s: float) -> int:
+        knots = self._knots
+        place = bisect_right(knots, lsl_s, key=lambda knot: knot[0])
+        if place == 0:
+            return knots[0][1]
+        if place == len(knots):
+            return knots[-1][1]
+        (start, offset), (end, target) = knots[place - 1], knots[place]
+        return offset + round((target - offset) * (lsl_s - start) / (end - start))
+
+
+def _to_ns(seconds: float) -> int:
+    """Convert exactly where the float is exact; multiplying by 1e9 would round twice."""
+    whole = math.floor(_finite(seconds))
+    return whole * NS_PER_S + round((seconds - whole) * NS_PER_S)
+
+
+def _finite(reading: float) -> float:
+    if not math.isfinite(reading):
+        raise ValueError(f"a clock reading must be finite, got {reading}")
+    return reading

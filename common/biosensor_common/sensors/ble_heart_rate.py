@@ -1,0 +1,21 @@
+"""Any strap that offers the Bluetooth Heart Rate Service."""
+
+from biosensor_common.quantities import ContentType, MessageType, Unit
+from biosensor_common.spec import SensorSpec
+from biosensor_common.table import channels, hardware, raw
+
+SENSOR = SensorSpec(
+    name="ble_heart_rate",
+    title="Bluetooth heart-rate strap",
+    # Who made the strap is known once it is connected.
+    manufacturer="",
+    model="",
+    streams=(
+        raw("hr", ContentType.HR, channels(Unit.BEATS_PER_MINUTE, "HR")),
+        raw("ibi", ContentType.RR, channels(Unit.SECONDS, "RR")),
+        hardware("bat", ContentType.BATTERY, channels(Unit.PERCENT, "level")),
+        hardware("rssi", ContentType.RSSI, channels(Unit.DBM, "signal")),
+        hardware("quality", ContentType.QUALITY, channels(Unit.BOOLEAN, "contact"),
+                 message_type=MessageType.FLOAT32_MULTI_ARRAY),
+    ),
+)  # fmt: skip

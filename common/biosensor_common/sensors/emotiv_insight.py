@@ -1,0 +1,51 @@
+"""Emotiv Insight headset, by way of the Cortex service."""
+
+from biosensor_common.quantities import ContentType, Unit
+from biosensor_common.spec import FROM_DEVICE, SensorSpec
+from biosensor_common.table import channels, hardware, raw
+
+_ELECTRODES = ("AF3", "T7", "Pz", "T8", "AF4")
+_BANDS = ("theta", "alpha", "betaL", "betaH", "gamma")
+_BAND_POWER = channels(
+    Unit.MICROVOLTS_SQUARED_PER_HERTZ,
+    *(f"{electrode}/{band}" for electrode in _ELECTRODES for band in _BANDS),
+)
+_METRICS = channels(
+    Unit.FRACTION,
+    "engagement", "excitement", "long_term_excitement", "stress", "relaxation", "interest",
+    "focus", "attention",
+)  # fmt: skip
+_MOTION = (
+    *channels(Unit.NONE, "Q0", "Q1", "Q2", "Q3"),
+    *channels(Unit.G, "ACCX", "ACCY", "ACCZ"),
+    *channels(Unit.MICROTESLA, "MAGX", "MAGY", "MAGZ"),
+)
+# Battery and Signal are grades: 0 to 4, and 0 to 1 or 0 to 2 by the version of Cortex.
+_DEVICE = (
+    *channels(Unit.INDEX, "Battery", "Signal", *_ELECTRODES),
+    *channels(Unit.PERCENT, "OVERALL", "BatteryPercent"),
+)
+_EEG_STATUS = (
+    *channels(Unit.INDEX, "COUNTER"),
+    *channels(Unit.BOOLEAN, "INTERPOLATED"),
+    *channels(Unit.INDEX, "RAW_CQ"),
+    *channels(Unit.BOOLEAN, "MARKER_HARDWARE"),
+)
+
+SENSOR = SensorSpec(
+    name="emotiv_insight",
+    title="Emotiv Insight",
+    manufacturer="Emotiv",
+    model="Insight",
+    streams=(
+        raw("eeg", ContentType.EEG, channels(Unit.MICROVOLTS, *_ELECTRODES), 128, chunk="eeg",
+            contract=True),
+        raw("pow", ContentType.EEG_BANDPOWER, _BAND_POWER, 8, chunk="pow", contract=True),
+        raw("met", ContentType.PERFORMANCE_METRICS, _METRICS, contract=True),
+        hardware("mot", ContentType.MOCAP, _MOTION, FROM_DEVICE, contract=True),
+        hardware("dev", ContentType.STATUS, _DEVICE, contract=True),
+        hardware("eeg_status", ContentType.STATUS, _EEG_STATUS, 128),
+        # Only older firmware sends it, in a unit that the vendor does not document.
+        hardware("gyro", ContentType.MOCAP, channels(Unit.ARBITRARY, *"XYZ"), FROM_DEVICE),
+    ),
+)  # fmt: skip

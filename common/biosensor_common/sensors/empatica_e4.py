@@ -1,0 +1,32 @@
+"""Empatica E4 wristband, by way of the E4 streaming server."""
+
+from biosensor_common.quantities import ChannelFormat, ContentType, MessageType, Unit
+from biosensor_common.spec import SensorSpec
+from biosensor_common.table import channels, hardware, raw
+
+_QUALITY = (
+    *channels(Unit.BOOLEAN, "worn"),
+    *channels(Unit.FRACTION, "loss"),
+)
+
+SENSOR = SensorSpec(
+    name="empatica_e4",
+    title="Empatica E4",
+    manufacturer="Empatica",
+    model="E4",
+    streams=(
+        raw("bvp", ContentType.PPG, channels(Unit.ARBITRARY, "BVP"), 64, chunk="bvp",
+            contract=True),
+        raw("gsr", ContentType.GSR, channels(Unit.MICROSIEMENS, "EDA"), 4, chunk="gsr",
+            contract=True),
+        raw("st", ContentType.TEMPERATURE, channels(Unit.CELSIUS, "skin"), 4, chunk="st",
+            contract=True),
+        raw("hr", ContentType.HR, channels(Unit.BEATS_PER_MINUTE, "HR"), contract=True),
+        raw("ibi", ContentType.RR, channels(Unit.SECONDS, "IBI"), contract=True),
+        hardware("acc", ContentType.ACCELEROMETER, channels(Unit.G, *"XYZ"), 32, contract=True),
+        hardware("bat", ContentType.BATTERY, channels(Unit.PERCENT, "level"), contract=True),
+        hardware("tag", ContentType.MARKERS, channels(Unit.NONE, "event"), contract=True,
+                 channel_format=ChannelFormat.STRING, message_type=MessageType.EMPTY),
+        hardware("quality", ContentType.QUALITY, _QUALITY),
+    ),
+)  # fmt: skip

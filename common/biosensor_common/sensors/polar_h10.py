@@ -1,0 +1,26 @@
+"""Polar H10 chest strap: a Bluetooth heart-rate strap with ECG and acceleration."""
+
+from dataclasses import replace
+
+from biosensor_common.quantities import ContentType, Unit
+from biosensor_common.sensors import ble_heart_rate
+from biosensor_common.spec import SensorSpec
+from biosensor_common.table import channels, hardware, raw
+
+_STRAP = ble_heart_rate.SENSOR
+
+SENSOR = SensorSpec(
+    name="polar_h10",
+    title="Polar H10",
+    manufacturer="Polar Electro",
+    model="H10",
+    streams=(
+        replace(_STRAP.stream("hr"), contract=True),
+        _STRAP.stream("ibi"),
+        raw("ecg", ContentType.ECG, channels(Unit.MICROVOLTS, "ECG"), 130, chunk="ecg"),
+        hardware("acc", ContentType.ACCELEROMETER, channels(Unit.G, *"XYZ"), 50),
+        _STRAP.stream("bat"),
+        _STRAP.stream("rssi"),
+        _STRAP.stream("quality"),
+    ),
+)  # fmt: skip

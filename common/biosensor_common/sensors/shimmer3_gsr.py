@@ -1,0 +1,27 @@
+"""Shimmer3 GSR+ unit with the optical pulse probe."""
+
+from biosensor_common.quantities import ContentType, Unit
+from biosensor_common.spec import SensorSpec
+from biosensor_common.table import channels, hardware, raw
+
+_QUALITY = (
+    *channels(Unit.BOOLEAN, "electrodes"),
+    *channels(Unit.INDEX, "gsr_range"),
+    *channels(Unit.BOOLEAN, "pulse_found"),
+)
+
+SENSOR = SensorSpec(
+    name="shimmer3_gsr",
+    title="Shimmer3 GSR+",
+    manufacturer="Shimmer",
+    model="Shimmer3 GSR+",
+    streams=(
+        raw("gsr", ContentType.GSR, channels(Unit.MICROSIEMENS, "EDA"), 128, chunk="gsr",
+            contract=True),
+        raw("ppg", ContentType.PPG, channels(Unit.MILLIVOLTS, "PPG"), 128, chunk="ppg",
+            contract=True),
+        raw("hr", ContentType.HR, channels(Unit.BEATS_PER_MINUTE, "HR")),
+        hardware("bat", ContentType.BATTERY, channels(Unit.PERCENT, "level")),
+        hardware("quality", ContentType.QUALITY, _QUALITY),
+    ),
+)  # fmt: skip

@@ -1,0 +1,27 @@
+"""Vernier Go Direct respiration belt."""
+
+from biosensor_common.quantities import ContentType, Unit
+from biosensor_common.spec import FROM_DEVICE, SensorSpec
+from biosensor_common.table import channels, hardware, raw
+
+# tension: -1 loose, 0 good, 1 tight.
+_QUALITY = (
+    *channels(Unit.BOOLEAN, "rate_valid"),
+    *channels(Unit.INDEX, "tension"),
+)
+
+SENSOR = SensorSpec(
+    name="vernier_respiration_belt",
+    title="Vernier Go Direct Respiration Belt",
+    manufacturer="Vernier",
+    model="GDX-RB",
+    streams=(
+        raw("bpm", ContentType.RESPIRATION_RATE, channels(Unit.BREATHS_PER_MINUTE, "rate"),
+            FROM_DEVICE, chunk="bpm", contract=True),
+        raw("force", ContentType.RESPIRATION, channels(Unit.NEWTONS, "force"),
+            FROM_DEVICE, chunk="force", contract=True),
+        hardware("bat", ContentType.BATTERY, channels(Unit.PERCENT, "level")),
+        hardware("rssi", ContentType.RSSI, channels(Unit.DBM, "signal")),
+        hardware("quality", ContentType.QUALITY, _QUALITY),
+    ),
+)  # fmt: skip

@@ -1,0 +1,100 @@
+"""The capture agent: all devices of the settings, each under its own supervisor."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from pathlib import Path
+
+import pylsl
+import structlog
+
+from biosensor_common.lsl_config import LslOverrides
+from biosensor_common.registry import sensor
+from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway import health
+from biosensor_gateway.devices import driver
+from biosensor_gateway.outlets import Counters, Outlet, configure_lsl, counters_text
+from biosensor_gateway.settings import DeviceSettings, GatewaySettings, LslSettings
+from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.supervisor import Supervisor
+
+REPORT_INTERVAL_S = 1.0
+
+_log = structlog.get_logger("biosensor_gateway.agent")
+
+
+class Agent:
+    """Runs the enabled devices of the settings until it is cancelled.
+
+    Parameters
+    ----------
+    settings
+        Validated settings; this process's LSL configuration is set from them.
+    folder
+        Where the status file goes.
+    """
+
+    def __init__(self, settings: GatewaySettings, folder: Path) -> None:
+        self._folder = folder
+        taken_over = configure_lsl(_overrides(settings.lsl))
+        if taken_over is not None:
+            _log.info("LSL configuration taken over", file=str(taken_over))
+        enabled = [device for device in settings.devices if device.enabled]
+        self.devices = [_supervised(device) for device in enabled]
+        self._unwritable = False
+
+    async def run(self) -> None:
+        """Stream until cancelled, then close every device and outlet."""
+        counters = _counters_outlet()
+        tasks = [asyncio.create_task(supervisor.run()) for supervisor, _ in self.devices]
+        tasks.append(asyncio.create_task(self._report(counters)))
+        try:
+            await asyncio.gather(*tasks)
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            for _, sink in self.devices:
+                sink.close()
+            health.remove_status(self._folder)
+
+    async def _report(self, outlet: Outlet) -> None:
+        """Once a second: counters into LSL, state into the status file."""
+        loop = asyncio.get_running_loop()
+        due = loop.time()
+        while True:
+            merged: dict[str, Counters] = {}
+            for _, sink in self.devices:
+                merged |= sink.counters
+            outlet.push_text(counters_text(merged), pylsl.local_clock())
+            self._write_status()
+            due += REPORT_INTERVAL_S
+            await asyncio.sleep(max(0.0, due - loop.time()))
+
+    def _write_status(self) -> None:
+        try:
+            health.write_status(self._folder, health.snapshot(self.devices))
+        except OSError as error:
+            if not self._unwritable:
+                self._unwritable = True
+                _log.warning(
+                    "the status file cannot be written; `status` will not work", error=str(error)
+                )
+
+
+def _overrides(settings: LslSettings) -> LslOverrides:
+    return LslOverrides(settings.session_id, settings.known_peers, settings.port_range)
+
+
+def _supervised(settings: DeviceSettings) -> tuple[Supervisor, DeviceSink]:
+    identity = DeviceIdentity(settings.sensor, settings.unit, settings.participant, settings.label)
+    sink = DeviceSink(identity)
+    make_driver = driver(settings.sensor).make(settings, sink)
+    return Supervisor(make_driver, sink), sink
+
+
+def _counters_outlet() -> Outlet:
+    gateway = sensor("gateway")
+    identity = DeviceIdentity(gateway.name, socket.gethostname())
+    return Outlet(gateway.stream("counters"), identity, DeviceInfo(model=gateway.model))

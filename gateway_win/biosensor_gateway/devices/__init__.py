@@ -1,0 +1,59 @@
+"""Drivers, one folder a sensor; this table says which, and imports them when they are used."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import NamedTuple, cast
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.devices.driver import Driver
+from biosensor_gateway.settings import DeviceSettings
+from biosensor_gateway.sink import DeviceSink
+
+ENTRY_POINT_GROUP = "biosensor_gateway.drivers"
+
+_MODULES = {"zephyr": "biosensor_gateway.devices.zephyr.driver"}
+
+
+class DriverEntry(NamedTuple):
+    """What a driver module offers as its ``DRIVER``.
+
+    Attributes
+    ----------
+    settings
+        Model of the device's table in the settings file.
+    make
+        Called once a device; returns what makes a driver for each connection.
+    """
+
+    settings: type[DeviceSettings]
+    make: Callable[[DeviceSettings, DeviceSink], Callable[[], Driver]]
+
+
+def driver_names() -> tuple[str, ...]:
+    """Sensors that have a driver: ours, then those of other installed packages."""
+    others = {entry.name for entry in entry_points(group=ENTRY_POINT_GROUP)}
+    return (*_MODULES, *sorted(others - _MODULES.keys()))
+
+
+def driver(name: str) -> DriverEntry:
+    """Import the driver of a sensor.
+
+    Raises
+    ------
+    ConfigError
+        ``WRONG_VALUE``, if there is none.
+    """
+    if name in _MODULES:
+        return cast("DriverEntry", import_module(_MODULES[name]).DRIVER)
+    for entry in entry_points(group=ENTRY_POINT_GROUP, name=name):
+        return cast("DriverEntry", entry.load())
+    message = f"there is no driver for {name!r}; there are {', '.join(driver_names())}"
+    raise ConfigError(ConfigReason.WRONG_VALUE, message)
+
+
+def settings_models() -> dict[str, type[DeviceSettings]]:
+    """Models of the settings file's device tables by sensor."""
+    return {name: driver(name).settings for name in driver_names()}

@@ -1,0 +1,1 @@
+"""Zephyr BioHarness 3 over its Bluetooth serial port."""

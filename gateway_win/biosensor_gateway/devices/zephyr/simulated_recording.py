@@ -1,0 +1,266 @@
+"""Recordings of a real BioHarness 3 as the source of a virtual one."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import date
+from importlib.resources import files
+from itertools import accumulate
+from math import inf
+from typing import Literal, NamedTuple
+
+from biosensor_gateway.devices.zephyr.simulated_sources import Outgoing
+from biosensor_gateway.devices.zephyr.simulated_wire import (
+    ACK,
+    ETX,
+    MAX_PAYLOAD,
+    MS_PER_DAY,
+    NAK,
+    REQUESTS,
+    STX,
+    WAVEFORMS,
+    Packet,
+    crc8,
+    duration_ms,
+)
+
+RECORDING_150_S = "zephyr_bh3_2012-09-26_150s"
+"""1 479 frames with the arrival times of their reads."""
+RECORDING_WITH_GAP = "zephyr_bh3_2012-04-06_with_gap"
+"""1 157 frames; a link glitch lost bytes once and left 39 that are no frame."""
+
+_LENGTHS = {
+    Packet.GENERAL: 53,
+    Packet.BREATHING: 32,
+    Packet.ECG: 88,
+    Packet.LIFESIGN: 0,
+    Packet.RR: 45,
+    Packet.ACCELERATION: 84,
+    Packet.ACCELERATION_100MG: 84,
+    Packet.SUMMARY: 71,
+}
+_PERIODIC = frozenset(REQUESTS.values())
+_HANG_UP_AFTER_S = 0.5
+
+
+class Arrival(NamedTuple):
+    """One read of the recording host: when [s], and how many bytes there were by then."""
+
+    time: float
+    total_bytes: int
+
+
+def read_timing(text: str) -> list[Arrival]:
+    """Return the reads that a timing file lists, one ``seconds,total`` a line."""
+    rows = (line.split(",") for line in text.splitlines() if line)
+    return [Arrival(float(time), int(total)) for time, total in rows]
+
+
+@dataclass(frozen=True)
+class RecordedItem:
+    """A frame of a recording, or the bytes between two that are no frame."""
+
+    data: bytes
+    is_frame: bool
+
+    @property
+    def packet(self) -> Packet | None:
+        """Kind of the frame; None for junk, answers and unknown message ids."""
+        if not self.is_frame or self.is_answer or self.data[1] not in set(Packet):
+            return None
+        return Packet(self.data[1])
+
+    @property
+    def is_answer(self) -> bool:
+        """Whether it answers a request of the recording host."""
+        return self.is_frame and self.data[1] in REQUESTS
+
+    @property
+    def leaves_at_ms(self) -> float:
+        """When it was complete by its own stamp [ms, any origin]; -inf without a stamp."""
+        packet = self.packet
+        if packet is None or packet is Packet.LIFESIGN:
+            return -inf
+        year, month, day = int.from_bytes(self.data[4:6], "little"), *self.data[6:8]
+        stamp = date(year, month, day).toordinal() * MS_PER_DAY
+        stamp += int.from_bytes(self.data[8:12], "little")
+        return stamp + (duration_ms(packet) if packet in WAVEFORMS else 0)
+
+
+def split(data: bytes) -> Iterator[RecordedItem]:
+    """Yield a recording's frames and the junk between them; together they are ``data``."""
+    position = junk_from = 0
+    while position < len(data):
+        end = _frame_end(data, position)
+        if end is None:
+            position += 1
+            continue
+        if junk_from < position:
+            yield RecordedItem(data[junk_from:position], is_frame=False)
+        yield RecordedItem(data[position:end], is_frame=True)
+        position = junk_from = end
+    if junk_from < len(data):
+        yield RecordedItem(data[junk_from:], is_frame=False)
+
+
+def _frame_end(data: bytes, start: int) -> int | None:
+    """Return where the frame that begins at ``start`` ends; None if none does."""
+    if data[start] != STX or start + 5 > len(data):
+        return None
+    message_id, length = data[start + 1], data[start + 2]
+    check_at = start + 3 + length
+    if length > MAX_PAYLOAD or check_at + 2 > len(data):
+        return None
+    fits = _LENGTHS.get(Packet(message_id), length) == length if message_id in set(Packet) else True
+    intact = crc8(data[start + 3 : check_at]) == data[check_at]
+    return check_at + 2 if fits and intact and data[check_at + 1] in (ETX, ACK, NAK) else None
+
+
+class RecordedSource:
+    """Plays a recording, byte for byte and at its own pace.
+
+    Recorded answers are left out (the device answers by itself), as are frames of
+    periodic packets that the host has not enabled. Lifesigns, events and junk are
+    always played. Playback begins when all periodic packets of the recording are
+    enabled, or ``settle_s`` after the last change if a host wants only some; it
+    begins anew on every connection.
+
+    Parameters
+    ----------
+    data
+        The recorded bytes.
+    timing
+        The recording host's reads. None: each frame leaves when its own stamp says
+        that its last sample was measured, what has no stamp with the one before.
+    speed
+        Factor on the recording's pace.
+    on_end
+        After the last byte: say nothing more, or end the connection once the host
+        has read everything.
+    settle_s
+        Longest wait for further enables.
+
+    Raises
+    ------
+    ValueError
+        If there is nothing but answers in the recording.
+    """
+
+    def __init__(
+        self,
+        data: bytes,
+        timing: Sequence[Arrival] | None = None,
+        *,
+        speed: float = 1.0,
+        on_end: Literal["silence", "hang_up"] = "silence",
+        settle_s: float = 1.0,
+    ) -> None:
+        items = list(split(data))
+        due = _due_by_reads(items, timing) if timing else _due_by_stamps(items)
+        kept = [k for k, item in enumerate(items) if not item.is_answer]
+        if not kept:
+            raise ValueError("the recording holds nothing to play")
+        self._frames = [Outgoing(items[k].data, items[k].packet) for k in kept]
+        self._due_s = [due[k] - due[kept[0]] for k in kept]
+        self._packets = _PERIODIC & {frame.packet for frame in self._frames}
+        self._speed = speed
+        self._on_end = on_end
+        self._settle_s = settle_s
+        self.connection_ended()
+
+    @classmethod
+    def shipped(
+        cls,
+        name: str = RECORDING_150_S,
+        *,
+        speed: float = 1.0,
+        on_end: Literal["silence", "hang_up"] = "silence",
+    ) -> RecordedSource:
+        """Return one of the recordings that come with the package.
+
+        Parameters
+        ----------
+        name
+            `RECORDING_150_S` or `RECORDING_WITH_GAP`.
+        speed, on_end
+            As for the class.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no recording of that name.
+        """
+        folder = files("biosensor_gateway").joinpath("devices/zephyr/recordings")
+        timing = folder.joinpath(f"{name}-timing.csv")
+        return cls(
+            folder.joinpath(f"{name}.dat").read_bytes(),
+            read_timing(timing.read_text("ascii")) if timing.is_file() else None,
+            speed=speed,
+            on_end=on_end,
+        )
+
+    @property
+    def speaks_lifesigns(self) -> bool:
+        """From the begin of the playback on, also when it has ended."""
+        return self._began_at is not None
+
+    def power_on(self, now: float) -> None:
+        """Nothing to do: a recording waits for its host."""
+
+    def poll(self, now: float, enabled: frozenset[Packet]) -> list[Outgoing]:
+        """Return the frames whose time has come, without those that nobody enabled."""
+        self._begin_if_ready(now, enabled)
+        if self._began_at is None:
+            return []
+        played_s = (now - self._began_at) * self._speed
+        begin = self._position
+        self._position = bisect_right(self._due_s, played_s, lo=begin)
+        frames = self._frames[begin : self._position]
+        return [f for f in frames if f.packet not in _PERIODIC or f.packet in enabled]
+
+    def next_due(self) -> float:
+        """Return when the next frame leaves, the playback begins or the device hangs up."""
+        if self._began_at is None:
+            return self._changed_at + self._settle_s if self._enabled else inf
+        if self._position < len(self._due_s):
+            return self._began_at + self._due_s[self._position] / self._speed
+        return self._hangs_up_at()
+
+    def hangs_up(self, now: float) -> bool:
+        """Tell whether the recording is over and was to end the connection."""
+        return self._position == len(self._due_s) and now >= self._hangs_up_at()
+
+    def connection_ended(self) -> None:
+        """Rewind."""
+        self._began_at: float | None = None
+        self._position = 0
+        self._enabled: frozenset[Packet] = frozenset()
+        self._changed_at = 0.0
+
+    def _begin_if_ready(self, now: float, enabled: frozenset[Packet]) -> None:
+        if enabled != self._enabled:
+            self._enabled, self._changed_at = enabled, now
+        settled = bool(enabled) and now >= self._changed_at + self._settle_s
+        if self._began_at is None and (settled or (enabled and enabled >= self._packets)):
+            self._began_at = now
+
+    def _hangs_up_at(self) -> float:
+        if self._began_at is None or self._on_end == "silence":
+            return inf
+        return self._began_at + self._due_s[-1] / self._speed + _HANG_UP_AFTER_S
+
+
+def _due_by_reads(items: Sequence[RecordedItem], timing: Sequence[Arrival]) -> list[float]:
+    """Give each item the time [s] of the read that held its last byte."""
+    totals = [arrival.total_bytes for arrival in timing]
+    ends = accumulate(len(item.data) for item in items)
+    return [timing[min(bisect_left(totals, end), len(timing) - 1)].time for end in ends]
+
+
+def _due_by_stamps(items: Sequence[RecordedItem]) -> list[float]:
+    """Give each item the time [s] of its own stamp, or of the item before if later."""
+    times = list(accumulate((item.leaves_at_ms for item in items), max))
+    first = next((time for time in times if time > -inf), 0.0)
+    return [max(time, first) / 1000 for time in times]

@@ -1,0 +1,190 @@
+"""Keeps one device connected: an explicit state machine around a driver.
+
+::
+
+    DISCOVERING --attempt--> CONNECTING --connected--> STREAMING
+         ^                    |      |                  |     |
+         |      absent, lost, |      | refused, busy,   |     |
+         +--------silent------+      | protocol broken  |     |
+         +---------------------------|------------------+     |
+                                     v                        |
+                                  BACKOFF <-------------------+
+                                     |
+                                     +--waited--> CONNECTING
+
+Every state goes to STOPPED when asked to stop. What is absent is probed every
+two seconds, so that a device that is switched on is streaming soon; what
+answers and refuses is left alone for longer and longer.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import time
+from collections.abc import Callable
+from enum import Enum, unique
+from typing import cast
+
+import structlog
+
+from biosensor_common.errors import GatewayError, TransportError, TransportReason
+from biosensor_gateway.devices.driver import Driver
+from biosensor_gateway.sink import DeviceSink
+
+PROBE_INTERVAL_S = 1.5
+BACKOFF_FIRST_S = 1.0
+BACKOFF_CAP_S = 30.0
+STABLE_AFTER_S = 30.0
+"""A connection that lasted this long clears the memory of earlier failures."""
+CLOSE_TIMEOUT_S = 2.0
+
+_PROBED = frozenset({TransportReason.ABSENT, TransportReason.LOST, TransportReason.SILENT})
+
+_log = structlog.get_logger("biosensor_gateway.supervisor")
+
+
+@unique
+class State(Enum):
+    """Where a device is on its way to streaming."""
+
+    DISCOVERING = "discovering"
+    CONNECTING = "connecting"
+    STREAMING = "streaming"
+    BACKOFF = "backoff"
+    STOPPED = "stopped"
+
+
+class Supervisor:
+    """Runs drivers for one device, one a connection, until it is stopped.
+
+    Parameters
+    ----------
+    make_driver
+        Makes a driver for one connection.
+    sink
+        Where drivers put samples; its silence is watched.
+    on_state
+        Called with every new state.
+    """
+
+    def __init__(
+        self,
+        make_driver: Callable[[], Driver],
+        sink: DeviceSink,
+        on_state: Callable[[State], None] = lambda state: None,
+    ) -> None:
+        self._make_driver = make_driver
+        self._sink = sink
+        self._on_state = on_state
+        self._names = {"sensor": sink.identity.sensor, "unit": sink.identity.unit}
+        self._nudge = asyncio.Event()
+        self._failures = 0
+        self.state = State.DISCOVERING
+        self.connections = 0
+        self.last_error: str | None = None
+
+    def nudge(self) -> None:
+        """Try again now: the device has just been seen."""
+        self._nudge.set()
+
+    async def run(self) -> None:
+        """Keep the device connected; returns only by cancellation, with the device closed."""
+        try:
+            while True:
+                error = await self._one_connection()
+                await self._pause_after(error)
+        finally:
+            self._enter(State.STOPPED)
+
+    async def _one_connection(self) -> Exception:
+        driver = self._make_driver()
+        started: float | None = None
+        try:
+            self._enter(State.CONNECTING)
+            connected = await driver.connect()
+            self._sink.open(connected.info, connected.rates)
+            self.connections += 1
+            self.last_error = None
+            started = time.monotonic()
+            self._enter(State.STREAMING)
+            return await self._stream(driver)
+        except Exception as error:  # noqa: BLE001 - a failing driver must not end the others
+            return error
+        finally:
+            if started is not None and time.monotonic() - started >= STABLE_AFTER_S:
+                self._failures = 0
+            await self._close(driver)
+
+    async def _stream(self, driver: Driver) -> Exception:
+        """Stream until the driver or the watchdog gives up; return why."""
+        tasks = [
+            asyncio.create_task(driver.stream()),
+            asyncio.create_task(self._watch(driver.silence_limit_s)),
+        ]
+        try:
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in tasks:
+                task.cancel()
+            ended = await asyncio.gather(*tasks, return_exceptions=True)
+        for outcome in ended:
+            if isinstance(outcome, Exception):
+                return _cause(outcome)
+        return TransportError(TransportReason.LOST, "the driver stopped by itself")
+
+    async def _watch(self, limit_s: float) -> None:
+        while (left := limit_s - self._sink.silence_s) > 0:  # noqa: ASYNC110 - not an event: its absence
+            await asyncio.sleep(left)
+        message = f"nothing from the device for {limit_s:.0f} s; the connection is started anew"
+        raise TransportError(TransportReason.SILENT, message)
+
+    async def _close(self, driver: Driver) -> None:
+        try:
+            async with asyncio.timeout(CLOSE_TIMEOUT_S):
+                await driver.close()
+        except Exception as error:  # noqa: BLE001 - whatever it is, the connection is over
+            _log.warning("closing failed", **self._names, error=str(error))
+
+    async def _pause_after(self, error: Exception) -> None:
+        self._report(error)
+        if isinstance(error, TransportError) and error.reason in _PROBED:
+            self._enter(State.DISCOVERING)
+            await self._wait(PROBE_INTERVAL_S)
+        else:
+            self._enter(State.BACKOFF)
+            delay = min(BACKOFF_CAP_S, BACKOFF_FIRST_S * 2**self._failures)
+            self._failures += 1
+            # Jitter keeps several devices from knocking at one radio in step.
+            await self._wait(delay * random.uniform(0.75, 1.0))  # noqa: S311 - no secret
+
+    async def _wait(self, seconds: float) -> None:
+        self._nudge.clear()
+        try:
+            async with asyncio.timeout(seconds):
+                await self._nudge.wait()
+        except TimeoutError:
+            pass
+
+    def _report(self, error: Exception) -> None:
+        text = str(error) or type(error).__name__
+        if isinstance(error, GatewayError):
+            # Probing repeats the same sentence for hours; once is enough.
+            if text != self.last_error:
+                _log.warning(text, **self._names, reason=str(error.reason.value))
+        else:
+            _log.error("the driver failed", **self._names, exc_info=error)
+        self.last_error = text
+
+    def _enter(self, state: State) -> None:
+        self.state = state
+        self._on_state(state)
+        _log.debug("state", **self._names, state=state.value)
+
+
+def _cause(error: Exception) -> Exception:
+    """Unwrap what a driver's task group raised."""
+    if not isinstance(error, ExceptionGroup):
+        return error
+    group = cast("ExceptionGroup[Exception]", error)
+    return _cause(group.exceptions[0]) if len(group.exceptions) == 1 else group

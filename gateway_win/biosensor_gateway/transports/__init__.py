@@ -1,0 +1,1 @@
+"""Bytes in and out of devices; nothing here knows what they mean."""

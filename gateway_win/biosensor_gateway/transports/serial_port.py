@@ -1,0 +1,155 @@
+"""Serial ports, Bluetooth ones included.
+
+One thread reads and one writes, because a blocked call on a Bluetooth port
+cannot be interrupted on every system. Both are daemons: a port that hangs for
+ever must not keep the agent from ending.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import queue
+import threading
+
+import serial
+from pylsl import local_clock
+
+from biosensor_common.errors import TransportError, TransportReason
+from biosensor_gateway.transports.link import Received
+from biosensor_gateway.transports.threads import in_daemon_thread
+
+OPEN_TIMEOUT_S = 20.0
+# On Windows a write to a vanished Bluetooth port would wait for ever.
+WRITE_TIMEOUT_S = 2.0
+CLOSE_TIMEOUT_S = 1.0
+
+# pyserial raises these, too, when a port is closed under a blocked call.
+_PORT_ERRORS = (OSError, TypeError, ValueError, AttributeError)
+
+_OPEN_REASONS = {
+    errno.ENOENT: (TransportReason.ABSENT, "there is no such port; pair or plug in the device"),
+    errno.ENODEV: (TransportReason.ABSENT, "there is no such port; pair or plug in the device"),
+    errno.ENXIO: (TransportReason.ABSENT, "the device behind the port is gone"),
+    errno.EIO: (TransportReason.ABSENT, "the device behind the port is gone"),
+    errno.EHOSTDOWN: (TransportReason.ABSENT, "the device does not answer; switch it on"),
+    errno.ETIMEDOUT: (TransportReason.ABSENT, "the device does not answer; switch it on"),
+    errno.ECONNREFUSED: (TransportReason.ABSENT, "the device refuses; switch it off and on"),
+    errno.EBUSY: (TransportReason.BUSY, "another program holds the port; close it there"),
+    errno.EAGAIN: (TransportReason.BUSY, "another program holds the port; close it there"),
+    errno.EACCES: (TransportReason.DENIED, "no permission; add yourself to the group dialout"),
+    errno.EPERM: (TransportReason.DENIED, "no permission; add yourself to the group dialout"),
+}
+
+
+class SerialLink:
+    """A serial port as a :class:`~biosensor_gateway.transports.link.ByteLink`."""
+
+    def __init__(self, port: str, baudrate: int = 115200) -> None:
+        self._name = port
+        self._baudrate = baudrate
+        self._port: serial.Serial | None = None
+        self._incoming: asyncio.Queue[Received | TransportError] = asyncio.Queue()
+        self._outgoing: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._closing = False
+        self._threads: tuple[threading.Thread, ...] = ()
+
+    async def open(self) -> None:
+        """Open the port; see :class:`~biosensor_gateway.transports.link.ByteLink`."""
+        try:
+            self._port = await asyncio.wait_for(in_daemon_thread(self._open_port), OPEN_TIMEOUT_S)
+        except TimeoutError as error:
+            self._closing = True
+            message = f"{self._name}: opening takes over {OPEN_TIMEOUT_S:.0f} s; is the device on?"
+            raise TransportError(TransportReason.ABSENT, message) from error
+        except OSError as error:
+            raise self._open_error(error) from error
+        except ValueError as error:
+            message = f"{self._name}: not a usable port name ({error})"
+            raise TransportError(TransportReason.ABSENT, message) from error
+        loop = asyncio.get_running_loop()
+        self._threads = (
+            threading.Thread(target=self._read_forever, args=(self._port, loop), daemon=True),
+            threading.Thread(target=self._write_forever, args=(self._port, loop), daemon=True),
+        )
+        for thread in self._threads:
+            thread.start()
+
+    async def read(self) -> Received:
+        """Wait for the next bytes; raise ``LOST`` when the port is gone."""
+        item = await self._incoming.get()
+        if isinstance(item, TransportError):
+            self._incoming.put_nowait(item)
+            raise item
+        return item
+
+    def write(self, data: bytes) -> None:
+        """Queue bytes for the writing thread."""
+        self._outgoing.put(data)
+
+    async def close(self) -> None:
+        """Let the writer send what is queued, then close the port."""
+        self._closing = True
+        self._outgoing.put(None)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(CLOSE_TIMEOUT_S):
+                await in_daemon_thread(self._join)
+
+    def _join(self) -> None:
+        for thread in self._threads:
+            thread.join(CLOSE_TIMEOUT_S)
+
+    def _open_port(self) -> serial.Serial:
+        port = serial.Serial(
+            self._name,
+            self._baudrate,
+            timeout=None,
+            write_timeout=WRITE_TIMEOUT_S,
+            exclusive=True,
+        )
+        if self._closing:
+            # Nobody waits for it any more; held open, it would refuse the next attempt.
+            port.close()
+        return port
+
+    def _open_error(self, error: OSError) -> TransportError:
+        code = error.errno if error.errno is not None else errno.ENOENT
+        unknown = (TransportReason.ABSENT, f"it cannot be opened ({error})")
+        reason, advice = _OPEN_REASONS.get(code, unknown)
+        return TransportError(reason, f"{self._name}: {advice}")
+
+    def _read_forever(self, port: serial.Serial, loop: asyncio.AbstractEventLoop) -> None:
+        try:
+            while not self._closing:
+                data = port.read(1)
+                arrival = local_clock()
+                data += port.read(port.in_waiting)
+                if data:
+                    self._deliver(loop, Received(data, arrival))
+        except _PORT_ERRORS as error:
+            self._lost(loop, error)
+
+    def _write_forever(self, port: serial.Serial, loop: asyncio.AbstractEventLoop) -> None:
+        try:
+            while (data := self._outgoing.get()) is not None:
+                port.write(data)
+        except _PORT_ERRORS as error:
+            self._lost(loop, error)
+        try:
+            port.cancel_read()
+            port.close()
+        except _PORT_ERRORS as error:
+            self._lost(loop, error)
+
+    def _lost(self, loop: asyncio.AbstractEventLoop, error: Exception) -> None:
+        if not self._closing:
+            message = f"{self._name}: the link was cut ({error})"
+            self._deliver(loop, TransportError(TransportReason.LOST, message))
+
+    def _deliver(self, loop: asyncio.AbstractEventLoop, item: Received | TransportError) -> None:
+        try:
+            loop.call_soon_threadsafe(self._incoming.put_nowait, item)
+        except RuntimeError:
+            # The loop has ended; nobody is left to read.
+            self._closing = True

@@ -1,0 +1,30 @@
+"""Blocking calls that must never hold up the end of the program."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import TypeVar
+
+_T = TypeVar("_T")
+
+
+async def in_daemon_thread(call: Callable[[], _T]) -> _T:
+    """Run a blocking call in a thread of its own and await its result.
+
+    asyncio's own pool is no choice here: the interpreter joins it at exit, and
+    a call that hangs in a driver would hang the program.
+    """
+    future: Future[_T] = Future()
+
+    def run() -> None:
+        future.set_running_or_notify_cancel()
+        try:
+            future.set_result(call())
+        except Exception as error:  # noqa: BLE001 - handed on to the awaiting caller
+            future.set_exception(error)
+
+    threading.Thread(target=run, daemon=True).start()
+    return await asyncio.wrap_future(future)

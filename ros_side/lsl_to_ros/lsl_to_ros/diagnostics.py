@@ -1,0 +1,97 @@
+"""``/diagnostics``: one status a stream, once a second."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from time import monotonic
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+from biosensor_common.naming import TopicName
+from lsl_to_ros.bridge import Bridge
+
+RATE_WINDOW_S = 10.0
+# A regular stream is stale after so long without a sample.
+STALE_AFTER_S = 5.0
+
+
+@dataclass(slots=True)
+class RateMeter:
+    """Mean rate over the last seconds, from a count that only grows."""
+
+    _points: deque[tuple[float, int]] = field(default_factory=deque[tuple[float, int]])
+
+    def rate(self, count: int) -> float:
+        """Take in the present count; return samples per second."""
+        now = monotonic()
+        self._points.append((now, count))
+        while now - self._points[0][0] > RATE_WINDOW_S:
+            self._points.popleft()
+        elapsed = now - self._points[0][0]
+        return (count - self._points[0][1]) / elapsed if elapsed > 0 else 0.0
+
+
+def stream_status(
+    topic: TopicName, bridge: Bridge, rate: float, latency_s: float, correction_s: float | None
+) -> DiagnosticStatus:
+    """Describe one stream.
+
+    Parameters
+    ----------
+    rate
+        Measured, in Hz.
+    latency_s
+        Age of the newest sample.
+    correction_s
+        Offset between the sender's LSL clock and ours, None if not measured yet.
+    """
+    header = bridge.header
+    level, message = _judge(topic, bridge, latency_s)
+    readers = bridge.raw.get_subscription_count()
+    readers += bridge.chunk.get_subscription_count() if bridge.chunk else 0
+    values = {
+        "topic": topic.name,
+        "sensor": header.identity.sensor,
+        "participant": header.identity.participant,
+        "label": header.identity.label,
+        "unit_of_measurement": ", ".join(dict.fromkeys(header.units)),
+        "rate_measured": f"{rate:.2f}",
+        "rate_nominal": f"{header.rate:.2f}",
+        "received": str(bridge.received),
+        "lost": _lost(bridge),
+        "unfit": str(bridge.unfit),
+        "chunk_discarded": str(bridge.chunker.discarded),
+        "age_s": f"{latency_s:.3f}",
+        "clock_offset_s": "" if correction_s is None else f"{correction_s:.6f}",
+        "subscribers": str(readers),
+    }
+    return DiagnosticStatus(
+        level=level,
+        name=f"lsl_to_ros: {topic.name}",
+        message=message,
+        hardware_id=header.identity.unit,
+        values=[KeyValue(key=key, value=value) for key, value in values.items()],
+    )
+
+
+def _judge(topic: TopicName, bridge: Bridge, latency_s: float) -> tuple[bytes, str]:
+    if topic.conflict:
+        return DiagnosticStatus.ERROR, "two units of one sensor: give each a label in its settings"
+    if topic.duplicate:
+        return DiagnosticStatus.ERROR, "two streams claim to be this one"
+    if bridge.header.rate > 0 and (not bridge.received or latency_s > STALE_AFTER_S):
+        return DiagnosticStatus.STALE, "no samples"
+    if bridge.unfit:
+        return DiagnosticStatus.WARN, "samples do not fit the message type"
+    return DiagnosticStatus.OK, "streaming"
+
+
+def _lost(bridge: Bridge) -> str:
+    """By the agent's count, else an estimate, else the honest word."""
+    losses = bridge.account.losses
+    if losses is not None:
+        return str(losses.total)
+    if bridge.header.foreign and bridge.header.rate > 0:
+        return f"about {bridge.missing}"
+    return "unknown"

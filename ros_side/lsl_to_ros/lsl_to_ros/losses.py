@@ -1,0 +1,108 @@
+"""How many samples of a stream are missing, by the agent's own count.
+
+The agent says once a second how many samples of each stream it has pushed, up
+to which stamp, and how many it lost before. Compared with what was pulled up
+to that stamp, the difference is what LSL did not deliver. The comparison waits
+until the stream has reached the stamp: both come over connections of their own.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from dataclasses import dataclass
+from typing import NamedTuple
+
+_RECENT = 2048
+_WAITING = 16
+
+
+class _Report(NamedTuple):
+    pushed: int
+    lost: int
+    last_stamp: float
+
+
+@dataclass(frozen=True, slots=True)
+class Losses:
+    """Samples missing from one stream.
+
+    Attributes
+    ----------
+    device
+        Lost between sensor and agent since the agent started.
+    transport
+        Lost between agent and this node since it first attached.
+    """
+
+    device: int
+    transport: int
+
+    @property
+    def total(self) -> int:
+        """Both together."""
+        return self.device + self.transport
+
+
+class LossAccount:
+    """Compares one stream's pulled samples with the agent's counters.
+
+    Its two callers are two threads: the stream's reader and the counters' reader.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._pulled = 0
+        self._recent: deque[float] = deque(maxlen=_RECENT)
+        self._base: int | None = None
+        self._waiting: deque[_Report] = deque(maxlen=_WAITING)
+        self._losses: Losses | None = None
+
+    @property
+    def losses(self) -> Losses | None:
+        """The latest result, None as long as the agent has said nothing."""
+        return self._losses
+
+    def pulled(self, stamp: float) -> None:
+        """Count one sample; the stamp is the sender's, as the agent's report has it."""
+        with self._lock:
+            self._pulled += 1
+            self._recent.append(stamp)
+            if self._waiting:
+                self._settle()
+
+    def reported(self, pushed: int, lost: int, last_stamp: float) -> None:
+        """Take in what the agent said of this stream."""
+        with self._lock:
+            if not pushed:
+                self._losses = Losses(device=lost, transport=0)
+                return
+            self._waiting.append(_Report(pushed, lost, last_stamp))
+            self._settle()
+
+    def restarted(self) -> None:
+        """Start anew: the stream comes from an agent that counts from zero."""
+        with self._lock:
+            self._waiting.clear()
+            self._recent.clear()
+            self._pulled, self._base = 0, None
+
+    def _settle(self) -> None:
+        """Compare the reports whose stamp the stream has reached."""
+        while self._waiting and self._recent and self._waiting[0].last_stamp <= self._recent[-1]:
+            report = self._waiting.popleft()
+            later = self._pulled_after(report.last_stamp)
+            if later == _RECENT:
+                continue
+            missing = report.pushed - (self._pulled - later)
+            if self._base is None:
+                self._base = missing
+            self._losses = Losses(device=report.lost, transport=missing - self._base)
+
+    def _pulled_after(self, stamp: float) -> int:
+        count = 0
+        for recent in reversed(self._recent):
+            if recent <= stamp:
+                break
+            count += 1
+        return count

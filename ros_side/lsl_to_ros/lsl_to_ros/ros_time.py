@@ -1,0 +1,43 @@
+"""LSL time as ROS time."""
+
+from __future__ import annotations
+
+import time
+
+import pylsl
+from builtin_interfaces.msg import Time
+from rclpy.node import Node
+
+from biosensor_common.ros_clock import NS_PER_S, OffsetStep, OffsetTracker, measure_offset_ns
+
+
+class RosTime:
+    """Maps stamps of this machine's LSL clock to ROS time.
+
+    Under ``use_sim_time`` there is no relation to map by: the time of a sample is
+    then the simulated time at which it was received.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._clock = node.get_clock()
+        self._tracker = OffsetTracker(_measure(), pylsl.local_clock())
+
+    @property
+    def steps(self) -> int:
+        """How often the system clock jumped against the LSL clock."""
+        return self._tracker.steps
+
+    def refresh(self) -> OffsetStep | None:
+        """Measure again, once a second; returns a jump of the system clock."""
+        return self._tracker.update(_measure(), pylsl.local_clock())
+
+    def to_msg(self, lsl_s: float) -> Time:
+        """ROS time of a stamp on this machine's LSL clock."""
+        if self._clock.ros_time_is_active:
+            return self._clock.now().to_msg()
+        seconds, nanoseconds = divmod(self._tracker.to_ros_ns(lsl_s), NS_PER_S)
+        return Time(sec=seconds, nanosec=nanoseconds)
+
+
+def _measure() -> int:
+    return measure_offset_ns(time.time_ns, pylsl.local_clock)

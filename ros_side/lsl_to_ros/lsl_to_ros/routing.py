@@ -1,0 +1,180 @@
+"""Which stream fills which topics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from math import ceil
+
+from builtin_interfaces.msg import Time
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from biosensor_common.naming import TopicName, resolve_topics
+from biosensor_common.quantities import MessageType
+from biosensor_common.spec import DeviceIdentity
+from biosensor_common.stream_header import StreamHeader
+from lsl_to_ros import messages
+from lsl_to_ros.bridge import Bridge
+from lsl_to_ros.diagnostics import RateMeter
+from lsl_to_ros.inlets import Inlet
+from lsl_to_ros.losses import LossAccount
+from lsl_to_ros.parameters import Parameters
+from lsl_to_ros.ros_time import RosTime
+
+# A late subscriber of these sees the last value at once.
+LATCHED = frozenset({"bat", "rssi", "dev"})
+
+
+@dataclass(slots=True)
+class Route:
+    """One attached stream on its way to ROS."""
+
+    inlet: Inlet
+    header: StreamHeader
+    topic: TopicName | None = None
+    bridge: Bridge | None = None
+    meter: RateMeter = field(default_factory=RateMeter)
+
+
+class Routing:
+    """Connects inlets to topics, anew whenever the set of streams changes.
+
+    Parameters
+    ----------
+    node
+        Owner of the publishers.
+    prefix
+        First part of every topic, relative.
+    """
+
+    def __init__(self, node: Node, prefix: str, parameters: Parameters, ros_time: RosTime) -> None:
+        self._node = node
+        self._prefix = prefix
+        self._parameters = parameters
+        self._time = ros_time
+        self._routes: dict[str, Route] = {}
+        self._topics: dict[tuple[str, MessageType], Publisher] = {}
+        self._accounts: dict[str, tuple[str, LossAccount]] = {}
+        self._seen: set[DeviceIdentity] = set()
+
+    @property
+    def routes(self) -> list[Route]:
+        """All attached streams."""
+        return list(self._routes.values())
+
+    def update(self, ready: list[Inlet], gone: list[Inlet]) -> None:
+        """Attach and detach streams."""
+        for inlet in gone:
+            if self._routes.pop(inlet.uid, None) is not None:
+                self._node.get_logger().info(f"stream {inlet.source_id or inlet.uid} is gone")
+        for inlet in ready:
+            if inlet.header is not None:
+                self._routes[inlet.uid] = Route(inlet, inlet.header)
+        if ready or gone:
+            self._map_topics()
+
+    def apply_settings(self) -> None:
+        """Let every stream follow the parameters from its next sample on."""
+        for route in self.routes:
+            if route.bridge is not None:
+                header = route.header
+                route.bridge.settings = self._parameters.settings(
+                    header.identity, header.data_name, header.chunk
+                )
+
+    def _map_topics(self) -> None:
+        """Give every stream its topic; a stream whose topic changes gets a new bridge."""
+        names = {
+            uid: (route.header.identity, route.header.data_name)
+            for uid, route in self._routes.items()
+        }
+        renamed: list[TopicName] = []
+        # A unit that has left keeps its name: another one's data must not appear under it.
+        self._seen.update(identity for identity, _ in names.values())
+        for uid, topic in resolve_topics(names, self._prefix, gone=self._seen).items():
+            route = self._routes[uid]
+            if route.bridge is not None and route.topic == topic:
+                continue
+            if route.topic is not None:
+                renamed.append(route.topic)
+            self._connect(route, topic)
+        self._close({topic.base for topic in renamed})
+
+    def _connect(self, route: Route, topic: TopicName) -> None:
+        header = route.header
+        self._parameters.declare(header.identity, header.data_name, header.chunk)
+        route.topic = topic
+        route.bridge = Bridge(
+            header,
+            raw=self._publisher(topic.name, header.message_type, header),
+            chunk=self._chunk_publisher(topic, header),
+            settings=self._parameters.settings(header.identity, header.data_name, header.chunk),
+            account=self._account(route.inlet),
+            to_time=partial(self._to_time, route.inlet),
+            warn=self._warn,
+            listen=self._listener(header),
+        )
+        if topic.conflict:
+            self._warn(f"{topic.name}: two units share a name; give each a label in its settings")
+        route.inlet.deliver_to(route.bridge)
+        self._node.get_logger().info(f"{topic.name} ({header.message_type})")
+
+    def _chunk_publisher(self, topic: TopicName, header: StreamHeader) -> Publisher | None:
+        if not header.chunk:
+            return None
+        data = topic.data if header.chunk == header.data_name else header.chunk
+        kind = messages.chunk_type(header.message_type)
+        return self._publisher(f"{topic.base}/{data}_chunk", kind, header)
+
+    def _publisher(self, name: str, kind: MessageType, header: StreamHeader) -> Publisher:
+        key = (name, kind)
+        if key not in self._topics:
+            depth = max(10, ceil(header.rate))
+            qos = QoSProfile(depth=depth)
+            if header.data_name in LATCHED:
+                qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+            self._topics[key] = self._node.create_publisher(messages.CLASSES[kind], name, qos)
+        return self._topics[key]
+
+    def _close(self, bases: set[str]) -> None:
+        """Close what nobody publishes any more under these names.
+
+        Topics of streams that are merely absent stay: their subscribers then need
+        not match anew when the stream returns.
+        """
+        used = {route.topic.base for route in self._routes.values() if route.topic is not None}
+        for name, kind in list(self._topics):
+            if name.rpartition("/")[0] in bases - used:
+                self._node.destroy_publisher(self._topics.pop((name, kind)))
+
+    def _account(self, inlet: Inlet) -> LossAccount:
+        uid, account = self._accounts.get(inlet.source_id, ("", LossAccount()))
+        if uid != inlet.uid:
+            account.restarted()
+        if inlet.source_id:
+            self._accounts[inlet.source_id] = (inlet.uid, account)
+        return account
+
+    def _listener(self, header: StreamHeader) -> Callable[[str], None] | None:
+        is_counters = header.message_type is MessageType.DIAGNOSTIC_ARRAY
+        return self._take_counters if is_counters else None
+
+    def _take_counters(self, text: str) -> None:
+        """Hand on the agent's counters; runs in that stream's thread."""
+        try:
+            counters = messages.read_counters(text)
+        except ValueError:
+            return
+        for source_id, entry in counters.items():
+            known = self._accounts.get(source_id)
+            if known is not None:
+                known[1].reported(int(entry["pushed"]), int(entry["lost"]), entry["last_stamp"])
+
+    def _to_time(self, inlet: Inlet, stamp: float) -> Time:
+        return self._time.to_msg(stamp + (inlet.correction or 0.0))
+
+    def _warn(self, sentence: str) -> None:
+        self._node.get_logger().warning(sentence)

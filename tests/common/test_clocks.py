@@ -1,0 +1,179 @@
+"""Counters, timelines of regular samples, monotonic stamps."""
+
+from __future__ import annotations
+
+import math
+import random
+from itertools import pairwise
+from statistics import fmean, pstdev
+
+import pytest
+from biosensor_common.clocks import (
+    CounterUnwrapper,
+    MonotonicStamps,
+    SampleTimeline,
+    lost_packets,
+)
+from hypothesis import given
+from hypothesis import strategies as st
+
+ECG_PERIOD_S = 0.004
+ECG_SAMPLES = 63
+ECG_PACKET_S = ECG_PERIOD_S * ECG_SAMPLES
+
+
+@pytest.mark.parametrize(
+    ("previous", "current", "lost"),
+    [(0, 1, 0), (255, 0, 0), (254, 1, 2), (10, 14, 3), (7, 7, 255)],
+)
+def test_lost_packets(previous: int, current: int, lost: int) -> None:
+    assert lost_packets(previous, current, 256) == lost
+
+
+@pytest.mark.parametrize(("previous", "current"), [(256, 0), (0, 256), (-1, 0)])
+def test_lost_packets_refuses_impossible_numbers(previous: int, current: int) -> None:
+    with pytest.raises(ValueError, match="outside"):
+        lost_packets(previous, current, 256)
+
+
+@given(
+    st.integers(1, 32).flatmap(
+        lambda bits: st.tuples(
+            st.just(bits),
+            st.integers(0, 2**40),
+            st.lists(st.integers(0, (1 << bits) - (1 << bits) // 16 - 1)),
+        )
+    )
+)
+def test_unwrapping_restores_the_counts(case: tuple[int, int, list[int]]) -> None:
+    bits, start, steps = case
+    unwrapper = CounterUnwrapper(bits)
+    count = start
+    first = unwrapper.unwrap(count % (1 << bits))
+    for step in steps:
+        count += step
+        assert unwrapper.unwrap(count % (1 << bits)) - first == count - start
+
+
+def test_a_late_value_gets_its_own_count_and_the_newest_stays() -> None:
+    unwrapper = CounterUnwrapper(8)
+
+    counts = [unwrapper.unwrap(value) for value in (250, 255, 3, 254, 4)]
+
+    assert counts == [250, 255, 259, 254, 260]
+
+
+def test_a_value_too_far_behind_is_ahead() -> None:
+    unwrapper = CounterUnwrapper(8)
+
+    assert [unwrapper.unwrap(value) for value in (100, 84, 83)] == [100, 84, 339]
+
+
+def test_reset_starts_over() -> None:
+    unwrapper = CounterUnwrapper(8)
+    unwrapper.unwrap(200)
+    unwrapper.unwrap(10)
+
+    unwrapper.reset()
+
+    assert unwrapper.unwrap(5) == 5
+
+
+def test_unwrapper_refuses_what_does_not_fit() -> None:
+    with pytest.raises(ValueError, match="at least one bit"):
+        CounterUnwrapper(0)
+    for value in (-1, 256):
+        with pytest.raises(ValueError, match="outside"):
+            CounterUnwrapper(8).unwrap(value)
+
+
+@pytest.mark.parametrize("drift_ppm", [-200, 0, 160, 200])
+def test_jittering_stamps_become_an_even_timeline(drift_ppm: int) -> None:
+    rng = random.Random(drift_ppm)
+    timeline = SampleTimeline(ECG_PERIOD_S)
+    errors: list[float] = []
+    firsts: list[float] = []
+    for packet in range(1000):
+        true = 50.0 + packet * ECG_PACKET_S * (1 + drift_ppm * 1e-6)
+        firsts.append(timeline.place(true + rng.uniform(-0.002, 0.002), ECG_SAMPLES))
+        errors.append(firsts[-1] - true)
+
+    settled = errors[100:]
+    assert timeline.reanchors == 0
+    assert pstdev(settled) < 0.0003
+    assert abs(fmean(settled)) < 0.001
+    gaps = [later - earlier - ECG_PACKET_S for earlier, later in pairwise(firsts[100:])]
+    assert max(map(abs, gaps)) < 0.0004
+
+
+def test_lost_samples_keep_their_place() -> None:
+    timeline = SampleTimeline(ECG_PERIOD_S)
+    timeline.place(10.0, ECG_SAMPLES)
+
+    first = timeline.place(10.0 + 3 * ECG_PACKET_S, ECG_SAMPLES, lost=2 * ECG_SAMPLES)
+
+    assert first == pytest.approx(10.0 + 3 * ECG_PACKET_S)
+    assert timeline.reanchors == 0
+
+
+@pytest.mark.parametrize("jump", [-5.0, -0.03, 0.03, ECG_PACKET_S, 3600.0])
+def test_a_stamp_far_from_the_chain_starts_it_anew(jump: float) -> None:
+    timeline = SampleTimeline(ECG_PERIOD_S)
+    timeline.place(10.0, ECG_SAMPLES)
+    stamp = 10.0 + ECG_PACKET_S + jump
+
+    assert timeline.place(stamp, ECG_SAMPLES) == stamp
+    assert timeline.reanchors == 1
+    assert timeline.place(stamp + ECG_PACKET_S, ECG_SAMPLES) == pytest.approx(stamp + ECG_PACKET_S)
+
+
+def test_tolerance_grows_with_the_period() -> None:
+    timeline = SampleTimeline(0.056)
+    timeline.place(10.0, 18)
+
+    timeline.place(10.0 + 18 * 0.056 + 0.027, 18)
+
+    assert timeline.reanchors == 0
+
+
+def test_timeline_refuses_nonsense() -> None:
+    for period in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(ValueError, match="sampling period"):
+            SampleTimeline(period)
+    timeline = SampleTimeline(1.0)
+    for stamp, n, lost in ((math.nan, 1, 0), (math.inf, 1, 0), (0.0, -1, 0), (0.0, 1, -1)):
+        with pytest.raises(ValueError, match="cannot place"):
+            timeline.place(stamp, n, lost)
+
+
+def test_increasing_stamps_pass_unchanged() -> None:
+    monotonic = MonotonicStamps()
+
+    assert monotonic.apply([1.0, 2.0]) == [1.0, 2.0]
+    assert monotonic.apply([2.5]) == [2.5]
+    assert monotonic.corrections == 0
+
+
+def test_stamps_that_run_back_are_moved_and_counted() -> None:
+    monotonic = MonotonicStamps()
+    monotonic.apply([5.0])
+
+    assert monotonic.apply([4.0, 5.0, 6.0]) == pytest.approx([5.000001, 5.000002, 6.0], abs=1e-9)
+    assert monotonic.corrections == 2
+
+
+@given(st.lists(st.lists(st.floats(allow_nan=False, allow_infinity=False, width=32))))
+def test_emitted_stamps_strictly_increase(chunks: list[list[float]]) -> None:
+    monotonic = MonotonicStamps()
+    emitted = [stamp for chunk in chunks for stamp in monotonic.apply(chunk)]
+    given_stamps = [stamp for chunk in chunks for stamp in chunk]
+
+    assert all(later > earlier for earlier, later in pairwise(emitted))
+    moved = [a != b for a, b in zip(given_stamps, emitted, strict=True)]
+    assert sum(moved) == monotonic.corrections
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_stamps_must_be_finite(bad: float) -> None:
+    with pytest.raises(ValueError, match="finite"):
+        MonotonicStamps().apply([bad])
