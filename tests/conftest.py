@@ -1,0 +1,33 @@
+"""Isolation: no test sees, or is seen by, anything outside its own run."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import random
+import shutil
+import tempfile
+import uuid
+from pathlib import Path
+
+_folder = Path(tempfile.mkdtemp(prefix="biosensor-gateway-tests-"))
+atexit.register(shutil.rmtree, _folder, ignore_errors=True)
+
+SESSION = f"test-{uuid.uuid4().hex}"
+
+# liblsl reads its configuration at its first call, so this must come before any test
+# module is imported. Child processes inherit it. ResolveScope keeps it on this machine.
+_lsl_config = _folder / "lsl_api.cfg"
+_lsl_config.write_text(
+    f"[lab]\nSessionID = {SESSION}\nKnownPeers = {{127.0.0.1}}\n"
+    "[multicast]\nResolveScope = machine\n"
+    "[ports]\nPortRange = 256\n"
+    "[log]\nlevel = -2\n"
+)
+os.environ["LSLAPICFG"] = str(_lsl_config)
+os.environ["ROS_DOMAIN_ID"] = str(random.randint(1, 100))
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+# Jazzy's messages do not check their fields otherwise.
+os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
+os.environ["BIOSENSOR_GATEWAY_STATE"] = str(_folder / "state")
+os.environ["BIOSENSOR_GATEWAY_SETTINGS"] = str(_folder / "settings.toml")

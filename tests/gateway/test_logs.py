@@ -1,0 +1,231 @@
+"""Logging: two outputs, one line each, no secrets."""
+
+from __future__ import annotations
+
+import gc
+import json
+import logging
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+import structlog
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.logs import LOG_FILE_NAME, configure_logs
+from biosensor_gateway.settings import LogSettings
+
+LOG = structlog.stdlib.get_logger("biosensor_gateway.test")
+LIBRARY = logging.getLogger("some_library.part")
+
+
+@pytest.fixture(autouse=True)
+def restore_logging() -> Iterator[None]:
+    root, own = logging.getLogger(), logging.getLogger("biosensor_gateway")
+    handlers, levels = root.handlers[:], (root.level, own.level)
+    yield
+    for handler in root.handlers[:]:
+        if handler not in handlers:
+            root.removeHandler(handler)
+            handler.close()
+    root.setLevel(levels[0])
+    own.setLevel(levels[1])
+    structlog.reset_defaults()
+    structlog.contextvars.clear_contextvars()
+
+
+def fail_with(text: str) -> None:
+    raise RuntimeError(text)
+
+
+def records(folder: Path) -> list[dict[str, Any]]:
+    lines = (folder / LOG_FILE_NAME).read_text(encoding="utf-8").splitlines()
+    return [json.loads(line) for line in lines]
+
+
+def test_an_event_arrives_at_both_outputs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    configure_logs(LogSettings(), tmp_path)
+    LOG.info("device connected", unit="C0FFEE", rate=130.0)
+    (record,) = records(tmp_path)
+    stamp = datetime.fromisoformat(record.pop("timestamp"))
+    assert stamp.utcoffset() == datetime.now(UTC).utcoffset()
+    assert record == {
+        "event": "device connected",
+        "level": "info",
+        "logger": "biosensor_gateway.test",
+        "unit": "C0FFEE",
+        "rate": 130.0,
+    }
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "device connected" in captured.err
+    assert "unit='C0FFEE'" in captured.err
+    assert captured.err.count("\n") == 1
+    assert "\x1b" not in captured.err
+
+
+@pytest.mark.parametrize(("no_color", "coloured"), [("", True), ("1", False)])
+def test_a_terminal_gets_colours(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    no_color: str,
+    coloured: bool,
+) -> None:
+    monkeypatch.setenv("NO_COLOR", no_color)
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    configure_logs(LogSettings(), None)
+    LOG.info("seen")
+    assert ("\x1b[" in capsys.readouterr().err) is coloured
+
+
+def test_a_library_goes_the_same_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    configure_logs(LogSettings(), tmp_path)
+    structlog.contextvars.bind_contextvars(device="strap")
+    LIBRARY.warning("scan took %d s", 3)
+    (record,) = records(tmp_path)
+    assert record["event"] == "scan took 3 s"
+    assert (record["level"], record["logger"]) == ("warning", "some_library.part")
+    assert record["device"] == "strap"
+    assert "scan took 3 s" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("settings", "verbose", "expected"),
+    [
+        (LogSettings(level="warning"), False, ["own warning", "library warning"]),
+        (
+            LogSettings(),
+            False,
+            ["own info", "library info", "own warning", "library warning"],
+        ),
+        (
+            LogSettings(level="error"),
+            True,
+            ["own debug", "own info", "library info", "own warning", "library warning"],
+        ),
+    ],
+)
+def test_the_level_decides_and_libraries_never_debug(
+    tmp_path: Path, settings: LogSettings, verbose: bool, expected: list[str]
+) -> None:
+    configure_logs(settings, tmp_path, verbose=verbose)
+    for level in ("debug", "info", "warning"):
+        getattr(LOG, level)(f"own {level}")
+        getattr(LIBRARY, level)(f"library {level}")
+    assert [record["event"] for record in records(tmp_path)] == expected
+
+
+def test_secrets_are_masked_in_both_outputs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    configure_logs(LogSettings(), tmp_path)
+    LOG.warning(
+        "login",
+        client_id="hidden",
+        clientSecret="hidden",
+        cortex_token="hidden",
+        PASSWORD="hidden",
+        reply={"params": [{"token": "hidden", "user": "visible"}]},
+    )
+    LOG.warning('sent {"clientSecret": "hidden one", "id": 7}')
+    LIBRARY.warning("GET /?api_key=%s&user=visible", "hidden")
+    LIBRARY.warning("Authorization: Bearer hidden")
+    LIBRARY.warning("%r", '{\\"clientId\\": \\"hidden\\", \\"user\\": \\"visible\\"}')
+    try:
+        fail_with("password='hidden' for visible")
+    except RuntimeError:
+        LOG.exception("failed")
+    content = (tmp_path / LOG_FILE_NAME).read_text(encoding="utf-8")
+    for output in (content, capsys.readouterr().err):
+        assert "hidden" not in output
+        assert output.count("visible") >= 4
+        assert "7}" in output
+
+
+def test_an_exception_is_one_line_on_the_console_and_whole_in_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    configure_logs(LogSettings(), tmp_path)
+    for logger in (LOG, LIBRARY):
+        try:
+            fail_with("broken\nin two")
+        except RuntimeError:
+            logger.exception("it failed")
+    console = capsys.readouterr().err
+    assert console.count("\n") == 2
+    assert console.count("RuntimeError: broken\\nin two") == 2
+    assert "Traceback" not in console
+    for record in records(tmp_path):
+        assert record["level"] == "error"
+        assert record["exception"].startswith("Traceback")
+        assert record["exception"].endswith("RuntimeError: broken\nin two")
+
+
+def test_a_name_from_outside_cannot_command_the_terminal(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    configure_logs(LogSettings(), None)
+    LOG.info("found", name="strap\x1b[2J")
+    LOG.info("found strap\x1b[2J\nerror: faked", name="strap\nerror: faked")
+    console = capsys.readouterr().err
+    assert "\x1b" not in console
+    assert console.count("\n") == 2
+    assert console.count("\\x1b[2J") == 2
+
+
+def test_full_files_are_rotated_and_the_oldest_dropped(tmp_path: Path) -> None:
+    configure_logs(LogSettings(max_bytes=10_000, keep_files=2), tmp_path)
+    for number in range(400):
+        LOG.info("filling", number=number, padding="x" * 100)
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == [LOG_FILE_NAME, f"{LOG_FILE_NAME}.1", f"{LOG_FILE_NAME}.2"]
+    assert all(path.stat().st_size <= 10_000 for path in tmp_path.iterdir())
+    assert records(tmp_path)[-1]["number"] == 399
+
+
+def test_a_second_call_replaces_the_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+    configure_logs(LogSettings(), first)
+    LOG.info("one")
+    configure_logs(LogSettings(), second)
+    LOG.info("two")
+    assert [record["event"] for record in records(first)] == ["one"]
+    assert [record["event"] for record in records(second)] == ["two"]
+    assert capsys.readouterr().err.count("two") == 1
+    # A file left open would be a ResourceWarning here, which is an error.
+    gc.collect()
+
+
+def test_foreign_handlers_stay(tmp_path: Path) -> None:
+    foreign = logging.NullHandler()
+    logging.getLogger().addHandler(foreign)
+    configure_logs(LogSettings(), tmp_path)
+    configure_logs(LogSettings(), None)
+    assert foreign in logging.getLogger().handlers
+
+
+def test_a_folder_that_cannot_be_written_leaves_the_logging_as_it_was(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    configure_logs(LogSettings(), None)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match="cannot write the log file in") as caught:
+        configure_logs(LogSettings(), tmp_path / "file")
+    assert caught.value.reason is ConfigReason.UNREADABLE
+    LOG.info("still here")
+    assert capsys.readouterr().err.count("still here") == 1
+
+
+def test_without_a_console_the_file_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stderr", None)
+    configure_logs(LogSettings(), tmp_path)
+    LOG.info("alone")
+    assert records(tmp_path)[0]["event"] == "alone"

@@ -1,0 +1,262 @@
+"""Settings: the file, the environment over it, and what is said about mistakes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from pydantic import Field, ValidationError
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.settings import (
+    DeviceSettings,
+    GatewaySettings,
+)
+from biosensor_gateway.settings_file import load_settings
+
+
+class StrapSettings(DeviceSettings):
+    """A device without settings of its own."""
+
+
+class BoxSettings(DeviceSettings):
+    """A device with settings of every sort."""
+
+    port: str = Field(description="Serial port.", examples=["COM3"])
+    gain: Literal["low", "high"] = Field(default="low", description="Amplifier.")
+    channels: tuple[int, ...] = Field(default=(1, 2), strict=False, description="Which ones.")
+    rate: float | None = Field(default=None, description="Sampling rate in Hz.")
+
+
+MODELS: dict[str, type[DeviceSettings]] = {"strap": StrapSettings, "box": BoxSettings}
+
+
+@pytest.fixture(autouse=True)
+def clean_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in list(os.environ):
+        if name.upper().startswith("BIOSENSOR_GATEWAY_"):
+            monkeypatch.delenv(name)
+
+
+Loader = Callable[[str], GatewaySettings]
+Refusal = Callable[[str], ConfigError]
+
+
+@pytest.fixture
+def load(tmp_path: Path) -> Loader:
+    def load_text(text: str) -> GatewaySettings:
+        path = tmp_path / "settings.toml"
+        path.write_bytes(text.encode())
+        return load_settings(path, MODELS)
+
+    return load_text
+
+
+@pytest.fixture
+def refuse(load: Loader) -> Refusal:
+    def error_of(text: str) -> ConfigError:
+        with pytest.raises(ConfigError) as caught:
+            load(text)
+        return caught.value
+
+    return error_of
+
+
+def test_an_empty_file_gives_the_defaults(load: Loader) -> None:
+    settings = load("")
+    assert settings == GatewaySettings()
+    assert (settings.lsl.session_id, settings.lsl.port_range) == ("", 256)
+    assert (settings.log.level, settings.devices) == ("info", ())
+
+
+def test_everything_that_can_be_set_arrives(load: Loader) -> None:
+    settings = load(
+        """
+        [lsl]
+        session_id = "lab-2"
+        known_peers = ["192.168.0.7", "robot.local", "fe80::1%eth0"]
+        port_range = 128
+        [log]
+        level = "debug"
+        [[device]]
+        sensor = "strap"
+        unit = "C0:FF:EE"
+        participant = "p01"
+        [[device]]
+        sensor = "box"
+        unit = "7"
+        port = "COM3"
+        channels = [3]
+        rate = 50
+        enabled = false
+        """
+    )
+    assert settings.lsl.known_peers == ("192.168.0.7", "robot.local", "fe80::1%eth0")
+    assert settings.log.level == "debug"
+    assert settings.devices == (
+        StrapSettings(sensor="strap", unit="C0:FF:EE", participant="p01"),
+        BoxSettings(sensor="box", unit="7", port="COM3", channels=(3,), rate=50.0, enabled=False),
+    )
+    assert isinstance(settings.devices[1], BoxSettings)
+
+
+def test_settings_do_not_change_once_loaded(load: Loader) -> None:
+    with pytest.raises(ValidationError):
+        load("").lsl.session_id = "other"
+
+
+def test_a_byte_order_mark_is_no_mistake(load: Loader) -> None:
+    assert load('\ufeff[log]\r\nlevel = "error"\r\n').log.level == "error"
+
+
+def test_a_missing_file_says_how_to_make_one(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="biosensor-gateway config init") as caught:
+        load_settings(tmp_path / "none.toml", MODELS)
+    assert caught.value.reason is ConfigReason.NOT_FOUND
+
+
+@pytest.mark.parametrize(
+    ("content", "said"), [(None, "it is a folder"), ("x = 'ä'".encode("utf-16"), "not UTF-8")]
+)
+def test_what_is_no_text_file_is_unreadable(
+    tmp_path: Path, content: bytes | None, said: str
+) -> None:
+    path = tmp_path / "settings.toml"
+    path.mkdir() if content is None else path.write_bytes(content)
+    with pytest.raises(ConfigError, match=said) as caught:
+        load_settings(path, MODELS)
+    assert caught.value.reason is ConfigReason.UNREADABLE
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("[lsl]\nport_range 3", "line 2, column 12: not valid TOML: expected '='"),
+        ("[lsl]\n[lsl]\n", "line 2, column 5"),
+        ("a = " + "[" * 5000, "nested too deeply"),
+        ("a = " + "1" * 5000, "not valid TOML: "),
+    ],
+)
+def test_malformed_toml_says_where(refuse: Refusal, text: str, where: str) -> None:
+    error = refuse(text)
+    assert error.reason is ConfigReason.MALFORMED
+    assert where in str(error)
+
+
+DEVICE = '[[device]]\nsensor = "strap"\nunit = "A"\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "said"),
+    [
+        ("\n[lsl]\nsesion_id = 'x'", 3, "'lsl.sesion_id' (did you mean 'session_id'?); known keys"),
+        ("\n[lls]\nport_range = 1", 2, "'lls' (did you mean 'lsl'?); known keys: lsl, log, device"),
+        ("[LSL]\nport_range = 1", 1, "'LSL' (did you mean 'lsl'?"),
+        ("devices = []", 1, "'devices' (did you mean 'device'?"),
+        ("_cli_parse_args = true", 1, "'_cli_parse_args'"),
+        (DEVICE + "particpant = 'p'", 4, "'device.particpant' (did you mean 'participant'?"),
+    ],
+)
+def test_an_unknown_key_is_named_with_its_line(
+    refuse: Refusal, text: str, line: int, said: str
+) -> None:
+    error = refuse(text)
+    assert error.reason is ConfigReason.UNKNOWN_KEY
+    assert f"settings.toml, line {line}: unknown key {said}" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "said"),
+    [
+        ("[lsl]\nport_range = '256'", 2, "'lsl.port_range' should be a whole number, but is '256'"),
+        ("[lsl]\nport_range = true", 2, "should be a whole number, but is true"),
+        ("[lsl]\nport_range = 0", 2, "should be greater than or equal to 1, but is 0"),
+        ("[lsl]\nport_range = 32769", 2, "should be less than or equal to 32768"),
+        ("[lsl]\nsession_id = 3", 2, "should be a text in quotes"),
+        ('[lsl]\nsession_id = "a\\nb"', 2, "should have only letters, digits"),
+        ("[lsl]\nknown_peers = 'pc'", 2, "should be a list in square brackets"),
+        ("[lsl]\nknown_peers = [\n'pc',\n'{x}']", 4, "should be a host name or an IP address"),
+        ("lsl = 3", 1, "'lsl' should be a table"),
+        ("[log]\nlevel = 'loud'", 2, "should be 'debug', 'info', 'warning' or 'error', but is"),
+        ("[log]\nkeep_files = 0", 2, "'log.keep_files'"),
+        (DEVICE + f"label = '{'x' * 33}'", 4, "'device.label' should have at most 32 characters"),
+        (DEVICE + "label = ' left'", 4, "should be printable text without spaces at its ends"),
+        (DEVICE + 'participant = "p\\t1"', 4, "'device.participant' should be printable"),
+        (DEVICE + "enabled = 'yes'", 4, "'device.enabled' should be true or false"),
+        ("[[device]]\nsensor = 'strap'\nunit = ''", 3, "should have at least 1 character"),
+        ("\n[[device]]\nsensor = 'strap'", 2, "'device.unit' is missing"),
+        ("\n[[device]]\nunit = 'A'", 2, "'device.sensor' is missing; it should be one of box, str"),
+        ("[[device]]\nsensor = 'starp'", 2, "but is 'starp' (did you mean 'strap'?"),
+        ("[[device]]\nsensor = 3", 2, "should be one of box, strap, but is 3"),
+        ("[device]\nsensor = 'strap'", 1, "[[device]] in double brackets"),
+        ("device = ['strap']", 1, "a device should be a table"),
+    ],
+)
+def test_a_wrong_value_is_named_with_its_line(
+    refuse: Refusal, text: str, line: int, said: str
+) -> None:
+    error = refuse(text)
+    assert error.reason is ConfigReason.WRONG_VALUE
+    assert f"settings.toml, line {line}: " in str(error)
+    assert said in str(error)
+    assert "\n" not in str(error)
+
+
+def test_a_long_value_is_cut(refuse: Refusal) -> None:
+    assert len(str(refuse(f"[log]\nlevel = '{'x' * 500}'")).split("but is ")[1]) < 50
+
+
+def test_all_problems_are_said_at_once_in_the_order_of_the_file(
+    refuse: Refusal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("BIOSENSOR_GATEWAY_LOG__LEVEL", "loud")
+    error = refuse(f"{DEVICE}gain = 'x'\n[[device]]\nsensor = 'sock'\n[lsl]\nport_range = 0\nx = 1")
+    assert error.reason is ConfigReason.UNKNOWN_KEY
+    starts = [line.split(": ")[0].split(", ")[-1] for line in str(error).split("\n")]
+    assert starts == [
+        "line 4",
+        "line 6",
+        "line 8",
+        "line 9",
+        "environment variable BIOSENSOR_GATEWAY_LOG__LEVEL",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("extra", "said"),
+    [
+        ("unit = 'A'\nparticipant = 'p2'", "a second strap with unit 'A'"),
+        ("unit = 'B'\nparticipant = 'p1'", "a second strap with participant 'p1' and label ''"),
+    ],
+)
+def test_devices_that_would_share_a_stream_are_refused(
+    refuse: Refusal, extra: str, said: str
+) -> None:
+    error = refuse(f"{DEVICE}participant = 'p1'\n\n[[device]]\nsensor = 'strap'\n{extra}")
+    assert error.reason is ConfigReason.WRONG_VALUE
+    assert said in str(error)
+    assert "line 6: " in str(error)
+    assert "(the other is on line 1)" in str(error)
+
+
+@pytest.mark.parametrize(
+    "second",
+    [
+        "sensor = 'strap'\nunit = 'B'",
+        "sensor = 'strap'\nunit = 'A'\nenabled = false",
+        "sensor = 'box'\nunit = 'A'\nport = 'COM3'",
+    ],
+)
+def test_devices_that_share_no_stream_are_accepted(load: Loader, second: str) -> None:
+    assert len(load(f"{DEVICE}[[device]]\n{second}").devices) == 2
+
+
+def test_two_labels_make_two_devices_of_one_person(load: Loader) -> None:
+    text = "".join(
+        f"[[device]]\nsensor = 'strap'\nunit = '{side}'\nparticipant = 'p1'\nlabel = '{side}'\n"
+        for side in ("left", "right")
+    )
+    assert len(load(text).devices) == 2

@@ -1,0 +1,451 @@
+"""The virtual BioHarness on a real pseudo-terminal, heard through pyserial."""
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+import serial
+
+from biosensor_gateway.devices.zephyr.simulated_link import PtyLink
+from biosensor_gateway.devices.zephyr.simulated_recording import (
+    RECORDING_150_S,
+    RECORDING_WITH_GAP,
+    RecordedSource,
+    split,
+)
+from biosensor_gateway.devices.zephyr.simulated_sources import SyntheticSource
+from biosensor_gateway.devices.zephyr.simulated_wire import Packet
+from biosensor_gateway.devices.zephyr.simulator import SimulatedBioHarness
+
+DEADLINE_S = 8.0
+ECG_ON = bytes.fromhex("021601015e03")
+ECG_OFF = bytes.fromhex("021601000003")
+RR_ON = bytes.fromhex("021901015e03")
+SUMMARY_ON = bytes.fromhex("02bd020100c403")
+GENERAL_ON = bytes.fromhex("021401015e03")
+LIFESIGN = bytes.fromhex("0223000003")
+ENABLES = b"".join(
+    (ECG_ON, bytes.fromhex("021501015e03"), RR_ON, bytes.fromhex("021e01015e03"), SUMMARY_ON)
+)
+DISABLES = bytes.fromhex("021601000003021501000003021901000003021e0100000302bd0200000003")
+FIVE_ACKS = bytes.fromhex("0216000006021500000602190000060 21e00000602bd000006".replace(" ", ""))
+ACK, NAK = 0x06, 0x15
+RECORDINGS = Path(__file__).parents[2] / "gateway_win/biosensor_gateway/devices/zephyr/recordings"
+
+
+class Heard(NamedTuple):
+    """A frame as this file's own small reader sees it."""
+
+    message_id: int
+    end: int
+    payload: bytes
+    raw: bytes
+
+
+def check_of(payload: bytes) -> int:
+    value = 0
+    for bit in (byte >> k & 1 for byte in payload for k in range(8)):
+        value = (value >> 1) ^ (0x8C if (value ^ bit) & 1 else 0)
+    return value
+
+
+def ten_bits(data: bytes, count: int) -> list[int]:
+    bits = "".join(f"{byte:08b}"[::-1] for byte in data)
+    return [int(bits[10 * k : 10 * k + 10][::-1], 2) for k in range(count)]
+
+
+class Host:
+    """The other end: sends bytes, cuts what it hears into frames, counts the rest."""
+
+    def __init__(self, port: str) -> None:
+        self._serial = serial.Serial(port, 115200, timeout=0.02, write_timeout=2)
+        self._unread = b""
+        self.raw = b""
+        self.frames: list[Heard] = []
+        self.junk = 0
+
+    def send(self, data: bytes) -> None:
+        self._serial.write(data)
+
+    def listen(self) -> None:
+        data = self._serial.read(1)
+        data += self._serial.read(self._serial.in_waiting)
+        self.raw += data
+        self._unread += data
+        while len(self._unread) >= 5:
+            size = self._unread[2] + 5
+            if self._unread[0] == 2 and size <= 133 and len(self._unread) < size:
+                return
+            raw = self._unread[:size]
+            if (
+                raw[0] == 2
+                and size <= 133
+                and check_of(raw[3:-2]) == raw[-2]
+                and raw[-1] in b"\3\6\x15"
+            ):
+                self.frames.append(Heard(raw[1], raw[-1], raw[3:-2], raw))
+                self._unread = self._unread[size:]
+            else:
+                self._unread = self._unread[1:]
+                self.junk += 1
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + DEADLINE_S
+        while not condition():
+            assert time.monotonic() < deadline, "the device did not do it"
+            self.listen()
+
+    def of(self, message_id: int, end: int = 0x03) -> list[Heard]:
+        return [
+            heard for heard in self.frames if (heard.message_id, heard.end) == (message_id, end)
+        ]
+
+    def ask(self, request: bytes) -> int:
+        """Send a request; return how its answer ends."""
+        before = len(self.answers)
+        self.send(request)
+        self.until(lambda: len(self.answers) > before)
+        assert self.answers[before].message_id == request[1]
+        return self.answers[before].end
+
+    @property
+    def answers(self) -> list[Heard]:
+        return [heard for heard in self.frames if heard.end in (ACK, NAK)]
+
+    def close(self) -> None:
+        self._serial.close()
+
+
+class Bench:
+    """Devices and hosts of one test, ended with it."""
+
+    device: SimulatedBioHarness
+
+    def __init__(self) -> None:
+        self._hosts: list[Host] = []
+
+    def start(self, device: SimulatedBioHarness) -> Host:
+        self.device = device
+        device.start()
+        return self.connect()
+
+    def connect(self) -> Host:
+        self._hosts.append(Host(self.device.port))
+        return self._hosts[-1]
+
+    def close(self) -> None:
+        for host in self._hosts:
+            host.close()
+        self.device.stop()
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    bench = Bench()
+    yield bench
+    bench.close()
+
+
+def fast(speed: float = 30.0) -> SyntheticSource:
+    return SyntheticSource(seed=3, speed=speed)
+
+
+def roomy() -> PtyLink:
+    return PtyLink(buffer_bytes=1 << 20)
+
+
+def test_it_is_silent_until_the_host_speaks_and_never_answers_a_lifesign(bench: Bench) -> None:
+    host = bench.start(SimulatedBioHarness(fast(), lifesign_s=0.02))
+    time.sleep(0.1)
+    host.listen()
+    assert host.raw == b""
+    host.send(LIFESIGN)
+    host.until(lambda: len(host.frames) >= 3)
+    assert {heard.raw for heard in host.frames} == {LIFESIGN}
+
+
+@pytest.mark.parametrize("request_id", [0x14, 0x15, 0x16, 0x19, 0x1E, 0xBC])
+def test_each_packet_is_switched_on_and_off(bench: Bench, request_id: int) -> None:
+    host = bench.start(SimulatedBioHarness())
+    assert host.ask(bytes((2, request_id, 1, 1, 0x5E, 3))) == ACK
+    assert len(bench.device.enabled) == 1
+    assert host.ask(bytes((2, request_id, 1, 0, 0, 3))) == ACK
+    assert bench.device.enabled == frozenset()
+
+
+@pytest.mark.parametrize(
+    "request_hex",
+    [
+        "021601015f03",
+        "0216010199 03",
+        "021602 0100c403",
+        "02160103e203",
+        "029c000003",
+        "02bd01015e03",
+    ],
+    ids=["check", "other check", "length", "value", "unsupported", "summary length"],
+)
+def test_a_wrong_request_is_refused_without_effect(bench: Bench, request_hex: str) -> None:
+    host = bench.start(SimulatedBioHarness())
+    assert host.ask(bytes.fromhex(request_hex)) == NAK
+    assert bench.device.enabled == frozenset()
+
+
+def test_an_old_device_refuses_the_summary_and_has_general_data(bench: Bench) -> None:
+    host = bench.start(SimulatedBioHarness(fast(), summary_supported=False))
+    assert host.ask(SUMMARY_ON) == NAK
+    assert host.ask(GENERAL_ON) == ACK
+    host.until(lambda: len(host.of(0x20)) >= 2)
+    payload = host.of(0x20)[0].payload
+    assert len(payload) == 53
+    assert 68 <= int.from_bytes(payload[9:11], "little") <= 76
+    assert payload[51] == 80
+    assert payload[52] == 0x80
+
+
+def test_what_is_heard_is_what_was_sent(bench: Bench) -> None:
+    host = bench.start(SimulatedBioHarness(fast(), link=roomy()))
+    host.send(ENABLES)
+    host.until(lambda: len(host.of(Packet.SUMMARY)) >= 20)
+    host.send(DISABLES)
+    host.until(lambda: len(host.answers) == 10)
+    device = bench.device
+    assert device.dropped_frames == 0
+    assert host.junk == 0
+    periodic = [heard.raw for heard in host.frames if heard.end == 3 and heard.raw != LIFESIGN]
+    assert periodic == [out.data for out in device.sent]
+    for packet, count in ((Packet.ECG, 63), (Packet.BREATHING, 18), (Packet.ACCELERATION, 60)):
+        heard = [v for f in host.of(packet) for v in ten_bits(f.payload[9:], count)]
+        assert heard == device.sent_samples(packet)[:, 1:].ravel().tolist()
+    rr = np.frombuffer(b"".join(f.payload[9:] for f in host.of(Packet.RR)), "<i2")
+    assert rr.tolist() == device.sent_samples(Packet.RR)[:, 1].tolist()
+    for heard, out in zip(
+        host.of(Packet.SUMMARY), (o for o in device.sent if o.packet is Packet.SUMMARY), strict=True
+    ):
+        assert out.values is not None
+        assert int.from_bytes(heard.payload[10:12], "little") == out.values["heart_rate_bpm"]
+        assert heard.payload[0] == (out.sequence or 0) & 0xFF
+
+
+@pytest.mark.parametrize("name", [RECORDING_150_S, RECORDING_WITH_GAP])
+def test_a_recording_is_played_byte_for_byte_without_its_answers(bench: Bench, name: str) -> None:
+    source = RecordedSource.shipped(name, speed=500)
+    host = bench.start(SimulatedBioHarness(source, link=roomy()))
+    recorded = (RECORDINGS / f"{name}.dat").read_bytes()
+    for answer in (FIVE_ACKS[k : k + 5] for k in range(0, 25, 5)):
+        assert recorded.count(answer) == 1
+        recorded = recorded.replace(answer, b"")
+    host.send(ENABLES)
+    host.until(lambda: len(host.raw) >= len(FIVE_ACKS) + len(recorded))
+    assert host.raw == FIVE_ACKS + recorded
+    assert b"".join(out.data for out in bench.device.sent) == recorded
+
+
+def test_a_recording_that_hangs_up_is_heard_to_its_end_and_begins_anew(bench: Bench) -> None:
+    data = b"".join(
+        item.data for item in split((RECORDINGS / f"{RECORDING_150_S}.dat").read_bytes()[:3000])
+    )
+    source = RecordedSource(data, speed=100, on_end="hang_up")
+    host = bench.start(SimulatedBioHarness(source, link=roomy()))
+    host.send(ENABLES)
+    time.sleep(0.8)  # a slow host: the device waits for it before it hangs up
+    with pytest.raises(OSError):
+        host.until(lambda: False)
+    bench.device.restore_link()
+    again = bench.connect()
+    again.send(ENABLES)
+    again.until(lambda: len(again.raw) >= len(host.raw))
+    assert again.raw == host.raw
+    assert len(host.raw) == len(data)
+
+
+def test_a_recordings_body_cannot_be_changed(bench: Bench) -> None:
+    bench.start(SimulatedBioHarness(RecordedSource.shipped()))
+    with pytest.raises(TypeError, match="recording"):
+        bench.device.off_body()
+
+
+def test_a_dropped_link_loses_whole_packets_and_forgets_the_enables(bench: Bench) -> None:
+    host = bench.start(SimulatedBioHarness(fast(), link=roomy()))
+    host.send(ECG_ON)
+    host.until(lambda: len(host.of(Packet.ECG)) >= 3)
+    bench.device.drop_link()
+    before = len(bench.device.sent)
+    assert not Path(bench.device.port).exists()
+    with pytest.raises(OSError):
+        host.until(lambda: False)
+    time.sleep(0.1)
+    bench.device.restore_link()
+    again = bench.connect()
+    assert bench.device.enabled == frozenset()
+    assert again.ask(RR_ON) == ACK
+    again.until(lambda: len(again.of(Packet.RR)) >= 1)
+    assert again.of(Packet.ECG) == []
+    again.send(ECG_ON)
+    again.until(lambda: len(again.of(Packet.ECG)) >= 3)
+    index = bench.device.sent_samples(Packet.ECG)[:, 0]
+    (gap,) = np.flatnonzero(np.diff(index) != 1)
+    assert gap + 1 == before * 63
+    assert index[gap + 1] % 63 == 0
+    sequences = [heard.payload[0] for heard in again.of(Packet.ECG)]
+    assert sequences[0] == index[gap + 1] // 63 % 256
+
+
+def test_a_link_comes_back_by_itself_on_the_same_path(bench: Bench) -> None:
+    bench.start(SimulatedBioHarness())
+    path = Path(bench.device.port)
+    bench.device.drop_link(seconds=0.05)
+    deadline = time.monotonic() + DEADLINE_S
+    while not path.exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert bench.connect().ask(ECG_ON) == ACK
+
+
+def test_a_stalled_device_neither_hears_nor_speaks(bench: Bench) -> None:
+    host = bench.start(SimulatedBioHarness(fast(), lifesign_s=0.02))
+    assert host.ask(ECG_ON) == ACK
+    bench.device.stall()
+    sent = len(bench.device.sent)
+    host.until(lambda: len(host.of(Packet.ECG)) == sent)
+    heard = host.raw
+    host.send(ECG_OFF)
+    time.sleep(0.2)
+    host.listen()
+    assert host.raw == heard
+    assert len(bench.device.sent) == sent
+    assert bench.device.enabled == {Packet.ECG}
+    bench.device.resume()
+    assert host.ask(ECG_OFF) == ACK
+
+
+def test_garbage_stands_between_frames(bench: Bench) -> None:
+    host = bench.start(SimulatedBioHarness(fast(), link=roomy(), seed=11))
+    host.ask(ECG_ON)
+    bench.device.garbage(200)
+    after = len(bench.device.sent)
+    host.until(lambda: len(host.of(Packet.ECG)) >= after + 5)
+    host.ask(ECG_OFF)
+    assert [heard.raw for heard in host.of(Packet.ECG)] == [out.data for out in bench.device.sent]
+    assert len(host.raw) == sum(len(heard.raw) for heard in host.frames) + 200
+
+
+def test_a_corrupted_frame_is_told_from_the_others(bench: Bench) -> None:
+    host = bench.start(SimulatedBioHarness(fast(), link=roomy()))
+    host.ask(ECG_ON)
+    bench.device.corrupt_next()
+    host.until(lambda: len(host.of(Packet.ECG)) >= 5)
+    host.ask(ECG_OFF)
+    damaged = [out.data for out in bench.device.sent if out.corrupted]
+    assert len(damaged) == 1
+    assert damaged[0] in host.raw
+    intact = [out.data for out in bench.device.sent if not out.corrupted]
+    assert [heard.raw for heard in host.of(Packet.ECG)] == intact
+    assert len(bench.device.sent_samples(Packet.ECG)) == 63 * len(intact)
+
+
+def test_a_request_is_refused_or_ignored_until_it_is_allowed(bench: Bench) -> None:
+    host = bench.start(SimulatedBioHarness(refused=[0x16], ignored=[0x19]))
+    assert host.ask(ECG_ON) == NAK
+    host.send(RR_ON)
+    assert host.ask(SUMMARY_ON) == ACK
+    assert bench.device.enabled == {Packet.SUMMARY}
+    bench.device.allow(0x16)
+    bench.device.allow(0x19)
+    assert host.ask(ECG_ON) == ACK
+    assert host.ask(RR_ON) == ACK
+    bench.device.refuse(0x16)
+    bench.device.ignore(0x19)
+    host.send(RR_ON)
+    assert host.ask(ECG_ON) == NAK
+    assert [request.request_id for request in bench.device.requests] == [
+        0x16, 0x19, 0xBD, 0x16, 0x19, 0x19, 0x16
+    ]  # fmt: skip
+
+
+def test_a_late_answer_comes_after_the_data(bench: Bench) -> None:
+    host = bench.start(SimulatedBioHarness(fast()))
+    bench.device.delay_answers(0.3)
+    assert host.ask(ECG_ON) == ACK
+    assert [heard.message_id for heard in host.frames][:1] == [Packet.ECG]
+
+
+def test_taking_the_strap_off_and_on_is_an_event_and_a_status(bench: Bench) -> None:
+    host = bench.start(SimulatedBioHarness(SyntheticSource(speed=30, hrv_after_s=0)))
+    host.ask(SUMMARY_ON)
+    host.until(lambda: len(host.of(Packet.SUMMARY)) >= 1)
+    bench.device.off_body()
+    bench.device.battery(9)
+    off_from = len(bench.device.sent)
+    host.until(lambda: len(host.of(Packet.SUMMARY)) >= off_from + 2)
+    bench.device.on_body()
+    host.until(lambda: len(host.of(Packet.EVENT)) == 2)
+    on_from = len(host.of(Packet.SUMMARY))
+    host.until(lambda: len(host.of(Packet.SUMMARY)) >= on_from + 2)
+    events = [heard.payload[9:].hex() for heard in host.of(Packet.EVENT)]
+    assert events == ["40106400", "40100064"]
+    summaries = host.of(Packet.SUMMARY)
+    status = [int.from_bytes(heard.payload[56:58], "little") for heard in summaries]
+    assert status[0] == 0
+    assert 0x233 in status
+    assert status[-1] == 0
+    off = summaries[status.index(0x233)].payload
+    assert off[10:12] == b"\xff\xff"
+    assert summaries[-1].payload[24] == 9
+
+
+def test_the_device_clock_can_be_stepped(bench: Bench) -> None:
+    host = bench.start(SimulatedBioHarness(fast()))
+    host.ask(SUMMARY_ON)
+    host.until(lambda: len(host.of(Packet.SUMMARY)) >= 1)
+    bench.device.midnight(seconds=10)
+    bench.device.event(0x0040)
+    host.until(lambda: len(host.of(Packet.EVENT)) == 1)
+    count = len(host.of(Packet.SUMMARY)) + 15
+    host.until(lambda: len(host.of(Packet.SUMMARY)) >= count)
+    days = {heard.payload[4] for heard in host.of(Packet.SUMMARY)}
+    assert days == {30, 31}
+    ms = int.from_bytes(host.of(Packet.SUMMARY)[-1].payload[5:9], "little")
+    assert ms < 3_600_000
+    bench.device.step_clock(3600)
+    host.until(
+        lambda: int.from_bytes(host.of(Packet.SUMMARY)[-1].payload[5:9], "little") > 3_600_000
+    )
+
+
+def test_a_host_that_says_nothing_is_forgotten(bench: Bench) -> None:
+    host = bench.start(SimulatedBioHarness(fast(), host_timeout_s=0.15))
+    host.ask(ECG_ON)
+    host.until(lambda: bench.device.enabled == frozenset())
+    sent = len(bench.device.sent)
+    time.sleep(0.1)
+    assert len(bench.device.sent) == sent
+    assert host.ask(ECG_ON) == ACK
+
+
+def test_a_host_that_does_not_read_loses_whole_frames_and_blocks_nothing(bench: Bench) -> None:
+    host = bench.start(SimulatedBioHarness(fast(speed=400), host_timeout_s=None))
+    host.send(ENABLES)
+    deadline = time.monotonic() + DEADLINE_S
+    while bench.device.dropped_frames < 100:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    host.send(DISABLES)
+    while bench.device.enabled:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    sent = [out.data for out in bench.device.sent]
+    host.until(lambda: len(host.frames) >= len(sent) + 5)
+    assert host.junk == 0
+    assert [heard.raw for heard in host.frames if heard.end == 3] == sent
+
+
+def test_stopping_removes_the_port() -> None:
+    with SimulatedBioHarness() as device:
+        port = Path(device.port)
+        assert port.exists()
+    assert not port.parent.exists()
+    device.stop()
