@@ -9,6 +9,7 @@ stamp=".venv/.installed-$1"
 wanted=$(cat "$lock" pyproject.toml | sha256sum | cut -d' ' -f1)
 if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$wanted" ]; then exit 0; fi
 
+echo "Setting up .venv from $lock ..." >&2
 # A name on PATH proves nothing: version-manager shims exist for Pythons that do not run.
 usable='import ensurepip, sys, venv; raise SystemExit(not (3, 11) <= sys.version_info[:2] <= (3, 13))'
 python=

@@ -17,6 +17,8 @@ from biosensor_common.errors import ConfigError, ConfigReason
 
 # Two ports an outlet; liblsl's default of 32 hides every stream beyond the 16th.
 DEFAULT_PORT_RANGE = 256
+# liblsl writes to stderr beside our own log; only what went wrong belongs there.
+_LOG_WARNINGS = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +72,8 @@ def effective_config(user_file: Path | None, overrides: LslOverrides) -> str:
         _set(parser, "lab", "SessionID", overrides.session_id)
     if overrides.known_peers:
         _set(parser, "lab", "KnownPeers", "{" + ", ".join(overrides.known_peers) + "}")
+    if not parser.has_option("log", "level"):
+        _set(parser, "log", "level", str(_LOG_WARNINGS))
     text = io.StringIO()
     parser.write(text)
     return text.getvalue()

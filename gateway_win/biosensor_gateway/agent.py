@@ -69,7 +69,8 @@ class Agent:
                 merged |= sink.counters
             outlet.push_text(counters_text(merged), pylsl.local_clock())
             self._write_status()
-            due += REPORT_INTERVAL_S
+            # After a computer's sleep the missed reports are not made up for.
+            due = max(due + REPORT_INTERVAL_S, loop.time())
             await asyncio.sleep(max(0.0, due - loop.time()))
 
     def _write_status(self) -> None:

@@ -23,6 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from biosensor_common.errors import ConfigError, GatewayError
+from biosensor_gateway import demo as demonstration
 from biosensor_gateway import health, settings_file, settings_template
 from biosensor_gateway.agent import Agent
 from biosensor_gateway.devices import settings_models
@@ -118,17 +119,33 @@ async def until_signalled(main_task: Callable[[], Coroutine[Any, Any, None]]) ->
     task = asyncio.create_task(main_task())
     loop = asyncio.get_running_loop()
 
-    def stop(_number: int, _frame: FrameType | None) -> None:
-        loop.call_soon_threadsafe(task.cancel)
+    def stop() -> None:
+        # A second Ctrl-C must not cut short what the first one has begun to close.
+        if not task.cancelling():
+            task.cancel()
+
+    def stop_from_handler(_number: int, _frame: FrameType | None) -> None:
+        loop.call_soon_threadsafe(stop)
 
     for number in (signal.SIGINT, signal.SIGTERM):
         try:
-            loop.add_signal_handler(number, task.cancel)
+            loop.add_signal_handler(number, stop)
         except NotImplementedError:
             # Windows: the handler runs between bytecodes of the main thread.
-            signal.signal(number, stop)
+            signal.signal(number, stop_from_handler)
     with contextlib.suppress(asyncio.CancelledError):
         await task
+
+
+@app.command()
+def demo(
+    seconds: Annotated[
+        float | None,
+        typer.Option(min=10, help="End after so many seconds, counted from the first sample."),
+    ] = None,
+) -> None:
+    """Show recorded bytes of a real BioHarness on their way to ROS topics."""
+    raise typer.Exit(demonstration.run(seconds))
 
 
 @app.command()

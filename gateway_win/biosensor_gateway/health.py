@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import time
@@ -80,5 +81,6 @@ def read_status(folder: Path) -> dict[str, Any]:
 
 
 def remove_status(folder: Path) -> None:
-    """Say that the agent has ended."""
-    (folder / STATUS_FILE).unlink(missing_ok=True)
+    """Say that the agent has ended; a file that cannot be removed says so by its age."""
+    with contextlib.suppress(OSError):
+        (folder / STATUS_FILE).unlink()

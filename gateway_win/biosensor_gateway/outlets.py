@@ -107,7 +107,9 @@ class Outlet:
         str or None
             Why the samples were refused, None if they were pushed.
         """
-        values = np.asarray(samples, dtype=np.float64).reshape(len(stamps), -1)
+        values = np.asarray(samples, dtype=np.float64)
+        if values.ndim == 1:
+            values = values[:, np.newaxis]
         fault = self._fault(values, stamps)
         if fault is not None:
             self.counters.refused += len(stamps)
@@ -128,11 +130,11 @@ class Outlet:
         self.counters.last_stamp = stamps[-1]
 
     def _fault(self, values: NDArray[np.float64], stamps: Sequence[float]) -> str | None:
+        expected = (len(stamps), len(self.stream.channels))
+        if values.shape != expected and (values.size or len(stamps)):
+            return f"samples of shape {values.shape} instead of {expected}"
         if not len(stamps):
             return None
-        expected = len(self.stream.channels)
-        if values.shape[1] != expected:
-            return f"{values.shape[1]} channels instead of {expected}"
         return self._stamp_fault(stamps) or self._value_fault(values)
 
     def _stamp_fault(self, stamps: Sequence[float]) -> str | None:

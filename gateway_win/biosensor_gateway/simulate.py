@@ -48,7 +48,8 @@ def simulated_settings(names: Sequence[str]) -> Generator[GatewaySettings]:
     Parameters
     ----------
     names
-        Sensors, as ``zephyr`` or ``zephyr:recording``; ``all`` for one of each sensor.
+        Sensors, as ``zephyr`` or ``zephyr:recording``, each once; ``all`` for one of each
+        sensor.
 
     Raises
     ------
@@ -57,7 +58,8 @@ def simulated_settings(names: Sequence[str]) -> Generator[GatewaySettings]:
     """
     wanted = [name for name in _DEVICES if ":" not in name] if list(names) == [ALL] else names
     with ExitStack() as running:
-        devices = tuple(running.enter_context(_device(name)) for name in wanted)
+        # Two of a name would be two streams of one source_id.
+        devices = tuple(running.enter_context(_device(name)) for name in dict.fromkeys(wanted))
         yield GatewaySettings.model_validate({**environment_overrides(), "device": devices})
 
 

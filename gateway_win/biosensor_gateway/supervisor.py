@@ -79,7 +79,7 @@ class Supervisor:
         self._on_state = on_state
         self._names = {"sensor": sink.identity.sensor, "unit": sink.identity.unit}
         self._nudge = asyncio.Event()
-        self._failures = 0
+        self._delay_s = BACKOFF_FIRST_S
         self.state = State.DISCOVERING
         self.connections = 0
         self.last_error: str | None = None
@@ -98,9 +98,10 @@ class Supervisor:
             self._enter(State.STOPPED)
 
     async def _one_connection(self) -> Exception:
-        driver = self._make_driver()
+        driver: Driver | None = None
         started: float | None = None
         try:
+            driver = self._make_driver()
             self._enter(State.CONNECTING)
             connected = await driver.connect()
             self._sink.open(connected.info, connected.rates)
@@ -109,12 +110,18 @@ class Supervisor:
             started = time.monotonic()
             self._enter(State.STREAMING)
             return await self._stream(driver)
+        except asyncio.CancelledError:
+            if _is_stopping():
+                raise
+            # Some libraries cancel their own calls; that must not end the supervisor.
+            return TransportError(TransportReason.LOST, "the driver cancelled itself")
         except Exception as error:  # noqa: BLE001 - a failing driver must not end the others
             return error
         finally:
             if started is not None and time.monotonic() - started >= STABLE_AFTER_S:
-                self._failures = 0
-            await self._close(driver)
+                self._delay_s = BACKOFF_FIRST_S
+            if driver is not None:
+                await self._close(driver)
 
     async def _stream(self, driver: Driver) -> Exception:
         """Stream until the driver or the watchdog gives up; return why."""
@@ -140,10 +147,23 @@ class Supervisor:
         raise TransportError(TransportReason.SILENT, message)
 
     async def _close(self, driver: Driver) -> None:
+        deadline = time.monotonic() + CLOSE_TIMEOUT_S
+        closing = asyncio.create_task(driver.close())
         try:
-            async with asyncio.timeout(CLOSE_TIMEOUT_S):
-                await driver.close()
-        except Exception as error:  # noqa: BLE001 - whatever it is, the connection is over
+            await asyncio.wait({closing}, timeout=CLOSE_TIMEOUT_S)
+        except asyncio.CancelledError:
+            # A stop that comes now must not leave the device half closed.
+            await asyncio.wait({closing}, timeout=max(0.0, deadline - time.monotonic()))
+            raise
+        finally:
+            self._report_closing(closing)
+
+    def _report_closing(self, closing: asyncio.Task[None]) -> None:
+        # Whatever went wrong, the connection is over.
+        if not closing.done():
+            closing.cancel()
+            _log.warning("closing takes too long; it is left to itself", **self._names)
+        elif not closing.cancelled() and (error := closing.exception()) is not None:
             _log.warning("closing failed", **self._names, error=str(error))
 
     async def _pause_after(self, error: Exception) -> None:
@@ -153,8 +173,7 @@ class Supervisor:
             await self._wait(PROBE_INTERVAL_S)
         else:
             self._enter(State.BACKOFF)
-            delay = min(BACKOFF_CAP_S, BACKOFF_FIRST_S * 2**self._failures)
-            self._failures += 1
+            delay, self._delay_s = self._delay_s, min(BACKOFF_CAP_S, 2 * self._delay_s)
             # Jitter keeps several devices from knocking at one radio in step.
             await self._wait(delay * random.uniform(0.75, 1.0))  # noqa: S311 - no secret
 
@@ -180,6 +199,11 @@ class Supervisor:
         self.state = state
         self._on_state(state)
         _log.debug("state", **self._names, state=state.value)
+
+
+def _is_stopping() -> bool:
+    task = asyncio.current_task()
+    return task is not None and task.cancelling() > 0
 
 
 def _cause(error: Exception) -> Exception:

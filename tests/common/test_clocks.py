@@ -8,14 +8,15 @@ from itertools import pairwise
 from statistics import fmean, pstdev
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from biosensor_common.clocks import (
     CounterUnwrapper,
     MonotonicStamps,
     SampleTimeline,
     lost_packets,
 )
-from hypothesis import given
-from hypothesis import strategies as st
 
 ECG_PERIOD_S = 0.004
 ECG_SAMPLES = 63

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from biosensor_common import naming
 from biosensor_common.quantities import Category, ChannelFormat, ContentType, MessageType, Unit
 from biosensor_common.registry import sensor, sensor_names

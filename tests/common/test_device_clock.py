@@ -8,9 +8,10 @@ import sys
 from itertools import pairwise
 
 import pytest
-from biosensor_common.device_clock import DeviceClock, Reanchor, ReanchorReason
 from hypothesis import given
 from hypothesis import strategies as st
+
+from biosensor_common.device_clock import DeviceClock, Reanchor, ReanchorReason
 
 OFFSET_S = 5_000.0
 RATE_HZ = 10

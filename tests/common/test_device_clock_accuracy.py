@@ -17,6 +17,7 @@ from itertools import pairwise
 from statistics import fmean
 
 import pytest
+
 from biosensor_common.device_clock import DeviceClock
 
 DRIFTS_PPM = (-200, -50, 0, 50, 200)

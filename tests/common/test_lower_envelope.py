@@ -6,9 +6,10 @@ import random
 from statistics import median
 
 import pytest
-from biosensor_common.lower_envelope import SLOPE_LIMIT, LowerEnvelope
 from hypothesis import given
 from hypothesis import strategies as st
+
+from biosensor_common.lower_envelope import SLOPE_LIMIT, LowerEnvelope
 
 delays = st.lists(st.floats(0.0, 0.15), min_size=1, max_size=80)
 

@@ -2,10 +2,11 @@ import re
 from itertools import product
 
 import pytest
-from biosensor_common import naming
-from biosensor_common.spec import DeviceIdentity
 from hypothesis import example, given
 from hypothesis import strategies as st
+
+from biosensor_common import naming
+from biosensor_common.spec import DeviceIdentity
 
 Claim = tuple[DeviceIdentity, str]
 

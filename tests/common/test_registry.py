@@ -5,6 +5,7 @@ from importlib import invalidate_caches
 from pathlib import Path
 
 import pytest
+
 from biosensor_common.errors import SpecError, SpecReason
 from biosensor_common.registry import ENTRY_POINT_GROUP, sensor, sensor_names
 from biosensor_common.spec import SensorSpec

@@ -8,9 +8,10 @@ from fractions import Fraction
 from itertools import pairwise
 
 import pytest
-from biosensor_common.ros_clock import OffsetTracker, measure_offset_ns
 from hypothesis import given
 from hypothesis import strategies as st
+
+from biosensor_common.ros_clock import OffsetTracker, measure_offset_ns
 
 OFFSET_NS = 1_760_000_000_123_456_789
 NOW_S = 3_600.0

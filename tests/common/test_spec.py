@@ -2,6 +2,7 @@ from dataclasses import FrozenInstanceError, replace
 from typing import Any
 
 import pytest
+
 from biosensor_common.errors import SpecError, SpecReason
 from biosensor_common.quantities import Category, ChannelFormat, ContentType, MessageType, Unit
 from biosensor_common.spec import (

@@ -4,11 +4,12 @@ from itertools import permutations
 from random import Random
 
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
 from biosensor_common import naming
 from biosensor_common.registry import sensor_names
 from biosensor_common.spec import DeviceIdentity
-from hypothesis import example, given
-from hypothesis import strategies as st
 
 Claim = tuple[DeviceIdentity, str]
 

@@ -122,9 +122,8 @@ def _described(frame: Frame) -> dict[str, Any]:
 
 @pytest.mark.parametrize("name", _SINGLE_FRAMES)
 def test_a_vector_decodes_to_all_that_it_expects(name: str) -> None:
-    parser = FrameParser()
-    (frame,) = parser.feed(_VECTORS[name].data)
-    assert (parser.dropped_bytes, parser.buffered) == (0, 0)
+    (frame,) = FrameParser().feed(_VECTORS[name].data)
+    assert len(frame.payload) + 5 == len(_VECTORS[name].data)
     described, expected = _described(frame), _VECTORS[name].expected
     assert {key: described[key] for key in expected} == expected
 
@@ -173,10 +172,10 @@ def test_an_impossible_stamp_is_no_time(date: tuple[int, int, int], ms: int) -> 
 @settings(deadline=None)
 @given(st.dates(), st.integers(0, 86_399_999))
 def test_device_seconds_count_from_2000(date: dt.date, ms: int) -> None:
-    days = date.toordinal() - dt.date(2000, 1, 1).toordinal()
+    days = (date - dt.date(2000, 1, 1)).days
     header = _stamped(date.year, date.month, date.day, ms)
-    assert header.sequence == 200
-    assert header.device_s == pytest.approx(days * 86_400 + ms / 1000, rel=0, abs=1e-4)
+    device_s = pytest.approx(days * 86_400 + ms / 1000, rel=0, abs=1e-4)
+    assert (header.sequence, header.device_s) == (200, device_s)
 
 
 @pytest.mark.parametrize("version", [0, 1, 4, 255])

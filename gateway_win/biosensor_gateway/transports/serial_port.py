@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import errno
 import queue
+import re
 import threading
 
 import serial
@@ -28,7 +29,11 @@ CLOSE_TIMEOUT_S = 1.0
 # pyserial raises these, too, when a port is closed under a blocked call.
 _PORT_ERRORS = (OSError, TypeError, ValueError, AttributeError)
 
-_OPEN_REASONS = {
+# On Windows pyserial has the system's error only in its text, as the last number of a repr.
+_WINDOWS_CODE = re.compile(r", None, (\d+)\)")
+_WINDOWS_ERRNOS = {2: errno.ENOENT, 5: errno.EBUSY, 121: errno.ETIMEDOUT, 1168: errno.ENXIO}
+
+_OPEN_REASONS: dict[int | None, tuple[TransportReason, str]] = {
     errno.ENOENT: (TransportReason.ABSENT, "there is no such port; pair or plug in the device"),
     errno.ENODEV: (TransportReason.ABSENT, "there is no such port; pair or plug in the device"),
     errno.ENXIO: (TransportReason.ABSENT, "the device behind the port is gone"),
@@ -58,7 +63,8 @@ class SerialLink:
     async def open(self) -> None:
         """Open the port; see :class:`~biosensor_gateway.transports.link.ByteLink`."""
         try:
-            self._port = await asyncio.wait_for(in_daemon_thread(self._open_port), OPEN_TIMEOUT_S)
+            async with asyncio.timeout(OPEN_TIMEOUT_S):
+                port = await in_daemon_thread(self._open_port)
         except TimeoutError as error:
             self._closing = True
             message = f"{self._name}: opening takes over {OPEN_TIMEOUT_S:.0f} s; is the device on?"
@@ -70,8 +76,8 @@ class SerialLink:
             raise TransportError(TransportReason.ABSENT, message) from error
         loop = asyncio.get_running_loop()
         self._threads = (
-            threading.Thread(target=self._read_forever, args=(self._port, loop), daemon=True),
-            threading.Thread(target=self._write_forever, args=(self._port, loop), daemon=True),
+            threading.Thread(target=self._read_forever, args=(port, loop), daemon=True),
+            threading.Thread(target=self._write_forever, args=(port, loop), daemon=True),
         )
         for thread in self._threads:
             thread.start()
@@ -94,11 +100,14 @@ class SerialLink:
         self._outgoing.put(None)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(CLOSE_TIMEOUT_S):
-                await in_daemon_thread(self._join)
+                await in_daemon_thread(self._end)
 
-    def _join(self) -> None:
+    def _end(self) -> None:
         for thread in self._threads:
             thread.join(CLOSE_TIMEOUT_S)
+        if self._port is not None and not self._threads:
+            # It was opened when whoever asked for it had gone.
+            self._port.close()
 
     def _open_port(self) -> serial.Serial:
         port = serial.Serial(
@@ -108,15 +117,15 @@ class SerialLink:
             write_timeout=WRITE_TIMEOUT_S,
             exclusive=True,
         )
+        self._port = port
         if self._closing:
             # Nobody waits for it any more; held open, it would refuse the next attempt.
             port.close()
         return port
 
     def _open_error(self, error: OSError) -> TransportError:
-        code = error.errno if error.errno is not None else errno.ENOENT
         unknown = (TransportReason.ABSENT, f"it cannot be opened ({error})")
-        reason, advice = _OPEN_REASONS.get(code, unknown)
+        reason, advice = _OPEN_REASONS.get(_error_code(error), unknown)
         return TransportError(reason, f"{self._name}: {advice}")
 
     def _read_forever(self, port: serial.Serial, loop: asyncio.AbstractEventLoop) -> None:
@@ -124,9 +133,12 @@ class SerialLink:
             while not self._closing:
                 data = port.read(1)
                 arrival = local_clock()
-                data += port.read(port.in_waiting)
-                if data:
-                    self._deliver(loop, Received(data, arrival))
+                try:
+                    data += port.read(port.in_waiting)
+                finally:
+                    # Also when the link is cut between the two calls.
+                    if data:
+                        self._deliver(loop, Received(data, arrival))
         except _PORT_ERRORS as error:
             self._lost(loop, error)
 
@@ -153,3 +165,10 @@ class SerialLink:
         except RuntimeError:
             # The loop has ended; nobody is left to read.
             self._closing = True
+
+
+def _error_code(error: OSError) -> int | None:
+    if error.errno is not None:
+        return error.errno
+    found = _WINDOWS_CODE.search(str(error))
+    return _WINDOWS_ERRNOS.get(int(found[1])) if found else None

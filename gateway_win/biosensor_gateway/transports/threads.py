@@ -18,9 +18,10 @@ async def in_daemon_thread(call: Callable[[], _T]) -> _T:
     a call that hangs in a driver would hang the program.
     """
     future: Future[_T] = Future()
+    # Running from now on: cancelling the awaiting task must not take the result's place away.
+    future.set_running_or_notify_cancel()
 
     def run() -> None:
-        future.set_running_or_notify_cancel()
         try:
             future.set_result(call())
         except Exception as error:  # noqa: BLE001 - handed on to the awaiting caller

@@ -19,6 +19,11 @@ GAP_PERIODS = 1.5
 class Topic(Protocol):
     """What the bridge needs of an rclpy publisher."""
 
+    @property
+    def topic_name(self) -> str:
+        """Full name of the topic."""
+        ...
+
     def publish(self, msg: Any) -> None:  # noqa: ANN401 - any message
         """Send one message."""
         ...

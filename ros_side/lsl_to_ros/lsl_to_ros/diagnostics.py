@@ -51,7 +51,8 @@ def stream_status(
     readers = bridge.raw.get_subscription_count()
     readers += bridge.chunk.get_subscription_count() if bridge.chunk else 0
     values = {
-        "topic": topic.name,
+        "topic": bridge.raw.topic_name,
+        "chunk_topic": bridge.chunk.topic_name if bridge.chunk else "",
         "sensor": header.identity.sensor,
         "participant": header.identity.participant,
         "label": header.identity.label,
@@ -62,13 +63,13 @@ def stream_status(
         "lost": _lost(bridge),
         "unfit": str(bridge.unfit),
         "chunk_discarded": str(bridge.chunker.discarded),
-        "age_s": f"{latency_s:.3f}",
+        "age_s": f"{latency_s:.3f}" if bridge.received else "",
         "clock_offset_s": "" if correction_s is None else f"{correction_s:.6f}",
         "subscribers": str(readers),
     }
     return DiagnosticStatus(
         level=level,
-        name=f"lsl_to_ros: {topic.name}",
+        name=f"lsl_to_ros: {bridge.raw.topic_name}",
         message=message,
         hardware_id=header.identity.unit,
         values=[KeyValue(key=key, value=value) for key, value in values.items()],

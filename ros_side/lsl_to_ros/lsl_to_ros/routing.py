@@ -110,7 +110,7 @@ class Routing:
         route.bridge = Bridge(
             header,
             raw=self._publisher(topic.name, header.message_type, header),
-            chunk=self._chunk_publisher(topic, header),
+            chunk=self._chunk_publisher(_chunk_topic(topic, header), header),
             settings=self._parameters.settings(header.identity, header.data_name, header.chunk),
             account=self._account(route.inlet),
             to_time=partial(self._to_time, route.inlet),
@@ -122,12 +122,10 @@ class Routing:
         route.inlet.deliver_to(route.bridge)
         self._node.get_logger().info(f"{topic.name} ({header.message_type})")
 
-    def _chunk_publisher(self, topic: TopicName, header: StreamHeader) -> Publisher | None:
-        if not header.chunk:
+    def _chunk_publisher(self, name: str, header: StreamHeader) -> Publisher | None:
+        if not name:
             return None
-        data = topic.data if header.chunk == header.data_name else header.chunk
-        kind = messages.chunk_type(header.message_type)
-        return self._publisher(f"{topic.base}/{data}_chunk", kind, header)
+        return self._publisher(name, messages.chunk_type(header.message_type), header)
 
     def _publisher(self, name: str, kind: MessageType, header: StreamHeader) -> Publisher:
         key = (name, kind)
@@ -178,3 +176,10 @@ class Routing:
 
     def _warn(self, sentence: str) -> None:
         self._node.get_logger().warning(sentence)
+
+
+def _chunk_topic(topic: TopicName, header: StreamHeader) -> str:
+    if not header.chunk:
+        return ""
+    data = topic.data if header.chunk == header.data_name else header.chunk
+    return f"{topic.base}/{data}_chunk"

@@ -102,12 +102,14 @@ class ZephyrDriver:
         ProtocolError
             ``NO_REPLY`` or ``GARBAGE``.
         """
+        # Noted before the answer, which may come when nobody waits for it any more.
+        self._enabled.append(packet)
         for _ in range(ATTEMPTS):
             self._link.write(enable(packet, on=True))
             reply = await self._reply_to(packet)
             if reply is not None:
-                if reply.accepted:
-                    self._enabled.append(packet)
+                if not reply.accepted:
+                    self._enabled.remove(packet)
                 return reply.accepted
         if self._protocol.dropped_bytes and not self._early:
             message = (

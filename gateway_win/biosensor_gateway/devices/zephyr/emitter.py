@@ -43,7 +43,7 @@ class ZephyrEmitter:
             "breathing": PacketTrack(18, BREATHING_PERIOD_S),
             "acc": PacketTrack(20, ACCELERATION_PERIOD_S),
             "ibi": PacketTrack(18, RR_PERIOD_S),
-            "vitals": PacketTrack(1, _VITALS_PERIOD_S),
+            "vitals": PacketTrack(1, _VITALS_PERIOD_S, stamped_at_end=True),
         }
         self._beats = BeatDetector()
         self._quality = [_NAN] * 6

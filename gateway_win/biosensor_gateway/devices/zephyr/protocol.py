@@ -116,8 +116,9 @@ def decode(frame: Frame) -> Message:
     decoder = _DECODERS.get(frame.message_id)
     if decoder is not None:
         return decoder(frame)
-    if frame.message_id in _REPLY_IDS:
-        return Reply(frame.message_id, frame.terminator is not Terminator.NAK, frame.payload)
+    # A request that is merely echoed ends in ETX and answers nothing.
+    if frame.message_id in _REPLY_IDS and frame.terminator is not Terminator.ETX:
+        return Reply(frame.message_id, frame.terminator is Terminator.ACK, frame.payload)
     return Unknown(frame.message_id)
 
 

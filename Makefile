@@ -1,0 +1,44 @@
+# make demo [SECONDS=20]   the pair end to end, with recorded bytes of a real device
+# make test                checks and tests; needs no root, no ROS, no second step
+# make test-system         what needs root or system packages (tests/system/packages.txt)
+# make check, make bench, make format, make lock
+SHELL := /bin/sh
+PYTHON_FILES := common gateway_win ros_side tests typings
+RUN := .venv/bin/python -m
+SECONDS :=
+
+.PHONY: demo test test-system check bench format lock venv-ros venv-dev
+
+demo: venv-ros
+	.venv/bin/biosensor-gateway demo $(if $(SECONDS),--seconds $(SECONDS))
+
+test: check
+	$(RUN) pytest -m "not system"
+	@echo
+	@echo "Not run here, only by 'make test-system' (needs root and system packages):"
+	@$(RUN) pytest -m system --collect-only -qq | sed 's/^/  /'
+
+test-system: venv-dev
+	$(RUN) pytest -m system
+
+check: venv-dev
+	$(RUN) ruff check $(PYTHON_FILES)
+	$(RUN) ruff format --check $(PYTHON_FILES)
+	.venv/bin/pyright
+	.venv/bin/lint-imports
+
+bench: venv-dev
+	$(RUN) tests.bench
+
+format: venv-dev
+	$(RUN) ruff check --fix --quiet $(PYTHON_FILES)
+	$(RUN) ruff format $(PYTHON_FILES)
+
+lock: venv-dev
+	requirements/compile.sh
+
+venv-ros:
+	@requirements/install.sh ros
+
+venv-dev:
+	@requirements/install.sh dev
