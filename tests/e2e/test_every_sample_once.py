@@ -1,0 +1,169 @@
+"""Every sample that the device sent arrives in ROS once, in order, raw and in chunks.
+
+The virtual device's truth is compared with what a subscriber received, sample
+by sample, over changes of the chunk length and a cable that is pulled and put
+back.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from std_msgs.msg import Float32, Float32MultiArray
+
+from biosensor_gateway.devices.zephyr.simulated_sources import SyntheticSource
+from biosensor_gateway.devices.zephyr.simulated_wire import Packet
+from biosensor_gateway.devices.zephyr.simulator import SimulatedBioHarness
+
+Values = NDArray[np.float32]
+
+SETTLE_S = 3.0
+BEFORE_CABLE_S = 20.0
+CABLE_OUT_S = 3.0
+AFTER_CABLE_S = 7.0
+CHUNK_LENGTHS = (50, 128, 20, 77)
+_ALIGN = 100
+_TOPIC_OF = {Packet.ECG: "ecg", Packet.BREATHING: "breathing", Packet.ACCELERATION: "acc"}
+_CHUNK_OF = {"ecg": "ecg_chunk", "breathing": "br_chunk"}
+
+
+def _truth(device: SimulatedBioHarness, packet: Packet) -> tuple[NDArray[np.int64], Values]:
+    rows = device.sent_samples(packet)
+    values = rows[:, 1:].astype(np.float64)
+    if packet is Packet.ACCELERATION:
+        values = (values - 512) / 20.75
+    return rows[:, 0], values.astype(np.float32)
+
+
+def _start_of(part: Values, whole: Values) -> int:
+    """Where *part* begins in *whole*; it must be there exactly once."""
+    windows = np.lib.stride_tricks.sliding_window_view(whole, len(part), axis=0)
+    matches = (windows.transpose(0, 2, 1) == part).all(axis=(1, 2)).nonzero()[0]
+    assert len(matches) == 1, f"{len(matches)} places fit"
+    return int(matches[0])
+
+
+def _common_length(a: Values, b: Values) -> int:
+    size = min(len(a), len(b))
+    differs = (a[:size] != b[:size]).any(axis=1).nonzero()[0]
+    return int(differs[0]) if len(differs) else size
+
+
+class Match(NamedTuple):
+    """Received = body[first:cut] then body[back:], by index of the device's samples."""
+
+    first: int
+    cut: int
+    back: int
+    end: int
+
+
+def _match(received: Values, body: Values) -> Match:
+    """Match what was received against all that the body did, with one gap."""
+    first = _start_of(received[:_ALIGN], body)
+    before = _common_length(received, body[first:])
+    cut = first + before
+    if before == len(received):
+        return Match(first, cut, cut, cut)
+    back = _start_of(received[before : before + _ALIGN], body)
+    after = _common_length(received[before:], body[back:])
+    assert before + after == len(received), "a second gap, or a sample that was never measured"
+    return Match(first, cut, back, back + after)
+
+
+def _raw(messages: list[Any]) -> Values:
+    return np.array([np.atleast_1d(message.data) for message in messages], dtype=np.float32)
+
+
+def _chunks(messages: list[Any]) -> list[Values]:
+    shaped: list[Values] = []
+    for message in messages:
+        samples, channels = message.layout.dim
+        assert (samples.label, channels.label) == ("samples", "channels")
+        assert (samples.stride, channels.stride) == (len(message.data), channels.size)
+        chunk = np.array(message.data, dtype=np.float32).reshape(samples.size, channels.size)
+        shaped.append(chunk)
+    return shaped
+
+
+def test_every_sample_arrives_once(
+    programs: Any,  # noqa: ANN401 - fixture
+    listener: Any,  # noqa: ANN401 - fixture
+    wait_until: Callable[..., None],
+) -> None:
+    topics = {
+        "ecg": Float32,
+        "breathing": Float32,
+        "acc": Float32MultiArray,
+        "ecg_chunk": Float32MultiArray,
+        "br_chunk": Float32MultiArray,
+    }
+    received = {
+        topic: listener.listen(kind, f"/biosensors/zephyr/{topic}")
+        for topic, kind in topics.items()
+    }
+    with SimulatedBioHarness(SyntheticSource(seed=7)) as device:
+        programs.agent(f'[[device]]\nsensor = "zephyr"\nunit = "SIM1"\nport = "{device.port}"\n')
+        programs.node("Chunk_Length:=50")
+        wait_until(lambda: all(received.values()), f"all of {list(topics)}")
+        time.sleep(SETTLE_S)
+        start = {topic: len(messages) for topic, messages in received.items()}
+
+        for length in CHUNK_LENGTHS[1:]:
+            time.sleep(BEFORE_CABLE_S / len(CHUNK_LENGTHS))
+            (result,) = listener.set_parameters("lsl_to_ros", {"Chunk_Length": length})
+            assert result.successful, result.reason
+        time.sleep(BEFORE_CABLE_S / len(CHUNK_LENGTHS))
+
+        device.drop_link(CABLE_OUT_S)
+        at_cut = len(received["ecg"])
+        wait_until(lambda: len(received["ecg"]) > at_cut + 500, "samples after the cable is back")
+        time.sleep(AFTER_CABLE_S)
+        device.stall()
+        truth = {packet: _truth(device, packet) for packet in _TOPIC_OF}
+        for packet, topic in _TOPIC_OF.items():
+            last = truth[packet][1][-20:]
+            wait_until(
+                lambda topic=topic, last=last: np.array_equal(_raw(received[topic][-20:]), last),
+                f"the last sample sent on {topic}",
+            )
+        time.sleep(1.5)
+        status = programs.status()
+
+    lost = {
+        source.rpartition("-")[2]: counters["lost"]
+        for source, counters in status["devices"][0]["streams"].items()
+    }
+    for packet, topic in _TOPIC_OF.items():
+        indices, values = truth[packet]
+        body = np.full((indices[-1] + 1, values.shape[1]), np.nan, dtype=np.float32)
+        body[indices] = values
+        raw = _raw(received[topic][start[topic] :])
+        match = _match(raw, body)
+        assert match.end == len(body), "what was sent last is missing"
+        assert match.back > match.cut, "the cable made no gap"
+        assert lost[topic] == match.back - match.cut
+        if topic in _CHUNK_OF:
+            _check_chunks(
+                _chunks(received[_CHUNK_OF[topic]][start[_CHUNK_OF[topic]] :]), body, match
+            )
+
+
+def _check_chunks(chunks: list[Values], body: Values, match: Match) -> None:
+    """Chunks follow each other without a hole but at the gap, where a partial one is given up."""
+    position = _start_of(chunks[0], body)
+    lengths: list[int] = []
+    longest = max(CHUNK_LENGTHS)
+    for chunk in chunks:
+        if not np.array_equal(chunk, body[position : position + len(chunk)]):
+            assert position <= match.cut < position + longest, "a chunk is missing"
+            position = match.back
+            assert np.array_equal(chunk, body[position : position + len(chunk)])
+        position += len(chunk)
+        lengths.append(len(chunk))
+    assert match.back < position <= match.end < position + longest
+    assert tuple(dict.fromkeys(lengths)) == CHUNK_LENGTHS
