@@ -91,8 +91,8 @@ def _chunks(messages: list[Any]) -> list[Values]:
 
 
 def test_every_sample_arrives_once(
-    programs: Any,  # noqa: ANN401 - fixture
-    listener: Any,  # noqa: ANN401 - fixture
+    programs: Any,
+    listener: Any,
     wait_until: Callable[..., None],
 ) -> None:
     topics = {

@@ -1,0 +1,77 @@
+"""``make demo``: exit code and the list of what was not to be expected."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Generator
+from pathlib import Path
+
+import pytest
+
+from biosensor_gateway.devices.zephyr.expectation import expect
+
+
+def _run(*command: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", *command],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+@pytest.fixture
+def published() -> Generator[str]:
+    """One topic that is published all the time."""
+    process = subprocess.Popen([sys.executable, "-c", _PUBLISH], stdin=subprocess.DEVNULL)
+    yield "/biosensors/test/one"
+    process.kill()
+    process.wait()
+
+
+_PUBLISH = """
+import rclpy, time
+from std_msgs.msg import Float32
+rclpy.init()
+node = rclpy.create_node("source")
+publisher = node.create_publisher(Float32, "/biosensors/test/one", 10)
+while True:
+    publisher.publish(Float32(data=1.5))
+    time.sleep(0.05)
+"""
+
+
+def test_the_demo_fills_all_that_the_recording_can_fill() -> None:
+    ended = _run("biosensor_gateway.cli", "demo", "--seconds", "12")
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    assert "MISSING" not in ended.stdout
+    for topic in ("hr", "ecg", "ecg_chunk", "br_chunk", "acc", "ibi", "quality"):
+        assert f"/biosensors/zephyr/{topic} " in ended.stdout
+    lines = ended.stdout.splitlines()
+    assert any(line.startswith("/biosensors/zephyr/hrv: not expected") for line in lines)
+    assert any(line.startswith("/biosensors/zephyr/st: not expected") for line in lines)
+
+
+def test_a_topic_that_stays_empty_is_named_and_fails(published: str, tmp_path: Path) -> None:
+    expected = tmp_path / "expected.json"
+    absent = "/biosensors/test/absent"
+    expected.write_text(json.dumps({published: "", absent: "", "/biosensors/test/late": "later"}))
+    ended = _run("lsl_to_ros.live_table", "--seconds", "3", "--expect", str(expected))
+    assert ended.returncode == 1, ended.stdout + ended.stderr
+    assert f"{absent}: MISSING" in ended.stdout
+    assert "/biosensors/test/late: not expected, later" in ended.stdout
+    assert f"{published}: " not in ended.stdout
+
+
+def test_expectations_come_from_the_recording() -> None:
+    expected = expect(chunk_length=128)
+    assert expected["st"].after_s is None
+    hrv = expected["hrv"].after_s
+    assert hrv is not None
+    assert 76 <= hrv <= 78
+    breathing = expected["br_chunk"].after_s
+    assert breathing is not None
+    assert breathing > 128 * 0.056
