@@ -148,12 +148,13 @@ def test_every_sample_arrives_once(
         assert match.back > match.cut, "the cable made no gap"
         assert lost[topic] == match.back - match.cut
         if topic in _CHUNK_OF:
-            _check_chunks(
-                _chunks(received[_CHUNK_OF[topic]][start[_CHUNK_OF[topic]] :]), body, match
-            )
+            chunks = _chunks(received[_CHUNK_OF[topic]][start[_CHUNK_OF[topic]] :])
+            _check_chunks(chunks, body, match, rate_fills_all=topic == "ecg")
 
 
-def _check_chunks(chunks: list[Values], body: Values, match: Match) -> None:
+def _check_chunks(
+    chunks: list[Values], body: Values, match: Match, *, rate_fills_all: bool
+) -> None:
     """Chunks follow each other without a hole but at the gap, where a partial one is given up."""
     position = _start_of(chunks[0], body)
     lengths: list[int] = []
@@ -166,4 +167,7 @@ def _check_chunks(chunks: list[Values], body: Values, match: Match) -> None:
         position += len(chunk)
         lengths.append(len(chunk))
     assert match.back < position <= match.end < position + longest
-    assert tuple(dict.fromkeys(lengths)) == CHUNK_LENGTHS
+    # In the order in which they were set; a slow stream may fill no chunk of a long one.
+    assert list(dict.fromkeys(lengths)) == [n for n in CHUNK_LENGTHS if n in lengths]
+    if rate_fills_all:
+        assert set(lengths) == set(CHUNK_LENGTHS)
