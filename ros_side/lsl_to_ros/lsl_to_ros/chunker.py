@@ -16,16 +16,11 @@ class Chunker:
     typecode
         Of the chunk's array: ``f``, ``d``, ``i`` or ``q``, as in :mod:`array`.
 
-    Attributes
-    ----------
-    discarded
-        Samples of partial chunks that ended at a gap. They went out raw.
     """
 
     def __init__(self, channels: int, typecode: str) -> None:
         self._channels = channels
         self._values: array[float] = array(typecode)
-        self.discarded = 0
 
     @property
     def pending(self) -> int:
@@ -37,8 +32,13 @@ class Chunker:
 
         More than one can be full after the length was reduced. Each is row-major,
         shape [length, channels].
+
+        Raises
+        ------
+        TypeError, OverflowError
+            If a value does not fit the array; nothing of the sample is then kept.
         """
-        self._values.extend(sample)
+        self._values.extend(array(self._values.typecode, sample))
         size = length * self._channels
         full: list[array[float]] = []
         while len(self._values) >= size:
@@ -46,7 +46,8 @@ class Chunker:
             del self._values[:size]
         return full
 
-    def discard(self) -> None:
-        """Give up a partial chunk: a chunk never spans a gap."""
-        self.discarded += self.pending
+    def discard(self) -> int:
+        """Give up a partial chunk, for a chunk never spans a gap; return its samples."""
+        discarded = self.pending
         del self._values[:]
+        return discarded

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
 from time import monotonic
+from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
@@ -16,20 +16,34 @@ RATE_WINDOW_S = 10.0
 STALE_AFTER_S = 5.0
 
 
-@dataclass(slots=True)
 class RateMeter:
-    """Mean rate over the last seconds, from a count that only grows."""
+    """Mean rate over the last seconds, from a count that only grows.
 
-    _points: deque[tuple[float, int]] = field(default_factory=deque[tuple[float, int]])
+    Samples come in packets, so the time that counts is that of the newest sample,
+    not that of the look: at 250 Hz in packets of 63 the difference is 2 percent.
+    """
 
-    def rate(self, count: int) -> float:
-        """Take in the present count; return samples per second."""
+    def __init__(self) -> None:
+        self._points: deque[_Point] = deque()
+
+    def rate(self, count: int, newest_s: float) -> float:
+        """Take in the present count and the newest sample's time; return samples per second."""
         now = monotonic()
-        self._points.append((now, count))
-        while now - self._points[0][0] > RATE_WINDOW_S:
+        if not self._points or count != self._points[-1].count:
+            self._points.append(_Point(now, count, newest_s))
+        while self._points and now - self._points[0].seen_s > RATE_WINDOW_S:
             self._points.popleft()
-        elapsed = now - self._points[0][0]
-        return (count - self._points[0][1]) / elapsed if elapsed > 0 else 0.0
+        if len(self._points) < 2:
+            return 0.0
+        first, last = self._points[0], self._points[-1]
+        elapsed = last.newest_s - first.newest_s
+        return (last.count - first.count) / elapsed if elapsed > 0 else 0.0
+
+
+class _Point(NamedTuple):
+    seen_s: float
+    count: int
+    newest_s: float
 
 
 def stream_status(
@@ -61,8 +75,8 @@ def stream_status(
         "rate_nominal": f"{header.rate:.2f}",
         "received": str(bridge.received),
         "lost": _lost(bridge),
-        "unfit": str(bridge.unfit),
-        "chunk_discarded": str(bridge.chunker.discarded),
+        "unfit": str(bridge.tally.unfit),
+        "chunk_discarded": str(bridge.tally.discarded),
         "age_s": f"{latency_s:.3f}" if bridge.received else "",
         "clock_offset_s": "" if correction_s is None else f"{correction_s:.6f}",
         "subscribers": str(readers),
@@ -83,7 +97,7 @@ def _judge(topic: TopicName, bridge: Bridge, latency_s: float) -> tuple[bytes, s
         return DiagnosticStatus.ERROR, "two streams claim to be this one"
     if bridge.header.rate > 0 and (not bridge.received or latency_s > STALE_AFTER_S):
         return DiagnosticStatus.STALE, "no samples"
-    if bridge.unfit:
+    if bridge.tally.unfit:
         return DiagnosticStatus.WARN, "samples do not fit the message type"
     return DiagnosticStatus.OK, "streaming"
 
@@ -94,5 +108,5 @@ def _lost(bridge: Bridge) -> str:
     if losses is not None:
         return str(losses.total)
     if bridge.header.foreign and bridge.header.rate > 0:
-        return f"about {bridge.missing}"
+        return f"about {bridge.tally.missing}"
     return "unknown"

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from time import monotonic
 from typing import NamedTuple
 
 import pylsl
 
+from biosensor_common.errors import SpecError
 from lsl_to_ros.inlets import Inlet, InletState
 
 # An outlet that has just died is still reported by the resolver for a while.
 RETRY_S = 0.5
+RETRY_FAILED_S = 5.0
 FORGET_AFTER_S = 5.0
+# An outlet that is reported for longer after it was replaced is alive.
+ALIVE_AFTER_S = FORGET_AFTER_S + 2.0
+STOP_TIMEOUT_S = 1.0
 
 
 class Changes(NamedTuple):
@@ -20,6 +26,15 @@ class Changes(NamedTuple):
 
     ready: list[Inlet]
     gone: list[Inlet]
+
+
+@dataclass(slots=True)
+class _Successor:
+    """Which outlet took an outlet's place."""
+
+    uid: str
+    since: float
+    warned: bool = False
 
 
 class Discovery:
@@ -36,7 +51,8 @@ class Discovery:
         self._inlets: dict[str, Inlet] = {}
         self._announced: set[str] = set()
         self._not_before: dict[str, float] = {}
-        self._successor: dict[str, str] = {}
+        self._successor: dict[str, _Successor] = {}
+        self._refused: set[str] = set()
 
     @property
     def inlets(self) -> list[Inlet]:
@@ -45,15 +61,13 @@ class Discovery:
 
     def update(self) -> Changes:
         """Open inlets for new streams; return those that became ready or ended."""
-        gone = [inlet for inlet in self.inlets if inlet.state is InletState.LOST]
-        for inlet in gone:
-            self._not_before[inlet.uid] = monotonic() + RETRY_S
+        gone = self._ended()
         found = {info.uid(): info for info in self._resolver.results()}
         for uid, info in found.items():
             if self._is_new(uid):
-                gone += self._replaced_by(info)
-                self._inlets[uid] = Inlet(info, self._warn)
+                gone += self._open(info)
         self._forget(gone, found)
+        self._warn_of_twins(found)
         ready = [
             inlet
             for inlet in self.inlets
@@ -66,24 +80,63 @@ class Discovery:
         """End all inlets."""
         for inlet in self.inlets:
             inlet.stop()
+        deadline = monotonic() + STOP_TIMEOUT_S
         for inlet in self.inlets:
-            inlet.join(1.0)
+            inlet.join(max(0.0, deadline - monotonic()))
         self._inlets.clear()
 
-    def _is_new(self, uid: str) -> bool:
-        if uid in self._inlets or monotonic() < self._not_before.get(uid, 0.0):
-            return False
-        # Two outlets may share a source_id; attaching to both in turn would lose samples.
-        return self._successor.get(uid) not in self._inlets
+    def _ended(self) -> list[Inlet]:
+        ended: list[Inlet] = []
+        for inlet in self.inlets:
+            wait = {InletState.LOST: RETRY_S, InletState.FAILED: RETRY_FAILED_S}.get(inlet.state)
+            if wait is not None:
+                self._not_before[inlet.uid] = monotonic() + wait
+                ended.append(inlet)
+        return ended
 
-    def _replaced_by(self, info: pylsl.StreamInfo) -> list[Inlet]:
-        source_id = info.source_id()
-        replaced = [inlet for inlet in self.inlets if source_id and inlet.source_id == source_id]
-        for inlet in replaced:
-            self._successor[inlet.uid] = info.uid()
+    def _open(self, info: pylsl.StreamInfo) -> list[Inlet]:
+        """Open an inlet; return those that it replaces."""
+        try:
+            inlet = Inlet(info, self._warn)
+        except (SpecError, RuntimeError) as error:
+            self._warn(f"an LSL stream is ignored: {error}")
+            self._refused.add(info.uid())
+            return []
+        replaced = self._replaced_by(info)
+        self._inlets[inlet.uid] = inlet
         return replaced
 
-    def _forget(self, gone: list[Inlet], found: Container[str]) -> None:
+    def _is_new(self, uid: str) -> bool:
+        if uid in self._inlets or uid in self._refused:
+            return False
+        if monotonic() < self._not_before.get(uid, 0.0):
+            return False
+        # Two outlets may share a source_id; attaching to both in turn would lose samples.
+        successor = self._successor.get(uid)
+        return successor is None or successor.uid not in self._inlets
+
+    def _replaced_by(self, info: pylsl.StreamInfo) -> list[Inlet]:
+        replaced = [inlet for inlet in self.inlets if inlet.continues_as(info)]
+        uids = {inlet.uid for inlet in replaced}
+        for successor in self._successor.values():
+            if successor.uid in uids:
+                successor.uid = info.uid()
+        self._successor.update((uid, _Successor(info.uid(), monotonic())) for uid in uids)
+        self._successor.pop(info.uid(), None)
+        return replaced
+
+    def _warn_of_twins(self, found: Mapping[str, pylsl.StreamInfo]) -> None:
+        """Say that an outlet is left out because a newer one claims to be the same stream."""
+        for uid, successor in self._successor.items():
+            is_alive = monotonic() - successor.since > ALIVE_AFTER_S
+            if is_alive and not successor.warned and successor.uid in self._inlets:
+                successor.warned = True
+                name, host = found[uid].name(), found[uid].hostname()
+                self._warn(
+                    f"two LSL streams {name!r} share a source_id; that on {host} is left out"
+                )
+
+    def _forget(self, gone: list[Inlet], found: Mapping[str, pylsl.StreamInfo]) -> None:
         for inlet in gone:
             inlet.stop()
             self._inlets.pop(inlet.uid, None)
@@ -91,3 +144,4 @@ class Discovery:
         for record in (self._not_before, self._successor):
             for uid in [uid for uid in record if uid not in found]:
                 del record[uid]
+        self._refused.intersection_update(found)

@@ -63,7 +63,7 @@ class Row:
         return (
             self.topic,
             self.message_type.rpartition("/")[2],
-            f"{self.meter.rate(self.received):.2f}",
+            f"{self.meter.rate(self.received, self.newest):.2f}",
             f"{nominal:.2f}" if nominal else "irregular",
             _shown(self.last, self.facts.get("unit_of_measurement", "")),
             age,

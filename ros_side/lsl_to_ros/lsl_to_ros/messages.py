@@ -144,10 +144,14 @@ def read_counters(text: str) -> dict[str, dict[str, float]]:
     try:
         return {
             str(source_id): {key: float(entry[key]) for key in ("pushed", "lost", "last_stamp")}
-            for source_id, entry in json.loads(text).items()
+            for source_id, entry in json.loads(text, parse_constant=_refuse_constant).items()
         }
-    except (AttributeError, KeyError, TypeError) as error:
+    except (AttributeError, KeyError, OverflowError, RecursionError, TypeError) as error:
         raise ValueError("not the counters of an agent") from error
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is no counter")
 
 
 _BUILDERS: dict[MessageType, Builder] = {

@@ -92,7 +92,7 @@ class LslToRos(Node):
             if route.bridge is not None and route.topic is not None:
                 correction = route.inlet.correction
                 age = now - route.bridge.last_stamp - (correction or 0.0)
-                rate = route.meter.rate(route.bridge.received)
+                rate = route.meter.rate(route.bridge.received, route.bridge.last_stamp)
                 array.status.append(stream_status(route.topic, route.bridge, rate, age, correction))
         self._diagnostics_topic.publish(array)
 
