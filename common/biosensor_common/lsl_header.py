@@ -154,7 +154,8 @@ def _parse(xml: str) -> ET.Element:
         raise SpecError(SpecReason.MALFORMED, "an LSL description contains a document type")
     try:
         return ET.fromstring(xml)  # noqa: S314 - no document type, limited in size
-    except ET.ParseError as error:
+    except (ET.ParseError, ValueError) as error:
+        # ValueError: a lone surrogate, which has no UTF-8 form.
         message = f"an LSL description is not well-formed XML ({error})"
         raise SpecError(SpecReason.MALFORMED, message) from error
 
@@ -231,8 +232,17 @@ def _check(core: CoreFields, header: StreamHeader) -> None:
         (core.source_id != naming.source_id(identity, header.data_name), "another source_id"),
         (is_text != message_type.is_text, f"messages {message_type}"),
         (core.channel_count > 1 and not message_type.is_array, f"messages {message_type}"),
+        (_is_too_narrow(message_type, header.format), f"messages {message_type}"),
         (bool(header.chunk) and (is_text or core.rate == 0), "chunks"),
     ):
         if lie:
             message = f"{core}: its <biosensor> block claims {claim}, which does not fit the stream"
             raise SpecError(SpecReason.CONTRADICTORY, message)
+
+
+def _is_too_narrow(message_type: MessageType, channel_format: ChannelFormat) -> bool:
+    """Whether an array of integers would have to hold fractions, or larger integers."""
+    if message_type is MessageType.INT64_MULTI_ARRAY:
+        return channel_format.is_float
+    is_int32 = message_type is MessageType.INT32_MULTI_ARRAY
+    return is_int32 and (channel_format.is_float or channel_format is ChannelFormat.INT64)

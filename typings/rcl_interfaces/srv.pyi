@@ -1,5 +1,10 @@
 from typing import Any
 
+class GetParameters:
+    class Request:
+        names: list[str]
+        def __init__(self, *, names: list[str] = ...) -> None: ...
+
 class SetParameters:
     class Request:
         parameters: list[Any]

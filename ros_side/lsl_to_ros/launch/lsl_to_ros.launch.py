@@ -1,0 +1,55 @@
+"""Start ``lsl_to_ros``.
+
+``ros2 launch lsl_to_ros lsl_to_ros.launch.py namespace:=lab known_peers:="[192.168.1.20]"``
+"""
+
+from typing import List  # noqa: UP035 - launch knows a list type only by typing.List
+
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+ARGUMENTS = {
+    "namespace": "namespace of the node and of its topics",
+    "topic_prefix": "first part of every topic, relative to the namespace",
+    "session_id": "LSL session; LabRecorder and the agents must use the same",
+    "known_peers": "hosts that multicast does not reach, as a YAML list",
+    "params_file": "parameter file; the share folder's config/params.yaml is an example",
+}
+# Without these types, YAML rules would make a number of a session named 42.
+PARAMETER_TYPES = {
+    "topic_prefix": str,
+    "session_id": str,
+    "known_peers": List[str],  # noqa: UP006 - as above
+}
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Declare the arguments and start one node."""
+    arguments = [
+        DeclareLaunchArgument(name, default_value="", description=f"{text}; empty: not set here")
+        for name, text in ARGUMENTS.items()
+    ]
+    return LaunchDescription([*arguments, OpaqueFunction(function=_start_node)])
+
+
+def _start_node(context: LaunchContext) -> list[Node]:
+    """Make the node from what was given: an empty value must not overrule the file's."""
+    params_file = LaunchConfiguration("params_file").perform(context)
+    given = {
+        name: ParameterValue(LaunchConfiguration(name), value_type=kind)
+        for name, kind in PARAMETER_TYPES.items()
+        if LaunchConfiguration(name).perform(context)
+    }
+    node = Node(
+        package="lsl_to_ros",
+        executable="lsl_to_ros",
+        name="lsl_to_ros",
+        namespace=LaunchConfiguration("namespace"),
+        output="screen",
+        # The last one wins.
+        parameters=[part for part in (params_file, given) if part],
+    )
+    return [node]

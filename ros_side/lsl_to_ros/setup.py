@@ -1,0 +1,24 @@
+from setuptools import find_packages, setup
+
+PACKAGE = "lsl_to_ros"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+    package_data={PACKAGE: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        (f"share/{PACKAGE}/launch", ["launch/lsl_to_ros.launch.py"]),
+        (f"share/{PACKAGE}/config", ["config/params.yaml"]),
+    ],
+    # ROS packages are named in package.xml; this one comes from PyPI.
+    install_requires=["pylsl>=1.18"],
+    zip_safe=False,
+    maintainer="Biosensor Gateway maintainers",
+    maintainer_email="maintainers@biosensor-gateway.org",
+    description="Finds every LSL stream in the lab and publishes it as ROS 2 topics",
+    license="Apache-2.0",
+    entry_points={"console_scripts": ["lsl_to_ros = lsl_to_ros.node:main"]},
+)

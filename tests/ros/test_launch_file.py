@@ -1,0 +1,99 @@
+"""The shape of the launch file.
+
+There are no wheels of ``launch`` and ``launch_ros``, so nothing is launched here:
+stand-ins note what the file asks of them. That the real ones take it is not shown.
+"""
+
+import runpy
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+LAUNCH_FILE = (
+    Path(__file__).parents[2] / "ros_side" / "lsl_to_ros" / "launch" / "lsl_to_ros.launch.py"
+)
+NOTHING_GIVEN = {
+    "namespace": "",
+    "topic_prefix": "",
+    "session_id": "",
+    "known_peers": "",
+    "params_file": "",
+}
+
+
+class Noted:
+    """Keeps what it was made with."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        self.args = args
+        self.options = options
+
+
+class Configuration(Noted):
+    """Looks its value up in the context, which is a plain dictionary here."""
+
+    def perform(self, context: dict[str, str]) -> str:
+        return context[self.args[0]]
+
+
+STAND_INS: dict[str, dict[str, type]] = {
+    "launch": {"LaunchContext": dict, "LaunchDescription": Noted},
+    "launch.actions": {"DeclareLaunchArgument": Noted, "OpaqueFunction": Noted},
+    "launch.substitutions": {"LaunchConfiguration": Configuration},
+    "launch_ros": {},
+    "launch_ros.actions": {"Node": Noted},
+    "launch_ros.parameter_descriptions": {"ParameterValue": Noted},
+}
+
+
+@pytest.fixture
+def actions(monkeypatch: pytest.MonkeyPatch) -> list[Noted]:
+    for name, members in STAND_INS.items():
+        module = ModuleType(name)
+        vars(module).update(members)
+        monkeypatch.setitem(sys.modules, name, module)
+    description: Noted = runpy.run_path(str(LAUNCH_FILE))["generate_launch_description"]()
+    (entities,) = description.args
+    return entities
+
+
+def _node(actions: list[Noted], **given: str) -> dict[str, Any]:
+    (node,) = actions[-1].options["function"](NOTHING_GIVEN | given)
+    return node.options
+
+
+def test_every_argument_can_be_left_out(actions: list[Noted]) -> None:
+    declared = {action.args[0]: action.options for action in actions[:-1]}
+    assert set(declared) == set(NOTHING_GIVEN)
+    assert all(options["default_value"] == "" for options in declared.values())
+    assert all(options["description"] for options in declared.values())
+
+
+def test_it_starts_the_node_that_is_installed(actions: list[Noted]) -> None:
+    node = _node(actions)
+    assert (node["package"], node["executable"]) == ("lsl_to_ros", "lsl_to_ros")
+    # The example of a parameter file addresses it by this name.
+    assert node["name"] == "lsl_to_ros"
+    assert node["namespace"].args == ("namespace",)
+
+
+def test_what_is_not_given_does_not_overrule_a_parameter_file(actions: list[Noted]) -> None:
+    assert _node(actions)["parameters"] == []
+    assert _node(actions, params_file="lab.yaml")["parameters"] == ["lab.yaml"]
+
+
+def test_what_is_given_comes_after_the_file_and_keeps_its_type(actions: list[Noted]) -> None:
+    file, given = _node(
+        actions, params_file="lab.yaml", topic_prefix="7", session_id="42", known_peers="[a, b]"
+    )["parameters"]
+    assert file == "lab.yaml"
+    assert {name: value.args[0].args[0] for name, value in given.items()} == {
+        name: name for name in ("topic_prefix", "session_id", "known_peers")
+    }
+    types = {name: value.options["value_type"] for name, value in given.items()}
+    assert types["topic_prefix"] is types["session_id"] is str
+    # launch compares with typing's alias and refuses the plain list[str].
+    assert repr(types["known_peers"]) == "typing.List[str]"
