@@ -1,13 +1,13 @@
 # make demo [SECONDS=20]   the pair end to end, with recorded bytes of a real device
 # make test                checks and tests; needs no root, no ROS, no second step
 # make test-system         what needs root or system packages (tests/system/packages.txt)
-# make check, make bench, make format, make lock
+# make check, make bench, make format, make docs, make lock
 SHELL := /bin/sh
 PYTHON_FILES := common gateway_win ros_side tests typings
 RUN := .venv/bin/python -m
 SECONDS :=
 
-.PHONY: demo test test-system check bench format lock venv-ros venv-dev
+.PHONY: demo test test-system check bench format docs lock venv-ros venv-dev
 
 demo: venv-ros
 	.venv/bin/biosensor-gateway demo $(if $(SECONDS),--seconds $(SECONDS))
@@ -33,6 +33,9 @@ bench: venv-dev
 format: venv-dev
 	$(RUN) ruff check --fix --quiet $(PYTHON_FILES)
 	$(RUN) ruff format $(PYTHON_FILES)
+
+docs: venv-dev
+	.venv/bin/python tests/docs/sensor_table.py README.md
 
 lock: venv-dev
 	requirements/compile.sh

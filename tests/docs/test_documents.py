@@ -1,0 +1,187 @@
+"""The documents agree with the code and with each other."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import unquote
+
+import pytest
+import typer
+from typer.core import TyperGroup
+
+from biosensor_common.registry import sensor, sensor_names
+from biosensor_gateway.cli import app
+
+ROOT = Path(__file__).parents[2]
+README = ROOT / "README.md"
+DECISIONS = sorted((ROOT / "docs" / "decisions").glob("*.md"))
+DOCUMENTS = [
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
+    ROOT / "docs" / "migration.md",
+    *DECISIONS,
+]
+
+_BLOCK = re.compile(r"^ *```(?P<language>\w*)\n(?P<body>.*?)^ *```$", re.DOTALL | re.MULTILINE)
+_SHELLS = {"sh", "bat"}
+_LINK = re.compile(r"\]\((?P<target>[^)\s]+)\)")
+_INLINE_COMMAND = re.compile(r"`((?:make|biosensor-gateway) [^`]+)`")
+# Folders in which people work; a document names paths inside the repository.
+_MACHINE_PATH = re.compile(r"(?<![\w.~<])/(?:work|root|home|tmp|Users)/|[A-Z]:\\")
+
+
+def _name(document: Path) -> str:
+    return document.relative_to(ROOT).as_posix()
+
+
+each_document = pytest.mark.parametrize("document", DOCUMENTS, ids=_name)
+
+
+def _commands(text: str) -> Iterator[list[str]]:
+    """Yield the words of every command in shell blocks and in inline code."""
+    for block in _BLOCK.finditer(text):
+        if block["language"] in _SHELLS:
+            for line in block["body"].splitlines():
+                yield shlex.split(line.replace("\\", "/"), comments=True)
+    for inline in _INLINE_COMMAND.findall(re.sub(r"\s*\n\s*", " ", text)):
+        yield shlex.split(inline)
+
+
+def _prose(text: str) -> str:
+    return _BLOCK.sub("", text)
+
+
+def _anchors(document: Path) -> set[str]:
+    headings = re.findall(r"^#+ (.+)$", _prose(document.read_text(encoding="utf-8")), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def _fault(words: list[str]) -> str:
+    """Say what is wrong with a command; empty for a good one, and for one that is not ours."""
+    match words:
+        case ["make", target, *_]:
+            return "" if re.search(rf"^{target}:", _makefile(), re.MULTILINE) else "no such target"
+        case ["biosensor-gateway", *arguments]:
+            return _cli_fault(arguments)
+        case ["ros2", "run", "lsl_to_ros", program, *_]:
+            setup = (ROOT / "ros_side" / "lsl_to_ros" / "setup.py").read_text(encoding="utf-8")
+            return "" if f'"{program} = ' in setup else "no such program"
+        case ["ros2", "launch", "lsl_to_ros", file, *arguments]:
+            return _launch_fault(ROOT / "ros_side" / "lsl_to_ros" / "launch" / file, arguments)
+        case _:
+            return _path_fault(words)
+
+
+def _makefile() -> str:
+    return (ROOT / "Makefile").read_text(encoding="utf-8")
+
+
+def _cli_fault(arguments: list[str]) -> str:
+    command = typer.main.get_command(app)
+    while arguments and isinstance(command, TyperGroup):
+        name, *arguments = arguments
+        found = command.commands.get(name)
+        if found is None:
+            return f"no such command: {name}"
+        command = found
+    known = {option for parameter in command.params for option in parameter.opts}
+    unknown = [word for word in arguments if word.startswith("-") and word not in known]
+    return f"no such options: {unknown}" if unknown else ""
+
+
+def _launch_fault(file: Path, arguments: list[str]) -> str:
+    if not file.is_file():
+        return "no such launch file"
+    text = file.read_text(encoding="utf-8")
+    given = [argument.partition(":=")[0] for argument in arguments]
+    unknown = [name for name in given if f'"{name}"' not in text]
+    return f"no such arguments: {unknown}" if unknown else ""
+
+
+def _path_fault(words: list[str]) -> str:
+    ours = [word for word in words if re.match(r"(tests|requirements|docs|common)/", word)]
+    missing = [word for word in ours if not (ROOT / word).exists()]
+    return f"no such files: {missing}" if missing else ""
+
+
+@each_document
+def test_every_command_exists(document: Path) -> None:
+    commands = list(_commands(document.read_text(encoding="utf-8")))
+    faults = {shlex.join(words): fault for words in commands if (fault := _fault(words))}
+    assert not faults
+
+
+def test_commands_are_found_at_all() -> None:
+    found = {words[0] for words in _commands(README.read_text(encoding="utf-8")) if words}
+    assert {"make", "biosensor-gateway", "ros2", "pip"} <= found
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "make no-such-target",
+        "biosensor-gateway scan-everything",
+        "biosensor-gateway config nothing",
+        "biosensor-gateway run --no-such-option",
+        "ros2 run lsl_to_ros other",
+        "ros2 launch lsl_to_ros other.launch.py",
+        "ros2 launch lsl_to_ros lsl_to_ros.launch.py colour:=red",
+        "pip install -r requirements/none.txt",
+    ],
+)
+def test_a_command_that_does_not_exist_is_noticed(command: str) -> None:
+    assert _fault(shlex.split(command))
+
+
+@each_document
+def test_every_relative_link_resolves(document: Path) -> None:
+    broken: list[str] = []
+    for target in _LINK.findall(_prose(document.read_text(encoding="utf-8"))):
+        if "://" in target:
+            continue
+        path, _, anchor = unquote(target).partition("#")
+        file = (document.parent / path).resolve() if path else document
+        if not file.exists() or (anchor and anchor not in _anchors(file)):
+            broken.append(target)
+    assert not broken
+
+
+@each_document
+def test_no_line_names_a_path_of_one_machine(document: Path) -> None:
+    lines = document.read_text(encoding="utf-8").splitlines()
+    assert not [line for line in lines if _MACHINE_PATH.search(line)]
+
+
+@pytest.mark.parametrize("folder", ["work", "root", "home", "tmp", "Users"])
+def test_a_path_of_one_machine_is_noticed(folder: str) -> None:
+    assert _MACHINE_PATH.search(f"see `/{folder}/me/file` for more")
+    assert not _MACHINE_PATH.search(f"see `~/{folder}/file`, `docs/{folder}/file` for more")
+
+
+def test_migration_has_a_row_for_every_topic_of_the_original() -> None:
+    text = (ROOT / "docs" / "migration.md").read_text(encoding="utf-8")
+    missing = [
+        topic
+        for name in sensor_names()
+        for stream in sensor(name).streams
+        if stream.contract
+        and (topic := f"| `{name}/{stream.data_name}` | {stream.message_type.rpartition('/')[2]} |")
+        not in text
+    ]
+    assert not missing
+
+
+def test_decisions_are_numbered_without_a_gap() -> None:
+    numbers = [int(path.name[:4]) for path in DECISIONS]
+    assert numbers == list(range(1, len(DECISIONS) + 1))
+
+
+@pytest.mark.parametrize("decision", DECISIONS, ids=_name)
+def test_a_decision_has_its_parts_on_one_page(decision: Path) -> None:
+    text = decision.read_text(encoding="utf-8")
+    assert text.startswith(f"# {int(decision.name[:4])}. ")
+    parts = re.findall(r"^## (.+)$", text, re.MULTILINE)
+    assert parts == ["Context", "Decision", "Consequences"]
+    assert len(text.split()) <= 350
