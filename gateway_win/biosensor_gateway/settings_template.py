@@ -22,8 +22,8 @@ from biosensor_gateway.settings import DeviceSettings, LogSettings, LslSettings
 _WIDTH = 88
 _INTRODUCTION = (
     "Settings of the Biosensor Gateway. A line that begins with # and no space shows a key with "
-    "its default: remove the # to set it. `biosensor-gateway scan` finds devices and their units. "
-    "Passwords and client secrets do not belong here; they are kept by the operating system."
+    "its default: remove the # to set it. "
+    "Passwords and client secrets do not belong here."
 )
 
 
