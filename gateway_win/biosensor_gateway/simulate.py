@@ -48,18 +48,19 @@ def simulated_settings(names: Sequence[str]) -> Generator[GatewaySettings]:
     Parameters
     ----------
     names
-        Sensors, as ``zephyr`` or ``zephyr:recording``, each once; ``all`` for one of each
-        sensor.
+        Sensors, as ``zephyr`` or ``zephyr:recording``; ``all`` for one of each sensor.
+        What is named twice runs once.
 
     Raises
     ------
     ConfigError
         ``WRONG_VALUE``, for a name that has no virtual device.
     """
-    wanted = [name for name in _DEVICES if ":" not in name] if list(names) == [ALL] else names
+    sensors = [name for name in _DEVICES if ":" not in name]
+    # Two of a name would be two streams of one source_id.
+    wanted = dict.fromkeys(each for name in names for each in (sensors if name == ALL else [name]))
     with ExitStack() as running:
-        # Two of a name would be two streams of one source_id.
-        devices = tuple(running.enter_context(_device(name)) for name in dict.fromkeys(wanted))
+        devices = tuple(running.enter_context(_device(name)) for name in wanted)
         yield GatewaySettings.model_validate({**environment_overrides(), "device": devices})
 
 

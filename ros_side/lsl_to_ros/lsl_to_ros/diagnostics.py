@@ -29,7 +29,7 @@ class RateMeter:
     def rate(self, count: int, newest_s: float) -> float:
         """Take in the present count and the newest sample's time; return samples per second."""
         now = monotonic()
-        if not self._points or count != self._points[-1].count:
+        if newest_s and (not self._points or count != self._points[-1].samples):
             self._points.append(_Point(now, count, newest_s))
         while self._points and now - self._points[0].seen_s > RATE_WINDOW_S:
             self._points.popleft()
@@ -37,12 +37,12 @@ class RateMeter:
             return 0.0
         first, last = self._points[0], self._points[-1]
         elapsed = last.newest_s - first.newest_s
-        return (last.count - first.count) / elapsed if elapsed > 0 else 0.0
+        return (last.samples - first.samples) / elapsed if elapsed > 0 else 0.0
 
 
 class _Point(NamedTuple):
     seen_s: float
-    count: int
+    samples: int
     newest_s: float
 
 
@@ -77,7 +77,7 @@ def stream_status(
         "lost": _lost(bridge),
         "unfit": str(bridge.tally.unfit),
         "chunk_discarded": str(bridge.tally.discarded),
-        "age_s": f"{latency_s:.3f}" if bridge.received else "",
+        "age_s": f"{latency_s:.3f}" if bridge.last_stamp else "",
         "clock_offset_s": "" if correction_s is None else f"{correction_s:.6f}",
         "subscribers": str(readers),
     }

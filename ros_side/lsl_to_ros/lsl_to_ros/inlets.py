@@ -9,6 +9,7 @@ from enum import Enum, unique
 from typing import Any, Protocol
 
 import pylsl
+from pylsl import util
 
 from biosensor_common.errors import SpecError, SpecReason
 from biosensor_common.lsl_header import read_header
@@ -21,6 +22,9 @@ PULL_TIMEOUT_S = 0.2
 BATCH_TIMEOUT_S = 0.1
 BATCH_SAMPLES = 1024
 BUFFER_S = 360
+# What other programs announce may be anything, and liblsl would reserve memory for it.
+BUFFER_SAMPLES = 4_000_000
+MAX_RATE_HZ = 1e6
 
 _FORMATS = {
     pylsl.cf_float32: ChannelFormat.FLOAT32,
@@ -74,7 +78,7 @@ class Inlet:
     Raises
     ------
     SpecError
-        ``INVALID``, if the stream has no channels.
+        ``INVALID``, if the stream has no channels or an impossible rate.
     RuntimeError
         If liblsl cannot read the announcement or speak its protocol.
 
@@ -101,7 +105,10 @@ class Inlet:
         self._has_receiver = threading.Event()
         # Recovery is ours: liblsl would reattach to a stream of another shape, or to none.
         self._inlet = pylsl.StreamInlet(
-            info, max_buflen=BUFFER_S, recover=False, as_numpy=self._is_text
+            info,
+            max_buflen=_buffer_length(self._core.rate),
+            recover=False,
+            as_numpy=self._is_text,
         )
         self._thread = threading.Thread(target=self._run, daemon=True, name=f"lsl {info.name()}")
         self._thread.start()
@@ -151,7 +158,7 @@ class Inlet:
             self.state = InletState.READY
             self._has_receiver.wait()
             self._pull_until_stopped()
-        except (pylsl.LostError, pylsl.TimeoutError):
+        except (util.LostError, util.TimeoutError):
             self.state = InletState.LOST
         except Exception as error:  # noqa: BLE001 - else the stream would end unsaid
             self._warn(f"{self._core}: reading it failed, it is opened anew ({error!r})")
@@ -161,7 +168,9 @@ class Inlet:
         try:
             return read_header(self._inlet.info(OPEN_TIMEOUT_S).as_xml())
         except SpecError as error:
-            self._warn(f"{error}; the stream is published as an unknown one")
+            # What cannot be parsed does not say whose it is.
+            said = str(error).removeprefix(f"{self._core}: ")
+            self._warn(f"{self._core}: {said}; it is published as an unknown one")
             return foreign_header(self._core)
 
     @property
@@ -209,6 +218,9 @@ def _decode(text: bytes) -> str:
 def _core(info: pylsl.StreamInfo) -> CoreFields:
     if info.channel_count() < 1:
         raise SpecError(SpecReason.INVALID, f"LSL stream {info.name()!r} has no channels")
+    if not 0 <= info.nominal_srate() <= MAX_RATE_HZ:
+        message = f"LSL stream {info.name()!r}: {info.nominal_srate()} Hz is no possible rate"
+        raise SpecError(SpecReason.INVALID, message)
     return CoreFields(
         name=info.name(),
         content_type=info.type(),
@@ -218,3 +230,8 @@ def _core(info: pylsl.StreamInfo) -> CoreFields:
         rate=info.nominal_srate(),
         format=_FORMATS[info.channel_format()],
     )
+
+
+def _buffer_length(rate: float) -> int:
+    """Seconds to buffer; hundreds of samples where the rate is 0, as liblsl has it."""
+    return BUFFER_S if rate * BUFFER_S <= BUFFER_SAMPLES else max(1, int(BUFFER_SAMPLES / rate))

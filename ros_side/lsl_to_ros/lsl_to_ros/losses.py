@@ -3,7 +3,8 @@
 The agent says once a second how many samples of each stream it has pushed, up
 to which stamp, and how many it lost before. Compared with what was pulled up
 to that stamp, the difference is what LSL did not deliver. The comparison waits
-until the stream has reached the stamp: both come over connections of their own.
+until the stream has passed the stamp: both come over connections of their own,
+and samples that were pushed together may have one stamp.
 """
 
 from __future__ import annotations
@@ -88,16 +89,25 @@ class LossAccount:
             self._pulled, self._base = 0, None
 
     def _settle(self) -> None:
-        """Compare the reports whose stamp the stream has reached."""
+        """Compare the reports whose stamp the stream has passed."""
         while self._waiting and self._recent and self._waiting[0].last_stamp <= self._recent[-1]:
-            report = self._waiting.popleft()
+            report = self._waiting[0]
             later = self._pulled_after(report.last_stamp)
+            missing = report.pushed - (self._pulled - later)
+            if not later and not self._is_complete(missing):
+                return
+            self._waiting.popleft()
             if later == _RECENT:
                 continue
-            missing = report.pushed - (self._pulled - later)
             if self._base is None:
                 self._base = missing
             self._losses = Losses(device=report.lost, transport=missing - self._base)
+
+    def _is_complete(self, missing: int) -> bool:
+        """Whether no more samples of the newest stamp can be on their way."""
+        if self._base is None or self._losses is None:
+            return False
+        return missing - self._base <= self._losses.transport
 
     def _pulled_after(self, stamp: float) -> int:
         count = 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from array import array
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -143,15 +144,18 @@ def read_counters(text: str) -> dict[str, dict[str, float]]:
     """
     try:
         return {
-            str(source_id): {key: float(entry[key]) for key in ("pushed", "lost", "last_stamp")}
-            for source_id, entry in json.loads(text, parse_constant=_refuse_constant).items()
+            str(source_id): {key: _finite(entry[key]) for key in ("pushed", "lost", "last_stamp")}
+            for source_id, entry in json.loads(text).items()
         }
     except (AttributeError, KeyError, OverflowError, RecursionError, TypeError) as error:
         raise ValueError("not the counters of an agent") from error
 
 
-def _refuse_constant(name: str) -> float:
-    raise ValueError(f"{name} is no counter")
+def _finite(number: Any) -> float:  # noqa: ANN401 - whatever JSON holds
+    value = float(number)
+    if not math.isfinite(value):
+        raise ValueError(f"{number} is no counter")
+    return value
 
 
 _BUILDERS: dict[MessageType, Builder] = {

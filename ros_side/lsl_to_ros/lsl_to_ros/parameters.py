@@ -29,6 +29,10 @@ SENSOR_ENABLE, CHUNK_ENABLE, CHUNK_LENGTH = "Sensor_Enable", "Chunk_Enable", "Ch
 LENGTH_RANGE = range(1, 100_001)
 DEFAULTS: dict[str, bool | int] = {SENSOR_ENABLE: True, CHUNK_ENABLE: True, CHUNK_LENGTH: 128}
 
+# Every other parameter without a dot in its name is a misspelt one.
+_OF_THE_NODE = frozenset({"topic_prefix", "session_id", "known_peers"})
+_OF_ROS = frozenset({"use_sim_time", "start_type_description_service"})
+
 _TEXTS = {
     SENSOR_ENABLE: "publish anything at all: raw, chunk and hardware topics",
     CHUNK_ENABLE: "publish chunk topics; they need Sensor_Enable too",
@@ -152,7 +156,8 @@ def _fault(name: str, value: Any) -> str | None:  # noqa: ANN401 - whatever a us
     """Say why a parameter is refused; parameters that are not ours pass."""
     key = name.rpartition(".")[2]
     if key not in DEFAULTS:
-        return None if "." not in name or name.startswith("qos_overrides.") else _unknown(name)
+        is_known = name in _OF_THE_NODE | _OF_ROS or name.startswith("qos_overrides.")
+        return None if is_known else _unknown(name)
     if value is None:
         return None
     if key == CHUNK_LENGTH:
@@ -164,7 +169,7 @@ def _fault(name: str, value: Any) -> str | None:  # noqa: ANN401 - whatever a us
 
 
 def _unknown(name: str) -> str:
-    return f"{name} is no parameter of this node; it must end in {', '.join(DEFAULTS)}"
+    return f"{name} is no parameter of this node; it must be or end in {', '.join(DEFAULTS)}"
 
 
 def _descriptor(key: str, *, dynamic: bool = False) -> ParameterDescriptor:

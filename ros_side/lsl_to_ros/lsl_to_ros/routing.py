@@ -17,7 +17,7 @@ from biosensor_common.quantities import MessageType
 from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros import messages
-from lsl_to_ros.bridge import Bridge
+from lsl_to_ros.bridge import Bridge, Tally
 from lsl_to_ros.diagnostics import RateMeter
 from lsl_to_ros.inlets import Inlet
 from lsl_to_ros.losses import LossAccount
@@ -26,6 +26,7 @@ from lsl_to_ros.ros_time import RosTime
 
 # A late subscriber of these sees the last value at once.
 LATCHED = frozenset({"bat", "rssi", "dev"})
+MIN_DEPTH, MAX_DEPTH = 10, 10_000
 
 
 @dataclass(slots=True)
@@ -37,6 +38,15 @@ class Route:
     topic: TopicName | None = None
     bridge: Bridge | None = None
     meter: RateMeter = field(default_factory=RateMeter)
+
+
+@dataclass(slots=True)
+class _Record:
+    """What is counted of a stream over all its outlets."""
+
+    uid: str = ""
+    account: LossAccount = field(default_factory=LossAccount)
+    tally: Tally = field(default_factory=Tally)
 
 
 class Routing:
@@ -57,7 +67,8 @@ class Routing:
         self._time = ros_time
         self._routes: dict[str, Route] = {}
         self._topics: dict[tuple[str, MessageType], Publisher] = {}
-        self._accounts: dict[str, tuple[str, LossAccount]] = {}
+        self._records: dict[tuple[str, str], _Record] = {}
+        self._accounts: dict[str, LossAccount] = {}
         self._seen: set[DeviceIdentity] = set()
 
     @property
@@ -93,7 +104,9 @@ class Routing:
         }
         renamed: list[TopicName] = []
         # A unit that has left keeps its name: another one's data must not appear under it.
-        self._seen.update(identity for identity, _ in names.values())
+        self._seen.update(
+            route.header.identity for route in self.routes if _is_named_after_unit(route.header)
+        )
         for uid, topic in resolve_topics(names, self._prefix, gone=self._seen).items():
             route = self._routes[uid]
             if route.bridge is not None and route.topic == topic:
@@ -105,6 +118,7 @@ class Routing:
 
     def _connect(self, route: Route, topic: TopicName) -> None:
         header = route.header
+        record = self._record(route.inlet, header)
         self._parameters.declare(header.identity, header.data_name, header.chunk)
         route.topic = topic
         route.bridge = Bridge(
@@ -112,10 +126,12 @@ class Routing:
             raw=self._publisher(topic.name, header.message_type, header),
             chunk=self._chunk_publisher(_chunk_topic(topic, header), header),
             settings=self._parameters.settings(header.identity, header.data_name, header.chunk),
-            account=self._account(route.inlet),
+            account=record.account,
+            tally=record.tally,
             to_time=partial(self._to_time, route.inlet),
             warn=self._warn,
             listen=self._listener(header),
+            latched=_is_latched(header),
         )
         if topic.conflict:
             self._warn(f"{topic.name}: two units share a name; give each a label in its settings")
@@ -130,9 +146,10 @@ class Routing:
     def _publisher(self, name: str, kind: MessageType, header: StreamHeader) -> Publisher:
         key = (name, kind)
         if key not in self._topics:
-            depth = max(10, ceil(header.rate))
+            # The rate of another program's stream may be any number.
+            depth = ceil(min(max(header.rate, MIN_DEPTH), MAX_DEPTH))
             qos = QoSProfile(depth=depth)
-            if header.data_name in LATCHED:
+            if _is_latched(header):
                 qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
             self._topics[key] = self._node.create_publisher(messages.CLASSES[kind], name, qos)
         return self._topics[key]
@@ -148,13 +165,15 @@ class Routing:
             if name.rpartition("/")[0] in bases - used:
                 self._node.destroy_publisher(self._topics.pop((name, kind)))
 
-    def _account(self, inlet: Inlet) -> LossAccount:
-        uid, account = self._accounts.get(inlet.source_id, ("", LossAccount()))
-        if uid != inlet.uid:
-            account.restarted()
-        if inlet.source_id:
-            self._accounts[inlet.source_id] = (inlet.uid, account)
-        return account
+    def _record(self, inlet: Inlet, header: StreamHeader) -> _Record:
+        key = (inlet.source_id or inlet.uid, header.data_name)
+        record = self._records.setdefault(key, _Record())
+        if record.uid != inlet.uid:
+            record.uid = inlet.uid
+            record.account.restarted()
+        if not header.foreign:
+            self._accounts[inlet.source_id] = record.account
+        return record
 
     def _listener(self, header: StreamHeader) -> Callable[[str], None] | None:
         is_counters = header.message_type is MessageType.DIAGNOSTIC_ARRAY
@@ -169,7 +188,7 @@ class Routing:
         for source_id, entry in counters.items():
             known = self._accounts.get(source_id)
             if known is not None:
-                known[1].reported(int(entry["pushed"]), int(entry["lost"]), entry["last_stamp"])
+                known.reported(int(entry["pushed"]), int(entry["lost"]), entry["last_stamp"])
 
     def _to_time(self, inlet: Inlet, stamp: float) -> Time:
         return self._time.to_msg(stamp + (inlet.correction or 0.0))
@@ -183,3 +202,17 @@ def _chunk_topic(topic: TopicName, header: StreamHeader) -> str:
         return ""
     data = topic.data if header.chunk == header.data_name else header.chunk
     return f"{topic.base}/{data}_chunk"
+
+
+def _is_latched(header: StreamHeader) -> bool:
+    return header.data_name in LATCHED and not header.foreign
+
+
+def _is_named_after_unit(header: StreamHeader) -> bool:
+    """Whether the name stands for one device for good.
+
+    A participant or a label names a place, where a device may be replaced, and
+    another program may give its stream a new source_id at every start.
+    """
+    identity = header.identity
+    return not (header.foreign or identity.participant or identity.label)

@@ -1,0 +1,204 @@
+"""The command line, but for ``run``: what it prints, and how it exits."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+from biosensor_gateway import cli, health, simulate
+
+
+class Outcome(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+Run = Callable[..., Outcome]
+
+DEVICE: dict[str, Any] = {
+    "sensor": "zephyr",
+    "unit": "BHT012345",
+    "participant": "p01",
+    "label": "",
+    "state": "streaming",
+    "error": None,
+    "streams": {"p01@zephyr-ecg": {"pushed": 4711, "lost": 63, "refused": 5, "last_stamp": 1.0}},
+}
+
+
+@pytest.fixture
+def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    path = tmp_path / "config" / "settings.toml"
+    monkeypatch.setenv("BIOSENSOR_GATEWAY_SETTINGS", str(path))
+    return path
+
+
+@pytest.fixture
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("BIOSENSOR_GATEWAY_STATE", str(tmp_path / "state"))
+    return tmp_path / "state"
+
+
+@pytest.fixture
+def run(
+    settings: Path,
+    state: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> Run:
+    del settings, state
+
+    def command(*arguments: str) -> Outcome:
+        monkeypatch.setattr(sys, "argv", ["biosensor-gateway", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        out, err = capsys.readouterr()
+        return Outcome(int(ended.value.code or 0), out, err)
+
+    return command
+
+
+def one_sentence(outcome: Outcome, code: int) -> str:
+    assert outcome.code == code
+    assert outcome.out == ""
+    assert outcome.err.startswith("biosensor-gateway: ")
+    assert outcome.err.count("\n") == 1
+    assert "Traceback" not in outcome.err
+    return outcome.err
+
+
+def write_status(state: Path, *devices: dict[str, Any], age_s: float = 0.0) -> None:
+    written = {"written": time.time() - age_s, "process": 1, "devices": list(devices)}
+    health.write_status(state, written)
+
+
+def test_the_version_is_the_distribution_s(run: Run) -> None:
+    assert run("--version") == (0, f"biosensor-gateway {version('biosensor-gateway')}\n", "")
+
+
+@pytest.mark.parametrize("arguments", [("fly",), ("run", "--high"), ("config", "eat")])
+def test_a_wrong_command_is_a_usage_error(run: Run, arguments: tuple[str, ...]) -> None:
+    outcome = run(*arguments)
+    assert outcome.code == 2
+    assert arguments[-1] in outcome.err
+
+
+def test_config_path_says_where_the_settings_are(run: Run, settings: Path) -> None:
+    assert run("config", "path") == (0, f"{settings}\n", "")
+
+
+def test_config_init_writes_settings_that_config_check_accepts(run: Run, settings: Path) -> None:
+    written = run("config", "init")
+    assert (written.code, written.err) == (0, "")
+    assert str(settings) in written.out
+    checked = run("config", "check")
+    assert checked == (0, f"{settings}: 0 devices, no problem found\n", "")
+
+
+def test_config_init_overwrites_nothing(run: Run, settings: Path) -> None:
+    settings.parent.mkdir()
+    settings.write_text("# mine\n")
+    assert str(settings) in one_sentence(run("config", "init"), 2)
+    assert settings.read_text() == "# mine\n"
+
+
+def test_other_settings_can_be_named(run: Run, settings: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.toml"
+    assert run("config", "init", "--settings", str(other)).code == 0
+    assert run("config", "check", "--settings", str(other)).code == 0
+    assert not settings.exists()
+
+
+@pytest.mark.parametrize("command", [("config", "check"), ("run",)])
+def test_without_settings_it_says_how_to_make_them(
+    run: Run, settings: Path, command: tuple[str, ...]
+) -> None:
+    sentence = one_sentence(run(*command), 2)
+    assert str(settings) in sentence
+    assert "config init" in sentence
+
+
+@pytest.mark.parametrize("command", [("config", "check"), ("run",)])
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[lsl\n", "not valid TOML"),
+        ('[lsl]\nsesion_id = "a"\n', "sesion_id"),
+        ('[lsl]\nport_range = "many"\n', "port_range"),
+        ('[[device]]\nsensor = "zephyr"\nunit = "1"\n', "port"),
+        ('[[device]]\nsensor = "zephir"\nunit = "1"\n', "zephir"),
+    ],
+)
+def test_wrong_settings_are_refused_with_file_and_line(
+    run: Run, settings: Path, command: tuple[str, ...], text: str, words: str
+) -> None:
+    settings.parent.mkdir()
+    settings.write_text(text)
+    outcome = run(*command)
+    assert outcome.code == 2
+    assert words in outcome.err
+    assert str(settings) in outcome.err
+    assert "line" in outcome.err or f"{settings}:" in outcome.err
+    assert "Traceback" not in outcome.err
+
+
+@pytest.mark.parametrize("name", ["toaster", "zephyr,toaster", "all,toaster", "all, toaster"])
+def test_a_virtual_device_that_does_not_exist_is_named(run: Run, name: str) -> None:
+    sentence = one_sentence(run("run", "--simulate", name), 2)
+    assert "toaster'" in sentence
+    assert "zephyr:recording" in sentence
+
+
+@pytest.mark.parametrize("names", [["all"], ["zephyr", "zephyr"], ["all", "zephyr"]])
+def test_each_virtual_device_runs_once(names: list[str]) -> None:
+    with simulate.simulated_settings(names) as settings:
+        assert [device.sensor for device in settings.devices] == ["zephyr"]
+
+
+def test_status_without_an_agent_fails(run: Run) -> None:
+    assert "no agent is running" in one_sentence(run("status"), 1)
+    assert "no agent is running" in one_sentence(run("status", "--json"), 1)
+
+
+def test_status_of_an_agent_that_is_gone_fails(run: Run, state: Path) -> None:
+    write_status(state, DEVICE, age_s=90)
+    assert "90 s ago" in one_sentence(run("status"), 1)
+
+
+def test_a_damaged_status_file_fails(run: Run, state: Path) -> None:
+    state.mkdir()
+    (state / health.STATUS_FILE).write_text("{")
+    assert str(state) in one_sentence(run("status"), 1)
+
+
+def test_status_for_scripts_is_json(run: Run, state: Path) -> None:
+    write_status(state, DEVICE)
+    outcome = run("status", "--json")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert json.loads(outcome.out)["devices"] == [DEVICE]
+
+
+def test_status_for_people_names_devices_states_and_counts(run: Run, state: Path) -> None:
+    absent: dict[str, Any] = {
+        **DEVICE,
+        "participant": "",
+        "label": "[left]",
+        "state": "discovering",
+        "error": "COM7: there is no such port",
+        "streams": {},
+    }
+    write_status(state, DEVICE, absent)
+    outcome = run("status")
+    assert outcome.code == 0
+    assert "p01 zephyr (BHT012345): streaming\n" in outcome.out
+    assert "zephyr [left] (BHT012345): discovering - COM7: there is no such port" in outcome.out
+    row = next(line.split() for line in outcome.out.splitlines() if "4711" in line)
+    assert row == ["p01@zephyr-ecg", "4711", "63", "5"]

@@ -1,0 +1,124 @@
+"""From a driver's samples to stamped, counted ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Generator
+
+import pylsl
+import pytest
+from structlog.testing import capture_logs
+
+from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.outlets import Counters
+from biosensor_gateway.sink import DeviceSink
+
+ECG_PERIOD_S = 0.004
+DEVICE_S = 8.2e8
+
+OpenInlet = Callable[[str], pylsl.StreamInlet]
+
+
+@pytest.fixture
+def sink(unit: str) -> Generator[DeviceSink]:
+    opened = DeviceSink(DeviceIdentity("zephyr", unit))
+    opened.open(DeviceInfo(), {})
+    yield opened
+    opened.close()
+
+
+def counters(sink: DeviceSink, data_name: str) -> Counters:
+    return sink.counters[f"zephyr-{sink.identity.unit}-{data_name}"]
+
+
+def times(count: int, start_s: float = DEVICE_S) -> list[float]:
+    return [start_s + ECG_PERIOD_S * index for index in range(count)]
+
+
+def test_device_times_become_lsl_stamps(sink: DeviceSink, inlet: OpenInlet) -> None:
+    reader = inlet(f"zephyr-{sink.identity.unit}-ecg")
+    arrival = pylsl.local_clock()
+    device_times = times(63)
+    sink.observe(device_times[-1], arrival)
+    sink.emit("ecg", list(range(63)), device_times)
+    for index in range(63):
+        sample, stamp = reader.pull_sample(timeout=20.0)
+        assert sample == [index]
+        # The packet's last sample was measured when it arrived; the others 4 ms apart.
+        assert stamp == pytest.approx(arrival - (62 - index) * ECG_PERIOD_S, abs=1e-6)
+    assert counters(sink, "ecg").pushed == 63
+
+
+def test_stamps_never_run_backwards_when_the_device_clock_does(
+    sink: DeviceSink, inlet: OpenInlet
+) -> None:
+    reader = inlet(f"zephyr-{sink.identity.unit}-ecg")
+    arrival = pylsl.local_clock()
+    with capture_logs() as logs:
+        for start_s, lag_s in ((DEVICE_S, 0.0), (DEVICE_S - 3600, 0.1), (DEVICE_S + 3600, 0.2)):
+            device_times = times(63, start_s)
+            sink.observe(device_times[-1], arrival + lag_s)
+            sink.emit("ecg", [1.0] * 63, device_times)
+    stamps = [reader.pull_sample(timeout=20.0)[1] or math.nan for _ in range(189)]
+    assert stamps == sorted(set(stamps))
+    assert counters(sink, "ecg") == Counters(pushed=189, last_stamp=stamps[-1])
+    jumps = [entry for entry in logs if "jumped" in entry["event"]]
+    assert [entry["unit"] for entry in jumps] == [sink.identity.unit] * 2
+    assert sink.clock_state.reanchors == 2
+
+
+@pytest.mark.parametrize("value", [0, 71])
+def test_a_value_is_sent(sink: DeviceSink, value: int) -> None:
+    sink.observe(DEVICE_S, pylsl.local_clock())
+    sink.emit_value("hr", value, DEVICE_S)
+    assert counters(sink, "hr").pushed == 1
+
+
+def test_no_value_sends_nothing_and_refuses_nothing(sink: DeviceSink) -> None:
+    sink.observe(DEVICE_S, pylsl.local_clock())
+    sink.emit_value("hr", None, DEVICE_S)
+    assert counters(sink, "hr") == Counters()
+
+
+def test_a_cause_of_refusals_is_logged_once_and_counted_always(sink: DeviceSink) -> None:
+    sink.observe(DEVICE_S, pylsl.local_clock())
+    with capture_logs() as logs:
+        for value in (256, 71, 999, 256):
+            sink.emit_value("hr", value, DEVICE_S)
+        sink.emit_value("hrv", -1, DEVICE_S)
+    refusals = [entry for entry in logs if entry["log_level"] == "error"]
+    assert [entry["data"] for entry in refusals] == ["hr", "hrv"]
+    assert "outside 0..255" in refusals[0]["cause"]
+    assert (counters(sink, "hr").refused, counters(sink, "hr").pushed) == (3, 1)
+
+
+def test_losses_are_counted_per_stream(sink: DeviceSink) -> None:
+    sink.lost("ecg", 63)
+    sink.lost("ecg", 126)
+    assert counters(sink, "ecg").lost == 189
+    assert counters(sink, "acc").lost == 0
+
+
+def test_counters_outlive_a_connection(sink: DeviceSink) -> None:
+    sink.lost("ecg", 63)
+    sink.open(DeviceInfo(firmware_version="2"), {})
+    assert counters(sink, "ecg").lost == 63
+
+
+def test_silence_is_counted_from_what_was_last_heard(
+    unit: str, until: Callable[[Callable[[], bool]], None]
+) -> None:
+    sink = DeviceSink(DeviceIdentity("gateway", unit))
+    assert sink.silence_s == math.inf
+    sink.open(DeviceInfo(), {})
+    assert 0 <= sink.silence_s < math.inf
+    until(lambda: sink.silence_s > 0.1)
+    before = pylsl.local_clock()
+    sink.heard()
+    assert sink.silence_s <= pylsl.local_clock() - before
+    sink.close()
+
+
+def test_every_declared_stream_has_its_counters(sink: DeviceSink) -> None:
+    assert len(sink.counters) == 13
+    assert all(each == Counters() for each in sink.counters.values())

@@ -1,0 +1,157 @@
+"""The node's count of lost samples is exact, however samples and reports are interleaved."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lsl_to_ros.losses import LossAccount, Losses
+
+
+class Push(NamedTuple):
+    """Samples pushed with one stamp: for each, whether it arrives."""
+
+    arrives: list[bool]
+
+
+class Report(NamedTuple):
+    lost: int
+
+
+class Deliver(NamedTuple):
+    samples: int
+    reports: int
+
+
+events = st.lists(
+    st.one_of(
+        st.builds(Push, st.lists(st.booleans(), min_size=1, max_size=5)),
+        st.builds(Report, st.integers(0, 3)),
+        st.builds(Deliver, st.integers(0, 10), st.integers(0, 3)),
+    ),
+    max_size=60,
+)
+
+
+class Link:
+    """An agent that pushes and reports over two connections that do not wait for each other."""
+
+    def __init__(self, pushed_before: int) -> None:
+        self.account = LossAccount()
+        self.dropped = 0
+        self.lost = 0
+        self._pushed = pushed_before
+        self._stamp = float(pushed_before)
+        self._samples: deque[float] = deque()
+        self._reports: deque[tuple[int, int, float]] = deque()
+
+    def push(self, arrives: list[bool]) -> None:
+        self._stamp += 1.0
+        self._pushed += len(arrives)
+        self.dropped += arrives.count(False)
+        self._samples.extend([self._stamp] * arrives.count(True))
+
+    def report(self, lost: int = 0) -> None:
+        self.lost += lost
+        self._reports.append((self._pushed, self.lost, self._stamp))
+
+    def deliver(self, samples: int, reports: int) -> None:
+        for _ in range(min(samples, len(self._samples))):
+            self.account.pulled(self._samples.popleft())
+        for _ in range(min(reports, len(self._reports))):
+            self.account.reported(*self._reports.popleft())
+
+    def deliver_all(self) -> None:
+        self.deliver(len(self._samples), len(self._reports))
+
+    def settle(self) -> None:
+        """A report, and a later sample that shows that all before it have come."""
+        self.push([True])
+        self.report()
+        self.push([True])
+        self.deliver_all()
+
+
+@given(pushed_before=st.integers(0, 1000), events=events)
+def test_exactly_what_is_missing_is_reported(
+    pushed_before: int, events: list[Push | Report | Deliver]
+) -> None:
+    link = Link(pushed_before)
+    link.settle()
+    assert link.account.losses == Losses(device=0, transport=0)
+    for event in events:
+        match event:
+            case Push(arrives):
+                link.push(arrives)
+            case Report(lost):
+                link.report(lost)
+            case Deliver(samples, reports):
+                link.deliver(samples, reports)
+        losses = link.account.losses
+        assert losses is not None
+        assert 0 <= losses.transport <= link.dropped
+        assert 0 <= losses.device <= link.lost
+    link.settle()
+    assert link.account.losses == Losses(device=link.lost, transport=link.dropped)
+
+
+def test_a_sample_is_lost_whether_before_or_after_the_agent() -> None:
+    assert Losses(device=3, transport=4).total == 7
+
+
+def test_nothing_is_said_before_the_agent_has_said_something() -> None:
+    account = LossAccount()
+    account.pulled(1.0)
+    assert account.losses is None
+
+
+def test_a_stream_that_has_pushed_nothing_has_lost_what_the_device_lost() -> None:
+    account = LossAccount()
+    account.reported(0, 7, 0.0)
+    assert account.losses == Losses(device=7, transport=0)
+
+
+def test_a_report_waits_for_the_rest_of_its_newest_stamp() -> None:
+    link = Link(0)
+    link.settle()
+    link.push([True, True])
+    link.report()
+    link.deliver(1, 1)
+    assert link.account.losses == Losses(device=0, transport=0)
+    link.deliver_all()
+    assert link.account.losses == Losses(device=0, transport=0)
+
+
+def test_an_idle_stream_still_shows_what_its_device_loses() -> None:
+    link = Link(0)
+    link.settle()
+    link.report(lost=4)
+    link.deliver_all()
+    assert link.account.losses == Losses(device=4, transport=0)
+
+
+def test_a_report_too_old_to_compare_changes_nothing() -> None:
+    link = Link(0)
+    link.settle()
+    link.push([False])
+    link.report()
+    for _ in range(5000):
+        link.push([True])
+    link.deliver(5000, 0)
+    link.deliver(0, 1)
+    assert link.account.losses == Losses(device=0, transport=0)
+
+
+def test_an_agent_that_starts_anew_is_compared_anew() -> None:
+    link = Link(0)
+    link.settle()
+    link.push([False, True])
+    link.settle()
+    link.account.restarted()
+    again = Link(0)
+    again.account = link.account
+    again.settle()
+    assert link.account.losses == Losses(device=0, transport=0)

@@ -1,0 +1,190 @@
+"""Which parameter holds for a stream, and which are refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import count
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from biosensor_common.spec import DeviceIdentity
+from lsl_to_ros.parameters import Parameters, StreamSettings, prefixes
+
+if TYPE_CHECKING:
+    from tests.ros.conftest import Ros
+
+PLAIN = DeviceIdentity("zephyr", "BH1")
+FULL = DeviceIdentity("empatica_e4", "A1", participant="p01", label="left")
+DEFAULT = StreamSettings(raw=True, chunk=True, chunk_length=128)
+
+_numbers = count()
+MakeNode = Callable[..., Node]
+
+
+@pytest.fixture
+def make_node(ros: Ros) -> Iterator[MakeNode]:
+    assert ros is not None
+    nodes: list[Node] = []
+
+    def make(**overrides: Any) -> Node:
+        given = [Parameter(name.replace("__", "."), value=v) for name, v in overrides.items()]
+        node = Node(
+            f"parameters_{next(_numbers)}",
+            allow_undeclared_parameters=True,
+            automatically_declare_parameters_from_overrides=True,
+            parameter_overrides=given,
+        )
+        nodes.append(node)
+        return node
+
+    yield make
+    for node in nodes:
+        node.destroy_node()
+
+
+def set_to(node: Node, **values: Any) -> str:
+    given = [Parameter(name.replace("__", "."), value=v) for name, v in values.items()]
+    return "".join(result.reason for result in node.set_parameters(given))
+
+
+def test_the_most_specific_prefix_comes_first() -> None:
+    assert prefixes(PLAIN, "ecg") == ["zephyr.ecg", "zephyr"]
+    assert prefixes(FULL, "bvp") == [
+        "p01.empatica_e4_left.bvp",
+        "p01.empatica_e4.bvp",
+        "empatica_e4_left.bvp",
+        "empatica_e4.bvp",
+        "p01.empatica_e4_left",
+        "p01.empatica_e4",
+        "empatica_e4_left",
+        "empatica_e4",
+    ]
+
+
+def test_defaults_are_those_of_the_original_framework(make_node: MakeNode) -> None:
+    assert Parameters(make_node()).settings(PLAIN, "ecg", "ecg") == DEFAULT
+
+
+def test_each_more_specific_key_wins(make_node: MakeNode) -> None:
+    node = make_node()
+    parameters = Parameters(node)
+
+    def lengths() -> tuple[int, int, int]:
+        wanted = ((FULL, "bvp"), (FULL, "gsr"), (PLAIN, "ecg"))
+        left, middle, right = (
+            parameters.settings(who, what, what).chunk_length for who, what in wanted
+        )
+        return left, middle, right
+
+    steps: list[tuple[str, tuple[int, int, int]]] = [
+        ("Chunk_Length", (1, 1, 1)),
+        ("empatica_e4__Chunk_Length", (2, 2, 1)),
+        ("empatica_e4_left__Chunk_Length", (3, 3, 1)),
+        ("p01__empatica_e4__Chunk_Length", (4, 4, 1)),
+        ("p01__empatica_e4_left__Chunk_Length", (5, 5, 1)),
+        ("empatica_e4__bvp__Chunk_Length", (6, 5, 1)),
+        ("p01__empatica_e4_left__bvp__Chunk_Length", (7, 5, 1)),
+    ]
+    for number, (name, expected) in enumerate(steps, 1):
+        assert set_to(node, **{name: number}) == ""
+        assert lengths() == expected
+
+
+def test_a_chunk_needs_both_enables(make_node: MakeNode) -> None:
+    node = make_node()
+    parameters = Parameters(node)
+    for sensor_on, chunk_on in ((True, False), (False, True), (False, False)):
+        assert set_to(node, Sensor_Enable=sensor_on, Chunk_Enable=chunk_on) == ""
+        settings = parameters.settings(PLAIN, "ecg", "ecg")
+        assert (settings.raw, settings.chunk) == (sensor_on, False)
+
+
+def test_a_chunk_with_a_name_of_its_own_has_parameters_of_its_own(make_node: MakeNode) -> None:
+    node = make_node()
+    parameters = Parameters(node)
+    assert set_to(node, zephyr__breathing__Chunk_Length=3, zephyr__br__Chunk_Length=5) == ""
+    assert set_to(node, zephyr__br__Sensor_Enable=False) == ""
+    breathing = parameters.settings(PLAIN, "breathing", "br")
+    assert breathing == StreamSettings(raw=True, chunk=False, chunk_length=5)
+    assert not parameters.settings(PLAIN, "br", "").raw
+
+
+@pytest.mark.parametrize("prefix", ["", "zephyr__", "p01__zephyr__", "zephyr__ecg__"])
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("Chunk_Length", 0),
+        ("Chunk_Length", -1),
+        ("Chunk_Length", 100_001),
+        ("Chunk_Length", 12.0),
+        ("Chunk_Length", True),
+        ("Chunk_Length", "12"),
+        ("Chunk_Enable", 1),
+        ("Sensor_Enable", "yes"),
+    ],
+)
+def test_a_wrong_value_is_refused_with_a_reason_and_changes_nothing(
+    make_node: MakeNode, prefix: str, key: str, value: Any
+) -> None:
+    node = make_node()
+    parameters = Parameters(node)
+    reason = set_to(node, **{prefix + key: value})
+    assert reason
+    assert parameters.settings(PLAIN, "ecg", "ecg") == DEFAULT
+
+
+@pytest.mark.parametrize(
+    "name", ["zephyr__Sensor_Enabled", "zephyr__ecg__length", "Sensor_Enabled", "chunk_length"]
+)
+def test_a_misspelt_name_is_refused(make_node: MakeNode, name: str) -> None:
+    node = make_node()
+    Parameters(node)
+    reason = set_to(node, **{name: True})
+    assert name.replace("__", ".") in reason
+    assert "Sensor_Enable" in reason
+    assert not node.has_parameter(name.replace("__", "."))
+
+
+def test_other_parameters_of_a_node_are_left_alone(make_node: MakeNode) -> None:
+    node = make_node(topic_prefix="x", qos_overrides__any__depth=3)
+    Parameters(node)
+    assert set_to(node, use_sim_time=False, topic_prefix="y") == ""
+    assert node.get_parameter("qos_overrides.any.depth").value == 3
+
+
+def test_bad_values_of_a_file_are_dropped_and_the_good_ones_hold(make_node: MakeNode) -> None:
+    node = make_node(
+        Chunk_Length=0, zephyr__Chunk_Length=7, zephyr__ecg__Chunk_Enable="no", Chunk_Lenght=9
+    )
+    parameters = Parameters(node)
+    settings = parameters.settings(PLAIN, "ecg", "ecg")
+    assert settings == StreamSettings(raw=True, chunk=True, chunk_length=7)
+    other = parameters.settings(FULL, "bvp", "bvp")
+    assert other == DEFAULT
+    assert not node.has_parameter("Chunk_Lenght")
+
+
+def test_a_streams_keys_are_listed_without_being_set(make_node: MakeNode) -> None:
+    node = make_node(zephyr__ecg__Chunk_Length=9)
+    parameters = Parameters(node)
+    parameters.declare(PLAIN, "ecg", "ecg")
+    for name in ("zephyr.Sensor_Enable", "zephyr.ecg.Chunk_Enable"):
+        assert node.has_parameter(name)
+        assert node.get_parameter(name).value is None
+    assert parameters.settings(PLAIN, "ecg", "ecg").chunk_length == 9
+    assert set_to(node, zephyr__ecg__Chunk_Enable=3)
+    assert set_to(node, zephyr__ecg__Chunk_Enable=False) == ""
+    assert not parameters.settings(PLAIN, "ecg", "ecg").chunk
+
+
+def test_a_listener_hears_of_every_change(make_node: MakeNode) -> None:
+    node = make_node()
+    parameters = Parameters(node)
+    calls: list[int] = []
+    parameters.on_change(lambda: calls.append(1))
+    set_to(node, Chunk_Length=5)
+    set_to(node, Chunk_Length=0)
+    assert len(calls) == 1
