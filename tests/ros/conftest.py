@@ -47,7 +47,7 @@ class Ros:
         self._executor.add_node(self.node)
         self._set = self.node.create_client(SetParameters, "/lsl_to_ros/set_parameters")
         self._status: dict[str, Status] = {}
-        self._reports = 0
+        self._reported_ns = 0
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._take, 100)
 
     def close(self) -> None:
@@ -82,8 +82,8 @@ class Ros:
 
     def report(self) -> None:
         """Wait for a report that was begun after this call."""
-        enough = self._reports + 2
-        self.until(lambda: self._reports >= enough, "a report on /diagnostics")
+        begun = time.time_ns()
+        self.until(lambda: self._reported_ns >= begun, "a report on /diagnostics")
 
     def attached(self, topic: str, readers: int = 0) -> None:
         """Wait until the node has that stream, and subscribers for its topics."""
@@ -105,7 +105,8 @@ class Ros:
         return result.reason
 
     def _take(self, report: DiagnosticArray) -> None:
-        self._reports += 1
+        stamp = report.header.stamp
+        self._reported_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
         self._status = {
             status.name.removeprefix("lsl_to_ros: "): Status(
                 status.level,

@@ -81,14 +81,10 @@ def test_a_stream_with_another_channel_count_is_never_published_in_a_wrong_shape
     heard = ros.listen(Float32MultiArray, topic)
     for channels in (2, 5, 3):
         outlet = foreign("shape", "EEG", channels, "one id")
-        seen = len(heard)
-
-        def arrived(seen: int = seen) -> bool:
-            return len(heard) > seen
 
         def push(outlet: pylsl.StreamOutlet = outlet, channels: int = channels) -> bool:
             outlet.push_sample([float(channels)] * channels, pylsl.local_clock())
-            return arrived()
+            return any(len(message.data) == channels for message in heard)
 
         ros.until(push, f"a sample of {channels} channels")
         del outlet, push
@@ -166,48 +162,66 @@ def test_of_streams_that_claim_to_be_one_the_newest_stays_and_the_log_says_so(
     assert node.count(*said) == 2
 
 
-STEPS = ["AB", "BA", "AaB", "ABaA", "ABabBA"]
-SENSORS = ["polar_h10", "zephyr", "shimmer3_gsr", "empatica_e4", "ble_heart_rate"]
+VALUES = {"A": 1.0, "B": 2.0}
+# A capital starts the unit of that name, a small letter stops it.
+ORDERS = [
+    ("AB", "polar_h10", "ibi"),
+    ("BA", "zephyr", "ibi"),
+    ("AaB", "shimmer3_gsr", "hr"),
+    ("ABaA", "empatica_e4", "ibi"),
+    ("ABabBA", "ble_heart_rate", "ibi"),
+]
 
 
-@pytest.mark.parametrize(("steps", "name"), list(zip(STEPS, SENSORS, strict=True)))
-def test_data_of_one_unit_never_appears_under_the_topic_of_another(
-    ros: Ros, steps: str, name: str
-) -> None:
-    """A capital starts the unit of that name, a small letter stops it."""
-    values = {"A": 1.0, "B": 2.0}
-    bare = f"/biosensors/{name}/ibi"
-    data = "ibi"
-    if name == "shimmer3_gsr":
-        bare, data = f"/biosensors/{name}/hr", "hr"
-    own = {unit: f"/biosensors/{name}_{unit}/{data}" for unit in values}
-    heard = {topic: ros.listen(Float32, topic) for topic in (bare, *own.values())}
-    running: dict[str, Outlet] = {}
-    for number, step in enumerate(steps):
-        if step.islower():
-            del running[step.upper()]
-            ros.until(lambda step=step: own[step.upper()] not in ros.present(), "its end")
-            ros.until(lambda: bare not in ros.present(), "the end of the bare topic")
-            continue
-        running[step] = declared(name, data, step)
-        topic = own[step] if number else bare
-        for messages in heard.values():
-            messages.clear()
-        flow(ros, running[step], values[step], lambda topic=topic: bool(heard[topic]))
-        assert numbers(heard[topic]) == {values[step]}
-        if number:
-            assert heard[bare] == []
-    for unit, outlet in running.items():
-        heard[own[unit]].clear()
-        flow(ros, outlet, values[unit], lambda unit=unit: bool(heard[own[unit]]))
-        assert numbers(heard[own[unit]]) == {values[unit]}
-        ros.report()
-        status = ros.status(own[unit])
-        assert status is not None
-        assert status.level == DiagnosticStatus.ERROR
-        assert "label" in status.message
-    assert bare not in ros.present()
-    ros.until(lambda: ros.node.count_publishers(bare) == 0, "the bare topic closed")
+class Pair:
+    """Two units of one sensor without labels, started and stopped in some order."""
+
+    def __init__(self, ros: Ros, steps: str, name: str, data: str) -> None:
+        self.steps = steps
+        self.bare = f"/biosensors/{name}/{data}"
+        self.own = {unit: f"/biosensors/{name}_{unit}/{data}" for unit in VALUES}
+        self.heard = {
+            topic: ros.listen(Float32, topic) for topic in (self.bare, *self.own.values())
+        }
+        self.running: dict[str, Outlet] = {}
+        self._name, self._data = name, data
+
+    def begin(self, number: int) -> None:
+        step = self.steps[number : number + 1]
+        if step.isupper():
+            self.running[step] = declared(self._name, self._data, step)
+        elif step:
+            del self.running[step.upper()]
+        self.topics = {unit: self.own[unit] if number else self.bare for unit in self.running}
+        for topic in self.topics.values():
+            self.heard[topic].clear()
+
+    def is_done(self, present: set[str]) -> bool:
+        """Whether the present units, and no others, are on their topics."""
+        for unit, outlet in self.running.items():
+            assert outlet.push([VALUES[unit]], [pylsl.local_clock()]) is None
+        mine = {self.bare, *self.own.values()} & present
+        return mine == set(self.topics.values()) and all(map(self.heard.get, mine))
+
+
+def test_data_of_one_unit_never_appears_under_the_topic_of_another(ros: Ros) -> None:
+    pairs = [Pair(ros, *order) for order in ORDERS]
+    for number in range(max(len(pair.steps) for pair in pairs)):
+        for pair in pairs:
+            pair.begin(number)
+        ros.until(
+            lambda: all(pair.is_done(ros.present()) for pair in pairs), f"step {number} of each"
+        )
+    for pair in pairs:
+        ros.until(lambda bare=pair.bare: ros.node.count_publishers(bare) == 0, "its end")
+        assert numbers(pair.heard[pair.bare]) == {VALUES[pair.steps[0]]}
+        for unit, topic in pair.own.items():
+            assert numbers(pair.heard[topic]) <= {VALUES[unit]}
+        for unit in pair.running:
+            status = ros.status(pair.own[unit])
+            assert status is not None
+            assert status.level == DiagnosticStatus.ERROR
+            assert "label" in status.message
 
 
 def test_labels_and_participants_keep_devices_of_a_kind_apart(ros: Ros) -> None:

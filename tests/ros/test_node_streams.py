@@ -115,30 +115,30 @@ def test_a_chunk_never_spans_a_gap(ros: Ros) -> None:
     assert status["received"] == "35"
 
 
-@pytest.mark.parametrize(
-    ("format_", "message_class", "values"),
-    [
-        ("float32", Float32MultiArray, [0.5, -3.25, math.inf, 16777216.0]),
-        ("double64", Float64MultiArray, [0.1, 1.7976931348623157e308, 5e-324, -math.pi]),
-        ("int8", Int32MultiArray, [-128, 127, 0, 1]),
-        ("int16", Int32MultiArray, [-32768, 32767, 0, 1]),
-        ("int32", Int32MultiArray, [-(2**31), 2**31 - 1, 0, 16777217]),
-        ("int64", Int64MultiArray, [-(2**63), 2**63 - 1, 2**53 + 1, 1]),
-    ],
-)
-def test_a_stream_of_another_program_keeps_its_precision(
-    ros: Ros, format_: str, message_class: type[Any], values: list[float]
-) -> None:
-    outlet = foreign(f"plain_{format_}", "Gaze", 4, 50.0, format_)
-    topic = f"/biosensors/plain_{format_}/Gaze"
-    assert ros.set(f"plain_{format_}.Chunk_Length", 1) == ""
-    raw = ros.listen(message_class, topic)
-    chunks = ros.listen(message_class, f"{topic}_chunk")
-    ros.attached(topic, readers=2)
-    outlet.push_sample(values, pylsl.local_clock())
-    ros.until(lambda: bool(raw and chunks), "a sample and its chunk")
-    assert list(raw[0].data) == list(chunks[0].data) == values
-    assert layout(raw[0]) == [("channels", 4, 4)]
+LIMITS: list[tuple[str, type[Any], list[float]]] = [
+    ("float32", Float32MultiArray, [0.5, -3.25, math.inf, 16777216.0]),
+    ("double64", Float64MultiArray, [0.1, 1.7976931348623157e308, 5e-324, -math.pi]),
+    ("int8", Int32MultiArray, [-128, 127, 0, 1]),
+    ("int16", Int32MultiArray, [-32768, 32767, 0, 1]),
+    ("int32", Int32MultiArray, [-(2**31), 2**31 - 1, 0, 16777217]),
+    ("int64", Int64MultiArray, [-(2**63), 2**63 - 1, 2**53 + 1, 1]),
+]
+
+
+def test_streams_of_other_programs_keep_their_precision(ros: Ros) -> None:
+    opened: list[tuple[pylsl.StreamOutlet, list[Any], list[Any]]] = []
+    for format_, message_class, _ in LIMITS:
+        topic = f"/biosensors/plain_{format_}/Gaze"
+        assert ros.set(f"plain_{format_}.Chunk_Length", 1) == ""
+        raw, chunks = ros.listen(message_class, topic), ros.listen(message_class, f"{topic}_chunk")
+        opened.append((foreign(f"plain_{format_}", "Gaze", 4, 50.0, format_), raw, chunks))
+    for format_, _, _ in LIMITS:
+        ros.attached(f"/biosensors/plain_{format_}/Gaze", readers=2)
+    for (outlet, raw, chunks), (format_, _, values) in zip(opened, LIMITS, strict=True):
+        outlet.push_sample(values, pylsl.local_clock())
+        ros.until(lambda raw=raw, chunks=chunks: bool(raw and chunks), f"a sample of {format_}")
+        assert list(raw[0].data) == list(chunks[0].data) == values
+        assert layout(raw[0]) == [("channels", 4, 4)]
 
 
 def test_hostile_names_of_marker_streams_give_valid_topics(ros: Ros) -> None:

@@ -275,7 +275,8 @@ def test_no_flipped_bit_makes_another_data_packet(message_id: int) -> None:
 def test_giving_up_releases_what_a_torn_frame_hid() -> None:
     torn = _ECG[:10]
     protocol = ZephyrProtocol()
-    assert protocol.feed(torn + LIFESIGN + request(0x16)) == []
+    acknowledgement = bytes.fromhex("0216000006")
+    assert protocol.feed(torn + LIFESIGN + acknowledgement) == []
     assert protocol.buffered == len(torn) + 10
     assert protocol.give_up() == [Lifesign(), Reply(0x16, accepted=True, data=b"")]
     assert (protocol.dropped_bytes, protocol.buffered) == (len(torn), 0)

@@ -267,6 +267,7 @@ def test_a_refused_request_is_told_from_an_accepted_one() -> None:
         reply = request(packet)[:-1]
         assert _only(reply + b"\x15") == messages.Reply(packet, accepted=False, data=b"")
         assert _only(reply + b"\x06") == messages.Reply(packet, accepted=True, data=b"")
+        assert _only(reply + b"\x03") == messages.Unknown(packet), "an echo is no answer"
 
 
 @pytest.mark.parametrize("code", _EVENTS)

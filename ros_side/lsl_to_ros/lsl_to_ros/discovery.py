@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from itertools import count
 from time import monotonic
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ from lsl_to_ros.inlets import Inlet, InletState
 RETRY_S = 0.5
 RETRY_FAILED_S = 5.0
 FORGET_AFTER_S = 5.0
-# An outlet that is reported for longer after it was replaced is alive.
+# An outlet that is reported for longer after another took its place is alive.
 ALIVE_AFTER_S = FORGET_AFTER_S + 2.0
 STOP_TIMEOUT_S = 1.0
 
@@ -26,15 +26,6 @@ class Changes(NamedTuple):
 
     ready: list[Inlet]
     gone: list[Inlet]
-
-
-@dataclass(slots=True)
-class _Successor:
-    """Which outlet took an outlet's place."""
-
-    uid: str
-    since: float
-    warned: bool = False
 
 
 class Discovery:
@@ -50,9 +41,12 @@ class Discovery:
         self._resolver = pylsl.ContinuousResolver(forget_after=FORGET_AFTER_S)
         self._inlets: dict[str, Inlet] = {}
         self._announced: set[str] = set()
+        self._order: dict[str, int] = {}
+        self._numbers = count()
         self._not_before: dict[str, float] = {}
-        self._successor: dict[str, _Successor] = {}
+        self._left_out: dict[str, float] = {}
         self._refused: set[str] = set()
+        self._warned: set[str] = set()
 
     @property
     def inlets(self) -> list[Inlet]:
@@ -64,7 +58,8 @@ class Discovery:
         gone = self._ended()
         found = {info.uid(): info for info in self._resolver.results()}
         for uid, info in found.items():
-            if self._is_new(uid):
+            self._order.setdefault(uid, next(self._numbers))
+            if self._is_new(uid) and not self._is_superseded(info):
                 gone += self._open(info)
         self._forget(gone, found)
         self._warn_of_twins(found)
@@ -102,35 +97,34 @@ class Discovery:
             self._warn(f"an LSL stream is ignored: {error}")
             self._refused.add(info.uid())
             return []
-        replaced = self._replaced_by(info)
+        replaced = [other for other in self.inlets if other.continues_as(info)]
         self._inlets[inlet.uid] = inlet
+        self._left_out.pop(inlet.uid, None)
         return replaced
 
     def _is_new(self, uid: str) -> bool:
         if uid in self._inlets or uid in self._refused:
             return False
-        if monotonic() < self._not_before.get(uid, 0.0):
-            return False
-        # Two outlets may share a source_id; attaching to both in turn would lose samples.
-        successor = self._successor.get(uid)
-        return successor is None or successor.uid not in self._inlets
+        return monotonic() >= self._not_before.get(uid, 0.0)
 
-    def _replaced_by(self, info: pylsl.StreamInfo) -> list[Inlet]:
-        replaced = [inlet for inlet in self.inlets if inlet.continues_as(info)]
-        uids = {inlet.uid for inlet in replaced}
-        for successor in self._successor.values():
-            if successor.uid in uids:
-                successor.uid = info.uid()
-        self._successor.update((uid, _Successor(info.uid(), monotonic())) for uid in uids)
-        self._successor.pop(info.uid(), None)
-        return replaced
+    def _is_superseded(self, info: pylsl.StreamInfo) -> bool:
+        """Whether an outlet that appeared later took the place of this one.
+
+        The earlier one is dead and still reported; or both live and share a source_id,
+        where attaching to them in turn would lose samples of both.
+        """
+        uid = info.uid()
+        later = [inlet for inlet in self.inlets if self._order[inlet.uid] > self._order[uid]]
+        if not any(inlet.continues_as(info) for inlet in later):
+            return False
+        self._left_out.setdefault(uid, monotonic())
+        return True
 
     def _warn_of_twins(self, found: Mapping[str, pylsl.StreamInfo]) -> None:
-        """Say that an outlet is left out because a newer one claims to be the same stream."""
-        for uid, successor in self._successor.items():
-            is_alive = monotonic() - successor.since > ALIVE_AFTER_S
-            if is_alive and not successor.warned and successor.uid in self._inlets:
-                successor.warned = True
+        """Say that a live outlet is left out because a later one claims to be the same stream."""
+        for uid, since in self._left_out.items():
+            if monotonic() - since > ALIVE_AFTER_S and uid not in self._warned:
+                self._warned.add(uid)
                 name, host = found[uid].name(), found[uid].hostname()
                 self._warn(
                     f"two LSL streams {name!r} share a source_id; that on {host} is left out"
@@ -141,7 +135,9 @@ class Discovery:
             inlet.stop()
             self._inlets.pop(inlet.uid, None)
             self._announced.discard(inlet.uid)
-        for record in (self._not_before, self._successor):
-            for uid in [uid for uid in record if uid not in found]:
+        known = found.keys() | self._inlets.keys()
+        for record in (self._not_before, self._left_out, self._order):
+            for uid in record.keys() - known:
                 del record[uid]
         self._refused.intersection_update(found)
+        self._warned.intersection_update(found)

@@ -12,6 +12,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from biosensor_common import naming
 from biosensor_common.naming import TopicName, resolve_topics
 from biosensor_common.quantities import MessageType
 from biosensor_common.spec import DeviceIdentity
@@ -114,7 +115,17 @@ class Routing:
             if route.topic is not None:
                 renamed.append(route.topic)
             self._connect(route, topic)
-        self._close({topic.base for topic in renamed})
+        self._close({topic.base for topic in renamed} | self._crowded())
+
+    def _crowded(self) -> set[str]:
+        """Names that several units would have; the one that had it may be absent by now."""
+        return {
+            naming.topic(route.header.identity, route.header.data_name, self._prefix).rpartition(
+                "/"
+            )[0]
+            for route in self._routes.values()
+            if route.topic is not None and route.topic.conflict
+        }
 
     def _connect(self, route: Route, topic: TopicName) -> None:
         header = route.header

@@ -123,12 +123,12 @@ class ZephyrDriver:
         try:
             async with asyncio.timeout(REPLY_TIMEOUT_S):
                 while True:
-                    for message, arrival in await self._receive():
-                        if isinstance(message, Reply):
-                            if message.request_id == packet:
-                                return message
-                        else:
-                            self._early.append((message, arrival))
+                    received = await self._receive()
+                    # All of it first: samples may follow the reply in the same read.
+                    self._early += [each for each in received if not isinstance(each[0], Reply)]
+                    for message, _ in received:
+                        if isinstance(message, Reply) and message.request_id == packet:
+                            return message
         except TimeoutError:
             return None
 

@@ -1,0 +1,150 @@
+"""What each parameter of the running node silences, and which ones it refuses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import pylsl
+import pytest
+from std_msgs.msg import Float32, Float32MultiArray
+
+from biosensor_common.registry import sensor
+from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.outlets import Outlet
+
+if TYPE_CHECKING:
+    from tests.ros.conftest import Ros
+
+pytestmark = pytest.mark.usefixtures("node")
+
+LENGTH = 4
+
+
+class Belt:
+    """A virtual device with a raw, a chunk and a hardware topic."""
+
+    def __init__(self, ros: Ros, who: str, label: str = "") -> None:
+        self._ros = ros
+        identity = DeviceIdentity("polar_h10", "U1", participant=who, label=label)
+        ecg, acc = (sensor("polar_h10").stream(data) for data in ("ecg", "acc"))
+        self._ecg = Outlet(ecg, identity, DeviceInfo())
+        self._acc = Outlet(acc, identity, DeviceInfo())
+        self._base = f"/{who}/biosensors/polar_h10" + (f"_{label}" if label else "")
+        self._stamp = pylsl.local_clock() - 10.0
+        self._pushed = 0
+        self._heard = {
+            name: ros.listen(kind, f"{self._base}/{name}")
+            for name, kind in (
+                ("ecg", Float32),
+                ("ecg_chunk", Float32MultiArray),
+                ("acc", Float32MultiArray),
+            )
+        }
+
+    def attach(self) -> None:
+        self._ros.attached(f"{self._base}/ecg", readers=2)
+        self._ros.attached(f"{self._base}/acc", readers=1)
+
+    def round(self) -> dict[str, int]:
+        """Push a chunk's worth of samples; return the number of messages by topic."""
+        before = {name: len(messages) for name, messages in self._heard.items()}
+        for _ in range(LENGTH):
+            self._stamp += 1 / 130
+            self._pushed += 1
+            assert self._ecg.push([float(self._pushed)], [self._stamp]) is None
+            assert self._acc.push([[0.0, 0.0, 1.0]], [self._stamp]) is None
+        self._ros.until(self._has_received_all, "all samples at the node")
+        # What the node published before that report is here when the report is.
+        self._ros.report()
+        return {name: len(messages) - before[name] for name, messages in self._heard.items()}
+
+    def _has_received_all(self) -> bool:
+        statuses = (self._ros.status(f"{self._base}/{data}") for data in ("ecg", "acc"))
+        return all(s is not None and s["received"] == str(self._pushed) for s in statuses)
+
+
+ALL = {"ecg": LENGTH, "ecg_chunk": 1, "acc": LENGTH}
+NO_CHUNKS = {**ALL, "ecg_chunk": 0}
+NOTHING = dict.fromkeys(ALL, 0)
+
+
+@pytest.fixture(autouse=True)
+def defaults(ros: Ros) -> Iterator[None]:
+    assert ros.set("Chunk_Length", LENGTH) == ""
+    yield
+    assert ros.set("Sensor_Enable", value=True) == ""
+    assert ros.set("Chunk_Enable", value=True) == ""
+
+
+def test_sensor_enable_silences_everything_and_chunk_enable_the_chunks(ros: Ros) -> None:
+    belt = Belt(ros, "everything")
+    belt.attach()
+    assert belt.round() == ALL
+    assert ros.set("Chunk_Enable", value=False) == ""
+    assert belt.round() == NO_CHUNKS
+    assert ros.set("Sensor_Enable", value=False) == ""
+    assert belt.round() == NOTHING
+    assert ros.set("Chunk_Enable", value=True) == ""
+    assert belt.round() == NOTHING
+    assert ros.set("Sensor_Enable", value=True) == ""
+    assert belt.round() == ALL
+
+
+def test_the_most_specific_key_wins_also_if_it_was_set_before_the_stream_came(ros: Ros) -> None:
+    assert ros.set("Sensor_Enable", value=False) == ""
+    assert ros.set("specific.polar_h10_left.Sensor_Enable", value=True) == ""
+    assert ros.set("specific.polar_h10_left.acc.Sensor_Enable", value=False) == ""
+    left, right = Belt(ros, "specific", "left"), Belt(ros, "specific", "right")
+    left.attach()
+    right.attach()
+    assert left.round() == {**ALL, "acc": 0}
+    assert right.round() == NOTHING
+    assert ros.set("specific.polar_h10.ecg.Sensor_Enable", value=True) == ""
+    assert ros.set("specific.polar_h10.ecg.Chunk_Enable", value=False) == ""
+    assert right.round() == {"ecg": LENGTH, "ecg_chunk": 0, "acc": 0}
+    # A data name of the sensor is more specific than a label without a data name.
+    assert left.round() == {"ecg": LENGTH, "ecg_chunk": 0, "acc": 0}
+
+
+def test_the_chunk_of_the_breathing_waveform_belongs_to_the_rate(ros: Ros) -> None:
+    identity = DeviceIdentity("zephyr", "U1", participant="breath")
+    stream = sensor("zephyr").stream("breathing")
+    outlet = Outlet(stream, identity, DeviceInfo())
+    base = "/breath/biosensors/zephyr"
+    raw = ros.listen(Float32, f"{base}/breathing")
+    chunks = ros.listen(Float32MultiArray, f"{base}/br_chunk")
+    assert ros.set("breath.zephyr.br.Chunk_Length", 3) == ""
+    assert ros.set("breath.zephyr.breathing.Chunk_Length", 2) == ""
+    ros.attached(f"{base}/breathing", readers=2)
+    start = pylsl.local_clock() - 5.0
+    stamps = [start + number * 0.056 for number in range(6)]
+    assert outlet.push(range(6), stamps) is None
+    ros.until(lambda: len(raw) == 6 and len(chunks) == 2, "six samples, two chunks")
+    assert [list(chunk.data) for chunk in chunks] == [[0, 1, 2], [3, 4, 5]]
+    assert ros.set("breath.zephyr.br.Sensor_Enable", value=False) == ""
+    assert outlet.push(range(6), [stamp + 6 * 0.056 for stamp in stamps]) is None
+    ros.until(lambda: len(raw) == 12, "six more samples")
+    ros.report()
+    assert len(chunks) == 2
+    assert f"{base}/breathing_chunk" not in ros.topics()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("Chunk_Length", 0),
+        ("Chunk_Length", 100_001),
+        ("Chunk_Length", 12.5),
+        ("Chunk_Enable", 1),
+        ("polar_h10.Sensor_Enable", "true"),
+        ("polar_h10.ecg.Chunk_Length", -1),
+        ("polar_h10.ecg.Chunk_Lenght", 12),
+        ("Sensor_Enabled", True),
+        ("topic_prefix", "elsewhere"),
+    ],
+)
+def test_a_refusal_comes_back_with_its_reason(ros: Ros, name: str, value: Any) -> None:
+    reason = ros.set(name, value)
+    assert reason
+    assert name == "topic_prefix" or name in reason

@@ -1,0 +1,530 @@
+"""The driver against a virtual BioHarness on a real serial port, under its supervisor."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+import uuid
+from collections.abc import AsyncGenerator, Callable, Iterable, Sequence
+from contextlib import asynccontextmanager
+from itertools import pairwise
+from math import inf
+from typing import Any
+
+import numpy as np
+import pylsl
+import pytest
+from numpy.typing import ArrayLike, NDArray
+from structlog.testing import capture_logs
+
+from biosensor_common.errors import ProtocolError, ProtocolReason
+from biosensor_common.sensors.zephyr import SENSOR
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway import supervisor as supervisor_module
+from biosensor_gateway.devices.zephyr import driver as module
+from biosensor_gateway.devices.zephyr import simulated_wire as wire
+from biosensor_gateway.devices.zephyr.driver import DRIVER, ZephyrDriver, ZephyrSettings
+from biosensor_gateway.devices.zephyr.emitter import ZephyrEmitter
+from biosensor_gateway.devices.zephyr.simulated_sources import (
+    DEFAULT_CLOCK,
+    Outgoing,
+    SyntheticSource,
+)
+from biosensor_gateway.devices.zephyr.simulated_wire import Packet
+from biosensor_gateway.devices.zephyr.simulator import SimulatedBioHarness
+from biosensor_gateway.outlets import Counters
+from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.supervisor import State, Supervisor
+
+DEADLINE_S = 30.0
+WAVEFORMS = {"ecg": Packet.ECG, "breathing": Packet.BREATHING, "acc": Packet.ACCELERATION}
+ENABLES = (0x16, 0x15, 0x19, 0x1E, 0xBD)
+ALL_PACKETS = {*WAVEFORMS.values(), Packet.RR, Packet.SUMMARY}
+LIFESIGN = 0x23
+
+Floats = NDArray[np.float64]
+
+
+async def eventually(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen"
+        await asyncio.sleep(0.01)
+
+
+class NotedSink(DeviceSink):
+    """Notes what drivers emit on its way into LSL."""
+
+    def __init__(self) -> None:
+        super().__init__(DeviceIdentity("zephyr", uuid.uuid4().hex))
+        self.blocks: dict[str, list[Floats]] = {stream.data_name: [] for stream in SENSOR.streams}
+        self.times: dict[str, list[float]] = {stream.data_name: [] for stream in SENSOR.streams}
+        self._kept: dict[str, Counters] = {}
+
+    @property
+    def counters(self) -> dict[str, Counters]:
+        return super().counters or self._kept
+
+    def close(self) -> None:
+        self._kept = self.counters
+        super().close()
+
+    def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
+        super().emit(data_name, samples, device_times)
+        width = len(SENSOR.stream(data_name).channels)
+        self.blocks[data_name].append(np.asarray(samples, np.float64).reshape(-1, width))
+        self.times[data_name].extend(device_times)
+
+    def source_id(self, data_name: str) -> str:
+        return f"zephyr-{self.identity.unit}-{data_name}"
+
+    def counted(self, data_name: str) -> Counters:
+        return self.counters[self.source_id(data_name)]
+
+    def values(self, data_name: str) -> Floats:
+        """Return all samples; shape (samples, channels)."""
+        width = len(SENSOR.stream(data_name).channels)
+        return np.concatenate([np.empty((0, width)), *self.blocks[data_name]])
+
+    def has(self, *data_names: str, blocks: int = 1) -> Callable[[], bool]:
+        return lambda: all(len(self.blocks[name]) >= blocks for name in data_names)
+
+
+class Run:
+    """A device and the supervisor that keeps it connected."""
+
+    def __init__(self, device: SimulatedBioHarness) -> None:
+        self.device, self.sink = device, NotedSink()
+        self.states: list[State] = []
+        settings = ZephyrSettings(sensor="zephyr", unit=self.sink.identity.unit, port=device.port)
+        self.supervisor = Supervisor(
+            DRIVER.make(settings, self.sink), self.sink, self.states.append
+        )
+
+    @property
+    def lost(self) -> dict[str, int]:
+        losses = {stream.data_name: self.sink.counted(stream.data_name).lost
+                  for stream in SENSOR.streams}  # fmt: skip
+        return {name: count for name, count in losses.items() if count}
+
+    def arrived(self, data_name: str) -> list[Outgoing]:
+        """Return the packet that each block came from; the noise makes every one unlike all others.
+
+        Raises StopIteration for a block that the device did not send, or not in this order.
+        """
+        sent = iter([out for out in self.device.sent if out.packet is WAVEFORMS[data_name]])
+        return [next(out for out in sent if np.array_equal(in_units(data_name, out.samples), block))
+                for block in self.sink.blocks[data_name]]  # fmt: skip
+
+
+def in_units(data_name: str, counts: Any) -> Floats:
+    counts = np.asarray(counts, np.float64)
+    return (counts - 512) / 20.75 if data_name == "acc" else counts
+
+
+@asynccontextmanager
+async def streaming(device: SimulatedBioHarness) -> AsyncGenerator[Run]:
+    """Run until the block ends; then nothing may have been refused or be half closed."""
+    with device:
+        run = Run(device)
+        task = asyncio.create_task(run.supervisor.run())
+        yield run
+        task.cancel()
+        await asyncio.wait({task}, timeout=DEADLINE_S)
+        assert run.states[-1] is State.STOPPED
+        refused = {name: each.refused for name, each in run.sink.counters.items()}
+        assert set(refused.values()) <= {0}
+        run.sink.close()
+
+
+@pytest.fixture
+def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(supervisor_module, "PROBE_INTERVAL_S", 0.05)
+    monkeypatch.setattr(module, "REPLY_TIMEOUT_S", 0.3)
+
+
+def fast() -> SyntheticSource:
+    return SyntheticSource(seed=3, speed=10, hrv_after_s=0, heart_rate_bpm=75)
+
+
+async def test_every_stream_fills_with_what_the_device_sent() -> None:
+    async with streaming(SimulatedBioHarness(fast())) as run:
+        # This strap has no thermometer.
+        names = [stream.data_name for stream in SENSOR.streams if stream.data_name != "st"]
+        await eventually(run.sink.has(*names, blocks=5))
+        sent = run.device.sent
+    for name, packet in WAVEFORMS.items():
+        truth = run.device.sent_samples(packet)[:, 1:]
+        received = run.sink.values(name)
+        np.testing.assert_array_equal(received, in_units(name, truth[: len(received)]))
+    summaries = [out.values for out in sent if out.packet is Packet.SUMMARY and out.values]
+    keys = {"hr": "heart_rate_bpm", "hrv": "hrv_ms", "br": "respiration_rate_bpm",
+            "posture": "posture_deg", "activity": "activity_vmu_g", "bat": "battery_percent",
+            "rssi": "rssi_db"}  # fmt: skip
+    for name, key in keys.items():
+        received = run.sink.values(name)[:, 0]
+        sent_values = np.array([values[key] for values in summaries], np.float64)
+        np.testing.assert_allclose(received, sent_values[: len(received)], rtol=1e-6)
+    assert run.sink.blocks["st"] == []
+    assert {tuple(row) for row in run.sink.values("quality")} == {(1, 100, 0, 0, 0, 254)}
+    assert run.lost == {}
+    assert run.sink.dropped_bytes == 0
+
+
+async def test_intervals_are_those_of_the_body() -> None:
+    async with streaming(SimulatedBioHarness(fast())) as run:
+        await eventually(run.sink.has("ibi", blocks=25))
+        readings = run.device.sent_samples(Packet.RR)[:, 1]
+    beats = np.flatnonzero(np.diff(readings)) + 1
+    received = run.sink.values("ibi")[:, 0]
+    np.testing.assert_allclose(received, np.abs(readings[beats])[: len(received)] / 1000)
+    apart = np.diff(run.sink.times["ibi"])
+    # A beat is seen in the first of the readings, 56 ms apart, that follow it.
+    np.testing.assert_allclose(apart, received[1:], atol=0.065)
+
+
+async def test_an_inlet_gets_the_device_s_samples_at_their_times() -> None:
+    async with streaming(SimulatedBioHarness(SyntheticSource(seed=4))) as run:
+        await eventually(run.sink.has("ecg"))
+        found = pylsl.resolve_byprop("source_id", run.sink.source_id("ecg"), timeout=DEADLINE_S)
+        inlet = pylsl.StreamInlet(found[0], recover=False)
+        inlet.open_stream(DEADLINE_S)
+        received: list[float] = []
+        stamps: list[float] = []
+        while len(stamps) < 8 * 63:
+            samples, times = await asyncio.to_thread(inlet.pull_chunk, 0.2)
+            received += [sample[0] for sample in samples]
+            stamps += times
+        packets = [out for out in run.device.sent if out.packet is Packet.ECG]
+    truth = run.device.sent_samples(Packet.ECG)
+    first = next(k for k in range(len(truth)) if list(truth[k : k + 63, 1]) == received[:63])
+    np.testing.assert_array_equal(received, truth[first : first + len(received), 1])
+    assert all(a < b for a, b in pairwise(stamps))
+    # Monotonic and LSL clock are the same here; what is left is the way of the fastest packet.
+    measured = [(out.measured_at or 0.0) + 0.004 * k for out in packets for k in range(63)]
+    errors = np.array(stamps) - measured[first : first + len(stamps)]
+    assert np.all(errors > -0.005)
+    assert np.median(errors) < 0.15
+
+
+async def test_it_enables_keeps_awake_and_disables(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert module.LIFESIGN_PERIOD_S == 2.0
+    monkeypatch.setattr(module, "LIFESIGN_PERIOD_S", 0.1)
+    device = SimulatedBioHarness(fast(), host_timeout_s=2.0)
+    async with streaming(device) as run:
+
+        def lifesigns() -> int:  # fmt: skip
+            return [request.request_id for request in device.requests].count(LIFESIGN)
+
+        # By then this device would have forgotten a silent host.
+        await eventually(lambda: lifesigns() > 25)
+        assert device.enabled == ALL_PACKETS
+        assert run.states == [State.CONNECTING, State.STREAMING]
+        heard = [request for request in device.requests if request.request_id != LIFESIGN]
+        assert [request.request_id for request in heard] == list(ENABLES)
+    stopped = [request for request in device.requests if request.request_id != LIFESIGN][5:]
+    assert {(request.request_id, any(request.payload)) for request in stopped} == {
+        (request_id, False) for request_id in ENABLES
+    }
+    assert device.enabled == frozenset()
+    assert all(request.intact for request in device.requests)
+
+
+@pytest.mark.usefixtures("hasty")
+async def test_refused_packets_leave_the_others() -> None:
+    with capture_logs() as logs:
+        async with streaming(SimulatedBioHarness(fast(), refused=[0x15, 0x1E])) as run:
+            await eventually(run.sink.has("ecg", "hr", "ibi", blocks=3))
+            assert run.device.enabled == ALL_PACKETS - {Packet.BREATHING, Packet.ACCELERATION}
+    assert run.sink.blocks["breathing"] == run.sink.blocks["acc"] == []
+    refusals = [entry["packets"] for entry in logs if "refuses packets" in entry["event"]]
+    assert refusals == [["breathing", "acceleration"]]
+
+
+@pytest.mark.usefixtures("hasty")
+async def test_a_device_that_refuses_everything_is_left_alone() -> None:
+    device = SimulatedBioHarness(fast(), refused=[*ENABLES, 0x14])
+    async with streaming(device) as run:
+        await eventually(lambda: run.supervisor.state is State.BACKOFF)
+        assert "refuses every packet" in (run.supervisor.last_error or "")
+
+
+async def test_without_summaries_general_data_take_their_place() -> None:
+    async with streaming(SimulatedBioHarness(fast(), summary_supported=False)) as run:
+        await eventually(run.sink.has("hr", "br", "posture", "activity", "bat", "quality"))
+        sent = [out.values for out in run.device.sent if out.packet is Packet.GENERAL]
+    assert sent[0] is not None
+    assert run.sink.values("hr")[0, 0] == sent[0]["heart_rate_bpm"]
+    assert run.sink.values("bat")[0, 0] == 80
+    assert run.sink.blocks["hrv"] == run.sink.blocks["rssi"] == []
+
+
+class NoSummaries(SyntheticSource):
+    """Old firmware: the request is acknowledged, and then nothing comes."""
+
+    def poll(self, now: float, enabled: frozenset[Packet]) -> list[Outgoing]:
+        return super().poll(now, enabled - {Packet.SUMMARY})
+
+
+@pytest.mark.parametrize("source", [NoSummaries(speed=10), SyntheticSource(speed=10)])
+async def test_general_data_are_asked_for_only_if_summaries_stay_away(
+    monkeypatch: pytest.MonkeyPatch, source: SyntheticSource
+) -> None:
+    monkeypatch.setattr(module, "SUMMARY_PATIENCE_S", 0.5)
+    async with streaming(SimulatedBioHarness(source)) as run:
+        await eventually(run.sink.has("hr", blocks=8))
+        general = Packet.GENERAL in run.device.enabled
+    assert general == isinstance(source, NoSummaries)
+    assert run.device.enabled == frozenset()
+
+
+@pytest.mark.usefixtures("hasty")
+async def test_a_request_that_is_ignored_is_repeated_then_given_up() -> None:
+    with SimulatedBioHarness(fast(), ignored=[0x16]) as device:
+        sink = NotedSink()
+        settings = ZephyrSettings(sensor="zephyr", unit="1", port=device.port)
+        driver = ZephyrDriver(settings, sink, ZephyrEmitter(sink))
+        with pytest.raises(ProtocolError) as caught:
+            await driver.connect()
+        await driver.close()
+        assert caught.value.reason is ProtocolReason.NO_REPLY
+        await eventually(lambda: len(device.requests) >= 4)
+    on, off = wire.frame(0x16, b"\1"), wire.frame(0x16, b"\0")
+    asked = [wire.frame(request.request_id, request.payload) for request in device.requests]
+    # It might have obeyed without a word.
+    assert asked == [on, on, on, off]
+
+
+@pytest.mark.usefixtures("hasty")
+async def test_a_late_answer_answers_only_its_own_request() -> None:
+    with capture_logs() as logs:
+        device = SimulatedBioHarness(fast(), answer_delay_s=0.4, refused=[0x15])
+        async with streaming(device) as run:
+            await eventually(lambda: run.supervisor.state is State.STREAMING)
+            requests = [request.request_id for request in device.requests]
+            assert device.enabled == ALL_PACKETS - {Packet.BREATHING}
+    assert requests.count(0x16) > 1
+    assert ["breathing"] in [entry.get("packets") for entry in logs]
+
+
+@pytest.mark.usefixtures("hasty")
+async def test_a_stop_while_connecting_disables_what_may_have_been_enabled() -> None:
+    device = SimulatedBioHarness(fast(), answer_delay_s=inf)
+    async with streaming(device):
+        await eventually(lambda: Packet.ECG in device.enabled)
+    assert device.enabled == frozenset()
+
+
+async def test_samples_that_came_while_connecting_are_not_lost() -> None:
+    device = SimulatedBioHarness(fast(), answer_delay_s=0.4)
+    async with streaming(device) as run:
+        await eventually(run.sink.has("breathing", "acc", blocks=3))
+        first = next(out for out in device.sent if out.packet is Packet.ECG)
+        np.testing.assert_array_equal(run.sink.blocks["ecg"][0], first.samples)
+    assert run.lost == {}
+    numbers = [out.sequence for out in run.arrived("ecg")]
+    assert numbers == list(range(first.sequence or 0, (first.sequence or 0) + len(numbers)))
+
+
+async def assert_only_counted_losses(run: Run) -> None:
+    """Nothing invented, nothing doubled; what is missing between two packets is counted."""
+    for name in WAVEFORMS:
+        packets = run.arrived(name)
+        numbers = [out.sequence or 0 for out in packets]
+        missing = sum(b - a - 1 for a, b in pairwise(numbers))
+        size = len(run.sink.blocks[name][0])
+        assert run.sink.counted(name).lost == missing * size
+        assert run.sink.counted(name).pushed == len(numbers) * size
+
+
+@pytest.mark.usefixtures("hasty")
+async def test_a_link_drop_is_a_gap_of_counted_length() -> None:
+    async with streaming(SimulatedBioHarness(SyntheticSource(seed=5))) as run:
+        await eventually(run.sink.has("breathing", "acc", blocks=2))
+        run.device.drop_link(seconds=2.0)
+        await eventually(lambda: State.DISCOVERING in run.states)
+        before = len(run.sink.blocks["breathing"])
+        await eventually(run.sink.has("breathing", "acc", "ecg", blocks=before + 3))
+        await eventually(run.sink.has("hr", blocks=4))
+    assert run.supervisor.connections == 2
+    assert run.lost["ecg"] >= 6 * 63
+    assert run.lost["hr"] >= 1
+    await assert_only_counted_losses(run)
+    for name in WAVEFORMS:
+        assert all(a < b for a, b in pairwise(run.sink.times[name]))
+    assert run.sink.clock_state.reanchors == 0
+
+
+@pytest.mark.usefixtures("hasty")
+async def test_a_device_that_falls_silent_is_connected_anew(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(ZephyrDriver, "silence_limit_s", 0.7)
+    async with streaming(SimulatedBioHarness(SyntheticSource(), host_timeout_s=None)) as run:
+        await eventually(run.sink.has("ecg", "acc", "breathing"))
+        run.device.stall()
+        await eventually(lambda: State.DISCOVERING in run.states)
+        run.device.resume()
+        await eventually(lambda: run.supervisor.connections > 1)
+        await eventually(lambda: {"ecg", "acc"} <= run.lost.keys())
+    await assert_only_counted_losses(run)
+
+
+async def test_garbage_between_frames_costs_nothing_else() -> None:
+    async with streaming(SimulatedBioHarness(fast(), seed=11)) as run:
+        for number in range(1, 6):
+            await eventually(run.sink.has("ecg", blocks=5 * number))
+            run.device.garbage(100)
+        await eventually(lambda: run.sink.dropped_bytes >= 500)
+        await eventually(run.sink.has("breathing", "acc", blocks=8))
+    assert run.sink.dropped_bytes == 500
+    assert run.lost == {}
+    await assert_only_counted_losses(run)
+
+
+async def test_the_samples_of_a_damaged_frame_are_counted_as_lost() -> None:
+    async with streaming(SimulatedBioHarness(fast())) as run:
+        await eventually(run.sink.has(*WAVEFORMS))
+        damaged: set[Packet | None] = set()
+        while not damaged >= {Packet.ECG, Packet.ACCELERATION}:
+            run.device.corrupt_next()
+            count = len(run.sink.blocks["ecg"])
+            await eventually(run.sink.has("ecg", blocks=count + 2))
+            damaged = {out.packet for out in run.device.sent if out.corrupted}
+        for name in WAVEFORMS:
+            await eventually(run.sink.has(name, blocks=len(run.sink.blocks[name]) + 2))
+        spoilt = [len(out.data) for out in run.device.sent if out.corrupted]
+    assert run.lost["ecg"] >= 63
+    assert run.sink.dropped_bytes == sum(spoilt)
+    await assert_only_counted_losses(run)
+
+
+async def test_more_packets_than_sequence_numbers_make_no_gap() -> None:
+    source = SyntheticSource(speed=40)
+    async with streaming(SimulatedBioHarness(source)) as run:
+        await eventually(run.sink.has("ecg", blocks=600))
+    assert run.lost == {}
+    await assert_only_counted_losses(run)
+
+
+@pytest.mark.parametrize("step_s", [None, 3600.0, -3600.0], ids=["midnight", "ahead", "back"])
+async def test_the_device_s_clock_may_turn_midnight_or_be_set(step_s: float | None) -> None:
+    async with streaming(SimulatedBioHarness(SyntheticSource())) as run:
+        await eventually(run.sink.has("breathing", "hr"))
+        if step_s is None:
+            run.device.midnight(seconds=0.5)
+        else:
+            run.device.step_clock(step_s)
+        await eventually(run.sink.has("breathing", "hr", blocks=3))
+        days = {out.stamp.day for out in run.device.sent if out.stamp}
+    assert len(days) == (2 if step_s is None else 1)
+    assert run.lost == {}
+    await assert_only_counted_losses(run)
+
+
+async def test_the_strap_may_be_taken_off_and_put_on_again() -> None:
+    async with streaming(SimulatedBioHarness(fast())) as run:
+        worn: Callable[[], list[float]] = lambda: list(run.sink.values("quality")[:, 0])  # noqa: E731
+        await eventually(lambda: 1 in worn())
+        run.device.off_body()
+        await eventually(lambda: worn()[-2:] == [0, 0])
+        beats = len(run.sink.blocks["hr"])
+        await eventually(lambda: worn()[-4:] == [0, 0, 0, 0])
+        assert len(run.sink.blocks["hr"]) == beats
+        run.device.on_body()
+        await eventually(lambda: worn()[-2:] == [1, 1])
+        await eventually(run.sink.has("hr", blocks=beats + 1))
+    assert sorted(worn(), reverse=True) != worn()
+    assert [b - a for a, b in pairwise(worn()) if a != b] == [-1, 1]
+
+
+class Script:
+    """A source that sends what a test gives it, as soon as a packet is enabled."""
+
+    speaks_lifesigns = False
+
+    def __init__(self) -> None:
+        self.pieces: list[bytes] = []
+
+    def power_on(self, now: float) -> None: ...
+    def connection_ended(self) -> None: ...
+
+    def poll(self, now: float, enabled: frozenset[Packet]) -> Iterable[Outgoing]:
+        del now
+        pieces, self.pieces = (self.pieces, []) if enabled else ([], self.pieces)
+        return [Outgoing(piece) for piece in pieces]
+
+    def next_due(self) -> float:
+        return time.monotonic() + 0.01
+
+    def hangs_up(self, now: float) -> bool:
+        del now
+        return False
+
+
+def ecg_frame(number: int) -> bytes:
+    stamp = DEFAULT_CLOCK.plus(number * 252)
+    return wire.waveform(Packet.ECG, number, stamp, [number] * 63)
+
+
+async def test_a_torn_frame_is_given_up_and_hides_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "TORN_FRAME_S", 0.3)
+    script = Script()
+    async with streaming(SimulatedBioHarness(script)) as run:
+        await eventually(lambda: run.supervisor.state is State.STREAMING)
+        torn = ecg_frame(1)[:10]
+        # The rest never comes, and the frame behind is too short not to pass for it.
+        breathing = wire.waveform(Packet.BREATHING, 0, DEFAULT_CLOCK, list(range(18)))
+        script.pieces += [ecg_frame(0), torn + breathing]
+        await eventually(run.sink.has("ecg", "breathing"))
+        script.pieces.append(ecg_frame(2))
+        await eventually(run.sink.has("ecg", blocks=2))
+        script.pieces.append(ecg_frame(3)[:7])
+        await eventually(lambda: run.sink.dropped_bytes == len(torn) + 7)
+    np.testing.assert_array_equal(run.sink.values("breathing")[:, 0], range(18))
+    assert [block[0, 0] for block in run.sink.blocks["ecg"]] == [0, 2]
+    assert run.lost == {"ecg": 63}
+
+
+async def test_a_pause_within_a_frame_is_no_loss(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert module.TORN_FRAME_S > 0.51
+    monkeypatch.setattr(module, "TORN_FRAME_S", 2 * DEADLINE_S)
+    script = Script()
+    async with streaming(SimulatedBioHarness(script)) as run:
+        await eventually(lambda: run.supervisor.state is State.STREAMING)
+        script.pieces.append(ecg_frame(0)[:50])
+        await asyncio.sleep(0.4)
+        script.pieces.append(ecg_frame(0)[50:])
+        await eventually(run.sink.has("ecg"))
+    assert run.sink.dropped_bytes == 0
+
+
+async def test_samples_in_the_same_read_as_an_answer_are_not_lost() -> None:
+    script = Script()
+    device = SimulatedBioHarness(script, ignored=[0x15])
+    async with streaming(device) as run:
+        await eventually(lambda: 0x15 in [request.request_id for request in device.requests])
+        script.pieces.append(ecg_frame(0) + wire.response(0x15, accepted=True) + ecg_frame(1))
+        await eventually(lambda: run.supervisor.state is State.STREAMING)
+        script.pieces.append(ecg_frame(2))
+        await eventually(lambda: 2 in run.sink.values("ecg"))
+    assert [block[0, 0] for block in run.sink.blocks["ecg"]] == [0, 1, 2]
+
+
+def without_a_date(frame: bytes) -> bytes:
+    payload = frame[3:4] + bytes(4) + frame[8:-2]
+    return wire.frame(frame[1], payload)
+
+
+async def test_a_device_whose_clock_was_never_set_is_stamped_by_arrival() -> None:
+    script = Script()
+    async with streaming(SimulatedBioHarness(script)) as run:
+        await eventually(lambda: run.supervisor.state is State.STREAMING)
+        for number in (0, 1, 2, 5, 6):
+            script.pieces.append(without_a_date(ecg_frame(number)))
+            await asyncio.sleep(0.1)
+        await eventually(run.sink.has("ecg", blocks=5))
+        stamp = run.sink.counted("ecg").last_stamp
+        assert abs(stamp - pylsl.local_clock()) < 5
+    assert run.lost == {"ecg": 2 * 63}
+    assert [block[0, 0] for block in run.sink.blocks["ecg"]] == [0, 1, 2, 5, 6]
