@@ -133,7 +133,7 @@ class DeviceSettings(BaseModel):
 
     sensor: str = Field(description="Kind of sensor.")
     unit: UnitText = Field(
-        description="Serial number or address of the device, or any short name that stays the same.",
+        description="Serial number or address of the device, or a short name that stays the same.",
         examples=["0123456789"],
     )
     participant: ShortText = Field(
