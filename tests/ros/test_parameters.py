@@ -165,6 +165,8 @@ def test_bad_values_of_a_file_are_dropped_and_the_good_ones_hold(make_node: Make
     other = parameters.settings(FULL, "bvp", "bvp")
     assert other == DEFAULT
     assert not node.has_parameter("Chunk_Lenght")
+    parameters.declare(PLAIN, "ecg", "ecg")
+    assert parameters.settings(PLAIN, "ecg", "ecg") == settings
 
 
 def test_a_streams_keys_are_listed_without_being_set(make_node: MakeNode) -> None:

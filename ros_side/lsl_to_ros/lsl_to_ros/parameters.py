@@ -108,7 +108,9 @@ class Parameters:
             for key in keys:
                 name = f"{owner}.{key}"
                 if not self._node.has_parameter(name):
-                    self._node.declare_parameter(name, None, _descriptor(key, dynamic=True))
+                    descriptor = _descriptor(key, dynamic=True)
+                    # A bad value of a parameter file was dropped, and must not come back.
+                    self._node.declare_parameter(name, None, descriptor, ignore_override=True)
 
     def _value(self, key: str, identity: DeviceIdentity, data_name: str) -> bool | int:
         for prefix in prefixes(identity, data_name):
