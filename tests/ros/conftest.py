@@ -19,6 +19,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
 
 DEADLINE_S = 30.0
 QUEUE = 20_000
@@ -46,6 +47,7 @@ class Ros:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._set = self.node.create_client(SetParameters, "/lsl_to_ros/set_parameters")
+        self._heard: list[Subscription] = []
         self._status: dict[str, Status] = {}
         self._reported_ns = 0
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._take, 100)
@@ -65,8 +67,15 @@ class Ros:
     def listen(self, kind: type[Any], topic: str) -> list[Any]:
         """Subscribe; the list fills with messages while the test waits."""
         messages: list[Any] = []
-        self.node.create_subscription(kind, topic, messages.append, QoSProfile(depth=QUEUE))
+        qos = QoSProfile(depth=QUEUE)
+        self._heard.append(self.node.create_subscription(kind, topic, messages.append, qos))
         return messages
+
+    def stop_listening(self) -> None:
+        """End what :meth:`listen` has begun."""
+        for subscription in self._heard:
+            self.node.destroy_subscription(subscription)
+        self._heard.clear()
 
     def topics(self) -> dict[str, list[str]]:
         """Message types by topic, of what is published or subscribed."""
@@ -175,17 +184,23 @@ class RunningNode:
 
 
 @pytest.fixture(scope="session")
-def ros() -> Iterator[Ros]:
+def listener() -> Iterator[Ros]:
     listener = Ros()
     yield listener
     listener.close()
 
 
+@pytest.fixture
+def ros(listener: Ros) -> Iterator[Ros]:
+    yield listener
+    listener.stop_listening()
+
+
 @pytest.fixture(scope="module")
-def node(ros: Ros) -> Iterator[RunningNode]:
+def node(listener: Ros) -> Iterator[RunningNode]:
     """One node for all tests of a module; none of them may end it or break it."""
     running = RunningNode()
-    ros.report()
+    listener.report()
     yield running
     died, log = not running.is_running, running.log
     running.end()
