@@ -94,14 +94,17 @@ class Ros:
         begun = time.time_ns()
         self.until(lambda: self._reported_ns >= begun, "a report on /diagnostics")
 
-    def attached(self, topic: str, readers: int = 0) -> None:
-        """Wait until the node has that stream, and subscribers for its topics."""
+    def attached(self, *topics: str, readers: int = 0) -> None:
+        """Wait until the node has these streams, each with so many subscribers of its topics."""
+        begun = time.time_ns()
 
-        def is_attached() -> bool:
-            status = self.status(topic)
-            return status is not None and status["subscribers"] == str(readers)
+        def are_attached() -> bool:
+            found = [self.status(topic) for topic in topics]
+            return self._reported_ns >= begun and all(
+                status is not None and status["subscribers"] == str(readers) for status in found
+            )
 
-        self.until(is_attached, f"{topic} with {readers} subscribers")
+        self.until(are_attached, f"{topics} with {readers} subscribers")
 
     def set(self, name: str, value: bool | float | str) -> str:
         """Set a parameter of the node; return the reason of a refusal, empty if accepted."""

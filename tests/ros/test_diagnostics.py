@@ -26,6 +26,7 @@ from lsl_to_ros.parameters import StreamSettings
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
 
+COUNTERS = "/biosensors/gateway/counters"
 NAME = TopicName("biosensors/zephyr", "ecg")
 
 
@@ -139,8 +140,9 @@ def test_the_rate_is_measured_from_sample_to_sample() -> None:
 
 
 @pytest.fixture
-def counters(node: RunningNode) -> Outlet:
+def counters(node: RunningNode, ros: Ros) -> Outlet:
     assert node.is_running
+    ros.until(lambda: COUNTERS not in ros.present(), "the end of the counters before")
     identity = DeviceIdentity("gateway", "lab-pc")
     return Outlet(sensor("gateway").stream("counters"), identity, DeviceInfo())
 
@@ -149,9 +151,9 @@ def test_the_agents_counters_are_published_and_compared(ros: Ros, counters: Outl
     topic = "/counted/biosensors/polar_h10/hr"
     identity = DeviceIdentity("polar_h10", "U1", participant="counted")
     outlet = Outlet(sensor("polar_h10").stream("hr"), identity, DeviceInfo())
-    heard = ros.listen(DiagnosticArray, "/biosensors/gateway/counters")
+    heard = ros.listen(DiagnosticArray, COUNTERS)
     ros.attached(topic)
-    ros.attached("/biosensors/gateway/counters", readers=1)
+    ros.attached(COUNTERS, readers=1)
     status = ros.status(topic)
     assert status is not None
     assert status["lost"] == "unknown"
@@ -189,8 +191,8 @@ def test_the_agents_counters_are_published_and_compared(ros: Ros, counters: Outl
 
 
 def test_counters_of_unknown_streams_are_of_no_consequence(ros: Ros, counters: Outlet) -> None:
-    heard = ros.listen(DiagnosticArray, "/biosensors/gateway/counters")
-    ros.attached("/biosensors/gateway/counters", readers=1)
+    heard = ros.listen(DiagnosticArray, COUNTERS)
+    ros.attached(COUNTERS, readers=1)
     unknown = {"nobody's": Counters(pushed=5, lost=1, last_stamp=2.0)}
     counters.push_text(counters_text(unknown), pylsl.local_clock())
     ros.until(lambda: bool(heard), "the counters on their topic")

@@ -28,8 +28,9 @@ def test_a_late_subscriber_gets_the_last_battery_level(
     late: list[Float32] = []
     durability = DurabilityPolicy.TRANSIENT_LOCAL if values else DurabilityPolicy.VOLATILE
     qos = QoSProfile(depth=1, durability=durability)
-    ros.node.create_subscription(Float32, topic, late.append, qos)
+    subscription = ros.node.create_subscription(Float32, topic, late.append, qos)
     ros.attached(topic, readers=1)
     ros.report()
+    ros.node.destroy_subscription(subscription)
     assert [message.data for message in late] == values
     assert node.is_running

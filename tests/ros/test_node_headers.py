@@ -113,8 +113,7 @@ def test_a_lying_description_makes_a_foreign_stream_and_one_sentence(
     outlets = {name: lying(name, tamper) for name, tamper, _ in LIES}
     outlets["traversal"] = lying("traversal", leave_alone, sensor_name="../../x")
     heard = {name: ros.listen(Float32MultiArray, f"/biosensors/{name}/ECG") for name in outlets}
-    for name in outlets:
-        ros.attached(f"/biosensors/{name}/ECG", readers=1)
+    ros.attached(*(f"/biosensors/{name}/ECG" for name in outlets), readers=1)
     for outlet in outlets.values():
         outlet.push_sample([1.5], pylsl.local_clock())
     assert good.push([2.5], [pylsl.local_clock()]) is None
@@ -124,7 +123,7 @@ def test_a_lying_description_makes_a_foreign_stream_and_one_sentence(
         assert list(heard[name][0].data) == [1.5]
         assert node.count("[WARN]", f"'{name}'") == 1
         assert node.count("[WARN]", f"'{name}'", reason) == 1
-    assert not [topic for topic in ros.topics() if "zephyr" in topic]
+    assert not [topic for topic in ros.topics() if topic.startswith("/biosensors/zephyr")]
 
 
 def test_a_truthful_description_is_taken_at_its_word(ros: Ros, node: RunningNode) -> None:

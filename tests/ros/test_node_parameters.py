@@ -15,7 +15,7 @@ from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.outlets import Outlet
 
 if TYPE_CHECKING:
-    from tests.ros.conftest import Ros
+    from tests.ros.conftest import Ros, Status
 
 pytestmark = pytest.mark.usefixtures("node")
 
@@ -44,11 +44,7 @@ class Belt:
             )
         }
 
-    def attach(self) -> None:
-        self._ros.attached(f"{self._base}/ecg", readers=2)
-        self._ros.attached(f"{self._base}/acc", readers=1)
-
-    def expect(self, **messages: int) -> None:
+    def push(self, **messages: int) -> None:
         """Push a chunk's worth of samples, of which so many messages must come by topic."""
         for _ in range(LENGTH):
             self._stamp += 1 / 130
@@ -56,21 +52,28 @@ class Belt:
             assert self._ecg.push([float(self._pushed)], [self._stamp]) is None
             assert self._acc.push([[0.0, 0.0, 1.0]], [self._stamp]) is None
         self._expected.update(messages)
-        self._ros.until(self._has_received_all, "all samples at the node")
-        self._ros.until(lambda: self._counts() >= self._expected, f"messages: {messages}")
-        assert self._counts() == self._expected
 
-    def finish(self) -> None:
-        """Whatever was published too much has come by the next report."""
-        self._ros.report()
+    def settle(self) -> None:
+        """Wait for what must come; what comes too much is found at the next call."""
+        self._ros.until(self._has_received_all, "all samples at the node")
+        self._ros.until(lambda: self._counts() >= self._expected, f"{self._expected}")
         assert self._counts() == self._expected
 
     def _counts(self) -> Counter[str]:
         return Counter({name: len(messages) for name, messages in self._heard.items()})
 
+    def is_attached(self) -> bool:
+        """Whether the node has both streams, with the subscribers of their topics."""
+        ecg, acc = self._statuses()
+        return bool(ecg and acc and ecg["subscribers"] == "2" and acc["subscribers"] == "1")
+
     def _has_received_all(self) -> bool:
-        statuses = (self._ros.status(f"{self._base}/{data}") for data in ("ecg", "acc"))
-        return all(s is not None and s["received"] == str(self._pushed) for s in statuses)
+        return all(
+            status and status["received"] == str(self._pushed) for status in self._statuses()
+        )
+
+    def _statuses(self) -> list[Status | None]:
+        return [self._ros.status(f"{self._base}/{data}") for data in ("ecg", "acc")]
 
 
 @pytest.fixture(autouse=True)
@@ -83,35 +86,44 @@ def defaults(ros: Ros) -> Iterator[None]:
 
 def test_sensor_enable_silences_everything_and_chunk_enable_the_chunks(ros: Ros) -> None:
     belt = Belt(ros, "everything")
-    belt.attach()
-    belt.expect(ecg=LENGTH, ecg_chunk=1, acc=LENGTH)
+    ros.until(belt.is_attached, "the belt")
+    belt.push(ecg=LENGTH, ecg_chunk=1, acc=LENGTH)
+    belt.settle()
     assert ros.set("Chunk_Enable", value=False) == ""
-    belt.expect(ecg=LENGTH, acc=LENGTH)
+    belt.push(ecg=LENGTH, acc=LENGTH)
+    belt.settle()
     assert ros.set("Sensor_Enable", value=False) == ""
-    belt.expect()
+    belt.push()
+    belt.settle()
     assert ros.set("Chunk_Enable", value=True) == ""
-    belt.expect()
+    belt.push()
+    belt.settle()
     assert ros.set("Sensor_Enable", value=True) == ""
-    belt.expect(ecg=LENGTH, ecg_chunk=1, acc=LENGTH)
-    belt.finish()
+    belt.push(ecg=LENGTH, ecg_chunk=1, acc=LENGTH)
+    belt.settle()
+    ros.report()
+    belt.settle()
 
 
 def test_the_most_specific_key_wins_also_if_it_was_set_before_the_stream_came(ros: Ros) -> None:
     assert ros.set("Sensor_Enable", value=False) == ""
     assert ros.set("specific.polar_h10_left.Sensor_Enable", value=True) == ""
     assert ros.set("specific.polar_h10_left.acc.Sensor_Enable", value=False) == ""
-    left, right = Belt(ros, "specific", "left"), Belt(ros, "specific", "right")
-    left.attach()
-    right.attach()
-    left.expect(ecg=LENGTH, ecg_chunk=1)
-    right.expect()
+    left, right = belts = Belt(ros, "specific", "left"), Belt(ros, "specific", "right")
+    ros.until(lambda: all(belt.is_attached() for belt in belts), "both belts")
+    left.push(ecg=LENGTH, ecg_chunk=1)
+    right.push()
+    left.settle()
+    right.settle()
     # A data name of the sensor is more specific than a label without a data name.
     assert ros.set("specific.polar_h10.ecg.Sensor_Enable", value=True) == ""
     assert ros.set("specific.polar_h10.ecg.Chunk_Enable", value=False) == ""
-    left.expect(ecg=LENGTH)
-    right.expect(ecg=LENGTH)
-    left.finish()
-    right.finish()
+    left.push(ecg=LENGTH)
+    right.push(ecg=LENGTH)
+    for _ in range(2):
+        left.settle()
+        right.settle()
+        ros.report()
 
 
 def test_the_chunk_of_the_breathing_waveform_belongs_to_the_rate(ros: Ros) -> None:

@@ -80,8 +80,7 @@ def test_a_signal_ends_the_node_cleanly_while_streams_come_and_go(
 ) -> None:
     node = start_node()
     outlets = [open_stream(f"gone {n}", f"gone {n}") for n in range(8)]
-    for n in range(8):
-        ros.attached(f"/biosensors/gone_x20{n}/EEG")
+    ros.attached(*(f"/biosensors/gone_x20{n}/EEG" for n in range(8)))
     outlets.clear()
     coming = [open_stream(f"come {n}", f"come {n}") for n in range(8)]
     ros.until(lambda: node.count("is gone") > 0, "a stream that is gone")

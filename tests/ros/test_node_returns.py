@@ -127,8 +127,7 @@ def test_streams_of_one_program_may_share_a_source_id(ros: Ros) -> None:
     kinds = ("EEG", "PPG", "ACC")
     heard = {kind: ros.listen(Float32MultiArray, f"/biosensors/headband/{kind}") for kind in kinds}
     outlets = {kind: foreign("headband", kind, 1, "headband 00:11") for kind in kinds}
-    for kind in kinds:
-        ros.attached(f"/biosensors/headband/{kind}", readers=1)
+    ros.attached(*(f"/biosensors/headband/{kind}" for kind in kinds), readers=1)
     for number, kind in enumerate(kinds):
         outlets[kind].push_sample([float(number)], pylsl.local_clock())
     ros.until(lambda: all(heard.values()), "a sample of each")

@@ -132,8 +132,7 @@ def test_streams_of_other_programs_keep_their_precision(ros: Ros) -> None:
         assert ros.set(f"plain_{format_}.Chunk_Length", 1) == ""
         raw, chunks = ros.listen(message_class, topic), ros.listen(message_class, f"{topic}_chunk")
         opened.append((foreign(f"plain_{format_}", "Gaze", 4, 50.0, format_), raw, chunks))
-    for format_, _, _ in LIMITS:
-        ros.attached(f"/biosensors/plain_{format_}/Gaze", readers=2)
+    ros.attached(*(f"/biosensors/plain_{format_}/Gaze" for format_, _, _ in LIMITS), readers=2)
     for (outlet, raw, chunks), (format_, _, values) in zip(opened, LIMITS, strict=True):
         outlet.push_sample(values, pylsl.local_clock())
         ros.until(lambda raw=raw, chunks=chunks: bool(raw and chunks), f"a sample of {format_}")
@@ -147,8 +146,7 @@ def test_hostile_names_of_marker_streams_give_valid_topics(ros: Ros) -> None:
     assert len(set(topics)) == len(topics)
     # Subscribing is what proves that ROS takes the name.
     heard = [ros.listen(String, topic) for topic in topics]
-    for topic in topics:
-        ros.attached(topic, readers=1)
+    ros.attached(*topics, readers=1)
     for number, outlet in enumerate(outlets):
         outlet.push_sample([f"marker {number} \N{SNOWMAN}"], pylsl.local_clock())
     ros.until(lambda: all(heard), "a marker of each")
@@ -158,18 +156,16 @@ def test_hostile_names_of_marker_streams_give_valid_topics(ros: Ros) -> None:
     assert not [topic for topic in ros.topics() if topic.endswith("Markers_chunk")]
 
 
-def test_an_irregular_stream_has_no_chunk_topic(ros: Ros) -> None:
-    outlet = foreign("irregular", "Mouse", 2, 0.0, "float32")
-    ros.attached("/biosensors/irregular/Mouse")
-    ros.until(lambda: "/biosensors/irregular/Mouse" in ros.topics(), "its raw topic")
-    assert "/biosensors/irregular/Mouse_chunk" not in ros.topics()
-    del outlet
-
-
-def test_a_stream_without_a_type_is_called_data(ros: Ros) -> None:
-    outlet = foreign("untyped", "", 1, 0.0, "float32")
-    ros.attached("/biosensors/untyped/data")
-    del outlet
+def test_irregular_streams_have_no_chunks_and_those_without_a_type_are_data(ros: Ros) -> None:
+    outlets = [
+        foreign("irregular", "Mouse", 2, 0.0, "float32"),
+        foreign("untyped", "", 1, 0, "int8"),
+    ]
+    topics = ["/biosensors/irregular/Mouse", "/biosensors/untyped/data"]
+    ros.attached(*topics)
+    ros.until(lambda: set(topics) <= ros.topics().keys(), "their topics")
+    assert not {f"{topic}_chunk" for topic in topics} & ros.topics().keys()
+    del outlets
 
 
 def test_text_that_is_not_utf_8_neither_stops_nor_loses_anything(ros: Ros) -> None:
@@ -205,29 +201,20 @@ def test_declared_streams_have_their_declared_types(ros: Ros) -> None:
         opened.append((declared(name, data, "types"), ros.listen(message_class, topic), topic))
     tag = declared("empatica_e4", "tag", "types")
     presses = ros.listen(Empty, "/types/biosensors/empatica_e4/tag")
-    for _, _, topic in opened:
-        ros.attached(topic, readers=1)
-    ros.attached("/types/biosensors/empatica_e4/tag", readers=1)
+    topics = [topic for _, _, topic in opened]
+    ros.attached(*topics, "/types/biosensors/empatica_e4/tag", readers=1)
     for (outlet, heard, topic), (_, _, _, sample, read) in zip(opened, cases, strict=True):
         assert outlet.push([sample], [pylsl.local_clock()]) is None
         ros.until(lambda heard=heard: bool(heard), f"a sample on {topic}")
         expected = sample if len(sample) > 1 else sample[0]
         assert read(heard[0]) == expected
+    status = ros.status("/types/biosensors/polar_h10/acc")
+    assert status is not None
+    assert (status.unit, status["unit_of_measurement"]) == ("U1", "g")
+    assert (status["sensor"], status["participant"]) == ("polar_h10", "types")
+    assert status["rate_nominal"] == "50.00"
     tag.push_text("pressed", pylsl.local_clock())
     ros.until(lambda: bool(presses), "a press of the button")
-
-
-def test_units_of_measurement_are_shown(ros: Ros) -> None:
-    outlet = declared("polar_h10", "acc", "units")
-    topic = "/units/biosensors/polar_h10/acc"
-    ros.attached(topic)
-    status = ros.status(topic)
-    assert status is not None
-    assert status.unit == "U1"
-    assert status["unit_of_measurement"] == "g"
-    assert status["rate_nominal"] == "50.00"
-    assert (status["sensor"], status["participant"]) == ("polar_h10", "units")
-    del outlet
 
 
 def test_a_value_that_does_not_fit_is_counted_and_said_once(ros: Ros, node: RunningNode) -> None:
