@@ -14,7 +14,7 @@ compile() {
 }
 
 compile gateway pyproject.toml "$@"
-compile ros pyproject.toml --extra ros "$@"
-compile dev pyproject.toml --extra ros --extra dev "$@"
+compile ros pyproject.toml --extra ros --extra simulate "$@"
+compile dev pyproject.toml --extra ros --extra simulate --extra dev "$@"
 compile colcon requirements/colcon.in "$@"
 echo 'uv>=0.9' | compile uv - "$@"

@@ -73,10 +73,13 @@ _MAX_LENGTH = 32
 ShortText = Annotated[str, StringConstraints(max_length=_MAX_LENGTH), AfterValidator(_printable)]
 """Printable text of at most 32 characters, for whatever ends up in stream names."""
 
+# macOS knows a Bluetooth device by a UUID.
+_MAX_UNIT_LENGTH = 36
+
 UnitText = Annotated[
-    str, StringConstraints(min_length=1, max_length=_MAX_LENGTH), AfterValidator(_printable)
+    str, StringConstraints(min_length=1, max_length=_MAX_UNIT_LENGTH), AfterValidator(_printable)
 ]
-"""The same, not empty."""
+"""The same for a unit, up to 36 characters and not empty."""
 
 
 class LslSettings(BaseModel):

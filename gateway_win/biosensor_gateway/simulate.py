@@ -11,9 +11,9 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.devices.zephyr.driver import ZephyrSettings
-from biosensor_gateway.devices.zephyr.simulated_recording import RecordedSource
-from biosensor_gateway.devices.zephyr.simulated_sources import SyntheticSource
-from biosensor_gateway.devices.zephyr.simulator import SimulatedBioHarness
+from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
+from biosensor_gateway.devices.zephyr.simulator.recording import RecordedSource
+from biosensor_gateway.devices.zephyr.simulator.sources import SyntheticSource
 from biosensor_gateway.settings import DeviceSettings, GatewaySettings, environment_overrides
 
 ALL = "all"

@@ -83,8 +83,19 @@ class DeviceSink:
         device_times : sequence of float, length n_samples
             Device clock of each sample in seconds.
         """
-        guard = self._stamps.setdefault(data_name, MonotonicStamps())
-        stamps = guard.apply(self._clock.to_lsl(time) for time in device_times)
+        self.emit_at(data_name, samples, [self._clock.to_lsl(time) for time in device_times])
+
+    def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
+        """Push samples that the device does not stamp, with times on the LSL clock already.
+
+        Parameters
+        ----------
+        samples : array_like, shape (n_samples, n_channels) or (n_samples,)
+            In the units of the declaration.
+        lsl_times : sequence of float, length n_samples
+            LSL clock at each sample, as near as can be told, in seconds.
+        """
+        stamps = self._guarded(data_name, lsl_times)
         refusal = self._outlets[data_name].push(samples, stamps)
         if refusal is not None and (data_name, refusal) not in self._refusals:
             # Once per cause: the counter tells how often.
@@ -96,9 +107,17 @@ class DeviceSink:
         if value is not None:
             self.emit(data_name, [value], [device_s])
 
+    def emit_text(self, data_name: str, text: str, device_s: float) -> None:
+        """Push one string sample measured at a time of the device's clock."""
+        (stamp,) = self._guarded(data_name, [self._clock.to_lsl(device_s)])
+        self._outlets[data_name].push_text(text, stamp)
+
     def lost(self, data_name: str, count: int) -> None:
         """Count samples that the device measured and that never arrived."""
         self._outlets[data_name].counters.lost += count
+
+    def _guarded(self, data_name: str, stamps: Sequence[float]) -> list[float]:
+        return self._stamps.setdefault(data_name, MonotonicStamps()).apply(stamps)
 
     def _names(self) -> dict[str, Any]:
         return {"sensor": self.identity.sensor, "unit": self.identity.unit}

@@ -11,7 +11,7 @@ from itertools import pairwise
 from biosensor_gateway.devices.zephyr.frames import MessageId
 from biosensor_gateway.devices.zephyr.messages import Waveform
 from biosensor_gateway.devices.zephyr.protocol import ZephyrProtocol
-from biosensor_gateway.devices.zephyr.simulated_recording import (
+from biosensor_gateway.devices.zephyr.simulator.recording import (
     RECORDING_150_S,
     RECORDING_WITH_GAP,
     read_timing,
@@ -51,7 +51,7 @@ def _measure(recording: str, passes: int) -> ParserSpeed:
 
 def _pieces(recording: str) -> list[bytes]:
     """Cut a recording as it was read, or into equal pieces where that is not known."""
-    folder = files("biosensor_gateway").joinpath("devices/zephyr/recordings")
+    folder = files("biosensor_gateway").joinpath("devices/zephyr/simulator/recordings")
     data = folder.joinpath(f"{recording}.dat").read_bytes()
     timing = folder.joinpath(f"{recording}-timing.csv")
     ends = [0, *range(_PIECE_SIZE, len(data), _PIECE_SIZE), len(data)]

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from std_msgs.msg import Float32, Float32MultiArray
 
-from biosensor_gateway.devices.zephyr.simulated_sources import SyntheticSource
-from biosensor_gateway.devices.zephyr.simulated_wire import Packet
-from biosensor_gateway.devices.zephyr.simulator import SimulatedBioHarness
+from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
+from biosensor_gateway.devices.zephyr.simulator.sources import SyntheticSource
+from biosensor_gateway.devices.zephyr.simulator.wire import Packet
 
 Values = NDArray[np.float32]
 

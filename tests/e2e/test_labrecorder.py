@@ -14,8 +14,8 @@ import pyxdf
 
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.registry import sensor
-from biosensor_gateway.devices.zephyr.simulated_sources import SyntheticSource
-from biosensor_gateway.devices.zephyr.simulator import SimulatedBioHarness
+from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
+from biosensor_gateway.devices.zephyr.simulator.sources import SyntheticSource
 
 RECORD_S = 12.0
 # A BioHarness 3 has no skin sensor, so this stream is there and stays empty.

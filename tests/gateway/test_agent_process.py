@@ -26,7 +26,7 @@ from biosensor_gateway import agent as agent_module
 from biosensor_gateway import health
 from biosensor_gateway.agent import Agent
 from biosensor_gateway.devices.driver import Connected
-from biosensor_gateway.devices.zephyr.simulator import SimulatedBioHarness
+from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
 from biosensor_gateway.settings import GatewaySettings
 from biosensor_gateway.sink import DeviceSink
 from biosensor_gateway.supervisor import State, Supervisor

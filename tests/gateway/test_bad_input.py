@@ -17,7 +17,7 @@ import serial
 
 from biosensor_common.errors import ConfigError
 from biosensor_gateway import health
-from biosensor_gateway.devices.zephyr.simulator import SimulatedBioHarness
+from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
 
 # What a serial line of 115200 baud carries in a twentieth of a second.
 GARBAGE_BYTES, GARBAGE_EVERY_S = 576, 0.05

@@ -22,16 +22,16 @@ from biosensor_common.sensors.zephyr import SENSOR
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway import supervisor as supervisor_module
 from biosensor_gateway.devices.zephyr import driver as module
-from biosensor_gateway.devices.zephyr import simulated_wire as wire
 from biosensor_gateway.devices.zephyr.driver import DRIVER, ZephyrDriver, ZephyrSettings
 from biosensor_gateway.devices.zephyr.emitter import ZephyrEmitter
-from biosensor_gateway.devices.zephyr.simulated_sources import (
+from biosensor_gateway.devices.zephyr.simulator import wire
+from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
+from biosensor_gateway.devices.zephyr.simulator.sources import (
     DEFAULT_CLOCK,
     Outgoing,
     SyntheticSource,
 )
-from biosensor_gateway.devices.zephyr.simulated_wire import Packet
-from biosensor_gateway.devices.zephyr.simulator import SimulatedBioHarness
+from biosensor_gateway.devices.zephyr.simulator.wire import Packet
 from biosensor_gateway.outlets import Counters
 from biosensor_gateway.sink import DeviceSink
 from biosensor_gateway.supervisor import State, Supervisor

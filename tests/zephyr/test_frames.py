@@ -50,7 +50,7 @@ _RR = request(MessageId.RR, _HEADER + bytes(36))
 @cache
 def _recording(name: str) -> bytes:
     package = files("biosensor_gateway.devices.zephyr")
-    return package.joinpath("recordings", name).read_bytes()
+    return package.joinpath("simulator", "recordings", name).read_bytes()
 
 
 def _encode(frame: Frame) -> bytes:

@@ -59,7 +59,7 @@ _SINGLE_FRAMES = [name for name, vector in _VECTORS.items() if "msg_id" in vecto
 @cache
 def _recorded(name: str) -> list[messages.Message]:
     package = files("biosensor_gateway.devices.zephyr")
-    return ZephyrProtocol().feed(package.joinpath("recordings", name).read_bytes())
+    return ZephyrProtocol().feed(package.joinpath("simulator", "recordings", name).read_bytes())
 
 
 def _only(data: bytes) -> messages.Message:

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 import serial
 
-from biosensor_gateway.devices.zephyr.simulated_link import PtyLink
-from biosensor_gateway.devices.zephyr.simulated_recording import (
+from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
+from biosensor_gateway.devices.zephyr.simulator.recording import (
     RECORDING_150_S,
     RECORDING_WITH_GAP,
     RecordedSource,
     split,
 )
-from biosensor_gateway.devices.zephyr.simulated_sources import SyntheticSource
-from biosensor_gateway.devices.zephyr.simulated_wire import Packet
-from biosensor_gateway.devices.zephyr.simulator import SimulatedBioHarness
+from biosensor_gateway.devices.zephyr.simulator.sources import SyntheticSource
+from biosensor_gateway.devices.zephyr.simulator.wire import Packet
+from biosensor_gateway.simulation.serial_links import PtyLink
 
 DEADLINE_S = 8.0
 ECG_ON = bytes.fromhex("021601015e03")
@@ -33,7 +33,9 @@ ENABLES = b"".join(
 DISABLES = bytes.fromhex("021601000003021501000003021901000003021e0100000302bd0200000003")
 FIVE_ACKS = bytes.fromhex("0216000006021500000602190000060 21e00000602bd000006".replace(" ", ""))
 ACK, NAK = 0x06, 0x15
-RECORDINGS = Path(__file__).parents[2] / "gateway_win/biosensor_gateway/devices/zephyr/recordings"
+RECORDINGS = (
+    Path(__file__).parents[2] / "gateway_win/biosensor_gateway/devices/zephyr/simulator/recordings"
+)
 
 
 class Heard(NamedTuple):

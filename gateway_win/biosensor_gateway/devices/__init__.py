@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Sequence
 from importlib import import_module
 from importlib.metadata import entry_points
 from typing import NamedTuple, cast
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import Driver
 from biosensor_gateway.settings import DeviceSettings
 from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.transports.seen import Advertisement, SerialPort
 
 ENTRY_POINT_GROUP = "biosensor_gateway.drivers"
 
-_MODULES = {"zephyr": "biosensor_gateway.devices.zephyr.driver"}
+_MODULES = {name: f"biosensor_gateway.devices.{name}.driver" for name in ("zephyr",)}
 
 
 class DriverEntry(NamedTuple):
@@ -26,10 +28,18 @@ class DriverEntry(NamedTuple):
         Model of the device's table in the settings file.
     make
         Called once a device; returns what makes a driver for each connection.
+    recognise
+        Tells whether an advertisement or a serial port is such a device; None for
+        sensors that have neither.
+    find
+        Asks the vendor's service for its devices; None where there is no such service.
+        Raises a GatewayError if the service does not answer.
     """
 
     settings: type[DeviceSettings]
     make: Callable[[DeviceSettings, DeviceSink], Callable[[], Driver]]
+    recognise: Callable[[Advertisement | SerialPort], Found | None] | None = None
+    find: Callable[[], Awaitable[Sequence[Found]]] | None = None
 
 
 def driver_names() -> tuple[str, ...]:

@@ -105,7 +105,7 @@ def _filled_by(message: Message) -> list[str]:
 
 def _messages() -> Iterator[tuple[float, Message]]:
     """Decode the recording; seconds since its first read."""
-    folder = files("biosensor_gateway") / "devices" / "zephyr" / "recordings"
+    folder = files("biosensor_gateway") / "devices" / "zephyr" / "simulator" / "recordings"
     data = (folder / f"{RECORDING}.dat").read_bytes()
     rows = (folder / f"{RECORDING}-timing.csv").read_text("ascii").split()
     reads = [(float(time), int(total)) for time, total in (row.split(",") for row in rows)]

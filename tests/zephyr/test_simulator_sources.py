@@ -5,8 +5,8 @@ from datetime import date
 import numpy as np
 import pytest
 
-from biosensor_gateway.devices.zephyr.simulated_body import Body
-from biosensor_gateway.devices.zephyr.simulated_recording import (
+from biosensor_gateway.devices.zephyr.simulator.body import Body
+from biosensor_gateway.devices.zephyr.simulator.recording import (
     RECORDING_150_S,
     RECORDING_WITH_GAP,
     Arrival,
@@ -14,8 +14,8 @@ from biosensor_gateway.devices.zephyr.simulated_recording import (
     read_timing,
     split,
 )
-from biosensor_gateway.devices.zephyr.simulated_sources import Outgoing, SyntheticSource
-from biosensor_gateway.devices.zephyr.simulated_wire import (
+from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing, SyntheticSource
+from biosensor_gateway.devices.zephyr.simulator.wire import (
     REQUESTS,
     WAVEFORMS,
     DeviceStamp,

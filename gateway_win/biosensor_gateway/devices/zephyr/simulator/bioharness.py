@@ -23,12 +23,12 @@ from typing import Self
 
 import numpy as np
 
-from biosensor_gateway.devices.zephyr.simulated_body import Integers
-from biosensor_gateway.devices.zephyr.simulated_device import SimulatedDevice
-from biosensor_gateway.devices.zephyr.simulated_link import Link, PtyLink
-from biosensor_gateway.devices.zephyr.simulated_session import Session
-from biosensor_gateway.devices.zephyr.simulated_sources import Outgoing, Source, SyntheticSource
-from biosensor_gateway.devices.zephyr.simulated_wire import WAVEFORMS, Packet, Request
+from biosensor_gateway.devices.zephyr.simulator.body import Integers
+from biosensor_gateway.devices.zephyr.simulator.device import SimulatedDevice
+from biosensor_gateway.devices.zephyr.simulator.session import Session
+from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing, Source, SyntheticSource
+from biosensor_gateway.devices.zephyr.simulator.wire import WAVEFORMS, Packet, Request
+from biosensor_gateway.simulation.serial_links import Link, PtyLink
 
 _ORDER_TIMEOUT_S = 10.0
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from biosensor_gateway.devices.zephyr.simulated_wire import DeviceStamp, Packet, frame, header
+from biosensor_gateway.devices.zephyr.simulator.wire import DeviceStamp, Packet, frame, header
 
 Values = Mapping[str, float | None]
 """Field name (its unit is the suffix) → value; None or absent is "invalid"."""

@@ -9,7 +9,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from math import inf
 
-from biosensor_gateway.devices.zephyr.simulated_wire import (
+from biosensor_gateway.devices.zephyr.simulator.wire import (
     REQUESTS,
     Packet,
     Request,

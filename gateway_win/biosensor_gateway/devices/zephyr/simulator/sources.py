@@ -13,14 +13,14 @@ from datetime import date
 from types import MappingProxyType
 from typing import Protocol
 
-from biosensor_gateway.devices.zephyr import simulated_wire as wire
-from biosensor_gateway.devices.zephyr.simulated_body import (
+from biosensor_gateway.devices.zephyr.simulator import wire
+from biosensor_gateway.devices.zephyr.simulator.body import (
     BREATHING_SWING_COUNTS,
     Body,
     Integers,
 )
-from biosensor_gateway.devices.zephyr.simulated_vitals import Values, general, summary_v2
-from biosensor_gateway.devices.zephyr.simulated_wire import (
+from biosensor_gateway.devices.zephyr.simulator.vitals import Values, general, summary_v2
+from biosensor_gateway.devices.zephyr.simulator.wire import (
     MS_PER_DAY,
     WAVEFORMS,
     DeviceStamp,

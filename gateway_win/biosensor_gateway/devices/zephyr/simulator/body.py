@@ -15,7 +15,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_gateway.devices.zephyr.simulated_wire import WAVEFORMS, Packet
+from biosensor_gateway.devices.zephyr.simulator.wire import WAVEFORMS, Packet
 
 CENTRE_COUNTS = 512
 COUNTS_PER_G = 20.75

@@ -11,8 +11,8 @@ from itertools import accumulate
 from math import inf
 from typing import Literal, NamedTuple
 
-from biosensor_gateway.devices.zephyr.simulated_sources import Outgoing
-from biosensor_gateway.devices.zephyr.simulated_wire import (
+from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing
+from biosensor_gateway.devices.zephyr.simulator.wire import (
     ACK,
     ETX,
     MAX_PAYLOAD,
@@ -192,7 +192,7 @@ class RecordedSource:
         FileNotFoundError
             If there is no recording of that name.
         """
-        folder = files("biosensor_gateway").joinpath("devices/zephyr/recordings")
+        folder = files("biosensor_gateway").joinpath("devices/zephyr/simulator/recordings")
         timing = folder.joinpath(f"{name}-timing.csv")
         return cls(
             folder.joinpath(f"{name}.dat").read_bytes(),

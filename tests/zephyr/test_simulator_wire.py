@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.zephyr.simulated_vitals import general, summary_v2
-from biosensor_gateway.devices.zephyr.simulated_wire import (
+from biosensor_gateway.devices.zephyr.simulator.vitals import general, summary_v2
+from biosensor_gateway.devices.zephyr.simulator.wire import (
     REQUESTS,
     DeviceStamp,
     Packet,

@@ -9,10 +9,10 @@ from math import inf
 
 import numpy as np
 
-from biosensor_gateway.devices.zephyr.simulated_link import Link
-from biosensor_gateway.devices.zephyr.simulated_session import Session
-from biosensor_gateway.devices.zephyr.simulated_sources import Outgoing, Source
-from biosensor_gateway.devices.zephyr.simulated_wire import Packet, Request
+from biosensor_gateway.devices.zephyr.simulator.session import Session
+from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing, Source
+from biosensor_gateway.devices.zephyr.simulator.wire import Packet, Request
+from biosensor_gateway.simulation.serial_links import Link
 
 _DRAIN_CHECK_S = 0.02
 _HANG_UP_S = 1.0

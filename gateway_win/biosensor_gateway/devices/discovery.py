@@ -1,0 +1,26 @@
+"""What a search finds, and the settings that would add it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A device that could be added to the settings.
+
+    Attributes
+    ----------
+    sensor
+    name
+        What a person calls it: the advertised name, an id.
+    settings
+        ``unit`` and whatever else leads the driver to it; scalars only.
+    rssi_dbm
+    """
+
+    sensor: str
+    name: str
+    settings: Mapping[str, str | int | float | bool]
+    rssi_dbm: int | None = None

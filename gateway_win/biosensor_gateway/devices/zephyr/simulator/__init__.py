@@ -1,0 +1,1 @@
+"""A virtual BioHarness 3: a source of packets, a conversation and a serial link."""

@@ -1,0 +1,1 @@
+"""What virtual devices share: their world, wearer, crystal, faults and links."""

@@ -1,0 +1,45 @@
+"""The oscillator of a virtual device: its own time against the true one."""
+
+from __future__ import annotations
+
+from pylsl import local_clock
+
+
+class Crystal:
+    """Device time since power-on, running fast by some ppm.
+
+    Parameters
+    ----------
+    drift_ppm
+        Positive is fast: more device seconds than true ones.
+    start_s
+        True time of power-on on the LSL clock; now by default.
+    """
+
+    def __init__(self, drift_ppm: float = 0.0, start_s: float | None = None) -> None:
+        self._true_s = local_clock() if start_s is None else start_s
+        self._device_s = 0.0
+        self._rate = 1 + drift_ppm * 1e-6
+
+    @property
+    def drift_ppm(self) -> float:
+        """How fast the crystal runs now."""
+        return (self._rate - 1) * 1e6
+
+    def now(self) -> float:
+        """Device seconds since power-on."""
+        return self.at(local_clock())
+
+    def at(self, true_s: float) -> float:
+        """Device seconds at a true time on the LSL clock, not before the last `set_drift`."""
+        return self._device_s + (true_s - self._true_s) * self._rate
+
+    def true_time(self, device_s: float) -> float:
+        """LSL time at which the device's clock shows ``device_s``."""
+        return self._true_s + (device_s - self._device_s) / self._rate
+
+    def set_drift(self, ppm: float) -> None:
+        """Run at another speed from now on; the past stays as it was."""
+        now = local_clock()
+        self._device_s, self._true_s = self.at(now), now
+        self._rate = 1 + ppm * 1e-6

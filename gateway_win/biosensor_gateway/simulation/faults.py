@@ -1,0 +1,123 @@
+"""Faults that a virtual device can be given, and how a command line writes them.
+
+``[SENSOR:]KIND[:VALUE]@START``, for instance ``drop:5s@10s`` (the link is gone for
+five seconds, ten seconds after the start), ``polar_h10:off_body:20s@15s``,
+``low_battery:4%@5s``, ``drift:150ppm@0s``, ``garbage:64@10s``.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from enum import Enum, unique
+
+from biosensor_common.errors import ConfigError, ConfigReason
+
+
+@unique
+class FaultKind(Enum):
+    """What can go wrong with a device; the value's unit is in brackets."""
+
+    DROP = "drop"
+    """The link breaks and cannot be had again for so long [s]."""
+    STALL = "stall"
+    """The link stands, but nothing is sent or heard for so long [s]."""
+    GARBAGE = "garbage"
+    """So many random bytes, or damaged messages, where the transport can carry them."""
+    REFUSE = "refuse"
+    """The device breaks the link, then refuses every command for so long [s]."""
+    LATE = "late"
+    """The device breaks the link, then for 30 s answers every command so late [s]."""
+    RESTART = "restart"
+    """The device or its server ends and starts anew after so long [s]; all modes are lost."""
+    LOW_BATTERY = "low_battery"
+    """The battery has this much left [percent]."""
+    OFF_BODY = "off_body"
+    """The wearer takes the sensor off for so long [s]."""
+    DRIFT = "drift"
+    """The device's crystal runs fast by so much [ppm]."""
+
+
+_UNITS = {
+    FaultKind.GARBAGE: "",
+    FaultKind.LOW_BATTERY: "%",
+    FaultKind.DRIFT: "ppm",
+}
+_DEFAULTS = {
+    FaultKind.GARBAGE: 64.0,
+    FaultKind.LOW_BATTERY: 4.0,
+    FaultKind.DRIFT: 150.0,
+    FaultKind.LATE: 1.0,
+}
+_SECONDS = "s"
+_DEFAULT_SECONDS = 5.0
+_FAULT = re.compile(
+    r"(?:(?P<sensor>[a-z][a-z0-9_]*(?::recording)?):)?"
+    rf"(?P<kind>{'|'.join(kind.value for kind in FaultKind)})"
+    r"(?::(?P<value>-?[0-9]+(?:\.[0-9]+)?)(?P<unit>s|%|ppm)?)?"
+    r"@(?P<start>[0-9]+(?:\.[0-9]+)?)s?"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One fault.
+
+    Attributes
+    ----------
+    kind
+    value
+        In the unit of the kind; for those in seconds, infinity never ends.
+    """
+
+    kind: FaultKind
+    value: float
+
+    def __post_init__(self) -> None:
+        if math.isnan(self.value) or (self.value < 0 and self.kind is not FaultKind.DRIFT):
+            raise ValueError(f"a fault {self.kind.value} of {self.value} makes no sense")
+
+
+@dataclass(frozen=True, slots=True)
+class ScheduledFault:
+    """A fault, when it begins and whom it hits.
+
+    Attributes
+    ----------
+    fault
+    start_s
+        Seconds after the virtual devices were started.
+    sensor
+        Only this one; empty for every device that can have the fault.
+    """
+
+    fault: Fault
+    start_s: float
+    sensor: str = ""
+
+
+def parse_fault(text: str) -> ScheduledFault:
+    """Read a fault as the command line has it.
+
+    Raises
+    ------
+    ConfigError
+        ``WRONG_VALUE``, with the text and what is allowed.
+    """
+    found = _FAULT.fullmatch(text.strip())
+    kind = FaultKind(found["kind"]) if found else None
+    if found is None or kind is None or (found["unit"] or _unit(kind)) != _unit(kind):
+        kinds = ", ".join(kind.value for kind in FaultKind)
+        message = f"{text!r} is no fault; write [SENSOR:]KIND[:VALUE]@START, as in drop:5s@10s"
+        raise ConfigError(ConfigReason.WRONG_VALUE, f"{message}; kinds are {kinds}")
+    value = float(found["value"]) if found["value"] else _DEFAULTS.get(kind, _DEFAULT_SECONDS)
+    try:
+        fault = Fault(kind, value)
+    except ValueError as error:
+        raise ConfigError(ConfigReason.WRONG_VALUE, f"{text!r}: {error}") from error
+    return ScheduledFault(fault, float(found["start"]), found["sensor"] or "")
+
+
+def _unit(kind: FaultKind) -> str:
+    return _UNITS.get(kind, _SECONDS)

@@ -1,0 +1,112 @@
+"""What every virtual device offers: to be switched on, steered, and asked for the truth."""
+
+from __future__ import annotations
+
+import asyncio
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from math import isfinite
+from types import TracebackType
+from typing import Any, ClassVar, Self
+
+from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.truth import Truth
+from biosensor_gateway.simulation.world import World
+
+LATE_LASTS_S = 30.0
+_AT_ONCE = frozenset({FaultKind.LOW_BATTERY, FaultKind.DRIFT, FaultKind.GARBAGE})
+
+
+class Twin(ABC):
+    """A virtual device that lives in a world's loop; a context manager.
+
+    The public methods may be called from any thread but the world's, and return
+    when they are carried out. A subclass implements the underscored ones, which
+    all run in the world's loop.
+
+    Parameters
+    ----------
+    world
+        Where it lives.
+    kept
+        Limit of `truth`; None = all.
+    """
+
+    sensor: ClassVar[str]
+    """Name of the sensor in the declarations."""
+    faults: ClassVar[frozenset[FaultKind]]
+    """Which faults it can have."""
+
+    def __init__(self, world: World, kept: int | None = None) -> None:
+        self.world = world
+        self.truth = Truth(kept)
+        self._lasting: dict[FaultKind, asyncio.TimerHandle | None] = {}
+
+    @property
+    @abstractmethod
+    def settings(self) -> Mapping[str, Any]:
+        """Fields of the device's settings that lead a driver to it, once it is started."""
+
+    def __enter__(self) -> Self:
+        self.world.await_(self._start())
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.world.await_(self._stop())
+
+    def apply(self, fault: Fault) -> None:
+        """Begin a fault; one that lasts some seconds ends by itself, or by `clear`.
+
+        Raises
+        ------
+        ValueError
+            If this device cannot have it.
+        """
+        if fault.kind not in self.faults:
+            raise ValueError(f"{self.sensor} cannot have the fault {fault.kind.value}")
+        self.world.call(lambda: self._apply(fault))
+
+    def clear(self, kind: FaultKind) -> None:
+        """End a fault now; without effect where there is none."""
+        self.world.call(lambda: self._clear(kind))
+
+    def _apply(self, fault: Fault) -> None:
+        self._clear(fault.kind)
+        self._begin(fault)
+        if fault.kind in _AT_ONCE:
+            return
+        # A late answer has its delay as value, so the fault lasts for a fixed time.
+        seconds = LATE_LASTS_S if fault.kind is FaultKind.LATE else fault.value
+        self._lasting[fault.kind] = (
+            self.world.loop.call_later(seconds, self._clear, fault.kind)
+            if isfinite(seconds)
+            else None
+        )
+
+    def _clear(self, kind: FaultKind) -> None:
+        if kind in self._lasting:
+            end = self._lasting.pop(kind)
+            if end is not None:
+                end.cancel()
+            self._end(kind)
+
+    @abstractmethod
+    async def _start(self) -> None:
+        """Switch the device on; it can be found and connected to from now on."""
+
+    @abstractmethod
+    async def _stop(self) -> None:
+        """Switch the device off."""
+
+    @abstractmethod
+    def _begin(self, fault: Fault) -> None:
+        """Begin one of `faults`; it must not block."""
+
+    @abstractmethod
+    def _end(self, kind: FaultKind) -> None:
+        """End one that lasts."""

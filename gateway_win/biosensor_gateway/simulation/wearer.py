@@ -1,0 +1,160 @@
+"""The person who wears the virtual devices: signals as pure functions of time.
+
+Nothing here has a state: any sample can be computed without those before it, so a
+device and a test agree on the truth by the seed alone. A beat's phase is a closed
+form of time (a heart rate that respiration modulates). Times are seconds since the
+wearer's world began; every function takes and returns arrays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+SINUS_ARRHYTHMIA = 0.05
+"""Relative swing of the heart rate with respiration."""
+# Height [uV], centre and width [s] at one beat a second: P, Q, R, S, T.
+_ECG_WAVES = (
+    (120.0, -0.17, 0.025),
+    (-100.0, -0.035, 0.010),
+    (1100.0, 0.0, 0.011),
+    (-220.0, 0.035, 0.011),
+    (280.0, 0.26, 0.045),
+)
+PULSE_TRANSIT_S = 0.22
+"""From the R peak to the steepest rise of the pulse wave at finger or wrist."""
+_NOISE_TONES = 16
+
+
+@dataclass(frozen=True)
+class Wearer:
+    """A person with a steady mean heart rate and respiration.
+
+    Parameters
+    ----------
+    seed
+        Of all noise and of the skin's responses; equal seeds give equal people.
+    heart_rate_bpm, respiration_rate_bpm
+        Mean rates [1/min].
+    """
+
+    seed: int = 0
+    heart_rate_bpm: float = 72.0
+    respiration_rate_bpm: float = 15.0
+
+    def heart_rate(self, t: Floats) -> Floats:
+        """Momentary heart rate [1/min]."""
+        return self.heart_rate_bpm * (1 + SINUS_ARRHYTHMIA * np.sin(self._breath_omega * t))
+
+    def beat_count(self, t: Floats) -> Floats:
+        """Beats until ``t``, with fractions: the heart rate, integrated."""
+        omega = self._breath_omega
+        swing = SINUS_ARRHYTHMIA / omega * (1 - np.cos(omega * t))
+        return self.heart_rate_bpm / 60 * (t + swing)
+
+    def beat_time(self, beats: Floats) -> Floats:
+        """When R peaks happen [s]; the inverse of `beat_count`, by fixed-point iteration."""
+        omega = self._breath_omega
+        unmodulated = beats * 60 / self.heart_rate_bpm
+        t = unmodulated
+        for _ in range(12):  # each step shrinks the error by the arrhythmia's swing
+            t = unmodulated - SINUS_ARRHYTHMIA / omega * (1 - np.cos(omega * t))
+        return t
+
+    def beats_between(self, begin_s: float, end_s: float) -> Floats:
+        """R peaks in ``begin_s <= t < end_s`` [s], oldest first."""
+        first, last = self.beat_count(np.array([begin_s, end_s], np.float64))
+        times = self.beat_time(np.arange(np.floor(first), np.ceil(last) + 1, dtype=np.float64))
+        return times[(times >= begin_s) & (times < end_s)]
+
+    def rr_before(self, beat_times: Floats) -> Floats:
+        """Interval that ends with each of the given R peaks [s]."""
+        beats = np.rint(self.beat_count(beat_times))
+        return self.beat_time(beats) - self.beat_time(beats - 1)
+
+    def ecg_uv(self, t: Floats) -> Floats:
+        """Electrocardiogram with P, Q, R, S and T [uV]."""
+        phase = self.beat_count(t)
+        interval_s = 60 / self.heart_rate(t)
+        from_peak_s = (phase - np.rint(phase)) * interval_s
+        stretch = np.sqrt(interval_s)  # QT follows the square root of R-R (Bazett)
+        ecg = np.zeros(t.shape)
+        for height, centre_s, width_s in _ECG_WAVES:
+            ecg += height * np.exp(-0.5 * ((from_peak_s - centre_s * stretch) / width_s) ** 2)
+        return ecg + self.noise(t, 8.0, "ecg")
+
+    def pulse(self, t: Floats) -> Floats:
+        """Blood volume pulse at a limb, swinging about 0, from about -0.5 to 1."""
+        phase = self.beat_count(t - PULSE_TRANSIT_S) % 1.0
+        systole = np.exp(-0.5 * ((phase - 0.18) / 0.08) ** 2)
+        dicrotic = 0.35 * np.exp(-0.5 * ((phase - 0.48) / 0.09) ** 2)
+        return systole + dicrotic - 0.28 + self.noise(t, 0.01, "pulse")
+
+    def skin_conductance_us(self, t: Floats) -> Floats:
+        """Electrodermal activity: a slow level and a response every 12 to 20 s [uS]."""
+        level = 5.0 + 0.6 * np.sin(2 * pi * t / 97.0)
+        onsets = self._response_onsets[np.newaxis, :]
+        age = np.maximum((t[:, np.newaxis] % _RESPONSE_CYCLE_S) - onsets, 0.0)
+        # The bi-exponential rise and recovery of a skin conductance response.
+        responses = 1.9 * (np.exp(-age / 4.0) - np.exp(-age / 0.8))
+        return level + responses.sum(axis=1) + self.noise(t, 0.004, "eda")
+
+    def skin_temperature_c(self, t: Floats) -> Floats:
+        """Skin temperature at the wrist [degrees Celsius]."""
+        return 32.5 + 0.4 * np.sin(2 * pi * t / 211.0) + self.noise(t, 0.01, "temperature")
+
+    def chest_force_n(self, t: Floats) -> Floats:
+        """Tension of a belt around the chest [N]."""
+        return 12.0 + 3.0 * np.sin(self._breath_omega * t) + self.noise(t, 0.02, "belt")
+
+    def acceleration_g(self, t: Floats) -> Floats:
+        """Acceleration of the trunk, x y z [g], shape (n, 3): at rest, with breathing."""
+        sway = 0.01 * np.sin(self._breath_omega * t)
+        axes = (
+            -0.97 + self.noise(t, 0.004, "x"),
+            0.05 + sway + self.noise(t, 0.004, "y"),
+            0.24 - sway + self.noise(t, 0.004, "z"),
+        )
+        return np.stack(axes, axis=1)
+
+    def eeg_uv(self, t: Floats, electrode: str) -> Floats:
+        """Scalp potential: an alpha rhythm that waxes and wanes, and broadband noise [uV]."""
+        (phase,) = self._rng(electrode).uniform(0, 2 * pi, 1)
+        alpha = 12.0 * (1 + 0.5 * np.sin(2 * pi * t / 7.0 + phase))
+        rhythm = alpha * np.sin(2 * pi * 10.0 * t + phase)
+        return rhythm + self.noise(t, 6.0, electrode)
+
+    def noise(self, t: Floats, rms: float, name: str) -> Floats:
+        """Noise of a given RMS that is the same whenever it is asked for.
+
+        A sum of tones between 0.5 and 45 Hz whose frequencies and phases come from
+        the seed and ``name``.
+        """
+        rng = self._rng(name)
+        frequencies = rng.uniform(0.5, 45.0, _NOISE_TONES)
+        phases = rng.uniform(0, 2 * pi, _NOISE_TONES)
+        tones = np.sin(2 * pi * t[:, np.newaxis] * frequencies + phases)
+        return rms * np.sqrt(2 / _NOISE_TONES) * tones.sum(axis=1)
+
+    @property
+    def _breath_omega(self) -> float:
+        return 2 * pi * self.respiration_rate_bpm / 60
+
+    @cached_property
+    def _response_onsets(self) -> Floats:
+        steps = self._rng("responses").uniform(12.0, 20.0, 64)
+        onsets = np.cumsum(steps)
+        return onsets[onsets < _RESPONSE_CYCLE_S - 30.0]
+
+    def _rng(self, name: str) -> np.random.Generator:
+        return np.random.default_rng((self.seed, *name.encode("ascii")))
+
+
+_RESPONSE_CYCLE_S = 600.0
+"""Skin conductance responses repeat after so long."""

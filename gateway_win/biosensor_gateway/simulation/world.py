@@ -1,0 +1,61 @@
+"""The thread and event loop in which virtual devices live.
+
+They have one of their own, so that a device behaves the same whoever is slow: the
+agent that reads it, or the test that steers it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable, Coroutine
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+_T = TypeVar("_T")
+_TIMEOUT_S = 20.0
+
+
+class World:
+    """An asyncio loop in a thread of its own; a context manager."""
+
+    def __init__(self) -> None:
+        self.loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._run, name="virtual devices", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.await_(self._cancel_all())
+        self.loop.call_soon_threadsafe(self.loop.stop)
+        self._thread.join()
+        self.loop.close()
+
+    def await_(self, coroutine: Coroutine[Any, Any, _T]) -> _T:
+        """Run a coroutine in the world's loop and return its result; for other threads."""
+        return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(_TIMEOUT_S)
+
+    def call(self, function: Callable[[], _T]) -> _T:
+        """Run a function in the world's thread and return its result; for other threads."""
+
+        async def run() -> _T:
+            return function()
+
+        return self.await_(run())
+
+    def _run(self) -> None:
+        asyncio.set_event_loop(self.loop)
+        self.loop.run_forever()
+
+    async def _cancel_all(self) -> None:
+        others = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in others:
+            task.cancel()
+        await asyncio.gather(*others, return_exceptions=True)

@@ -1,0 +1,49 @@
+"""What is within reach of this computer, before anybody has connected to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, slots=True)
+class Advertisement:
+    """What a Bluetooth LE device says of itself.
+
+    Attributes
+    ----------
+    address
+        MAC address; on macOS an identifier that holds for this computer only.
+    name
+        Empty while it has not been heard.
+    rssi_dbm
+    service_uuids
+        128-bit, lower case.
+    manufacturer_data
+        Payload by company identifier.
+    """
+
+    address: str
+    name: str = ""
+    rssi_dbm: int | None = None
+    service_uuids: frozenset[str] = frozenset()
+    manufacturer_data: Mapping[int, bytes] = field(default_factory=dict[int, bytes])
+
+
+@dataclass(frozen=True, slots=True)
+class SerialPort:
+    """A serial port of this computer.
+
+    Attributes
+    ----------
+    port
+        What a driver opens.
+    remote_name
+        Name of the Bluetooth device behind it; empty if there is none or it is unknown.
+    remote_address
+        Its MAC address as ``AA:BB:CC:DD:EE:FF``, empty if unknown.
+    """
+
+    port: str
+    remote_name: str = ""
+    remote_address: str = ""
