@@ -117,8 +117,20 @@ class DeviceClock:
         self._lsl_origin = math.nan
         self._newest = 0.0
         self._late = _LateRun()
+        self._slope = 0.0
         self._reanchors = 0
         self._observations = 0
+
+    def restart(self) -> None:
+        """Forget the offset, as when the device is known to count anew; counted as a re-anchor.
+
+        The crystal is the same, so the drift stays as a first guess. Nothing can be
+        mapped before the next observation.
+        """
+        if self._envelope is not None:
+            self._slope = self._envelope.slope
+            self._envelope = None
+            self._reanchors += 1
 
     def observe(self, device_s: float, arrival_s: float) -> Reanchor | None:
         """Take in one packet.
@@ -144,7 +156,7 @@ class DeviceClock:
         _require_readings(device_s, arrival_s)
         self._observations += 1
         if self._envelope is None:
-            self._envelope = self._anchor(device_s, arrival_s, 0.0)
+            self._envelope = self._anchor(device_s, arrival_s, self._slope)
             return None
         x = device_s - self._device_origin
         y = (arrival_s - self._lsl_origin) - x
@@ -166,7 +178,7 @@ class DeviceClock:
         ValueError
             If `device_s` is not finite, or beyond 1e11 s.
         RuntimeError
-            Before the first observation.
+            Before the first observation, also after `restart`.
         """
         _require_readings(device_s)
         if self._envelope is None:
@@ -177,7 +189,9 @@ class DeviceClock:
     def state(self) -> ClockState:
         """The present offset, drift and counts."""
         if self._envelope is None:
-            return ClockState(math.nan, math.nan, math.nan, 0, 0)
+            return ClockState(
+                math.nan, math.nan, math.nan, self._reanchors, self._observations
+            )
         newest = self._device_origin + self._newest
         return ClockState(
             offset_s=self.to_lsl(newest) - newest,

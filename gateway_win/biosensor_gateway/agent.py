@@ -60,12 +60,13 @@ class Agent:
             health.remove_status(self._folder)
 
     async def _report(self, outlet: Outlet) -> None:
-        """Once a second: counters into LSL, state into the status file."""
+        """Once a second: waiting states and counters into LSL, state into the status file."""
         loop = asyncio.get_running_loop()
         due = loop.time()
         while True:
             merged: dict[str, Counters] = {}
             for _, sink in self.devices:
+                sink.release()
                 merged |= sink.counters
             outlet.push_text(counters_text(merged), pylsl.local_clock())
             self._write_status()

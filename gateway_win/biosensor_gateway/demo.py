@@ -1,6 +1,7 @@
-"""The pair end to end without hardware: recorded bytes of a real BioHarness become topics.
+"""The pair end to end without hardware: virtual devices of every kind become topics.
 
-Agent, node and table are processes of their own, as they are in a lab.
+Agent, node and table are processes of their own, as they are in a lab. The BioHarness
+plays bytes that were recorded from a real one.
 """
 
 from __future__ import annotations
@@ -18,12 +19,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from biosensor_common.errors import TransportError, TransportReason
-from biosensor_gateway.devices.zephyr.expectation import Expectation, expect
+from biosensor_gateway.demo_expectation import SENSORS, expected_topics
 
-# Short enough that the slowest chunk, of the breathing waveform, fills in two seconds.
+# Short enough that the slowest chunk, of the wristband's 4 Hz, fills in eight seconds.
 CHUNK_LENGTH = 32
-# Between the first sample and the end, everything must have been found and have filled.
-MARGIN_S = 3.0
 STOP_TIMEOUT_S = 10.0
 _POLL_S = 0.2
 
@@ -39,7 +38,7 @@ def run(seconds: float | None) -> int:
     Returns
     -------
     int
-        0 if every topic that the recording can fill received data, else 1.
+        0 if every topic that the virtual devices can fill received data, else 1.
 
     Raises
     ------
@@ -52,7 +51,7 @@ def run(seconds: float | None) -> int:
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="biosensor-demo-")))
         expected = folder / "expected.json"
-        expected.write_text(json.dumps(_expected_topics(seconds)), encoding="utf-8")
+        expected.write_text(json.dumps(expected_topics(seconds, CHUNK_LENGTH)), encoding="utf-8")
         servers = {
             name: stack.enter_context(_process(name, command, folder))
             for name, command in _SERVERS.items()
@@ -67,24 +66,9 @@ def run(seconds: float | None) -> int:
 
 
 _SERVERS: dict[str, Sequence[str]] = {
-    "agent": ("biosensor_gateway.cli", "run", "--simulate", "zephyr:recording"),
+    "agent": ("biosensor_gateway.cli", "run", "--simulate", ",".join(SENSORS.values())),
     "node": ("lsl_to_ros.node", "--ros-args", "-p", f"Chunk_Length:={CHUNK_LENGTH}"),
 }
-
-
-def _expected_topics(seconds: float | None) -> dict[str, str]:
-    """By topic: empty text, or why it will have received nothing after so many seconds."""
-    limit = float("inf") if seconds is None else seconds - MARGIN_S
-    return {
-        f"/biosensors/zephyr/{topic}": _reason(expectation, limit)
-        for topic, expectation in expect(CHUNK_LENGTH).items()
-    }
-
-
-def _reason(expectation: Expectation, limit_s: float) -> str:
-    if expectation.after_s is None:
-        return expectation.reason
-    return "" if expectation.after_s <= limit_s else expectation.reason
 
 
 @contextmanager

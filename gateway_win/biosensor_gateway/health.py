@@ -8,6 +8,7 @@ import os
 import time
 from collections.abc import Iterable
 from dataclasses import asdict
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ def _device(supervisor: Supervisor, sink: DeviceSink) -> dict[str, Any]:
         "error": supervisor.last_error,
         "dropped_bytes": sink.dropped_bytes,
         # JSON knows no NaN; before the first packet there is nothing to say.
-        "clock": clock if clock["observations"] else None,
+        "clock": clock if isfinite(clock["offset_s"]) else None,
         "streams": {source: asdict(counters) for source, counters in sink.counters.items()},
     }
 

@@ -19,12 +19,20 @@ from numpy.typing import ArrayLike, NDArray
 from biosensor_common import naming
 from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
 from biosensor_common.lsl_header import describe
-from biosensor_common.quantities import ChannelFormat
+from biosensor_common.quantities import ChannelFormat, ContentType
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, StreamSpec
 
 # A stamp further off is not on the LSL clock at all (unix time, device time).
 MAX_STAMP_ERROR_S = 30.0
+
+# How long receivers take to find a new stream and to attach to it.
+ATTACH_TIME_S = 5.0
+
+# What a device says once or rarely, and what holds until it says otherwise.
+_STATES = frozenset(
+    {ContentType.BATTERY, ContentType.QUALITY, ContentType.RSSI, ContentType.STATUS}
+)
 
 _DTYPES: dict[ChannelFormat, np.dtype[Any]] = {
     ChannelFormat.FLOAT32: np.dtype(np.float32),
@@ -71,7 +79,13 @@ class Counters:
 
 
 class Outlet:
-    """One LSL outlet of a declared stream."""
+    """One LSL outlet of a declared stream.
+
+    LSL drops what nobody receives yet, and a device tells its battery or signal
+    strength right after the outlet was made. So the newest sample of a stream that
+    shows a state waits, with its own stamp, until there was time to attach and
+    somebody did; see `release`.
+    """
 
     def __init__(self, stream: StreamSpec, identity: DeviceIdentity, info: DeviceInfo) -> None:
         if isinstance(stream.rate, FromDevice):
@@ -90,6 +104,9 @@ class Outlet:
         )
         _append(lsl_info.desc(), describe(stream, identity, info))
         self._outlet = pylsl.StreamOutlet(lsl_info)
+        self._waits = stream.content_type in _STATES and not stream.is_regular
+        self._ready_s = pylsl.local_clock() + ATTACH_TIME_S
+        self._waiting: tuple[NDArray[Any], float] | None = None
 
     def push(self, samples: ArrayLike, stamps: Sequence[float]) -> str | None:
         """Push samples that are newer than all before them.
@@ -116,9 +133,30 @@ class Outlet:
             return fault
         if len(stamps):
             dtype = _DTYPES[self.stream.format]
-            self._outlet.push_chunk(np.ascontiguousarray(values, dtype=dtype), list(stamps))
+            data = np.ascontiguousarray(values, dtype=dtype)
+            if not self._has_audience():
+                self._waiting = data[-1:], stamps[-1]
+                return None
+            self.release()
+            self._outlet.push_chunk(data, list(stamps))
             self._count(stamps)
         return None
+
+    def release(self) -> None:
+        """Push the sample that waits for receivers, if it need not wait any longer."""
+        if self._waiting is not None and self._has_audience():
+            data, stamp = self._waiting
+            self._waiting = None
+            self._outlet.push_chunk(data, [stamp])
+            self._count([stamp])
+
+    def _has_audience(self) -> bool:
+        if not self._waits:
+            return True
+        has_one = pylsl.local_clock() >= self._ready_s and self._outlet.have_consumers()
+        # Once is enough: whoever comes later gets what is measured later.
+        self._waits = not has_one
+        return has_one
 
     def push_text(self, text: str, stamp: float) -> None:
         """Push one string sample."""
@@ -213,6 +251,11 @@ class DeviceOutlets:
     def close(self) -> None:
         """Destroy all outlets."""
         self._outlets.clear()
+
+    def release(self) -> None:
+        """Push what waits for a receiver; see :class:`Outlet`."""
+        for outlet in self._outlets.values():
+            outlet.release()
 
     def __getitem__(self, data_name: str) -> Outlet:
         return self._outlets[data_name]

@@ -58,6 +58,10 @@ class DeviceSink:
         """Destroy the outlets."""
         self._outlets.close()
 
+    def release(self) -> None:
+        """Push states that wait for a receiver; to be called once a second or so."""
+        self._outlets.release()
+
     def heard(self) -> None:
         """Note that the device said something valid; the watchdog starts anew."""
         self._last_heard = local_clock()
@@ -72,6 +76,13 @@ class DeviceSink:
                 cause=jump.reason.value,
                 seconds=round(jump.size_s, 3),
             )
+
+    def restart_clock(self) -> None:
+        """Map device times anew from the next observation on: the device counts anew.
+
+        Nothing can be emitted with device times before that observation.
+        """
+        self._clock.restart()
 
     def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
         """Push samples.

@@ -207,8 +207,15 @@ def _is_stopping() -> bool:
 
 
 def _cause(error: Exception) -> Exception:
-    """Unwrap what a driver's task group raised."""
+    """Unwrap what a driver's task group raised.
+
+    When a link is cut, several tasks may notice at once: one that says so is enough.
+    """
     if not isinstance(error, ExceptionGroup):
         return error
     group = cast("ExceptionGroup[Exception]", error)
-    return _cause(group.exceptions[0]) if len(group.exceptions) == 1 else group
+    causes = [_cause(each) for each in group.exceptions]
+    unexpected = [each for each in causes if not isinstance(each, GatewayError)]
+    if not unexpected:
+        return causes[0]
+    return unexpected[0] if len(causes) == 1 else group

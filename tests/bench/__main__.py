@@ -8,7 +8,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.bench import machine, parser_speed, report
+from tests.bench import agent_load, machine, parser_speed, report
 from tests.bench.legs import LEGS, Round
 from tests.bench.processes import BenchError
 
@@ -19,11 +19,12 @@ class Effort:
 
     rounds: int
     seconds: float
+    agent_s: float
     passes: int
 
 
-_FULL = Effort(rounds=3, seconds=15.0, passes=15)
-_QUICK = Effort(rounds=1, seconds=5.0, passes=5)
+_FULL = Effort(rounds=3, seconds=15.0, agent_s=30.0, passes=15)
+_QUICK = Effort(rounds=1, seconds=5.0, agent_s=10.0, passes=5)
 
 
 def _measure_legs(effort: Effort) -> dict[str, list[Round]]:
@@ -41,8 +42,11 @@ def _measure_legs(effort: Effort) -> dict[str, list[Round]]:
 def _run(effort: Effort) -> report.Run:
     load = machine.load()
     rounds = _measure_legs(effort)
+    sys.stderr.write("the agent with every device\n")
+    agent = agent_load.measure(effort.agent_s)
     parser = parser_speed.measure(effort.passes)
-    return report.Run(machine.facts(), (load, machine.load()), effort.seconds, rounds, parser)
+    loads = (load, machine.load())
+    return report.Run(machine.facts(), loads, effort.seconds, rounds, agent, parser)
 
 
 def main() -> None:

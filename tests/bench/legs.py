@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
 from tests.bench.processes import Process, Processes
 from tests.bench.roles import RATE_HZ
 

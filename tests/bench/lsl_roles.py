@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pylsl
+
 from tests.bench.roles import CHANNELS, RATE_HZ, Arrivals, send_on_schedule, told_by_parent
 
 NAME, CONTENT_TYPE = "bench", "EEG"

@@ -80,6 +80,19 @@ class Process:
         fields = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
+    @property
+    def memory_mb(self) -> float:
+        """Resident memory in MB (1e6 bytes)."""
+        pages = int(Path(f"/proc/{self._process.pid}/statm").read_text().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+    def line(self, patience_s: float = _PATIENCE_S) -> str:
+        """Return the next line that it says; empty if none comes."""
+        try:
+            return self._lines.get(timeout=patience_s)
+        except Empty:
+            return ""
+
     def expect(self, word: str, patience_s: float = _PATIENCE_S) -> None:
         """Wait until it says that word.
 
@@ -88,10 +101,7 @@ class Process:
         BenchError
             If it says something else, nothing, or ends.
         """
-        try:
-            said = self._lines.get(timeout=patience_s)
-        except Empty:
-            said = ""
+        said = self.line(patience_s)
         if said != word:
             raise self._failure(f"said {said!r} instead of {word!r}")
 
@@ -133,11 +143,17 @@ class Process:
 
 
 class Processes:
-    """Starts children with one environment; all end with the ``with`` block."""
+    """Starts children with one environment; all end with the ``with`` block.
+
+    Attributes
+    ----------
+    environment
+        What the next children get.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._environment = isolated_environment(folder)
+        self.environment = isolated_environment(folder)
         self._stack = ExitStack()
         self._started = 0
 
@@ -151,4 +167,4 @@ class Processes:
         """Start ``python -m`` with these arguments."""
         self._started += 1
         log = self.folder / f"{self._started}.log"
-        return self._stack.enter_context(Process(list(arguments), self._environment, log))
+        return self._stack.enter_context(Process(list(arguments), self.environment, log))

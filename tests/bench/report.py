@@ -10,11 +10,14 @@ from typing import Any
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
+
+from tests.bench.agent_load import AgentLoad
 from tests.bench.legs import Round
 from tests.bench.parser_speed import ParserSpeed
 
 RATIO_TARGET = 1.5
 PARSER_TARGET = 500.0
+AGENT_CPU_TARGET, AGENT_MEMORY_TARGET, AGENT_P99_TARGET = 25.0, 150.0, 5.0
 
 _TITLES = {
     "lsl": "LSL: push to pull_sample",
@@ -39,6 +42,7 @@ class Run:
     load: tuple[float, float]
     seconds: float
     rounds: Mapping[str, Sequence[Round]]
+    agent: AgentLoad
     parser: Sequence[ParserSpeed]
 
     def median(self, leg: str, figure: str) -> float:
@@ -85,6 +89,7 @@ def show(run: Run) -> None:
     table.add_row("", "", "", _verdict(f"<= {RATIO_TARGET}", reached=run.ratio <= RATIO_TARGET))
     cpu = run.median("node", "node_cpu_percent")
     table.add_row("CPU of lsl_to_ros", f"{cpu:.1f} %", "", "of one core")
+    _add_agent(table, run.agent)
     for speed in run.parser:
         title = f"BioHarness decoder, {speed.recorded_s:.0f} s"
         best = f"x real time, best {speed.best:.0f}"
@@ -101,6 +106,21 @@ def _add_leg(table: Table, run: Run, leg: str) -> None:
     lost, sent = sum(r.lost for r in run.rounds[leg]), sum(r.sent for r in run.rounds[leg])
     p50, p99 = run.median(leg, "p50_ms"), run.median(leg, "p99_ms")
     table.add_row(_TITLES[leg], f"{p50:.3f} ms", f"{p99:.3f} ms", f"{lost} of {sent} lost")
+
+
+def _add_agent(table: Table, agent: AgentLoad) -> None:
+    p50, p99 = f"{agent.p50_ms:.3f} ms", f"{agent.p99_ms:.3f} ms"
+    table.add_row("agent, 7 devices: arrival to push", p50, p99, f"{agent.pushes} pushes")
+    _add_verdict(table, agent.p99_ms, AGENT_P99_TARGET, "ms")
+    rate = f"of one core, {agent.samples_a_second:.0f} samples/s"
+    table.add_row("CPU of the agent", f"{agent.cpu_percent:.1f} %", "", rate)
+    _add_verdict(table, agent.cpu_percent, AGENT_CPU_TARGET, "%")
+    table.add_row("memory of the agent", f"{agent.memory_mb:.0f} MB", "", "resident")
+    _add_verdict(table, agent.memory_mb, AGENT_MEMORY_TARGET, "MB")
+
+
+def _add_verdict(table: Table, value: float, target: float, unit: str) -> None:
+    table.add_row("", "", "", _verdict(f"<= {target:g} {unit}", reached=value <= target))
 
 
 def _verdict(target: str, *, reached: bool) -> str:

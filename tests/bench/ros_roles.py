@@ -11,6 +11,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float32MultiArray
+
 from tests.bench.roles import TOPIC_DEPTH, Arrivals, send_on_schedule, told_by_parent
 
 

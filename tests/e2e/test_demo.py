@@ -1,4 +1,4 @@
-"""``make demo``: exit code and the list of what was not to be expected."""
+"""``make demo``: every sensor, the exit code, and the list of what was not to be expected."""
 
 from __future__ import annotations
 
@@ -11,6 +11,17 @@ from pathlib import Path
 import pytest
 
 from biosensor_gateway.devices.zephyr.expectation import expect
+
+
+EXPECTED = {
+    "empatica_e4": "bvp bvp_chunk gsr st hr ibi acc quality",
+    "emotiv_insight": "eeg eeg_chunk pow pow_chunk met mot dev eeg_status",
+    "shimmer3_gsr": "gsr gsr_chunk ppg ppg_chunk hr bat quality",
+    "polar_h10": "hr ibi ecg ecg_chunk acc bat rssi quality",
+    "vernier_respiration_belt": "bpm force force_chunk bat rssi quality",
+    "zephyr": "hr ecg ecg_chunk br_chunk acc ibi quality",
+    "ble_heart_rate": "hr ibi bat rssi quality",
+}
 
 
 def _run(*command: str) -> subprocess.CompletedProcess[str]:
@@ -44,15 +55,16 @@ while True:
 """
 
 
-def test_the_demo_fills_all_that_the_recording_can_fill() -> None:
-    ended = _run("biosensor_gateway.cli", "demo", "--seconds", "12")
+def test_the_demo_fills_all_that_virtual_devices_of_every_kind_can_fill() -> None:
+    ended = _run("biosensor_gateway.cli", "demo", "--seconds", "20")
     assert ended.returncode == 0, ended.stdout + ended.stderr
     assert "MISSING" not in ended.stdout
-    for topic in ("hr", "ecg", "ecg_chunk", "br_chunk", "acc", "ibi", "quality"):
-        assert f"/biosensors/zephyr/{topic} " in ended.stdout
+    for sensor, topics in EXPECTED.items():
+        for topic in topics.split():
+            assert f"/biosensors/{sensor}/{topic} " in ended.stdout
     lines = ended.stdout.splitlines()
-    assert any(line.startswith("/biosensors/zephyr/hrv: not expected") for line in lines)
-    assert any(line.startswith("/biosensors/zephyr/st: not expected") for line in lines)
+    for topic in ("zephyr/hrv", "zephyr/st", "empatica_e4/tag", "emotiv_insight/gyro"):
+        assert any(line.startswith(f"/biosensors/{topic}: not expected") for line in lines)
 
 
 def test_a_topic_that_stays_empty_is_named_and_fails(published: str, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import os
 import subprocess
 import sys
@@ -13,9 +14,13 @@ import uuid
 from collections.abc import Awaitable, Callable, Generator
 from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import NamedTuple
 
 import pylsl
 import pytest
+import structlog
+
+from biosensor_gateway import cli
 
 DEADLINE_S = 30.0
 _POLL_S = 0.01
@@ -133,3 +138,59 @@ def cli_process() -> Callable[..., AbstractContextManager[subprocess.Popen[bytes
             process.wait()
 
     return started
+
+
+class Outcome(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where the command line looks for its settings; not there yet."""
+    path = tmp_path / "config" / "settings.toml"
+    monkeypatch.setenv("BIOSENSOR_GATEWAY_SETTINGS", str(path))
+    return path
+
+
+@pytest.fixture
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("BIOSENSOR_GATEWAY_STATE", str(tmp_path / "state"))
+    return tmp_path / "state"
+
+
+@pytest.fixture
+def logging_as_before() -> Generator[None]:
+    """Undo what a command sets up: its handlers hold on to the captured console."""
+    root, own = logging.getLogger(), logging.getLogger("biosensor_gateway")
+    handlers, levels = root.handlers[:], (root.level, own.level)
+    yield
+    for handler in [each for each in root.handlers if each not in handlers]:
+        root.removeHandler(handler)
+        handler.close()
+    root.setLevel(levels[0])
+    own.setLevel(levels[1])
+    structlog.reset_defaults()
+
+
+@pytest.fixture
+def run(
+    settings: Path,
+    state: Path,
+    logging_as_before: None,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> Callable[..., Outcome]:
+    """Run a command in this process; one that fails without a sentence fails the test."""
+    del settings, state, logging_as_before
+
+    def command(*arguments: str) -> Outcome:
+        monkeypatch.setattr(sys, "argv", ["biosensor-gateway", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        out, err = capsys.readouterr()
+        assert "Traceback" not in out + err
+        return Outcome(int(ended.value.code or 0), out, err)
+
+    return command

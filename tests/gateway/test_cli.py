@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from biosensor_gateway import cli, health, simulate
+from biosensor_gateway import health, simulate
+
+if TYPE_CHECKING:
+    from tests.gateway.conftest import Outcome
 
 
-class Outcome(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-
-Run = Callable[..., Outcome]
+Run = Callable[..., "Outcome"]
 
 DEVICE: dict[str, Any] = {
     "sensor": "zephyr",
@@ -32,38 +28,6 @@ DEVICE: dict[str, Any] = {
     "error": None,
     "streams": {"p01@zephyr-ecg": {"pushed": 4711, "lost": 63, "refused": 5, "last_stamp": 1.0}},
 }
-
-
-@pytest.fixture
-def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    path = tmp_path / "config" / "settings.toml"
-    monkeypatch.setenv("BIOSENSOR_GATEWAY_SETTINGS", str(path))
-    return path
-
-
-@pytest.fixture
-def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("BIOSENSOR_GATEWAY_STATE", str(tmp_path / "state"))
-    return tmp_path / "state"
-
-
-@pytest.fixture
-def run(
-    settings: Path,
-    state: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> Run:
-    del settings, state
-
-    def command(*arguments: str) -> Outcome:
-        monkeypatch.setattr(sys, "argv", ["biosensor-gateway", *arguments])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        out, err = capsys.readouterr()
-        return Outcome(int(ended.value.code or 0), out, err)
-
-    return command
 
 
 def one_sentence(outcome: Outcome, code: int) -> str:

@@ -10,13 +10,23 @@ from typing import NamedTuple, cast
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import Driver
+from biosensor_gateway.secret_store import SecretName
 from biosensor_gateway.settings import DeviceSettings
 from biosensor_gateway.sink import DeviceSink
 from biosensor_gateway.transports.seen import Advertisement, SerialPort
 
 ENTRY_POINT_GROUP = "biosensor_gateway.drivers"
 
-_MODULES = {name: f"biosensor_gateway.devices.{name}.driver" for name in ("zephyr",)}
+_SENSORS = (
+    "empatica_e4",
+    "emotiv_insight",
+    "shimmer3_gsr",
+    "polar_h10",
+    "vernier_respiration_belt",
+    "zephyr",
+    "ble_heart_rate",
+)
+_MODULES = {name: f"biosensor_gateway.devices.{name}.driver" for name in _SENSORS}
 
 
 class DriverEntry(NamedTuple):
@@ -32,14 +42,18 @@ class DriverEntry(NamedTuple):
         Tells whether an advertisement or a serial port is such a device; None for
         sensors that have neither.
     find
-        Asks the vendor's service for its devices; None where there is no such service.
+        Asks the vendor's services for their devices, given the settings of all configured
+        devices of the sensor, which say where services are; None where there is no service.
         Raises a GatewayError if the service does not answer.
+    secrets
+        What the vendor's service asks for.
     """
 
     settings: type[DeviceSettings]
     make: Callable[[DeviceSettings, DeviceSink], Callable[[], Driver]]
     recognise: Callable[[Advertisement | SerialPort], Found | None] | None = None
-    find: Callable[[], Awaitable[Sequence[Found]]] | None = None
+    find: Callable[[Sequence[DeviceSettings]], Awaitable[Sequence[Found]]] | None = None
+    secrets: tuple[SecretName, ...] = ()
 
 
 def driver_names() -> tuple[str, ...]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+
 from pylsl import local_clock
 
 
@@ -37,6 +39,15 @@ class Crystal:
     def true_time(self, device_s: float) -> float:
         """LSL time at which the device's clock shows ``device_s``."""
         return self._true_s + (device_s - self._device_s) / self._rate
+
+    async def reach(self, device_s: float) -> float:
+        """Wait until the device's clock shows ``device_s``; return the true time of it."""
+        left = self.true_time(device_s) - local_clock()
+        if left <= 0:
+            return self.true_time(device_s)
+        await asyncio.sleep(left)
+        # The crystal may have changed its speed meanwhile.
+        return await self.reach(device_s)
 
     def set_drift(self, ppm: float) -> None:
         """Run at another speed from now on; the past stays as it was."""

@@ -1,4 +1,7 @@
-"""The byte link under a virtual serial device: a pseudo-terminal that can hang up."""
+"""The byte link under a virtual serial device: a pseudo-terminal that can hang up.
+
+`Link` is for a device with a thread of its own, `AsyncSerialPort` for one in a loop.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ import shutil
 import socket
 import sys
 import tempfile
+from collections.abc import Callable
 from math import inf
 from pathlib import Path
 from typing import Protocol
@@ -19,6 +23,9 @@ if sys.platform != "win32":  # termios exists only there
     import struct
     import termios
     import tty
+
+Heard = Callable[[bytes], None]
+Left = Callable[[], None]
 
 _READ_SIZE = 4096
 
@@ -60,6 +67,31 @@ class Link(Protocol):
         ...
 
 
+class AsyncSerialPort(Protocol):
+    """The device's end of a serial port; every method is for the loop's thread."""
+
+    @property
+    def name(self) -> str:
+        """What a host opens; the same over hang-ups."""
+        ...
+
+    def open(self) -> None:
+        """Become reachable."""
+        ...
+
+    def write(self, data: bytes) -> bool:
+        """Take the whole of ``data`` without blocking; False without host or room."""
+        ...
+
+    def hang_up(self) -> None:
+        """Cut the link and be unreachable until `open`; unread bytes are lost."""
+        ...
+
+    def dispose(self) -> None:
+        """Hang up and remove what is left of the port; it cannot be opened again."""
+        ...
+
+
 class PtyLink:
     """A pseudo-terminal under one stable path.
 
@@ -79,7 +111,7 @@ class PtyLink:
         self._unsent = bytearray()
         self._master: int | None = None
         self._slave: int | None = None
-        self._folder = Path(tempfile.mkdtemp(prefix="bioharness-"))
+        self._folder = Path(tempfile.mkdtemp(prefix="virtual-serial-"))
         self._woken, self._waker = socket.socketpair()
         self._woken.setblocking(False)
 
@@ -105,6 +137,33 @@ class PtyLink:
         tty.setraw(self._master)
         os.set_blocking(self._master, False)
         Path(self.port).symlink_to(os.ttyname(self._slave))
+
+    @property
+    def handle(self) -> int | None:
+        """The device's end of the terminal, for an event loop; None while it is down."""
+        return self._master
+
+    @property
+    def unsent(self) -> int:
+        """Bytes that wait for `flush`."""
+        return len(self._unsent)
+
+    def leave_host_end(self) -> None:
+        """Let go of the host's end, so that a host's leaving shows as a hang-up."""
+        if self._slave is not None:
+            os.close(self._slave)
+            self._slave = None
+
+    def flush(self) -> None:
+        """Send of what is buffered as much as there is room for."""
+        if self._master is not None:
+            self._flush(self._master)
+
+    def forget(self) -> None:
+        """Throw away what is buffered and what no host has read."""
+        self._unsent.clear()
+        if sys.platform != "win32" and self._master is not None:
+            termios.tcflush(self._master, termios.TCIOFLUSH)
 
     def exchange(self, timeout_s: float) -> bytes:
         """Flush, then wait for the host's bytes, a `wake` or the timeout [s]."""

@@ -47,6 +47,11 @@ class Twin(ABC):
     def settings(self) -> Mapping[str, Any]:
         """Fields of the device's settings that lead a driver to it, once it is started."""
 
+    @property
+    def environment(self) -> Mapping[str, str]:
+        """Environment variables that a driver needs, as for a virtual service's credentials."""
+        return {}
+
     def __enter__(self) -> Self:
         self.world.await_(self._start())
         return self
@@ -67,13 +72,27 @@ class Twin(ABC):
         ValueError
             If this device cannot have it.
         """
-        if fault.kind not in self.faults:
-            raise ValueError(f"{self.sensor} cannot have the fault {fault.kind.value}")
+        self._require(fault)
         self.world.call(lambda: self._apply(fault))
+
+    def schedule(self, fault: Fault, after_s: float) -> None:
+        """Begin a fault so many seconds from now.
+
+        Raises
+        ------
+        ValueError
+            If this device cannot have it.
+        """
+        self._require(fault)
+        self.world.call(lambda: self.world.loop.call_later(after_s, self._apply, fault))
 
     def clear(self, kind: FaultKind) -> None:
         """End a fault now; without effect where there is none."""
         self.world.call(lambda: self._clear(kind))
+
+    def _require(self, fault: Fault) -> None:
+        if fault.kind not in self.faults:
+            raise ValueError(f"{self.sensor} cannot have the fault {fault.kind.value}")
 
     def _apply(self, fault: Fault) -> None:
         self._clear(fault.kind)

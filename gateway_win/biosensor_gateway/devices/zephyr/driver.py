@@ -16,8 +16,7 @@ from biosensor_gateway.devices.zephyr.messages import Message, Reply, Summary
 from biosensor_gateway.devices.zephyr.protocol import LIFESIGN, Request, ZephyrProtocol, enable
 from biosensor_gateway.settings import DeviceSettings
 from biosensor_gateway.sink import DeviceSink
-from biosensor_gateway.transports.link import ByteLink
-from biosensor_gateway.transports.serial_port import SerialLink
+from biosensor_gateway.transports.byte_links import byte_link
 
 # The order in which the recorded device was started.
 PACKETS = (
@@ -42,7 +41,8 @@ class ZephyrSettings(DeviceSettings):
 
     port: str = Field(
         min_length=1,
-        description="Serial port of the paired BioHarness, COM7 or /dev/rfcomm0 for instance.",
+        description="Serial port of the paired BioHarness, COM7 or /dev/rfcomm0 for instance, "
+        "or its Bluetooth address, 00:07:80:5A:3E:7E for instance, or socket://HOST:NUMBER.",
         examples=["/dev/rfcomm0"],
     )
 
@@ -55,7 +55,7 @@ class ZephyrDriver:
 
     def __init__(self, settings: ZephyrSettings, sink: DeviceSink, emitter: ZephyrEmitter) -> None:
         self._port = settings.port
-        self._link: ByteLink = SerialLink(settings.port)
+        self._link = byte_link(settings.port)
         self._sink = sink
         self._emitter = emitter
         self._protocol = ZephyrProtocol()

@@ -24,7 +24,7 @@ from typing import Self
 import numpy as np
 
 from biosensor_gateway.devices.zephyr.simulator.body import Integers
-from biosensor_gateway.devices.zephyr.simulator.device import SimulatedDevice
+from biosensor_gateway.devices.zephyr.simulator.device import PutOnLink, SimulatedDevice
 from biosensor_gateway.devices.zephyr.simulator.session import Session
 from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing, Source, SyntheticSource
 from biosensor_gateway.devices.zephyr.simulator.wire import WAVEFORMS, Packet, Request
@@ -58,6 +58,8 @@ class SimulatedBioHarness:
     kept_packets
         How many of the last sent packets and requests are kept for `sent` and
         `requests`; None = all, which is for tests and not for days of running.
+    put_on_link
+        See `SimulatedDevice`.
     """
 
     def __init__(
@@ -73,6 +75,7 @@ class SimulatedBioHarness:
         ignored: Iterable[int] = (),
         seed: int = 0,
         kept_packets: int | None = None,
+        put_on_link: PutOnLink | None = None,
     ) -> None:
         session = Session(
             summary_supported,
@@ -83,7 +86,12 @@ class SimulatedBioHarness:
             set(ignored),
         )
         self._device = SimulatedDevice(
-            source or SyntheticSource(), session, link or PtyLink(), seed, kept_packets
+            source or SyntheticSource(),
+            session,
+            link or PtyLink(),
+            seed,
+            kept_packets,
+            put_on_link,
         )
         self._stopping = False
         self._orders: SimpleQueue[tuple[Callable[[], None], Future[None]]] = SimpleQueue()
@@ -127,7 +135,7 @@ class SimulatedBioHarness:
         """
         sent: list[Outgoing] = []
         # Between two steps: a frame is recorded only after its bytes are on the link.
-        self._carry_out(lambda: sent.extend(self._device.sent))
+        self.carry_out(lambda: sent.extend(self._device.sent))
         return tuple(sent)
 
     @property
@@ -169,17 +177,17 @@ class SimulatedBioHarness:
             self._stopping = True
 
         if self._thread.is_alive():
-            self._carry_out(order)
+            self.carry_out(order)
             self._thread.join()
         self._device.link.dispose()
 
     def drop_link(self, seconds: float = inf) -> None:
         """Hang up and be unreachable for ``seconds``, or until `restore_link`."""
-        self._carry_out(lambda: self._device.hang_up(seconds))
+        self.carry_out(lambda: self._device.hang_up(seconds))
 
     def restore_link(self) -> None:
         """End a `drop_link` now; without effect on a link that is up."""
-        self._carry_out(self._device.restore)
+        self.carry_out(self._device.restore)
 
     def stall(self) -> None:
         """Go out of reach with the link open: nothing is sent, nothing is heard."""
@@ -191,7 +199,7 @@ class SimulatedBioHarness:
 
     def garbage(self, count: int) -> None:
         """Send so many random bytes between two frames."""
-        self._carry_out(lambda: self._device.send_garbage(count))
+        self.carry_out(lambda: self._device.send_garbage(count))
 
     def corrupt_next(self) -> None:
         """Flip one bit in the payload or check of the next frame."""
@@ -199,15 +207,15 @@ class SimulatedBioHarness:
         def order() -> None:
             self._device.corrupts_next = True
 
-        self._carry_out(order)
+        self.carry_out(order)
 
     def refuse(self, request_id: int) -> None:
         """Answer this request with NAK until `allow`."""
-        self._carry_out(lambda: self._device.session.refused.add(request_id))
+        self.carry_out(lambda: self._device.session.refused.add(request_id))
 
     def ignore(self, request_id: int) -> None:
         """Leave this request without an answer until `allow`."""
-        self._carry_out(lambda: self._device.session.ignored.add(request_id))
+        self.carry_out(lambda: self._device.session.ignored.add(request_id))
 
     def allow(self, request_id: int) -> None:
         """End `refuse` and `ignore` of this request."""
@@ -216,7 +224,7 @@ class SimulatedBioHarness:
             self._device.session.refused.discard(request_id)
             self._device.session.ignored.discard(request_id)
 
-        self._carry_out(order)
+        self.carry_out(order)
 
     def delay_answers(self, seconds: float) -> None:
         """Answer every request so much later; 0 ends it."""
@@ -224,33 +232,41 @@ class SimulatedBioHarness:
         def order() -> None:
             self._device.session.answer_delay_s = seconds
 
-        self._carry_out(order)
+        self.carry_out(order)
 
     def off_body(self) -> None:
         """Take the strap off: status, vitals and event; not for a recording."""
-        self._carry_out(lambda: self._synthetic.set_worn(False))
+        self.carry_out(lambda: self._synthetic.set_worn(False))
 
     def on_body(self) -> None:
         """Put the strap on again; not for a recording."""
-        self._carry_out(lambda: self._synthetic.set_worn(True))
+        self.carry_out(lambda: self._synthetic.set_worn(True))
 
     def battery(self, percent: int) -> None:
         """Set the battery's charge [percent]; not for a recording."""
-        self._carry_out(lambda: self._synthetic.set_battery(percent))
+        self.carry_out(lambda: self._synthetic.set_battery(percent))
 
     def event(self, code: int, data: bytes = b"") -> None:
         """Have an event happen (0x0040 is the button); not for a recording."""
-        self._carry_out(lambda: self._synthetic.add_event(code, data))
+        self.carry_out(lambda: self._synthetic.add_event(code, data))
 
     def step_clock(self, seconds: float) -> None:
         """Set the device's clock forward or back; not for a recording."""
-        self._carry_out(lambda: self._synthetic.step_clock(round(1000 * seconds)))
+        self.carry_out(lambda: self._synthetic.step_clock(round(1000 * seconds)))
 
     def midnight(self, seconds: float = 1.0) -> None:
         """Set the clock so many device seconds before midnight; not for a recording."""
-        self._carry_out(
-            lambda: self._synthetic.midnight_in(round(1000 * seconds), time.monotonic())
-        )
+        self.carry_out(lambda: self._synthetic.midnight_in(round(1000 * seconds), time.monotonic()))
+
+    def carry_out(self, order: Callable[[], None]) -> None:
+        """Run ``order`` in the device's thread and wait for it; raise what it raises."""
+        if not self._thread.is_alive():
+            order()
+            return
+        outcome: Future[None] = Future()
+        self._orders.put((order, outcome))
+        self._device.link.wake()
+        outcome.result(_ORDER_TIMEOUT_S)
 
     @property
     def _synthetic(self) -> SyntheticSource:
@@ -262,17 +278,7 @@ class SimulatedBioHarness:
         def order() -> None:
             self._device.stalled = stalled
 
-        self._carry_out(order)
-
-    def _carry_out(self, order: Callable[[], None]) -> None:
-        """Run ``order`` on the device's thread and wait for it; raise what it raises."""
-        if not self._thread.is_alive():
-            order()
-            return
-        outcome: Future[None] = Future()
-        self._orders.put((order, outcome))
-        self._device.link.wake()
-        outcome.result(_ORDER_TIMEOUT_S)
+        self.carry_out(order)
 
     def _run(self) -> None:
         while not self._stopping:

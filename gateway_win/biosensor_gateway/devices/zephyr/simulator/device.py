@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
 from math import inf
 
@@ -13,6 +14,8 @@ from biosensor_gateway.devices.zephyr.simulator.session import Session
 from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing, Source
 from biosensor_gateway.devices.zephyr.simulator.wire import Packet, Request
 from biosensor_gateway.simulation.serial_links import Link
+
+PutOnLink = Callable[[Outgoing, bool], None]
 
 _DRAIN_CHECK_S = 0.02
 _HANG_UP_S = 1.0
@@ -29,6 +32,9 @@ class SimulatedDevice:
         Of garbage and flipped bits.
     kept_packets
         Limit of ``sent`` and ``requests``; None = all.
+    put_on_link
+        Told of each frame of the source that was due and enabled, and whether the link
+        took it intact; called in the device's thread.
 
     Attributes
     ----------
@@ -43,7 +49,13 @@ class SimulatedDevice:
     """
 
     def __init__(
-        self, source: Source, session: Session, link: Link, seed: int, kept_packets: int | None
+        self,
+        source: Source,
+        session: Session,
+        link: Link,
+        seed: int,
+        kept_packets: int | None,
+        put_on_link: PutOnLink | None = None,
     ) -> None:
         self.source = source
         self.session = session
@@ -53,6 +65,7 @@ class SimulatedDevice:
         self.sent: deque[Outgoing] = deque(maxlen=kept_packets)
         self.requests: deque[Request] = deque(maxlen=kept_packets)
         self.dropped_frames = 0
+        self._put_on_link = put_on_link
         self._rng = np.random.default_rng(seed)
         self._reopens_at: float | None = None
 
@@ -112,6 +125,8 @@ class SimulatedDevice:
         for frame in self.source.poll(now, self.session.enabled):
             if (sent := self._send(frame)) is not None:
                 self.sent.append(sent)
+            if self._put_on_link is not None:
+                self._put_on_link(frame, sent is not None and not sent.corrupted)
         if self.source.hangs_up(now) and self.link.drained():
             self.hang_up(_HANG_UP_S)
 

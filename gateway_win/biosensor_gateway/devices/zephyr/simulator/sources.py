@@ -19,6 +19,7 @@ from biosensor_gateway.devices.zephyr.simulator.body import (
     Body,
     Integers,
 )
+from biosensor_gateway.devices.zephyr.simulator.pace import Pace
 from biosensor_gateway.devices.zephyr.simulator.vitals import Values, general, summary_v2
 from biosensor_gateway.devices.zephyr.simulator.wire import (
     MS_PER_DAY,
@@ -54,6 +55,8 @@ class Outgoing:
     measured_at
         When its first sample (or, for a summary, the whole) was measured, on the
         monotonic clock of this computer [s].
+    period_s
+        True time between two of its samples [s].
     first_index
         Number of its first sample since power-on.
     samples
@@ -69,6 +72,7 @@ class Outgoing:
     sequence: int | None = None
     stamp: DeviceStamp | None = None
     measured_at: float | None = None
+    period_s: float | None = None
     first_index: int | None = None
     samples: Integers | None = None
     values: Values | None = None
@@ -145,17 +149,12 @@ class SyntheticSource:
     ) -> None:
         self.body = Body(seed, heart_rate_bpm, respiration_rate_bpm, posture_deg)
         self._clock = clock_start
-        self._rate = speed * (1 + drift_ppm * 1e-6)
+        self._pace = Pace(speed, drift_ppm)
         self._jitter_ms = 1000 * jitter_s
         self._hrv_after_s = hrv_after_s
         self._worn = worn
         self._battery_percent = battery_percent
-        self._powered_at = 0.0
-        self._events: list[tuple[int, bytes]] = []
-        self._event_count = 0
-        packets = (*WAVEFORMS, Packet.SUMMARY, Packet.GENERAL)
-        self._queue = [(self._due_ms(packet, 0), packet, 0) for packet in packets]
-        heapq.heapify(self._queue)
+        self._begin_measuring()
 
     @property
     def speaks_lifesigns(self) -> bool:
@@ -164,11 +163,17 @@ class SyntheticSource:
 
     def power_on(self, now: float) -> None:
         """Set device time 0 to ``now``."""
-        self._powered_at = now
+        self._pace.start(now)
+
+    def power_cycle(self, now: float) -> None:
+        """Begin anew with every number at 0; the clock has gone on."""
+        self.step_clock(round(self._pace.device_ms(now)))
+        self.power_on(now)
+        self._begin_measuring()
 
     def poll(self, now: float, enabled: frozenset[Packet]) -> list[Outgoing]:
         """Return events, then the enabled packets whose last sample is measured."""
-        device_ms = 1000 * (now - self._powered_at) * self._rate
+        device_ms = self._pace.device_ms(now)
         frames = [self._event(code, data, device_ms) for code, data in self._events]
         self._events.clear()
         while self._queue[0][0] <= device_ms:
@@ -181,7 +186,7 @@ class SyntheticSource:
 
     def next_due(self) -> float:
         """Return when the next packet is complete, enabled or not."""
-        return self._measured_at(self._queue[0][0])
+        return self._pace.true_s(self._queue[0][0])
 
     def hangs_up(self, now: float) -> bool:
         """Never."""
@@ -200,6 +205,10 @@ class SyntheticSource:
             self.add_event(0x1040, bytes((0, 100)) if worn else bytes((100, 0)))
         self._worn = worn
 
+    def set_drift(self, ppm: float, now: float) -> None:
+        """Run the crystal so much too fast from ``now`` on."""
+        self._pace.set_drift(ppm, now)
+
     def set_battery(self, percent: int) -> None:
         """Set the battery's charge [percent]."""
         self._battery_percent = percent
@@ -210,16 +219,19 @@ class SyntheticSource:
 
     def midnight_in(self, milliseconds: int, now: float) -> None:
         """Set the clock forward so that it turns midnight in so many device milliseconds."""
-        elapsed_ms = round(1000 * (now - self._powered_at) * self._rate)
-        ms_of_day = self._clock.plus(elapsed_ms).ms_of_day
+        ms_of_day = self._clock.plus(round(self._pace.device_ms(now))).ms_of_day
         self.step_clock(MS_PER_DAY - milliseconds - ms_of_day)
 
     def add_event(self, code: int, data: bytes) -> None:
         """Have an event happen at the next `poll`."""
         self._events.append((code, data))
 
-    def _measured_at(self, device_ms: float) -> float:
-        return self._powered_at + device_ms / 1000 / self._rate
+    def _begin_measuring(self) -> None:
+        self._events: list[tuple[int, bytes]] = []
+        self._event_count = 0
+        kinds = (*WAVEFORMS, Packet.SUMMARY, Packet.GENERAL)
+        self._queue = [(self._due_ms(kind, 0), kind, 0) for kind in kinds]
+        heapq.heapify(self._queue)
 
     def _due_ms(self, packet: Packet, index: int) -> float:
         late_ms = self.body.rng(packet, index, 1).uniform(0, 1) * self._jitter_ms
@@ -228,20 +240,15 @@ class SyntheticSource:
     def _event(self, code: int, data: bytes, device_ms: float) -> Outgoing:
         stamp, sequence = self._clock.plus(round(device_ms)), self._event_count
         self._event_count += 1
-        return Outgoing(
-            wire.event(sequence, stamp, code, data),
-            Packet.EVENT,
-            sequence,
-            stamp,
-            self._measured_at(device_ms),
-        )
+        data = wire.event(sequence, stamp, code, data)
+        return Outgoing(data, Packet.EVENT, sequence, stamp, self._pace.true_s(device_ms))
 
     def _packet(self, packet: Packet, index: int) -> Outgoing:
         is_waveform = packet in WAVEFORMS
         begin_ms = (index if is_waveform else index + 1) * duration_ms(packet)
         jitter = self.body.rng(packet, index, 2).integers(-_STAMP_JITTER_MS, _STAMP_JITTER_MS + 1)
         stamp = self._clock.plus(begin_ms + int(jitter))
-        measured_at = self._measured_at(begin_ms)
+        measured_at = self._pace.true_s(begin_ms)
         if not is_waveform:
             values = self._vitals(packet, begin_ms / 1000)
             encode = summary_v2 if packet is Packet.SUMMARY else general
@@ -249,8 +256,9 @@ class SyntheticSource:
             return Outgoing(data, packet, index, stamp, measured_at, values=values)
         samples = self.body.samples(packet, index)
         data = wire.waveform(packet, index, stamp, [int(value) for value in samples.flat])
-        first = index * WAVEFORMS[packet].samples
-        return Outgoing(data, packet, index, stamp, measured_at, first, samples)
+        layout = WAVEFORMS[packet]
+        period_s, first = layout.period_ms / 1000 / self._pace.rate, index * layout.samples
+        return Outgoing(data, packet, index, stamp, measured_at, period_s, first, samples)
 
     def _vitals(self, packet: Packet, t: float) -> Values:
         """Return what a summary or general data packet at ``t`` [device s] holds."""

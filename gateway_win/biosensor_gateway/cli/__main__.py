@@ -1,0 +1,5 @@
+"""``python -m biosensor_gateway.cli``."""
+
+from biosensor_gateway.cli.app import main
+
+main()

@@ -1,0 +1,155 @@
+"""``biosensor-gateway status``, ``scan`` and ``test``: what there is, and how it does."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from biosensor_common.errors import (
+    ConfigError,
+    ConfigReason,
+    TransportError,
+    TransportReason,
+)
+from biosensor_gateway import health, settings_file, trial
+from biosensor_gateway import scan as search
+from biosensor_gateway.cli.options import JsonOption, SettingsOption, SimulateOption
+from biosensor_gateway.devices import settings_models
+from biosensor_gateway.logs import configure_logs
+from biosensor_gateway.settings import (
+    DeviceSettings,
+    LogSettings,
+    settings_path,
+    state_folder,
+)
+
+
+def status(as_json: JsonOption = False) -> None:
+    """Show what the running agent does; exit code 1 if none runs."""
+    try:
+        current = health.read_status(state_folder())
+    except ConfigError as error:
+        # The command was right: there is no agent.
+        raise TransportError(TransportReason.ABSENT, str(error)) from error
+    if as_json:
+        typer.echo(json.dumps(current, indent=2))
+    else:
+        _print_status(current)
+
+
+def _print_status(current: dict[str, Any]) -> None:
+    console = Console()
+    for device in current["devices"]:
+        name = " ".join(
+            part for part in (device["participant"], device["sensor"], device["label"]) if part
+        )
+        line = f"{name} ({device['unit']}): {device['state']}"
+        console.print(line + (f" - {device['error']}" if device["error"] else ""), markup=False)
+        table = Table("stream", "pushed", "lost", "refused", box=None)
+        for source_id, counters in device["streams"].items():
+            figures = (counters["pushed"], counters["lost"], counters["refused"])
+            table.add_row(source_id, *(str(figure) for figure in figures))
+        console.print(table)
+
+
+def scan(
+    settings: SettingsOption = None,
+    seconds: Annotated[float, typer.Option(min=1, help="How long to listen to Bluetooth.")] = 6.0,
+    simulate: SimulateOption = "",
+    as_json: JsonOption = False,
+) -> None:
+    """List the devices in reach, each with the lines that add it to the settings."""
+    configure_logs(LogSettings(level="error"), None)
+    with _devices(settings, simulate) as configured:
+        sections = asyncio.run(search.scan(seconds, configured))
+    if as_json:
+        typer.echo(json.dumps(search.as_json(sections), indent=2))
+    else:
+        _print_sections(sections)
+
+
+def _print_sections(sections: list[search.Section]) -> None:
+    for section in sections:
+        typer.echo(f"{section.title}: {section.problem or _counted(len(section.found))}")
+        for found in section.found:
+            signal = "" if found.rssi_dbm is None else f", {found.rssi_dbm} dBm"
+            typer.echo(f"\n  {found.name}{signal}\n")
+            typer.echo("\n".join(f"    {line}" for line in search.toml_lines(found).splitlines()))
+        if section.others:
+            typer.echo(f"  not known to any driver: {', '.join(section.others)}")
+        typer.echo()
+
+
+def _counted(count: int) -> str:
+    return "nothing that a driver knows" if not count else f"{count} found"
+
+
+def test(
+    sensor: Annotated[str, typer.Argument(help="Which sensor, as in polar_h10.")],
+    unit: Annotated[str, typer.Option(help="Which one, if several are configured.")] = "",
+    settings: SettingsOption = None,
+    seconds: Annotated[float, typer.Option(min=1, help="How long to listen.")] = 10.0,
+    simulate: Annotated[bool, typer.Option("--simulate", help="Try its virtual twin.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Connect to one device, show what it sends and what is wrong; nothing is streamed."""
+    configure_logs(LogSettings(level="error"), None)
+    with _devices(settings, sensor if simulate else "") as configured:
+        device = trial.chosen_device(sensor, unit, configured)
+        outcome = asyncio.run(trial.try_device(device, seconds))
+    if as_json:
+        typer.echo(json.dumps(trial.as_json(outcome), indent=2))
+    else:
+        _print_trial(outcome)
+    if outcome.problems:
+        raise typer.Exit(1)
+
+
+def _print_trial(outcome: trial.Trial) -> None:
+    info = outcome.info
+    if info is not None:
+        details = (info.manufacturer, info.model, info.serial_number, info.firmware_version)
+        typer.echo(f"connected: {' '.join(each for each in details if each) or 'no details'}")
+        table = Table("stream", "samples", "Hz", "nominal", "last", box=None)
+        for name, noted in outcome.streams.items():
+            rate = "" if noted.measured_hz is None else f"{noted.measured_hz:.1f}"
+            nominal = f"{noted.nominal_hz:g}" if noted.nominal_hz else "irregular"
+            table.add_row(name, str(noted.samples), rate, nominal, _short(noted.last))
+        Console().print(table)
+    for problem in outcome.problems:
+        typer.echo(f"! {problem}")
+    if not outcome.problems:
+        typer.echo("no problem found")
+
+
+def _short(values: tuple[float | str, ...]) -> str:
+    shown = [value if isinstance(value, str) else f"{value:.3g}" for value in values[:6]]
+    return " ".join(shown) + (" ..." if len(values) > len(shown) else "")
+
+
+@contextmanager
+def _devices(settings: Path | None, simulate: str) -> Generator[tuple[DeviceSettings, ...]]:
+    """Yield the devices of the settings, or virtual ones while the context lasts."""
+    if simulate:
+        from biosensor_gateway.simulate import simulated_settings  # noqa: PLC0415 - only on request
+
+        with simulated_settings(simulate.split(",")) as loaded:
+            yield loaded.devices
+        return
+    try:
+        loaded = settings_file.load_settings(settings or settings_path(), settings_models())
+    except ConfigError as error:
+        # To look around one needs no settings yet; a broken file is another matter.
+        if settings is not None or error.reason is not ConfigReason.NOT_FOUND:
+            raise
+        yield ()
+    else:
+        yield loaded.devices

@@ -1,0 +1,63 @@
+"""``biosensor-gateway secrets``: what vendors' services ask for, kept by the system's keyring."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from biosensor_common.errors import ConfigError, ConfigReason, CredentialError
+from biosensor_gateway import secret_store
+from biosensor_gateway.devices import driver, driver_names
+from biosensor_gateway.secret_store import SecretName
+
+app = typer.Typer(help="Secrets in the keyring of the system.", no_args_is_help=True)
+
+SensorArgument = Annotated[str, typer.Argument(help="Whose secrets, as in emotiv_insight.")]
+
+
+@app.command("set")
+def set_secrets(sensor: SensorArgument) -> None:
+    """Ask for the secrets of a sensor's service and store them; nothing is shown."""
+    for secret in _secrets_of(sensor):
+        # Never an argument: the process list and the shell's history would have it.
+        value: str = typer.prompt(_sentence(secret), hide_input=True)
+        secret_store.set_secret(secret, value)
+    typer.echo(f"the secrets of {sensor} are in the keyring")
+
+
+@app.command("forget")
+def forget_secrets(sensor: SensorArgument) -> None:
+    """Remove the secrets of a sensor's service from the keyring."""
+    for secret in _secrets_of(sensor):
+        was_there = secret_store.forget_secret(secret)
+        outcome = "removed from the keyring" if was_there else "was not in the keyring"
+        typer.echo(f"{_sentence(secret)}: {outcome}")
+
+
+@app.command("check")
+def check_secrets(sensor: SensorArgument) -> None:
+    """Say where the secrets of a sensor's service are found; exit code 1 if one is missing."""
+    problems: list[str] = []
+    for secret in _secrets_of(sensor):
+        try:
+            typer.echo(f"{_sentence(secret)}: {secret_store.secret_origin(secret)}")
+        except CredentialError as error:
+            problems.append(str(error))
+    for problem in problems:
+        typer.echo(f"! {problem}")
+    if problems:
+        raise typer.Exit(1)
+
+
+def _secrets_of(sensor: str) -> tuple[SecretName, ...]:
+    secrets = driver(sensor).secrets
+    if not secrets:
+        having = [name for name in driver_names() if driver(name).secrets]
+        message = f"{sensor} needs no secrets; what does: {', '.join(having)}"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    return secrets
+
+
+def _sentence(secret: SecretName) -> str:
+    return secret.title[:1].upper() + secret.title[1:]

@@ -1,0 +1,34 @@
+"""``biosensor-gateway config``: the settings file."""
+
+from __future__ import annotations
+
+import typer
+
+from biosensor_gateway import settings_file, settings_template
+from biosensor_gateway.cli.options import SettingsOption
+from biosensor_gateway.devices import settings_models
+from biosensor_gateway.settings import settings_path
+
+app = typer.Typer(help="The settings file.", no_args_is_help=True)
+
+
+@app.command("path")
+def print_path() -> None:
+    """Print where the settings file is."""
+    typer.echo(settings_path())
+
+
+@app.command("init")
+def write_template(settings: SettingsOption = None) -> None:
+    """Write a settings file with every setting explained; never overwrites."""
+    path = settings or settings_path()
+    settings_template.write_template(path, settings_models())
+    typer.echo(f"wrote {path}; add your devices there")
+
+
+@app.command("check")
+def check(settings: SettingsOption = None) -> None:
+    """Check the settings file; exit code 2 and every problem with its line if it is wrong."""
+    path = settings or settings_path()
+    loaded = settings_file.load_settings(path, settings_models())
+    typer.echo(f"{path}: {len(loaded.devices)} devices, no problem found")

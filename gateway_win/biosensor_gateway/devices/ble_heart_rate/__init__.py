@@ -1,0 +1,1 @@
+"""Any strap that offers the Bluetooth Heart Rate Service."""

@@ -1,0 +1,91 @@
+"""Bluetooth heart-rate profile: characteristic values in, typed records out; no I/O, no clock.
+
+Layouts are those of the Bluetooth SIG's GATT Specification Supplement [1]_.
+
+.. [1] Bluetooth SIG, GATT Specification Supplement, "Heart Rate Measurement",
+   "Battery Level"; Device Information Service 1.1.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+
+def _assigned(number: int) -> str:
+    return f"0000{number:04x}-0000-1000-8000-00805f9b34fb"
+
+
+HEART_RATE_SERVICE = _assigned(0x180D)
+HEART_RATE_MEASUREMENT = _assigned(0x2A37)
+BATTERY_LEVEL = _assigned(0x2A19)
+MANUFACTURER_NAME = _assigned(0x2A29)
+MODEL_NUMBER = _assigned(0x2A24)
+SERIAL_NUMBER = _assigned(0x2A25)
+FIRMWARE_REVISION = _assigned(0x2A26)
+
+INTERVALS_PER_SECOND = 1024
+
+_RATE_IS_16_BIT = 1 << 0
+_IN_CONTACT = 1 << 1
+_CONTACT_SUPPORTED = 1 << 2
+_HAS_ENERGY = 1 << 3
+_HAS_INTERVALS = 1 << 4
+
+
+@dataclass(frozen=True, slots=True)
+class HeartRateMeasurement:
+    """What a strap sends about once a second.
+
+    Attributes
+    ----------
+    bpm
+        Heart rate [1/min]; 0 = no reading.
+    contact
+        Whether the skin is felt; None if the strap does not tell.
+    energy_kj
+        Energy expended since the last reset [kJ]; None if the strap does not tell.
+    intervals
+        R-R intervals that ended since the last measurement [1/1024 s], oldest first.
+    """
+
+    bpm: int
+    contact: bool | None
+    energy_kj: int | None
+    intervals: tuple[int, ...]
+
+    @property
+    def intervals_s(self) -> tuple[float, ...]:
+        """R-R intervals in seconds."""
+        return tuple(interval / INTERVALS_PER_SECOND for interval in self.intervals)
+
+
+def parse_measurement(data: bytes) -> HeartRateMeasurement | None:
+    """Read a Heart Rate Measurement; None if it is cut short.
+
+    An odd byte behind the intervals and the reserved flags are passed over.
+    """
+    flags = data[0] if data else 0
+    rate = "H" if flags & _RATE_IS_16_BIT else "B"
+    layout = struct.Struct(f"<B{rate}{'H' if flags & _HAS_ENERGY else ''}")
+    if len(data) < layout.size:
+        return None
+    _, bpm, *energy = layout.unpack_from(data)
+    rest = data[layout.size :] if flags & _HAS_INTERVALS else b""
+    return HeartRateMeasurement(
+        bpm=bpm,
+        contact=bool(flags & _IN_CONTACT) if flags & _CONTACT_SUPPORTED else None,
+        energy_kj=energy[0] if energy else None,
+        intervals=struct.unpack_from(f"<{len(rest) // 2}H", rest),
+    )
+
+
+def parse_battery_level(data: bytes) -> int | None:
+    """Read a Battery Level in percent; None if it is none."""
+    return data[0] if data and data[0] <= 100 else None
+
+
+def parse_text(data: bytes) -> str:
+    """Read a text of the Device Information service; what cannot be printed is left out."""
+    text = data.decode("utf-8", errors="ignore")
+    return "".join(character for character in text if character.isprintable()).strip()

@@ -1,0 +1,89 @@
+"""A virtual heart-rate strap of no particular make."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
+from biosensor_gateway.devices.ble_heart_rate.simulator.strap import STRAP_FAULTS, Strap
+from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.peripheral import Peripheral
+from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.simulation.world import World
+
+
+class SimulatedHeartRateStrap(Twin):
+    """Heart Rate, Battery and Device Information services, and nothing else.
+
+    Its measurements tell whether the strap touches the skin and carry R-R intervals.
+    Without contact the rate is 0 and there are no intervals.
+
+    Parameters
+    ----------
+    world, radio
+        Where it lives, and the air that it is heard on.
+    address, name
+        As advertised.
+    wearer
+        Who wears it; somebody made from ``seed`` by default.
+    seed
+        Of radio delays.
+    drift_ppm
+        Of its crystal.
+    jitter_s
+        Packets leave up to so much late.
+    rssi_dbm
+        How strongly it is heard.
+    kept
+        Limit of the truth; None = all.
+    """
+
+    sensor = "ble_heart_rate"
+    faults = STRAP_FAULTS
+
+    def __init__(
+        self,
+        world: World,
+        radio: Radio,
+        *,
+        address: str = "C8:25:00:00:00:01",
+        name: str = "Heart Strap 0001",
+        wearer: Wearer | None = None,
+        seed: int = 0,
+        drift_ppm: float = 0.0,
+        jitter_s: float = 0.0,
+        rssi_dbm: int = -61,
+        kept: int | None = None,
+    ) -> None:
+        super().__init__(world, kept)
+        self._address = address
+        self._strap = Strap(
+            Peripheral(radio, address, name, service_uuids=("180d",), rssi_dbm=rssi_dbm),
+            self.truth,
+            identity=Identity("Virtual Straps", "Heart Strap", "0001", firmware="1.0"),
+            rssi_dbm=rssi_dbm,
+            wearer=wearer,
+            seed=seed,
+            drift_ppm=drift_ppm,
+            jitter_s=jitter_s,
+        )
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """Fields that lead a driver to it."""
+        return {"device": self._address}
+
+    async def _start(self) -> None:
+        await self._strap.start()
+
+    async def _stop(self) -> None:
+        await self._strap.stop()
+
+    def _begin(self, fault: Fault) -> None:
+        self._strap.begin(fault)
+
+    def _end(self, kind: FaultKind) -> None:
+        self._strap.end(kind)

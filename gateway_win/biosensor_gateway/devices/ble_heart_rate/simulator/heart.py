@@ -1,0 +1,82 @@
+"""What a strap's own detector makes of the wearer's heart."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from biosensor_gateway.devices.ble_heart_rate.simulator.measurement import RR_TICKS_PER_S
+from biosensor_gateway.simulation.crystal import Crystal
+from biosensor_gateway.simulation.wearer import Wearer
+
+_AVERAGED_INTERVALS = 4
+
+
+class Interval(NamedTuple):
+    """The time between two R peaks.
+
+    Attributes
+    ----------
+    time
+        LSL time of the second peak.
+    rr
+        Length [1/1024 s of the device's crystal].
+    """
+
+    time: float
+    rr: int
+
+
+class BeatDetector:
+    """Finds R peaks and measures the intervals between them.
+
+    The ends of the intervals are rounded, not their lengths, so that the sum over many
+    beats stays exact.
+
+    Parameters
+    ----------
+    wearer
+    crystal
+        Of the device since its power-on.
+    origin_s
+        LSL time at which the wearer's time is 0.
+    begin_s
+        LSL time from which beats are looked for.
+    """
+
+    def __init__(self, wearer: Wearer, crystal: Crystal, origin_s: float, begin_s: float) -> None:
+        self._wearer = wearer
+        self._crystal = crystal
+        self._origin_s = origin_s
+        self._searched_s = begin_s
+        self._last_tick: int | None = None
+        self._recent: deque[int] = deque(maxlen=_AVERAGED_INTERVALS)
+
+    @property
+    def bpm(self) -> int:
+        """Rate over the last four intervals [1/min]; 0 until there is one."""
+        if not self._recent:
+            return 0
+        return round(60 * RR_TICKS_PER_S * len(self._recent) / sum(self._recent))
+
+    def search(self, until_s: float) -> list[Interval]:
+        """Return the intervals that ended since the last search, oldest first."""
+        begin, end = self._searched_s - self._origin_s, until_s - self._origin_s
+        self._searched_s = until_s
+        intervals: list[Interval] = []
+        for beat_s in self._wearer.beats_between(begin, end) + self._origin_s:
+            time = float(beat_s)
+            tick = int(np.rint(self._crystal.at(time) * RR_TICKS_PER_S))
+            if self._last_tick is not None:
+                intervals.append(Interval(time, tick - self._last_tick))
+            self._last_tick = tick
+        self._recent.extend(interval.rr for interval in intervals)
+        return intervals
+
+    def lose(self, until_s: float) -> None:
+        """Skip to ``until_s`` without skin contact; the next interval needs two new beats."""
+        self._searched_s = until_s
+        self._last_tick = None
+        self._recent.clear()

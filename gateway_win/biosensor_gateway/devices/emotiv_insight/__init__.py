@@ -1,0 +1,1 @@
+"""Emotiv Insight by way of the Cortex service."""

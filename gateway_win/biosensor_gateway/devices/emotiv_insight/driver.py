@@ -1,0 +1,216 @@
+"""The conversation with one headset by way of Cortex, for one connection."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+import structlog
+
+from biosensor_common.errors import GatewayError, TransportError, TransportReason
+from biosensor_common.spec import IRREGULAR, DeviceInfo
+from biosensor_gateway.devices import DriverEntry
+from biosensor_gateway.devices.driver import Connected
+from biosensor_gateway.devices.emotiv_insight import account as accounts
+from biosensor_gateway.devices.emotiv_insight import results
+from biosensor_gateway.devices.emotiv_insight.account import SECRETS, Account
+from biosensor_gateway.devices.emotiv_insight.cortex import ArrivedData, CortexClient, CortexError
+from biosensor_gateway.devices.emotiv_insight.discovery import find
+from biosensor_gateway.devices.emotiv_insight.emitter import (
+    CLOCK_STREAMS,
+    EEG_RATE_HZ,
+    GYROSCOPE,
+    MOTION_RATE_HZ,
+    EmotivEmitter,
+)
+from biosensor_gateway.devices.emotiv_insight.failures import ENDINGS, ending, gateway_error
+from biosensor_gateway.devices.emotiv_insight.headsets import known_headsets, reach
+from biosensor_gateway.devices.emotiv_insight.messages import Fault
+from biosensor_gateway.devices.emotiv_insight.protocol import Decoder
+from biosensor_gateway.devices.emotiv_insight.results import Headset, Subscription
+from biosensor_gateway.devices.emotiv_insight.session import Session, open_session
+from biosensor_gateway.devices.emotiv_insight.settings import EmotivInsightSettings
+from biosensor_gateway.devices.emotiv_insight.silence import SilenceWatch
+from biosensor_gateway.settings import DeviceSettings
+from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.transports.websocket import WebSocketLink
+
+CHECK_EVERY_S = 0.25
+WHY_TIMEOUT_S = 2.0
+_WATCHED = CLOCK_STREAMS
+
+_log = structlog.get_logger("biosensor_gateway.emotiv_insight")
+
+
+class EmotivInsightDriver:
+    """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
+
+    # For sessions with neither EEG nor motion: battery and contact come twice a second.
+    silence_limit_s = 15.0
+
+    def __init__(
+        self,
+        settings: EmotivInsightSettings,
+        sink: DeviceSink,
+        emitter: EmotivEmitter,
+        account: Account,
+    ) -> None:
+        self._pattern = settings.headset
+        self._sink = sink
+        self._emitter = emitter
+        self._account = account
+        self._client = CortexClient(WebSocketLink(settings.url, settings.ca_file))
+        self._endings = self._client.watch(*ENDINGS)
+        self._decoder = Decoder()
+        self._headset = Headset("")
+        self._session: Session | None = None
+        self._silence = SilenceWatch((), 0.0)
+        self._asked_again: set[str] = set()
+
+    async def connect(self) -> Connected:
+        """Sign in, find the headset, make a session and subscribe; see the protocol class."""
+        await self._client.open()
+        try:
+            return await self._start()
+        except CortexError as error:
+            raise gateway_error(error) from error
+
+    async def stream(self) -> None:
+        """Emit what came since the subscription, then all that comes."""
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._pass_on())
+                tasks.create_task(self._heed_warnings())
+                tasks.create_task(self._watch_silence())
+        except ExceptionGroup as group:
+            # When the link ends, more than one of them may have been told.
+            raise group.exceptions[0] from None
+
+    async def close(self) -> None:
+        """Close the session and the connection, without waiting for any reply."""
+        if self._session is not None:
+            await self._session.stop()
+        await self._client.close()
+
+    async def _start(self) -> Connected:
+        client = self._client
+        version = results.version(await client.call("getCortexInfo"))
+        await self._account.sign_in(client, accounts.PATIENCE_S)
+        headset, stayed = await reach(client, self._pattern)
+        self._headset = headset
+        self._forget_endings()
+        self._session = await open_session(client, self._account, headset)
+        subscription = await self._session.subscribe()
+        self._take_layouts(self._session, subscription)
+        eeg_rate = headset.eeg_rate_hz if headset.eeg_rate_hz > 0 else EEG_RATE_HZ
+        motion_rate = headset.motion_rate_hz if headset.motion_rate_hz > 0 else MOTION_RATE_HZ
+        self._emitter.connected(eeg_rate, motion_rate, headset_stayed=stayed)
+        watched = _WATCHED & subscription.layouts.keys()
+        self._silence = SilenceWatch(watched, asyncio.get_running_loop().time())
+        _log.info(
+            "Cortex streams",
+            unit=self._sink.identity.unit,
+            headset=headset.headset_id,
+            firmware=headset.firmware,
+            virtual=headset.is_virtual,
+            cortex=version,
+            streams=sorted(subscription.layouts),
+        )
+        return Connected(
+            DeviceInfo(serial_number=headset.headset_id, firmware_version=headset.firmware),
+            {
+                "eeg": eeg_rate,
+                "eeg_status": eeg_rate,
+                "mot": motion_rate,
+                "gyro": motion_rate if _has_gyroscope(subscription) else IRREGULAR,
+            },
+        )
+
+    def _take_layouts(self, session: Session, subscription: Subscription) -> None:
+        self._decoder.subscribed(
+            subscription.session_id or session.session_id, subscription.layouts
+        )
+
+    def _forget_endings(self) -> None:
+        """Drop what was told before the headset was reached."""
+        while not self._endings.empty():
+            self._endings.get_nowait()
+
+    async def _pass_on(self) -> None:
+        while True:
+            arrived = await self._client.next_data()
+            self._take(arrived)
+            self._count_dropped()
+
+    def _take(self, arrived: ArrivedData) -> None:
+        sample = self._decoder.decode(arrived.data)
+        if isinstance(sample, Fault):
+            self._client.note(sample)
+            return
+        self._sink.heard()
+        self._silence.heard(sample.stream, asyncio.get_running_loop().time())
+        self._emitter.take(sample, arrived.arrival)
+
+    def _count_dropped(self) -> None:
+        self._sink.dropped_bytes += self._client.dropped_bytes
+        self._client.dropped_bytes = 0
+
+    async def _heed_warnings(self) -> None:
+        session_id = self._session.session_id if self._session is not None else ""
+        while True:
+            error = ending(await self._endings.get(), self._headset.headset_id, session_id)
+            if error is not None:
+                raise error
+
+    async def _watch_silence(self) -> None:
+        loop = asyncio.get_running_loop()
+        while self._silence.streams:
+            await asyncio.sleep(CHECK_EVERY_S)
+            names = {"unit": self._sink.identity.unit}
+            for stream, stalled in self._silence.changes(loop.time()).items():
+                _log.info("a stream stalls" if stalled else "it goes on", **names, data=stream)
+            overdue = self._silence.overdue(loop.time())
+            if overdue == self._silence.streams:
+                raise await self._silent()
+            await self._ask_again(overdue - self._asked_again)
+
+    async def _silent(self) -> TransportError:
+        """Ask Cortex why nothing comes."""
+        reason = "Cortex sends no samples"
+        try:
+            known = await known_headsets(self._client, WHY_TIMEOUT_S)
+        except GatewayError as error:
+            reason = str(error)
+        else:
+            own = [each for each in known if each.headset_id == self._headset.headset_id]
+            if not any(each.is_connected for each in own):
+                reason = "Cortex has lost the headset; is it on, charged and near?"
+        return TransportError(TransportReason.SILENT, f"{self._headset.headset_id}: {reason}")
+
+    async def _ask_again(self, streams: frozenset[str]) -> None:
+        """Subscribe once more to what alone has stopped; the others must not suffer for it."""
+        self._asked_again |= streams
+        if streams and self._session is not None:
+            try:
+                subscription = await self._session.subscribe(sorted(streams))
+            except CortexError as error:
+                raise gateway_error(error) from error
+            self._take_layouts(self._session, subscription)
+
+
+def _has_gyroscope(subscription: Subscription) -> bool:
+    """Tell whether the motion stream has angular rates, as older firmware sends them."""
+    motion = subscription.layouts.get("mot")
+    return motion is not None and not motion.labels.isdisjoint(GYROSCOPE)
+
+
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], EmotivInsightDriver]:
+    """Share token and emitter between all connections."""
+    if not isinstance(settings, EmotivInsightSettings):
+        raise TypeError(f"not the settings of an Insight: {type(settings).__name__}")
+    emitter = EmotivEmitter(sink)
+    account = Account(settings.license, settings.debit)
+    return lambda: EmotivInsightDriver(settings, sink, emitter, account)
+
+
+DRIVER = DriverEntry(EmotivInsightSettings, _make, find=find, secrets=SECRETS)

@@ -1,0 +1,281 @@
+"""A virtual Cortex service with a headset, and what can happen to it.
+
+::
+
+    with World() as world, SimulatedCortex(world, seed=1) as cortex:
+        cortex.settings  # url, ca_file, headset
+        cortex.client_id, cortex.client_secret
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from biosensor_gateway.devices.emotiv_insight.simulator.account import App, Licence
+from biosensor_gateway.devices.emotiv_insight.simulator.certificates import Leaf
+from biosensor_gateway.devices.emotiv_insight.simulator.errors import Code
+from biosensor_gateway.devices.emotiv_insight.simulator.faults import begin, end
+from biosensor_gateway.devices.emotiv_insight.simulator.headset import Timing
+from biosensor_gateway.devices.emotiv_insight.simulator.models import INSIGHT_1, Model
+from biosensor_gateway.devices.emotiv_insight.simulator.release import Metrics, Release
+from biosensor_gateway.devices.emotiv_insight.simulator.service import Service, Setup
+from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.simulation.world import World
+
+_APP = App("virtual-app", "virtual-secret-0123456789")
+_LICENSED = Licence.EEG | Licence.METRICS
+_USER_LOGGED_IN, _USER_LOGGED_OUT = 2, 3
+_ACCESS_GRANTED, _ACCESS_REJECTED = 9, 10
+_UNKNOWN_WARNING = 999
+
+
+class SimulatedCortex(Twin):
+    """Cortex with one headset, on a port of its own on the loopback interface.
+
+    Parameters
+    ----------
+    world, wearer, seed, drift_ppm, jitter_s, kept
+        As for every virtual device; the drift is that of the clock of Cortex.
+    headset
+        Id; None = ``A1B2C3D4`` after the model's prefix.
+    model
+        `INSIGHT_1`, `INSIGHT_1_GYRO` (older firmware), `INSIGHT_2`, `EPOC_X` or another.
+    is_virtual
+        The headset is one of the vendor's simulator: its end is never noticed.
+    neighbours
+        Ids of other headsets in the list.
+    version, metrics
+        Of Cortex; the layout of ``met`` where it is not the usual one of the version.
+    client_id, client_secret
+        Of the registered app.
+    other_apps
+        Secrets of further apps by client id; the user has approved them.
+    approved, logged_in, other_os_user, eula_accepted
+        What the user has done.
+    licence, session_quota
+        What it covers, and for a counted one how many sessions are left.
+    unlicensed_metrics_s
+        Between two samples of ``met`` where the licence does not cover it [s].
+    bluetooth_permitted
+        False: the operating system keeps Cortex from Bluetooth.
+    timing
+        How long Cortex takes for what it does.
+    reply_delays_s
+        By method; answers overtake each other where these differ.
+    data_before_reply
+        Samples come before the reply to the subscription that asks for them.
+    refusal_code
+        Error of the fault REFUSE.
+    leaf, ca_without_key_usage
+        What the server's certificate and that of its authority look like.
+    """
+
+    sensor = "emotiv_insight"
+    faults = frozenset(FaultKind)
+    client_id = _APP.client_id
+    client_secret = _APP.client_secret
+
+    def __init__(
+        self,
+        world: World,
+        *,
+        headset: str | None = None,
+        model: Model = INSIGHT_1,
+        is_virtual: bool = False,
+        neighbours: Sequence[str] = (),
+        version: str = "4.8.32",
+        metrics: Metrics | None = None,
+        client_id: str = _APP.client_id,
+        client_secret: str = _APP.client_secret,
+        other_apps: Mapping[str, str] | None = None,
+        approved: bool = True,
+        logged_in: bool = True,
+        other_os_user: bool = False,
+        eula_accepted: bool = True,
+        licence: Licence = _LICENSED,
+        session_quota: int | None = None,
+        unlicensed_metrics_s: float = 10.0,
+        bluetooth_permitted: bool = True,
+        timing: Timing | None = None,
+        reply_delays_s: Mapping[str, float] | None = None,
+        data_before_reply: bool = False,
+        refusal_code: int = Code.INTERNAL,
+        leaf: Leaf = Leaf.VALID,
+        ca_without_key_usage: bool = False,
+        wearer: Wearer | None = None,
+        seed: int = 0,
+        drift_ppm: float = 0.0,
+        jitter_s: float = 0.0,
+        kept: int | None = None,
+    ) -> None:
+        super().__init__(world, kept)
+        self.client_id = client_id
+        self.client_secret = client_secret
+        delays = dict(reply_delays_s or {})
+        if data_before_reply:
+            delays.setdefault("subscribe", 0.3)
+        self._service = Service(
+            Setup(
+                headset_id=headset or f"{model.prefix}-A1B2C3D4",
+                model=model,
+                is_virtual=is_virtual,
+                neighbours=tuple(neighbours),
+                release=Release(version, metrics),
+                app=App(client_id, client_secret),
+                other_apps=dict(other_apps or {}),
+                approved=approved,
+                logged_in=logged_in,
+                other_os_user=other_os_user,
+                eula_accepted=eula_accepted,
+                licence=licence,
+                session_quota=session_quota,
+                unlicensed_metrics_s=unlicensed_metrics_s,
+                bluetooth_permitted=bluetooth_permitted,
+                timing=timing or Timing(),
+                delays_s=delays,
+                refusal_code=refusal_code,
+                leaf=leaf,
+                has_key_usage=not ca_without_key_usage,
+                wearer=wearer or Wearer(seed),
+                seed=seed,
+                drift_ppm=drift_ppm,
+                jitter_s=jitter_s,
+            ),
+            self.truth,
+            world.loop,
+        )
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """Where it listens, what to trust, which headset."""
+        return self._service.address()
+
+    @property
+    def environment(self) -> Mapping[str, str]:
+        """Credentials of the app, as a driver looks for them."""
+        return {
+            "EMOTIV_CLIENT_ID": self.client_id,
+            "EMOTIV_CLIENT_SECRET": self.client_secret,
+        }
+
+    @property
+    def calls(self) -> tuple[str, ...]:
+        """Methods that clients asked for, in order."""
+        return self.world.call(lambda: tuple(self._service.replies.calls))
+
+    @property
+    def client_count(self) -> int:
+        """Connections that stand."""
+        return self.world.call(lambda: len(self._service.listener.clients))
+
+    def approve(self) -> None:
+        """Let the user approve the app in the Launcher."""
+        self._do(lambda: self._service.account.approved.add(self.client_id))
+        self._warn(_ACCESS_GRANTED, "The user has granted access.")
+
+    def reject(self) -> None:
+        """Let the user reject the app."""
+        self._do(lambda: self._service.account.approved.discard(self.client_id))
+        self._warn(_ACCESS_REJECTED, "The user has rejected access.")
+
+    def log_in(self) -> None:
+        """Let the user log in."""
+        self._do(lambda: self._service.log_in(is_logged_in=True))
+        self._warn(_USER_LOGGED_IN, "A user has logged in.")
+
+    def log_out(self) -> None:
+        """Let the user log out; tokens and sessions are forgotten."""
+        self._do(lambda: self._service.log_in(is_logged_in=False))
+        self._warn(_USER_LOGGED_OUT, "The user has logged out.")
+
+    def license(self, licence: Licence) -> None:
+        """Change what the licence covers, from the next request on."""
+        self._do(lambda: setattr(self._service.account, "licence", licence))
+
+    def expire_token(self) -> None:
+        """Let every token that was given be expired; subscriptions run on."""
+        self._do(self._service.account.expire_tokens)
+
+    def switch_headset_off(self, *, virtual: bool = False) -> None:
+        """Send nothing more; after a silence a real headset is given up (103, 0, 1)."""
+        self._do(lambda: self._service.headset.switch_off(is_noticed=not virtual))
+
+    def switch_headset_on(self) -> None:
+        """Send again, if Cortex has not given the headset up meanwhile."""
+        self._do(self._service.headset.switch_on)
+
+    def fail_next_connect(self, code: int) -> None:
+        """End the next connection to the headset with this warning (100, 101, 102)."""
+        self._do(lambda: self._service.headset.fail_next_connect(code))
+
+    def drop_samples(self, count: int) -> None:
+        """Lose the next EEG samples on the radio: the counter shows it."""
+        self._do(lambda: self._service.mishaps.lose(count))
+
+    def skip_seconds(self, count: int) -> None:
+        """Lose whole seconds of EEG: only the time shows it, the counter does not."""
+        self._do(lambda: self._service.mishaps.lose(count * self._service.eeg_rate))
+
+    def interpolate(self, count: int) -> None:
+        """Mark the next EEG samples as filled in by Cortex."""
+        self._do(lambda: self._service.mishaps.interpolate(count))
+
+    def repeat_samples(self, count: int) -> None:
+        """Send each of the next EEG samples twice."""
+        self._do(lambda: self._service.mishaps.repeat(count))
+
+    def mark(self, label: str, value: int) -> None:
+        """Put a marker into the next EEG sample."""
+        self._do(lambda: self._service.mishaps.mark(label, value))
+
+    def time_jump(self, seconds: float) -> None:
+        """Set the clock of Cortex forward or back."""
+        self._do(lambda: self._service.step_clock(seconds))
+
+    def answer_with_error(self, method: str, *codes: int) -> None:
+        """Answer the next requests of a method with these errors, then as usual."""
+        errors = self._service.manners.errors
+        self._do(lambda: errors.setdefault(method, deque()).extend(codes))
+
+    def withhold_reply(self, method: str) -> None:
+        """Carry the next request of a method out without an answer."""
+        self._do(lambda: self._service.manners.withheld.add(method))
+
+    def duplicate_reply(self, method: str) -> None:
+        """Answer the next request of a method twice."""
+        self._do(lambda: self._service.manners.doubled.add(method))
+
+    def flood(self, count: int) -> None:
+        """Send so many warnings of an unknown code."""
+        for number in range(count):
+            self._warn(_UNKNOWN_WARNING, f"future {number}")
+
+    def send_raw(self, message: str | bytes | Sequence[str]) -> None:
+        """Send every client any message; a sequence of texts goes out in as many frames."""
+        self._do(lambda: self._service.send_raw(message))
+
+    def close_connections(self, code: int) -> None:
+        """Close every connection by the protocol (1000, 1001, 1011); the port stays open."""
+        self._do(lambda: self._service.listener.close_all(code))
+
+    async def _start(self) -> None:
+        self._service.start()
+
+    async def _stop(self) -> None:
+        await self._service.stop()
+
+    def _begin(self, fault: Fault) -> None:
+        begin(self._service, fault)
+
+    def _end(self, kind: FaultKind) -> None:
+        end(self._service, kind)
+
+    def _warn(self, code: int, message: str) -> None:
+        self._do(lambda: self._service.warn(code, message))
+
+    def _do(self, action: Callable[[], Any]) -> None:
+        self.world.call(action)

@@ -1,0 +1,211 @@
+"""The server's socket and its clients, with everything that can befall a connection."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import ssl
+import struct
+from collections.abc import Callable, Coroutine, Sequence
+from contextlib import suppress
+from typing import Any
+
+from websockets.asyncio.connection import broadcast
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request
+from websockets.protocol import State
+
+_HOST = "127.0.0.1"
+_CLOSE_TIMEOUT_S = 1.0
+_ROOM_BYTES = 1 << 20
+# So high that the library never holds a writer back: `_ROOM_BYTES` limits the samples.
+_WRITE_LIMIT_BYTES = 1 << 24
+# Whoever runs a virtual service wants to read what its clients say, not what it says.
+_wire_log = logging.getLogger("websockets.server.virtual_cortex")
+_wire_log.setLevel(logging.WARNING)
+_RESET_AT_CLOSE = struct.pack("ii", 1, 0)
+
+
+class Client:
+    """One connection."""
+
+    def __init__(self, connection: ServerConnection) -> None:
+        self._connection = connection
+        self._is_stalled = False
+
+    @property
+    def is_open(self) -> bool:
+        """Tell whether the connection stands."""
+        return self._connection.state is State.OPEN
+
+    @property
+    def has_room(self) -> bool:
+        """Tell whether a sample can be sent now; all else is sent to slow readers too."""
+        unsent = self._connection.transport.get_write_buffer_size()
+        return self.is_open and not self._is_stalled and unsent < _ROOM_BYTES
+
+    def send(self, message: str | bytes) -> None:
+        """Send a text or a binary message, if anything can be sent."""
+        if self.is_open and not self._is_stalled:
+            broadcast((self._connection,), message)
+
+    async def send_in_pieces(self, pieces: Sequence[str]) -> None:
+        """Send one message in several frames."""
+        with suppress(ConnectionClosed):
+            if self.is_open and not self._is_stalled:
+                await self._connection.send(pieces)
+
+    def stall(self) -> None:
+        """Send nothing, read nothing, not even a ping."""
+        self._is_stalled = True
+        self._connection.transport.pause_reading()
+
+    def resume(self) -> None:
+        """End a `stall`; what the client said meanwhile is read now."""
+        self._is_stalled = False
+        if self._connection.state is not State.CLOSED:
+            self._connection.transport.resume_reading()
+
+    def abort(self) -> None:
+        """Break the connection off, as a process does that is killed."""
+        transport = self._connection.transport
+        transport.get_extra_info("socket").setsockopt(
+            socket.SOL_SOCKET, socket.SO_LINGER, _RESET_AT_CLOSE
+        )
+        transport.abort()
+
+    async def close(self, code: int) -> None:
+        """Close by the protocol."""
+        await self._connection.close(code)
+
+
+class Listener:
+    """A WebSocket server over TLS on the loopback interface.
+
+    Parameters
+    ----------
+    tls
+    hear
+        Gets each message of a client.
+    gone
+        Gets each client whose connection has ended.
+
+    Attributes
+    ----------
+    clients
+        Those whose opening handshake is done.
+    """
+
+    def __init__(
+        self,
+        tls: ssl.SSLContext,
+        hear: Callable[[Client, str | bytes], None],
+        gone: Callable[[Client], None],
+    ) -> None:
+        self.clients: set[Client] = set()
+        self._tls = tls
+        self._hear = hear
+        self._gone = gone
+        self._port = 0
+        self._is_open = False
+        self._server: Server | None = None
+        self._awake = asyncio.Event()
+        self._awake.set()
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    @property
+    def port(self) -> int:
+        """TCP port, the same over all openings; 0 before the first."""
+        return self._port
+
+    def open(self) -> None:
+        """Accept connections from now on."""
+        listening = socket.create_server((_HOST, self._port))
+        self._port = listening.getsockname()[1]
+        self._is_open = True
+        self._spawn(self._serve_on(listening))
+
+    def shut(self) -> None:
+        """Refuse connections from now on; those that stand are left alone."""
+        self._is_open = False
+        if self._server is not None:
+            self._server.close(close_connections=False)
+            self._server = None
+
+    def abort_all(self) -> None:
+        """Break every connection off."""
+        for client in self.clients:
+            client.abort()
+
+    def close_all(self, code: int) -> None:
+        """Close every connection by the protocol."""
+        for client in self.clients:
+            self._spawn(client.close(code))
+
+    def stall(self) -> None:
+        """Be half-open: connections stand, nothing is answered, no handshake is done."""
+        self._awake.clear()
+        for client in self.clients:
+            client.stall()
+
+    def resume(self) -> None:
+        """End a `stall`."""
+        self._awake.set()
+        for client in self.clients:
+            client.resume()
+
+    def send_in_pieces(self, pieces: Sequence[str]) -> None:
+        """Send every client one message in several frames."""
+        for client in self.clients:
+            self._spawn(client.send_in_pieces(pieces))
+
+    async def stop(self) -> None:
+        """Close all connections and the port."""
+        self.resume()
+        await asyncio.gather(*self._tasks)
+        server = self._server
+        self.shut()
+        self.close_all(1001)
+        await asyncio.gather(*self._tasks)
+        if server is not None:
+            await server.wait_closed()
+
+    async def _serve_on(self, listening: socket.socket) -> None:
+        server = await serve(
+            self._converse,
+            sock=listening,
+            ssl=self._tls,
+            process_request=self._wait_until_awake,
+            compression=None,
+            open_timeout=None,
+            ping_interval=None,
+            close_timeout=_CLOSE_TIMEOUT_S,
+            write_limit=_WRITE_LIMIT_BYTES,
+            logger=_wire_log,
+        )
+        if self._is_open:
+            self._server = server
+        else:
+            server.close(close_connections=False)
+
+    async def _wait_until_awake(self, connection: ServerConnection, request: Request) -> None:
+        del connection, request
+        await self._awake.wait()
+
+    async def _converse(self, connection: ServerConnection) -> None:
+        client = Client(connection)
+        self.clients.add(client)
+        try:
+            with suppress(ConnectionClosed):
+                async for message in connection:
+                    self._hear(client, message)
+        finally:
+            self.clients.discard(client)
+            self._gone(client)
+
+    def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)

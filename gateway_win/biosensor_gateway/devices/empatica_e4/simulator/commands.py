@@ -1,0 +1,215 @@
+"""What the server answers to its clients' requests."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from math import inf
+
+from biosensor_gateway.devices.empatica_e4.simulator.client import Client
+from biosensor_gateway.devices.empatica_e4.simulator.samples import SUBSCRIPTIONS
+from biosensor_gateway.devices.empatica_e4.simulator.wristband import Wristband
+
+_MODEL = "Empatica_E4"
+_SWITCH = ("ON", "OFF")
+_LONGEST_PATIENCE_MIN = 254
+_NOT_BOUND = "ERR You are not connected to any device"
+
+
+@dataclass(slots=True)
+class Manners:
+    """How willing the server is.
+
+    Attributes
+    ----------
+    late_s
+        Answers come so late; what was asked is done at once.
+    refuses_binding
+        ``device_connect`` is an error.
+    refused_streams
+        So is a subscription to these.
+    withheld
+        Commands whose next request gets no answer.
+    hides_all
+        Lists are empty.
+    """
+
+    late_s: float = 0.0
+    refuses_binding: bool = False
+    refused_streams: set[str] = field(default_factory=set[str])
+    withheld: set[str] = field(default_factory=set[str])
+    hides_all: bool = False
+
+
+class Commands:
+    """Carries requests out.
+
+    Parameters
+    ----------
+    wristbands
+        All that there are, by id in small letters.
+    manners
+    connect
+        Makes the radio link of a wristband.
+    radio_connect_s
+        How long that takes.
+
+    Attributes
+    ----------
+    requests
+        Every line that a client sent, in order.
+    """
+
+    def __init__(
+        self,
+        wristbands: dict[str, Wristband],
+        manners: Manners,
+        connect: Callable[[Wristband, float], None],
+        radio_connect_s: float,
+    ) -> None:
+        self.requests: list[str] = []
+        self._wristbands = wristbands
+        self._manners = manners
+        self._connect = connect
+        self._radio_connect_s = radio_connect_s
+        self._known: dict[str, Callable[[Client, list[str]], str | None]] = {
+            "device_discover_list": self._discover_list,
+            "device_list": self._list,
+            "device_connect_btle": self._connect_radio,
+            "device_disconnect_btle": self._disconnect_radio,
+            "device_connect": self._bind,
+            "device_disconnect": self._unbind,
+            "device_subscribe": self._subscribe,
+            "pause": self._pause,
+            "server_status": lambda _, __: "OK",
+        }
+
+    def hear(self, client: Client, request: str) -> None:
+        """Carry a request out and answer it."""
+        if not request:
+            return
+        self.requests.append(request)
+        command, *arguments = request.split()
+        carry_out = self._known.get(command)
+        answer = carry_out(client, arguments) if carry_out else "ERR Unknown command"
+        if answer is not None:
+            self._answer(client, command, answer)
+
+    def _answer(self, client: Client, command: str, answer: str) -> None:
+        if command in self._manners.withheld:
+            self._manners.withheld.remove(command)
+            return
+        say = partial(self._say, client, command, answer)
+        if self._manners.late_s:
+            asyncio.get_running_loop().call_later(self._manners.late_s, say)
+        else:
+            say()
+
+    def _say(self, client: Client, command: str, answer: str) -> None:
+        client.write(f"R {command} {answer}\n".encode())
+        if command == "device_disconnect" and answer == "OK":
+            client.close()
+
+    def _discover_list(self, client: Client, arguments: list[str]) -> str:
+        del client, arguments
+        return self._listed(
+            [
+                f"{each.device_id} {_MODEL} {'allowed' if each.is_allowed else 'not_allowed'}"
+                for each in self._wristbands.values()
+                if each.is_advertising
+            ]
+        )
+
+    def _list(self, client: Client, arguments: list[str]) -> str:
+        del client, arguments
+        return self._listed(
+            [
+                f"{each.device_id} {_MODEL}"
+                for each in self._wristbands.values()
+                if each.is_connected
+            ]
+        )
+
+    def _listed(self, devices: Sequence[str]) -> str:
+        shown = () if self._manners.hides_all else devices
+        return " | ".join((str(len(shown)), *shown))
+
+    def _connect_radio(self, client: Client, arguments: list[str]) -> str | None:
+        wristband = self._find(arguments)
+        patience_s = _patience_s(arguments[1:])
+        if wristband is None or not wristband.is_advertising:
+            return "ERR The device has not been discovered yet"
+        if not wristband.is_allowed:
+            return "ERR The device is not registered with the API key"
+        if patience_s is None:
+            return "ERR could not connect device over BTLE"
+        finish = partial(self._finish_radio, client, wristband, patience_s)
+        asyncio.get_running_loop().call_later(self._radio_connect_s, finish)
+        return None
+
+    def _finish_radio(self, client: Client, wristband: Wristband, patience_s: float) -> None:
+        answer = "ERR could not connect device over BTLE"
+        if wristband.is_advertising:
+            self._connect(wristband, patience_s)
+            answer = "OK"
+        self._answer(client, "device_connect_btle", answer)
+
+    def _disconnect_radio(self, client: Client, arguments: list[str]) -> str:
+        del client
+        wristband = self._find(arguments)
+        if wristband is None or not (wristband.is_connected or wristband.is_lost):
+            return "ERR The device is not connected over btle"
+        wristband.disconnect()
+        wristband.is_left_alone = True
+        return "OK"
+
+    def _bind(self, client: Client, arguments: list[str]) -> str:
+        wristband = self._find(arguments)
+        if self._manners.refuses_binding or wristband is None or not wristband.is_connected:
+            return "ERR The device requested for connection is not available."
+        if client.bound_to == wristband.device_id:
+            return "ERR You've tried to connect to the device from the same connection"
+        client.bind(wristband.device_id)
+        return "OK"
+
+    def _unbind(self, client: Client, arguments: list[str]) -> str:
+        del arguments
+        if not client.bound_to:
+            return "ERR No connected device."
+        client.bind("")
+        return "OK"
+
+    def _subscribe(self, client: Client, arguments: list[str]) -> str:
+        if not client.bound_to:
+            return _NOT_BOUND
+        stream, switch = (*arguments, "", "")[:2]
+        if stream not in SUBSCRIPTIONS - self._manners.refused_streams or switch not in _SWITCH:
+            return f"{stream} ERR The stream is not available"
+        if switch == "ON":
+            client.subscriptions.add(stream)
+        else:
+            client.subscriptions.discard(stream)
+        return f"{stream} OK"
+
+    def _pause(self, client: Client, arguments: list[str]) -> str:
+        if not client.bound_to:
+            return _NOT_BOUND
+        (switch,) = (*arguments, "")[:1]
+        if switch not in _SWITCH:
+            return "ERR The argument is ON or OFF"
+        client.is_paused = switch == "ON"
+        return switch
+
+    def _find(self, arguments: list[str]) -> Wristband | None:
+        return self._wristbands.get(arguments[0].lower()) if arguments else None
+
+
+def _patience_s(arguments: list[str]) -> float | None:
+    """Seconds that a lost wristband stays discoverable; None for a wrong argument."""
+    if not arguments:
+        return 0.0
+    if not arguments[0].isdecimal() or int(arguments[0]) > _LONGEST_PATIENCE_MIN:
+        return None
+    return int(arguments[0]) * 60.0 or inf

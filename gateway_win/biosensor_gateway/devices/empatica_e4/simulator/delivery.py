@@ -1,0 +1,139 @@
+"""Packets on the server's side: stamped, written to whoever subscribed, noted as truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+from biosensor_gateway.devices.empatica_e4.simulator.client import Client
+from biosensor_gateway.devices.empatica_e4.simulator.number_format import NumberFormat
+from biosensor_gateway.devices.empatica_e4.simulator.samples import Packet, Sample
+from biosensor_gateway.devices.empatica_e4.simulator.wristband import Wristband
+
+
+@dataclass(frozen=True, slots=True)
+class Tear:
+    """How a line is torn.
+
+    Attributes
+    ----------
+    pause_s
+        Between the two parts.
+    in_line_end
+        Between CR and LF, else in the middle.
+    """
+
+    pause_s: float
+    in_line_end: bool
+
+
+@dataclass(slots=True)
+class Mishaps:
+    """What befalls the next lines of data; the numbers count down.
+
+    Attributes
+    ----------
+    doubled
+        Are written twice.
+    glued
+        Pairs without a line end between them, which nobody can tell apart.
+    tears
+        One a line.
+    cut
+        Lines that end in the middle, and the connection with them.
+    """
+
+    doubled: int = 0
+    glued: int = 0
+    cut: int = 0
+    tears: list[Tear] = field(default_factory=list[Tear])
+
+
+class Delivery:
+    """Takes what the wristbands send on to clients.
+
+    Parameters
+    ----------
+    clients
+        Who is connected.
+    style
+        How numbers are written.
+
+    Attributes
+    ----------
+    mishaps, style
+    """
+
+    def __init__(self, clients: Callable[[], Iterable[Client]], style: NumberFormat) -> None:
+        self.mishaps = Mishaps()
+        self.style = style
+        self._clients = clients
+        self._glue_to: bytes = b""
+
+    def deliver(self, wristband: Wristband, packet: Packet) -> None:
+        """Send a packet's lines to every client that wants them."""
+        wanted = [
+            client
+            for client in tuple(self._clients())
+            if client.wants(wristband.device_id, packet.subscription)
+        ]
+        if wristband.is_lost or wristband.loses(packet):
+            if wanted:
+                _note_unsent(wristband, packet.samples)
+            return
+        for sample in packet.samples:
+            stamp_s = wristband.stamps.stamp(sample, packet.arrives_s)
+            if wanted:
+                self._send(wristband, sample, sample.line(stamp_s, self.style), wanted)
+
+    def _send(
+        self, wristband: Wristband, sample: Sample, line: bytes, wanted: list[Client]
+    ) -> None:
+        takers = [client for client in wanted if client.has_room]
+        if not takers or self._is_to_be_spoilt:
+            # Noted before it is sent: what a client has read is in the truth.
+            _note_unsent(wristband, (sample,))
+            self._spoil(line, takers)
+            return
+        name, values = sample.stream.data_name, sample.declared_values
+        wristband.truth.sent(name, (sample.measured_s,), (values,))
+        if self.mishaps.doubled:
+            self.mishaps.doubled -= 1
+            line += line
+        self._write(line, takers)
+
+    def _write(self, line: bytes, takers: list[Client]) -> None:
+        tear = self.mishaps.tears.pop(0) if self.mishaps.tears else None
+        for client in takers:
+            if tear is None:
+                client.write(line)
+            else:
+                at = len(line) - 1 if tear.in_line_end else len(line) // 2
+                client.write_torn(line, at, tear.pause_s)
+
+    @property
+    def _is_to_be_spoilt(self) -> bool:
+        return bool(self._glue_to or self.mishaps.glued or self.mishaps.cut)
+
+    def _spoil(self, line: bytes, takers: list[Client]) -> None:
+        """Send what is left of a line that comes to nothing."""
+        if not takers:
+            return
+        if self._glue_to:
+            line, self._glue_to = self._glue_to + line, b""
+        elif self.mishaps.glued:
+            self.mishaps.glued -= 1
+            self._glue_to = line.rstrip()
+            return
+        else:
+            self.mishaps.cut -= 1
+            line = line[: len(line) // 2]
+        for client in takers:
+            client.write(line)
+            if not line.endswith(b"\n"):
+                client.close()
+
+
+def _note_unsent(wristband: Wristband, samples: tuple[Sample, ...]) -> None:
+    for sample in samples:
+        wristband.truth.unsent(sample.stream.data_name, 1)

@@ -1,0 +1,131 @@
+"""The server's TCP port and who is connected to it."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import sys
+
+from biosensor_common.errors import TransportError, TransportReason
+from biosensor_gateway.devices.empatica_e4.simulator.client import Client, Hear
+
+
+class Listener:
+    """A TCP server whose port stays its own while it is shut.
+
+    Parameters
+    ----------
+    host
+        Address to listen on.
+    hear
+        Gets each client's requests.
+
+    Attributes
+    ----------
+    clients
+        Those that are connected.
+    """
+
+    def __init__(self, host: str, hear: Hear) -> None:
+        self.clients: set[Client] = set()
+        self._host = host
+        self._hear = hear
+        self._socket: socket.socket | None = None
+        self._port = 0
+        self._server: asyncio.Server | None = None
+        self._serving: asyncio.Task[None] | None = None
+        self._is_stalled = False
+
+    @property
+    def port(self) -> int:
+        """TCP port, the same over all openings; 0 before the first."""
+        return self._port
+
+    def open(self) -> None:
+        """Accept clients from now on.
+
+        Raises
+        ------
+        TransportError
+            BUSY if the port cannot be had.
+        """
+        listening = self._socket or self._bound()
+        # Who comes before the loop serves waits in the backlog.
+        listening.listen()
+        self._socket = listening
+        self._serving = asyncio.get_running_loop().create_task(self._serve(listening))
+
+    def shut(self) -> None:
+        """Refuse clients from now on, break off those that are connected, keep the port."""
+        self._end_serving()
+        self._socket = self._bound()
+        self.reset_all()
+
+    def reset_all(self) -> None:
+        """Break every connection off."""
+        for client in tuple(self.clients):
+            client.reset()
+
+    def stall(self) -> None:
+        """Send and read nothing; connections stand, and new ones are taken."""
+        self._is_stalled = True
+        for client in self.clients:
+            client.stall()
+
+    def resume(self) -> None:
+        """End a `stall`."""
+        self._is_stalled = False
+        for client in self.clients:
+            client.resume()
+
+    async def stop(self) -> None:
+        """Close every connection and give the port back."""
+        self._end_serving()
+        self._socket = None
+        for client in tuple(self.clients):
+            await client.end()
+
+    def let_in(self, client: Client) -> bool:
+        """Take a client, unless the port was shut since it was accepted."""
+        if self._serving is None:
+            return False
+        self.clients.add(client)
+        if self._is_stalled:
+            client.stall()
+        return True
+
+    def let_go(self, client: Client) -> None:
+        """Forget a client whose connection has ended."""
+        self.clients.discard(client)
+
+    async def _serve(self, listening: socket.socket) -> None:
+        # In two steps: a server that is cancelled while it starts must be known, to be closed.
+        self._server = await asyncio.get_running_loop().create_server(
+            lambda: Client(self, self._hear), sock=listening, start_serving=False
+        )
+        await self._server.start_serving()
+
+    def _end_serving(self) -> None:
+        if self._serving is not None:
+            self._serving.cancel()
+            self._serving = None
+        if self._server is not None:
+            self._server.close()
+            self._server = None
+        if self._socket is not None:
+            self._socket.close()
+
+    def _bound(self) -> socket.socket:
+        """Take the port without listening on it: connections are refused."""
+        bound = socket.socket()
+        if sys.platform != "win32":  # there it would let others take the same port
+            bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound.setblocking(False)
+        try:
+            bound.bind((self._host, self._port))
+        except OSError as error:
+            bound.close()
+            message = f"port {self._port} of {self._host} cannot be had for a virtual E4 server"
+            raise TransportError(TransportReason.BUSY, f"{message}: {error}") from error
+        self._port = int(bound.getsockname()[1])
+        return bound

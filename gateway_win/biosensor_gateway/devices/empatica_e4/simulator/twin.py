@@ -1,0 +1,223 @@
+"""A virtual E4 streaming server with wristbands, and what can happen to them.
+
+::
+
+    with World() as world, SimulatedE4(world, seed=1) as server:
+        server.settings  # host, port, device
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from math import inf
+from typing import Any
+
+from biosensor_gateway.devices.empatica_e4.simulator.delivery import Mishaps, Tear
+from biosensor_gateway.devices.empatica_e4.simulator.faults import begin, end
+from biosensor_gateway.devices.empatica_e4.simulator.number_format import NumberFormat
+from biosensor_gateway.devices.empatica_e4.simulator.radio_link import Timing
+from biosensor_gateway.devices.empatica_e4.simulator.server import Server
+from biosensor_gateway.devices.empatica_e4.simulator.wristband import Wristband
+from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.truth import Truth
+from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.simulation.world import World
+
+
+class SimulatedE4(Twin):
+    """An E4 streaming server, on a port of its own, with one wristband or more.
+
+    Faults and methods hit the first wristband where they do not name another.
+
+    Parameters
+    ----------
+    world, wearer, seed, drift_ppm, jitter_s, kept
+        As for every virtual device; the drift is that of each wristband's crystal.
+    device_id
+        Of the first wristband.
+    others
+        Ids of further ones; each has a wearer of another seed.
+    host
+        Address to listen on.
+    automatic
+        The server connects wristbands by itself, as its window has it by default;
+        False: clients do, as where it was started without its window.
+    allowed
+        The first wristband is registered to the owner of the server's key.
+    decimal_mark, minus_sign
+        Of the Windows locale; a restart changes the decimal mark.
+    burst
+        Samples of GSR and of temperature that come together.
+    beat_delay_s
+        How late HR and IBI come.
+    bvp_delay_s
+        How much later than GSR and temperature BVP and acceleration come; 0.065 would
+        fit what was recorded, and no client can know it.
+    battery_interval_s
+    radio_connect_s
+        How long the server takes to connect a wristband for a client.
+    """
+
+    sensor = "empatica_e4"
+    faults = frozenset(FaultKind)
+
+    def __init__(
+        self,
+        world: World,
+        *,
+        device_id: str = "9ff167",
+        others: Sequence[str] = (),
+        host: str = "127.0.0.1",
+        automatic: bool = True,
+        allowed: bool = True,
+        decimal_mark: str = ",",
+        minus_sign: str = "-",
+        burst: int = 6,
+        beat_delay_s: float = 5.6,
+        bvp_delay_s: float = 0.0,
+        battery_interval_s: float = 10.0,
+        radio_connect_s: float = 0.3,
+        wearer: Wearer | None = None,
+        seed: int = 0,
+        drift_ppm: float = 0.0,
+        jitter_s: float = 0.0,
+        kept: int | None = None,
+    ) -> None:
+        super().__init__(world, kept)
+        self._host = host
+        self._server = Server(
+            host,
+            is_automatic=automatic,
+            radio_connect_s=radio_connect_s,
+            style=NumberFormat(decimal_mark, minus_sign),
+            seed=seed,
+        )
+        timing = Timing(burst, beat_delay_s, bvp_delay_s, battery_interval_s, jitter_s)
+        for number, each in enumerate((device_id, *others)):
+            self._server.wristbands[each.lower()] = Wristband(
+                each,
+                wearer=wearer if wearer and not number else Wearer(seed + number),
+                timing=timing,
+                drift_ppm=drift_ppm,
+                seed=seed + number,
+                is_allowed=allowed or number > 0,
+                truth=Truth(kept) if number else self.truth,
+                deliver=self._server.delivery.deliver,
+            )
+        self._first = self._server.wristbands[device_id.lower()]
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """Where it listens, which wristband."""
+        return self.settings_of(self._first.device_id)
+
+    def settings_of(self, device_id: str) -> Mapping[str, Any]:
+        """Return what `settings` is for another wristband."""
+        return {"host": self._host, "port": self._server.listener.port, "device": device_id}
+
+    def truth_of(self, device_id: str) -> Truth:
+        """Return what was sent on of one wristband."""
+        return self._server.wristbands[device_id.lower()].truth
+
+    @property
+    def requests(self) -> tuple[str, ...]:
+        """Every line that clients sent, in order."""
+        return self.world.call(lambda: tuple(self._server.commands.requests))
+
+    @property
+    def client_count(self) -> int:
+        """Connections that stand."""
+        return self.world.call(lambda: len(self._server.listener.clients))
+
+    def press_button(self, device_id: str | None = None) -> None:
+        """Tag a moment."""
+        self._do(self._find(device_id).press_button)
+
+    def turn_off(self, device_id: str | None = None) -> None:
+        """Turn a wristband off by its button; clients are told and unbound."""
+        self._do(lambda: self._server.turn_off(self._find(device_id)))
+
+    def turn_on(self, device_id: str | None = None) -> None:
+        """Turn a wristband on again."""
+        self._do(lambda: self._server.turn_on(self._find(device_id)))
+
+    def lose_packets(self, share: float, seconds: float = inf) -> None:
+        """Lose a share of the packets on the radio, from 0 to 1, for so long.
+
+        The server numbers what arrives, so the stamps show no gap. HR and IBI, charge
+        and tags are not lost: they bring their own time.
+        """
+        self._do(lambda: self._first.lose_packets(share, seconds))
+
+    def jump_clock(self, seconds: float) -> None:
+        """Set the clock of the server's PC; the stamps jump with it."""
+        self._do(lambda: self._server.jump_clock(seconds))
+
+    def allow(self) -> None:
+        """Register the first wristband to the owner of the key."""
+        self._do(lambda: setattr(self._first, "is_allowed", True))
+        self._do(lambda: self._server.attend((self._first,)))
+
+    def forbid(self) -> None:
+        """Remove it from there; a radio link that stands is left alone."""
+        self._do(lambda: setattr(self._first, "is_allowed", False))
+
+    def refuse_stream(self, name: str) -> None:
+        """Answer subscriptions to a stream with an error (``gsr``)."""
+        self._do(lambda: self._server.manners.refused_streams.add(name))
+
+    def withhold_reply(self, command: str) -> None:
+        """Carry the next request of a command out without an answer."""
+        self._do(lambda: self._server.manners.withheld.add(command))
+
+    def empty_list(self, seconds: float) -> None:
+        """List no wristband for so long; data go on."""
+        loop, manners = self.world.loop, self._server.manners
+        self._do(lambda: setattr(manners, "hides_all", True))
+        self._do(lambda: loop.call_later(seconds, setattr, manners, "hides_all", False))
+
+    def send_raw(self, data: bytes) -> None:
+        """Send every client any bytes."""
+        self._do(lambda: self._server.send_raw(data))
+
+    def duplicate_line(self) -> None:
+        """Write the next line of data twice."""
+        self._befall(lambda mishaps: setattr(mishaps, "doubled", mishaps.doubled + 1))
+
+    def glue_lines(self) -> None:
+        """Write the next two lines of data as one; both count as never sent."""
+        self._befall(lambda mishaps: setattr(mishaps, "glued", mishaps.glued + 1))
+
+    def tear_line(self, pause_s: float = 0.2, *, in_line_end: bool = False) -> None:
+        """Pause within the next line of data, in the middle or between CR and LF."""
+        self._befall(lambda mishaps: mishaps.tears.append(Tear(pause_s, in_line_end)))
+
+    def close_within_line(self) -> None:
+        """Close the connection in the middle of the next line of data, which is lost."""
+        self._befall(lambda mishaps: setattr(mishaps, "cut", mishaps.cut + 1))
+
+    def close_connections(self) -> None:
+        """Break every connection off with an RST; the port stays open."""
+        self._do(self._server.listener.reset_all)
+
+    async def _start(self) -> None:
+        self._server.start()
+
+    async def _stop(self) -> None:
+        await self._server.stop()
+
+    def _begin(self, fault: Fault) -> None:
+        begin(self._server, self._first, fault)
+
+    def _end(self, kind: FaultKind) -> None:
+        end(self._server, self._first, kind)
+
+    def _find(self, device_id: str | None) -> Wristband:
+        return self._server.wristbands[device_id.lower()] if device_id else self._first
+
+    def _befall(self, change: Callable[[Mishaps], None]) -> None:
+        self._do(lambda: change(self._server.delivery.mishaps))
+
+    def _do(self, action: Callable[[], Any]) -> None:
+        self.world.call(action)

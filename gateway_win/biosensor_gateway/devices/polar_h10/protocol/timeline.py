@@ -1,0 +1,105 @@
+"""When the samples of data frames were measured, on the device's clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+_NS = 1_000_000_000
+RATE_TOLERANCE = 0.1
+"""Nominal rates hold to 2 % only; what is lost is lost in whole frames."""
+CLOCKS_AGREE_S = 10.0
+"""The device was switched off, or its clock set, if it and the host disagree more on a pause."""
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """A frame's place on the device's clock.
+
+    Attributes
+    ----------
+    times_ns
+        Device clock of each sample, ascending.
+    lost
+        Samples missing before the frame.
+    steps_back
+        The device's clock did not advance since the frame before.
+    """
+
+    times_ns: list[int]
+    lost: int
+    steps_back: bool
+
+
+class FrameTimeline:
+    """Frames of one measurement in one layout, followed over restarts and connections.
+
+    A frame is stamped at its last sample. Its samples lie evenly behind the last one
+    of the frame before; in the first frame, or after a gap, they are as far apart as
+    they were so far, which at first is the nominal distance.
+
+    Parameters
+    ----------
+    nominal_hz
+        Sampling rate that the device was asked for.
+    """
+
+    def __init__(self, nominal_hz: float) -> None:
+        self._nominal_hz = nominal_hz
+        self._nominal_ns = _NS / nominal_hz
+        self._measured_ns = 0
+        self._measured_samples = 0
+        self._previous_ns: int | None = None
+        self._last: tuple[int, float] | None = None
+
+    def restart(self, nominal_hz: float) -> None:
+        """Begin anew, as when the measurement was stopped and started."""
+        self._previous_ns = None
+        if nominal_hz != self._nominal_hz:
+            self._nominal_hz, self._nominal_ns = nominal_hz, _NS / nominal_hz
+            self._measured_ns = self._measured_samples = 0
+
+    def place(self, timestamp_ns: int, count: int, arrival_s: float) -> Placed:
+        """Place the next frame.
+
+        Parameters
+        ----------
+        timestamp_ns
+            The frame's stamp.
+        count
+            Its samples, at least one.
+        arrival_s
+            Host's clock when it arrived, to tell a gap from a clock that was set.
+        """
+        previous_ns, self._previous_ns = self._previous_ns, timestamp_ns
+        steps_back = previous_ns is not None and timestamp_ns <= previous_ns
+        if previous_ns is not None and self._follows(timestamp_ns - previous_ns, count):
+            span_ns = timestamp_ns - previous_ns
+            self._measured_ns += span_ns
+            self._measured_samples += count
+            times = [previous_ns + span_ns * (index + 1) // count for index in range(count)]
+            lost = 0
+        else:
+            period_ns = self._period_ns
+            times = [timestamp_ns - round(age * period_ns) for age in reversed(range(count))]
+            lost = self._missing(timestamp_ns, count, arrival_s)
+        self._last = (timestamp_ns, arrival_s)
+        return Placed(times, lost, steps_back)
+
+    @property
+    def _period_ns(self) -> float:
+        if not self._measured_samples:
+            return self._nominal_ns
+        return self._measured_ns / self._measured_samples
+
+    def _follows(self, span_ns: int, count: int) -> bool:
+        difference = span_ns / self._period_ns - count
+        return abs(difference) <= 0.5 + RATE_TOLERANCE * count
+
+    def _missing(self, timestamp_ns: int, count: int, arrival_s: float) -> int:
+        if self._last is None:
+            return 0
+        last_ns, last_arrival_s = self._last
+        span_ns = timestamp_ns - last_ns
+        if abs(span_ns / _NS - (arrival_s - last_arrival_s)) > CLOCKS_AGREE_S:
+            return 0
+        return max(0, round(span_ns / self._period_ns) - count)

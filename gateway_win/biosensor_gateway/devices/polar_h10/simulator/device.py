@@ -1,0 +1,203 @@
+"""A virtual Polar H10, or another product of its family."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import inf
+from typing import Any
+
+from bumble.att import Attribute
+from bumble.core import UUID
+from bumble.gatt import Characteristic, Service
+
+from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
+from biosensor_gateway.devices.ble_heart_rate.simulator.strap import STRAP_FAULTS, Strap
+from biosensor_gateway.devices.polar_h10.simulator.advertisement import (
+    POLAR_COMPANY_ID,
+    SERVICE_UUIDS,
+    manufacturer_data,
+)
+from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
+from biosensor_gateway.devices.polar_h10.simulator.pmd_service import PMD_FAULTS, PmdService
+from biosensor_gateway.devices.polar_h10.simulator.products import H10, Product
+from biosensor_gateway.devices.polar_h10.simulator.quirks import Firmware, Quirks
+from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.peripheral import Peripheral
+from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.simulation.world import World
+
+_LOW_BATTERY_PERCENT = 10
+# Characteristics of the file transfer service that old firmware has and PMD came beside.
+_FILE_TRANSFER_UUIDS = (
+    "FB005C51-02E7-F387-1CAD-8ACD2D8DF0C8",
+    "FB005C52-02E7-F387-1CAD-8ACD2D8DF0C8",
+)
+
+
+class SimulatedPolarH10(Twin):
+    """A strap with a PMD service.
+
+    Its measurements carry R-R intervals and nothing about skin contact: without
+    contact the rate is 0, there are no intervals, and the ECG is noise.
+
+    Parameters
+    ----------
+    world, radio
+        Where it lives, and the air that it is heard on.
+    address
+        Bluetooth address.
+    device_id
+        Eight hexadecimal digits, as printed on the module.
+    product
+        `products.H10` or another one.
+    quirks
+        Firmware and circumstances.
+    wearer
+        Who wears it; somebody made from ``seed`` by default.
+    seed
+        Of radio delays and garbage.
+    drift_ppm
+        Of its crystal.
+    jitter_s
+        Packets leave up to so much late.
+    off_body_drop_s
+        So long after it left the skin it switches itself off, until it is put on again;
+        a real one does after about 45 s.
+    rssi_dbm
+        How strongly it is heard.
+    kept
+        Limit of the truth; None = all.
+    """
+
+    sensor = "polar_h10"
+    faults = STRAP_FAULTS | PMD_FAULTS
+
+    def __init__(
+        self,
+        world: World,
+        radio: Radio,
+        *,
+        address: str = "A0:9E:1A:A1:B2:C3",
+        device_id: str = "A1B2C3D4",
+        product: Product = H10,
+        quirks: Quirks | None = None,
+        wearer: Wearer | None = None,
+        seed: int = 0,
+        drift_ppm: float = 0.0,
+        jitter_s: float = 0.0,
+        off_body_drop_s: float = inf,
+        rssi_dbm: int = -58,
+        kept: int | None = None,
+    ) -> None:
+        super().__init__(world, kept)
+        quirks = quirks or Quirks()
+        self._device_id = device_id
+        self._payloads = 0
+        self._shown_bpm = 0
+        name = f"{product.advertised} {device_id}"
+        self._strap = Strap(
+            _peripheral(radio, address, name, rssi_dbm, quirks),
+            self.truth,
+            identity=_identity(product, device_id),
+            rssi_dbm=rssi_dbm,
+            location=product.body_location,
+            wearer=wearer,
+            seed=seed,
+            drift_ppm=drift_ppm,
+            jitter_s=jitter_s,
+            tells_contact=False,
+            sends_rr=product.sends_rr,
+            off_body_drop_s=off_body_drop_s,
+        )
+        self._strap.on_power_on.append(self._advertise)
+        self._strap.on_second.append(self._advertise)
+        self._pmd: PmdService | None = None
+        if quirks.firmware is Firmware.CURRENT:
+            self._pmd = PmdService(self._strap, product, quirks)
+        elif quirks.firmware is Firmware.OLD:
+            self._strap.services.append(_file_transfer_service())
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """Fields that lead a driver to it."""
+        return {"device": self._device_id}
+
+    def stop_measurements(self, *measurements: Measurement) -> None:
+        """Have the device stop measurements by itself and tell the host."""
+        if self._pmd is not None:
+            self.world.await_(self._pmd.stop(measurements))
+
+    async def _start(self) -> None:
+        await self._strap.start()
+
+    async def _stop(self) -> None:
+        await self._strap.stop()
+
+    def _begin(self, fault: Fault) -> None:
+        if fault.kind in PMD_FAULTS:
+            self._strap.break_link()
+        else:
+            self._strap.begin(fault)
+        if self._pmd is not None:
+            self._pmd.begin(fault)
+
+    def _end(self, kind: FaultKind) -> None:
+        if kind not in PMD_FAULTS:
+            self._strap.end(kind)
+        elif self._pmd is not None:
+            self._pmd.end(kind)
+
+    def _advertise(self) -> None:
+        peripheral = self._strap.peripheral
+        if peripheral.connected:
+            return
+        # What it last showed stays when it is taken off.
+        self._shown_bpm = self._strap.pulse.bpm or self._shown_bpm
+        self._payloads += 1
+        payload = manufacturer_data(
+            battery_low=self._strap.battery_percent <= _LOW_BATTERY_PERCENT,
+            contact=self._strap.worn,
+            counter=self._payloads,
+            bpm=self._shown_bpm,
+        )
+        peripheral.set_manufacturer_data({POLAR_COMPANY_ID: payload})
+
+
+def _peripheral(radio: Radio, address: str, name: str, rssi_dbm: int, quirks: Quirks) -> Peripheral:
+    peripheral = Peripheral(
+        radio,
+        address,
+        name,
+        service_uuids=SERVICE_UUIDS,
+        rssi_dbm=rssi_dbm,
+        max_mtu=quirks.max_mtu,
+    )
+    peripheral.demand_pairing = quirks.demands_pairing
+    return peripheral
+
+
+def _identity(product: Product, device_id: str) -> Identity:
+    # The texts of a real one end with a NUL.
+    return Identity(
+        manufacturer="Polar Electro Oy\0",
+        model=f"{product.model}\0",
+        serial_number=f"{device_id}\0",
+        hardware="00760690.03\0",
+        firmware=f"{product.firmware}\0",
+        software=f"{product.firmware}\0",
+    )
+
+
+def _file_transfer_service() -> Service:
+    characteristics = [
+        Characteristic[bytes](
+            uuid,
+            Characteristic.Properties.READ | Characteristic.Properties.NOTIFY,
+            Attribute.Permissions.READABLE,
+            b"",
+        )
+        for uuid in _FILE_TRANSFER_UUIDS
+    ]
+    return Service(UUID.from_16_bits(0xFEEE), characteristics)

@@ -1,0 +1,97 @@
+"""Frames of the PMD data characteristic: type, time of the last sample, format, samples."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Sequence
+from itertools import cycle, islice
+from typing import NamedTuple
+
+import numpy as np
+
+from biosensor_gateway.devices.polar_h10.simulator.delta import Integers, compress, little_endian
+from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
+
+HEADER_BYTES = 10
+_COMPRESSED = 0x80
+ACC_8_BIT, ACC_16_BIT, ACC_24_BIT = 0, 1, 2
+"""Formats of acceleration: so many bits an axis [mg]."""
+ACC_COMPRESSED_COUNTS, ACC_COMPRESSED_MG = 0x80, 0x81
+"""Compressed 16 bits: in counts to be scaled, in mg."""
+_UNKNOWN_FORMAT = 0x3F
+
+
+class PulseInterval(NamedTuple):
+    """One interval between two pulses.
+
+    Attributes
+    ----------
+    bpm
+        Heart rate [1/min].
+    interval_ms, error_ms
+        Length and its estimated error [ms].
+    moving
+        It is unreliable because the wearer moved.
+    contact
+        None if the device cannot tell.
+    """
+
+    bpm: int
+    interval_ms: int
+    error_ms: int
+    moving: bool = False
+    contact: bool | None = None
+
+
+def header(measurement: Measurement, timestamp_ns: int, frame_format: int) -> bytes:
+    """Return the first ten bytes."""
+    return struct.pack("<BQB", measurement, timestamp_ns, frame_format)
+
+
+def ecg(timestamp_ns: int, microvolts: Integers) -> bytes:
+    """ECG, format 0: 24 bits [uV], shape (n, 1)."""
+    return header(Measurement.ECG, timestamp_ns, 0) + little_endian(microvolts, 3)
+
+
+def acceleration(timestamp_ns: int, counts: Integers, frame_format: int = ACC_16_BIT) -> bytes:
+    """Acceleration in one of the formats above, shape (n, 3)."""
+    head = header(Measurement.ACC, timestamp_ns, frame_format)
+    if frame_format & _COMPRESSED:
+        return head + compress(counts, 16)
+    return head + little_endian(counts, frame_format + 1)
+
+
+def ppg(timestamp_ns: int, counts: Integers) -> bytes:
+    """Photoplethysmogram of three LEDs and ambient light, compressed, 22 bits, shape (n, 4)."""
+    return header(Measurement.PPG, timestamp_ns, _COMPRESSED) + compress(counts, 22)
+
+
+def pulse_intervals(timestamp_ns: int, intervals: Sequence[PulseInterval]) -> bytes:
+    """Pulse-to-pulse intervals, format 0; the time is often 0."""
+    entries = (
+        struct.pack("<BHHB", one.bpm, one.interval_ms, one.error_ms, _flags(one))
+        for one in intervals
+    )
+    return header(Measurement.PPI, timestamp_ns, 0) + b"".join(entries)
+
+
+def damaged(rng: np.random.Generator, count: int) -> Iterator[bytes]:
+    """Return so many frames that cannot be decoded, each kind in turn, at most 20 bytes long."""
+    time_ns = int(rng.integers(1 << 60))
+    compressed = header(Measurement.ACC, time_ns, ACC_COMPRESSED_MG)
+    kinds = (
+        rng.bytes(int(rng.integers(HEADER_BYTES))),
+        header(Measurement.ECG, time_ns, 0) + rng.bytes(3 * 3 + 1),
+        header(Measurement.ACC, time_ns, ACC_16_BIT) + rng.bytes(6 + 2),
+        compressed + rng.bytes(5),
+        # Announces more differences than follow.
+        compressed + rng.bytes(6) + b"\x10\x20" + rng.bytes(2),
+        header(Measurement.ECG, time_ns, _UNKNOWN_FORMAT) + rng.bytes(9),
+        header(Measurement.OFFLINE_HEART_RATE, time_ns, 0) + rng.bytes(9),
+    )
+    return islice(cycle(kinds), count)
+
+
+def _flags(interval: PulseInterval) -> int:
+    supported = interval.contact is not None
+    return interval.moving | bool(interval.contact) << 1 | supported << 2

@@ -1,0 +1,125 @@
+"""What the PMD service measures at a constant rate, from the wearer to the wire."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from biosensor_gateway.devices.polar_h10.simulator import frames
+from biosensor_gateway.devices.polar_h10.simulator.delta import Integers
+from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement, Setting
+from biosensor_gateway.devices.polar_h10.simulator.products import Product
+from biosensor_gateway.simulation.wearer import Floats, Wearer
+
+_ECG_LIMIT_UV = 20_000
+_OPEN_ELECTRODES_UV = 30.0
+_INT16_LIMIT = 0x7FFF
+# Mean level and height of the pulse at three LEDs, and the ambient light.
+_PPG_LEVELS = np.array([-520_000.0, -485_000.0, -477_000.0, -640_000.0])
+_PPG_PULSE = np.array([9_000.0, 7_000.0, 8_000.0, 0.0])
+_PPG_NOISE = 60.0
+_COMPRESSION = 2
+"""A compressed sample takes at most half of its raw size, as a rule."""
+
+
+@dataclass(frozen=True)
+class Waveform:
+    """One measurement with its settings.
+
+    Attributes
+    ----------
+    data_name
+        Under which the truth has it.
+    rate_hz
+        Nominal.
+    sample_bytes
+        Size on the wire, as a rule.
+    unit
+        What one count is in the unit of the declaration.
+    counts
+        From the wearer's times [s] and whether the device is worn, shape (n, channels).
+    frame
+        From the time of the last sample [ns] and the counts.
+    """
+
+    data_name: str
+    rate_hz: int
+    sample_bytes: int
+    unit: float
+    counts: Callable[[Floats, bool], Integers]
+    frame: Callable[[int, Integers], bytes]
+
+    def planned(self, frame_bytes: int) -> int:
+        """How many samples are meant to share a frame of at most so many bytes."""
+        return max(1, (frame_bytes - frames.HEADER_BYTES) // self.sample_bytes)
+
+    def split(
+        self, counts: Integers, stamps_ns: list[int], frame_bytes: int
+    ) -> Iterator[tuple[Integers, bytes]]:
+        """Return the samples as frames of at most so many bytes, halved where need be."""
+        frame = self.frame(stamps_ns[-1], counts)
+        if len(frame) <= frame_bytes or len(counts) == 1:
+            yield counts, frame
+            return
+        half = len(counts) // 2
+        yield from self.split(counts[:half], stamps_ns[:half], frame_bytes)
+        yield from self.split(counts[half:], stamps_ns[half:], frame_bytes)
+
+
+def waveform(
+    product: Product,
+    measurement: Measurement,
+    settings: Mapping[Setting, int],
+    wearer: Wearer,
+    *,
+    compressed: bool,
+) -> Waveform:
+    """Return how this product measures one thing.
+
+    Parameters
+    ----------
+    product, measurement, settings
+    wearer
+    compressed
+        Send acceleration compressed where the product would not; it must measure in mg.
+    """
+    rate = settings[Setting.SAMPLE_RATE]
+    match measurement:
+        case Measurement.ECG:
+            return Waveform("ecg", rate, 3, 1.0, partial(_ecg, wearer), frames.ecg)
+        case Measurement.PPG:
+            size = 12 // _COMPRESSION
+            return Waveform("ppg", rate, size, 1.0, partial(_ppg, wearer), frames.ppg)
+        case Measurement.ACC:
+            unit_g = product.acc_unit_g
+            limit = min(_INT16_LIMIT, round(settings[Setting.RANGE] / unit_g))
+            raw = product.acc_format == frames.ACC_16_BIT and not compressed
+            layout = frames.ACC_COMPRESSED_MG if compressed else product.acc_format
+            size = 6 if raw else 6 // _COMPRESSION
+            counts = partial(_acceleration, wearer, unit_g, limit)
+            frame = partial(frames.acceleration, frame_format=layout)
+            return Waveform("acc", rate, size, unit_g, counts, frame)
+        case _:
+            raise ValueError(f"{measurement.name} has no waveform")
+
+
+def _ecg(wearer: Wearer, t: Floats, worn: bool) -> Integers:
+    microvolts = wearer.ecg_uv(t) if worn else wearer.noise(t, _OPEN_ELECTRODES_UV, "electrodes")
+    return _round(microvolts[:, np.newaxis], _ECG_LIMIT_UV)
+
+
+def _acceleration(wearer: Wearer, unit: float, limit: int, t: Floats, _worn: bool) -> Integers:
+    return _round(wearer.acceleration_g(t) / unit, limit)
+
+
+def _ppg(wearer: Wearer, t: Floats, worn: bool) -> Integers:
+    pulse = wearer.pulse(t)[:, np.newaxis] * _PPG_PULSE * worn
+    noise = wearer.noise(t, _PPG_NOISE, "photodiode")[:, np.newaxis]
+    return _round(_PPG_LEVELS + pulse + noise, 1 << 21)
+
+
+def _round(values: Floats, limit: int) -> Integers:
+    return np.rint(np.clip(values, -limit, limit)).astype(np.int64)

@@ -1,0 +1,1 @@
+"""Shimmer3 GSR+ (LogAndStream firmware), over Bluetooth Classic."""

@@ -1,0 +1,291 @@
+"""A virtual Shimmer3 GSR+ with LogAndStream firmware, on a serial port.
+
+::
+
+    with World() as world, SimulatedShimmer3(world) as device:
+        serial.serial_for_url(device.port, 115200)
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from math import isnan, nan
+from typing import Any
+
+import numpy as np
+from pylsl import local_clock
+
+from biosensor_gateway.devices.shimmer3_gsr.simulator import battery
+from biosensor_gateway.devices.shimmer3_gsr.simulator.conversation import Conversation
+from biosensor_gateway.devices.shimmer3_gsr.simulator.inputs import Conditions
+from biosensor_gateway.devices.shimmer3_gsr.simulator.interpreter import Flash, Interpreter
+from biosensor_gateway.devices.shimmer3_gsr.simulator.streaming import (
+    Sample,
+    Sampling,
+    Streamer,
+    samples,
+)
+from biosensor_gateway.devices.shimmer3_gsr.simulator.wire import (
+    TICKS_PER_S,
+    Firmware,
+    Opcode,
+    channels_of,
+)
+from biosensor_gateway.simulation.async_serial import serial_port
+from biosensor_gateway.simulation.crystal import Crystal
+from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.serial_links import AsyncSerialPort
+from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.simulation.world import World
+
+_TX_QUEUE_BYTES = 256
+_UNREACHABLE = frozenset({FaultKind.DROP, FaultKind.RESTART})
+
+
+class SimulatedShimmer3(Twin):
+    """The device.
+
+    Its `truth` holds ``gsr`` [uS], NaN while the electrodes are open; ``ppg`` [mV];
+    ``bat`` [percent] of each answer about the battery; and ``quality`` at each change,
+    with NaN for the pulse, which only a host looks for. The heart rate is the wearer's.
+
+    Parameters
+    ----------
+    world
+        Where it lives.
+    name
+        How the radio calls itself; the unit's own name has its last four characters.
+    firmware
+        Version of LogAndStream: 0.11.0, 0.16.11 or 1.1.2 for instance.
+    wearer, seed
+        Who wears it, by default a person from the seed; the seed also makes the
+        radio's delays and garbage.
+    drift_ppm, jitter_s
+        Of the crystal, and the radio's longest delay.
+    kept
+        Limit of `truth`; None = all.
+    battery_percent
+        Charge at power-on.
+    first_tick
+        Count of ticks at the first power-on; the data packets hold its low 24 bits.
+    tcp
+        A TCP server instead of a pseudo-terminal; by default where there is none.
+    """
+
+    sensor = "shimmer3_gsr"
+    faults = frozenset(FaultKind)
+
+    def __init__(
+        self,
+        world: World,
+        *,
+        name: str = "Shimmer3-4E5F",
+        firmware: tuple[int, int, int] = (1, 1, 2),
+        wearer: Wearer | None = None,
+        seed: int = 0,
+        drift_ppm: float = 0.0,
+        jitter_s: float = 0.0,
+        kept: int | None = None,
+        battery_percent: float = 80.0,
+        first_tick: int = 0,
+        tcp: bool = sys.platform == "win32",
+    ) -> None:
+        super().__init__(world, kept)
+        self.name = name
+        self.wearer = wearer or Wearer(seed)
+        self.firmware = Firmware(*firmware)
+        self._flash = Flash(f"Shimmer_{name[-4:]}")
+        self._interpreter = Interpreter(self.firmware, self._flash, self)
+        self._conversation = Conversation(
+            self.firmware, self._interpreter, self._write, self._obeyed
+        )
+        self._rng = np.random.default_rng(seed)
+        self._jitter_s = jitter_s
+        self._battery_percent = battery_percent
+        self._first_tick = first_tick
+        self._tcp = tcp
+        self._crystal = Crystal(drift_ppm)
+        self._started_s = local_clock()
+        self._port: AsyncSerialPort | None = None
+        self._streams = False
+        self._streamers: list[Streamer] = []
+        self._worn = True
+        self._stalled = False
+        self._quality: tuple[float, int] | None = None
+
+    @property
+    def port(self) -> str:
+        """What a host opens as a serial port; the same over drops."""
+        if self._port is None:
+            raise RuntimeError("the virtual Shimmer3 is not switched on")
+        return self._port.name
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """The field ``port``."""
+        return {"port": self.port}
+
+    @property
+    def streaming(self) -> bool:
+        """Whether a host has its stream on."""
+        return self._interpreter.sensing
+
+    @property
+    def started_s(self) -> float:
+        """LSL time at which the wearer's time is 0."""
+        return self._started_s
+
+    def dock(self, *, docked: bool = True) -> None:
+        """Put it into its dock, or take it out; it says so by itself."""
+        self.world.call(lambda: self._conversation.dock(docked=docked))
+
+    def ticks(self) -> int:
+        """Ticks of 1/32768 s since power-on."""
+        return int(self._crystal.now() * TICKS_PER_S) + self._first_tick
+
+    def battery_counts(self) -> int:
+        """Read the battery's voltage, in counts of the converter."""
+        return battery.counts_at(self._battery_percent)
+
+    async def _start(self) -> None:
+        self._crystal = Crystal(self._crystal.drift_ppm)
+        self._started_s = local_clock()
+        self._port = serial_port(
+            self._heard, self._link_lost, buffer_bytes=_TX_QUEUE_BYTES, tcp=self._tcp
+        )
+        self._port.open()
+
+    async def _stop(self) -> None:
+        self._link_lost()
+        if self._port is not None:
+            self._port.dispose()
+
+    def _begin(self, fault: Fault) -> None:
+        match fault.kind:
+            case FaultKind.DROP | FaultKind.RESTART:
+                self._hang_up()
+            case FaultKind.STALL:
+                self._stalled = True
+            case FaultKind.GARBAGE:
+                self._babble(int(fault.value))
+            case FaultKind.REFUSE:
+                self._conversation.refusing = True
+                self._break_link()
+            case FaultKind.LATE:
+                self._conversation.answer_delay_s = fault.value
+                self._break_link()
+            case FaultKind.LOW_BATTERY:
+                self._battery_percent = fault.value
+            case FaultKind.OFF_BODY:
+                self._worn = False
+            case FaultKind.DRIFT:
+                self._crystal.set_drift(fault.value)
+
+    def _end(self, kind: FaultKind) -> None:
+        match kind:
+            case FaultKind.DROP:
+                self._reopen()
+            case FaultKind.RESTART:
+                self._power_on()
+                self._reopen()
+            case FaultKind.STALL:
+                self._stalled = False
+            case FaultKind.REFUSE:
+                self._conversation.refusing = False
+            case FaultKind.LATE:
+                self._conversation.answer_delay_s = 0.0
+            case FaultKind.OFF_BODY:
+                self._worn = True
+            case _:
+                pass
+
+    def _power_on(self) -> None:
+        self._crystal = Crystal(self._crystal.drift_ppm)
+        self._first_tick = 0
+        self._interpreter.power_on()
+
+    def _break_link(self) -> None:
+        self._hang_up()
+        self._reopen()
+
+    def _hang_up(self) -> None:
+        self._link_lost()
+        if self._port is not None:
+            self._port.hang_up()
+
+    def _reopen(self) -> None:
+        if self._port is not None and not _UNREACHABLE & self._lasting.keys():
+            self._port.open()
+
+    def _link_lost(self) -> None:
+        self._conversation.link_lost()
+        for streamer in self._streamers:
+            streamer.cut()
+        self._streamers.clear()
+        self._streams = False
+
+    def _heard(self, data: bytes) -> None:
+        if not self._stalled:
+            self._conversation.hear(data)
+
+    def _obeyed(self, opcode: Opcode, answered: bool) -> None:
+        if opcode is Opcode.GET_BATTERY and answered:
+            percent = battery.percent_of(self.battery_counts())
+            self.truth.sent("bat", [local_clock()], [[percent]])
+        if self._interpreter.sensing == self._streams:
+            return
+        self._streams = self._interpreter.sensing
+        self._streamers = [streamer for streamer in self._streamers if not streamer.done]
+        for streamer in self._streamers:
+            streamer.stop()
+        if self._streams:
+            source = samples(self._sampling())
+            self._streamers.append(Streamer(source, self._send, self._keep_back))
+
+    def _sampling(self) -> Sampling:
+        return Sampling(
+            channels_of(self._flash.sensors),
+            self._flash.divider,
+            self._flash.gsr_range,
+            self.wearer,
+            self._started_s,
+            self._crystal,
+            self._first_tick,
+            self._conditions,
+            self._rng,
+            self._jitter_s,
+        )
+
+    def _conditions(self) -> Conditions:
+        return Conditions(self._worn, bool(self._flash.expansion_power), self.battery_counts())
+
+    def _send(self, sample: Sample) -> None:
+        if not self._conversation.say(sample.packet):
+            self._keep_back(sample)
+            return
+        if sample.gsr_us is not None and sample.gsr_range is not None:
+            self.truth.sent("gsr", [sample.measured_s], [[sample.gsr_us]])
+            self._note_quality(sample.measured_s, sample.gsr_us, sample.gsr_range)
+        if sample.ppg_mv is not None:
+            self.truth.sent("ppg", [sample.measured_s], [[sample.ppg_mv]])
+
+    def _note_quality(self, time: float, gsr_us: float, gsr_range: int) -> None:
+        quality = (float(not isnan(gsr_us)), gsr_range)
+        if quality != self._quality:
+            self._quality = quality
+            self.truth.sent("quality", [time], [[*quality, nan]])
+
+    def _keep_back(self, sample: Sample) -> None:
+        if sample.gsr_us is not None:
+            self.truth.unsent("gsr", 1)
+        if sample.ppg_mv is not None:
+            self.truth.unsent("ppg", 1)
+
+    def _babble(self, count: int) -> None:
+        if self._conversation.spoken_to:
+            self._write(self._rng.bytes(count))
+
+    def _write(self, data: bytes) -> bool:
+        return self._port is not None and not self._stalled and self._port.write(data)

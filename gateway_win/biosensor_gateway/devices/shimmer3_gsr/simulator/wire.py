@@ -1,0 +1,235 @@
+"""What a Shimmer3 says on the wire, encoded; and a host's bytes, cut into commands.
+
+Written from the notes on Shimmer's public firmware alone and shared with no decoder,
+so that a mistake in one of them shows as a disagreement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from enum import IntEnum, unique
+from types import MappingProxyType
+from typing import NamedTuple
+
+ACK, NACK, DATA, IN_STREAM = b"\xff", b"\xfe", b"\x00", b"\x8a"
+TICKS_PER_S = 32768
+TICKS_MODULUS = 1 << 24
+_CRC_POLYNOMIAL = 0x1021
+_CRC_START = 0xB0CA
+
+
+@unique
+class Opcode(IntEnum):
+    """Commands of the host."""
+
+    INQUIRY = 0x01
+    GET_SAMPLING_RATE = 0x03
+    SET_SAMPLING_RATE = 0x05
+    TOGGLE_LED = 0x06
+    START_STREAMING = 0x07
+    SET_SENSORS = 0x08
+    SET_SETUP_BYTES = 0x0E
+    GET_SETUP_BYTES = 0x10
+    STOP_STREAMING = 0x20
+    SET_GSR_RANGE = 0x21
+    GET_GSR_RANGE = 0x23
+    GET_SHIMMER_VERSION_OLD = 0x24
+    GET_ALL_CALIBRATION = 0x2C
+    GET_FIRMWARE_VERSION = 0x2E
+    GET_CHARGE_LED = 0x32
+    GET_SHIMMER_VERSION = 0x3F
+    SET_EXPANSION_POWER = 0x5E
+    GET_EXPANSION_POWER = 0x60
+    GET_DAUGHTER_CARD = 0x66
+    GET_STATUS = 0x72
+    SET_NAME = 0x79
+    GET_NAME = 0x7B
+    SET_CRC = 0x8B
+    SET_CLOCK = 0x8F
+    GET_CLOCK = 0x91
+    GET_BATTERY = 0x95
+    TEST_CONNECTION = 0x96
+    GET_RADIO_VERSION = 0xA1
+    SET_ACK_PREFIX = 0xA3
+
+
+_ARGUMENTS: Mapping[Opcode, int] = MappingProxyType(
+    {
+        Opcode.SET_SAMPLING_RATE: 2,
+        Opcode.SET_SENSORS: 3,
+        Opcode.SET_SETUP_BYTES: 4,
+        Opcode.SET_GSR_RANGE: 1,
+        Opcode.SET_EXPANSION_POWER: 1,
+        Opcode.GET_DAUGHTER_CARD: 2,
+        Opcode.SET_CRC: 1,
+        Opcode.SET_CLOCK: 8,
+        Opcode.SET_ACK_PREFIX: 1,
+    }
+)
+
+
+_OPCODES = frozenset(int(opcode) for opcode in Opcode)
+
+
+class Firmware(NamedTuple):
+    """Version of LogAndStream, and what it can."""
+
+    major: int
+    minor: int
+    patch: int
+
+    @property
+    def has_crc(self) -> bool:
+        """Whether messages can carry a check."""
+        return self >= (0, 13, 7)
+
+    @property
+    def has_prefix_switch(self) -> bool:
+        """Whether the ACK before a pushed status can be switched off."""
+        return self >= (0, 15, 4)
+
+    @property
+    def has_nack(self) -> bool:
+        """Whether a command is refused aloud."""
+        return self >= (1, 0, 0)
+
+    @property
+    def radio(self) -> str:
+        """What the Bluetooth module of its time says of itself."""
+        return "RN4678 V1.23" if self >= (0, 15, 0) else "Ver 6.15"
+
+    def knows(self, opcode: int) -> bool:
+        """Tell whether it takes this byte for a command."""
+        if opcode == Opcode.SET_CRC:
+            return self.has_crc
+        if opcode == Opcode.SET_ACK_PREFIX:
+            return self.has_prefix_switch
+        return opcode in _OPCODES
+
+
+class Command(NamedTuple):
+    """A command with all of its arguments."""
+
+    opcode: Opcode
+    arguments: bytes
+
+
+class CommandReader:
+    """Collects a host's bytes into commands; has no way to tell that one is torn.
+
+    Parameters
+    ----------
+    firmware
+        A byte that it does not know as a command is passed over without a word.
+    """
+
+    def __init__(self, firmware: Firmware) -> None:
+        self._firmware = firmware
+        self._collected = bytearray()
+
+    def feed(self, data: bytes) -> list[Command]:
+        """Return the commands that ``data`` completes."""
+        commands: list[Command] = []
+        for byte in data:
+            if not self._collected and not self._firmware.knows(byte):
+                continue
+            self._collected.append(byte)
+            if len(self._collected) >= self._size():
+                commands.append(Command(Opcode(self._collected[0]), bytes(self._collected[1:])))
+                self._collected.clear()
+        return commands
+
+    def _size(self) -> int:
+        opcode = Opcode(self._collected[0])
+        if opcode is Opcode.SET_NAME:
+            return 2 + self._collected[1] if len(self._collected) > 1 else 2
+        return 1 + _ARGUMENTS.get(opcode, 0)
+
+
+def crc16(message: bytes) -> int:
+    """Return the check of a message: CRC-16, polynomial 0x1021, start 0xB0CA.
+
+    A message of odd length is padded with a zero byte for it.
+    """
+    crc = _CRC_START
+    for byte in message + b"\0" * (len(message) % 2):
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1) ^ (_CRC_POLYNOMIAL if crc & 0x8000 else 0)
+        crc &= 0xFFFF
+    return crc
+
+
+def sealed(message: bytes, crc_bytes: int) -> bytes:
+    """Return a message with so many bytes of its check, 0 to 2, low byte first."""
+    return message + crc16(message).to_bytes(2, "little")[:crc_bytes] if crc_bytes else message
+
+
+class _Sensor(NamedTuple):
+    mask: int
+    channels: tuple[int, ...]
+
+
+# In the order of the firmware, which is the order within a data packet.
+_SENSORS = (
+    _Sensor(0x000080, (0x00, 0x01, 0x02)),  # low-noise accelerometer
+    _Sensor(0x002000, (0x03,)),  # battery
+    _Sensor(0x000002, (0x0D,)),  # external A7
+    _Sensor(0x000001, (0x0E,)),  # external A6
+    _Sensor(0x000800, (0x0F,)),  # external A15
+    _Sensor(0x000200, (0x11,)),  # internal A12
+    _Sensor(0x008000, (0x27, 0x28)),  # bridge amplifier
+    _Sensor(0x000100, (0x12,)),  # internal A13
+    _Sensor(0x800000, (0x13,)),  # internal A14
+    _Sensor(0x000004, (0x1C,)),  # skin conductance
+    _Sensor(0x000400, (0x10,)),  # internal A1
+    _Sensor(0x000040, (0x0A, 0x0B, 0x0C)),  # gyroscope
+    _Sensor(0x001000, (0x04, 0x05, 0x06)),  # wide-range accelerometer
+    _Sensor(0x000020, (0x07, 0x08, 0x09)),  # magnetometer
+    _Sensor(0x400000, (0x14, 0x15, 0x16)),  # alternative accelerometer
+    _Sensor(0x200000, (0x17, 0x18, 0x19)),  # alternative magnetometer
+    _Sensor(0x040000, (0x1A, 0x1B)),  # temperature and pressure
+    _Sensor(0x000010, (0x1D, 0x1E, 0x1F)),  # ExG 1, 24 bit
+    _Sensor(0x100000, (0x1D, 0x23, 0x24)),  # ExG 1, 16 bit
+    _Sensor(0x000008, (0x20, 0x21, 0x22)),  # ExG 2, 24 bit
+    _Sensor(0x080000, (0x20, 0x25, 0x26)),  # ExG 2, 16 bit
+)
+_BRIDGE, _ANALOG_13_14 = 0x008000, 0x800100
+_GSR, _ANALOG_1 = 0x000004, 0x000400
+_BIG_ENDIAN = frozenset({*range(0x0A, 0x0D), 0x1A, 0x1B, 0x1E, 0x1F, *range(0x21, 0x27)})
+_WIDTHS: Mapping[int, int] = MappingProxyType(
+    {0x1B: 3, 0x1D: 1, 0x1E: 3, 0x1F: 3, 0x20: 1, 0x21: 3, 0x22: 3}
+)
+
+
+def channels_of(mask: int) -> tuple[int, ...]:
+    """Return the channel ids of a sensor mask, in packet order."""
+    if mask & _BRIDGE:
+        mask &= ~_ANALOG_13_14
+    if mask & _GSR:  # both on one input of the converter
+        mask &= ~_ANALOG_1
+    return tuple(
+        channel for sensor in _SENSORS if mask & sensor.mask for channel in sensor.channels
+    )
+
+
+def data_packet(ticks: int, channels: Iterable[int], values: Sequence[int]) -> bytes:
+    """Return a data packet without its check.
+
+    Parameters
+    ----------
+    ticks
+        Of 1/32768 s; the packet holds the low 24 bits.
+    channels, values
+        Ids as of `channels_of` and a count for each, in its width's two's complement.
+    """
+    body = b"".join(
+        _encoded(channel, value) for channel, value in zip(channels, values, strict=True)
+    )
+    return DATA + (ticks % TICKS_MODULUS).to_bytes(3, "little") + body
+
+
+def _encoded(channel: int, value: int) -> bytes:
+    width = _WIDTHS.get(channel, 2)
+    order = "big" if channel in _BIG_ENDIAN else "little"
+    return (value % (1 << 8 * width)).to_bytes(width, order)

@@ -1,0 +1,1 @@
+"""Vernier Go Direct respiration belt (GDX-RB), over Bluetooth LE."""

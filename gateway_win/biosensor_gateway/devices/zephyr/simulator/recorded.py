@@ -1,0 +1,60 @@
+"""A twin that plays bytes of a real BioHarness 3."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
+from biosensor_gateway.devices.zephyr.simulator.recording import RecordedSource
+from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.simulation.world import World
+
+
+class RecordedZephyr(Twin):
+    """The recording of 150 s, from its start whenever it has ended.
+
+    Its bytes cannot be changed, so it has only the faults of its link, and no truth.
+
+    Parameters
+    ----------
+    world
+        Where faults begin and end.
+    kept
+        Without effect.
+    """
+
+    sensor = "zephyr"
+    faults = frozenset({FaultKind.DROP, FaultKind.STALL, FaultKind.GARBAGE})
+
+    def __init__(self, world: World, *, kept: int | None = None) -> None:
+        super().__init__(world, kept)
+        source = RecordedSource.shipped(on_end="hang_up")
+        self._device = SimulatedBioHarness(source, kept_packets=0)
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """The field ``port``."""
+        return {"port": self._device.port}
+
+    async def _start(self) -> None:
+        self._device.start()
+
+    async def _stop(self) -> None:
+        self._device.stop()
+
+    def _begin(self, fault: Fault) -> None:
+        match fault.kind:
+            case FaultKind.DROP:
+                self._device.drop_link()
+            case FaultKind.STALL:
+                self._device.stall()
+            case _:
+                self._device.garbage(round(fault.value))
+
+    def _end(self, kind: FaultKind) -> None:
+        if kind is FaultKind.DROP:
+            self._device.restore_link()
+        else:
+            self._device.resume()

@@ -1,0 +1,302 @@
+"""The radio and GATT server of one virtual Bluetooth LE device."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Protocol, cast
+
+from bumble import att
+from bumble.core import UUID
+from bumble.device import Connection, Device
+from bumble.gatt import (
+    GATT_CLIENT_CHARACTERISTIC_CONFIGURATION_DESCRIPTOR as _SUBSCRIPTION,
+)
+from bumble.gatt import (
+    Characteristic,
+    ClientCharacteristicConfigurationBits,
+    Service,
+)
+from bumble.keys import MemoryKeyStore
+
+from biosensor_gateway.simulation.advertising import pack_advertisement, pack_name
+from biosensor_gateway.simulation.radio import MAX_MTU, Radio
+from biosensor_gateway.simulation.transceiver import Transceiver
+
+_ADVERTISING_INTERVAL_MS = 50.0
+# bumble's emulated advertiser takes its interval, counted in 0.625 ms, for milliseconds.
+_BUMBLE_INTERVAL = _ADVERTISING_INTERVAL_MS * 0.625
+_NOTIFICATION_HEADER = 3
+_AUTHENTICATED = (
+    att.Attribute.Permissions.READ_REQUIRES_AUTHENTICATION
+    | att.Attribute.Permissions.WRITE_REQUIRES_AUTHENTICATION
+)
+_Bits = ClientCharacteristicConfigurationBits
+
+
+class _Table(Protocol):
+    """What is used of bumble's service, whose annotation leaves a type argument out."""
+
+    characteristics: list[Characteristic[bytes]]
+
+
+class Peripheral:
+    """One device on the air; every method is for the world's loop.
+
+    Flags, service UUIDs and manufacturer data are advertised, the complete local
+    name comes in the scan response. While connected it does not advertise.
+
+    Parameters
+    ----------
+    radio
+        The air.
+    address
+        Bluetooth address, six pairs of hexadecimal digits with colons.
+    name
+        The complete local name.
+    service_uuids
+        Those advertised: 16 bits as ``"180d"``, or 128 bits.
+    manufacturer_data
+        By company identifier.
+    rssi_dbm
+        How strong hosts hear it.
+    max_mtu
+        The largest ATT MTU that it grants.
+
+    Attributes
+    ----------
+    on_connected, on_disconnected
+        Called in the world's loop.
+    demand_pairing
+        Whether the characteristics whose permissions contain
+        ``READ_REQUIRES_AUTHENTICATION`` or ``WRITE_REQUIRES_AUTHENTICATION`` answer
+        ATT error 0x05 until the host has paired (subscribing counts as writing).
+        Counts from the next connection on; off, these permissions mean nothing.
+    """
+
+    def __init__(
+        self,
+        radio: Radio,
+        address: str,
+        name: str,
+        *,
+        service_uuids: Sequence[str] = (),
+        manufacturer_data: Mapping[int, bytes] | None = None,
+        rssi_dbm: int = -58,
+        max_mtu: int = MAX_MTU,
+    ) -> None:
+        self.address = address
+        self.name = name
+        self.on_connected: list[Callable[[], None]] = []
+        self.on_disconnected: list[Callable[[], None]] = []
+        self.demand_pairing = False
+        self._radio = radio
+        self._uuids = [UUID(uuid) for uuid in service_uuids]
+        self._rssi_dbm = rssi_dbm
+        self._max_mtu = max_mtu
+        self._bonds = MemoryKeyStore()
+        self._transceiver: Transceiver | None = None
+        self._device: Device | None = None
+        self._connection: Connection | None = None
+        self._advertising = True
+        self._dropped = False
+        self._breaking = False
+        self._stalled = False
+        self._advertisement = pack_advertisement(self._uuids, manufacturer_data or {})
+
+    @property
+    def connected(self) -> bool:
+        """Whether a host is connected."""
+        return self._connection is not None
+
+    @property
+    def host_mtu(self) -> int:
+        """The ATT MTU in use; 23 while nobody is connected."""
+        return self._connection.att_mtu if self._connection else att.ATT_DEFAULT_MTU
+
+    @property
+    def stalled(self) -> bool:
+        """Whether nothing is sent or heard although the link stands; settable.
+
+        What the host asks meanwhile is answered when this ends, as a link layer
+        delivers late rather than never.
+        """
+        return self._stalled
+
+    @stalled.setter
+    def stalled(self, stalled: bool) -> None:
+        self._stalled = stalled
+        if self._transceiver:
+            self._transceiver.stalled = stalled
+        self._update_audible()
+
+    async def power_on(self, services: Sequence[Service]) -> None:
+        """Switch on with this GATT table, and advertise.
+
+        Raises
+        ------
+        ValueError
+            If pairing is demanded but no characteristic asks for it, or if it is on.
+        """
+        if self._device:
+            raise ValueError(f"{self.name} is already switched on")
+        protected = _protected(services)
+        if self.demand_pairing and not protected:
+            raise ValueError(f"no characteristic of {self.name} requires authentication")
+        transceiver = Transceiver(self.name, self._radio.air)
+        transceiver.rssi_dbm = self._rssi_dbm
+        transceiver.stalled = self._stalled
+        self._transceiver = transceiver
+        self._update_audible()
+        device = await self._radio.power_on(transceiver, self.name, self.address, self._bonds)
+        self._device = device
+        device.gatt_server.max_mtu = self._max_mtu
+        device.add_services(services)
+        for service, characteristic in protected:
+            # bumble makes the descriptor by itself, open to everybody.
+            subscription = device.gatt_server.get_descriptor_attribute(
+                service.uuid, characteristic.uuid, _SUBSCRIPTION
+            )
+            if subscription:
+                subscription.permissions |= characteristic.permissions & _AUTHENTICATED
+        device.on(Device.EVENT_CONNECTION, self._on_connection)
+        await device.start_advertising(
+            auto_restart=True,
+            advertising_data=self._advertisement,
+            scan_response_data=pack_name(self.name),
+            advertising_interval_min=_BUMBLE_INTERVAL,
+            advertising_interval_max=_BUMBLE_INTERVAL,
+        )
+
+    async def power_off(self) -> None:
+        """Switch off: the link is lost, and nothing is on the air."""
+        if self._device and self._transceiver:
+            device, self._device = self._device, None
+            transceiver, self._transceiver = self._transceiver, None
+            await self._radio.power_off(transceiver, device)
+            if self._connection:
+                self._on_disconnection(self._connection)
+
+    def subscribed(self, characteristic: Characteristic[bytes]) -> bool:
+        """Whether the host wants notifications or indications of this."""
+        return self._subscription(characteristic) != _Bits.DEFAULT
+
+    async def notify(self, characteristic: Characteristic[bytes], value: bytes) -> bool:
+        """Send a notification, or an indication and wait until it is confirmed.
+
+        Returns
+        -------
+        bool
+            Whether it was sent; a host that stays connected gets it for certain.
+
+        Raises
+        ------
+        ValueError
+            If the value does not fit into one packet.
+        """
+        bits = self._subscription(characteristic)
+        connection = self._connection
+        if not connection or self._breaking or self._stalled or bits == _Bits.DEFAULT:
+            return False
+        if len(value) > connection.att_mtu - _NOTIFICATION_HEADER:
+            raise ValueError(f"{len(value)} bytes do not fit into an MTU of {connection.att_mtu}")
+        if bits & _Bits.NOTIFICATION:
+            notification = att.ATT_Handle_Value_Notification(
+                attribute_handle=characteristic.handle, attribute_value=value
+            )
+            connection.send_l2cap_pdu(att.ATT_CID, bytes(notification))
+            return True
+        return await self._indicate(connection, characteristic, value)
+
+    def set_advertising(self, on: bool) -> None:
+        """Advertise, when not connected, or do not."""
+        self._advertising = on
+        self._update_audible()
+
+    def set_rssi(self, dbm: int) -> None:
+        """Come closer or go away."""
+        self._rssi_dbm = dbm
+        if self._transceiver:
+            self._transceiver.rssi_dbm = dbm
+
+    def set_manufacturer_data(self, manufacturer_data: Mapping[int, bytes]) -> None:
+        """Advertise other manufacturer data from now on."""
+        self._advertisement = pack_advertisement(self._uuids, manufacturer_data)
+        if self._device and self._transceiver:
+            self._device.advertising_data = self._advertisement
+            self._transceiver.le_legacy_advertiser.advertising_data = self._advertisement
+
+    def drop(self) -> None:
+        """Lose the link as by supervision timeout; not on the air until `restore`.
+
+        What `notify` accepted before still arrives.
+        """
+        self._dropped = True
+        self._update_audible()
+        if self._connection:
+            self._breaking = True
+            self._break_when_sent()
+
+    def restore(self) -> None:
+        """Be on the air again."""
+        self._dropped = False
+        self._update_audible()
+
+    def _break_when_sent(self) -> None:
+        connection, transceiver = self._connection, self._transceiver
+        if not connection or not transceiver:
+            return
+        queue = connection.data_packet_queue
+        if queue and queue.pending:
+            asyncio.get_running_loop().call_soon(self._break_when_sent)
+        else:
+            transceiver.lose_links()
+
+    async def _indicate(
+        self, connection: Connection, characteristic: Characteristic[bytes], value: bytes
+    ) -> bool:
+        server = connection.gatt_server
+        indicating = server.indicate_subscriber(connection, characteristic, value)
+        try:
+            await connection.cancel_on_disconnection(indicating)
+        except asyncio.CancelledError:
+            if self._connection is connection:
+                raise
+            server.on_disconnection(connection)
+            return False
+        return True
+
+    def _subscription(self, characteristic: Characteristic[bytes]) -> int:
+        if not self._device or not self._connection:
+            return _Bits.DEFAULT
+        subscribers = self._device.gatt_server.subscribers.get(self._connection, {})
+        return int.from_bytes(subscribers.get(characteristic.handle, b""), "little")
+
+    def _update_audible(self) -> None:
+        if self._transceiver:
+            self._transceiver.audible = (
+                self._advertising and not self._dropped and not self._stalled
+            )
+
+    def _on_connection(self, connection: Connection) -> None:
+        # What is authenticated already answers every host.
+        connection.authenticated = not self.demand_pairing
+        self._connection = connection
+        connection.on(Connection.EVENT_DISCONNECTION, partial(self._on_disconnection, connection))
+        for callback in list(self.on_connected):
+            callback()
+
+    def _on_disconnection(self, connection: Connection, _reason: int = 0) -> None:
+        if self._connection is not connection:
+            return
+        self._connection = None
+        self._breaking = False
+        for callback in list(self.on_disconnected):
+            callback()
+
+
+def _protected(services: Sequence[Service]) -> list[tuple[Service, Characteristic[bytes]]]:
+    """Return the characteristics that require authentication, with their services."""
+    every = ((service, c) for service in services for c in cast("_Table", service).characteristics)
+    return [(service, c) for service, c in every if c.permissions & _AUTHENTICATED]

@@ -1,0 +1,166 @@
+"""A TCP server on loopback in the place of a serial port, for pyserial's ``socket://``."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import sys
+
+from biosensor_common.errors import TransportError, TransportReason
+from biosensor_gateway.simulation.serial_links import Heard, Left
+
+_LOOPBACK = "127.0.0.1"
+# The smallest that systems allow, near what a pseudo-terminal keeps.
+_SEND_BUFFER_BYTES = 4096
+_HOST_CHECK_S = 0.02
+
+
+class TcpPort:
+    """A TCP server on loopback in the place of a serial port; one host at a time.
+
+    Parameters
+    ----------
+    heard, left
+        Called with the host's bytes, and when a host closed the port; not after
+        `hang_up`.
+    buffer_bytes
+        What is kept for a host that does not read, beyond what the system's buffers
+        hold, which are larger on some.
+
+    Raises
+    ------
+    TransportError
+        BUSY if no port of loopback can be had.
+    """
+
+    def __init__(self, heard: Heard, left: Left, buffer_bytes: int) -> None:
+        self._heard = heard
+        self._left = left
+        self._buffer_bytes = buffer_bytes
+        self._loop = asyncio.get_running_loop()
+        self._host: _Host | None = None
+        self._socket = _bound_socket(0)
+        self._number = int(self._socket.getsockname()[1])
+        self._host_check: asyncio.TimerHandle | None = None
+
+    @property
+    def name(self) -> str:
+        """URL of the port, as `serial.serial_for_url` takes it."""
+        return f"socket://{_LOOPBACK}:{self._number}"
+
+    def open(self) -> None:
+        """Accept a host."""
+        if self._host_check is None:
+            self._socket.listen()
+            self._accept()
+
+    def write(self, data: bytes) -> bool:
+        """Take all of ``data`` or nothing."""
+        return self._host is not None and self._host.write(data)
+
+    def hang_up(self) -> None:
+        """Close the connection and refuse others; the port's number stays taken."""
+        if self._host_check is not None:
+            self._close()
+            self._socket = _bound_socket(self._number)
+
+    def dispose(self) -> None:
+        """Hang up and give the port's number back."""
+        self._close()
+
+    def received(self, host: _Host, data: bytes) -> None:
+        """Pass on the present host's bytes."""
+        if host is self._host:
+            self._heard(data)
+
+    def disconnected(self, host: _Host) -> None:
+        """Note that a host went away by itself."""
+        if host is self._host:
+            self._host = None
+            self._left()
+
+    def _accept(self) -> None:
+        """Look for a host.
+
+        An asyncio server that is closed between a host's coming and its own notice of
+        it leaves that connection open, and nobody could hang up.
+        """
+        self._host_check = self._loop.call_later(_HOST_CHECK_S, self._accept)
+        try:
+            connection, _ = self._socket.accept()
+        except BlockingIOError:
+            return
+        if self._host is None:
+            connection.setblocking(False)
+            self._host = _Host(self, connection, self._buffer_bytes)
+        else:
+            connection.close()
+
+    def _close(self) -> None:
+        if self._host_check is not None:
+            self._host_check.cancel()
+            self._host_check = None
+        if self._host is not None:
+            host, self._host = self._host, None
+            host.abort()
+        self._socket.close()
+
+
+class _Host(asyncio.Protocol):
+    """One connection to a `TcpPort`."""
+
+    def __init__(self, port: TcpPort, connection: socket.socket, buffer_bytes: int) -> None:
+        self._port = port
+        self._buffer_bytes = buffer_bytes
+        self._transport: asyncio.Transport | None = None
+        self._aborted = False
+        loop = asyncio.get_running_loop()
+        self._connecting = loop.create_task(loop.connect_accepted_socket(lambda: self, connection))
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Take the connection, if it is still wanted."""
+        if isinstance(transport, asyncio.Transport):
+            self._transport = transport
+            if self._aborted:
+                transport.abort()
+
+    def data_received(self, data: bytes) -> None:
+        """Pass on what the host says."""
+        self._port.received(self, data)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Note that the host is gone."""
+        del exc
+        self._port.disconnected(self)
+
+    def write(self, data: bytes) -> bool:
+        """Take all of ``data`` or nothing."""
+        if self._transport is None or self._transport.is_closing():
+            return False
+        waiting = self._transport.get_write_buffer_size()
+        if waiting and waiting + len(data) > self._buffer_bytes:
+            return False
+        self._transport.write(data)
+        return True
+
+    def abort(self) -> None:
+        """End the connection at once, or as soon as it is made."""
+        self._aborted = True
+        if self._transport is not None:
+            self._transport.abort()
+
+
+def _bound_socket(number: int) -> socket.socket:
+    """Take a port of loopback without listening on it: connections are refused."""
+    bound = socket.socket()
+    if sys.platform != "win32":  # there it would let others take the same port
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    bound.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+    bound.setblocking(False)
+    try:
+        bound.bind((_LOOPBACK, number))
+    except OSError as error:
+        bound.close()
+        message = f"port {number} of {_LOOPBACK} cannot be had for a virtual device: {error}"
+        raise TransportError(TransportReason.BUSY, message) from error
+    return bound

@@ -1,0 +1,293 @@
+"""A connection to a Bluetooth LE device, through bleak, alike on every platform.
+
+What differs between the platforms is evened out here: which errors are raised,
+which calls hang when the Bluetooth service dies, that a vanished device may or
+may not end a pending request. Every call ends within a known time.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from contextlib import suppress
+from typing import Any, NamedTuple, TypeAlias, TypeVar
+from weakref import WeakKeyDictionary
+
+from bleak import BleakClient
+from bleak.backends.characteristic import BleakGATTCharacteristic
+from bleak.exc import BleakDeviceNotFoundError, BleakError, BleakGATTProtocolError
+from bleak.uuids import normalize_uuid_str
+from pylsl import local_clock
+
+from biosensor_common.errors import ProtocolError, ProtocolReason, TransportError, TransportReason
+from biosensor_gateway.transports.ble_choice import Choice
+from biosensor_gateway.transports.ble_errors import AttError, connect_error
+from biosensor_gateway.transports.ble_scanner import Sighting, forget
+from biosensor_gateway.transports.deadlines import in_background, within
+from biosensor_gateway.transports.seen import Advertisement
+
+CONNECT_LIMIT_S = 20.0
+REQUEST_LIMIT_S = 5.0
+PAIR_LIMIT_S = 30.0
+CLOSE_LIMIT_S = 1.5
+"""Leaves a driver half a second to say good-bye."""
+
+_T = TypeVar("_T")
+_Asking: TypeAlias = Callable[[BleakClient], Coroutine[Any, Any, _T]]
+
+_FAILURES = {
+    TransportReason.LOST: "the Bluetooth system of this computer fails",
+    TransportReason.DENIED: "pairing fails; remove the device from the computer's Bluetooth "
+    "settings and try again",
+}
+
+# Radios fail when they have to make two connections at a time.
+_connecting: WeakKeyDictionary[asyncio.AbstractEventLoop, asyncio.Lock] = WeakKeyDictionary()
+
+
+class Notification(NamedTuple):
+    """A value that the device sent by itself.
+
+    Attributes
+    ----------
+    uuid
+        Characteristic, 128-bit, lower case.
+    data
+    arrival
+        LSL clock when it arrived, in seconds.
+    """
+
+    uuid: str
+    data: bytes
+    arrival: float
+
+
+class BleLink:
+    """One connection to one device; made in the event loop that uses it.
+
+    UUIDs may be given with 16 or 128 bits.
+
+    Parameters
+    ----------
+    choice
+        Which device; shared by all connections of a driver.
+    pair_first
+        Pair before connecting, for devices that hide their services until then.
+    """
+
+    def __init__(self, choice: Choice, *, pair_first: bool = False) -> None:
+        self._choice = choice
+        self._pair_first = pair_first
+        self._client: BleakClient | None = None
+        self._connected = False
+        self._characteristics: dict[str, BleakGATTCharacteristic] = {}
+        self._incoming: asyncio.Queue[Notification | None] = asyncio.Queue()
+        self._lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._attempt: asyncio.Task[None] | None = None
+        self._requesting = asyncio.Lock()
+
+    @property
+    def what(self) -> str:
+        """The device's name for messages."""
+        return self._choice.what
+
+    async def open(self) -> Advertisement:
+        """Find the device and connect to it; return what it advertised.
+
+        Raises
+        ------
+        TransportError
+            ``ABSENT``, ``UNAVAILABLE``, ``BUSY``, ``DENIED`` or ``LOST``.
+        ProtocolError
+            ``REFUSED``: several are in range and none is chosen.
+        """
+        sighting = await self._choice.find()
+        try:
+            await self._connect(sighting)
+        except BleakDeviceNotFoundError:
+            # The system forgot it between scan and connection.
+            sighting = await self._choice.find()
+            try:
+                await self._connect(sighting)
+            except BleakDeviceNotFoundError as error:
+                raise connect_error(self.what, error) from error
+        self._choice.keep(sighting.advertisement)
+        return sighting.advertisement
+
+    def has(self, uuid: str) -> bool:
+        """Whether the device has this characteristic; also after the link is gone."""
+        return normalize_uuid_str(uuid) in self._characteristics
+
+    def properties(self, uuid: str) -> frozenset[str]:
+        """Tell what a characteristic can: ``read``, ``notify``, ...; nothing if there is none."""
+        found = self._characteristics.get(normalize_uuid_str(uuid))
+        return frozenset() if found is None else frozenset(found.properties)
+
+    async def read(self, uuid: str) -> bytes:
+        """Read a characteristic.
+
+        Raises
+        ------
+        TransportError
+            ``LOST``, or ``SILENT`` after 5 s; so do all other requests.
+        AttError
+            The device refuses.
+        ProtocolError
+            ``UNSUPPORTED``: there is no such characteristic.
+        """
+        found = self._characteristic(uuid)
+        return bytes(await self._request(lambda client: client.read_gatt_char(found)))
+
+    async def write(self, uuid: str, data: bytes, *, response: bool = True) -> None:
+        """Write a characteristic; raises as :meth:`read` does."""
+        found = self._characteristic(uuid)
+        await self._request(lambda client: client.write_gatt_char(found, data, response=response))
+
+    async def subscribe(self, uuid: str) -> None:
+        """Pass notifications or indications on to :meth:`next`; raises as :meth:`read` does."""
+        found = self._characteristic(uuid)
+        await self._request(lambda client: client.start_notify(found, self._arrived))
+
+    async def unsubscribe(self, uuid: str) -> None:
+        """End it; raises as :meth:`read` does."""
+        found = self._characteristic(uuid)
+        await self._request(lambda client: client.stop_notify(found))
+
+    async def pair(self) -> None:
+        """Pair without a PIN; nothing to do on macOS, which pairs when it must.
+
+        Raises
+        ------
+        TransportError
+            ``DENIED`` if it fails, ``LOST`` or ``SILENT``.
+        AttError
+            The device refuses.
+        """
+        await self._request(_pair, PAIR_LIMIT_S, TransportReason.DENIED)
+
+    async def next(self) -> Notification:
+        """Wait for the next notification.
+
+        Raises
+        ------
+        TransportError
+            ``LOST``, once everything that had arrived was taken.
+        """
+        notification = await self._incoming.get()
+        if notification is None:
+            self._incoming.put_nowait(None)
+            raise self._loss()
+        return notification
+
+    async def close(self) -> None:
+        """Disconnect; never raises, and takes 1.5 s at most."""
+        client, self._client = self._client, None
+        self._end()
+        if client is not None:
+            await self._hang_up(client)
+
+    async def _connect(self, sighting: Sighting) -> None:
+        """Raise as :meth:`open` does, or a BleakDeviceNotFoundError."""
+        lock = _connecting.setdefault(asyncio.get_running_loop(), asyncio.Lock())
+        async with lock:
+            # Connected or not, what it said before does not hold any more.
+            forget(sighting.device.address)
+            client = BleakClient(
+                sighting.device,
+                disconnected_callback=self._disconnected,
+                timeout=CONNECT_LIMIT_S,
+                pair=self._pair_first,
+            )
+            self._client = client
+            self._attempt = in_background(client.connect())
+            try:
+                await within(CONNECT_LIMIT_S, self._attempt)
+                self._begin(client)
+            except Exception as error:
+                self._client = None
+                await self._hang_up(client)
+                if isinstance(error, BleakDeviceNotFoundError):
+                    raise
+                raise connect_error(self.what, error) from error
+
+    def _begin(self, client: BleakClient) -> None:
+        """Note the characteristics now: bleak forgets them when the link is cut."""
+        self._characteristics.clear()
+        for service in client.services:
+            for each in service.characteristics:
+                self._characteristics.setdefault(each.uuid.lower(), each)
+        self._connected = client.is_connected
+        if not self._connected:
+            raise BleakError("lost at once")
+
+    def _characteristic(self, uuid: str) -> BleakGATTCharacteristic:
+        found = self._characteristics.get(normalize_uuid_str(uuid))
+        if found is None:
+            message = f"{self.what}: the device has no characteristic {uuid}"
+            raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
+        return found
+
+    async def _request(
+        self,
+        ask: _Asking[_T],
+        limit_s: float = REQUEST_LIMIT_S,
+        failure: TransportReason = TransportReason.LOST,
+    ) -> _T:
+        client = self._client
+        if client is None or self._lost.done():
+            raise self._loss()
+        try:
+            return await within(limit_s, self._in_turn(client, ask), unless=self._lost)
+        except Exception as error:
+            # A request that is under way when the link is cut may fail with any error.
+            if self._lost.done() or not client.is_connected:
+                raise self._loss() from error
+            if isinstance(error, BleakGATTProtocolError):
+                raise AttError(error.code.value, self.what) from error
+            if isinstance(error, TimeoutError):
+                message = f"{self.what}: connected, but no answer within {limit_s:.0f} s"
+                raise TransportError(TransportReason.SILENT, message) from error
+            message = f"{self.what}: {_FAILURES[failure]} ({error or type(error).__name__})"
+            raise TransportError(failure, message) from error
+
+    async def _in_turn(self, client: BleakClient, ask: _Asking[_T]) -> _T:
+        # BlueZ and macOS refuse a request while another one is under way.
+        async with self._requesting:
+            return await ask(client)
+
+    def _loss(self) -> TransportError:
+        message = f"{self.what}: the connection was cut; is the device on and near?"
+        return TransportError(TransportReason.LOST, message)
+
+    def _arrived(self, characteristic: BleakGATTCharacteristic, data: bytearray) -> None:
+        arrival = local_clock()
+        notification = Notification(characteristic.uuid.lower(), bytes(data), arrival)
+        self._incoming.put_nowait(notification)
+
+    def _disconnected(self, client: BleakClient) -> None:
+        # Also called for attempts that fail, which bleak may repeat by itself.
+        if self._connected and client is self._client:
+            self._end()
+
+    def _end(self) -> None:
+        if not self._lost.done():
+            self._lost.set_result(None)
+            self._incoming.put_nowait(None)
+
+    async def _hang_up(self, client: BleakClient) -> None:
+        # Left to itself after a while: some calls never return when the service has died.
+        ending = in_background(_disconnect(client, self._attempt))
+        await asyncio.wait({ending}, timeout=CLOSE_LIMIT_S)
+
+
+async def _pair(client: BleakClient) -> None:
+    # macOS has no such call.
+    with suppress(NotImplementedError):
+        await client.pair()
+
+
+async def _disconnect(client: BleakClient, attempt: asyncio.Task[None] | None) -> None:
+    if attempt is not None:
+        # An attempt that was cancelled tidies up behind itself first.
+        await asyncio.wait({attempt})
+    await client.disconnect()

@@ -1,0 +1,87 @@
+"""What bleak's errors mean, on every platform, decided by class and code."""
+
+from __future__ import annotations
+
+from bleak.exc import (
+    PROTOCOL_ERROR_CODES,
+    BleakBluetoothNotAvailableError,
+    BleakBluetoothNotAvailableReason,
+    BleakDBusError,
+)
+
+from biosensor_common.errors import ProtocolError, ProtocolReason, TransportError, TransportReason
+
+_DENIED = frozenset(
+    {
+        BleakBluetoothNotAvailableReason.DENIED_BY_USER,
+        BleakBluetoothNotAvailableReason.DENIED_BY_SYSTEM,
+        BleakBluetoothNotAvailableReason.DENIED_BY_UNKNOWN,
+    }
+)
+
+_DBUS_REASONS = {
+    "org.bluez.Error.AuthenticationCanceled": TransportReason.DENIED,
+    "org.bluez.Error.AuthenticationFailed": TransportReason.DENIED,
+    "org.bluez.Error.AuthenticationRejected": TransportReason.DENIED,
+    "org.bluez.Error.AuthenticationTimeout": TransportReason.DENIED,
+    "org.bluez.Error.InProgress": TransportReason.BUSY,
+    "org.bluez.Error.NotAuthorized": TransportReason.DENIED,
+    "org.bluez.Error.NotReady": TransportReason.UNAVAILABLE,
+    "org.freedesktop.DBus.Error.AccessDenied": TransportReason.DENIED,
+    "org.freedesktop.DBus.Error.NameHasNoOwner": TransportReason.UNAVAILABLE,
+    "org.freedesktop.DBus.Error.ServiceUnknown": TransportReason.UNAVAILABLE,
+}
+
+_ADVICE = {
+    TransportReason.BUSY: "Bluetooth is busy with another program; close it there",
+    TransportReason.DENIED: "the system refuses Bluetooth to this program; allow it there",
+    TransportReason.UNAVAILABLE: "Bluetooth is unavailable; plug in or switch on the radio",
+}
+
+
+class AttError(ProtocolError):
+    """The device answered a request with an error of the attribute protocol.
+
+    Attributes
+    ----------
+    code
+        Error code of the ATT_ERROR_RSP [1]_: 0x05 needs pairing, 0x0F encryption, 0xFD
+        means that notifications are not configured; 0x80 to 0x9F are the device's own.
+
+    .. [1] Bluetooth Core Specification 5.2, volume 3, part F, 3.4.1.1.
+    """
+
+    def __init__(self, code: int, what: str) -> None:
+        meaning = PROTOCOL_ERROR_CODES.get(code, "unknown code")
+        message = f"{what}: the device refuses the request (ATT error 0x{code:02X}, {meaning})"
+        super().__init__(ProtocolReason.REFUSED, message)
+        self.code = code
+
+
+def scan_error(error: Exception) -> TransportError:
+    """Tell why a scan did not start: no radio, radio off, or no permission."""
+    reason = _system_reason(error) or TransportReason.UNAVAILABLE
+    return TransportError(reason, f"{_ADVICE[reason]} ({_text(error)})")
+
+
+def connect_error(what: str, error: Exception) -> TransportError:
+    """Tell why a device that was seen could not be connected."""
+    reason = _system_reason(error)
+    if reason is not None:
+        return TransportError(reason, f"{what}: {_ADVICE[reason]} ({_text(error)})")
+    message = f"{what}: seen, but it does not connect ({_text(error)}); is it near and free?"
+    return TransportError(TransportReason.ABSENT, message)
+
+
+def _system_reason(error: Exception) -> TransportReason | None:
+    """Return a reason that lies in this computer, not in the device; None if there is none."""
+    if isinstance(error, BleakBluetoothNotAvailableError):
+        denied = error.reason in _DENIED
+        return TransportReason.DENIED if denied else TransportReason.UNAVAILABLE
+    if isinstance(error, BleakDBusError):
+        return _DBUS_REASONS.get(error.dbus_error)
+    return TransportReason.DENIED if isinstance(error, PermissionError) else None
+
+
+def _text(error: Exception) -> str:
+    return str(error) or type(error).__name__

@@ -1,0 +1,193 @@
+"""One Bluetooth LE scan an event loop, shared by everybody who looks for a device."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+from dataclasses import replace
+from typing import NamedTuple, TypeVar
+from weakref import WeakKeyDictionary
+
+from bleak import BleakScanner
+from bleak.backends.device import BLEDevice
+from bleak.backends.scanner import AdvertisementData
+
+from biosensor_gateway.transports.ble_errors import scan_error
+from biosensor_gateway.transports.deadlines import in_background, within
+from biosensor_gateway.transports.seen import Advertisement
+
+START_LIMIT_S = 10.0
+STOP_LIMIT_S = 2.0
+RECENT_S = 15.0
+"""Longer than BlueZ leaves a device unmentioned that keeps still and advertises."""
+SILENT_S = 30.0
+"""A scan that hears nothing for so long may be dead without an error: the radio was off."""
+MAX_SEEN = 500
+
+_T = TypeVar("_T")
+
+_NO_RSSI = (127, -127)
+"""The controller's and bleak's way of saying "unknown"."""
+
+
+class Sighting(NamedTuple):
+    """An advertisement, with bleak's handle of the device to connect to."""
+
+    device: BLEDevice
+    advertisement: Advertisement
+    heard_s: float
+    """On the monotonic clock."""
+
+
+@asynccontextmanager
+async def sightings() -> AsyncGenerator[AsyncIterator[Sighting]]:
+    """Scan while the context lasts: devices heard just now, then all that are heard.
+
+    Raises
+    ------
+    TransportError
+        ``UNAVAILABLE`` or ``DENIED``: there is no radio, or it is off, or not for us.
+    """
+    scan = _shared_scan()
+    queue = await scan.join()
+    try:
+        yield _Heard(queue, lambda sighting: sighting)
+    finally:
+        await scan.leave(queue)
+
+
+@asynccontextmanager
+async def advertisements() -> AsyncGenerator[AsyncIterator[Advertisement]]:
+    """Give the advertisements alone; see :func:`sightings`.
+
+    Each is merged with what the device said before: its name may come in the
+    scan response only.
+    """
+    scan = _shared_scan()
+    queue = await scan.join()
+    try:
+        yield _Heard(queue, lambda sighting: sighting.advertisement)
+    finally:
+        await scan.leave(queue)
+
+
+async def scan(seconds: float) -> list[Advertisement]:
+    """Return what is heard in so many seconds, one a device, the strongest first."""
+    newest: dict[str, Advertisement] = {}
+    async with advertisements() as heard:
+        with suppress(TimeoutError):
+            async with asyncio.timeout(seconds):
+                async for each in heard:
+                    newest[each.address] = each
+    return sorted(newest.values(), key=_strength, reverse=True)
+
+
+def forget(address: str) -> None:
+    """Wait for a fresh advertisement of a device: it was there, and did not connect."""
+    _shared_scan().forget(address)
+
+
+class _Heard(AsyncIterator[_T]):
+    """What one listener hears; unlike a generator it survives a timeout."""
+
+    def __init__(self, queue: asyncio.Queue[Sighting], take: Callable[[Sighting], _T]) -> None:
+        self._queue = queue
+        self._take = take
+
+    async def __anext__(self) -> _T:
+        return self._take(await self._queue.get())
+
+
+class _SharedScan:
+    """A scan that runs while it has listeners."""
+
+    def __init__(self) -> None:
+        self._switching = asyncio.Lock()
+        self._scanner: BleakScanner | None = None
+        self._listeners: set[asyncio.Queue[Sighting]] = set()
+        self._seen: dict[str, Sighting] = {}
+        self._last_heard_s = 0.0
+
+    async def join(self) -> asyncio.Queue[Sighting]:
+        queue: asyncio.Queue[Sighting] = asyncio.Queue()
+        async with self._switching:
+            if self._scanner is not None and time.monotonic() - self._last_heard_s > SILENT_S:
+                await self._stop()
+            if self._scanner is None:
+                await self._start()
+            self._listeners.add(queue)
+        recently = time.monotonic() - RECENT_S
+        for sighting in self._seen.values():
+            if sighting.heard_s > recently:
+                queue.put_nowait(sighting)
+        return queue
+
+    async def leave(self, queue: asyncio.Queue[Sighting]) -> None:
+        self._listeners.discard(queue)
+        # Finished in the background if whoever leaves is cancelled.
+        await asyncio.wait({in_background(self._stop_unless_used())}, timeout=STOP_LIMIT_S)
+
+    def forget(self, address: str) -> None:
+        self._seen.pop(address, None)
+
+    async def _start(self) -> None:
+        # Without duplicates BlueZ would not report again what it has reported once.
+        scanner = BleakScanner(self._heard, bluez={"filters": {"DuplicateData": True}})
+        try:
+            await within(START_LIMIT_S, scanner.start())
+        except Exception as error:
+            in_background(scanner.stop())
+            raise scan_error(error) from error
+        except asyncio.CancelledError:
+            in_background(scanner.stop())
+            raise
+        self._scanner = scanner
+        self._last_heard_s = time.monotonic()
+
+    async def _stop_unless_used(self) -> None:
+        async with self._switching:
+            if not self._listeners:
+                await self._stop()
+
+    async def _stop(self) -> None:
+        scanner, self._scanner = self._scanner, None
+        self._seen.clear()
+        if scanner is not None:
+            # A radio that is gone refuses; the scan is over all the same.
+            with suppress(Exception):
+                await within(STOP_LIMIT_S, scanner.stop())
+
+    def _heard(self, device: BLEDevice, data: AdvertisementData) -> None:
+        self._last_heard_s = time.monotonic()
+        before = self._seen.pop(device.address, None)
+        known = Advertisement(device.address) if before is None else before.advertisement
+        sighting = Sighting(device, _merged(known, device, data), self._last_heard_s)
+        # Least recently heard first: phones change their address for ever.
+        self._seen[device.address] = sighting
+        while len(self._seen) > MAX_SEEN:
+            del self._seen[next(iter(self._seen))]
+        for queue in self._listeners:
+            queue.put_nowait(sighting)
+
+
+_scans: WeakKeyDictionary[asyncio.AbstractEventLoop, _SharedScan] = WeakKeyDictionary()
+
+
+def _shared_scan() -> _SharedScan:
+    return _scans.setdefault(asyncio.get_running_loop(), _SharedScan())
+
+
+def _merged(known: Advertisement, device: BLEDevice, data: AdvertisementData) -> Advertisement:
+    return replace(
+        known,
+        name=data.local_name or device.name or known.name,
+        rssi_dbm=known.rssi_dbm if data.rssi in _NO_RSSI else data.rssi,
+        service_uuids=known.service_uuids | {uuid.lower() for uuid in data.service_uuids},
+        manufacturer_data={**known.manufacturer_data, **data.manufacturer_data},
+    )
+
+
+def _strength(seen: Advertisement) -> int:
+    return -128 if seen.rssi_dbm is None else seen.rssi_dbm

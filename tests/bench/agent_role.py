@@ -1,0 +1,88 @@
+"""The agent, with a watch on the way of each packet: ``python -m tests.bench.agent_role FILE``."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+
+from numpy.typing import ArrayLike
+from pylsl import local_clock
+
+from biosensor_gateway.agent import Agent
+from biosensor_gateway.devices import settings_models
+from biosensor_gateway.logs import configure_logs
+from biosensor_gateway.settings import LogSettings, state_folder
+from biosensor_gateway.settings_file import load_settings
+from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.supervisor import State
+
+_POLL_S = 0.1
+
+
+class Watch:
+    """Times from `DeviceSink.observe`, which is told the arrival, to the end of the push."""
+
+    def __init__(self) -> None:
+        self.delays_ms: list[float] = []
+        self.samples = 0
+        self._arrivals: dict[DeviceSink, float] = {}
+        observe, emit_at = DeviceSink.observe, DeviceSink.emit_at
+        watch = self
+
+        def noted_observe(self: DeviceSink, device_s: float, arrival_s: float) -> None:
+            watch.arrived(self, arrival_s)
+            observe(self, device_s, arrival_s)
+
+        def timed_emit_at(
+            self: DeviceSink, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]
+        ) -> None:
+            emit_at(self, data_name, samples, lsl_times)
+            watch.pushed(self, len(lsl_times))
+
+        DeviceSink.observe = noted_observe
+        DeviceSink.emit_at = timed_emit_at
+
+    def arrived(self, sink: DeviceSink, arrival_s: float) -> None:
+        self._arrivals[sink] = arrival_s
+
+    def pushed(self, sink: DeviceSink, count: int) -> None:
+        self.samples += count
+        if sink in self._arrivals:
+            self.delays_ms.append(1000 * (local_clock() - self._arrivals[sink]))
+
+    def restart(self) -> None:
+        self.delays_ms.clear()
+        self.samples = 0
+
+
+async def _run(settings: Path) -> None:
+    watch = Watch()
+    agent = Agent(load_settings(settings, settings_models()), state_folder())
+    running = asyncio.create_task(agent.run())
+    loop = asyncio.get_running_loop()
+    lines: asyncio.Queue[str] = asyncio.Queue()
+
+    def read() -> None:
+        for line in sys.stdin:
+            loop.call_soon_threadsafe(lines.put_nowait, line)
+
+    threading.Thread(target=read, daemon=True).start()
+    while any(supervisor.state is not State.STREAMING for supervisor, _ in agent.devices):  # noqa: ASYNC110 - seven devices, one poll
+        await asyncio.sleep(_POLL_S)
+    print("streaming", flush=True)
+    await lines.get()
+    watch.restart()
+    print("measuring", flush=True)
+    await lines.get()
+    print(json.dumps({"delays_ms": watch.delays_ms, "samples": watch.samples}), flush=True)
+    running.cancel()
+    await asyncio.gather(running, return_exceptions=True)
+
+
+if __name__ == "__main__":
+    configure_logs(LogSettings(level="error"), None)
+    asyncio.run(_run(Path(sys.argv[1])))

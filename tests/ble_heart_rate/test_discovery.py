@@ -1,0 +1,51 @@
+"""Which advertisements are heart-rate straps, and how they come into the settings."""
+
+from __future__ import annotations
+
+import pytest
+
+from biosensor_gateway.devices.ble_heart_rate.discovery import identify, identify_any, recognise
+from biosensor_gateway.devices.ble_heart_rate.driver import HeartRateStrapSettings
+from biosensor_gateway.transports.seen import Advertisement, SerialPort
+
+ADDRESS = "C8:25:00:00:00:01"
+HEART_RATE = frozenset({"0000180d-0000-1000-8000-00805f9b34fb"})
+
+
+def seen(name: str = "TICKR 1234", *, heart_rate: bool = True) -> Advertisement:
+    return Advertisement(ADDRESS, name, -60, HEART_RATE if heart_rate else frozenset())
+
+
+def test_a_strap_is_found_with_the_settings_that_lead_to_it() -> None:
+    found = recognise(seen())
+    assert found is not None
+    assert (found.sensor, found.name, found.rssi_dbm) == ("ble_heart_rate", "TICKR 1234", -60)
+    settings = HeartRateStrapSettings.model_validate({"sensor": found.sensor, **found.settings})
+    assert settings.device == identify(seen()) == ADDRESS
+
+
+def test_a_strap_without_a_name_is_called_by_its_address() -> None:
+    found = recognise(seen(""))
+    assert found is not None
+    assert found.name == ADDRESS
+
+
+@pytest.mark.parametrize("model", ["H10", "Sense", "OH1"])
+def test_what_has_a_driver_of_its_own_is_left_to_it(model: str) -> None:
+    assert recognise(seen(f"Polar {model} A1B2C3D4")) is None
+    # It may be chosen all the same.
+    assert identify(seen(f"Polar {model} A1B2C3D4")) == ADDRESS
+
+
+def test_a_strap_of_the_same_maker_is_one() -> None:
+    assert recognise(seen("Polar H9 A1B2C3D4")) is not None
+
+
+def test_anything_else_is_none() -> None:
+    assert recognise(seen(heart_rate=False)) is None
+    assert identify(seen(heart_rate=False)) is None
+    assert recognise(SerialPort("COM7", "TICKR 1234")) is None
+
+
+def test_a_strap_that_does_not_say_so_can_be_chosen() -> None:
+    assert identify_any(seen(heart_rate=False)) == ADDRESS

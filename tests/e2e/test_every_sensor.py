@@ -1,0 +1,250 @@
+"""From the device to ROS, for every sensor at once: each sample once, in order, on time.
+
+The virtual devices run in a process of their own, with drifting crystals and a radio
+that delays every packet by up to `JITTER_S`; Bluetooth ones are reached through bleak's
+stock Linux backend. What a subscriber gets is compared with what the devices sent,
+and the stamps in LSL with the true times of measuring.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pylsl
+import pytest
+from numpy.typing import NDArray
+
+from biosensor_common.naming import source_id
+from biosensor_common.registry import sensor
+from biosensor_common.spec import DeviceIdentity, StreamSpec
+from lsl_to_ros.messages import CLASSES
+from tests.rigs.lab_client import LabProcess, Samples, settings_toml
+
+JITTER_S = 0.03
+SECONDS = 30.0
+SETTLED_S = 10.0
+# The wristband's heart rate comes six seconds after the beat.
+LATEST_S = 8.0
+STAMP_LIMIT_S = 0.020
+SPACING_LIMIT_S = 0.001
+_DRIFTS_PPM = (120.0, -80.0, 150.0, -150.0, 60.0, 100.0, -100.0)
+SENSORS = (
+    "empatica_e4",
+    "emotiv_insight",
+    "shimmer3_gsr",
+    "polar_h10",
+    "vernier_respiration_belt",
+    "zephyr",
+    "ble_heart_rate",
+)
+# The agent itself decides when to send these, or computes them: no truth of the wire.
+_OF_THE_AGENT = {("shimmer3_gsr", "hr")} | {(name, "quality") for name in SENSORS}
+# What a strap does not stamp: a rate is as good as its radio, a beat as what is known of
+# when it was in the second before its packet.
+_UNSTAMPED_S = {
+    ("polar_h10", "hr"): STAMP_LIMIT_S + JITTER_S,
+    ("polar_h10", "ibi"): 0.15,
+    ("ble_heart_rate", "hr"): STAMP_LIMIT_S + JITTER_S,
+    ("ble_heart_rate", "ibi"): 0.15,
+}
+_MARKS = {name: DeviceIdentity(name, name.upper()) for name in SENSORS}
+
+Floats = NDArray[np.float64]
+
+
+class Recorded(NamedTuple):
+    times: Floats
+    values: Floats
+
+
+class Recorder:
+    """Pulls streams by source_id in a thread."""
+
+    def __init__(self, source_ids: list[str]) -> None:
+        self._wanted = set(source_ids)
+        self._inlets: dict[str, pylsl.StreamInlet] = {}
+        self._chunks: dict[str, list[tuple[list[float], list[list[float]]]]] = {
+            source: [] for source in source_ids
+        }
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        resolver = pylsl.ContinuousResolver()
+        while not self._stopping.is_set():
+            for info in resolver.results():
+                source = info.source_id()
+                if source in self._wanted and source not in self._inlets:
+                    self._inlets[source] = pylsl.StreamInlet(info, recover=False)
+            for source, inlet in self._inlets.items():
+                samples, stamps = inlet.pull_chunk(timeout=0.0, max_samples=4096)
+                if stamps:
+                    self._chunks[source].append((list(stamps), [list(row) for row in samples]))
+            time.sleep(0.02)
+
+    def stop(self) -> None:
+        self._stopping.set()
+        self._thread.join()
+
+    def recorded(self, source: str) -> Recorded:
+        times = [stamp for stamps, _ in self._chunks[source] for stamp in stamps]
+        rows = [row for _, samples in self._chunks[source] for row in samples]
+        return Recorded(np.array(times, np.float64), np.array(rows, np.float64))
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Generator[LabProcess]:
+    devices = [
+        {
+            "key": name,
+            "sensor": name,
+            "options": {"seed": index + 1, "jitter_s": JITTER_S, "drift_ppm": drift},
+        }
+        for index, (name, drift) in enumerate(zip(SENSORS, _DRIFTS_PPM, strict=True))
+    ]
+    with LabProcess(devices, tmp_path) as running:
+        yield running
+
+
+def _numeric(name: str) -> list[StreamSpec]:
+    return [stream for stream in sensor(name).streams if not stream.message_type.is_text]
+
+
+def _places(part: Floats, whole: Floats, what: str) -> list[int]:
+    """Where *part* may begin in *whole*; floats are compared as ROS carries them."""
+    part32, whole32 = part.astype(np.float32), whole.astype(np.float32)
+    places = [
+        start
+        for start in range(len(whole32) - len(part32) + 1)
+        if _same(whole32[start], part32[0]) and _same(whole32[start : start + len(part32)], part32)
+    ]
+    assert places, f"{what}: what arrived is not a part of what was sent"
+    return places
+
+
+def _same(a: NDArray[np.float32], b: NDArray[np.float32]) -> bool:
+    return np.allclose(a, b, rtol=2e-6, atol=1e-6, equal_nan=True)
+
+
+def _check_values(received: Floats, truth: Samples, until_s: float, what: str) -> None:
+    """Received is the truth up to a time at least, without a hole, a repetition or a swap."""
+    assert len(received), f"{what}: nothing arrived"
+    end = _places(received, truth.values, what)[-1] + len(received)
+    missing = int((truth.times[end:] < until_s).sum())
+    assert not missing, f"{what}: the last {missing} samples are missing"
+
+
+def _check_stamps(name: str, stream: StreamSpec, lsl: Recorded, truth: Samples) -> str:
+    what = f"{name}/{stream.data_name}"
+    # Values that repeat themselves fit in several places; the stamps tell which it is.
+    places = _places(lsl.values, truth.values, what)
+    differences = (lsl.times - truth.times[start : start + len(lsl.times)] for start in places)
+    errors = min(differences, key=lambda each: float(np.abs(each).max()))
+    settled = lsl.times > truth.times[0] + SETTLED_S
+    if not settled.any():
+        return f"{what}: too few samples"
+    worst = float(np.abs(errors[settled]).max())
+    limit = _UNSTAMPED_S.get((name, stream.data_name), STAMP_LIMIT_S)
+    assert worst <= limit, f"{what}: a stamp is {1000 * worst:.1f} ms off"
+    if stream.rate == 0:
+        return f"{what}: worst {1000 * worst:.2f} ms"
+    spacing = np.diff(errors[settled])
+    rms = float(np.sqrt(np.mean(spacing**2)))
+    assert rms < SPACING_LIMIT_S, f"{what}: spacing RMS {1000 * rms:.2f} ms"
+    return f"{what}: worst {1000 * worst:.2f} ms, spacing RMS {1000 * rms:.3f} ms"
+
+
+def _flat(messages: list[Any]) -> Floats:
+    return np.array([np.atleast_1d(message.data) for message in messages], np.float64)
+
+
+def test_every_sensor_from_device_to_ros(
+    lab: LabProcess,
+    programs: Any,
+    listener: Any,
+    wait_until: Callable[..., None],
+    monkeypatch: pytest.MonkeyPatch,
+    record_property: Callable[[str, object], None],
+) -> None:
+    for key, value in lab.environment.items():
+        monkeypatch.setenv(key, value)
+    streams = {name: _numeric(name) for name in SENSORS}
+    topics = {
+        (name, stream.data_name): listener.listen(
+            CLASSES[stream.message_type], f"/biosensors/{name}/{stream.data_name}"
+        )
+        for name in SENSORS
+        for stream in streams[name]
+    }
+    sources = {key: source_id(_MARKS[key[0]], key[1]) for key in topics}
+    recorder = Recorder(list(sources.values()))
+    programs.node()
+    programs.agent(settings_toml(lab, {name: name for name in SENSORS}))
+    regular = [
+        (name, stream.data_name)
+        for name in SENSORS
+        for stream in streams[name]
+        if stream.rate != 0 and (name, stream.data_name) != ("emotiv_insight", "gyro")
+    ]
+    wait_until(lambda: all(topics[key] for key in regular), "all regular streams", 60.0)
+    time.sleep(SECONDS)
+    until_s = pylsl.local_clock()
+    time.sleep(LATEST_S)
+    received = {key: list(messages) for key, messages in topics.items()}
+    recorder.stop()
+    status = programs.status()
+    truths = {name: lab.truth(name) for name in SENSORS}
+
+    for device in status["devices"]:
+        assert device["connections"] == 1, device
+        for source, counters in device["streams"].items():
+            assert (counters["lost"], counters["refused"]) == (0, 0), source
+    for name in SENSORS:
+        for stream in streams[name]:
+            key = (name, stream.data_name)
+            if key in _OF_THE_AGENT or stream.data_name not in truths[name]:
+                continue
+            truth = truths[name][stream.data_name]
+            _check_values(_flat(received[key]), truth, until_s, "/".join(key))
+            report = _check_stamps(name, stream, recorder.recorded(sources[key]), truth)
+            record_property("/".join(key), report)
+            print(report)
+
+
+def test_contract_topics_have_the_originals_names_and_types() -> None:
+    """The node publishes what the declarations say, and their contract rows never change."""
+    contract = {
+        f"{name}/{stream.data_name}": stream.message_type.value.rpartition("/")[2]
+        for name in SENSORS
+        for stream in sensor(name).streams
+        if stream.contract
+    }
+    assert contract == {
+        "empatica_e4/bvp": "Float32",
+        "empatica_e4/gsr": "Float32",
+        "empatica_e4/st": "Float32",
+        "empatica_e4/hr": "Float32",
+        "empatica_e4/ibi": "Float32",
+        "empatica_e4/acc": "Float32MultiArray",
+        "empatica_e4/bat": "Float32",
+        "empatica_e4/tag": "Empty",
+        "emotiv_insight/eeg": "Float32MultiArray",
+        "emotiv_insight/pow": "Float32MultiArray",
+        "emotiv_insight/met": "Float32MultiArray",
+        "emotiv_insight/mot": "Float32MultiArray",
+        "emotiv_insight/dev": "Float32MultiArray",
+        "shimmer3_gsr/gsr": "Float32",
+        "shimmer3_gsr/ppg": "Float32",
+        "polar_h10/hr": "Float32",
+        "vernier_respiration_belt/bpm": "Float32",
+        "vernier_respiration_belt/force": "Float32",
+        "zephyr/hr": "UInt8",
+        "zephyr/hrv": "UInt16",
+        "zephyr/br": "Float32",
+    }

@@ -1,0 +1,360 @@
+"""A scripted Cortex on a real WebSocket with TLS, and a driver under its supervisor."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import ssl
+import time
+import uuid
+from collections import Counter, deque
+from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+import trustme
+from numpy.typing import ArrayLike, NDArray
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
+
+from biosensor_common.sensors.emotiv_insight import SENSOR
+from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway import supervisor as supervisor_module
+from biosensor_gateway.devices.emotiv_insight import account, driver, headsets, silence
+from biosensor_gateway.devices.emotiv_insight.driver import DRIVER
+from biosensor_gateway.devices.emotiv_insight.settings import EmotivInsightSettings
+from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.supervisor import State, Supervisor
+
+DEADLINE_S = 30.0
+HEADSET_ID = "INSIGHT-12341234"
+TOKEN, NEW_TOKEN = "planted.token.one", "planted.token.two"
+CLIENT_ID, CLIENT_SECRET = "planted-client-id", "planted-client-secret"
+
+EEG = ["COUNTER", "INTERPOLATED", "AF3", "T7", "Pz", "T8", "AF4", "RAW_CQ", "MARKER_HARDWARE",
+       "MARKERS"]  # fmt: skip
+MOTION = ["COUNTER_MEMS", "INTERPOLATED_MEMS", "Q0", "Q1", "Q2", "Q3", "ACCX", "ACCY", "ACCZ",
+          "MAGX", "MAGY", "MAGZ"]  # fmt: skip
+POWER = [f"{electrode}/{band}" for electrode in EEG[2:7]
+         for band in ("theta", "alpha", "betaL", "betaH", "gamma")]  # fmt: skip
+METRICS = ["attention.isActive", "attention", "eng.isActive", "eng", "lex"]
+DEVICE = ["Battery", "Signal", [*EEG[2:7], "OVERALL"], "BatteryPercent"]
+
+Answer = Callable[["ScriptedCortex", ServerConnection, dict[str, Any]], Awaitable[None]]
+
+
+class Request(NamedTuple):
+    method: str
+    params: dict[str, Any]
+
+
+class ScriptedCortex:
+    """Answers like Cortex on a good day, and as it was told for single requests."""
+
+    def __init__(self, context: ssl.SSLContext, ca_file: Path) -> None:
+        self._context, self.ca_file = context, ca_file
+        self._script: dict[str, deque[Answer]] = {}
+        self._server: Server | None = None
+        self.port = 0
+        self.requests: list[Request] = []
+        self.opened = 0
+        self.tokens = iter([TOKEN, NEW_TOKEN, *(f"planted.token.{n}" for n in range(3, 999))])
+        self.headsets: list[dict[str, Any]] = [self.headset()]
+        self.columns: dict[str, list[Any]] = {
+            "eeg": EEG, "mot": MOTION, "pow": POWER, "met": METRICS, "dev": DEVICE
+        }  # fmt: skip
+        self.failures: dict[str, int] = {}
+        self.session = ""
+
+    @property
+    def url(self) -> str:
+        return f"wss://localhost:{self.port}"
+
+    @property
+    def settings(self) -> dict[str, str]:
+        return {"url": self.url, "ca_file": str(self.ca_file)}
+
+    @property
+    def methods(self) -> list[str]:
+        return [request.method for request in self.requests]
+
+    def count(self, method: str) -> int:
+        return self.methods.count(method)
+
+    @staticmethod
+    def headset(status: str = "connected", **settings: Any) -> dict[str, Any]:
+        rates = {"eegRate": 128, "memsRate": 64} if status == "connected" else {}
+        return {"id": HEADSET_ID, "status": status, "firmware": "a11", "customName": "blue",
+                "settings": {**rates, **settings}, "isVirtual": False}  # fmt: skip
+
+    async def start(self) -> None:
+        self._server = await serve(
+            self._serve, "localhost", self.port, ssl=self._context, ping_interval=None
+        )
+        self.port = self._server.sockets[0].getsockname()[1]
+
+    async def stop(self, code: int = 1001) -> None:
+        if self._server is not None:
+            self._server.close(code=code)
+            await self._server.wait_closed()
+
+    def on(self, method: str, *answers: Answer) -> None:
+        """Answer the next requests in this way, the later ones as usual."""
+        self._script.setdefault(method, deque()).extend(answers)
+
+    async def say(self, *messages: object) -> None:
+        """Send to everybody: text and bytes as they are, all else as JSON."""
+        assert self._server is not None
+        for socket in list(self._server.connections):
+            for message in messages:
+                text = message if isinstance(message, str | bytes) else json.dumps(message)
+                with contextlib.suppress(ConnectionClosed):
+                    await socket.send(text)
+
+    async def warn(self, code: int, message: Any = "text") -> None:
+        await self.say({"jsonrpc": "2.0", "warning": {"code": code, "message": message}})
+
+    async def each_connection(self, act: Callable[[ServerConnection], Any]) -> None:
+        assert self._server is not None
+        for socket in list(self._server.connections):
+            outcome = act(socket)
+            if asyncio.iscoroutine(outcome):
+                await outcome
+
+    def data(self, stream: str, values: Sequence[Any], time_s: float) -> dict[str, Any]:
+        return {stream: list(values), "sid": self.session, "time": round(time_s, 4)}
+
+    def eeg(self, number: int, time_s: float, *, interpolated: int = 0) -> dict[str, Any]:
+        """Make sample ``number`` of a second that begins at some time; its value tells it apart."""
+        values: list[Any] = [number % 128, interpolated, *[4200.0 + number] * 5, 0.0, 0, []]
+        return self.data("eeg", values, time_s + number / 128)
+
+    async def _serve(self, socket: ServerConnection) -> None:
+        self.opened += 1
+        # The client leaves without waiting for its last replies.
+        with contextlib.suppress(ConnectionClosed):
+            async for text in socket:
+                request = json.loads(text)
+                self.requests.append(Request(request["method"], request["params"]))
+                script = self._script.get(request["method"])
+                await (script.popleft() if script else usual)(self, socket, request)
+
+    def result(self, method: str, params: dict[str, Any]) -> Any:
+        fixed = {
+            "getCortexInfo": {"version": "4.8.32", "buildNumber": "v4.8.32"},
+            "getUserLogin": [{"username": "u", "currentOSUId": "1", "loggedInOSUId": "1"}],
+            "hasAccessRight": {"accessGranted": True, "message": "granted"},
+            "queryHeadsets": self.headsets,
+        }
+        made = {
+            "authorize": lambda: {"cortexToken": next(self.tokens)},
+            "createSession": lambda: self._new_session(params["status"]),
+            "subscribe": lambda: self._subscription(params["streams"]),
+        }
+        return made[method]() if method in made else fixed.get(method, {})
+
+    def _new_session(self, status: str) -> dict[str, Any]:
+        self.session = str(uuid.uuid4())
+        status = {"active": "activated", "open": "opened"}[status]
+        return {"id": self.session, "status": status, "headset": self.headsets[0]}
+
+    def _subscription(self, streams: list[str]) -> dict[str, Any]:
+        success = [{"streamName": each, "cols": self.columns[each], "sid": self.session}
+                   for each in streams if each in self.columns.keys() - self.failures]  # fmt: skip
+        failure = [{"streamName": each, "code": code, "message": "no"}
+                   for each, code in self.failures.items() if each in streams]  # fmt: skip
+        return {"success": success, "failure": failure}
+
+
+async def usual(cortex: ScriptedCortex, socket: ServerConnection, request: dict[str, Any]) -> None:
+    result = cortex.result(request["method"], request["params"])
+    await socket.send(json.dumps({"jsonrpc": "2.0", "id": request["id"], "result": result}))
+
+
+class Answers:
+    """Ways to answer a request."""
+
+    usual: Answer = staticmethod(usual)
+
+    @staticmethod
+    def result(result: Any, **beside: Any) -> Answer:
+        async def answer(_: ScriptedCortex, socket: ServerConnection, request: Any) -> None:
+            await socket.send(json.dumps({"id": request["id"], "result": result, **beside}))
+
+        return answer
+
+    @staticmethod
+    def error(code: int, text: str = "text") -> Answer:
+        async def answer(_: ScriptedCortex, socket: ServerConnection, request: Any) -> None:
+            error = {"code": code, "message": text}
+            await socket.send(json.dumps({"id": request["id"], "error": error}))
+
+        return answer
+
+    @staticmethod
+    def quoting(code: int) -> Answer:
+        """Refuse, and repeat all that the request says."""
+
+        async def answer(_: ScriptedCortex, socket: ServerConnection, request: Any) -> None:
+            error = {"code": code, "message": f"\n{'x' * 150}{json.dumps(request['params'])}"}
+            await socket.send(json.dumps({"id": request["id"], "error": error}))
+
+        return answer
+
+    @staticmethod
+    async def nothing(_: ScriptedCortex, __: ServerConnection, ___: Any) -> None:
+        """Leave the request without a reply."""
+
+
+class NotedSink(DeviceSink):
+    """Notes what drivers emit on its way into LSL."""
+
+    def __init__(self) -> None:
+        super().__init__(DeviceIdentity("emotiv_insight", uuid.uuid4().hex))
+        names = [stream.data_name for stream in SENSOR.streams]
+        self.rows: dict[str, list[NDArray[np.float64]]] = {name: [] for name in names}
+        self.times: dict[str, list[float]] = {name: [] for name in names}
+        self.stamps: dict[str, list[float]] = {name: [] for name in names}
+        self.losses: Counter[str] = Counter()
+        self.rates: dict[str, float] = {}
+
+    def open(self, info: DeviceInfo, rates: Mapping[str, float]) -> None:
+        super().open(info, rates)
+        self.rates.update(rates)
+
+    def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
+        super().emit(data_name, samples, device_times)
+        width = len(SENSOR.stream(data_name).channels)
+        self.rows[data_name].extend(np.asarray(samples, np.float64).reshape(-1, width))
+        self.times[data_name].extend(device_times)
+
+    def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
+        super().emit_at(data_name, samples, lsl_times)
+        self.stamps[data_name].extend(lsl_times)
+
+    def lost(self, data_name: str, count: int) -> None:
+        super().lost(data_name, count)
+        self.losses[data_name] += count
+
+    def has(self, data_name: str, rows: int) -> Callable[[], bool]:
+        return lambda: len(self.rows[data_name]) >= rows
+
+
+class Run:
+    """A driver and the supervisor that keeps it connected."""
+
+    def __init__(self, **settings: Any) -> None:
+        self.sink = NotedSink()
+        self.states: list[State] = []
+        self.settings = EmotivInsightSettings.model_validate(
+            {"sensor": "emotiv_insight", "unit": self.sink.identity.unit, **settings}
+        )
+        make = DRIVER.make(self.settings, self.sink)
+        self.supervisor = Supervisor(make, self.sink, self.states.append)
+
+    @property
+    def error(self) -> str:
+        return self.supervisor.last_error or ""
+
+    def is_streaming(self) -> bool:
+        return self.supervisor.state is State.STREAMING
+
+
+@pytest.fixture(scope="session")
+def eventually() -> Callable[[Callable[[], bool]], Awaitable[None]]:
+    async def wait(condition: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + DEADLINE_S
+        while not condition():
+            assert time.monotonic() < deadline, "it did not happen"
+            await asyncio.sleep(0.01)
+
+    return wait
+
+
+@pytest.fixture(scope="session")
+def authority() -> trustme.CA:
+    return trustme.CA()
+
+
+@pytest.fixture
+async def cortex(authority: trustme.CA, tmp_path: Path) -> AsyncGenerator[ScriptedCortex]:
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    with authority.issue_cert("localhost").private_key_and_cert_chain_pem.tempfile() as identity:
+        context.load_cert_chain(identity)
+    ca_file = tmp_path / "ca.pem"
+    authority.cert_pem.write_to_path(ca_file)
+    started = ScriptedCortex(context, ca_file)
+    await started.start()
+    yield started
+    await started.stop()
+
+
+@pytest.fixture
+def credentials(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("EMOTIV_CLIENT_ID", CLIENT_ID)
+    monkeypatch.setenv("EMOTIV_CLIENT_SECRET", CLIENT_SECRET)
+
+
+@pytest.fixture
+def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shorten what a person would have to wait for."""
+    for module, name, seconds in (
+        (supervisor_module, "PROBE_INTERVAL_S", 0.05),
+        (supervisor_module, "BACKOFF_FIRST_S", 0.05),
+        (account, "ASK_EVERY_S", 0.1),
+        (account, "RETRY_HEADSET_S", 0.05),
+        (headsets, "ASK_EVERY_S", 0.1),
+        (headsets, "SCAN_PATIENCE_S", 2.0),
+        (silence, "STALLED_AFTER_S", 0.5),
+        (silence, "OVERDUE_AFTER_S", 1.5),
+        (driver, "CHECK_EVERY_S", 0.05),
+    ):
+        monkeypatch.setattr(module, name, seconds)
+
+
+@pytest.fixture
+def noted_sink() -> type[NotedSink]:
+    return NotedSink
+
+
+@pytest.fixture
+def answers() -> type[Answers]:
+    return Answers
+
+
+@pytest.fixture
+def make_run() -> type[Run]:
+    return Run
+
+
+Running = Callable[..., contextlib.AbstractAsyncContextManager[Run]]
+
+
+@pytest.fixture
+def running(cortex: ScriptedCortex, credentials: None, hasty: None) -> Running:
+    """Run a driver until the block ends; then nothing may have been refused or be left open."""
+
+    @contextlib.asynccontextmanager
+    async def run(**settings: Any) -> AsyncGenerator[Run]:
+        made = Run(**{**cortex.settings, **settings})
+        task = asyncio.create_task(made.supervisor.run())
+        try:
+            yield made
+        finally:
+            task.cancel()
+            await asyncio.wait({task}, timeout=DEADLINE_S)
+            refused = {name: each.refused for name, each in made.sink.counters.items()}
+            made.sink.close()
+        assert made.states[-1] is State.STOPPED
+        assert set(refused.values()) <= {0}
+
+    return run
+
+
+@pytest.fixture
+def planted() -> tuple[str, ...]:
+    """All texts that must not be seen anywhere."""
+    return (CLIENT_ID, CLIENT_SECRET, TOKEN, NEW_TOKEN, "planted")

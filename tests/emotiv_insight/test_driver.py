@@ -1,0 +1,370 @@
+"""The driver against the virtual Cortex, under its supervisor."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from structlog.testing import capture_logs
+
+from biosensor_gateway.devices.emotiv_insight.simulator import (
+    EPOC_X,
+    INSIGHT_1_GYRO,
+    INSIGHT_2,
+    Licence,
+    Metrics,
+    SimulatedCortex,
+    Timing,
+)
+from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.world import World
+from biosensor_gateway.supervisor import State
+
+if TYPE_CHECKING:
+    from tests.emotiv_insight.conftest import Run
+
+Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
+Kept = Callable[..., contextlib.AbstractAsyncContextManager["Run"]]
+
+QUICK = Timing(found_s=0.05, scan_s=0.3, connect_s=0.05, silence_s=3.0)
+ALL = ("eeg", "eeg_status", "mot", "pow", "met", "dev")
+
+
+@pytest.fixture
+def world() -> Iterator[World]:
+    with World() as living:
+        yield living
+
+
+@pytest.fixture
+def kept(make_run: Callable[..., Run], hasty: None, monkeypatch: pytest.MonkeyPatch) -> Kept:
+    """Keep a driver connected to a virtual Cortex until the block ends."""
+
+    @contextlib.asynccontextmanager
+    async def run(cortex: SimulatedCortex, **settings: Any) -> AsyncGenerator[Run]:
+        for variable, text in cortex.environment.items():
+            monkeypatch.setenv(variable, text)
+        made = make_run(**{**cortex.settings, **settings})
+        task = asyncio.create_task(made.supervisor.run())
+        try:
+            yield made
+        finally:
+            task.cancel()
+            await asyncio.wait({task}, timeout=30)
+            refused = {name: each.refused for name, each in made.sink.counters.items()}
+            made.sink.close()
+        assert made.states[-1] is State.STOPPED
+        assert set(refused.values()) <= {0}
+
+    return run
+
+
+def assert_true(run: Run, cortex: SimulatedCortex, *data_names: str) -> None:
+    """All that arrived was sent, in this order and once; what is missing was counted."""
+    for name in data_names:
+        sent = cortex.truth.samples(name).values
+        arrived = np.array(run.sink.rows[name])
+        assert len(arrived)
+        position = 0
+        for row in arrived:
+            while not np.allclose(sent[position], row, rtol=1e-6, atol=1e-6, equal_nan=True):
+                position += 1
+                assert position < len(sent), f"{name}: what arrived was not sent, or not so"
+            position += 1
+
+
+def has(run: Run, rows: int, *data_names: str) -> Callable[[], bool]:
+    return lambda: all(len(run.sink.rows[name]) >= rows for name in data_names)
+
+
+async def test_every_stream_fills_with_what_was_measured(
+    world: World, kept: Kept, eventually: Eventually
+) -> None:
+    with SimulatedCortex(world, timing=QUICK, seed=1) as cortex:
+        async with kept(cortex) as run:
+            await eventually(has(run, 3, *ALL))
+        assert_true(run, cortex, *ALL)
+        first = cortex.truth.samples("eeg").values[0]
+        assert run.sink.rows["eeg"][0] == pytest.approx(first)
+        assert not run.sink.rows["gyro"]
+        assert not run.sink.losses
+        assert "unsubscribe" in cortex.calls
+        await eventually(lambda: cortex.client_count == 0)
+
+
+async def test_stamps_are_those_of_the_measurement(
+    world: World, kept: Kept, eventually: Eventually
+) -> None:
+    with SimulatedCortex(world, timing=QUICK, seed=2, drift_ppm=100, jitter_s=0.02) as cortex:
+        async with kept(cortex) as run:
+            await eventually(has(run, 500, "eeg"))
+        truth = cortex.truth.samples("eeg")
+        stamps = np.array(run.sink.stamps["eeg"])
+        # No loss at the start, so they go one by one.
+        errors = stamps - truth.times[: len(stamps)]
+        assert np.abs(errors[128:]).max() < 0.05
+        assert np.sqrt(np.mean((np.diff(stamps) - 1 / 128) ** 2)) < 0.001
+
+
+@pytest.mark.parametrize(
+    ("model", "rate"), [(INSIGHT_2, 32.0), (INSIGHT_1_GYRO, 128.0), (EPOC_X, None)]
+)
+async def test_other_headsets(
+    world: World, kept: Kept, eventually: Eventually, model: Any, rate: float | None
+) -> None:
+    with SimulatedCortex(world, model=model, timing=QUICK, seed=3) as cortex:
+        async with kept(cortex) as run:
+            await eventually(has(run, 20, "eeg", "mot"))
+            if model is INSIGHT_1_GYRO:
+                await eventually(has(run, 20, "gyro"))
+        if model is not EPOC_X:
+            assert_true(run, cortex, "eeg", "mot", *(("gyro",) if run.sink.rows["gyro"] else ()))
+            assert run.sink.rates["mot"] == rate
+            # What never comes has no nominal rate.
+            assert run.sink.rates["gyro"] == (rate if run.sink.rows["gyro"] else 0.0)
+        else:
+            # It has no Pz; the rate is its own.
+            assert all(math.isnan(row[2]) for row in run.sink.rows["eeg"])
+            assert not np.isnan(np.array(run.sink.rows["eeg"])[:, [0, 1, 3, 4]]).any()
+        assert not run.sink.losses
+
+
+@pytest.mark.parametrize(
+    ("version", "metrics"),
+    [("2.2.0", None), ("2.7.0", None), *(("3.8.1", metrics) for metrics in Metrics)],
+)
+async def test_other_versions(
+    world: World, kept: Kept, eventually: Eventually, version: str, metrics: Metrics | None
+) -> None:
+    with SimulatedCortex(world, version=version, metrics=metrics, timing=QUICK, seed=4) as cortex:
+        async with kept(cortex) as run:
+            await eventually(has(run, 2, "eeg", "met", "dev"))
+        assert_true(run, cortex, "eeg", "met", "dev")
+
+
+@pytest.mark.parametrize("licence", [Licence.NONE, Licence.METRICS, Licence.EEG])
+async def test_licences(world: World, kept: Kept, eventually: Eventually, licence: Licence) -> None:
+    with (
+        SimulatedCortex(
+            world, licence=licence, unlicensed_metrics_s=0.5, timing=QUICK, seed=5
+        ) as cortex,
+        capture_logs() as logs,
+    ):
+        async with kept(cortex) as run:
+            await eventually(has(run, 2, "mot", "pow", "met", "dev"))
+            cortex.close_connections(1001)
+            await eventually(lambda: run.states.count(State.STREAMING) == 2)
+        assert_true(run, cortex, "mot", "pow", "met", "dev")
+        assert bool(run.sink.rows["eeg"]) is (Licence.EEG in licence)
+    said = [entry for entry in logs if "does not cover raw EEG" in entry["event"]]
+    assert len(said) == (Licence.EEG not in licence)
+
+
+async def test_a_counted_licence_is_drawn_from_once(
+    world: World, kept: Kept, eventually: Eventually
+) -> None:
+    with SimulatedCortex(world, session_quota=12, timing=QUICK) as cortex:
+        async with kept(cortex) as run:
+            for connections in (1, 2):
+                await eventually(has(run, 10 * connections, "eeg"))
+                cortex.close_connections(1001)
+                await eventually(lambda n=connections: run.states.count(State.STREAMING) > n)
+        assert cortex.calls.count("authorize") == 1
+
+
+async def test_losses_are_counted_exactly(world: World, kept: Kept, eventually: Eventually) -> None:
+    with SimulatedCortex(world, timing=QUICK, seed=6) as cortex:
+        async with kept(cortex) as run:
+            await eventually(has(run, 20, "eeg"))
+            cortex.drop_samples(5)
+            await eventually(lambda: run.sink.losses.get("eeg") == 5)
+            cortex.skip_seconds(2)
+            await eventually(lambda: run.sink.losses.get("eeg") == 5 + 256)
+            rows = len(run.sink.rows["eeg"])
+            await eventually(has(run, rows + 50, "eeg"))
+        assert run.sink.losses == {"eeg": 261, "eeg_status": 261}
+        assert_true(run, cortex, "eeg", "eeg_status")
+
+
+@pytest.mark.parametrize("seconds", [-3.0, 3.0, 3600.0, -3600.0])
+async def test_a_clock_that_is_set_loses_and_invents_nothing(
+    world: World, kept: Kept, eventually: Eventually, seconds: float
+) -> None:
+    with SimulatedCortex(world, timing=QUICK, seed=7) as cortex:
+        async with kept(cortex) as run:
+            await eventually(has(run, 50, "eeg", "mot"))
+            cortex.time_jump(seconds)
+            rows = len(run.sink.rows["eeg"])
+            await eventually(has(run, rows + 100, "eeg"))
+        assert_true(run, cortex, "eeg", "mot")
+        assert not run.sink.losses
+
+
+async def test_repeated_interpolated_and_marked_samples(
+    world: World, kept: Kept, eventually: Eventually
+) -> None:
+    with SimulatedCortex(world, timing=QUICK, seed=8) as cortex:
+        async with kept(cortex) as run:
+            await eventually(has(run, 10, "eeg"))
+            cortex.repeat_samples(20)
+            cortex.interpolate(20)
+            cortex.mark("stimulus", 7)
+            rows = len(run.sink.rows["eeg"])
+            await eventually(has(run, rows + 60, "eeg"))
+        assert_true(run, cortex, "eeg", "eeg_status")
+        status = np.array(run.sink.rows["eeg_status"])
+        assert (status[:, 1].sum(), status[:, 3].sum()) == (20, 1)
+        assert len(set(run.sink.times["eeg"])) == len(status)
+        assert not run.sink.losses
+
+
+async def test_a_token_that_expires_is_renewed(
+    world: World, kept: Kept, eventually: Eventually
+) -> None:
+    with SimulatedCortex(world, timing=QUICK, seed=9) as cortex:
+        async with kept(cortex) as run:
+            await eventually(has(run, 20, "eeg"))
+            cortex.expire_token()
+            rows = len(run.sink.rows["eeg"])
+            await eventually(has(run, rows + 20, "eeg"))
+            assert run.states.count(State.STREAMING) == 1
+            cortex.close_connections(1001)
+            await eventually(lambda: run.states.count(State.STREAMING) == 2)
+            rows = len(run.sink.rows["eeg"])
+            await eventually(has(run, rows + 20, "eeg"))
+        assert cortex.calls.count("authorize") == 2
+        assert_true(run, cortex, "eeg")
+
+
+@pytest.mark.parametrize("virtual", [False, True])
+async def test_a_headset_that_is_switched_off_and_on(
+    world: World, kept: Kept, eventually: Eventually, virtual: bool
+) -> None:
+    with SimulatedCortex(world, timing=QUICK, is_virtual=virtual, seed=10) as cortex:
+        async with kept(cortex) as run:
+            await eventually(has(run, 20, "eeg"))
+            cortex.switch_headset_off(virtual=virtual)
+            await eventually(lambda: State.DISCOVERING in run.states)
+            cortex.switch_headset_on()
+            rows = len(run.sink.rows["eeg"])
+            await eventually(has(run, rows + 50, "eeg"))
+        assert_true(run, cortex, "eeg")
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        Fault(FaultKind.DROP, 1.0),
+        Fault(FaultKind.STALL, 3.0),
+        Fault(FaultKind.REFUSE, 1.0),
+        Fault(FaultKind.RESTART, 1.0),
+    ],
+    ids=lambda fault: fault.kind.value,
+)
+async def test_a_fault_that_passes_leaves_a_gap(
+    world: World, kept: Kept, eventually: Eventually, fault: Fault
+) -> None:
+    with SimulatedCortex(world, timing=QUICK, seed=11) as cortex:
+        async with kept(cortex) as run:
+            await eventually(has(run, 20, "eeg", "mot"))
+            cortex.apply(fault)
+            await eventually(lambda: run.states.count(State.STREAMING) >= 2)
+            rows = len(run.sink.rows["eeg"])
+            await eventually(has(run, rows + 50, "eeg"))
+        assert_true(run, cortex, "eeg", "mot")
+
+
+async def test_late_answers_are_waited_for(
+    world: World, kept: Kept, eventually: Eventually
+) -> None:
+    with SimulatedCortex(world, timing=QUICK, seed=12) as cortex:
+        async with kept(cortex) as run:
+            await eventually(has(run, 20, "eeg"))
+            cortex.apply(Fault(FaultKind.LATE, 0.5))
+            await eventually(lambda: run.states.count(State.STREAMING) >= 2)
+        assert_true(run, cortex, "eeg")
+
+
+async def test_garbage_hides_nothing(world: World, kept: Kept, eventually: Eventually) -> None:
+    with SimulatedCortex(world, timing=QUICK, seed=13) as cortex:
+        async with kept(cortex) as run:
+            await eventually(has(run, 20, "eeg"))
+            cortex.apply(Fault(FaultKind.GARBAGE, 64.0))
+            cortex.flood(500)
+            cortex.send_raw(b"\x00" * 100)
+            cortex.send_raw('{"x":"' + "y" * 2_000_000 + '"}')
+            rows = len(run.sink.rows["eeg"])
+            await eventually(has(run, rows + 100, "eeg"))
+            assert run.states.count(State.STREAMING) == 1
+            assert run.sink.dropped_bytes > 0
+        assert_true(run, cortex, "eeg")
+        assert not run.sink.losses
+
+
+async def test_battery_and_contact_are_seen(
+    world: World, kept: Kept, eventually: Eventually
+) -> None:
+    with SimulatedCortex(world, timing=QUICK, seed=14) as cortex:
+        async with kept(cortex) as run:
+            await eventually(has(run, 1, "dev"))
+            assert run.sink.rows["dev"][0][7] > 0
+            cortex.apply(Fault(FaultKind.LOW_BATTERY, 4.0))
+            cortex.apply(Fault(FaultKind.OFF_BODY, math.inf))
+            await eventually(lambda: run.sink.rows["dev"][-1][8] == 4)
+            await eventually(lambda: not run.sink.rows["dev"][-1][2:8].any())
+            cortex.clear(FaultKind.OFF_BODY)
+            await eventually(lambda: run.sink.rows["dev"][-1][7] > 0)
+        assert_true(run, cortex, "dev")
+
+
+@pytest.mark.parametrize("method", ["subscribe", "createSession", "queryHeadsets"])
+async def test_a_reply_that_comes_twice_answers_once(
+    world: World, kept: Kept, eventually: Eventually, method: str
+) -> None:
+    with SimulatedCortex(world, timing=QUICK, data_before_reply=True, seed=15) as cortex:
+        cortex.duplicate_reply(method)
+        async with kept(cortex) as run:
+            await eventually(has(run, 50, "eeg"))
+            assert run.states.count(State.STREAMING) == 1
+        assert_true(run, cortex, "eeg")
+        sent = cortex.truth.samples("eeg").values
+        # What came before the reply to the subscription, too.
+        assert run.sink.rows["eeg"][0] == pytest.approx(sent[0])
+
+
+async def test_the_user_logs_in_and_approves(
+    world: World, kept: Kept, eventually: Eventually
+) -> None:
+    with SimulatedCortex(world, logged_in=False, approved=False, timing=QUICK) as cortex:
+        async with kept(cortex) as run:
+            await eventually(lambda: "getUserLogin" in cortex.calls)
+            cortex.log_in()
+            await eventually(lambda: "requestAccess" in cortex.calls)
+            assert run.supervisor.state is State.CONNECTING
+            cortex.approve()
+            await eventually(has(run, 10, "eeg"))
+            cortex.log_out()
+            asked = cortex.calls.count("getUserLogin")
+            await eventually(lambda: cortex.calls.count("getUserLogin") > asked + 1)
+            assert run.supervisor.state is State.CONNECTING
+            rows = len(run.sink.rows["eeg"])
+            cortex.log_in()
+            await eventually(has(run, rows + 10, "eeg"))
+        assert_true(run, cortex, "eeg")
+
+
+async def test_wrong_credentials_are_told(
+    world: World, kept: Kept, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with SimulatedCortex(world, timing=QUICK) as cortex:
+        async with kept(cortex) as run:
+            await eventually(has(run, 1, "eeg"))
+        async with kept(cortex) as run:
+            monkeypatch.setenv("EMOTIV_CLIENT_SECRET", "wrong")
+            await eventually(lambda: "check the client id and secret" in run.error)
+        assert State.BACKOFF in run.states

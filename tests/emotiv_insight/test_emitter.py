@@ -1,0 +1,179 @@
+"""What samples of Cortex become."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator
+from typing import TYPE_CHECKING, Any
+
+import pylsl
+import pytest
+from structlog.testing import capture_logs
+
+from biosensor_common.spec import DeviceInfo
+from biosensor_gateway.devices.emotiv_insight.emitter import EmotivEmitter
+from biosensor_gateway.devices.emotiv_insight.protocol import Sample
+
+if TYPE_CHECKING:
+    from tests.emotiv_insight.conftest import NotedSink
+
+START_S = 1.7e9
+EEG = {"COUNTER": 0.0, "INTERPOLATED": 0.0, "AF3": 4201.5, "T7": 4202.5, "Pz": 4203.5,
+       "T8": 4204.5, "AF4": 4205.5, "RAW_CQ": 1024.0, "MARKER_HARDWARE": 1.0}  # fmt: skip
+QUATERNION = {"Q0": 1.0, "Q1": 0.0, "Q2": 0.0, "Q3": 0.0}
+GYROSCOPE = {"GYROX": 8192.0, "GYROY": 8180.0, "GYROZ": 8201.0}
+FIELD = {"ACCX": 0.0, "ACCY": -1.0, "ACCZ": 0.1, "MAGX": 30.0, "MAGY": -15.0, "MAGZ": 45.0}
+
+
+@pytest.fixture
+def sink(noted_sink: type[NotedSink]) -> Generator[NotedSink]:
+    opened = noted_sink()
+    opened.open(DeviceInfo(), {"mot": 64.0, "gyro": 64.0})
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def emitter(sink: NotedSink) -> EmotivEmitter:
+    made = EmotivEmitter(sink)
+    made.connected(128.0, 64.0, headset_stayed=True)
+    return made
+
+
+def take(
+    emitter: EmotivEmitter,
+    stream: str,
+    numbers: dict[str, float],
+    number: float = 0.0,
+    others: dict[str, Any] | None = None,
+) -> None:
+    emitter.take(Sample(stream, START_S + number, numbers, others or {}), pylsl.local_clock())
+
+
+def row(sink: NotedSink, data_name: str) -> list[float | None]:
+    """Return the only sample of a stream, None for "no value"."""
+    (values,) = sink.rows[data_name]
+    return [None if math.isnan(value) else round(float(value), 6) for value in values]
+
+
+def test_eeg_keeps_its_offset_and_its_status_goes_beside(
+    emitter: EmotivEmitter, sink: NotedSink
+) -> None:
+    take(emitter, "eeg", EEG, others={"MARKERS": [{"label": "x"}]})
+    assert row(sink, "eeg") == [4201.5, 4202.5, 4203.5, 4204.5, 4205.5]
+    assert row(sink, "eeg_status") == [0, 0, 1024, 1]
+    assert sink.times["eeg"] == sink.times["eeg_status"] == [START_S]
+
+
+def test_an_electrode_that_is_missing_or_null_is_no_value(
+    emitter: EmotivEmitter, sink: NotedSink
+) -> None:
+    take(emitter, "eeg", {"T7": 4200.0, "T8": math.nan, "F7": 1.0, "COUNTER": 3.0})
+    assert row(sink, "eeg") == [None, 4200.0, None, None, None]
+    assert row(sink, "eeg_status") == [3, None, None, None]
+
+
+def test_a_regular_sample_without_any_value_keeps_its_place(
+    emitter: EmotivEmitter, sink: NotedSink
+) -> None:
+    take(emitter, "eeg", dict.fromkeys(EEG, math.nan))
+    take(emitter, "pow", {"AF3/theta": math.nan})
+    take(emitter, "mot", {"ACCX": math.nan})
+    assert row(sink, "eeg") == [None] * 5
+    assert row(sink, "pow") == [None] * 25
+    assert row(sink, "mot") == [None] * 10
+
+
+@pytest.mark.parametrize("stream", ["met", "dev"])
+def test_an_irregular_sample_without_any_value_is_not_sent(
+    emitter: EmotivEmitter, sink: NotedSink, stream: str
+) -> None:
+    take(emitter, stream, {"eng": math.nan, "AF3": math.nan, "Battery": -1.0})
+    assert sink.rows[stream] == []
+    assert not any(counters.refused for counters in sink.counters.values())
+
+
+def test_newer_firmware_has_an_orientation(emitter: EmotivEmitter, sink: NotedSink) -> None:
+    take(emitter, "mot", {**QUATERNION, **FIELD, "COUNTER_MEMS": 0.0})
+    assert row(sink, "mot") == [1, 0, 0, 0, 0, -1, 0.1, 30, -15, 45]
+    assert sink.rows["gyro"] == []
+
+
+def test_older_firmware_has_a_gyroscope_instead(emitter: EmotivEmitter, sink: NotedSink) -> None:
+    take(emitter, "mot", {**GYROSCOPE, **FIELD, "COUNTER_MEMS": 0.0})
+    take(emitter, "mot", {**GYROSCOPE, **FIELD, "COUNTER_MEMS": 3.0}, 3 / 64)
+    assert sink.rows["gyro"][0].tolist() == [8192, 8180, 8201]
+    assert sink.rows["mot"][0][4:].tolist() == [0, -1, 0.1, 30, -15, 45]
+    assert all(math.isnan(value) for value in sink.rows["mot"][0][:4])
+    assert sink.losses == {"mot": 2, "gyro": 2}
+
+
+def test_band_powers_go_by_label(emitter: EmotivEmitter, sink: NotedSink) -> None:
+    labels = [f"{electrode}/{band}" for electrode in ("AF3", "T7", "Pz", "T8", "AF4")
+              for band in ("theta", "alpha", "betaL", "betaH", "gamma")]  # fmt: skip
+    values = {label: float(index) for index, label in enumerate(labels)}
+    take(emitter, "pow", dict(reversed(values.items())))
+    assert row(sink, "pow") == [float(index) for index in range(25)]
+
+
+def test_metrics_are_told_by_name_whatever_the_version(
+    emitter: EmotivEmitter, sink: NotedSink
+) -> None:
+    numbers = {"eng": 0.6, "exc": 0.3, "lex": 0.2, "str": 0.5, "rel": math.nan, "int": 0.9,
+               "attention": 0.0}  # fmt: skip
+    take(emitter, "met", numbers, others={"rel.isActive": False, "int.isActive": False})
+    assert row(sink, "met") == [0.6, 0.3, 0.2, 0.5, None, None, None, 0.0]
+
+
+@pytest.mark.parametrize(("percent", "expected"), [(88.0, 88.0), (0.0, 0.0), (-1.0, None)])
+def test_a_battery_that_is_not_known_is_no_value(
+    emitter: EmotivEmitter, sink: NotedSink, percent: float, expected: float | None
+) -> None:
+    take(emitter, "dev", {"Battery": -1.0, "Signal": 1.0, "AF3": 4.0, "BatteryPercent": percent})
+    assert row(sink, "dev") == [None, 1, 4, None, None, None, None, None, expected]
+
+
+def test_what_is_computed_late_does_not_move_the_clock(
+    emitter: EmotivEmitter, sink: NotedSink
+) -> None:
+    take(emitter, "eeg", EEG, 10.0)
+    before = sink.clock_state.observations
+    take(emitter, "met", {"eng": 0.5}, 0.0)
+    take(emitter, "dev", {"Signal": 1.0}, 5.0)
+    assert sink.clock_state.observations == before == 1
+    assert sink.clock_state.reanchors == 0
+
+
+def test_without_eeg_and_motion_the_others_are_the_clock(
+    emitter: EmotivEmitter, sink: NotedSink
+) -> None:
+    take(emitter, "dev", {"Signal": 1.0})
+    assert len(sink.rows["dev"]) == sink.clock_state.observations == 1
+
+
+def test_a_sample_that_comes_twice_is_sent_once(emitter: EmotivEmitter, sink: NotedSink) -> None:
+    take(emitter, "eeg", EEG)
+    take(emitter, "eeg", EEG)
+    assert len(sink.rows["eeg"]) == emitter.duplicates == 1
+    assert not sink.losses
+
+
+@pytest.mark.parametrize("stayed", [True, False])
+def test_a_gap_between_connections_is_an_estimate_if_the_headset_has_measured(
+    emitter: EmotivEmitter, sink: NotedSink, stayed: bool
+) -> None:
+    arrival = pylsl.local_clock() - 5
+    emitter.take(Sample("eeg", START_S, EEG), arrival)
+    with capture_logs() as logs:
+        emitter.connected(128.0, 64.0, headset_stayed=stayed)
+        for late_s in (2.0, 3.0):
+            emitter.take(Sample("eeg", START_S + late_s, EEG), arrival + late_s)
+    between, within = (255, 127) if stayed else (0, 127)
+    assert sink.losses["eeg"] == between + within
+    estimates = [entry["samples"] for entry in logs if "estimate" in entry["event"]]
+    assert estimates == ([255] if stayed else [])
+
+
+def test_streams_without_a_place_are_left_out(emitter: EmotivEmitter, sink: NotedSink) -> None:
+    take(emitter, "eq", {"overall": 100.0})
+    assert not any(sink.rows.values())

@@ -1,0 +1,383 @@
+"""The virtual Cortex, as a plain JSON-RPC client finds it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+
+from biosensor_gateway.devices.emotiv_insight.simulator import (
+    EPOC_X,
+    INSIGHT_2,
+    Licence,
+    SimulatedCortex,
+    Timing,
+)
+from biosensor_gateway.simulation.world import World
+from tests.rigs.cortex_client import CortexClient, CortexError
+
+APP = (SimulatedCortex.client_id, SimulatedCortex.client_secret)
+CREDENTIALS = dict(zip(("clientId", "clientSecret"), APP, strict=True))
+ALL = ("eeg", "mot", "pow", "met", "dev", "eq")
+FAST = Timing(found_s=0.05, scan_s=0.1, connect_s=0.05, silence_s=0.3)
+_VECTORS = json.loads((Path(__file__).parent / "vectors/emotiv_cortex.json").read_text("utf-8"))
+VECTORS = {vector["name"]: vector for vector in _VECTORS["vectors"]}
+
+
+@pytest.fixture
+def world() -> Iterator[World]:
+    with World() as world:
+        yield world
+
+
+def shape(value: Any) -> Any:
+    """Keys and types of a message, without its values."""
+    match value:
+        case dict():
+            fields = cast("dict[str, Any]", value)
+            return {key: shape(inner) for key, inner in fields.items()}
+        case list():
+            return [shape(inner) for inner in cast("list[Any]", value)]
+        case bool() | str() | None:
+            return type(value)
+        case _:
+            return float
+
+
+async def refusal(client: CortexClient, method: str, **params: Any) -> int:
+    with pytest.raises(CortexError) as caught:
+        await client.ask(method, **params)
+    return caught.value.code
+
+
+async def test_the_way_from_the_first_request_to_data(world: World) -> None:
+    with SimulatedCortex(world, timing=Timing(connect_s=1.0)) as cortex:
+        headset = cortex.settings["headset"]
+        async with CortexClient(cortex.settings) as client:
+            assert (await client.ask("getCortexInfo"))["version"] == "4.8.32"
+            (login,) = await client.ask("getUserLogin")
+            assert login["currentOSUId"] == login["loggedInOSUId"]
+            assert (await client.ask("hasAccessRight", **CREDENTIALS))["accessGranted"]
+            token = await client.authorize(*APP)
+            assert await client.ask("queryHeadsets") == []
+            await client.ask("controlDevice", command="refresh")
+            await client.until_warned(142)
+            (found,) = await client.ask("queryHeadsets", id="INSIGHT-*")
+            assert found["id"] == headset
+            assert (found["status"], found["sensors"]) == ("discovered", [])
+            assert (found["settings"]["eegRate"], found["settings"]["mode"]) == (0, "UNKNOWN")
+            connecting = await client.send("controlDevice", command="connect", headset=headset)
+            listed = await client.send("queryHeadsets")
+            assert "error" not in await connecting
+            assert (await listed)["result"][0]["status"] == "connecting"
+            assert (await client.until_warned(104))["message"]["headsetId"] == headset
+            (found,) = await client.ask("queryHeadsets")
+            assert (found["status"], found["settings"]["memsRate"]) == ("connected", 64)
+            own = {"cortexToken": token}
+            session = await client.ask("createSession", **own, headset=headset, status="active")
+            assert session["status"] == "activated"
+            sync = {"headset": headset, "monotonicTime": 1.0, "systemTime": 2.0}
+            assert (await client.ask("syncWithHeadsetClock", **sync))["headset"] == headset
+            own["session"] = session["id"]
+            subscribed = await client.ask("subscribe", **own, streams=[*ALL, "xyz"])
+            assert [one["streamName"] for one in subscribed["success"]] == list(ALL)
+            (failed,) = subscribed["failure"]
+            assert (failed["streamName"], failed["code"]) == ("xyz", -32016)
+            await client.until(lambda: all(client.data[stream] for stream in ALL))
+            assert {m["sid"] for stream in ALL for m in client.data[stream]} == {session["id"]}
+            ended = await client.ask("unsubscribe", **own, streams=["eeg", "xyz"])
+            assert ended["success"] == [{"streamName": "eeg"}]
+            assert [one["code"] for one in ended["failure"]] == [-32016]
+            (own_session,) = await client.ask("querySessions", cortexToken=token)
+            assert own_session["streams"] == sorted(set(ALL) - {"eeg"})
+            closed = await client.ask("updateSession", **own, status="close")
+            assert closed["status"] == "closed"
+            assert await client.ask("querySessions", cortexToken=token) == []
+
+
+async def test_replies_have_the_shape_of_the_vectors(world: World) -> None:
+    with SimulatedCortex(
+        world, model=INSIGHT_2, other_os_user=True, version="3.8.1", seed=2
+    ) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            replies = {
+                "res_getCortexInfo_v4": await (await client.send("getCortexInfo")),
+                "res_getUserLogin_other_os_user": await (await client.send("getUserLogin")),
+                "res_authorize": await (await client.send("authorize", **CREDENTIALS)),
+            }
+            token = replies["res_authorize"]["result"]["cortexToken"]
+            await client.connect_headset()
+            created = await (await client.send("createSession", cortexToken=token, status="active"))
+            replies["res_createSession_activated_v3"] = created
+            for name, reply in replies.items():
+                assert shape(reply) == shape(VECTORS[name]["message"])
+            known = VECTORS["res_createSession_activated_v3"]["message"]["result"]
+            assert created["result"]["headset"] == known["headset"]
+            assert created["result"]["performanceMetrics"] == known["performanceMetrics"]
+
+
+@pytest.mark.parametrize(
+    ("vector", "reported"), [("warn_104_headset_connected", 104), ("warn_142_scan_finished", 142)]
+)
+async def test_warnings_have_the_shape_of_the_vectors(
+    world: World, vector: str, reported: int
+) -> None:
+    with SimulatedCortex(world) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            await client.connect_headset()
+            warning = await client.until_warned(reported)
+            assert shape(warning) == shape(VECTORS[vector]["message"]["warning"])
+
+
+@pytest.mark.parametrize(("decide", "code"), [("approve", 9), ("reject", 10)])
+async def test_an_app_waits_for_the_users_decision(world: World, decide: str, code: int) -> None:
+    with SimulatedCortex(world, approved=False) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            assert not (await client.ask("hasAccessRight", **CREDENTIALS))["accessGranted"]
+            assert not (await client.ask("requestAccess", **CREDENTIALS))["accessGranted"]
+            assert await refusal(client, "authorize", **CREDENTIALS) == -32102
+            getattr(cortex, decide)()
+            await client.until_warned(code)
+            granted = (await client.ask("hasAccessRight", **CREDENTIALS))["accessGranted"]
+            assert granted == (decide == "approve")
+            if granted:
+                assert await client.authorize(*APP)
+
+
+def test_the_credentials_are_offered_as_environment(world: World) -> None:
+    with SimulatedCortex(world, client_id="a", client_secret="b") as cortex:
+        assert cortex.environment == {"EMOTIV_CLIENT_ID": "a", "EMOTIV_CLIENT_SECRET": "b"}
+
+
+async def test_nothing_goes_without_a_login(world: World) -> None:
+    with SimulatedCortex(world, logged_in=False) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            assert await client.ask("getUserLogin") == []
+            assert await refusal(client, "authorize", **CREDENTIALS) == -32033
+            cortex.log_in()
+            await client.until_warned(2)
+            _, session = await client.begin(*APP, "eeg")
+            await client.until_data("eeg")
+            cortex.log_out()
+            await client.until_warned(3)
+            assert [w["message"]["sessionId"] for w in client.warnings if w["code"] == 1] == [
+                session
+            ]
+            assert await client.ask("getUserLogin") == []
+
+
+async def test_wrong_requests_are_told_by_their_codes(world: World) -> None:
+    with SimulatedCortex(world) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            wrong = {"clientId": APP[0], "clientSecret": "wrong"}
+            assert await refusal(client, "authorize", **wrong) == -32021
+            assert await refusal(client, "authorize") == -32602
+            assert await refusal(client, "authorize", **CREDENTIALS, license="other") == -32002
+            assert await refusal(client, "noMethod") == -32601
+            assert await refusal(client, "createSession", cortexToken="x") == -32014
+            token = await client.authorize(*APP)
+            own = {"cortexToken": token}
+            assert await refusal(client, "createSession", **own, status="open") == -32001
+            assert await refusal(client, "createSession", **own, status="new") == -32602
+            assert await refusal(client, "subscribe", **own, session="x", streams=[]) == -32007
+            for text in ("{", "[1,2]", '{"jsonrpc":"2.0","id":7}'):
+                await client.socket.send(text)
+            await client.until(lambda: len(client.replies) == 3)
+            assert [(r["id"], r["error"]["code"]) for r in client.replies] == [
+                (None, -32700), (None, -32600), (7, -32600)
+            ]  # fmt: skip
+
+
+async def test_any_error_of_the_vectors_can_be_answered(world: World) -> None:
+    errors = [v["message"]["error"] for v in VECTORS.values() if v["category"] == "error"]
+    with SimulatedCortex(world) as cortex:
+        cortex.answer_with_error("getUserLogin", *(error["code"] for error in errors))
+        async with CortexClient(cortex.settings) as client:
+            for error in errors:
+                reply = await (await client.send("getUserLogin"))
+                assert reply.keys() == {"jsonrpc", "id", "error"}
+                assert shape(reply["error"]) == shape(error)
+                assert reply["error"]["code"] == error["code"]
+            assert await client.ask("getUserLogin")
+
+
+async def test_an_expired_token_stops_requests_but_no_stream(world: World) -> None:
+    with SimulatedCortex(world) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            token, _ = await client.begin(*APP, "eeg")
+            cortex.expire_token()
+            assert await refusal(client, "querySessions", cortexToken=token) == -32015
+            await client.until_data("eeg", 10)
+            token = await client.authorize(*APP)
+            assert len(await client.ask("querySessions", cortexToken=token)) == 1
+
+
+@pytest.mark.parametrize(
+    ("licence", "active", "has_eeg"),
+    [
+        (Licence.NONE, -32006, False),
+        (Licence.METRICS, None, False),
+        (Licence.EEG, None, True),
+        (Licence.EEG | Licence.METRICS, None, True),
+    ],
+)
+async def test_a_licence_decides_about_eeg(
+    world: World, licence: Licence, active: int | None, has_eeg: bool
+) -> None:
+    with SimulatedCortex(world, licence=licence) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            token = await client.authorize(*APP)
+            info = await client.ask("getLicenseInfo", cortexToken=token)
+            assert ("eeg" in info["license"]["scopes"]) == has_eeg
+            await client.connect_headset()
+            status = "active"
+            if active is not None:
+                code = await refusal(client, "createSession", cortexToken=token, status="active")
+                assert code == active
+                status = "open"
+            session = await client.ask("createSession", cortexToken=token, status=status)
+            own = {"cortexToken": token, "session": session["id"]}
+            result = await client.ask("subscribe", **own, streams=["eeg", "mot", "dev"])
+            failed = [(one["streamName"], one["code"]) for one in result["failure"]]
+            assert failed == ([] if has_eeg else [("eeg", -32016)])
+            await client.until_data("mot", 3)
+            cortex.license(Licence.EEG)
+            await client.ask("updateSession", **own, status="active")
+            await client.ask("subscribe", **own, streams=["eeg"])
+            await client.until_data("eeg", 3)
+
+
+async def test_a_counted_licence_gives_the_sessions_that_were_debited(world: World) -> None:
+    with SimulatedCortex(world, session_quota=3) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            token = await client.authorize(*APP)
+            await client.connect_headset()
+            asked = {"cortexToken": token, "status": "active"}
+            assert await refusal(client, "createSession", **asked) == -32019
+            await client.authorize(*APP, debit=10)
+            for _ in range(3):
+                session = await client.ask("createSession", **asked)
+                await client.ask(
+                    "updateSession", cortexToken=token, session=session["id"], status="close"
+                )
+            assert await refusal(client, "createSession", **asked) == -32019
+
+
+async def test_a_session_ends_with_its_connection_and_there_is_one_an_app(world: World) -> None:
+    with SimulatedCortex(world, other_apps={"other": "o"}) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            async with CortexClient(cortex.settings) as first:
+                token, session = await first.begin(*APP, "mot")
+                asked = {"cortexToken": token, "status": "open"}
+                assert await refusal(client, "createSession", **asked) == -32005
+                (known,) = await client.ask("querySessions", cortexToken=token)
+                assert known["id"] == session
+                other = await client.authorize("other", "o")
+                created = await client.ask("createSession", cortexToken=other, status="active")
+                own = {"cortexToken": other, "session": created["id"]}
+                await client.ask("subscribe", **own, streams=["eeg"])
+                await client.until_data("eeg", 3)
+                await first.until_data("mot", 3)
+                foreign = {"cortexToken": other, "session": session, "status": "close"}
+                assert await refusal(client, "updateSession", **foreign) == -32007
+            await client.until(lambda: cortex.client_count == 1)
+            assert await client.ask("querySessions", cortexToken=token) == []
+            await client.ask("createSession", **asked)
+
+
+async def test_older_releases_list_headsets_without_a_scan(world: World) -> None:
+    with SimulatedCortex(world, version="2.2.0", neighbours=["EPOCX-01234567"]) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            listed = await client.ask("queryHeadsets")
+            assert [one["id"] for one in listed] == ["INSIGHT-A1B2C3D4", "EPOCX-01234567"]
+            (epoc,) = await client.ask("queryHeadsets", id="EPOCX-*")
+            assert epoc["status"] == "discovered"
+
+
+async def test_missing_bluetooth_is_noted_in_the_list(world: World) -> None:
+    with SimulatedCortex(world, bluetooth_permitted=False) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            reply = await (await client.send("queryHeadsets"))
+            assert reply["attention"]["code"] == 31
+            assert reply["result"] == []
+
+
+@pytest.mark.parametrize("code", [100, 101, 102])
+async def test_a_headset_cannot_always_be_connected_to(world: World, code: int) -> None:
+    with SimulatedCortex(world, timing=FAST) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            await client.ask("controlDevice", command="refresh")
+            await client.until_warned(142)
+            cortex.fail_next_connect(code)
+            asked = {"command": "connect", "headset": cortex.settings["headset"]}
+            await client.ask("controlDevice", **asked)
+            vector = VECTORS[f"warn_{code}_headset_connect_failed"]["message"]["warning"]
+            assert shape(await client.until_warned(code)) == shape(vector)
+            (headset,) = await client.ask("queryHeadsets")
+            assert headset["status"] == "discovered"
+            await client.ask("controlDevice", **asked)
+            await client.until_warned(104)
+
+
+async def test_an_unknown_headset_cannot_be_connected_to(world: World) -> None:
+    with SimulatedCortex(world) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            await client.ask("controlDevice", command="connect", headset="INSIGHT-00000000")
+            assert (await client.until_warned(100))["message"]["headsetId"] == "INSIGHT-00000000"
+
+
+async def test_a_headset_that_is_switched_off_is_given_up_after_a_silence(world: World) -> None:
+    with SimulatedCortex(world, timing=FAST) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            token, session = await client.begin(*APP, "eeg")
+            await client.until_data("eeg")
+            cortex.switch_headset_off()
+            (headset,) = await client.ask("queryHeadsets")
+            assert headset["status"] == "connected"
+            await client.until_warned(1)
+            ends = [code for code in client.warning_codes if code in {0, 1, 103}]
+            assert ends == [103, 0, 1]
+            assert client.warnings[-1]["message"]["sessionId"] == session
+            assert await client.ask("queryHeadsets") == []
+            cortex.switch_headset_on()
+            assert await client.ask("queryHeadsets") == []
+            client.warnings.clear()
+            await client.connect_headset()
+            session = (await client.ask("createSession", cortexToken=token, status="active"))["id"]
+            await client.ask("subscribe", cortexToken=token, session=session, streams=["eeg"])
+            await client.until_data("eeg")
+            assert client.data["eeg"][-1]["sid"] == session
+
+
+async def test_the_end_of_a_virtual_headset_is_never_told(world: World) -> None:
+    with SimulatedCortex(world, timing=FAST, is_virtual=True) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            token, session = await client.begin(*APP, "eeg", "dev")
+            await client.until_data("dev")
+            cortex.switch_headset_off(virtual=True)
+            sent = len(cortex.truth.samples("eeg").times)
+            await client.ask("controlDevice", command="refresh")
+            client.warnings.clear()
+            await client.until_warned(142)
+            (headset,) = await client.ask("queryHeadsets")
+            assert (headset["status"], headset["isVirtual"]) == ("connected", True)
+            assert len(cortex.truth.samples("eeg").times) == len(client.data["eeg"]) == sent
+            own = {"cortexToken": token, "session": session}
+            await client.ask("updateSession", **own, status="close")
+            code = await refusal(client, "createSession", cortexToken=token, status="open")
+            assert code == -32004
+            assert client.warning_codes == [142]
+
+
+async def test_a_headset_of_another_model_has_its_own_electrodes(world: World) -> None:
+    with SimulatedCortex(world, model=EPOC_X) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            await client.begin(*APP, "eeg")
+            (headset,) = await client.ask("queryHeadsets")
+            assert headset["id"] == "EPOCX-A1B2C3D4"
+            assert len(headset["sensors"]) == 14
+            await client.until_data("eeg", 20)
+            assert {len(row) for row in client.rows("eeg")} == {19}

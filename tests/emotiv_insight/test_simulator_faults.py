@@ -1,0 +1,324 @@
+"""What can befall the virtual Cortex: connections, certificates, answers."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import ssl
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from websockets.asyncio.client import connect
+from websockets.exceptions import ConnectionClosedError
+
+from biosensor_gateway.devices.emotiv_insight.simulator import Leaf, SimulatedCortex, Timing
+from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.world import World
+from tests.rigs.cortex_client import DEADLINE_S, CortexClient, CortexError
+
+APP = (SimulatedCortex.client_id, SimulatedCortex.client_secret)
+CREDENTIALS = dict(zip(("clientId", "clientSecret"), APP, strict=True))
+FOREVER = float("inf")
+
+
+@pytest.fixture
+def world() -> Iterator[World]:
+    with World() as world:
+        yield world
+
+
+async def samples_before_reply(client: CortexClient, token: str, session: str) -> int:
+    """Subscribe to EEG; return how many samples were there before the reply."""
+    heard: list[int] = []
+    reply = await client.send("subscribe", cortexToken=token, session=session, streams=["eeg"])
+    reply.add_done_callback(lambda _: heard.append(len(client.data["eeg"])))
+    await client.until(lambda: heard)
+    assert (await reply)["result"]["success"]
+    return heard[0]
+
+
+@pytest.mark.parametrize("leaf", [Leaf.EXPIRED, Leaf.WRONG_NAME, Leaf.UNTRUSTED])
+async def test_a_wrong_certificate_is_not_trusted(world: World, leaf: Leaf) -> None:
+    with SimulatedCortex(world, leaf=leaf) as cortex:
+        with pytest.raises(ssl.SSLCertVerificationError):
+            async with CortexClient(cortex.settings):
+                pass
+        assert cortex.client_count == 0
+
+
+async def test_the_authority_of_another_cortex_is_not_trusted(world: World) -> None:
+    with SimulatedCortex(world) as cortex, SimulatedCortex(world) as other:
+        settings = {**cortex.settings, "ca_file": other.settings["ca_file"]}
+        with pytest.raises(ssl.SSLCertVerificationError):
+            async with CortexClient(settings):
+                pass
+
+
+@pytest.mark.parametrize("lacks", [False, True])
+async def test_strict_clients_want_the_key_usage_of_the_authority(
+    world: World, lacks: bool
+) -> None:
+    with SimulatedCortex(world, ca_without_key_usage=lacks) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            assert await client.ask("getUserLogin")
+        strict = ssl.create_default_context(cafile=cortex.settings["ca_file"])
+        strict.verify_flags |= ssl.VERIFY_X509_STRICT
+        attempt = connect(cortex.settings["url"], ssl=strict, proxy=None)
+        if lacks:
+            with pytest.raises(ssl.SSLCertVerificationError, match="key usage"):
+                await attempt
+        else:
+            await (await attempt).close()
+
+
+async def test_stopping_removes_the_certificate_and_the_port(world: World) -> None:
+    with ExitStack() as stack:
+        settings = stack.enter_context(SimulatedCortex(world)).settings
+        ca_file = Path(settings["ca_file"])
+        assert await asyncio.to_thread(ca_file.exists)
+        async with CortexClient(settings) as client:
+            await client.begin(*APP, "eeg")
+            await asyncio.to_thread(stack.close)
+            assert await client.until_closed() == 1001
+    assert not await asyncio.to_thread(ca_file.exists)
+    with pytest.raises(ConnectionRefusedError):
+        await connect(settings["url"], ssl=ssl.create_default_context(), proxy=None)
+
+
+async def test_a_dropped_link_breaks_off_and_refuses_until_it_is_back(world: World) -> None:
+    with SimulatedCortex(world) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            token, _ = await client.begin(*APP, "eeg")
+            await client.until_data("eeg")
+            cortex.apply(Fault(FaultKind.DROP, FOREVER))
+            assert await client.until_closed() is None
+            with pytest.raises(ConnectionRefusedError):
+                async with CortexClient(cortex.settings):
+                    pass
+            cortex.clear(FaultKind.DROP)
+        async with CortexClient(cortex.settings) as again:
+            assert await again.ask("querySessions", cortexToken=token) == []
+            (headset,) = await again.ask("queryHeadsets")
+            assert headset["status"] == "connected"
+
+
+async def test_a_dropped_link_comes_back_by_itself(world: World) -> None:
+    with SimulatedCortex(world) as cortex:
+        cortex.apply(Fault(FaultKind.DROP, 0.3))
+        async with asyncio.timeout(DEADLINE_S):
+            while True:
+                try:
+                    async with CortexClient(cortex.settings) as client:
+                        assert await client.ask("getUserLogin")
+                        return
+                except ConnectionRefusedError:
+                    await asyncio.sleep(0.05)
+
+
+async def test_a_half_open_link_answers_no_ping_and_sends_nothing(world: World) -> None:
+    with SimulatedCortex(world) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            await client.begin(*APP, "eeg")
+            await client.until_data("eeg", 3)
+            cortex.apply(Fault(FaultKind.STALL, FOREVER))
+            sent = len(cortex.truth.samples("eeg").times)
+            pong = asyncio.ensure_future(await client.socket.ping())
+            asked = await client.send("getUserLogin")
+            opening = asyncio.create_task(CortexClient(cortex.settings).__aenter__())
+            await client.until(lambda: cortex.truth.unsent_count("eeg") >= 30)
+            assert len(cortex.truth.samples("eeg").times) == len(client.data["eeg"]) == sent
+            assert not pong.done()
+            assert not asked.done()
+            assert not opening.done()
+            cortex.clear(FaultKind.STALL)
+            await asyncio.wait_for(pong, DEADLINE_S)
+            assert (await asyncio.wait_for(asked, DEADLINE_S))["result"]
+            await (await opening).__aexit__(None, None, None)
+            await client.until_data("eeg", 3)
+        lost = cortex.truth.unsent_count("eeg")
+        counters = [row[0] for row in client.rows("eeg")]
+        assert (counters[sent] - counters[sent - 1] - 1) % 128 == lost % 128
+
+
+async def test_a_client_that_pings_notices_a_half_open_link(world: World) -> None:
+    with SimulatedCortex(world) as cortex:
+        async with CortexClient(cortex.settings, ping_s=0.3) as client:
+            cortex.apply(Fault(FaultKind.STALL, FOREVER))
+            await client.until_closed()
+            assert isinstance(client.socket.protocol.close_exc, ConnectionClosedError)
+        cortex.clear(FaultKind.STALL)
+        async with CortexClient(cortex.settings) as again:
+            await again.until(lambda: cortex.client_count == 1)
+
+
+async def test_garbage_stands_between_samples(world: World) -> None:
+    with SimulatedCortex(world, seed=5) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            _, session = await client.begin(*APP, "eeg")
+            await client.until_data("eeg")
+            cortex.apply(Fault(FaultKind.GARBAGE, 200))
+            await client.until_data("eeg", 100)
+            assert await client.ask("getUserLogin")
+        assert len(client.odd) > 60
+        assert any(isinstance(text, bytes) for text in client.odd)
+        assert any("NaN" in text for text in client.odd if isinstance(text, str))
+        sids = {message["sid"] for rows in client.data.values() for message in rows}
+        assert len(sids) == 2
+        true = [
+            row
+            for message, row in zip(client.data["eeg"], client.rows("eeg"), strict=True)
+            if message["sid"] == session and message["time"] > 1e9
+        ]
+        assert [row[2:7] for row in true] == cortex.truth.samples("eeg").values.tolist()
+
+
+async def test_a_refusing_cortex_breaks_off_and_refuses_what_leads_to_data(world: World) -> None:
+    with SimulatedCortex(world, refusal_code=-32122) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            token, _ = await client.begin(*APP)
+            cortex.apply(Fault(FaultKind.REFUSE, FOREVER))
+            assert await client.until_closed() is None
+        async with CortexClient(cortex.settings) as again:
+            for method in ("authorize", "createSession", "subscribe"):
+                with pytest.raises(CortexError) as caught:
+                    await again.ask(method, **CREDENTIALS)
+                assert caught.value.code == -32122
+            assert await again.ask("querySessions", cortexToken=token) == []
+            cortex.clear(FaultKind.REFUSE)
+            assert await again.authorize(*APP)
+
+
+async def test_late_answers_still_come(world: World) -> None:
+    with SimulatedCortex(world) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            await client.begin(*APP)
+            cortex.apply(Fault(FaultKind.LATE, 0.4))
+            assert await client.until_closed() is None
+        async with CortexClient(cortex.settings) as again:
+            token = await again.authorize(*APP)
+            created = await again.ask("createSession", cortexToken=token, status="active")
+            assert await samples_before_reply(again, token, created["id"]) > 0
+            cortex.clear(FaultKind.LATE)
+            assert await again.ask("getUserLogin")
+
+
+async def test_a_restart_forgets_tokens_sessions_and_the_headset(world: World) -> None:
+    with SimulatedCortex(world, timing=Timing(starting_s=2.0)) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            token, _ = await client.begin(*APP, "eeg")
+            cortex.apply(Fault(FaultKind.RESTART, FOREVER))
+            assert await client.until_closed() == 1001
+            with pytest.raises(ConnectionRefusedError):
+                async with CortexClient(cortex.settings):
+                    pass
+        cortex.clear(FaultKind.RESTART)
+        async with CortexClient(cortex.settings) as again:
+            assert (await again.ask("getCortexInfo"))["version"]
+            with pytest.raises(CortexError) as caught:
+                await again.ask("queryHeadsets")
+            assert caught.value.code == -32122
+            await again.until_warned(23)
+            assert await again.ask("queryHeadsets") == []
+            with pytest.raises(CortexError) as caught:
+                await again.ask("querySessions", cortexToken=token)
+            assert caught.value.code == -32014
+            await again.begin(*APP, "eeg")
+            await again.until_data("eeg", 3)
+
+
+async def test_a_port_opens_only_when_nothing_keeps_it_shut(world: World) -> None:
+    with SimulatedCortex(world) as cortex:
+        cortex.apply(Fault(FaultKind.RESTART, FOREVER))
+        cortex.apply(Fault(FaultKind.DROP, FOREVER))
+        cortex.clear(FaultKind.RESTART)
+        with pytest.raises(ConnectionRefusedError):
+            async with CortexClient(cortex.settings):
+                pass
+        cortex.clear(FaultKind.DROP)
+        async with CortexClient(cortex.settings) as client:
+            assert await client.ask("getCortexInfo")
+
+
+@pytest.mark.parametrize("code", [1000, 1001, 1011])
+async def test_connections_are_closed_with_any_code(world: World, code: int) -> None:
+    with SimulatedCortex(world) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            cortex.close_connections(code)
+            assert await client.until_closed() == code
+        async with CortexClient(cortex.settings) as again:
+            assert await again.ask("getUserLogin")
+
+
+async def test_data_may_come_before_the_reply(world: World) -> None:
+    with SimulatedCortex(world, data_before_reply=True) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            token, session = await client.begin(*APP)
+            assert await samples_before_reply(client, token, session) > 0
+
+
+async def test_answers_overtake_each_other(world: World) -> None:
+    with SimulatedCortex(world, reply_delays_s={"getUserLogin": 0.3}) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            order: list[str] = []
+            first = await client.send("getUserLogin")
+            first.add_done_callback(lambda _: order.append("first"))
+            second = await client.send("getCortexInfo")
+            second.add_done_callback(lambda _: order.append("second"))
+            await client.until(lambda: len(order) == 2)
+            assert order == ["second", "first"]
+
+
+async def test_answers_are_withheld_doubled_or_wrong(world: World) -> None:
+    with SimulatedCortex(world) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            cortex.withhold_reply("getUserLogin")
+            withheld = await client.send("getUserLogin")
+            cortex.duplicate_reply("getCortexInfo")
+            info = await client.ask("getCortexInfo")
+            await client.until(lambda: client.replies)
+            assert client.replies[0]["result"] == info
+            cortex.answer_with_error("authorize", -32000, -32130)
+            for code in (-32000, -32130):
+                with pytest.raises(CortexError) as caught:
+                    await client.ask("authorize", **CREDENTIALS)
+                assert caught.value.code == code
+            assert await client.authorize(*APP)
+            assert not withheld.done()
+        assert cortex.calls == ("getUserLogin", "getCortexInfo", *["authorize"] * 3)
+
+
+async def test_any_message_can_be_sent_and_unknown_warnings_in_any_number(world: World) -> None:
+    with SimulatedCortex(world) as cortex:
+        async with CortexClient(cortex.settings, max_size=2**22) as client:
+            await client.begin(*APP, "eeg")
+            client.warnings.clear()
+            cortex.flood(1000)
+            await client.until(lambda: client.warning_codes == [999] * 1000)
+            huge = json.dumps({"warning": {"code": 998, "message": "x" * 2_000_000}})
+            cortex.send_raw(huge)
+            await client.until_warned(998)
+            cortex.send_raw([huge[:9], huge[9:100], huge[100:].replace("x", "")])
+            await client.until(lambda: client.warning_codes.count(998) == 2)
+            await client.until_data("eeg", 10)
+        assert len(client.data["eeg"]) >= 10
+
+
+async def test_a_client_that_does_not_read_blocks_nobody(world: World) -> None:
+    with SimulatedCortex(world) as cortex:
+        async with (
+            CortexClient(cortex.settings, max_size=2**22) as slow,
+            CortexClient(cortex.settings, max_size=2**22) as client,
+        ):
+            await slow.begin(*APP, "eeg")
+            await slow.until_data("eeg")
+            slow.socket.transport.pause_reading()
+            for _ in range(12):
+                cortex.send_raw(" " * 2_000_000)
+            await client.until(lambda: cortex.truth.unsent_count("eeg") > 10)
+            assert await client.ask("getUserLogin")
+            slow.socket.transport.resume_reading()
+            assert await slow.ask("getUserLogin")
+            await slow.until_data("eeg", 3)
+            assert await client.ask("getUserLogin")

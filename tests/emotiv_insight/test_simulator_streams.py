@@ -1,0 +1,305 @@
+"""What the virtual headset measures: data against truth, columns, counters and times."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from biosensor_common.sensors.emotiv_insight import SENSOR
+from biosensor_gateway.devices.emotiv_insight.simulator import (
+    INSIGHT_1,
+    INSIGHT_1_GYRO,
+    INSIGHT_2,
+    Licence,
+    Metrics,
+    Model,
+    SimulatedCortex,
+    Timing,
+)
+from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.world import World
+from tests.rigs.cortex_client import CortexClient
+
+APP = (SimulatedCortex.client_id, SimulatedCortex.client_secret)
+STREAMS = ("eeg", "mot", "pow", "met", "dev")
+ELECTRODES = ["AF3", "T7", "Pz", "T8", "AF4"]
+_VECTORS = json.loads((Path(__file__).parent / "vectors/emotiv_cortex.json").read_text("utf-8"))
+VECTORS = {vector["name"]: vector for vector in _VECTORS["vectors"]}
+DECLARED_AS = {
+    "eng": "engagement",
+    "exc": "excitement",
+    "lex": "long_term_excitement",
+    "str": "stress",
+    "rel": "relaxation",
+    "int": "interest",
+    "foc": "focus",
+    "GYROX": "X",
+    "GYROY": "Y",
+    "GYROZ": "Z",
+}
+
+
+@pytest.fixture
+def world() -> Iterator[World]:
+    with World() as world:
+        yield world
+
+
+class Recording:
+    """Some seconds of a client's data, with the columns of the subscription."""
+
+    def __init__(self, client: CortexClient, columns: dict[str, list[Any]]) -> None:
+        self.client = client
+        self.columns = columns
+
+    def labelled(self, stream: str) -> list[dict[str, Any]]:
+        """Messages by the declaration's labels."""
+        names = cast("list[str]", flat(self.columns[stream]))
+        return [
+            {DECLARED_AS.get(n, n): v for n, v in zip(names, flat(row), strict=True)}
+            for row in self.client.rows(stream)
+        ]
+
+    def declared(self, data_name: str, stream: str) -> list[list[float]]:
+        """Messages in the declaration's channel order, NaN where there is nothing."""
+        labels = SENSOR.stream(data_name).labels
+        rows = [[row.get(label) for label in labels] for row in self.labelled(stream)]
+        return [[np.nan if value is None else float(value) for value in row] for row in rows]
+
+
+def flat(values: list[Any]) -> list[Any]:
+    """Take nested columns apart; the empty list of markers stays a value."""
+    parts: list[Any] = []
+    for value in values:
+        parts += cast("list[Any]", value) if isinstance(value, list) and value else [value]
+    return parts
+
+
+async def record(cortex: SimulatedCortex, eeg_samples: int, *streams: str) -> Recording:
+    """Stream until so many EEG samples and one of each other stream are there; stop."""
+    async with CortexClient(cortex.settings) as client:
+        token, session = await client.begin(*APP)
+        own = {"cortexToken": token, "session": session}
+        subscribed = await client.ask("subscribe", **own, streams=list(streams))
+        await client.until_data("eeg", eeg_samples)
+        await client.until(lambda: all(client.data[stream] for stream in streams))
+        await client.ask("unsubscribe", **own, streams=list(streams))
+    return Recording(client, {one["streamName"]: one["cols"] for one in subscribed["success"]})
+
+
+@pytest.mark.parametrize(
+    ("model", "version"),
+    [(INSIGHT_1, "4.8.32"), (INSIGHT_1_GYRO, "2.2.0"), (INSIGHT_2, "3.6.5")],
+)
+async def test_data_are_the_truth(world: World, model: Model, version: str) -> None:
+    with SimulatedCortex(world, model=model, version=version, seed=4, jitter_s=0.02) as cortex:
+        recording = await record(cortex, 200, *STREAMS)
+        truth = cortex.truth
+        names = {"eeg": "eeg", "eeg_status": "eeg", "pow": "pow", "met": "met", "dev": "dev"}
+        names |= {"mot": "mot"} | ({"gyro": "mot"} if model.has_gyroscope else {})
+        assert set(truth.data_names) == names.keys()
+        for data_name, stream in names.items():
+            true_times, true_values = truth.samples(data_name)
+            heard = np.array(recording.declared(data_name, stream))
+            np.testing.assert_array_equal(heard, true_values)
+            stamps = np.array(recording.client.times(stream))
+            offsets = stamps - true_times
+            assert np.ptp(offsets) < 2e-4
+            assert truth.unsent_count(data_name) == 0
+
+
+async def test_eeg_lies_on_its_offset_in_steps_of_the_converter(world: World) -> None:
+    with SimulatedCortex(world, model=INSIGHT_2) as cortex:
+        await record(cortex, 128, "eeg")
+        eeg = cortex.truth.samples("eeg").values
+    assert 4000 < eeg.min() < eeg.max() < 4400
+    assert (eeg.std(axis=0) > 3).all()
+    steps = eeg / (5 / 39)
+    assert np.abs(steps - np.rint(steps)).max() < 0.005
+
+
+@pytest.mark.parametrize(("model", "rate"), [(INSIGHT_1, 64), (INSIGHT_1_GYRO, 128)])
+async def test_counters_begin_anew_each_second_and_times_are_even(
+    world: World, model: Model, rate: int
+) -> None:
+    with SimulatedCortex(world, model=model) as cortex:
+        recording = await record(cortex, 300, "eeg", "mot")
+        for stream, modulus in (("eeg", 128), ("mot", rate)):
+            counters = [row[0] for row in recording.client.rows(stream)]
+            assert set(counters) <= set(range(modulus))
+            assert {(b - a) % modulus for a, b in itertools.pairwise(counters)} == {1}
+            times = recording.client.times(stream)
+            assert times == [round(t, 4) for t in times]
+            assert np.abs(np.diff(times) - 1 / modulus).max() < 1.1e-4
+
+
+async def test_attitude_and_acceleration_agree(world: World) -> None:
+    with SimulatedCortex(world) as cortex:
+        await record(cortex, 64, "eeg", "mot")
+        w, x, y, z, *_ = columns = cortex.truth.samples("mot").values.T
+    np.testing.assert_allclose(w**2 + x**2 + y**2 + z**2, 1, atol=1e-5)
+    to_world_z = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x**2 + y**2)])
+    assert np.abs((to_world_z * columns[4:7]).sum(axis=0) + 1).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("version", "metrics", "eeg_last", "dev", "met"),
+    [
+        ("2.0.3", None, "MARKER_HARDWARE", ["Battery", "Signal", ELECTRODES],
+         ["eng", "exc", "lex", "str", "rel", "int", "foc"]),
+        ("2.7.0", None, "MARKERS", VECTORS["dev_insight_1"]["cols"],
+         VECTORS["met_13col_foc"]["cols"]),
+        ("3.6.5", None, "MARKERS", VECTORS["dev_insight_1"]["cols"],
+         VECTORS["met_13col_attention_last"]["cols"]),
+        ("4.8.32", None, "MARKERS", VECTORS["dev_insight_1"]["cols"],
+         VECTORS["met_13col_attention_first"]["cols"]),
+        ("4.8.32", Metrics.FOCUS, "MARKERS", VECTORS["dev_insight_1"]["cols"],
+         VECTORS["met_13col_foc"]["cols"]),
+    ],
+)  # fmt: skip
+async def test_columns_are_those_of_the_release(
+    world: World, version: str, metrics: Metrics | None, eeg_last: str, dev: list[Any],
+    met: list[str],
+) -> None:  # fmt: skip
+    with SimulatedCortex(world, version=version, metrics=metrics) as cortex:
+        recording = await record(cortex, 5, *STREAMS)
+    assert recording.columns["eeg"][-1] == eeg_last
+    assert recording.columns["dev"] == dev
+    assert recording.columns["met"] == met
+    assert recording.columns["pow"] == VECTORS["pow_insight_1"]["cols"]
+
+
+@pytest.mark.parametrize(
+    ("model", "vector"),
+    [(INSIGHT_1, "mot_quaternion_1"), (INSIGHT_1_GYRO, "mot_gyro_old_insight")],
+)
+async def test_messages_are_built_like_the_vectors(world: World, model: Model, vector: str) -> None:
+    with SimulatedCortex(world, model=model) as cortex:
+        recording = await record(cortex, 5, *STREAMS, "eq")
+    vectors = {
+        "eeg": "eeg_insight_1",
+        "mot": vector,
+        "pow": "pow_insight_1",
+        "dev": "dev_insight_1",
+        "met": "met_13col_attention_first",
+        "eq": "eq_insight_1",
+    }
+    for stream, name in vectors.items():
+        assert recording.columns[stream] == VECTORS[name]["cols"]
+        message, known = recording.client.data[stream][0], VECTORS[name]["message"]
+        assert message.keys() == known.keys()
+        for value, example in zip(message[stream], known[stream], strict=True):
+            assert isinstance(value, list) == isinstance(example, list)
+            assert isinstance(value, bool) == isinstance(example, bool)
+
+
+async def test_without_licence_the_metrics_come_rarely(world: World) -> None:
+    with SimulatedCortex(world, licence=Licence.EEG, unlicensed_metrics_s=1.5) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            await client.begin(*APP, "met")
+            await client.until_data("met", 3)
+    assert np.diff(client.times("met")).tolist() == pytest.approx([1.5, 1.5], abs=2e-4)
+
+
+async def test_the_headset_is_worn_and_taken_off_and_worn(world: World) -> None:
+    with SimulatedCortex(world) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            await client.begin(*APP, "eeg", "dev", "met", "pow")
+            await client.until_data("dev")
+            cortex.apply(Fault(FaultKind.OFF_BODY, np.inf))
+            await client.until_data("dev", 2)
+            await client.until_data("met", 2)
+            cortex.clear(FaultKind.OFF_BODY)
+            cortex.apply(Fault(FaultKind.LOW_BATTERY, 4))
+            await client.until_data("dev", 2)
+        dev = cortex.truth.samples("dev").values
+        overall = (dev[:, 7] > 0).tolist()
+        assert [worn for worn, _ in itertools.groupby(overall)] == [True, False, True]
+        for row in dev:
+            assert (row[2:7] > 0).all() == (row[7] > 0)
+        assert dev[0, [0, 8]].tolist() == [4, 80]
+        assert dev[-1, [0, 8]].tolist() == [1, 4]
+        met = cortex.truth.samples("met").values
+        assert np.isnan(met).all(axis=1).any()
+        assert not cortex.truth.samples("pow").values.all()
+        raw_cq = cortex.truth.samples("eeg_status").values[:, 2]
+        eeg = cortex.truth.samples("eeg").values
+        assert (eeg[raw_cq == 0].std(axis=0) > 1.5 * eeg[raw_cq > 0].std(axis=0)).all()
+
+
+async def test_lost_samples_show_in_the_counter_and_whole_seconds_only_in_time(
+    world: World,
+) -> None:
+    with SimulatedCortex(world) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            await client.begin(*APP, "eeg")
+            await client.until_data("eeg", 3)
+            cortex.drop_samples(3)
+            await client.until_data("eeg", 20)
+            cortex.skip_seconds(1)
+            await client.until_data("eeg", 20)
+        assert cortex.truth.unsent_count("eeg") == 3 + 128
+    counters = np.array([row[0] for row in client.rows("eeg")])
+    by_counter = (np.diff(counters) - 1) % 128
+    by_time = np.rint(np.diff(client.times("eeg")) * 128) - 1
+    assert by_counter[by_counter > 0].tolist() == [3]
+    assert by_time[by_time > 0].tolist() == [3, 128]
+
+
+async def test_samples_can_be_filled_in_marked_and_sent_twice(world: World) -> None:
+    with SimulatedCortex(world) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            await client.begin(*APP, "eeg")
+            cortex.interpolate(20)
+            await client.until(lambda: sum(row[1] for row in client.rows("eeg")) == 20)
+            cortex.mark("stim", 7)
+            await client.until(lambda: any(row[9] for row in client.rows("eeg")))
+            cortex.repeat_samples(5)
+            await client.until_data("eeg", 15)
+        status = cortex.truth.samples("eeg_status").values
+        assert (status[:, 1].sum(), status[:, 3].sum()) == (20, 1)
+    ((flag, (marker,)),) = [row[8:10] for row in client.rows("eeg") if row[9]]
+    assert (flag, marker["label"], marker["value"]) == (1, "stim", 7)
+    twins = [a == b for a, b in itertools.pairwise(client.rows("eeg"))]
+    assert sum(twins) == 5
+    assert len(client.data["eeg"]) == len(status) + 5
+
+
+async def test_the_clock_of_cortex_can_be_set(world: World) -> None:
+    with SimulatedCortex(world) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            await client.begin(*APP, "eeg")
+            await client.until_data("eeg", 3)
+            cortex.time_jump(-3600)
+            await client.until_data("eeg", 10)
+        offsets = np.array(client.times("eeg")) - cortex.truth.samples("eeg").times
+    jumps = np.diff(offsets)
+    assert jumps[np.abs(jumps) > 1].tolist() == pytest.approx([-3600], abs=1e-3)
+
+
+async def test_the_clock_of_cortex_drifts(world: World) -> None:
+    with SimulatedCortex(world, drift_ppm=-20_000) as cortex:
+        async with CortexClient(cortex.settings) as client:
+            await client.begin(*APP, "eeg")
+            await client.until_data("eeg", 60)
+            cortex.apply(Fault(FaultKind.DRIFT, 30_000))
+            await client.until_data("eeg", 60)
+        true_times = cortex.truth.samples("eeg").times
+    rates = np.diff(client.times("eeg")) / np.diff(true_times)
+    assert rates[:40].mean() == pytest.approx(0.98, abs=1e-3)
+    assert rates[-40:].mean() == pytest.approx(1.03, abs=1e-3)
+
+
+async def test_equal_seeds_give_equal_tokens_and_contacts(world: World) -> None:
+    tokens: list[str] = []
+    for seed in (1, 1, 2):
+        with SimulatedCortex(world, seed=seed, timing=Timing()) as cortex:
+            async with CortexClient(cortex.settings) as client:
+                tokens.append(await client.authorize(*APP))
+    assert tokens[0] == tokens[1] != tokens[2]

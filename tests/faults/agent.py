@@ -1,0 +1,88 @@
+"""The agent as a process, with its status and its log."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from biosensor_common.errors import ConfigError
+from biosensor_gateway import health
+from biosensor_gateway.logs import LOG_FILE_NAME
+
+_STOP_LIMIT_S = 30.0
+
+
+class AgentProcess:
+    """``biosensor-gateway run``; a context manager that asks it to end, which it must do cleanly.
+
+    Parameters
+    ----------
+    folder
+        Gets its state and what it prints.
+    arguments
+        Behind ``run``.
+    environment
+        Besides that of the test.
+    """
+
+    def __init__(self, folder: Path, *arguments: str, environment: Mapping[str, str]) -> None:
+        self._folder = folder
+        with (folder / "console.txt").open("wb") as console:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "biosensor_gateway.cli", "run", *arguments],
+                env={**os.environ, **environment, "BIOSENSOR_GATEWAY_STATE": str(folder)},
+                stdin=subprocess.DEVNULL,
+                stdout=console,
+                stderr=subprocess.STDOUT,
+            )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        try:
+            self._process.send_signal(signal.SIGINT)
+            code = self._process.wait(_STOP_LIMIT_S)
+        finally:
+            self._process.kill()
+            self._process.wait()
+        assert code == 0, self.console()
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    @property
+    def is_running(self) -> bool:
+        return self._process.poll() is None
+
+    def console(self) -> str:
+        return (self._folder / "console.txt").read_text(errors="replace")
+
+    def status(self) -> dict[str, Any]:
+        """What the agent says of itself, by sensor; empty before it has said anything."""
+        assert self.is_running, self.console()
+        try:
+            status = health.read_status(self._folder)
+        except ConfigError:
+            return {}
+        assert status["process"] == self.pid
+        return {device["sensor"]: device for device in status["devices"]}
+
+    def log(self) -> list[dict[str, Any]]:
+        """Everything that it has logged, as records."""
+        path = self._folder / LOG_FILE_NAME
+        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+        return [json.loads(line) for line in lines]

@@ -1,0 +1,259 @@
+"""``biosensor-gateway scan``: what it finds, how to add it, and what it says where it cannot look."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import keyring
+import pytest
+from keyring.backends import fail
+
+from biosensor_gateway import scan as search
+from biosensor_gateway.devices import settings_models
+from biosensor_gateway.devices.emotiv_insight.simulator import SimulatedCortex, Timing
+from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
+from biosensor_gateway.settings_file import load_settings
+from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
+from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.world import World
+from tests.rigs.lab_client import LabProcess
+from tests.rigs.probe import Probe
+
+if TYPE_CHECKING:
+    from tests.gateway.conftest import Outcome
+
+Run = Callable[..., "Outcome"]
+Started = Callable[..., AbstractContextManager[subprocess.Popen[bytes]]]
+
+STRAPS = {
+    "polar_h10": {"unit": "A1B2C3D4", "device": "A1B2C3D4"},
+    "vernier_respiration_belt": {"unit": "0K2002Z5", "device": "0K2002Z5"},
+    "ble_heart_rate": {"unit": "C8:25:00:00:00:01", "device": "C8:25:00:00:00:01"},
+}
+BLUETOOTH, SERIAL = "Bluetooth LE", "Serial ports"
+CORTEX, E4_SERVER = "Emotiv Insight by its service", "Empatica E4 by its service"
+QUICK = Timing(found_s=0.05, scan_s=0.3, connect_s=0.05)
+
+
+@pytest.fixture
+def world() -> Iterator[World]:
+    with World() as living:
+        yield living
+
+
+@pytest.fixture
+def radio(world: World) -> Iterator[Radio]:
+    """The air that this process's Bluetooth hears."""
+    air = Radio(world)
+    with virtual_bluetooth(air):
+        yield air
+
+
+@pytest.fixture(autouse=True)
+def no_secrets(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    for variable in ("EMOTIV_CLIENT_ID", "EMOTIV_CLIENT_SECRET"):
+        monkeypatch.delenv(variable, raising=False)
+    before = keyring.get_keyring()
+    keyring.set_keyring(fail.Keyring())
+    yield
+    keyring.set_keyring(before)
+
+
+def sections(outcome: Outcome) -> dict[str, dict[str, Any]]:
+    assert (outcome.code, outcome.err) == (0, "")
+    return {section["where"]: section for section in json.loads(outcome.out)}
+
+
+def settings_of(section: dict[str, Any]) -> dict[str, Any]:
+    return {found["sensor"]: found["settings"] for found in section["found"]}
+
+
+def lines_about(outcome: Outcome, title: str) -> list[str]:
+    return [line for line in outcome.out.splitlines() if line.startswith(f"{title}: ")]
+
+
+def test_for_scripts_it_is_json_of_one_form(run: Run) -> None:
+    found = sections(run("scan", "--simulate", ",".join(STRAPS), "--seconds", "2", "--json"))
+    assert list(found) == [BLUETOOTH, SERIAL, E4_SERVER, CORTEX]
+    for section in found.values():
+        assert section.keys() == {"where", "problem", "others", "found"}
+        assert section["problem"] is None or not (section["found"] or section["others"])
+        for device in section["found"]:
+            assert device.keys() == {"sensor", "name", "rssi_dbm", "settings", "toml"}
+            (table,) = tomllib.loads(device["toml"])["device"]
+            assert table == {"sensor": device["sensor"], **device["settings"]}
+    assert found[BLUETOOTH]["problem"] is None
+    assert settings_of(found[BLUETOOTH]) == STRAPS
+    strengths = [device["rssi_dbm"] for device in found[BLUETOOTH]["found"]]
+    assert strengths == sorted(strengths, reverse=True)
+    assert all(-127 < strength < 0 for strength in strengths)
+
+
+def test_for_people_it_shows_the_lines_that_the_settings_file_takes(
+    run: Run, settings: Path
+) -> None:
+    outcome = run("scan", "--simulate", ",".join(STRAPS), "--seconds", "2")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert f"{BLUETOOTH}: 3 found" in outcome.out
+    assert "  Polar H10 A1B2C3D4, -58 dBm\n" in outcome.out
+    shown = [line for line in outcome.out.splitlines() if line.startswith("    ") or not line]
+    assert run("config", "init").code == 0
+    with settings.open("a") as file:
+        file.write(textwrap.dedent("\n".join(shown)))
+    loaded = load_settings(settings, settings_models())
+    assert {each.sensor: each.unit for each in loaded.devices} == {
+        sensor: fields["unit"] for sensor, fields in STRAPS.items()
+    }
+
+
+def test_what_no_driver_knows_is_named(run: Run, radio: Radio) -> None:
+    Probe(radio, "A0:9E:1A:00:00:01", "Probe 1", rssi_dbm=-61).power_on()
+    outcome = run("scan", "--seconds", "2")
+    assert lines_about(outcome, BLUETOOTH) == [f"{BLUETOOTH}: nothing that a driver knows"]
+    assert "  not known to any driver: Probe 1 (A0:9E:1A:00:00:01, -61 dBm)\n" in outcome.out
+
+
+def test_two_of_a_kind_are_two_devices(run: Run, world: World, radio: Radio) -> None:
+    with (
+        SimulatedPolarH10(world, radio, address="A0:9E:1A:00:00:01", device_id="AAAA0001"),
+        SimulatedPolarH10(world, radio, address="A0:9E:1A:00:00:02", device_id="BBBB0002"),
+    ):
+        found = sections(run("scan", "--seconds", "2", "--json"))[BLUETOOTH]["found"]
+    assert {device["settings"]["device"] for device in found} == {"AAAA0001", "BBBB0002"}
+
+
+def test_a_radio_that_is_off_is_one_line(run: Run, world: World, radio: Radio) -> None:
+    with SimulatedPolarH10(world, radio):
+        radio.available = False
+        outcome = run("scan", "--seconds", "2")
+        assert outcome.code == 0
+        (line,) = lines_about(outcome, BLUETOOTH)
+        assert "switch" in line
+        found = sections(run("scan", "--seconds", "2", "--json"))
+    assert found[BLUETOOTH]["found"] == []
+    assert f"{BLUETOOTH}: {found[BLUETOOTH]['problem']}" == line
+
+
+def test_what_a_service_lacks_is_one_line_each(run: Run, radio: Radio) -> None:
+    outcome = run("scan", "--seconds", "1")
+    assert (outcome.code, outcome.err) == (0, "")
+    (cortex,) = lines_about(outcome, CORTEX)
+    assert "EMOTIV_CLIENT_ID" in cortex
+    (server,) = lines_about(outcome, E4_SERVER)
+    assert "28000" in server
+
+
+def test_a_headset_is_found_where_the_settings_say_that_its_service_is(
+    run: Run, world: World, radio: Radio, settings: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with SimulatedCortex(world, timing=QUICK, neighbours=("INSIGHT-00000002",)) as cortex:
+        for variable, text in cortex.environment.items():
+            monkeypatch.setenv(variable, text)
+        settings.parent.mkdir()
+        place = {name: cortex.settings[name] for name in ("url", "ca_file")}
+        lines = [f"{name} = {json.dumps(value)}" for name, value in place.items()]
+        header = '[[device]]\nsensor = "emotiv_insight"\nunit = "mine"\n'
+        settings.write_text(header + "\n".join(lines))
+        outcome = run("scan", "--seconds", "1", "--json")
+        found = sections(outcome)[CORTEX]
+    assert cortex.client_secret not in outcome.out
+    assert {device["settings"]["headset"] for device in found["found"]} == {
+        cortex.settings["headset"],
+        "INSIGHT-00000002",
+    }
+    for device in found["found"]:
+        assert place.items() <= device["settings"].items()
+        settings.write_text(device["toml"])
+        assert len(load_settings(settings, settings_models()).devices) == 1
+
+
+def test_a_search_that_breaks_ends_no_other(
+    run: Run, radio: Radio, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def broken() -> list[Any]:
+        raise RuntimeError("boom")
+
+    monkeypatch.setattr(search, "serial_ports", broken)
+    outcome = run("scan", "--seconds", "1")
+    assert outcome.code == 0
+    assert lines_about(outcome, SERIAL) == [f"{SERIAL}: the search failed (RuntimeError)"]
+    assert len(lines_about(outcome, BLUETOOTH)) == 1
+    assert outcome.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text", "words"),
+    [
+        ((), "[lsl\n", "not valid TOML"),
+        ((), '[[device]]\nsensor = "zephir"\nunit = "1"\n', "zephir"),
+        (("--settings", "nowhere.toml"), "", "nowhere.toml"),
+        (("--simulate", "toaster"), "", "toaster"),
+    ],
+)
+def test_a_wrong_command_or_file_is_said_before_anything_is_searched(
+    run: Run, settings: Path, arguments: tuple[str, ...], text: str, words: str
+) -> None:
+    settings.parent.mkdir()
+    settings.write_text(text)
+    outcome = run("scan", *arguments)
+    assert (outcome.code, outcome.out) == (2, "")
+    assert words in outcome.err
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabProcess]:
+    devices = [{"key": sensor, "sensor": sensor} for sensor in (*STRAPS, "emotiv_insight")]
+    with LabProcess(devices, tmp_path_factory.mktemp("lab")) as running:
+        yield running
+
+
+def test_an_agent_connects_to_all_that_was_found(
+    lab: LabProcess,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    cli_process: Started,
+    until: Callable[[Callable[[], bool]], None],
+) -> None:
+    for variable, text in lab.environment.items():
+        monkeypatch.setenv(variable, text)
+    settings, place = tmp_path / "settings.toml", lab.settings["emotiv_insight"]
+    lines = [f"{name} = {json.dumps(place[name])}" for name in ("url", "ca_file")]
+    settings.write_text('[[device]]\nsensor = "emotiv_insight"\nunit = "x"\n' + "\n".join(lines))
+    command = [sys.executable, "-m", "biosensor_gateway.cli", "scan", "--json", "--settings"]
+    scanned = subprocess.run([*command, str(settings)], capture_output=True, check=True)
+    assert scanned.stderr == b""
+    found = [device for section in json.loads(scanned.stdout) for device in section["found"]]
+    assert sorted(device["sensor"] for device in found) == sorted((*STRAPS, "emotiv_insight"))
+
+    settings.write_text("\n\n".join(device["toml"] for device in found))
+    status = tmp_path / "status.json"
+
+    def states() -> list[str]:
+        devices: list[dict[str, Any]] = json.loads(status.read_text())["devices"]
+        return [device["state"] for device in devices]
+
+    with cli_process(tmp_path, "run", "--settings", str(settings)):
+        until(lambda: status.exists() and states() == ["streaming"] * len(found))
+
+
+def test_ctrl_c_ends_a_scan_without_a_traceback(lab: LabProcess) -> None:
+    command = [sys.executable, "-m", "biosensor_gateway.cli", "scan", "--seconds", "60"]
+    process = subprocess.Popen(
+        command, env=os.environ | lab.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    time.sleep(3.0)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode not in (0, None)
+    assert b"Traceback" not in out + err

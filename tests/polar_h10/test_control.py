@@ -1,0 +1,216 @@
+"""Orders of replies, and errors, that no virtual device produces: with a scripted link."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from typing import cast
+
+import pytest
+
+from biosensor_common.errors import (
+    CredentialError,
+    GatewayError,
+    ProtocolError,
+    ProtocolReason,
+    TransportError,
+    TransportReason,
+)
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.devices.polar_h10 import control as control_module
+from biosensor_gateway.devices.polar_h10.control import ControlPoint
+from biosensor_gateway.devices.polar_h10.driver import PolarH10Driver
+from biosensor_gateway.devices.polar_h10.emitter import PolarEmitter
+from biosensor_gateway.devices.polar_h10.measurements import Wanted
+from biosensor_gateway.devices.polar_h10.protocol.control_point import (
+    CONTROL_POINT,
+    Measurement,
+    Setting,
+    get_settings,
+    parse_settings,
+)
+from biosensor_gateway.devices.polar_h10.protocol.frames import DATA
+from biosensor_gateway.devices.polar_h10.session import PolarSession
+from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.transports.ble import BleLink, Notification
+from biosensor_gateway.transports.ble_errors import AttError
+from biosensor_gateway.transports.seen import Advertisement
+
+ASK = get_settings(Measurement.ACCELERATION)
+RATES = "f0010200 00 00 04 1900 3200 6400 c800"
+SILENT = TransportError(TransportReason.SILENT, "no answer")
+LOST = TransportError(TransportReason.LOST, "cut")
+
+
+class ScriptedLink:
+    """Answers each write with what its script has next; see :class:`BleLink`."""
+
+    what = "Polar H10 A1B2C3D4"
+
+    def __init__(self, *script: Sequence[str] | GatewayError) -> None:
+        self.script = list(script)
+        self.written: list[str] = []
+        self.paired = False
+        self.closed = False
+        self._incoming: asyncio.Queue[Notification] = asyncio.Queue()
+
+    def say(self, uuid: str, text: str) -> None:
+        self._incoming.put_nowait(Notification(uuid, bytes.fromhex(text), 0.0))
+
+    async def open(self) -> Advertisement:
+        return Advertisement("A0:9E:1A:00:00:01", "Polar H10 A1B2C3D4", -50)
+
+    async def pair(self) -> None:
+        self.paired = True
+
+    def has(self, uuid: str) -> bool:
+        return uuid in {CONTROL_POINT, DATA}
+
+    def properties(self, uuid: str) -> frozenset[str]:
+        return frozenset()
+
+    async def read(self, uuid: str) -> bytes:
+        return bytes.fromhex("0f0100")
+
+    async def subscribe(self, uuid: str) -> None: ...
+
+    async def unsubscribe(self, uuid: str) -> None: ...
+
+    async def write(self, uuid: str, data: bytes) -> None:
+        self.written.append(data.hex())
+        step = self.script.pop(0) if self.script else ()
+        if isinstance(step, GatewayError):
+            raise step
+        for text in step:
+            self.say(CONTROL_POINT, text)
+
+    async def next(self) -> Notification:
+        return await self._incoming.get()
+
+    async def close(self) -> None:
+        self.closed = True
+
+
+@pytest.fixture(autouse=True)
+def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(control_module, "REPLY_TIMEOUT_S", 0.2)
+
+
+def control_of(link: ScriptedLink) -> tuple[ControlPoint, list[Notification]]:
+    passed_on: list[Notification] = []
+    return ControlPoint(cast("BleLink", link), passed_on.append), passed_on
+
+
+def driver_of(*links: ScriptedLink) -> PolarH10Driver:
+    emitter = PolarEmitter(DeviceSink(DeviceIdentity("polar_h10", "scripted")))
+    wanted = [Wanted(Measurement.ECG, {Setting.SAMPLE_RATE: 130})]
+    rest = iter(links)
+    return PolarH10Driver(
+        lambda: PolarSession(cast("BleLink", next(rest)), emitter, wanted), emitter
+    )
+
+
+async def test_a_reply_may_come_in_several_packets() -> None:
+    control, _ = control_of(ScriptedLink(["f0010200 01 00 02 1900", "f0010200 00 3200"]))
+    reply = await control.request(ASK)
+    assert parse_settings(reply.parameters) == {Setting.SAMPLE_RATE: (25, 50)}
+    assert not reply.more
+
+
+async def test_only_the_reply_to_the_command_is_taken() -> None:
+    foreign = ["0f05000000", "f0010000000001 8200", "f0020200", "0102", "", "f0"]
+    control, passed_on = control_of(ScriptedLink([*foreign, RATES]))
+    reply = await control.request(ASK)
+    assert parse_settings(reply.parameters) == {Setting.SAMPLE_RATE: (25, 50, 100, 200)}
+    assert [each.data for each in passed_on] == [bytes.fromhex(text) for text in foreign]
+
+
+async def test_data_that_come_before_the_reply_are_passed_on() -> None:
+    link = ScriptedLink([RATES])
+    control, passed_on = control_of(link)
+    link.say(DATA, "00" * 13)
+    await control.request(ASK)
+    assert [(each.uuid, len(each.data)) for each in passed_on] == [(DATA, 13)]
+
+
+async def test_a_late_reply_does_not_answer_for_the_next_command() -> None:
+    link = ScriptedLink([], [RATES])
+    control, _ = control_of(link)
+    with pytest.raises(ProtocolError) as caught:
+        await control.request(ASK)
+    assert caught.value.reason is ProtocolReason.NO_REPLY
+    link.say(CONTROL_POINT, "f0010206")
+    assert (await control.request(ASK)).status == 0
+
+
+STARTED = (["f0010000 00 00 01 8200 01 01 0e00"], ["f0020000 00"])
+
+
+@pytest.mark.parametrize(
+    "error",
+    [AttError(0x05, "H10"), AttError(0x0F, "H10"), AttError(0x0E, "H10"), SILENT],
+    ids=lambda error: f"{getattr(error, 'code', error.reason)}",
+)
+async def test_the_first_command_tells_that_pairing_is_due(error: GatewayError) -> None:
+    first, second = ScriptedLink(error), ScriptedLink(*STARTED)
+    connected = await driver_of(first, second).connect()
+    assert connected.rates == {"ecg": 130}
+    assert (first.paired, first.closed, second.paired) == (False, True, True)
+
+
+@pytest.mark.parametrize(
+    ("script", "raised"),
+    [
+        ([LOST], LOST),
+        ([AttError(0x06, "H10")], None),
+        # Not the first command any more: this one has other causes.
+        ([STARTED[0], AttError(0x0E, "H10")], None),
+        ([STARTED[0], SILENT], SILENT),
+    ],
+)
+async def test_other_failures_have_nothing_to_do_with_pairing(
+    script: list[Sequence[str] | GatewayError], raised: GatewayError | None
+) -> None:
+    link = ScriptedLink(*script)
+    with pytest.raises(GatewayError) as caught:
+        await driver_of(link).connect()
+    assert caught.value is raised or isinstance(caught.value, AttError)
+    assert not link.paired
+
+
+@pytest.mark.parametrize(
+    ("error", "kind"), [(AttError(0x05, "H10"), CredentialError), (SILENT, ProtocolError)]
+)
+async def test_pairing_that_does_not_help_is_not_repeated(
+    error: GatewayError, kind: type[GatewayError]
+) -> None:
+    links = ScriptedLink(error), ScriptedLink(error)
+    with pytest.raises(kind, match="remove the sensor in the system's Bluetooth settings"):
+        await driver_of(*links).connect()
+
+
+async def test_an_error_after_pairing_stays_what_it_is() -> None:
+    links = ScriptedLink(AttError(0x05, "H10")), ScriptedLink(LOST)
+    with pytest.raises(TransportError) as caught:
+        await driver_of(*links).connect()
+    assert caught.value is LOST
+
+
+@pytest.mark.parametrize("hang", ["write", "unsubscribe"])
+async def test_closing_waits_for_nothing(hang: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    link = ScriptedLink(*STARTED)
+    driver = driver_of(link)
+    await driver.connect()
+    forever: Callable[..., object] = lambda *_: asyncio.sleep(3600)  # noqa: E731
+    monkeypatch.setattr(link, hang, forever)
+    async with asyncio.timeout(20):
+        await driver.close()
+    assert link.closed
+
+
+async def test_closing_tells_the_device_to_stop() -> None:
+    link = ScriptedLink(*STARTED)
+    driver = driver_of(link)
+    await driver.connect()
+    await driver.close()
+    assert link.written == ["0100", "02000001820001010e00", "0300"]

@@ -1,0 +1,1 @@
+"""Stand-ins for what a machine lacks, and made-up devices, shared by tests and programs."""

@@ -1,0 +1,203 @@
+"""The adapter and the service itself: org.bluez.Adapter1."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from types import TracebackType
+from typing import Self
+
+from dbus_fast.aio import MessageBus
+from dbus_fast.message import Message
+from dbus_fast.signature import Variant
+
+from biosensor_gateway.simulation.central import Central, Heard
+from biosensor_gateway.simulation.radio import Radio
+from tests.rigs.bluez.device import FakeDevice
+from tests.rigs.bluez.errors import BluezError, failed, not_ready
+from tests.rigs.bluez.objects import ObjectTree, Properties, Reply
+from tests.rigs.bluez.private_bus import PrivateBus
+
+_NAME = "org.bluez"
+_ADAPTER = "org.bluez.Adapter1"
+_PATH = "/org/bluez/hci0"
+
+
+class FakeBluez:
+    """BlueZ with one adapter on a virtual radio; a context manager.
+
+    Its public methods are for every thread but the world's.
+
+    Parameters
+    ----------
+    radio
+        The air; its ``available`` is the adapter's switch, see `set_powered`.
+
+    Attributes
+    ----------
+    environment
+        For the process in which bleak runs.
+    connect_delay_s
+        How much longer than needed it takes to connect.
+    connect_error
+        Why connecting fails, in BlueZ's words; empty if it does not.
+    forgets_after_scan
+        Whether devices that are not connected are forgotten when a scan ends, not half
+        a minute later.
+    """
+
+    tree: ObjectTree
+    central: Central
+
+    def __init__(self, radio: Radio) -> None:
+        self._radio = radio
+        self._private_bus = PrivateBus()
+        self._bus: MessageBus | None = None
+        self._devices: dict[str, FakeDevice] = {}
+        self._scanning: dict[str | None, bool] = {}
+        self._duplicates: dict[str | None, bool] = {}
+        self._stack = ExitStack()
+        self.environment = self._private_bus.environment
+        self.connect_delay_s = 0.0
+        self.connect_error = ""
+        self.forgets_after_scan = False
+
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:
+            stack.enter_context(self._private_bus)
+            self._radio.world.await_(self._start())
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._radio.world.await_(self._stop())
+        self._stack.close()
+
+    @property
+    def powered(self) -> bool:
+        """Whether the adapter is switched on."""
+        return self._radio.available
+
+    def set_powered(self, powered: bool) -> None:
+        """Switch the adapter; off, links are lost and scans end."""
+        self._radio.available = powered
+        self._radio.world.call(self._tell_powered)
+
+    def forget(self, address: str) -> None:
+        """Remove a device's object, as BlueZ does some time after a scan."""
+        self._radio.world.call(lambda: self._devices.pop(address).forget())
+
+    def die(self) -> None:
+        """Vanish from the bus without a word, as a daemon that is killed."""
+        self._radio.world.await_(self._leave())
+
+    def kill_bus(self) -> None:
+        """End the bus itself."""
+        self._private_bus.kill()
+
+    async def _start(self) -> None:
+        self.central = await Central.on_the_air(self._radio)
+        self._radio.on_switched_off.append(self._on_switched_off)
+        self._bus = await MessageBus(bus_address=self._private_bus.address).connect()
+        self.tree = ObjectTree(self._bus)
+        methods = {
+            "SetDiscoveryFilter": self._set_filter,
+            "StartDiscovery": self._start_discovery,
+            "StopDiscovery": self._stop_discovery,
+            "RemoveDevice": self._remove_device,
+        }
+        self.tree.add(_PATH, _ADAPTER, self._properties(), methods)
+        await self._bus.request_name(_NAME)
+
+    async def _stop(self) -> None:
+        self._radio.on_switched_off.remove(self._on_switched_off)
+        await self._leave()
+        await self.central.close()
+
+    async def _leave(self) -> None:
+        if self._bus and self._bus.connected:
+            self._bus.disconnect()
+            await self._bus.wait_for_disconnect()
+
+    def _properties(self) -> Properties:
+        return {
+            "Address": Variant("s", "F0:00:00:00:00:01"),
+            "AddressType": Variant("s", "public"),
+            "Name": Variant("s", "virtual"),
+            "Alias": Variant("s", "virtual"),
+            "Class": Variant("u", 0),
+            "Powered": Variant("b", self.powered),
+            "Discoverable": Variant("b", False),
+            "Pairable": Variant("b", True),
+            "Discovering": Variant("b", False),
+            "UUIDs": Variant("as", []),
+            "Roles": Variant("as", ["central", "peripheral"]),
+        }
+
+    async def _set_filter(self, call: Message) -> Reply:
+        (wanted,) = call.body
+        duplicates = wanted.get("DuplicateData")
+        self._duplicates[call.sender] = bool(duplicates and duplicates.value)
+        return None
+
+    async def _start_discovery(self, call: Message) -> Reply:
+        if not self.powered:
+            raise not_ready()
+        if call.sender in self._scanning:
+            raise BluezError("org.bluez.Error.InProgress", "Operation already in progress")
+        if not self._scanning:
+            await self.central.listen(self._on_heard)
+        self._scanning[call.sender] = self._duplicates.get(call.sender, False)
+        self._tell_discovering()
+        return None
+
+    async def _stop_discovery(self, call: Message) -> Reply:
+        if not self.powered:
+            raise not_ready()
+        if call.sender not in self._scanning:
+            raise failed("No discovery started")
+        del self._scanning[call.sender]
+        if not self._scanning:
+            await self.central.unlisten(self._on_heard)
+            self._end_of_scan()
+        return None
+
+    async def _remove_device(self, call: Message) -> Reply:
+        (path,) = call.body
+        for address, device in list(self._devices.items()):
+            if device.path == path:
+                await device.unpair()
+                del self._devices[address]
+                device.forget()
+                return None
+        raise BluezError("org.bluez.Error.DoesNotExist", "Does Not Exist")
+
+    def _on_heard(self, heard: Heard) -> None:
+        device = self._devices.get(heard.address)
+        if device is None:
+            device = self._devices[heard.address] = FakeDevice(self, _PATH, heard.address)
+        device.hear(heard, duplicates=any(self._scanning.values()))
+
+    def _end_of_scan(self) -> None:
+        for address, device in list(self._devices.items()):
+            device.unheard()
+            if self.forgets_after_scan and not device.connected:
+                del self._devices[address]
+                device.forget()
+        self._tell_discovering()
+
+    def _on_switched_off(self) -> None:
+        self._scanning.clear()
+        self._end_of_scan()
+        self._tell_powered()
+
+    def _tell_powered(self) -> None:
+        self.tree.change(_PATH, _ADAPTER, {"Powered": Variant("b", self.powered)})
+
+    def _tell_discovering(self) -> None:
+        discovering = Variant("b", bool(self._scanning))
+        self.tree.change(_PATH, _ADAPTER, {"Discovering": discovering})

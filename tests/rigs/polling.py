@@ -1,0 +1,25 @@
+"""Waiting for what happens in other threads and processes."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from time import monotonic
+
+_DEADLINE_S = 20.0
+_STEP_S = 0.005
+
+
+async def until(condition: Callable[[], object]) -> None:
+    """Return once the condition holds.
+
+    Raises
+    ------
+    TimeoutError
+        If it never does.
+    """
+    deadline = monotonic() + _DEADLINE_S
+    while not condition():
+        if monotonic() > deadline:
+            raise TimeoutError("what was waited for never happened")
+        await asyncio.sleep(_STEP_S)

@@ -1,0 +1,486 @@
+"""The driver against a virtual Shimmer3 on a real serial port, under its supervisor."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import time
+import uuid
+from collections.abc import AsyncGenerator, Callable, Generator, Sequence
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike, NDArray
+from structlog.testing import capture_logs
+
+from biosensor_common.errors import ProtocolError, ProtocolReason
+from biosensor_common.sensors.shimmer3_gsr import SENSOR
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway import supervisor as supervisor_module
+from biosensor_gateway.devices.shimmer3_gsr import conversation, stopping
+from biosensor_gateway.devices.shimmer3_gsr import driver as module
+from biosensor_gateway.devices.shimmer3_gsr.driver import DRIVER, ShimmerSettings
+from biosensor_gateway.devices.shimmer3_gsr.simulator import SimulatedShimmer3
+from biosensor_gateway.outlets import Counters
+from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.world import World
+from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.supervisor import State, Supervisor
+
+DEADLINE_S = 30.0
+WAVEFORMS = ("gsr", "ppg")
+NEVER = float("inf")
+
+Floats = NDArray[np.float64]
+
+
+async def eventually(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen"
+        await asyncio.sleep(0.01)
+
+
+class NotedSink(DeviceSink):
+    """Notes what drivers emit on its way into LSL."""
+
+    def __init__(self) -> None:
+        super().__init__(DeviceIdentity("shimmer3_gsr", uuid.uuid4().hex))
+        names = [stream.data_name for stream in SENSOR.streams]
+        self.rows: dict[str, list[list[float]]] = {name: [] for name in names}
+        self.stamps: dict[str, list[float]] = {name: [] for name in names}
+        self.rates: dict[str, float] = {}
+        self._kept: dict[str, Counters] = {}
+
+    @property
+    def counters(self) -> dict[str, Counters]:
+        return super().counters or self._kept
+
+    def open(self, info: Any, rates: Any) -> None:
+        super().open(info, rates)
+        self.rates = dict(rates)
+
+    def close(self) -> None:
+        self._kept = self.counters
+        super().close()
+
+    def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
+        super().emit_at(data_name, samples, lsl_times)
+        width = len(SENSOR.stream(data_name).channels)
+        self.rows[data_name] += np.asarray(samples, np.float64).reshape(-1, width).tolist()
+        self.stamps[data_name] += lsl_times
+
+    def counted(self, data_name: str) -> Counters:
+        return self.counters[f"shimmer3_gsr-{self.identity.unit}-{data_name}"]
+
+    def values(self, data_name: str) -> Floats:
+        width = len(SENSOR.stream(data_name).channels)
+        return np.array(self.rows[data_name], np.float64).reshape(-1, width)
+
+    def has(self, *data_names: str, samples: int = 1) -> Callable[[], bool]:
+        return lambda: all(len(self.rows[name]) >= samples for name in data_names)
+
+
+async def is_idle(device: SimulatedShimmer3) -> bool:
+    """Tell whether the device has stopped measuring, by and by."""
+    await asyncio.sleep(0.2)
+    before = len(device.truth.samples("ppg").times)
+    await asyncio.sleep(0.2)
+    return len(device.truth.samples("ppg").times) == before
+
+
+class Run:
+    """A device and the supervisor that keeps it connected."""
+
+    def __init__(self, device: SimulatedShimmer3, **settings: Any) -> None:
+        self.device, self.sink = device, NotedSink()
+        self.states: list[State] = []
+        unit = self.sink.identity.unit
+        fields: dict[str, Any] = {
+            "sensor": "shimmer3_gsr",
+            "unit": unit,
+            "port": device.port,
+            **settings,
+        }
+        self.supervisor = Supervisor(
+            DRIVER.make(ShimmerSettings(**fields), self.sink), self.sink, self.states.append
+        )
+
+    @property
+    def lost(self) -> dict[str, int]:
+        losses = {stream.data_name: self.sink.counted(stream.data_name).lost
+                  for stream in SENSOR.streams}  # fmt: skip
+        return {name: count for name, count in losses.items() if count}
+
+    async def more(self, samples: int = 60) -> None:
+        wanted = len(self.sink.rows["gsr"]) + samples
+        await eventually(self.sink.has(*WAVEFORMS, samples=wanted))
+
+    def measured(self) -> Floats:
+        """Return what the device sent: gsr and ppg of each sample."""
+        truth = [self.device.truth.samples(name).values[:, 0] for name in WAVEFORMS]
+        return rows_of(*truth)
+
+    def received(self) -> Floats:
+        return rows_of(*(self.sink.values(name)[:, 0] for name in WAVEFORMS))
+
+    async def both(self) -> tuple[Floats, Floats]:
+        """Return what has arrived so far, and what the device sent, at least as much."""
+        received = self.received()
+        # The device notes a sample after it has left.
+        await eventually(lambda: len(self.measured()) >= len(received))
+        return received, self.measured()
+
+    async def assert_nothing_invented(self) -> None:
+        """Every sample that arrived was measured; once, in this order."""
+        received, measured = await self.both()
+        sent = iter(measured.tolist())
+        for row in received.tolist():
+            assert any(np.allclose(row, each, rtol=1e-9, equal_nan=True) for each in sent)
+        for name, stamps in self.sink.stamps.items():
+            assert all(a < b for a, b in pairwise(stamps)), name
+
+
+def rows_of(*columns: Floats) -> Floats:
+    count = min(len(column) for column in columns)
+    return np.stack([column[:count] for column in columns], axis=1)
+
+
+@pytest.fixture(scope="module")
+def world() -> Generator[World]:
+    with World() as made:
+        yield made
+
+
+@pytest.fixture(autouse=True)
+def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(supervisor_module, "PROBE_INTERVAL_S", 0.05)
+    monkeypatch.setattr(supervisor_module, "BACKOFF_CAP_S", 0.2)
+    monkeypatch.setattr(stopping, "LISTEN_S", 0.2)
+    monkeypatch.setattr(stopping, "QUIET_S", 0.1)
+
+
+Streaming = Callable[..., AbstractAsyncContextManager[Run]]
+
+
+@pytest.fixture
+def streaming(world: World) -> Streaming:
+    """Run until the block ends; then nothing may have been refused or be half closed."""
+
+    @asynccontextmanager
+    async def started(
+        *, settings: dict[str, Any] | None = None, **device: Any
+    ) -> AsyncGenerator[Run]:
+        with SimulatedShimmer3(world, **device) as shimmer:
+            run = Run(shimmer, **(settings or {}))
+            task = asyncio.create_task(run.supervisor.run())
+            yield run
+            task.cancel()
+            await asyncio.wait({task}, timeout=DEADLINE_S)
+            assert run.states[-1] is State.STOPPED
+            refused = {name: each.refused for name, each in run.sink.counters.items()}
+            assert set(refused.values()) <= {0}
+            run.sink.close()
+
+    return started
+
+
+FIRMWARES = [(0, 11, 0), (0, 13, 7), (0, 16, 11), (1, 1, 2)]
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
+async def test_every_firmware_delivers_every_sample(
+    streaming: Streaming, firmware: tuple[int, int, int]
+) -> None:
+    async with streaming(firmware=firmware, seed=1, first_tick=(1 << 24) - 40_000) as run:
+        await eventually(lambda: run.supervisor.state is State.STREAMING)
+        await run.more(300)
+        received, measured = await run.both()
+        assert run.states == [State.CONNECTING, State.STREAMING]
+    np.testing.assert_allclose(received, measured[: len(received)], rtol=1e-9)
+    assert run.lost == {}
+    assert run.sink.dropped_bytes == 0
+    assert run.sink.clock_state.reanchors == 0
+
+
+async def test_every_stream_fills_and_the_stamps_are_those_of_the_measurement(
+    streaming: Streaming,
+) -> None:
+    async with streaming(seed=2) as run:
+        await eventually(run.sink.has("hr", samples=5))
+        stamped = {name: np.array(run.sink.stamps[name]) for name in WAVEFORMS}
+        await run.both()
+        truth = {name: run.device.truth.samples(name) for name in ("gsr", "ppg", "bat")}
+    np.testing.assert_allclose(run.sink.values("bat"), truth["bat"].values[:1])
+    assert {tuple(row) for row in run.sink.values("quality")[:, :1]} == {(1.0,)}
+    assert run.sink.values("quality")[-1, 2] == 1
+    wearer = run.device.wearer
+    beats_s = np.array(run.sink.stamps["hr"]) - run.device.started_s
+    np.testing.assert_allclose(run.sink.values("hr")[:, 0], wearer.heart_rate(beats_s), rtol=0.1)
+    for name, stamps in stamped.items():
+        errors = stamps - truth[name].times[: len(stamps)]
+        assert np.all(errors > -0.005)
+        assert np.median(errors) < 0.1
+        assert np.std(np.diff(stamps)) < 0.002
+    assert run.sink.rates == {}
+
+
+async def test_it_stops_the_device_at_the_end(streaming: Streaming) -> None:
+    async with streaming() as run:
+        await run.more()
+    assert await is_idle(run.device)
+
+
+async def test_the_real_rate_is_announced(streaming: Streaming) -> None:
+    async with streaming(settings={"rate_hz": 100.0}) as run:
+        await run.more(100)
+        stamps = np.array(run.sink.stamps["ppg"])
+    assert run.sink.rates == dict.fromkeys(WAVEFORMS, 32768 / 328)
+    assert 1 / np.mean(np.diff(stamps)) == pytest.approx(32768 / 328, rel=0.01)
+    assert run.lost == {}
+
+
+@pytest.mark.parametrize("gsr_range", [0, 1, 2, 3])
+async def test_a_fixed_range_is_set(streaming: Streaming, gsr_range: int) -> None:
+    async with streaming(settings={"gsr_range": gsr_range}) as run:
+        await run.more()
+        received, measured = await run.both()
+    np.testing.assert_allclose(received, measured[: len(received)], rtol=1e-9)
+    assert set(run.sink.values("quality")[:, 1]) == {gsr_range}
+
+
+async def test_over_tcp_it_is_the_same(streaming: Streaming) -> None:
+    async with streaming(tcp=True, seed=3) as run:
+        await run.more(200)
+        received, measured = await run.both()
+        run.device.apply(Fault(FaultKind.DROP, 0.5))
+        await eventually(lambda: run.supervisor.connections == 2)
+        await run.more(100)
+        await run.assert_nothing_invented()
+    np.testing.assert_allclose(received, measured[: len(received)], rtol=1e-9)
+
+
+async def test_electrodes_may_be_taken_off_and_put_on_again(streaming: Streaming) -> None:
+    async with streaming(seed=4) as run:
+
+        def electrodes() -> list[float]:  # fmt: skip
+            return run.sink.values("quality")[:, 0].tolist()
+
+        await eventually(lambda: electrodes()[-1:] == [1.0])
+        run.device.apply(Fault(FaultKind.OFF_BODY, NEVER))
+        await eventually(lambda: electrodes()[-1:] == [0.0])
+        await run.more(20)
+        assert np.isnan(run.sink.values("gsr")[-1, 0])
+        assert np.isfinite(run.sink.values("ppg")).all()
+        run.device.clear(FaultKind.OFF_BODY)
+        await eventually(lambda: electrodes()[-1:] == [1.0])
+        await run.more(20)
+        received, measured = await run.both()
+    np.testing.assert_allclose(received, measured[: len(received)], rtol=1e-9)
+    assert 0.0 not in run.sink.values("gsr")
+    assert run.lost == {}
+
+
+@pytest.mark.parametrize("firmware", [(0, 11, 0), (1, 1, 2)], ids=str)
+async def test_a_link_drop_is_a_gap_and_the_counter_goes_on(
+    streaming: Streaming, firmware: tuple[int, int, int]
+) -> None:
+    async with streaming(firmware=firmware, seed=5) as run:
+        await run.more()
+        run.device.apply(Fault(FaultKind.DROP, 1.0))
+        await eventually(lambda: run.supervisor.connections == 2)
+        await run.more()
+        await run.assert_nothing_invented()
+        # A device without a link does not measure, so there was nothing to lose.
+        assert run.lost == {}
+        assert run.sink.clock_state.reanchors == 0
+
+
+async def test_a_restarted_device_is_followed_with_a_new_clock(streaming: Streaming) -> None:
+    async with streaming(seed=6, first_tick=5_000_000) as run:
+        await run.more()
+        run.device.apply(Fault(FaultKind.RESTART, 0.5))
+        await eventually(lambda: run.supervisor.connections == 2)
+        await run.more(200)
+        await run.assert_nothing_invented()
+        assert run.lost == {}
+        assert run.sink.clock_state.reanchors == 1
+        errors = run.sink.stamps["gsr"][-1] - run.device.truth.samples("gsr").times
+        assert np.abs(errors).min() < 0.1
+
+
+async def test_samples_that_a_stall_costs_are_counted(streaming: Streaming) -> None:
+    async with streaming(seed=7) as run:
+        await run.more()
+        run.device.apply(Fault(FaultKind.STALL, 0.7))
+        await eventually(lambda: run.device.truth.unsent_count("gsr") > 50)
+        await run.more()
+        await run.assert_nothing_invented()
+        unsent = run.device.truth.unsent_count("gsr")
+    assert run.supervisor.connections == 1
+    assert run.lost == {"gsr": unsent, "ppg": unsent}
+
+
+async def test_a_device_that_falls_silent_is_asked_then_connected_anew(
+    streaming: Streaming, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "PATIENCE_S", 0.4)
+    monkeypatch.setattr(conversation, "REPLY_TIMEOUT_S", 0.4)
+    async with streaming(seed=8) as run:
+        await run.more()
+        run.device.apply(Fault(FaultKind.STALL, NEVER))
+        await eventually(lambda: State.DISCOVERING in run.states)
+        assert "fallen silent" in (run.supervisor.last_error or "")
+        run.device.clear(FaultKind.STALL)
+        await eventually(lambda: run.supervisor.connections == 2)
+        await run.more()
+        await run.assert_nothing_invented()
+        unsent = run.device.truth.unsent_count("gsr")
+    # An estimate: when exactly the device was cut off, only it knows.
+    assert run.lost == dict.fromkeys(WAVEFORMS, pytest.approx(unsent, abs=40))
+
+
+async def test_a_refusing_device_is_left_alone_until_it_obeys(streaming: Streaming) -> None:
+    async with streaming(seed=9) as run:
+        await run.more()
+        run.device.apply(Fault(FaultKind.REFUSE, NEVER))
+        await eventually(lambda: State.BACKOFF in run.states)
+        assert "refuses" in (run.supervisor.last_error or "")
+        run.device.clear(FaultKind.REFUSE)
+        await eventually(lambda: run.supervisor.connections == 2)
+        await run.more()
+        await run.assert_nothing_invented()
+
+
+async def test_late_answers_are_waited_for(streaming: Streaming) -> None:
+    async with streaming(seed=10) as run:
+        await run.more()
+        run.device.apply(Fault(FaultKind.LATE, 0.3))
+        await eventually(lambda: run.supervisor.connections == 2)
+        await run.more()
+        await run.assert_nothing_invented()
+        assert run.lost == {}
+
+
+async def test_answers_that_come_too_late_never_pass_for_others(
+    streaming: Streaming, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(conversation, "REPLY_TIMEOUT_S", 0.3)
+    async with streaming(seed=11) as run:
+        await run.more()
+        run.device.apply(Fault(FaultKind.LATE, 0.5))
+        await eventually(lambda: "does not answer" in (run.supervisor.last_error or ""))
+        run.device.clear(FaultKind.LATE)
+        await eventually(lambda: run.supervisor.connections == 2)
+        await run.more()
+        await run.assert_nothing_invented()
+
+
+async def test_garbage_costs_no_sample_and_makes_none(streaming: Streaming) -> None:
+    async with streaming(seed=12) as run:
+        for number in range(1, 6):
+            await run.more(20)
+            run.device.apply(Fault(FaultKind.GARBAGE, 100))
+            await eventually(lambda: run.sink.dropped_bytes >= 80 * number)  # noqa: B023 - awaited here
+        await run.more(40)
+        received, measured = await run.both()
+    np.testing.assert_allclose(received, measured[: len(received)], rtol=1e-9)
+    assert run.sink.dropped_bytes == 500
+    assert run.lost == {}
+
+
+async def test_the_battery_is_asked_for_while_streaming(
+    streaming: Streaming, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert module.BATTERY_PERIOD_S == 60
+    monkeypatch.setattr(module, "BATTERY_PERIOD_S", 0.2)
+    async with streaming(seed=13) as run:
+        await eventually(run.sink.has("bat", samples=3))
+        run.device.apply(Fault(FaultKind.LOW_BATTERY, 4.0))
+        await eventually(lambda: run.sink.values("bat")[-1, 0] < 6)
+        truth = run.device.truth.samples("bat").values
+        received = run.sink.values("bat")
+    np.testing.assert_allclose(received, truth[: len(received)])
+    assert run.lost == {}
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
+async def test_docking_is_told_and_disturbs_nothing(
+    streaming: Streaming, firmware: tuple[int, int, int]
+) -> None:
+    with capture_logs() as logs:
+        async with streaming(firmware=firmware, seed=14) as run:
+            for docked in (True, False) * 3:
+                await run.more(15)
+                run.device.dock(docked=docked)
+            await run.more(30)
+            received, measured = await run.both()
+    told = [entry["event"] for entry in logs if "docked" in entry["event"]]
+    assert told == ["not docked", *["docked", "not docked"] * 3]
+    np.testing.assert_allclose(received, measured[: len(received)], rtol=1e-9)
+    assert run.lost == {}
+
+
+async def test_a_drifting_crystal_loses_nothing(streaming: Streaming) -> None:
+    async with streaming(seed=15, jitter_s=0.05, drift_ppm=-100) as run:
+        await run.more(100)
+        run.device.apply(Fault(FaultKind.DRIFT, 200))
+        await run.more(400)
+        received, measured = await run.both()
+    np.testing.assert_allclose(received, measured[: len(received)], rtol=1e-9)
+    assert run.lost == {}
+    assert run.sink.clock_state.reanchors == 0
+
+
+async def test_a_device_that_was_left_streaming_is_stopped_first(world: World) -> None:
+    with SimulatedShimmer3(world, firmware=(1, 1, 2), seed=16) as device:
+        other = os.open(device.port, os.O_RDWR | os.O_NOCTTY)
+        try:
+            # Another layout, and checksums of another kind.
+            for command in ("08842100", "05 20 00", "8b01", "07"):
+                os.write(other, bytes.fromhex(command))
+                await asyncio.sleep(0.2)
+            await eventually(lambda: len(device.truth.samples("gsr").times) > 200)
+            run = Run(device)
+            task = asyncio.create_task(run.supervisor.run())
+            await run.more(100)
+            received, measured = await run.both()
+            task.cancel()
+            await asyncio.wait({task}, timeout=DEADLINE_S)
+            run.sink.close()
+        finally:
+            os.close(other)
+    own = measured[-len(received) - 20 :]
+    starts = [k for k in range(len(own) - 49) if np.allclose(own[k : k + 50], received[:50])]
+    assert len(starts) == 1
+    assert run.lost == {}
+
+
+async def test_firmware_with_short_stamps_is_refused_with_an_advice(world: World) -> None:
+    with SimulatedShimmer3(world, firmware=(0, 5, 2)) as device:
+        run = Run(device)
+        driver = DRIVER.make(
+            ShimmerSettings(sensor="shimmer3_gsr", unit="1", port=device.port), run.sink
+        )()
+        with pytest.raises(ProtocolError, match="too old; install LogAndStream") as caught:
+            await driver.connect()
+        await driver.close()
+    assert caught.value.reason is ProtocolReason.UNSUPPORTED
+
+
+async def test_a_stop_while_connecting_leaves_the_device_idle(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stopping, "LISTEN_S", 0.01)
+    for delay_s in (0.0, 0.1, 0.2, 0.3):
+        with SimulatedShimmer3(world) as device:
+            run = Run(device)
+            task = asyncio.create_task(run.supervisor.run())
+            await asyncio.sleep(delay_s)
+            task.cancel()
+            await asyncio.wait({task}, timeout=DEADLINE_S)
+            run.sink.close()
+            assert await is_idle(device)

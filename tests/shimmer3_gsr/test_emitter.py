@@ -1,0 +1,263 @@
+"""What each reading of a Shimmer puts into which stream, and what it does not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+from structlog.testing import capture_logs
+
+from biosensor_common.sensors.shimmer3_gsr import SENSOR
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.devices.shimmer3_gsr.channels import Layout
+from biosensor_gateway.devices.shimmer3_gsr.emitter import Measurement, ShimmerEmitter
+from biosensor_gateway.devices.shimmer3_gsr.messages import BatteryReading, Charging, Packet
+from biosensor_gateway.sink import DeviceSink
+
+DIVISOR = 256
+RATE_HZ = 128.0
+PERIOD_S = 1 / RATE_HZ
+ARRIVAL_S = 5000.0
+AUTO = 4
+FINGER_RAW = 0x49C4
+FINGER_US = 9.278758407678268
+OPEN_RAW = 0xC258
+PPG_RAW = 1820
+PPG_MV = 1820 * 3000 / 4095
+NAN = math.nan
+
+
+class NotedSink(DeviceSink):
+    """Notes what it is told instead of telling LSL."""
+
+    def __init__(self) -> None:
+        super().__init__(DeviceIdentity("shimmer3_gsr", "noted"))
+        self.calls: list[str] = []
+        self.emitted: dict[str, list[list[float]]] = {}
+        self.times: dict[str, list[float]] = {}
+        self.observed: list[tuple[float, float]] = []
+        self.losses: dict[str, int] = {}
+
+    def observe(self, device_s: float, arrival_s: float) -> None:
+        self.calls.append("observe")
+        self.observed.append((device_s, arrival_s))
+
+    def restart_clock(self) -> None:
+        self.calls.append("restart_clock")
+
+    def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
+        width = len(SENSOR.stream(data_name).channels)
+        rows = np.asarray(samples, np.float64).reshape(-1, width).tolist()
+        assert len(rows) == len(device_times) > 0
+        self.calls.append(data_name)
+        self.emitted.setdefault(data_name, []).extend(rows)
+        self.times.setdefault(data_name, []).extend(device_times)
+
+    def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
+        self.emit(data_name, samples, lsl_times)
+
+    def lost(self, data_name: str, count: int) -> None:
+        assert count > 0
+        self.losses[data_name] = self.losses.get(data_name, 0) + count
+
+
+@pytest.fixture
+def sink() -> NotedSink:
+    return NotedSink()
+
+
+@pytest.fixture
+def emitter(sink: NotedSink) -> ShimmerEmitter:
+    made = ShimmerEmitter(sink)
+    made.started(Measurement(Layout([0x12, 0x1C]), DIVISOR, AUTO))
+    return made
+
+
+Read = list[tuple[Packet, float]]
+
+
+def packet(number: int, gsr: int = FINGER_RAW, ppg: int = PPG_RAW, first: int = 0) -> Packet:
+    return Packet((first + number * DIVISOR) % (1 << 24), (ppg, gsr))
+
+
+def read(numbers: Sequence[int], gsr: int = FINGER_RAW, first: int = 0) -> Read:
+    arrival_s = ARRIVAL_S + numbers[-1] * PERIOD_S
+    return [(packet(number, gsr, first=first), arrival_s) for number in numbers]
+
+
+def test_samples_are_in_units_and_one_chunk_a_read(
+    emitter: ShimmerEmitter, sink: NotedSink
+) -> None:
+    emitter.take(read(range(5)))
+    assert sink.calls == ["observe", "gsr", "ppg", "quality"]
+    assert sink.emitted["gsr"] == [[pytest.approx(FINGER_US)]] * 5
+    assert sink.emitted["ppg"] == [[pytest.approx(PPG_MV)]] * 5
+    assert sink.times["gsr"] == sink.times["ppg"] == [number * PERIOD_S for number in range(5)]
+    # The clock is told when the last sample was measured, and when that arrived.
+    assert sink.observed == [(4 * PERIOD_S, ARRIVAL_S + 4 * PERIOD_S)]
+    assert sink.losses == {}
+
+
+def test_the_order_of_the_channels_is_that_of_the_inquiry(sink: NotedSink) -> None:
+    emitter = ShimmerEmitter(sink)
+    emitter.started(Measurement(Layout([0x1C, 0x03, 0x12]), DIVISOR, AUTO))
+    emitter.take([(Packet(0, (FINGER_RAW, 2852, PPG_RAW)), ARRIVAL_S)])
+    assert sink.emitted["gsr"] == [[pytest.approx(FINGER_US)]]
+    assert sink.emitted["ppg"] == [[pytest.approx(PPG_MV)]]
+
+
+def test_open_electrodes_are_no_value_and_show_in_quality(
+    emitter: ShimmerEmitter, sink: NotedSink
+) -> None:
+    emitter.take(read([0]))
+    emitter.take(read([1, 2], OPEN_RAW))
+    emitter.take(read([3, 4], OPEN_RAW))
+    emitter.take(read([5]))
+    values = np.array(sink.emitted["gsr"])[:, 0]
+    np.testing.assert_allclose(values, [FINGER_US, NAN, NAN, NAN, NAN, FINGER_US])
+    # The other signal does not mind.
+    assert sink.emitted["ppg"] == [[pytest.approx(PPG_MV)]] * 6
+    assert sink.emitted["quality"] == [[1, 1, 0], [0, 3, 0], [1, 1, 0]]
+    assert sink.times["quality"] == [0, 2 * PERIOD_S, 5 * PERIOD_S]
+
+
+@pytest.mark.parametrize("raw", [0x0000, 0x02AA, 0x4000, 0x82AA, 0xC000, 0xC2AB])
+def test_no_current_is_never_0(emitter: ShimmerEmitter, sink: NotedSink, raw: int) -> None:
+    emitter.take(read([0], raw))
+    np.testing.assert_array_equal(sink.emitted["gsr"], [[NAN]])
+    assert sink.emitted["quality"][0][0] == 0
+
+
+@pytest.mark.parametrize("setting", range(4))
+def test_a_fixed_range_goes_before_the_bits(sink: NotedSink, setting: int) -> None:
+    emitter = ShimmerEmitter(sink)
+    emitter.started(Measurement(Layout([0x12, 0x1C]), DIVISOR, setting))
+    emitter.take(read([0]))
+    low_us, high_us = [(15.87, 125), (4.54, 15.88), (1.47, 4.55), (0.21, 1.48)][setting]
+    assert low_us <= sink.emitted["gsr"][0][0] <= high_us
+    assert sink.emitted["quality"][0][1] == setting
+
+
+def test_quality_is_told_every_ten_seconds(emitter: ShimmerEmitter, sink: NotedSink) -> None:
+    for number in range(0, 128 * 31, 8):
+        emitter.take(read(range(number, number + 8)))
+    assert sink.emitted["quality"] == [[1, 1, 0]] * 4
+    assert sink.times["quality"] == pytest.approx([0, 10, 20, 30], abs=0.1)
+
+
+def pulse(number: int) -> Packet:
+    phase = number * PERIOD_S * 75 / 60 % 1.0
+    ppg = round(2000 + 80 * math.exp(-0.5 * ((phase - 0.3) / 0.08) ** 2))
+    return packet(number, ppg=ppg)
+
+
+def test_heart_rate_comes_from_the_pulse(emitter: ShimmerEmitter, sink: NotedSink) -> None:
+    for number in range(0, 128 * 30, 8):
+        arrival_s = ARRIVAL_S + (number + 8) * PERIOD_S
+        emitter.take([(pulse(each), arrival_s) for each in range(number, number + 8)])
+    rates = np.array(sink.emitted["hr"])[:, 0]
+    np.testing.assert_allclose(rates[2:], 75, atol=0.5)
+    assert len(rates) == pytest.approx(30 * 75 / 60 - 4, abs=2)
+    assert np.diff(sink.times["hr"]) == pytest.approx(np.full(len(rates) - 1, 0.8), abs=0.02)
+    assert [row[2] for row in sink.emitted["quality"]][:2] == [0, 1]
+    quiet = 128 * 30
+    for number in range(quiet, quiet + 128 * 4, 8):
+        emitter.take(read(range(number, number + 8)))
+    assert sink.emitted["quality"][-1] == [1, 1, 0]
+    assert sink.times["quality"][-1] == pytest.approx(sink.times["hr"][-1] + 2, abs=0.1)
+
+
+def test_missing_packets_are_counted(emitter: ShimmerEmitter, sink: NotedSink) -> None:
+    emitter.take(read([0, 1, 4, 5]))
+    emitter.take(read([9]))
+    assert sink.losses == {"gsr": 5, "ppg": 5}
+    assert sink.times["gsr"] == [number * PERIOD_S for number in (0, 1, 4, 5, 9)]
+
+
+def test_a_repeated_packet_is_emitted_once(emitter: ShimmerEmitter, sink: NotedSink) -> None:
+    emitter.take(read([0, 1]))
+    emitter.take([(packet(1), ARRIVAL_S + PERIOD_S)])
+    emitter.take(read([2]))
+    assert sink.times["gsr"] == [0, PERIOD_S, 2 * PERIOD_S]
+
+
+def again(emitter: ShimmerEmitter) -> None:
+    emitter.started(Measurement(Layout([0x12, 0x1C]), DIVISOR, AUTO))
+
+
+def test_after_a_reconnection_time_goes_on_and_nothing_is_lost(
+    emitter: ShimmerEmitter, sink: NotedSink
+) -> None:
+    emitter.take(read([0]))
+    again(emitter)
+    emitter.take(read([1000], first=100))
+    assert sink.times["gsr"] == [0, pytest.approx(1000 * PERIOD_S + 100 / 32768)]
+    assert sink.losses == {}
+    assert "restart_clock" not in sink.calls
+
+
+def test_a_restarted_counter_restarts_the_clock(emitter: ShimmerEmitter, sink: NotedSink) -> None:
+    emitter.take(read([60_000]))
+    again(emitter)
+    emitter.take([(packet(number), ARRIVAL_S + 475 + 0.01 * number) for number in (10, 11)])
+    assert sink.calls == [
+        "observe", "gsr", "ppg", "quality", "restart_clock", "observe", "gsr", "ppg", "quality"
+    ]  # fmt: skip
+    assert sink.losses == {}
+    first, second, third = sink.times["gsr"]
+    assert second > first
+    assert third - second == PERIOD_S
+
+
+def test_a_device_that_kept_streaming_lost_what_nobody_heard(
+    emitter: ShimmerEmitter, sink: NotedSink
+) -> None:
+    emitter.take(read([0]))
+    emitter.kept_measuring_until(ARRIVAL_S + 2.0)
+    emitter.kept_measuring_until(ARRIVAL_S + 3.0)
+    again(emitter)
+    assert sink.losses == {}
+    with capture_logs() as logs:
+        for number in range(1000, 1100):
+            emitter.take(read([number]))
+    assert sink.losses == {"gsr": 384, "ppg": 384}
+    assert [entry["estimated_samples"] for entry in logs] == [384]
+
+
+def test_a_device_that_was_switched_off_lost_nothing_that_one_knows_of(
+    emitter: ShimmerEmitter, sink: NotedSink
+) -> None:
+    emitter.take(read([60_000]))
+    emitter.kept_measuring_until(ARRIVAL_S + 471)
+    again(emitter)
+    emitter.take([(packet(number), ARRIVAL_S + 475 + 0.01 * number) for number in (10, 11)])
+    assert sink.calls.count("restart_clock") == 1
+    assert sink.losses == {}
+
+
+def test_a_device_that_streamed_to_somebody_else_lost_nothing(
+    emitter: ShimmerEmitter, sink: NotedSink
+) -> None:
+    emitter.kept_measuring_until(ARRIVAL_S)
+    emitter.take(read([0, 1]))
+    assert sink.losses == {}
+
+
+def test_battery_is_stamped_by_arrival(emitter: ShimmerEmitter, sink: NotedSink) -> None:
+    emitter.battery(BatteryReading(2618, Charging.UNKNOWN), ARRIVAL_S)
+    emitter.battery(BatteryReading(3200, Charging.SUSPENDED), ARRIVAL_S + 60)
+    assert sink.emitted["bat"] == [[pytest.approx(57.317, abs=1e-3)]]
+    assert sink.times["bat"] == [ARRIVAL_S]
+
+
+def test_a_pulse_signal_of_unknown_scale_has_no_value(sink: NotedSink) -> None:
+    emitter = ShimmerEmitter(sink)
+    emitter.started(Measurement(Layout([0x12, 0x1C]), DIVISOR, AUTO, has_ppg_scale=False))
+    for number in range(0, 1280, 8):
+        emitter.take([(pulse(each), ARRIVAL_S) for each in range(number, number + 8)])
+    np.testing.assert_array_equal(sink.emitted["ppg"], np.full((1280, 1), NAN))
+    assert sink.emitted["gsr"][0] == [pytest.approx(FINGER_US)]
+    assert "hr" not in sink.emitted

@@ -1,0 +1,464 @@
+"""The virtual Shimmer3 on a real serial port, heard through plain pyserial."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+import serial
+from pylsl import local_clock
+
+from biosensor_gateway.devices.shimmer3_gsr.simulator import SimulatedShimmer3
+from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.world import World
+
+DEADLINE_S = 20.0
+RESISTORS_KOHM = (40.2, 287.0, 1000.0, 3300.0)
+GSR_PPG_128_HZ = ("08040100", "2104", "5e01", "050001")
+STATUS = b"\x8a\x71"
+
+
+def check_of(message: bytes) -> bytes:
+    crc = 0xB0CA
+    for byte in message + bytes(len(message) % 2):
+        for bit in range(7, -1, -1):
+            high = crc >> 15 ^ (byte >> bit & 1)
+            crc = (crc << 1 & 0xFFFF) ^ (0x1021 if high else 0)
+    return bytes((crc & 0xFF, crc >> 8))
+
+
+class Packet(NamedTuple):
+    """A packet of skin conductance and pulse as this file's own decoder sees it."""
+
+    ticks: int
+    ppg_mv: float
+    gsr_us: float
+    gsr_range: int
+
+
+def decoded(body: bytes) -> Packet:
+    raw = body[6] | body[7] << 8
+    gsr_range, counts = raw >> 14, raw & 0xFFF
+    volts = 3 * counts / 4095
+    electrodes_open = counts <= (683 if gsr_range == 3 else 682)
+    gsr_us = math.nan if electrodes_open else (volts / 0.5 - 1) * 1000 / RESISTORS_KOHM[gsr_range]
+    ppg_mv = (body[4] | body[5] << 8) * 3000 / 4095
+    return Packet(int.from_bytes(body[1:4], "little"), ppg_mv, gsr_us, gsr_range)
+
+
+class Host:
+    """The other end of the port."""
+
+    def __init__(self, port: str) -> None:
+        self._serial = serial.serial_for_url(port, 115200, timeout=0.05)
+        self.unread = b""
+
+    def send(self, command: str) -> None:
+        self._serial.write(bytes.fromhex(command))
+
+    def listen(self) -> None:
+        data = self._serial.read(1)
+        self.unread += data + self._serial.read(self._serial.in_waiting)
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + DEADLINE_S
+        while not condition():
+            assert time.monotonic() < deadline, f"only {self.unread.hex()} came"
+            self.listen()
+
+    def take(self, count: int) -> bytes:
+        self.until(lambda: len(self.unread) >= count)
+        data, self.unread = self.unread[:count], self.unread[count:]
+        return data
+
+    def ask(self, command: str, count: int = 1) -> str:
+        self.send(command)
+        return self.take(count).hex()
+
+    def ask_all(self, *commands: str) -> None:
+        for command in commands:
+            assert self.ask(command) == "ff"
+
+    def packets(self, count: int, crc_bytes: int = 0) -> list[Packet]:
+        packets: list[Packet] = []
+        for _ in range(count):
+            body = self.take(8 + crc_bytes)
+            assert body[0] == 0
+            assert check_of(body[:8])[:crc_bytes] == body[8:]
+            packets.append(decoded(body))
+        return packets
+
+    def after_packets(self, count: int) -> str:
+        """Skip data packets of this file's kind; take what is none."""
+        while (first := self.take(1)) == b"\0":
+            self.take(7)
+        return (first + self.take(count - 1)).hex()
+
+    def is_quiet(self) -> bool:
+        """Whether nothing is said before the answer to a ping, and no answer comes twice."""
+        return self.ask("96") == "ff" and not self.unread
+
+    def until_hung_up(self) -> None:
+        with pytest.raises(OSError):
+            self.until(lambda: False)
+
+    def close(self) -> None:
+        self._serial.close()
+
+
+@pytest.fixture
+def world() -> Iterator[World]:
+    with World() as running:
+        yield running
+
+
+class Bench:
+    """Hosts of one test, ended with it."""
+
+    def __init__(self) -> None:
+        self._hosts: list[Host] = []
+
+    def connect(self, device: SimulatedShimmer3) -> Host:
+        deadline = time.monotonic() + DEADLINE_S
+        while True:
+            try:
+                self._hosts.append(Host(device.port))
+            except OSError:
+                assert time.monotonic() < deadline, "the port did not come back"
+                time.sleep(0.05)
+            else:
+                return self._hosts[-1]
+
+    def close(self) -> None:
+        for host in self._hosts:
+            host.close()
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    running = Bench()
+    yield running
+    running.close()
+
+
+@pytest.fixture(params=[False, True], ids=["pty", "tcp"])
+def device(world: World, request: pytest.FixtureRequest) -> Iterator[SimulatedShimmer3]:
+    with SimulatedShimmer3(world, seed=3, jitter_s=0.01, tcp=request.param) as running:
+        yield running
+
+
+@pytest.fixture
+def host(bench: Bench, device: SimulatedShimmer3) -> Host:
+    return bench.connect(device)
+
+
+def volts_of(counts: int) -> float:
+    return counts * 3 / 4095 * 1.988
+
+
+def settled(device: SimulatedShimmer3, data_name: str, count: int) -> None:
+    """Wait until the truth holds so many samples: it is noted just after the sending."""
+    deadline = time.monotonic() + DEADLINE_S
+    while len(device.truth.samples(data_name).times) < count:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def unsent(device: SimulatedShimmer3, data_name: str, more_than: int) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while device.truth.unsent_count(data_name) <= more_than:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def gaps(packets: list[Packet]) -> list[int]:
+    ticks = np.array([packet.ticks for packet in packets])
+    return [int(gap) for gap in np.diff(ticks) % (1 << 24)]
+
+
+def test_the_recommended_conversation(host: Host) -> None:
+    assert host.ask("20") == "ff"
+    assert host.ask("3f", 3) == "ff2503"
+    assert host.ask("2e", 8) == "ff2f030001000102"
+    assert host.ask("a300") == "ff"
+    assert host.ask("8b01", 2) == "fff4"
+    assert host.ask("660300", 7)[:-2] == "ff6503300400"
+    for command in GSR_PPG_128_HZ:
+        assert host.ask(command, 2) == "fff4"
+    inquiry = bytes.fromhex(host.ask("01", 13))
+    assert inquiry[:-1].hex() == "ff02000101ff01090201121c"
+    assert check_of(inquiry[:-1])[:1] == inquiry[-1:]
+    assert host.ask("95", 7)[:6] == "ff8a94"
+    assert host.ask("72", 5)[:8] == "ff8a7120"
+    assert host.ask("07", 2) == "fff4"
+    packets = host.packets(60, crc_bytes=1)
+    assert set(gaps(packets)) == {256}
+    host.send("20")
+    host.until(lambda: host.unread.endswith(b"\xff\xf4"))
+
+
+def test_what_is_decoded_is_the_truth(host: Host, device: SimulatedShimmer3) -> None:
+    host.ask_all(*GSR_PPG_128_HZ, "07")
+    packets = host.packets(150)
+    settled(device, "ppg", 150)
+    gsr, ppg = device.truth.samples("gsr"), device.truth.samples("ppg")
+    np.testing.assert_allclose(gsr.values[:150, 0], [packet.gsr_us for packet in packets])
+    np.testing.assert_allclose(ppg.values[:150, 0], [packet.ppg_mv for packet in packets])
+    np.testing.assert_array_equal(gsr.times, ppg.times)
+    np.testing.assert_allclose(np.diff(gsr.times), 1 / 128, atol=1e-9)
+    own_time = gsr.times[:150] - device.started_s
+    worn = device.wearer.skin_conductance_us(own_time)
+    np.testing.assert_allclose(gsr.values[40:150, 0], worn[40:], rtol=0.01)
+    quality = device.truth.samples("quality")
+    assert quality.values[0, 0] == 1
+    assert quality.values[-1, 1] == packets[-1].gsr_range == 1
+
+
+def test_no_packet_leaves_before_it_was_measured(host: Host, device: SimulatedShimmer3) -> None:
+    host.ask_all(*GSR_PPG_128_HZ, "07")
+    host.packets(30)
+    heard_s = local_clock()
+    settled(device, "gsr", 30)
+    assert device.truth.samples("gsr").times[29] < heard_s
+
+
+def test_ticks_wrap_at_24_bits(world: World, bench: Bench) -> None:
+    with SimulatedShimmer3(world, first_tick=(1 << 24) - 20_000) as device:
+        host = bench.connect(device)
+        host.ask_all(*GSR_PPG_128_HZ, "07")
+        packets = host.packets(150)
+    assert packets[-1].ticks < packets[0].ticks
+    assert set(gaps(packets)) == {256}
+
+
+def test_without_power_the_pulse_is_near_zero(host: Host) -> None:
+    host.ask_all("08040100", "2104", "5e00", "050001", "07")
+    assert all(packet.ppg_mv < 15 for packet in host.packets(20))
+
+
+def test_a_fixed_range_stays(host: Host, device: SimulatedShimmer3) -> None:
+    host.ask_all("08040100", "2102", "5e01", "050001", "07")
+    packets = host.packets(20)
+    assert {packet.gsr_range for packet in packets} == {2}
+    settled(device, "gsr", 20)
+    # 5 uS are 200 kohm: beyond the range, so the least that it can say.
+    np.testing.assert_allclose(device.truth.samples("gsr").values[:20, 0], 1000 / 220)
+
+
+def test_battery_and_acceleration_stream_too(host: Host) -> None:
+    host.ask_all("08842100", "050001", "07")
+    body = host.take(4 + 5 * 2 + 2)
+    counts = [int.from_bytes(body[k : k + 2], "little", signed=True) for k in (4, 6, 8, 10)]
+    # x_case = -y_chip, y_case = -x_chip, z_case = -z_chip; the trunk is upright along x.
+    x, y, z = (-(count - 2253) / 92 / 9.80665 for count in (counts[1], counts[0], counts[2]))
+    assert (x, y, z) == (
+        pytest.approx(-0.97, abs=0.05),
+        pytest.approx(0.05, abs=0.05),
+        pytest.approx(0.24, abs=0.05),
+    )
+    assert volts_of(counts[3]) == pytest.approx(3.963, abs=0.01)
+
+
+def test_commands_during_the_stream(host: Host) -> None:
+    host.ask_all(*GSR_PPG_128_HZ, "a300", "07")
+    host.packets(5)
+    for command, answer in (("2100", "fe"), ("96", "ff"), ("72", "ff8a7132")):
+        host.send(command)
+        assert host.after_packets(len(answer) // 2) == answer
+    host.send("20")
+    assert host.after_packets(1) == "ff"
+
+
+def test_docking_is_told_unasked_and_does_not_end_the_stream(
+    host: Host, device: SimulatedShimmer3
+) -> None:
+    host.ask_all(*GSR_PPG_128_HZ)
+    device.dock()
+    assert host.take(4).hex() == "ff8a7121"
+    device.dock(docked=False)
+    assert host.take(4).hex() == "ff8a7120"
+    host.ask_all("a300", "07")
+    host.packets(3)
+    device.dock()
+    host.until(lambda: STATUS + b"\x33" in host.unread)
+    before, _, after = host.unread.partition(STATUS + b"\x33")
+    assert len(before) % 8 == 0
+    host.unread = after
+    host.packets(3)
+
+
+def test_nothing_is_said_before_the_first_command(host: Host, device: SimulatedShimmer3) -> None:
+    device.dock()
+    device.apply(Fault(FaultKind.GARBAGE, 8))
+    assert host.is_quiet()
+
+
+def test_a_host_that_leaves_ends_stream_and_modes(
+    bench: Bench, host: Host, device: SimulatedShimmer3
+) -> None:
+    host.ask_all(*GSR_PPG_128_HZ, "a300")
+    assert host.ask("8b01", 2) == "fff4"
+    host.send("07")
+    host.until(lambda: len(host.unread) > 40)
+    host.close()
+    deadline = time.monotonic() + DEADLINE_S
+    while device.streaming:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    again = bench.connect(device)
+    assert again.is_quiet()
+    # The settings are in flash.
+    assert again.ask("01", 12) == "ff02000101ff01090201121c"
+    device.dock()
+    assert again.take(4).hex() == "ff8a7121"
+
+
+def test_whole_packets_are_dropped_when_the_host_does_not_read(world: World, bench: Bench) -> None:
+    with SimulatedShimmer3(world, tcp=False) as device:
+        host = bench.connect(device)
+        host.ask_all("08040100", "2104", "5e01", "050800", "07")
+        unsent(device, "gsr", 200)
+        # First what waited, then what is measured now: 30 KiB hold at most 4000 packets.
+        packets = host.packets(6000)
+    steps = gaps(packets)
+    assert all(step % 8 == 0 for step in steps)
+    lost = sum(step // 8 - 1 for step in steps)
+    assert 0 < lost <= device.truth.unsent_count("gsr")
+
+
+def test_the_truth_tells_the_battery_that_was_said(host: Host, device: SimulatedShimmer3) -> None:
+    answer = bytes.fromhex(host.ask("95", 6))
+    assert volts_of(answer[3] | answer[4] << 8) == pytest.approx(3.9628, abs=1e-3)
+    settled(device, "bat", 1)
+    assert device.truth.samples("bat").values[0, 0] == pytest.approx(80, abs=0.2)
+
+
+class TestFaults:
+    def test_drop_takes_the_port_away_and_brings_it_back(
+        self, bench: Bench, host: Host, device: SimulatedShimmer3
+    ) -> None:
+        host.ask_all(*GSR_PPG_128_HZ, "07")
+        before = host.packets(3)
+        device.apply(Fault(FaultKind.DROP, math.inf))
+        host.until_hung_up()
+        with pytest.raises(OSError):
+            Host(device.port)
+        device.clear(FaultKind.DROP)
+        again = bench.connect(device)
+        assert again.is_quiet()
+        again.ask_all("07")
+        # The crystal has gone on.
+        assert again.packets(1)[0].ticks > before[-1].ticks
+
+    def test_restart_begins_with_new_ticks_and_no_clock(self, world: World, bench: Bench) -> None:
+        with SimulatedShimmer3(world, first_tick=1_000_000) as device:
+            host = bench.connect(device)
+            host.ask_all(*GSR_PPG_128_HZ, "8f" + 16 * "0", "06")
+            device.apply(Fault(FaultKind.RESTART, 0.2))
+            host.until_hung_up()
+            again = bench.connect(device)
+            assert again.ask("72", 4) == "ff8a7120"
+            assert again.ask("03", 4) == "ff040001"
+            again.ask_all("07")
+            assert again.packets(1)[0].ticks < 1_000_000
+
+    def test_stall_neither_speaks_nor_hears(self, host: Host, device: SimulatedShimmer3) -> None:
+        host.ask_all(*GSR_PPG_128_HZ, "07")
+        packets = host.packets(3)
+        device.apply(Fault(FaultKind.STALL, math.inf))
+        host.send("20")
+        unsent(device, "ppg", 20)
+        device.clear(FaultKind.STALL)
+        packets += host.packets(60)
+        lost = sum(step // 256 - 1 for step in gaps(packets))
+        assert lost == device.truth.unsent_count("gsr") > 20
+
+    def test_garbage_comes_between_messages(self, host: Host, device: SimulatedShimmer3) -> None:
+        assert host.is_quiet()
+        device.apply(Fault(FaultKind.GARBAGE, 64))
+        assert len(set(host.take(64))) > 8
+        assert host.is_quiet()
+
+    def test_refuse_answers_every_command_with_a_refusal(
+        self, bench: Bench, host: Host, device: SimulatedShimmer3
+    ) -> None:
+        assert host.is_quiet()
+        device.apply(Fault(FaultKind.REFUSE, math.inf))
+        host.until_hung_up()
+        again = bench.connect(device)
+        assert [again.ask(command) for command in ("20", "3f", "07")] == ["fe"] * 3
+        device.clear(FaultKind.REFUSE)
+        assert again.is_quiet()
+
+    def test_old_firmware_refuses_in_silence(self, world: World, bench: Bench) -> None:
+        with SimulatedShimmer3(world, firmware=(0, 16, 11)) as device:
+            device.apply(Fault(FaultKind.REFUSE, math.inf))
+            host = bench.connect(device)
+            host.send("3f")
+
+            def docked_and_told() -> bool:
+                device.dock()
+                return STATUS in host.unread
+
+            # It pushes its status once it has heard the command, which has no answer.
+            host.until(docked_and_told)
+            assert host.take(4).hex() == "ff8a7121"
+
+    def test_late_delays_answers_in_order(
+        self, bench: Bench, host: Host, device: SimulatedShimmer3
+    ) -> None:
+        assert host.is_quiet()
+        device.apply(Fault(FaultKind.LATE, 0.3))
+        host.until_hung_up()
+        again = bench.connect(device)
+        sent_s = local_clock()
+        again.send("3f")
+        again.send("72")
+        assert again.take(7).hex() == "ff2503ff8a7120"
+        assert local_clock() - sent_s >= 0.3
+        device.clear(FaultKind.LATE)
+        assert again.is_quiet()
+
+    def test_low_battery_shows_in_reading_and_lamp(
+        self, host: Host, device: SimulatedShimmer3
+    ) -> None:
+        assert host.ask("32", 3) == "ff3104"
+        device.apply(Fault(FaultKind.LOW_BATTERY, 4))
+        answer = bytes.fromhex(host.ask("95", 6))
+        assert answer[3] | answer[4] << 8 < 2500
+        assert host.ask("32", 3) == "ff3101"
+
+    def test_off_body_opens_the_electrodes_and_stills_the_pulse(
+        self, host: Host, device: SimulatedShimmer3
+    ) -> None:
+        host.ask_all(*GSR_PPG_128_HZ, "07")
+        assert not math.isnan(host.packets(60)[-1].gsr_us)
+        device.apply(Fault(FaultKind.OFF_BODY, math.inf))
+        off = host.packets(200)[-30:]
+        assert all(math.isnan(packet.gsr_us) and packet.gsr_range == 3 for packet in off)
+        assert len({packet.ppg_mv for packet in off}) == 1
+        device.clear(FaultKind.OFF_BODY)
+        on = host.packets(200)[-30:]
+        assert not any(math.isnan(packet.gsr_us) for packet in on)
+        assert len({packet.ppg_mv for packet in on}) > 5
+        settled(device, "quality", 5)
+        electrodes = device.truth.samples("quality").values[:, 0]
+        assert electrodes[0] == electrodes[-1] == 1
+        assert 0 in electrodes
+
+    def test_drift_changes_the_pace_and_leaves_no_gap(
+        self, host: Host, device: SimulatedShimmer3
+    ) -> None:
+        host.ask_all(*GSR_PPG_128_HZ, "07")
+        packets = host.packets(30)
+        device.apply(Fault(FaultKind.DRIFT, 50_000))
+        packets += host.packets(100)
+        assert set(gaps(packets)) == {256}
+        settled(device, "gsr", 130)
+        steps = np.diff(device.truth.samples("gsr").times)
+        assert steps[10] == pytest.approx(1 / 128, rel=1e-6)
+        assert steps[120] == pytest.approx(1 / 128 / 1.05, rel=1e-6)

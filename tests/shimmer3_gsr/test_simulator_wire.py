@@ -1,0 +1,399 @@
+"""What the virtual Shimmer3 says, byte by byte, without a link."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from biosensor_gateway.devices.shimmer3_gsr.simulator import battery
+from biosensor_gateway.devices.shimmer3_gsr.simulator.conversation import Conversation
+from biosensor_gateway.devices.shimmer3_gsr.simulator.gsr import (
+    AUTO_RANGE,
+    GsrAmplifier,
+    conductance_us,
+    counts_in,
+)
+from biosensor_gateway.devices.shimmer3_gsr.simulator.inputs import Conditions, ppg_mv
+from biosensor_gateway.devices.shimmer3_gsr.simulator.interpreter import Flash, Interpreter
+from biosensor_gateway.devices.shimmer3_gsr.simulator.streaming import Sampling, samples
+from biosensor_gateway.devices.shimmer3_gsr.simulator.wire import (
+    Command,
+    CommandReader,
+    Firmware,
+    Opcode,
+    channels_of,
+    crc16,
+    data_packet,
+    sealed,
+)
+from biosensor_gateway.simulation.crystal import Crystal
+from biosensor_gateway.simulation.wearer import Wearer
+
+NEWEST = Firmware(1, 1, 2)
+VECTORS: list[dict[str, Any]] = json.loads(
+    (Path(__file__).parent / "vectors" / "shimmer3.json").read_text()
+)["vectors"]
+# Names of the values in a data packet's expectation, in the order of its channels.
+FIELDS = {
+    (18, 28): ("int_adc_a13", "gsr_raw"),
+    (3, 18, 28): ("vbatt", "int_adc_a13", "gsr_raw"),
+    (0, 1, 2, 18, 28): ("accel_ln_x", "accel_ln_y", "accel_ln_z", "int_adc_a13", "gsr_raw"),
+    (29, 30, 31, 32, 33, 34): (
+        *("exg1_status", "exg1_ch1_24", "exg1_ch2_24"),
+        *("exg2_status", "exg2_ch1_24", "exg2_ch2_24"),
+    ),
+}
+
+
+def sampling(crystal: Crystal, jitter_s: float = 0.0) -> Sampling:
+    return Sampling(
+        channels=(0x12, 0x1C),
+        divider=256,
+        gsr_setting=AUTO_RANGE,
+        wearer=Wearer(),
+        wearer_born_s=crystal.true_time(0.0),
+        crystal=crystal,
+        first_tick=0,
+        conditions=lambda: Conditions(worn=True, probe_powered=True, battery_counts=2700),
+        rng=np.random.default_rng(0),
+        jitter_s=jitter_s,
+    )
+
+
+def of_kind(*kinds: str) -> Any:
+    chosen = [each for each in VECTORS if each["kind"] in kinds]
+    assert chosen
+    return pytest.mark.parametrize("vector", chosen, ids=[each["name"] for each in chosen])
+
+
+class Bench:
+    """An interpreter without link or clock."""
+
+    def __init__(self, firmware: Firmware = NEWEST) -> None:
+        self.counts = 2646
+        self.now = 0
+        self.flash = Flash()
+        self.interpreter = Interpreter(firmware, self.flash, self)
+        self._reader = CommandReader(firmware)
+
+    def ticks(self) -> int:
+        return self.now
+
+    def battery_counts(self) -> int:
+        return self.counts
+
+    def say(self, *commands: str) -> str:
+        """Send commands as hexadecimal digits; return the last answer's."""
+        answer = b""
+        for command in commands:
+            for each in self._reader.feed(bytes.fromhex(command)):
+                message = self.interpreter.execute(each)
+                answer = sealed(message, self.interpreter.crc_bytes)
+        return answer.hex()
+
+
+@of_kind("command")
+def test_every_command_is_acknowledged(vector: dict[str, Any]) -> None:
+    bench = Bench()
+    assert bench.say(vector["hex"])[:2] == "ff"
+    expected = vector["expected"]
+    if "channels" in expected:
+        assert bench.say("01")[20:] == bytes(expected["channels"]).hex()
+        assert bench.flash.sensors == expected["mask"]
+    if "rate_hz" in expected:
+        assert 32768 / bench.flash.divider == expected["rate_hz"]
+
+
+def test_responses_are_those_of_the_vectors() -> None:
+    expected = {each["name"]: each["hex"] for each in VECTORS if each["kind"] == "response"}
+    bench = Bench()
+    gyro = bench.say("08400000", "058002", "0e00000005", "01")
+    assert gyro == "ff" + expected["rsp_inquiry_gyro_exp_gsr2"]
+    skin = bench.say("08040100", "050001", "0e029b3909", "01")
+    assert skin == expected["rsp_inquiry_gsr_ppg_auto_128Hz"]
+    assert bench.say("2104", "23") == expected["rsp_gsr_range_auto"]
+    assert bench.say("5e01", "60") == expected["rsp_exp_power_on"]
+    assert bench.say("07", "08000000") == expected["nack"]
+
+
+@of_kind("data", "stream")
+def test_data_packets_are_those_of_the_vectors(vector: dict[str, Any]) -> None:
+    channels = tuple(vector["channels"])
+    expected = vector["expected"]
+    if vector["kind"] == "stream":
+        after, before = expected["ts"][1] + (1 << 24), expected["ts"][0]
+        assert after - before == expected["delta_ticks"]
+        packets = [data_packet(before, channels, (1820, 0x49C4))]
+        packets.append(data_packet(after, channels, (1821, 0x49C4)))
+        assert b"".join(packets).hex() == vector["hex"]
+        return
+    values = [expected[name] for name in FIELDS[channels]]
+    assert (
+        sealed(data_packet(expected["ts"], channels, values), vector["crc"]).hex()
+        == (vector["hex"])
+    )
+
+
+@of_kind("gsr")
+def test_words_of_skin_conductance_mean_what_the_vectors_say(vector: dict[str, Any]) -> None:
+    raw = int.from_bytes(bytes.fromhex(vector["hex"]), "little")
+    expected = vector["expected"]
+    found = conductance_us(raw, vector["range_setting"])
+    if expected["range"] == 3 and expected["adc"] <= 683:
+        assert math.isnan(found)
+    else:
+        assert found == pytest.approx(expected["usiemens"], rel=1e-9)
+
+
+@of_kind("gsr_clamp")
+def test_fixed_ranges_end_where_the_vendor_ends_them(vector: dict[str, Any]) -> None:
+    expected = vector["expected"]
+    gsr_range = expected["range"]
+    raw = gsr_range << 14 | counts_in(gsr_range, 1000 / expected["in_kohm"])
+    found_kohm = 1000 / conductance_us(raw, gsr_range)
+    # No more exact than the converter, which cannot say less than 8.04 kohm.
+    assert found_kohm == pytest.approx(expected["out_kohm"], rel=6e-3)
+
+
+@of_kind("adc")
+def test_pulse_voltages_are_those_of_the_vectors(vector: dict[str, Any]) -> None:
+    counts = int.from_bytes(bytes.fromhex(vector["hex"]), "little")
+    assert ppg_mv(counts) == pytest.approx(vector["expected"]["mv"])
+
+
+@of_kind("vbatt")
+def test_battery_readings_are_those_of_the_vectors(vector: dict[str, Any]) -> None:
+    expected = vector["expected"]
+    assert battery.percent_of(expected["adc"]) == pytest.approx(expected["percent"])
+    bench = Bench()
+    bench.counts = expected["adc"]
+    assert bench.say("95").startswith("ff8a94" + vector["hex"][:4])
+
+
+def test_the_charger_is_unknown_out_of_the_dock_then_charging_then_full() -> None:
+    bench = Bench()
+    assert bench.say("95") == "ff8a94560aff"
+    bench.interpreter.docked = True
+    assert bench.say("95") == "ff8a94560a80"
+    bench.counts = battery.counts_at(100)
+    assert bench.say("95")[-2:] == "40"
+
+
+@given(st.floats(0, 100))
+def test_a_charge_comes_back_from_the_reading_it_makes(percent: float) -> None:
+    counts = battery.counts_at(percent)
+    # The curve is steepest where 3.9 percent lie within 3.6 mV, 2.5 counts.
+    assert battery.percent_of(counts) == pytest.approx(percent, abs=1.0)
+
+
+def test_the_check_is_the_vendors() -> None:
+    assert crc16(bytes(range(1, 9))) == 0x48AA
+    assert crc16(bytes(range(1, 10))) == 0x2A5D
+    assert sealed(b"\xff", 1).hex() == "fff4"
+    assert sealed(bytes.fromhex("ff8a94560a80"), 1).hex() == "ff8a94560a8038"
+    assert sealed(bytes.fromhex("00efbe1be7093c083f09"), 1)[-1] == 0x7A
+
+
+def test_every_message_carries_the_check_from_its_own_answer_on() -> None:
+    bench = Bench()
+    assert bench.say("8b01") == "fff4"
+    assert bench.say("3f") == sealed(bytes.fromhex("ff2503"), 1).hex()
+    assert bench.say("8b02") == sealed(b"\xff", 2).hex()
+    assert bench.say("07", "5e01") == sealed(b"\xfe", 2).hex()
+    assert bench.say("8b00") == "ff"
+
+
+def test_commands_of_the_firmware_at_that_time() -> None:
+    old = Bench(Firmware(0, 11, 0))
+    # It knows neither the check nor its argument, which it takes for an inquiry.
+    assert old.say("8b01")[:4] == "ff02"
+    # The same for the prefix, whose argument is no command at all.
+    assert old.say("a300") == ""
+    assert Bench(Firmware(0, 13, 7)).say("8b01") == "fff4"
+    assert Bench(Firmware(0, 16, 11)).say("a300") == "ff"
+
+
+def test_a_blocked_command_is_refused_aloud_or_ignored() -> None:
+    for firmware, answer in ((NEWEST, "fe"), (Firmware(0, 16, 11), "ff")):
+        bench = Bench(firmware)
+        bench.say("07")
+        for command in ("050001", "08040100", "0e029b3909", "2104", "5e01", "790141"):
+            assert bench.say(command) == answer
+        assert (bench.flash.divider, bench.flash.sensors) == (640, 0x80)
+        assert bench.say("03") == "ff048002"
+        assert bench.say("20", "050001") == "ff"
+        assert bench.flash.divider == 256
+
+
+def test_unknown_commands_are_passed_over_and_arguments_are_waited_for() -> None:
+    bench = Bench()
+    assert bench.say("0088ee") == ""
+    assert bench.say("05") == ""
+    assert bench.say("00") == ""
+    assert bench.say("01") == "ff"
+    assert bench.flash.divider == 256
+
+
+@given(st.binary(max_size=60), st.data())
+def test_commands_are_the_same_however_they_are_cut(data: bytes, draw: st.DataObject) -> None:
+    cut = draw.draw(st.integers(0, len(data)))
+    reader = CommandReader(NEWEST)
+    pieces: list[Command] = reader.feed(data[:cut])
+    pieces += reader.feed(data[cut:])
+    assert pieces == CommandReader(NEWEST).feed(data)
+
+
+def test_it_says_who_it_is() -> None:
+    bench = Bench()
+    assert bench.say("2e") == "ff2f030001000102"
+    assert bench.say("3f") == bench.say("24") == "ff2503"
+    assert bench.say("660300") == "ff6503300400"
+    assert bench.say("66ff00") == "fe"
+    assert bench.say("7b") == "ff7a0c" + b"Shimmer_4E5F".hex()
+    assert bench.say("7903616263", "7b") == "ff7a03616263"
+    assert bench.say("790d" + 13 * "61") == "fe"
+    calibration = bytes.fromhex(bench.say("2c"))
+    assert len(calibration) == 2 + 84
+    assert int.from_bytes(calibration[2:4], "big") == 2253
+    assert int.from_bytes(calibration[8:10], "big") == 92
+
+
+def test_the_status_follows_dock_clock_stream_and_lamp() -> None:
+    bench = Bench()
+    assert bench.say("72") == "ff8a7120"
+    bench.say("8f0000000000000000")
+    bench.interpreter.docked = True
+    assert bench.say("72") == "ff8a7125"
+    assert bench.say("06", "07", "72") == "ff8a71b7"
+    assert bench.interpreter.pushed_status().hex() == "ff8a71b7"
+    bench.say("a300")
+    assert bench.interpreter.pushed_status().hex() == "8a71b7"
+    bench.interpreter.link_lost()
+    assert bench.interpreter.pushed_status().hex() == "ff8a71a5"
+
+
+def test_the_clock_goes_on_from_where_it_was_set() -> None:
+    bench = Bench()
+    bench.now = 1000
+    bench.say("8f" + (5 << 40).to_bytes(8, "little").hex())
+    bench.now = 1000 + 32768
+    assert bench.say("91") == "ff90" + ((5 << 40) + 32768).to_bytes(8, "little").hex()
+
+
+def test_nothing_streams_without_channels_or_too_fast() -> None:
+    bench = Bench()
+    assert bench.say("08000000", "07") == "ff"
+    assert not bench.interpreter.sensing
+    assert bench.say("08040100", "050700", "07") == "ff"
+    assert not bench.interpreter.sensing
+    assert bench.say("050800", "07") == "ff"
+    assert bench.interpreter.sensing
+
+
+def test_inputs_that_share_a_converter_exclude_each_other() -> None:
+    assert channels_of(0x000404) == (0x1C,)
+    assert channels_of(0x808100) == (0x27, 0x28)
+
+
+async def test_a_late_answer_is_not_given_to_the_next_host() -> None:
+    written: asyncio.Queue[bytes] = asyncio.Queue()
+
+    def write(data: bytes) -> bool:
+        written.put_nowait(data)
+        return True
+
+    def obeyed(opcode: Opcode, answered: bool) -> None:
+        del opcode, answered
+
+    conversation = Conversation(NEWEST, Bench().interpreter, write, obeyed)
+    conversation.answer_delay_s = 0.01
+    conversation.hear(b"\x3f")
+    conversation.link_lost()
+    conversation.hear(b"\x96")
+    async with asyncio.timeout(20):
+        assert await written.get() == b"\xff"
+    assert written.empty()
+
+
+def test_the_first_65_ms_are_not_sent() -> None:
+    crystal = Crystal()
+    earliest = crystal.now() * 32768
+    first = next(samples(sampling(crystal)))
+    latest = crystal.now() * 32768
+    ticks = int.from_bytes(first.packet[1:4], "little")
+    assert earliest + 0.065 * 32768 - 2 <= ticks <= latest + 0.065 * 32768 + 256
+
+
+def test_samples_leave_in_order_and_not_before_they_are_measured() -> None:
+    taken = list(itertools.islice(samples(sampling(Crystal(drift_ppm=200.0), 0.1)), 300))
+    assert all(each.leaves_s >= each.measured_s for each in taken)
+    assert all(old.leaves_s <= new.leaves_s for old, new in itertools.pairwise(taken))
+    assert max(each.leaves_s - each.measured_s for each in taken) > 0.05
+    step = taken[-1].measured_s - taken[0].measured_s
+    assert step == pytest.approx(299 / 128 / (1 + 200e-6), rel=1e-9)
+
+
+class TestAutoRange:
+    DIVIDER = 256
+    HELD = 2621 // DIVIDER
+
+    def words(self, conductances: list[float]) -> list[tuple[int, int]]:
+        raw = GsrAmplifier(AUTO_RANGE, self.DIVIDER).measure(conductances)
+        return [(word >> 14, word & 0xFFF) for word in raw]
+
+    @pytest.mark.parametrize(
+        ("microsiemens", "gsr_range"), [(40.0, 0), (8.0, 1), (2.0, 2), (0.5, 3), (0.0, 3)]
+    )
+    def test_it_settles_on_the_resistor_that_fits(
+        self, microsiemens: float, gsr_range: int
+    ) -> None:
+        last_range, last_counts = self.words([microsiemens] * 100)[-1]
+        assert last_range == gsr_range
+        found = conductance_us(last_range << 14 | last_counts, AUTO_RANGE)
+        if microsiemens:
+            assert found == pytest.approx(microsiemens, rel=5e-3)
+        else:
+            assert math.isnan(found)
+
+    def test_the_last_good_value_is_repeated_while_it_settles(self) -> None:
+        words = self.words([5.0] * 30)
+        assert words[0][0] == 0
+        assert words[0][1] < 1120
+        assert words[: self.HELD + 1] == [words[0]] * (self.HELD + 1)
+        assert {gsr_range for gsr_range, _ in words[self.HELD + 1 :]} == {1}
+
+    def test_it_switches_at_the_firmwares_readings_both_ways(self) -> None:
+        slowly_up = [0.1 * 1.002**k for k in range(3600)]
+        words = self.words([0.1] * 60 + slowly_up + slowly_up[::-1])
+        pairs = list(itertools.pairwise(words))
+        switches = [(old, new) for old, new in pairs if old[0] != new[0]][3:]
+        assert [(old[0], new[0]) for old, new in switches] == [
+            (3, 2),
+            (2, 1),
+            (1, 0),
+            (0, 1),
+            (1, 2),
+            (2, 3),
+        ]
+        limits = [3930, 3700, 3960, 1120, 1490, 1630]
+        for (old, _), limit in zip(switches, limits, strict=True):
+            assert old[1] == pytest.approx(limit, abs=12)
+            assert (old[1] > limit) == (limit > 2000)
+
+    @given(st.lists(st.floats(0, 150), min_size=1, max_size=80), st.integers(0, 4))
+    def test_a_word_is_always_a_reading_of_twelve_bits(
+        self, conductances: list[float], setting: int
+    ) -> None:
+        for word in GsrAmplifier(setting, self.DIVIDER).measure(conductances):
+            assert word & 0x3000 == 0
+            if setting < AUTO_RANGE:
+                assert word >> 14 == setting

@@ -1,0 +1,303 @@
+"""Links that break, hang and come back on the virtual radio, through a plain BleakClient."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+
+import pytest
+from bleak import BleakClient, BleakScanner
+from bleak.exc import BleakError
+from bumble.gatt import Characteristic, Service
+
+from biosensor_gateway.simulation.peripheral import Peripheral
+from biosensor_gateway.simulation.radio import Radio
+from tests.rigs.polling import until
+from tests.rigs.probe import EVENT, FLOW, NOTE, SERIAL, Probe
+
+
+async def test_a_lost_link_calls_back_once(probe: Probe) -> None:
+    gone: list[BleakClient] = []
+    client = BleakClient(probe.address, gone.append)
+    await client.connect()
+    probe.drop()
+    await until(lambda: gone)
+    assert gone == [client]
+    assert not client.is_connected
+    with pytest.raises(BleakError):
+        _ = client.services
+    with pytest.raises(BleakError):
+        await client.stop_notify(FLOW)
+    await client.disconnect()
+    assert gone == [client]
+
+
+async def test_a_local_disconnect_calls_back_before_it_returns(probe: Probe) -> None:
+    gone: list[BleakClient] = []
+    client = BleakClient(probe.address, gone.append)
+    await client.connect()
+    await client.disconnect()
+    assert gone == [client]
+    assert not client.is_connected
+    await until(lambda: not probe.peripheral.connected)
+    await client.disconnect()
+
+
+async def test_a_pending_request_fails_after_the_callback(probe: Probe) -> None:
+    events: list[str] = []
+    async with BleakClient(probe.address, lambda _: events.append("lost")) as client:
+        probe.set_stalled(True)
+        requests = [asyncio.create_task(client.read_gatt_char(SERIAL)) for _ in range(3)]
+        for request in requests:
+            request.add_done_callback(lambda _: events.append("failed"))
+        await asyncio.sleep(0.05)
+        probe.drop()
+        outcomes = await asyncio.gather(*requests, return_exceptions=True)
+    assert [type(outcome) for outcome in outcomes] == [BleakError] * 3
+    assert events == ["lost", "failed", "failed", "failed"]
+
+
+async def test_what_was_sent_before_the_drop_arrives(probe: Probe) -> None:
+    sent = [count.to_bytes(2, "big") * 100 for count in range(700)]
+    got: list[bytes] = []
+    gone = asyncio.Event()
+    async with BleakClient(probe.address, lambda _: gone.set()) as client:
+        await client.start_notify(FLOW, lambda _, data: got.append(bytes(data)))
+
+        async def burst_then_drop() -> list[bool]:
+            taken = [await probe.peripheral.notify(probe.flow, value) for value in sent]
+            probe.peripheral.drop()
+            return [*taken, await probe.peripheral.notify(probe.flow, b"too late")]
+
+        taken = probe.radio.world.await_(burst_then_drop())
+        await gone.wait()
+    assert taken == [True] * len(sent) + [False]
+    assert got == sent
+
+
+async def test_a_stall_is_silence_on_a_standing_link(probe: Probe) -> None:
+    got: list[bytes] = []
+    async with BleakClient(probe.address) as client:
+        await client.start_notify(FLOW, lambda _, data: got.append(bytes(data)))
+        probe.set_stalled(True)
+        assert probe.notify(probe.flow, b"lost") == [False]
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.1):
+                await client.write_gatt_char(NOTE, b"late", response=True)
+        assert client.is_connected
+        assert probe.notes == []
+        probe.set_stalled(False)
+        assert await client.read_gatt_char(SERIAL) == b"0815"
+        assert probe.notes == [b"late"]
+        assert probe.notify(probe.flow, b"heard") == [True]
+        await until(lambda: got)
+    assert got == [b"heard"]
+
+
+async def test_a_stalled_device_lets_itself_be_disconnected(probe: Probe) -> None:
+    async with BleakClient(probe.address):
+        probe.set_stalled(True)
+    await until(lambda: not probe.peripheral.connected)
+    assert await BleakScanner.find_device_by_name("Probe 1", timeout=0.4) is None
+    probe.set_stalled(False)
+    assert await BleakScanner.find_device_by_name("Probe 1", timeout=20) is not None
+
+
+async def test_five_drops_and_returns_leave_nothing_behind(probe: Probe) -> None:
+    controllers = len(probe.radio.air.controllers)
+    lost = 0
+    connections: list[str] = []
+    probe.peripheral.on_connected.append(lambda: connections.append("up"))
+    probe.peripheral.on_disconnected.append(lambda: connections.append("down"))
+    for cycle in range(5):
+        got: list[bytes] = []
+        gone = asyncio.Event()
+        client = BleakClient(probe.address, lambda _, gone=gone: gone.set(), timeout=20)
+        await client.connect()
+        assert probe.notify(probe.flow, b"not yet") == [False], "subscriptions end with the link"
+        await client.start_notify(FLOW, lambda _, data, got=got: got.append(bytes(data)))
+        assert probe.notify(probe.flow, bytes([cycle])) == [True]
+        await until(lambda got=got: got)
+        probe.drop()
+        await gone.wait()
+        lost += 1
+        assert await BleakScanner.find_device_by_name("Probe 1", timeout=0.2) is None
+        probe.restore()
+    assert lost == 5
+    assert connections == ["up", "down"] * 5
+    assert len(probe.radio.air.controllers) == controllers
+    assert probe.radio.world.call(
+        lambda: all(not c.le_connections for c in probe.radio.air.controllers)
+    )
+
+
+async def test_one_client_object_can_connect_again(probe: Probe) -> None:
+    client = BleakClient(probe.address)
+    for _ in range(3):
+        await client.connect()
+        assert await client.read_gatt_char(SERIAL) == b"0815"
+        with pytest.raises(BleakError):
+            await client.connect()
+        await client.disconnect()
+
+
+async def test_an_indication_ends_with_the_link(probe: Probe) -> None:
+    async with BleakClient(probe.address) as client:
+        await client.start_notify(EVENT, lambda _, __: None)
+        probe.set_stalled(True)
+        assert not await probe.begin_notify(probe.event, b"never sent")
+        probe.set_stalled(False)
+
+        async def hang_after_sending() -> asyncio.Task[bool]:
+            sending = asyncio.ensure_future(probe.peripheral.notify(probe.event, b"unconfirmed"))
+            await asyncio.sleep(0)
+            probe.peripheral.stalled = True
+            return sending
+
+        sending = probe.radio.world.await_(hang_after_sending())
+        probe.drop()
+        await until(sending.done)
+        assert sending.result() is False
+
+
+async def test_giving_up_to_connect_leaves_no_connection(probe: Probe) -> None:
+    device = await BleakScanner.find_device_by_name("Probe 1", timeout=20)
+    assert device
+    probe.drop()
+    attempt = asyncio.create_task(BleakClient(device).connect())
+    await asyncio.sleep(0.05)
+    attempt.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await attempt
+    probe.restore()
+    async with BleakClient(device) as client:
+        assert await client.read_gatt_char(SERIAL) == b"0815"
+    await until(lambda: not probe.peripheral.connected)
+
+
+@pytest.mark.parametrize("patience_s", [count * 0.01 for count in range(12)])
+async def test_giving_up_at_any_moment_leaves_no_connection(
+    probe: Probe, patience_s: float
+) -> None:
+    device = await BleakScanner.find_device_by_name("Probe 1", timeout=20)
+    assert device
+    impatient = BleakClient(device)
+    try:
+        async with asyncio.timeout(patience_s):
+            await impatient.connect()
+    except TimeoutError:
+        assert not impatient.is_connected
+    else:
+        await impatient.disconnect()
+    async with BleakClient(device, timeout=20) as client:
+        assert await client.read_gatt_char(SERIAL) == b"0815"
+
+
+async def test_a_device_that_hangs_while_connecting_times_out(probe: Probe) -> None:
+    device = await BleakScanner.find_device_by_name("Probe 1", timeout=20)
+    assert device
+
+    def hang() -> None:
+        probe.peripheral.stalled = True
+
+    probe.peripheral.on_connected.append(hang)
+    client = BleakClient(device, timeout=0.6)
+    with pytest.raises(TimeoutError):
+        await client.connect()
+    assert not client.is_connected
+    await until(lambda: not probe.peripheral.connected)
+    probe.peripheral.on_connected.clear()
+    probe.set_stalled(False)
+    async with BleakClient(device, timeout=20) as client:
+        assert client.is_connected
+
+
+async def test_a_device_that_drops_while_connecting_is_an_error(probe: Probe) -> None:
+    device = await BleakScanner.find_device_by_name("Probe 1", timeout=20)
+    assert device
+    gone: list[BleakClient] = []
+    probe.peripheral.on_connected.append(probe.peripheral.drop)
+    client = BleakClient(device, gone.append, timeout=20)
+    with pytest.raises(BleakError):
+        await client.connect()
+    assert not client.is_connected
+    assert not gone
+
+
+async def test_a_request_given_up_does_not_harm_the_next(probe: Probe) -> None:
+    async with BleakClient(probe.address) as client:
+        probe.set_stalled(True)
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.1):
+                await client.read_gatt_char(SERIAL)
+        following = asyncio.create_task(client.read_gatt_char(FLOW))
+        await asyncio.sleep(0.05)
+        probe.set_stalled(False)
+        assert await following == b"still"
+
+
+async def test_switching_the_radio_off_loses_the_links(probe: Probe) -> None:
+    gone = asyncio.Event()
+    client = BleakClient(probe.address, lambda _: gone.set())
+    await client.connect()
+    probe.radio.available = False
+    await gone.wait()
+    assert not client.is_connected
+    await until(lambda: not probe.peripheral.connected)
+    probe.radio.available = True
+    async with BleakClient(probe.address, timeout=20) as again:
+        assert await again.read_gatt_char(SERIAL) == b"0815"
+
+
+async def test_switching_the_device_off_and_on(probe: Probe) -> None:
+    gone = asyncio.Event()
+    await BleakClient(probe.address, lambda _: gone.set()).connect()
+    probe.power_off()
+    await gone.wait()
+    assert not probe.peripheral.connected
+    assert probe.notify(probe.flow, b"nobody") == [False]
+    probe.power_off()
+    probe.power_on()
+    with pytest.raises(ValueError, match="already"):
+        probe.power_on()
+    async with BleakClient(probe.address, timeout=20) as client:
+        assert await client.read_gatt_char(SERIAL) == b"0815"
+
+
+def test_pairing_needs_something_to_protect(radio: Radio) -> None:
+    peripheral = Peripheral(radio, "A0:9E:1A:00:00:04", "Open")
+    peripheral.demand_pairing = True
+    reading = Characteristic[bytes](
+        SERIAL, Characteristic.Properties.READ, Characteristic.Permissions.READABLE, b""
+    )
+    with pytest.raises(ValueError, match="authentication"):
+        radio.world.await_(peripheral.power_on([Service("180a", [reading])]))
+
+
+async def test_clients_of_several_loops_share_the_radio(probe: Probe) -> None:
+    other = Probe(probe.radio, "A0:9E:1A:00:00:02", "Probe 2")
+    other.power_on()
+    read: list[bytes] = []
+
+    async def elsewhere() -> None:
+        async with BleakClient(other.address) as client:
+            read.append(bytes(await client.read_gatt_char(SERIAL)))
+
+    thread = threading.Thread(target=lambda: asyncio.run(elsewhere()))
+    async with BleakClient(probe.address) as client:
+        thread.start()
+        await until(lambda: not thread.is_alive())
+        assert await client.read_gatt_char(SERIAL) == b"0815"
+    assert read == [b"0815"]
+
+
+async def test_a_loop_that_ends_with_a_link_harms_nobody(probe: Probe) -> None:
+    def forget_to_disconnect() -> None:
+        asyncio.run(BleakClient(probe.address).connect())
+
+    await asyncio.to_thread(forget_to_disconnect)
+    assert probe.peripheral.connected
+    probe.drop()
+    probe.restore()
+    async with BleakClient(probe.address, timeout=20) as client:
+        assert client.is_connected

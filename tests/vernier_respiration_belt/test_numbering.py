@@ -1,0 +1,208 @@
+"""Where samples without stamps are placed, when packets get lost, late or stored."""
+
+from __future__ import annotations
+
+import random
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from biosensor_common.device_clock import DeviceClock
+from biosensor_gateway.devices.vernier_respiration_belt.messages import (
+    Measurement,
+    MeasurementKind,
+)
+from biosensor_gateway.devices.vernier_respiration_belt.numbering import (
+    HELD_PACKETS,
+    LOST_LIMIT_S,
+    Arrived,
+    Numbering,
+    Placed,
+)
+
+JITTER_S = 0.04
+DRIFT = 80e-6
+WARM_UP = 100
+
+
+class World:
+    """A belt whose sample k is measured after k periods, and a radio that delays packets.
+
+    Sample k has the value k, so that what was placed can be compared with the truth.
+    """
+
+    def __init__(self, seed: int, period_s: float = 0.1, samples: int = 1) -> None:
+        self.clock = DeviceClock()
+        self.numbering = Numbering(lambda: self.clock.state)
+        self.numbering.restart(period_s)
+        self.placed: list[Placed] = []
+        self.period_s = period_s
+        self.samples = samples
+        self.counter = 0
+        self.index = 0
+        self.started_s = 5000.0
+        self._random = random.Random(seed)
+        self._arrival_s = 0.0
+
+    def packet(self, *, lost: bool = False, not_before_s: float = 0.0) -> None:
+        """Send the next packet; a lost one counts, but does not arrive."""
+        values = tuple(map(float, range(self.index, self.index + self.samples)))
+        self.index += self.samples
+        self.counter = (self.counter + 1) % 256
+        if lost:
+            return
+        sent_s = self.true_s(values[-1]) + self._random.uniform(0.0, JITTER_S)
+        self._arrival_s = max(sent_s, self._arrival_s, not_before_s)
+        measured = Measurement(self.counter, MeasurementKind.NORMAL_REAL32, {1: values})
+        self.numbering.count(self.counter)
+        self.take(self.numbering.place(Arrived(measured, self.samples, self._arrival_s)))
+
+    def packets(self, count: int) -> None:
+        for _ in range(count):
+            self.packet()
+
+    def take(self, placed: list[Placed]) -> None:
+        for each in placed:
+            self.clock.observe(each.last_s, each.arrival_s)
+            self.placed.append(each)
+
+    def true_s(self, index: float) -> float:
+        return self.started_s + index * self.period_s * (1 + DRIFT)
+
+    @property
+    def lost(self) -> int:
+        return sum(each.lost for each in self.placed)
+
+    def missing_and_misplaced(self) -> tuple[int, list[float]]:
+        """Samples missing by the values themselves, and how wrong the steps of time are."""
+        missing, wrong = 0, list[float]()
+        for before, after in pairwise(self.placed):
+            step = after.measurement.samples[1][-1] - before.measurement.samples[1][-1]
+            missing += round(step) - self.samples
+            wrong.append(abs((after.last_s - before.last_s) - step * self.period_s))
+        return missing, wrong
+
+
+@given(st.integers(0, 9), st.sampled_from([0.05, 0.1, 1.0]), st.integers(1, 3))
+def test_undisturbed_samples_are_one_period_apart(seed: int, period_s: float, samples: int) -> None:
+    world = World(seed, period_s, samples)
+    world.packets(300)
+    assert len(world.placed) == 300
+    missing, wrong = world.missing_and_misplaced()
+    assert (world.lost, missing) == (0, 0)
+    assert max(wrong) < 1e-6
+
+
+@given(st.integers(0, 99), st.sampled_from([0.05, 0.1, 1.0]), st.integers(1, 3), st.integers(1, 25))
+def test_lost_packets_are_counted_and_time_goes_on_right(
+    seed: int, period_s: float, samples: int, lost: int
+) -> None:
+    world = World(seed, period_s, samples)
+    world.packets(WARM_UP)
+    for _ in range(lost):
+        world.packet(lost=True)
+    world.packets(WARM_UP)
+    missing, wrong = world.missing_and_misplaced()
+    assert (world.lost, missing) == (lost * samples, lost * samples)
+    assert max(wrong) < 1e-6
+
+
+@given(st.integers(0, 99), st.integers(12, 90), st.integers(0, 90))
+def test_of_a_stall_only_what_was_not_stored_is_lost(seed: int, length: int, stored: int) -> None:
+    stored = min(stored, length)
+    world = World(seed)
+    world.packets(WARM_UP)
+    end_s = world.true_s(world.index + length)
+    for number in range(length):
+        world.packet(lost=number >= stored, not_before_s=end_s + 0.002 * number)
+        if number >= stored:
+            # It was never made into a packet, so it has no number.
+            world.counter -= 1
+    world.packets(WARM_UP)
+    missing, _ = world.missing_and_misplaced()
+    assert (world.lost, missing) == (length - stored, length - stored)
+    newest = world.placed[-1]
+    index = newest.measurement.samples[1][-1] - world.placed[0].measurement.samples[1][-1]
+    assert newest.last_s - world.placed[0].last_s == pytest.approx(index * 0.1, abs=1e-6)
+
+
+@given(st.integers(0, 99))
+def test_a_counter_that_counts_something_else_is_not_believed(seed: int) -> None:
+    world = World(seed)
+    steps = random.Random(seed)
+    for _ in range(200):
+        world.counter = steps.randrange(0, 256, 3)
+        world.packet()
+    assert len(world.placed) == 200
+    assert world.lost == 0
+
+
+def test_packets_are_held_back_only_while_it_is_unclear() -> None:
+    world = World(1)
+    world.packets(WARM_UP)
+    world.packet(lost=True)
+    for held in range(1, HELD_PACKETS):
+        world.packet()
+        assert len(world.placed) == WARM_UP, f"{held} held"
+    world.packet()
+    assert len(world.placed) == WARM_UP + HELD_PACKETS
+    world.packet()
+    assert len(world.placed) == WARM_UP + HELD_PACKETS + 1
+
+
+def test_what_is_held_back_is_released_at_the_end() -> None:
+    world = World(1)
+    world.packets(WARM_UP)
+    world.packet(lost=True)
+    world.packets(2)
+    world.take(world.numbering.release())
+    assert len(world.placed) == WARM_UP + 2
+    assert world.lost == 1
+    assert world.numbering.release() == []
+
+
+@given(st.integers(0, 99), st.floats(1.0, 50.0))
+def test_after_a_new_start_time_goes_on_at_the_hosts_clock(seed: int, gap_s: float) -> None:
+    world = World(seed)
+    world.packets(WARM_UP)
+    before = world.placed[-1]
+    world.started_s += gap_s
+    world.numbering.restart(world.period_s)
+    world.counter = 0
+    world.packets(WARM_UP)
+    after = world.placed[WARM_UP]
+    true_gap_s = world.true_s(WARM_UP) - (world.true_s(WARM_UP - 1) - gap_s)
+    assert after.last_s - before.last_s == pytest.approx(true_gap_s, abs=2 * JITTER_S)
+    assert world.lost == after.lost == pytest.approx(true_gap_s / 0.1 - 1, abs=1)
+
+
+def test_a_belt_that_was_away_for_long_has_lost_nothing() -> None:
+    world = World(1)
+    world.packets(WARM_UP)
+    world.started_s += LOST_LIMIT_S + 1.0
+    world.numbering.restart(world.period_s)
+    world.packets(WARM_UP)
+    assert world.lost == 0
+    assert world.placed[WARM_UP].last_s > world.placed[WARM_UP - 1].last_s + LOST_LIMIT_S
+
+
+def test_samples_of_a_new_start_never_overlap_the_old_ones() -> None:
+    world = World(1)
+    world.packets(WARM_UP)
+    world.numbering.restart(world.period_s)
+    world.samples = 3
+    world.packet()
+    assert world.placed[-1].last_s >= world.placed[-2].last_s + 3 * world.period_s - 1e-9
+
+
+def test_a_new_period_counts_from_the_start_on() -> None:
+    world = World(1)
+    world.packets(WARM_UP)
+    world.started_s = world.true_s(world.index)
+    world.index, world.period_s = 0, 0.05
+    world.numbering.restart(0.05)
+    world.packets(WARM_UP)
+    steps = [after.last_s - before.last_s for before, after in pairwise(world.placed[WARM_UP:])]
+    assert steps == pytest.approx([0.05] * (WARM_UP - 1))

@@ -1,0 +1,320 @@
+"""The virtual BioHarness as a twin: its truth against the wire, and every fault."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+import serial
+from numpy.typing import NDArray
+from pylsl import local_clock
+
+from biosensor_gateway.devices.zephyr.simulator.twin import SimulatedZephyr
+from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.truth import Samples
+from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.simulation.world import World
+
+DEADLINE_S = 20.0
+ECG_ON = bytes.fromhex("021601015e03")
+BREATHING_ON = bytes.fromhex("021501015e03")
+RR_ON = bytes.fromhex("021901015e03")
+ACC_ON = bytes.fromhex("021e01015e03")
+SUMMARY_ON = bytes.fromhex("02bd020100c403")
+BREATHING, ECG, RR, ACC, SUMMARY = 0x21, 0x22, 0x24, 0x25, 0x2B
+ACK, NAK = 0x06, 0x15
+
+
+class Heard(NamedTuple):
+    """A frame as this file's own small reader sees it."""
+
+    message_id: int
+    end: int
+    payload: bytes
+
+    @property
+    def sequence(self) -> int:
+        return self.payload[0]
+
+    @property
+    def device_ms(self) -> int:
+        return int.from_bytes(self.payload[5:9], "little")
+
+    def counts(self) -> NDArray[np.int64]:
+        """Values of ten bits, the first in the lowest bits."""
+        bits = int.from_bytes(self.payload[9:], "little")
+        count = 8 * len(self.payload[9:]) // 10
+        return np.array([bits >> 10 * k & 0x3FF for k in range(count)], np.int64)
+
+
+class Host:
+    """The other end of the port."""
+
+    def __init__(self, port: str) -> None:
+        self._serial = serial.Serial(port, 115200, timeout=0.02, write_timeout=2)
+        self._unread = b""
+        self.junk = 0
+        self.frames: list[Heard] = []
+
+    def send(self, data: bytes) -> None:
+        self._serial.write(data)
+
+    def listen(self) -> None:
+        data = self._serial.read(1)
+        self._unread += data + self._serial.read(self._serial.in_waiting)
+        while len(self._unread) >= 5:
+            size = self._unread[2] + 5
+            frame = self._unread[:size]
+            if self._unread[0] == 2 and self._unread[2] <= 128:
+                if len(self._unread) < size:
+                    return
+                if frame[-1] in (3, ACK, NAK):
+                    self.frames.append(Heard(frame[1], frame[-1], frame[3:-2]))
+                    self._unread = self._unread[size:]
+                    continue
+            self._unread = self._unread[1:]
+            self.junk += 1
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + DEADLINE_S
+        while not condition():
+            assert time.monotonic() < deadline, "the device did not do it"
+            self.listen()
+
+    def ask(self, request: bytes) -> int:
+        """Send a request; return how its answer ends."""
+
+        def answers() -> list[Heard]:
+            return [
+                heard
+                for heard in self.frames
+                if heard.message_id == request[1] and heard.end in (ACK, NAK)
+            ]
+
+        before = len(answers())
+        self.send(request)
+        self.until(lambda: len(answers()) > before)
+        return answers()[-1].end
+
+    def of(self, message_id: int) -> list[Heard]:
+        return [each for each in self.frames if (each.message_id, each.end) == (message_id, 3)]
+
+    def wait_for(self, message_id: int, count: int) -> list[Heard]:
+        self.until(lambda: len(self.of(message_id)) >= count)
+        return self.of(message_id)
+
+    def until_hung_up(self) -> None:
+        with pytest.raises(OSError):
+            self.until(lambda: False)
+
+    def close(self) -> None:
+        self._serial.close()
+
+
+class Bench:
+    """Hosts of one test, ended with it."""
+
+    def __init__(self) -> None:
+        self._hosts: list[Host] = []
+
+    def connect(self, device: SimulatedZephyr) -> Host:
+        deadline = time.monotonic() + DEADLINE_S
+        while True:
+            try:
+                self._hosts.append(Host(device.settings["port"]))
+            except OSError:
+                assert time.monotonic() < deadline, "the port did not come back"
+                time.sleep(0.05)
+            else:
+                return self._hosts[-1]
+
+    def close(self) -> None:
+        for host in self._hosts:
+            host.close()
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    running = Bench()
+    yield running
+    running.close()
+
+
+@pytest.fixture
+def device() -> Iterator[SimulatedZephyr]:
+    with World() as world, SimulatedZephyr(world, seed=5) as running:
+        yield running
+
+
+@pytest.fixture
+def host(bench: Bench, device: SimulatedZephyr) -> Host:
+    return bench.connect(device)
+
+
+def settled(device: SimulatedZephyr, data_name: str, count: int) -> Samples:
+    """Wait until the truth holds so many samples: it is noted just after the sending."""
+    deadline = time.monotonic() + DEADLINE_S
+    while len((found := device.truth.samples(data_name)).times) < count:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    return found
+
+
+def test_waveforms_of_the_truth_are_those_on_the_wire(host: Host, device: SimulatedZephyr) -> None:
+    began_s = local_clock()
+    for request in (ECG_ON, BREATHING_ON, ACC_ON):
+        assert host.ask(request) == ACK
+    scales = {ECG: ("ecg", 1, 250.0), BREATHING: ("breathing", 1, 1000 / 56), ACC: ("acc", 3, 50.0)}
+    for message_id, (name, channels, rate) in scales.items():
+        heard = np.concatenate([each.counts() for each in host.wait_for(message_id, 2)])
+        values = heard.reshape(-1, channels).astype(np.float64)
+        expected = (values - 512) / 20.75 if name == "acc" else values
+        truth = settled(device, name, len(expected))
+        np.testing.assert_allclose(truth.values[: len(expected)], expected)
+        np.testing.assert_allclose(np.diff(truth.times), 1 / rate, atol=1e-6)
+        # The first packet may have begun before it was asked for.
+        assert began_s - 1.1 < truth.times[0] <= truth.times[-1] < local_clock()
+
+
+def test_intervals_of_the_truth_are_where_the_wire_turns_its_sign(bench: Bench) -> None:
+    wearer = Wearer(heart_rate_bpm=150.0)
+    with World() as world, SimulatedZephyr(world, wearer=wearer) as device:
+        host = bench.connect(device)
+        assert host.ask(RR_ON) == ACK
+        packets = host.wait_for(RR, 3)
+        truth = settled(device, "ibi", 5)
+    raw = np.concatenate([np.frombuffer(each.payload[9:], "<i2") for each in packets])
+    turns = np.flatnonzero(np.diff(np.sign(raw))) + 1
+    np.testing.assert_allclose(truth.values[: len(turns), 0], np.abs(raw[turns]) / 1000)
+    samples_apart = np.diff(truth.times)[: len(turns) - 1] / 0.056
+    np.testing.assert_allclose(samples_apart, np.diff(turns), atol=1e-3)
+
+
+def test_vital_signs_of_the_truth_are_those_of_the_summary(
+    host: Host, device: SimulatedZephyr
+) -> None:
+    assert host.ask(SUMMARY_ON) == ACK
+    payload = host.wait_for(SUMMARY, 1)[0].payload
+    truth = {
+        name: settled(device, name, 1).values[0].tolist()
+        for name in ("hr", "br", "posture", "activity", "bat", "rssi", "quality")
+    }
+    assert truth["hr"] == [int.from_bytes(payload[10:12], "little")]
+    assert truth["br"] == [int.from_bytes(payload[12:14], "little") / 10]
+    assert truth["posture"] == [int.from_bytes(payload[16:18], "little", signed=True)]
+    assert truth["activity"] == [int.from_bytes(payload[18:20], "little") / 100]
+    assert truth["bat"] == [payload[24]]
+    assert truth["rssi"] == [payload[59] - 256]
+    # Worn, sure of the heart rate, and of all but the variability, which takes 300 s.
+    assert truth["quality"] == [1, payload[34], 0, 0, 1, payload[58]]
+    # What the packet marks as invalid is not in the truth.
+    assert {"st", "hrv"}.isdisjoint(device.truth.data_names)
+
+
+def test_drop_takes_the_port_away_and_brings_it_back(
+    bench: Bench, host: Host, device: SimulatedZephyr
+) -> None:
+    assert host.ask(ECG_ON) == ACK
+    device.apply(Fault(FaultKind.DROP, math.inf))
+    host.until_hung_up()
+    with pytest.raises(OSError):
+        Host(device.settings["port"])
+    device.clear(FaultKind.DROP)
+    assert bench.connect(device).ask(ECG_ON) == ACK
+
+
+def test_restart_begins_with_packet_0_and_a_clock_that_went_on(
+    bench: Bench, host: Host, device: SimulatedZephyr
+) -> None:
+    assert host.ask(ECG_ON) == ACK
+    before = host.wait_for(ECG, 6)[-1]
+    device.apply(Fault(FaultKind.RESTART, 0.3))
+    host.until_hung_up()
+    again = bench.connect(device)
+    assert again.ask(ECG_ON) == ACK
+    after = again.wait_for(ECG, 1)[0]
+    assert after.sequence < before.sequence
+    assert after.device_ms > before.device_ms
+
+
+def test_a_restart_ends_no_drop(bench: Bench, host: Host, device: SimulatedZephyr) -> None:
+    device.apply(Fault(FaultKind.DROP, math.inf))
+    host.until_hung_up()
+    device.apply(Fault(FaultKind.RESTART, math.inf))
+    device.clear(FaultKind.RESTART)
+    with pytest.raises(OSError):
+        Host(device.settings["port"])
+    device.clear(FaultKind.DROP)
+    assert bench.connect(device).ask(ECG_ON) == ACK
+
+
+def test_stall_is_a_gap_that_the_truth_counts(host: Host, device: SimulatedZephyr) -> None:
+    assert host.ask(ECG_ON) == ACK
+    host.wait_for(ECG, 2)
+    device.apply(Fault(FaultKind.STALL, math.inf))
+    deadline = time.monotonic() + DEADLINE_S
+    while device.truth.unsent_count("ecg") < 3 * 63:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    device.clear(FaultKind.STALL)
+    sequences = [each.sequence for each in host.wait_for(ECG, 6)]
+    lost = sum(int(step) - 1 for step in np.diff(sequences) % 256)
+    assert 63 * lost == device.truth.unsent_count("ecg")
+
+
+def test_garbage_comes_between_frames(host: Host, device: SimulatedZephyr) -> None:
+    assert host.ask(ECG_ON) == ACK
+    device.apply(Fault(FaultKind.GARBAGE, 64))
+    host.until(lambda: host.junk > 20)
+    host.wait_for(ECG, 3)
+
+
+def test_refuse_answers_with_a_refusal_until_it_ends(
+    bench: Bench, host: Host, device: SimulatedZephyr
+) -> None:
+    device.apply(Fault(FaultKind.REFUSE, math.inf))
+    host.until_hung_up()
+    again = bench.connect(device)
+    assert {again.ask(request) for request in (ECG_ON, SUMMARY_ON)} == {NAK}
+    device.clear(FaultKind.REFUSE)
+    assert again.ask(ECG_ON) == ACK
+
+
+def test_late_answers_come_late(bench: Bench, host: Host, device: SimulatedZephyr) -> None:
+    device.apply(Fault(FaultKind.LATE, 0.5))
+    host.until_hung_up()
+    again = bench.connect(device)
+    asked_s = local_clock()
+    assert again.ask(ECG_ON) == ACK
+    # Never before; how long after is the machine's matter.
+    assert local_clock() - asked_s >= 0.5
+
+
+def test_body_and_battery_show_in_the_summary(host: Host, device: SimulatedZephyr) -> None:
+    device.apply(Fault(FaultKind.OFF_BODY, math.inf))
+    device.apply(Fault(FaultKind.LOW_BATTERY, 4))
+    assert host.ask(SUMMARY_ON) == ACK
+    host.wait_for(SUMMARY, 1)
+    assert settled(device, "bat", 1).values[0, 0] == 4
+    assert settled(device, "quality", 1).values[0].tolist() == [0, 0, 1, 1, 1, 254]
+    assert "hr" not in device.truth.data_names
+    device.clear(FaultKind.OFF_BODY)
+    count = len(host.of(SUMMARY))
+    host.wait_for(SUMMARY, count + 2)
+    assert settled(device, "quality", 3).values[-1, 0] == 1
+    assert settled(device, "hr", 1).values[0, 0] > 50
+
+
+def test_drift_changes_the_pace_of_the_truth(host: Host, device: SimulatedZephyr) -> None:
+    assert host.ask(ECG_ON) == ACK
+    host.wait_for(ECG, 2)
+    device.apply(Fault(FaultKind.DRIFT, 50_000))
+    numbers = [each.sequence for each in host.wait_for(ECG, 8)]
+    assert set(np.diff(numbers)) == {1}
+    steps = np.diff(settled(device, "ecg", 8 * 63).times)
+    assert steps[0] == pytest.approx(0.004, rel=1e-4)
+    assert steps[-1] == pytest.approx(0.004 / 1.05, rel=1e-4)
