@@ -7,12 +7,12 @@ PYTHON_FILES := common gateway_win ros_side tests typings
 RUN := .venv/bin/python -m
 SECONDS :=
 
-.PHONY: demo test test-system check bench format docs lock venv-ros venv-dev
+.PHONY: demo test test-system check bench format docs lock venv-ros venv-dev venv-peers
 
 demo: venv-ros
 	.venv/bin/biosensor-gateway demo $(if $(SECONDS),--seconds $(SECONDS))
 
-test: check
+test: check venv-peers
 	$(RUN) pytest -m "not system"
 	@echo
 	@echo "Not run here, only by 'make test-system' (needs root and system packages):"
@@ -45,3 +45,6 @@ venv-ros:
 
 venv-dev:
 	@requirements/install.sh dev
+
+venv-peers: venv-dev
+	@tests/peers/install.sh

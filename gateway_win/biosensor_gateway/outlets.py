@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -28,6 +29,7 @@ MAX_STAMP_ERROR_S = 30.0
 
 # How long receivers take to find a new stream and to attach to it.
 ATTACH_TIME_S = 5.0
+MAX_WAITING = 256
 
 # What a device says once or rarely, and what holds until it says otherwise.
 _STATES = frozenset(
@@ -82,8 +84,8 @@ class Outlet:
     """One LSL outlet of a declared stream.
 
     LSL drops what nobody receives yet, and a device tells its battery or signal
-    strength right after the outlet was made. So the newest sample of a stream that
-    shows a state waits, with its own stamp, until there was time to attach and
+    strength right after the outlet was made. So the first samples of a stream that
+    shows a state wait, with their own stamps, until there was time to attach and
     somebody did; see `release`.
     """
 
@@ -106,7 +108,7 @@ class Outlet:
         self._outlet = pylsl.StreamOutlet(lsl_info)
         self._waits = stream.content_type in _STATES and not stream.is_regular
         self._ready_s = pylsl.local_clock() + ATTACH_TIME_S
-        self._waiting: tuple[NDArray[Any], float] | None = None
+        self._waiting: deque[tuple[NDArray[Any], float]] = deque(maxlen=MAX_WAITING)
 
     def push(self, samples: ArrayLike, stamps: Sequence[float]) -> str | None:
         """Push samples that are newer than all before them.
@@ -135,7 +137,7 @@ class Outlet:
             dtype = _DTYPES[self.stream.format]
             data = np.ascontiguousarray(values, dtype=dtype)
             if not self._has_audience():
-                self._waiting = data[-1:], stamps[-1]
+                self._waiting.extend(zip(data, stamps, strict=True))
                 return None
             self.release()
             self._outlet.push_chunk(data, list(stamps))
@@ -143,12 +145,12 @@ class Outlet:
         return None
 
     def release(self) -> None:
-        """Push the sample that waits for receivers, if it need not wait any longer."""
-        if self._waiting is not None and self._has_audience():
-            data, stamp = self._waiting
-            self._waiting = None
-            self._outlet.push_chunk(data, [stamp])
-            self._count([stamp])
+        """Push the samples that wait for receivers, if they need not wait any longer."""
+        if self._waiting and self._has_audience():
+            data, stamps = zip(*self._waiting, strict=True)
+            self._waiting.clear()
+            self._outlet.push_chunk(np.array(data), list(stamps))
+            self._count(stamps)
 
     def _has_audience(self) -> bool:
         if not self._waits:

@@ -153,7 +153,7 @@ def _troubles(supervisor: Supervisor) -> list[str]:
     if not supervisor.connections:
         return [f"no connection within {CONNECT_TIMEOUT_S:g} s"]
     if supervisor.connections > 1:
-        return [f"the connection broke, and came back, {supervisor.connections - 1} times"]
+        return [f"the connection broke; it was made {supervisor.connections} times"]
     return []
 
 

@@ -82,6 +82,7 @@ async def test_happy_path(
         await eventually(run.sink.has("eeg", 1))
     assert run.sink.rows["eeg"][0].tolist() == [4201, 4202, 4203, 4204, 4205]
     assert run.sink.rows["eeg_status"][0].tolist() == [5, 1, 1024, 1]
+    await eventually(lambda: "updateSession" in cortex.methods)
     assert [each for each in cortex.methods if each not in START] == [
         "controlDevice", "controlDevice", "unsubscribe", "updateSession"
     ]  # fmt: skip

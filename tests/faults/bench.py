@@ -16,6 +16,7 @@ from tests.faults.agent import AgentProcess
 from tests.faults.expectations import (
     AT_ONCE,
     BATTERY,
+    BATTERY_TOLERANCE,
     CELLS,
     OF_THE_AGENT,
     SENSORS,
@@ -37,8 +38,6 @@ HOLD_S = 3.0
 _POLL_S = 0.1
 _BEFORE_S = 2.0
 
-_BATTERY_STEP = 1.0
-"""A Shimmer reads its charge from a voltage of 12 bits."""
 _ItemT = TypeVar("_ItemT")
 
 Cell = tuple[FaultKind, str]
@@ -207,11 +206,11 @@ class Bench:
             case FaultKind.GARBAGE:
                 return status["dropped_bytes"] > episode.before[name]["dropped_bytes"]
             case FaultKind.LOW_BATTERY:
-                low = VALUES[kind] + _BATTERY_STEP
-                return bool((self._values(name, BATTERY[name], episode.begin_s) <= low).any())
+                levels = self._values(name, BATTERY[name], episode.begin_s)
+                return bool((np.abs(levels - VALUES[kind]) <= BATTERY_TOLERANCE).any())
             case FaultKind.OFF_BODY:
                 wear = WEAR[name]
-                return bool((self._values(name, wear, episode.begin_s) == wear.ill).any())
+                return bool((self._values(name, wear, episode.begin_s) == wear.off).any())
             case FaultKind.DRIFT:
                 clock = status["clock"]
                 # A fast device gains on us, so that its seconds have to be shortened.
@@ -226,8 +225,8 @@ class Bench:
         if kind is FaultKind.OFF_BODY:
             wear = WEAR[name]
             recorded = self.recorder.recorded(source(name, wear.data_name)).since(end_s)
-            worn = recorded.values[:, wear.index] == wear.well if len(recorded.times) else []
-            return min(recorded.arrivals[worn], default=None)
+            worn = recorded.values[:, wear.index] != wear.off
+            return float(recorded.arrivals[worn].min()) if worn.any() else None
         if not self._streams_since(name, end_s):
             return None
         return min(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -35,10 +35,16 @@ class Recorded(NamedTuple):
 
 
 class Recorder:
-    """Pulls numeric streams by source_id in a thread, until it is stopped."""
+    """Pulls numeric streams in a thread, until it is stopped.
 
-    def __init__(self, source_ids: Iterable[str]) -> None:
-        self._parts: dict[str, list[Recorded]] = {source: [] for source in source_ids}
+    Parameters
+    ----------
+    channels
+        Number of channels by source_id.
+    """
+
+    def __init__(self, channels: Mapping[str, int]) -> None:
+        self._parts = {source: [_nothing(count)] for source, count in channels.items()}
         self._inlets: dict[str, tuple[str, pylsl.StreamInlet]] = {}
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -49,17 +55,14 @@ class Recorder:
         self._thread.join()
 
     def recorded(self, source: str) -> Recorded:
-        """What came so far; it has no channels as long as it is empty."""
-        parts = list(self._parts[source])
-        if not parts:
-            return Recorded(np.empty(0), np.empty((0, 0)), np.empty(0))
-        times, values, arrivals = zip(*parts, strict=True)
+        """What came so far."""
+        times, values, arrivals = zip(*list(self._parts[source]), strict=True)
         return Recorded(np.concatenate(times), np.concatenate(values), np.concatenate(arrivals))
 
     def newest(self, source: str) -> float:
         """Stamp of the last sample, 0 before the first."""
-        parts = self._parts[source]
-        return float(parts[-1].times[-1]) if parts else 0.0
+        times = self._parts[source][-1].times
+        return float(times[-1]) if len(times) else 0.0
 
     def _run(self) -> None:
         resolver = pylsl.ContinuousResolver()
@@ -81,3 +84,7 @@ class Recorder:
             arrivals = np.full(len(stamps), pylsl.local_clock())
             values = np.array(samples, np.float64).reshape(len(stamps), -1)
             self._parts[source].append(Recorded(np.array(stamps), values, arrivals))
+
+
+def _nothing(channels: int) -> Recorded:
+    return Recorded(np.empty(0), np.empty((0, channels)), np.empty(0))

@@ -17,6 +17,7 @@ from biosensor_common.registry import sensor
 from biosensor_common.sensors.zephyr import SENSOR
 from biosensor_common.spec import FROM_DEVICE, DeviceIdentity, DeviceInfo, StreamSpec
 from biosensor_gateway import outlets as module
+from biosensor_gateway import outlets
 from biosensor_gateway.outlets import Counters, DeviceOutlets, Outlet, counters_text
 
 FORMATS = {
@@ -53,6 +54,12 @@ def pull(inlet: pylsl.StreamInlet, count: int) -> tuple[list[list[Any]], list[fl
         samples.append(sample)
         stamps.append(stamp)
     return samples, stamps
+
+
+@pytest.fixture(autouse=True)
+def attach_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Receivers are there from the start here."""
+    monkeypatch.setattr(outlets, "ATTACH_TIME_S", 0.0)
 
 
 @pytest.mark.parametrize(
@@ -258,3 +265,43 @@ def test_closing_makes_the_streams_vanish(
     device.close()
     until(lambda: not visible(source_id))
     assert device.counters == {}
+
+
+def test_states_wait_for_a_receiver(unit: str, inlet: OpenInlet) -> None:
+    outlet = outlet_of(unit, "bat")
+    stamps = now(0.0, 0.1)
+    for value, stamp in zip((81.0, 80.0), stamps, strict=True):
+        assert outlet.push([value], [stamp]) is None
+    outlet.release()
+    assert outlet.counters == Counters()
+    reader = inlet(outlet.source_id)
+    outlet.release()
+    assert pull(reader, 2) == ([[81.0], [80.0]], stamps)
+    assert outlet.counters == Counters(pushed=2, last_stamp=stamps[-1])
+
+
+def test_states_leave_time_to_attach(
+    unit: str, inlet: OpenInlet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(outlets, "ATTACH_TIME_S", 3600.0)
+    outlet = outlet_of(unit, "rssi")
+    reader = inlet(outlet.source_id)
+    outlet.push([-60.0], now(0.0))
+    outlet.release()
+    assert reader.pull_sample(timeout=0.5) == (None, None)
+    assert outlet.counters.pushed == 0
+
+
+def test_waiting_states_come_before_later_ones(unit: str, inlet: OpenInlet) -> None:
+    outlet = outlet_of(unit, "bat")
+    stamps = now(0.0, 0.1)
+    outlet.push([50.0], stamps[:1])
+    reader = inlet(outlet.source_id)
+    outlet.push([49.0], stamps[1:])
+    assert pull(reader, 2) == ([[50.0], [49.0]], stamps)
+
+
+def test_what_is_no_state_does_not_wait(unit: str) -> None:
+    outlet = outlet_of(unit, "hr")
+    outlet.push([70], now(0.0))
+    assert outlet.counters.pushed == 1

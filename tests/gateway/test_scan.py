@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import textwrap
-import time
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
@@ -25,10 +24,10 @@ from biosensor_gateway.devices.emotiv_insight.simulator import SimulatedCortex, 
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.settings_file import load_settings
 from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
+from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.world import World
-from tests.rigs.lab_client import LabProcess
-from tests.rigs.probe import Probe
+from tests.rigs.lab_client import LabProcess, settings_toml
 
 if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome
@@ -41,6 +40,7 @@ STRAPS = {
     "vernier_respiration_belt": {"unit": "0K2002Z5", "device": "0K2002Z5"},
     "ble_heart_rate": {"unit": "C8:25:00:00:00:01", "device": "C8:25:00:00:00:01"},
 }
+FOUND = (*STRAPS, "emotiv_insight", "empatica_e4")
 BLUETOOTH, SERIAL = "Bluetooth LE", "Serial ports"
 CORTEX, E4_SERVER = "Emotiv Insight by its service", "Empatica E4 by its service"
 QUICK = Timing(found_s=0.05, scan_s=0.3, connect_s=0.05)
@@ -117,11 +117,12 @@ def test_for_people_it_shows_the_lines_that_the_settings_file_takes(
     }
 
 
-def test_what_no_driver_knows_is_named(run: Run, radio: Radio) -> None:
-    Probe(radio, "A0:9E:1A:00:00:01", "Probe 1", rssi_dbm=-61).power_on()
+def test_what_no_driver_knows_is_named(run: Run, world: World, radio: Radio) -> None:
+    lamp = Peripheral(radio, "A0:9E:1A:00:00:01", "Lamp", rssi_dbm=-61)
+    world.await_(lamp.power_on([]))
     outcome = run("scan", "--seconds", "2")
     assert lines_about(outcome, BLUETOOTH) == [f"{BLUETOOTH}: nothing that a driver knows"]
-    assert "  not known to any driver: Probe 1 (A0:9E:1A:00:00:01, -61 dBm)\n" in outcome.out
+    assert "  not known to any driver: Lamp (A0:9E:1A:00:00:01, -61 dBm)\n" in outcome.out
 
 
 def test_two_of_a_kind_are_two_devices(run: Run, world: World, radio: Radio) -> None:
@@ -213,7 +214,7 @@ def test_a_wrong_command_or_file_is_said_before_anything_is_searched(
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabProcess]:
-    devices = [{"key": sensor, "sensor": sensor} for sensor in (*STRAPS, "emotiv_insight")]
+    devices = [{"key": sensor, "sensor": sensor} for sensor in FOUND]
     with LabProcess(devices, tmp_path_factory.mktemp("lab")) as running:
         yield running
 
@@ -227,14 +228,14 @@ def test_an_agent_connects_to_all_that_was_found(
 ) -> None:
     for variable, text in lab.environment.items():
         monkeypatch.setenv(variable, text)
-    settings, place = tmp_path / "settings.toml", lab.settings["emotiv_insight"]
-    lines = [f"{name} = {json.dumps(place[name])}" for name in ("url", "ca_file")]
-    settings.write_text('[[device]]\nsensor = "emotiv_insight"\nunit = "x"\n' + "\n".join(lines))
+    settings = tmp_path / "settings.toml"
+    services = {sensor: sensor for sensor in FOUND if sensor not in STRAPS}
+    settings.write_text(settings_toml(lab, services))
     command = [sys.executable, "-m", "biosensor_gateway.cli", "scan", "--json", "--settings"]
     scanned = subprocess.run([*command, str(settings)], capture_output=True, check=True)
     assert scanned.stderr == b""
     found = [device for section in json.loads(scanned.stdout) for device in section["found"]]
-    assert sorted(device["sensor"] for device in found) == sorted((*STRAPS, "emotiv_insight"))
+    assert sorted(device["sensor"] for device in found) == sorted(FOUND)
 
     settings.write_text("\n\n".join(device["toml"] for device in found))
     status = tmp_path / "status.json"
@@ -247,13 +248,28 @@ def test_an_agent_connects_to_all_that_was_found(
         until(lambda: status.exists() and states() == ["streaming"] * len(found))
 
 
+LISTENING = """
+from biosensor_gateway import cli, scan
+
+listen = scan.scan_bluetooth
+
+def told(seconds):
+    print("listening", flush=True)
+    return listen(seconds)
+
+scan.scan_bluetooth = told
+cli.main()
+"""
+
+
 def test_ctrl_c_ends_a_scan_without_a_traceback(lab: LabProcess) -> None:
-    command = [sys.executable, "-m", "biosensor_gateway.cli", "scan", "--seconds", "60"]
+    command = [sys.executable, "-c", LISTENING, "scan", "--seconds", "60"]
     process = subprocess.Popen(
         command, env=os.environ | lab.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
-    time.sleep(3.0)
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"listening\n"
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=30)
-    assert process.returncode not in (0, None)
+    assert process.returncode > 0
     assert b"Traceback" not in out + err

@@ -166,7 +166,6 @@ def test_a_secret_shows_itself_only_when_asked() -> None:
         str(secret),
         repr(secret),
         f"{secret}",
-        "{}".format(secret),
         f"{secret!r:>20}",
         str([secret]),
     )

@@ -1,11 +1,11 @@
 #!/bin/sh
-# Makes .venv-peers with the clients of tests/peers/peers.txt; see tests/peers/README.md.
+# Makes .venv-peers with other people's clients; see tests/peers/README.md.
 # Needs .uv and .venv, which requirements/install.sh makes.
 set -eu
 cd "$(dirname "$0")/../.."
 lock=tests/peers/peers.txt
 stamp=.venv-peers/.installed
-wanted=$(sha256sum <"$lock" | cut -d' ' -f1)
+wanted=$(cat "$lock" tests/peers/install.sh | sha256sum | cut -d' ' -f1)
 if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$wanted" ]; then exit 0; fi
 
 if ! [ -x .uv/bin/uv ] || ! [ -x .venv/bin/python ]; then
@@ -17,4 +17,10 @@ export UV_PYTHON_DOWNLOADS=never UV_LINK_MODE=copy
 .uv/bin/uv venv --quiet --clear --python .venv/bin/python .venv-peers
 .uv/bin/uv pip install --quiet --python .venv-peers/bin/python \
     --require-hashes --only-binary :all: -r "$lock"
+# Under the GPL, so in no lock of the project: test programs, here and nowhere else.
+.uv/bin/uv pip install --quiet --python .venv-peers/bin/python \
+    --no-deps --require-hashes --only-binary :all: -r - <<'GPL'
+godirect==1.2.1 --hash=sha256:79e31737fede29c011945f031b450cc70ad5c49e7beef2e2c35e50dbba814ffd --hash=sha256:d8fac756cd782659a6ae11e0abb1c8d80924bdb2d08d8edffca5fcaa5f8a2201
+pyshimmer==1.0.0 --hash=sha256:de8fafbcd43a9dc4749bedb8ccad6461bda709246c8e6bbc4b89e28f38a29893 --hash=sha256:fd5393d6346d04c53d4b64c9c4268415f48492828b467b4ab1ee0d5948b83e50
+GPL
 echo "$wanted" >"$stamp"

@@ -76,6 +76,7 @@ class E4Driver:
         self._emitter = emitter
         self._talk = Conversation(settings.host, settings.port)
         self._device = ""
+        self._data_at = 0.0
         self._radio_lost_at: float | None = None
 
     async def connect(self) -> Connected:
@@ -91,18 +92,15 @@ class E4Driver:
 
     async def stream(self) -> None:
         """Pass on samples; the watchdog asks the server when nothing comes."""
-        loop = asyncio.get_running_loop()
-        last_data = loop.time()
+        self._data_at = asyncio.get_running_loop().time()
         while True:
             try:
                 async with asyncio.timeout(SILENCE_S):
                     messages, arrival = await self._talk.receive()
             except TimeoutError:
-                await self._probe(loop.time() - last_data)
+                await self._probe()
                 continue
-            if self._take(messages, arrival):
-                last_data = loop.time()
-                self._radio_lost_at = None
+            self._take(messages, arrival)
 
     async def close(self) -> None:
         """Unbind, which makes the server close the connection, and close."""
@@ -163,21 +161,27 @@ class E4Driver:
         if refused:
             _log.warning("the server refuses streams", where=self._where, streams=refused)
 
-    def _take(self, messages: list[Message], arrival: float) -> bool:
-        """Act on what came; tell whether there was data."""
+    def _take(self, messages: list[Message], arrival: float) -> None:
+        """Act on what came, in its order: an event divides the samples around it."""
+        self._sink.dropped_bytes += self._talk.take_dropped_bytes()
         samples: list[Sample] = []
         for message in messages:
             if isinstance(message, Sample):
                 samples.append(message)
             elif isinstance(message, Event) and message.device == self._device:
+                self._pass_on(samples, arrival)
+                samples.clear()
                 self._radio(message.event)
             elif isinstance(message, Malformed):
                 _log.debug("a line makes no sense", where=self._where, why=message.flaw.value)
-        self._sink.dropped_bytes += self._talk.take_dropped_bytes()
+        self._pass_on(samples, arrival)
+
+    def _pass_on(self, samples: list[Sample], arrival: float) -> None:
         if samples:
+            self._data_at = asyncio.get_running_loop().time()
+            self._radio_lost_at = None
             self._sink.heard()
             self._emitter.take(samples, arrival)
-        return bool(samples)
 
     def _radio(self, event: RadioEvent) -> None:
         if event is RadioEvent.TURNED_OFF:
@@ -193,7 +197,7 @@ class E4Driver:
         if event is RadioEvent.RESTORED:
             self._emitter.new_epoch()
 
-    async def _probe(self, silent_s: float) -> None:
+    async def _probe(self) -> None:
         """Find out why nothing comes.
 
         Raises
@@ -201,9 +205,9 @@ class E4Driver:
         TransportError
             ``LOST`` or ``SILENT``, when waiting has no sense any more.
         """
-        now = asyncio.get_running_loop().time()
+        loop = asyncio.get_running_loop()
         if self._radio_lost_at is not None:
-            if now - self._radio_lost_at > RADIO_GRACE_S:
+            if loop.time() - self._radio_lost_at > RADIO_GRACE_S:
                 message = f"wristband {self._device} stays out of reach; bring it to the dongle"
                 raise TransportError(TransportReason.LOST, message)
             return
@@ -212,7 +216,7 @@ class E4Driver:
         if not answered:
             message = f"{self._where}: it says nothing any more; the connection is started anew"
             raise TransportError(TransportReason.SILENT, message)
-        if silent_s > DATA_SILENCE_S:
+        if loop.time() - self._data_at > DATA_SILENCE_S:
             message = f"{self._where}: no data from wristband {self._device}; is it still on?"
             raise TransportError(TransportReason.SILENT, message)
 

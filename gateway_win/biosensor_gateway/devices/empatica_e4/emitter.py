@@ -50,9 +50,9 @@ class E4Emitter:
 
     def new_epoch(self) -> None:
         """Expect stamps that count from a new radio link."""
-        self._anchored = False
+        self._restart_clock()
         self._gap_is_known = True
-        self._sink.restart_clock()
+        self._estimate.begin_window()
 
     def switched_off(self) -> None:
         """Expect nothing to have been measured since the last sample."""
@@ -81,6 +81,10 @@ class E4Emitter:
         for stream, together in by_stream.items():
             self._emit(stream, together)
         self._follow_loss(len(by_stream.get(Stream.BVP, ())), arrival_s)
+
+    def _restart_clock(self) -> None:
+        self._anchored = False
+        self._sink.restart_clock()
 
     def _is_new(self, sample: Sample) -> bool:
         """Tell a line from its repetition."""
@@ -121,14 +125,13 @@ class E4Emitter:
         if lost_s is None:
             return
         self._loss = min(1.0, lost_s / WINDOW_S)
+        self._emit_quality(self._last_times[Stream.BVP])
         if lost_s:
             self._count_lost(lost_s)
             if not self._gap_is_known:
                 # The stamps run late by what was lost.
-                self.new_epoch()
-            self._gap_is_known = False
-        elif self._worn is not None:
-            self._emit_quality(self._last_times[Stream.BVP])
+                self._restart_clock()
+        self._gap_is_known = False
 
     def _count_lost(self, lost_s: float) -> None:
         for stream, rate_hz in RATES_HZ.items():
@@ -143,9 +146,7 @@ class E4Emitter:
             unit=identity.unit,
             seconds=round(lost_s, 2),
         )
-        if self._worn is not None:
-            self._emit_quality(self._last_times[Stream.BVP])
 
     def _emit_quality(self, time_s: float) -> None:
-        if self._anchored:
-            self._sink.emit("quality", [[float(bool(self._worn)), self._loss]], [time_s])
+        worn = math.nan if self._worn is None else float(self._worn)
+        self._sink.emit("quality", [[worn, self._loss]], [time_s])

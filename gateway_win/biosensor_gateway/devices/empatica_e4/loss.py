@@ -13,7 +13,9 @@ from math import inf
 
 WINDOW_S = 10.0
 NOTICEABLE_S = 0.05
-"""Below, it is drift between the two clocks: 200 ppm make 2 ms in a window."""
+"""Below, it may be the way's delays, and is left to the windows to come."""
+DRIFT_LIMIT_S = 0.005
+"""What a window may lack by drift between the two clocks: 200 ppm make 2 ms of it."""
 BRIDGED_S = 60.0
 """After a longer silence nobody knows whether the wristband measured at all."""
 
@@ -38,7 +40,12 @@ class LossEstimate:
         self._count = 0
         self._accounted_s = 0.0
         self._least_s = inf
-        self._window_end_s = 0.0
+        self._window_end_s = inf
+
+    def begin_window(self) -> None:
+        """Start a window with the next samples, so that a known gap is told at its end."""
+        self._least_s = inf
+        self._window_end_s = inf
 
     def take(self, count: int, arrival_s: float) -> float | None:
         """Take in samples; at the end of a window, return the seconds lost in it.
@@ -55,6 +62,7 @@ class LossEstimate:
         self._arrival_s = arrival_s
         if self._first_s is None:
             self._first_s = arrival_s
+        if self._window_end_s == inf:
             self._window_end_s = arrival_s + WINDOW_S
         self._count += count
         deficit_s = arrival_s - self._first_s - self._count * self._period_s
@@ -67,7 +75,9 @@ class LossEstimate:
         lost_s = self._least_s - self._accounted_s
         self._least_s = inf
         self._window_end_s = arrival_s + WINDOW_S
-        if lost_s >= NOTICEABLE_S or lost_s < 0:
-            # A negative loss is a first sample that came late: the base line was too high.
+        if lost_s >= NOTICEABLE_S:
             self._accounted_s += lost_s
-        return max(0.0, lost_s) if lost_s >= NOTICEABLE_S else 0.0
+            return lost_s
+        # A negative loss is a first sample that came late: the base line was too high.
+        self._accounted_s += min(lost_s, DRIFT_LIMIT_S)
+        return 0.0

@@ -57,6 +57,11 @@ class Client(asyncio.Protocol):
             return False
         return transport.get_write_buffer_size() < _ROOM_BYTES
 
+    @property
+    def is_holding(self) -> bool:
+        """Tell whether the rest of a torn line is held back."""
+        return self._held is not None
+
     def wants(self, device_id: str, subscription: str) -> bool:
         """Tell whether it is to get a stream of a wristband now."""
         return (

@@ -103,7 +103,10 @@ class Delivery:
         self._write(line, takers)
 
     def _write(self, line: bytes, takers: list[Client]) -> None:
-        tear = self.mishaps.tears.pop(0) if self.mishaps.tears else None
+        tears = self.mishaps.tears
+        # One after the other: while a rest is held back, no other line is torn.
+        is_next = bool(tears) and not any(client.is_holding for client in takers)
+        tear = tears.pop(0) if is_next else None
         for client in takers:
             if tear is None:
                 client.write(line)
