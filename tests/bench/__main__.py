@@ -8,7 +8,9 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.bench import agent_load, machine, parser_speed, report
+from biosensor_gateway.logs import configure_logs
+from biosensor_gateway.settings import LogSettings
+from tests.bench import agent_load, decoder_speed, machine, parser_speed, report
 from tests.bench.legs import LEGS, Round
 from tests.bench.processes import BenchError
 
@@ -44,9 +46,11 @@ def _run(effort: Effort) -> report.Run:
     rounds = _measure_legs(effort)
     sys.stderr.write("the agent with every device\n")
     agent = agent_load.measure(effort.agent_s)
+    sys.stderr.write("the decoders\n")
     parser = parser_speed.measure(effort.passes)
+    decoders = decoder_speed.measure(effort.passes)
     loads = (load, machine.load())
-    return report.Run(machine.facts(), loads, effort.seconds, rounds, agent, parser)
+    return report.Run(machine.facts(), loads, effort.seconds, rounds, agent, parser, decoders)
 
 
 def main() -> None:
@@ -55,6 +59,7 @@ def main() -> None:
     arguments.add_argument("--quick", action="store_true", help="half a minute instead of three")
     arguments.add_argument("--json", type=Path, default=Path("build/bench.json"), metavar="FILE")
     options = arguments.parse_args()
+    configure_logs(LogSettings(level="error"), None)
     try:
         run = _run(_QUICK if options.quick else _FULL)
     except BenchError as error:

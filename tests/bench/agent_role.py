@@ -24,7 +24,11 @@ _POLL_S = 0.1
 
 
 class Watch:
-    """Times from `DeviceSink.observe`, which is told the arrival, to the end of the push."""
+    """Times from `DeviceSink.observe`, which is told the arrival, to the end of the push.
+
+    A driver observes a packet and emits its samples in one step of the event loop; what
+    is emitted without a packet's arrival, a heart rate for instance, is not timed.
+    """
 
     def __init__(self) -> None:
         self.delays_ms: list[float] = []
@@ -48,6 +52,7 @@ class Watch:
 
     def arrived(self, sink: DeviceSink, arrival_s: float) -> None:
         self._arrivals[sink] = arrival_s
+        asyncio.get_running_loop().call_soon(self._arrivals.pop, sink, None)
 
     def pushed(self, sink: DeviceSink, count: int) -> None:
         self.samples += count

@@ -12,11 +12,13 @@ from rich.console import Console
 from rich.table import Table
 
 from tests.bench.agent_load import AgentLoad
+from tests.bench.decoder_speed import DecoderSpeed
 from tests.bench.legs import Round
 from tests.bench.parser_speed import ParserSpeed
 
 RATIO_TARGET = 1.5
 PARSER_TARGET = 500.0
+DECODER_TARGET = 200.0
 AGENT_CPU_TARGET, AGENT_MEMORY_TARGET, AGENT_P99_TARGET = 25.0, 150.0, 5.0
 
 _TITLES = {
@@ -44,6 +46,7 @@ class Run:
     rounds: Mapping[str, Sequence[Round]]
     agent: AgentLoad
     parser: Sequence[ParserSpeed]
+    decoders: Sequence[DecoderSpeed]
 
     def median(self, leg: str, figure: str) -> float:
         """Return the median over a leg's rounds."""
@@ -72,6 +75,12 @@ def as_json(run: Run) -> dict[str, Any]:
         **asdict(run),
         "ratio": {"value": run.ratio, "rounds": run.ratios, "target": RATIO_TARGET},
         "parser_target": PARSER_TARGET,
+        "decoder_target": DECODER_TARGET,
+        "agent_targets": {
+            "cpu_percent": AGENT_CPU_TARGET,
+            "memory_mb": AGENT_MEMORY_TARGET,
+            "p99_ms": AGENT_P99_TARGET,
+        },
     }
 
 
@@ -96,6 +105,7 @@ def show(run: Run) -> None:
         table.add_row(title, f"{speed.median:.0f}", "", best)
     reached = run.slowest_parser >= PARSER_TARGET
     table.add_row("", "", "", _verdict(f">= {PARSER_TARGET:.0f}", reached=reached))
+    _add_decoders(table, run.decoders)
     console = Console(highlight=False)
     console.print(table)
     console.print(", ".join(f"{key} {value}" for key, value in run.machine.items()))
@@ -117,6 +127,14 @@ def _add_agent(table: Table, agent: AgentLoad) -> None:
     _add_verdict(table, agent.cpu_percent, AGENT_CPU_TARGET, "%")
     table.add_row("memory of the agent", f"{agent.memory_mb:.0f} MB", "", "resident")
     _add_verdict(table, agent.memory_mb, AGENT_MEMORY_TARGET, "MB")
+
+
+def _add_decoders(table: Table, decoders: Sequence[DecoderSpeed]) -> None:
+    for speed in decoders:
+        best = f"x real time, best {speed.best:.0f}"
+        table.add_row(f"decoder of {speed.sensor}", f"{speed.median:.0f}", "", best)
+    reached = min(speed.median for speed in decoders) >= DECODER_TARGET
+    table.add_row("", "", "", _verdict(f">= {DECODER_TARGET:.0f}", reached=reached))
 
 
 def _add_verdict(table: Table, value: float, target: float, unit: str) -> None:
