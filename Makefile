@@ -1,4 +1,4 @@
-# make demo [SECONDS=20]   the pair end to end, with recorded bytes of a real device
+# make demo [SECONDS=20]   the pair end to end, with a virtual device of every kind
 # make test                checks and tests; needs no root, no ROS, no second step
 # make test-system         what needs root or system packages (tests/system/packages.txt)
 # make check, make bench, make format, make docs, make lock

@@ -141,11 +141,22 @@ def simulated_settings(
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
     with ExitStack() as stack:
         scene = Scene(stack)
-        twins = {name: stack.enter_context(_TWINS[name](scene)) for name in wanted}
+        twins = {name: stack.enter_context(_twin(name, scene)) for name in wanted}
         _schedule(scheduled, twins)
         stack.enter_context(_environment(twins.values()))
         devices = tuple(_settings(name, twin) for name, twin in twins.items())
         yield GatewaySettings.model_validate({**environment_overrides(), "device": devices})
+
+
+def _twin(name: str, scene: Scene) -> Twin:
+    try:
+        return _TWINS[name](scene)
+    except ModuleNotFoundError as error:
+        message = (
+            f"the virtual {name} needs {error.name}, which is not installed; "
+            "run: pip install 'biosensor-gateway[simulate]'"
+        )
+        raise ConfigError(ConfigReason.NOT_FOUND, message) from error
 
 
 def _settings(name: str, twin: Twin) -> DeviceSettings:

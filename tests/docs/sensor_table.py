@@ -58,7 +58,7 @@ def _rank(spec: SensorSpec) -> int:
 
 
 def _section(spec: SensorSpec) -> str:
-    source = ("driver", "declared, no driver yet", "the agent itself")[_rank(spec)]
+    source = ("driver", "no driver", "the agent itself")[_rank(spec)]
     ruler = "|".join("---" for _ in _COLUMNS)
     rows = "\n".join(_line(_cells(spec, stream)) for stream in spec.streams)
     return f"**{spec.title}**: `{spec.name}` ({source})\n\n{_line(_COLUMNS)}\n|{ruler}|\n{rows}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import unquote
@@ -13,7 +14,9 @@ import typer
 from typer.core import TyperGroup
 
 from biosensor_common.registry import sensor, sensor_names
+from biosensor_gateway import settings_file
 from biosensor_gateway.cli import app
+from biosensor_gateway.devices import settings_models
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
@@ -21,6 +24,7 @@ DECISIONS = sorted((ROOT / "docs" / "decisions").glob("*.md"))
 DOCUMENTS = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
     ROOT / "docs" / "migration.md",
+    *sorted((ROOT / "docs" / "sensors").glob("*.md")),
     *DECISIONS,
 ]
 
@@ -185,3 +189,13 @@ def test_a_decision_has_its_parts_on_one_page(decision: Path) -> None:
     parts = re.findall(r"^## (.+)$", text, re.MULTILINE)
     assert parts == ["Context", "Decision", "Consequences"]
     assert len(text.split()) <= 350
+
+
+@each_document
+def test_every_example_of_settings_loads(document: Path, tmp_path: Path) -> None:
+    for block in _BLOCK.finditer(document.read_text(encoding="utf-8")):
+        text = textwrap.dedent(block["body"])
+        if block["language"] == "toml" and "[[device]]" in text:
+            path = tmp_path / "settings.toml"
+            path.write_text(text, encoding="utf-8")
+            assert settings_file.load_settings(path, settings_models()).devices

@@ -89,7 +89,7 @@ class Choice:
             pass
         if len(found) > 1:
             names = ", ".join(sorted(self._id(each.advertisement) for each in found.values()))
-            message = f"several {self._kind} are in range ({names}); set `device` to one of them"
+            message = f"more than one {self._kind} is in range ({names}); set `device` to one of them"
             raise ProtocolError(ProtocolReason.REFUSED, message)
         return found[first.advertisement.address]
 

@@ -11,6 +11,7 @@ from pydantic import Field
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.devices import DriverEntry
 from biosensor_gateway.devices.driver import Connected
+from biosensor_gateway.devices.zephyr.discovery import recognise
 from biosensor_gateway.devices.zephyr.emitter import ZephyrEmitter
 from biosensor_gateway.devices.zephyr.messages import Message, Reply, Summary
 from biosensor_gateway.devices.zephyr.protocol import LIFESIGN, Request, ZephyrProtocol, enable
@@ -180,4 +181,4 @@ def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], ZephyrDriv
     return lambda: ZephyrDriver(settings, sink, emitter)
 
 
-DRIVER = DriverEntry(ZephyrSettings, _make)
+DRIVER = DriverEntry(ZephyrSettings, _make, recognise=recognise)
