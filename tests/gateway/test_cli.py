@@ -121,10 +121,34 @@ def test_a_virtual_device_that_does_not_exist_is_named(run: Run, name: str) -> N
     assert "zephyr:recording" in sentence
 
 
-@pytest.mark.parametrize("names", [["all"], ["zephyr", "zephyr"], ["all", "zephyr"]])
-def test_each_virtual_device_runs_once(names: list[str]) -> None:
+ALL = [
+    "empatica_e4",
+    "emotiv_insight",
+    "shimmer3_gsr",
+    "polar_h10",
+    "vernier_respiration_belt",
+    "zephyr",
+    "ble_heart_rate",
+]
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [(["all"], ALL), (["zephyr", "zephyr"], ["zephyr"]), (["all", "zephyr"], ALL)],
+)
+def test_each_virtual_device_runs_once(names: list[str], expected: list[str]) -> None:
     with simulate.simulated_settings(names) as settings:
-        assert [device.sensor for device in settings.devices] == ["zephyr"]
+        assert [device.sensor for device in settings.devices] == expected
+
+
+def test_a_virtual_device_says_which_package_it_needs(
+    cli_process: Callable[..., Any], tmp_path: Path
+) -> None:
+    before = "import sys; sys.modules['bumble'] = None"
+    arguments = ("run", "--simulate", "polar_h10")
+    with cli_process(tmp_path, *arguments, before=before) as process:
+        assert process.wait(30) == 2
+    assert "biosensor-gateway[simulate]" in (tmp_path / "stderr.txt").read_text()
 
 
 def test_status_without_an_agent_fails(run: Run) -> None:
