@@ -9,7 +9,7 @@ import sys
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.simulation.serial_links import Heard, Left
 
-_LOOPBACK = "127.0.0.1"
+LOOPBACK = "127.0.0.1"
 # The smallest that systems allow, near what a pseudo-terminal keeps.
 _SEND_BUFFER_BYTES = 4096
 _HOST_CHECK_S = 0.02
@@ -39,14 +39,14 @@ class TcpPort:
         self._buffer_bytes = buffer_bytes
         self._loop = asyncio.get_running_loop()
         self._host: _Host | None = None
-        self._socket = _bound_socket(0)
+        self._socket = bound_socket(0)
         self._number = int(self._socket.getsockname()[1])
         self._host_check: asyncio.TimerHandle | None = None
 
     @property
     def name(self) -> str:
         """URL of the port, as `serial.serial_for_url` takes it."""
-        return f"socket://{_LOOPBACK}:{self._number}"
+        return f"socket://{LOOPBACK}:{self._number}"
 
     def open(self) -> None:
         """Accept a host."""
@@ -62,7 +62,7 @@ class TcpPort:
         """Close the connection and refuse others; the port's number stays taken."""
         if self._host_check is not None:
             self._close()
-            self._socket = _bound_socket(self._number)
+            self._socket = bound_socket(self._number)
 
     def dispose(self) -> None:
         """Hang up and give the port's number back."""
@@ -150,7 +150,7 @@ class _Host(asyncio.Protocol):
             self._transport.abort()
 
 
-def _bound_socket(number: int) -> socket.socket:
+def bound_socket(number: int) -> socket.socket:
     """Take a port of loopback without listening on it: connections are refused."""
     bound = socket.socket()
     if sys.platform != "win32":  # there it would let others take the same port
@@ -158,9 +158,9 @@ def _bound_socket(number: int) -> socket.socket:
     bound.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
     bound.setblocking(False)
     try:
-        bound.bind((_LOOPBACK, number))
+        bound.bind((LOOPBACK, number))
     except OSError as error:
         bound.close()
-        message = f"port {number} of {_LOOPBACK} cannot be had for a virtual device: {error}"
+        message = f"port {number} of {LOOPBACK} cannot be had for a virtual device: {error}"
         raise TransportError(TransportReason.BUSY, message) from error
     return bound

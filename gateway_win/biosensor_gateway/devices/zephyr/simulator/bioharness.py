@@ -12,6 +12,7 @@ only by its silence.
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterable
@@ -29,6 +30,7 @@ from biosensor_gateway.devices.zephyr.simulator.session import Session
 from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing, Source, SyntheticSource
 from biosensor_gateway.devices.zephyr.simulator.wire import WAVEFORMS, Packet, Request
 from biosensor_gateway.simulation.serial_links import Link, PtyLink
+from biosensor_gateway.simulation.tcp_link import TcpHostLink
 
 _ORDER_TIMEOUT_S = 10.0
 
@@ -44,7 +46,7 @@ class SimulatedBioHarness:
     source
         `SyntheticSource` (default) or a recording.
     link
-        Where the host is; a pseudo-terminal by default.
+        Where the host is; a pseudo-terminal by default, TCP on Windows.
     summary_supported
         False: an old device, which refuses 0xBD and has general data (0x20) instead.
     host_timeout_s
@@ -88,7 +90,7 @@ class SimulatedBioHarness:
         self._device = SimulatedDevice(
             source or SyntheticSource(),
             session,
-            link or PtyLink(),
+            link or _usual_link(),
             seed,
             kept_packets,
             put_on_link,
@@ -295,3 +297,8 @@ class SimulatedBioHarness:
                 outcome.set_exception(error)
             else:
                 outcome.set_result(None)
+
+
+def _usual_link() -> Link:
+    # Windows has no pseudo-terminals.
+    return TcpHostLink() if sys.platform == "win32" else PtyLink()
