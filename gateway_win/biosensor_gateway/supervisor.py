@@ -90,6 +90,8 @@ class Supervisor:
 
     async def run(self) -> None:
         """Keep the device connected; returns only by cancellation, with the device closed."""
+        # Whatever a driver logs from now on names its device.
+        structlog.contextvars.bind_contextvars(**self._names)
         try:
             while True:
                 error = await self._one_connection()

@@ -1,19 +1,37 @@
-"""A plain socket client of the E4 streaming server."""
+"""A plain socket client of the E4 server, and a driver under its supervisor."""
 
 from __future__ import annotations
 
+import asyncio
 import json
 import socket
-from collections.abc import Callable, Iterator, Mapping
+import time
+import uuid
+from collections.abc import AsyncGenerator, Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Self
 
+import numpy as np
 import pytest
+from numpy.typing import ArrayLike, NDArray
 
+from biosensor_common.sensors.empatica_e4 import SENSOR
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway import supervisor as supervisor_module
+from biosensor_gateway.devices.empatica_e4 import driver as driver_module
+from biosensor_gateway.devices.empatica_e4.driver import DRIVER, E4Settings
+from biosensor_gateway.outlets import Counters
+from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.world import World
+from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.supervisor import State, Supervisor
 
-DEADLINE_S = 20.0
+DEADLINE_S = 40.0
+REGULAR = ("bvp", "acc", "gsr", "st")
+MEASURED = (*REGULAR, "hr", "ibi", "bat")
+Floats = NDArray[np.float64]
 
 
 class Line(NamedTuple):
@@ -116,3 +134,140 @@ def vectors() -> dict[str, Any]:
     path = Path(__file__).parent / "vectors" / "empatica_e4.json"
     loaded: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     return loaded
+
+
+class NotedSink(DeviceSink):
+    """Notes what drivers emit on its way into LSL."""
+
+    def __init__(self) -> None:
+        super().__init__(DeviceIdentity("empatica_e4", uuid.uuid4().hex))
+        names = [stream.data_name for stream in SENSOR.streams]
+        self.rows: dict[str, list[Floats]] = {name: [] for name in names}
+        self.stamps: dict[str, list[float]] = {name: [] for name in names}
+        self.tags: list[str] = []
+
+    def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
+        super().emit_at(data_name, samples, lsl_times)
+        width = len(SENSOR.stream(data_name).channels)
+        self.rows[data_name].extend(np.asarray(samples, np.float64).reshape(-1, width))
+        self.stamps[data_name].extend(lsl_times)
+
+    def emit_text(self, data_name: str, text: str, device_s: float) -> None:
+        super().emit_text(data_name, text, device_s)
+        self.tags.append(text)
+        self.stamps[data_name].append(self._clock.to_lsl(device_s))
+
+    def values(self, data_name: str) -> Floats:
+        width = len(SENSOR.stream(data_name).channels)
+        return np.array(self.rows[data_name], np.float64).reshape(-1, width)
+
+    def counted(self, data_name: str) -> Counters:
+        return self.counters[f"empatica_e4-{self.identity.unit}-{data_name}"]
+
+    def has(self, *data_names: str, rows: int = 1) -> Callable[[], bool]:
+        return lambda: all(len(self.rows[name]) >= rows for name in data_names)
+
+
+class Run:
+    """A driver and the supervisor that keeps it connected."""
+
+    def __init__(self, settings: Mapping[str, Any]) -> None:
+        self.sink = NotedSink()
+        self.states: list[State] = []
+        unit = self.sink.identity.unit
+        made = E4Settings.model_validate({"sensor": "empatica_e4", "unit": unit, **settings})
+        self.supervisor = Supervisor(DRIVER.make(made, self.sink), self.sink, self.states.append)
+
+    @property
+    def error(self) -> str:
+        return self.supervisor.last_error or ""
+
+    def has_reconnected(self) -> bool:
+        return self.supervisor.connections > 1
+
+    async def until(self, condition: Callable[[], object]) -> None:
+        deadline = time.monotonic() + DEADLINE_S
+        while not condition():
+            assert time.monotonic() < deadline, f"it did not happen; last error: {self.error}"
+            await asyncio.sleep(0.02)
+
+    async def until_more(self, *data_names: str, rows: int = 20) -> None:
+        """Wait until so many more samples have come of some streams."""
+        before = {name: len(self.sink.rows[name]) for name in data_names or ("bvp", "acc")}
+        await self.until(
+            lambda: all(len(self.sink.rows[name]) >= n + rows for name, n in before.items())
+        )
+
+    def places(self, truth: Truth, data_name: str = "bvp") -> list[int]:
+        """Tell which of the true samples each emitted one is.
+
+        Raises StopIteration for one that was not sent, that comes a second time, or not
+        in its order; the noise makes every BVP unlike all others.
+        """
+        sent: list[list[float]] = truth.samples(data_name).values.tolist()
+        emitted: list[list[float]] = self.sink.values(data_name).tolist()
+        numbered = iter(enumerate(sent))
+        return [next(number for number, row in numbered if row == each) for each in emitted]
+
+    def assert_all_arrived(self, truth: Truth, *data_names: str) -> None:
+        """What was sent is what was emitted, but for what is on its way."""
+        for name in data_names or MEASURED:
+            emitted, sent = self.sink.values(name), truth.samples(name).values
+            assert 0 < len(emitted) <= len(sent), name
+            np.testing.assert_allclose(emitted, sent[: len(emitted)], err_msg=name)
+
+    def assert_none_doubled(self, truth: Truth) -> None:
+        """Streams go on in order: no sample twice, nothing invented, all of it pushed."""
+        numbers = self.places(truth)
+        assert numbers == sorted(set(numbers))
+        for name in MEASURED:
+            assert len(self.sink.rows[name]) <= len(truth.samples(name).times), name
+        for name in REGULAR:
+            assert self.sink.counted(name).pushed == len(self.sink.rows[name])
+
+    def stamp_errors(self, truth: Truth, data_name: str, after_s: float = 0.0) -> Floats:
+        """Stamps against the time of measuring, where everything that was sent arrived."""
+        times = truth.samples(data_name).times
+        stamps = np.array(self.sink.stamps[data_name])
+        errors = stamps - times[: len(stamps)]
+        return errors[stamps > times[0] + after_s]
+
+
+@pytest.fixture
+def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shorten what a person would have to wait for."""
+    for module, name, seconds in (
+        (supervisor_module, "PROBE_INTERVAL_S", 0.1),
+        (supervisor_module, "BACKOFF_FIRST_S", 0.1),
+        (supervisor_module, "BACKOFF_CAP_S", 0.2),
+        (driver_module, "SILENCE_S", 0.7),
+        (driver_module, "DATA_SILENCE_S", 2.5),
+        (driver_module, "LIST_TIMEOUT_S", 1.5),
+        (driver_module, "RADIO_GRACE_S", 2.0),
+    ):
+        monkeypatch.setattr(module, name, seconds)
+
+
+Running = Callable[[Mapping[str, Any]], AbstractAsyncContextManager[Run]]
+
+
+@pytest.fixture
+def running(hasty: None) -> Running:
+    """Run a driver until the block ends; then nothing may have been refused or be half closed."""
+    del hasty
+
+    @asynccontextmanager
+    async def run_driver(settings: Mapping[str, Any]) -> AsyncGenerator[Run]:
+        run = Run(settings)
+        task = asyncio.create_task(run.supervisor.run())
+        try:
+            yield run
+        finally:
+            task.cancel()
+            await asyncio.wait({task}, timeout=DEADLINE_S)
+            refused = {name: each.refused for name, each in run.sink.counters.items()}
+            run.sink.close()
+        assert run.states[-1] is State.STOPPED
+        assert set(refused.values()) <= {0}
+
+    return run_driver

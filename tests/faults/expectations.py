@@ -21,9 +21,7 @@ SENSORS = (
     "ble_heart_rate",
 )
 # A strap without a control point takes no commands that it could refuse or answer late.
-_IMPOSSIBLE = frozenset(
-    {(FaultKind.REFUSE, "ble_heart_rate"), (FaultKind.LATE, "ble_heart_rate")}
-)
+_IMPOSSIBLE = frozenset({(FaultKind.REFUSE, "ble_heart_rate"), (FaultKind.LATE, "ble_heart_rate")})
 CELLS = tuple(
     (kind, name) for kind in FaultKind for name in SENSORS if (kind, name) not in _IMPOSSIBLE
 )
@@ -51,7 +49,7 @@ class Channel(NamedTuple):
     """One channel of a stream, and what it holds while the device is not worn."""
 
     data_name: str
-    index: int
+    channel: int
     off: float = 0.0
 
 
@@ -103,10 +101,7 @@ _GAPS = MappingProxyType(
         # Its radio link stayed: it stops only when the host closes the port, in silence.
         (FaultKind.STALL, "shimmer3_gsr"): Gap.UNKNOWN,
         # Firmware stops streaming with the end of the link.
-        **{
-            (kind, "shimmer3_gsr"): Gap.STOPPED
-            for kind in BREAKS - {FaultKind.STALL}
-        },
+        **{(kind, "shimmer3_gsr"): Gap.STOPPED for kind in BREAKS - {FaultKind.STALL}},
         # Cortex lets go of the headset, the strap is switched off: neither measures.
         (FaultKind.RESTART, "emotiv_insight"): Gap.STOPPED,
         (FaultKind.RESTART, "polar_h10"): Gap.STOPPED,
@@ -119,28 +114,27 @@ def gap_of(kind: FaultKind, name: str) -> Gap:
     return _GAPS.get((kind, name), Gap.MEASURED)
 
 
-def tolerance(name: str, data_name: str) -> int:
-    """By how many samples the count of lost ones may be wrong.
-
-    Emotiv's samples are numbered and stamped: exact. A Shimmer's are stamped, but some
-    may be in the radio when it breaks. Those of a strap are counted by its clock, to half
-    a frame's rounding. A BioHarness is restarted between two packets, which are what it
-    numbers. A belt and a wristband number nothing: there, time is what is measured, to
-    the delay of a packet and to 0.05 s in each window of ten seconds.
-    """
-    rate = float(_RATES[name, data_name])
-    return {
-        "empatica_e4": round(0.5 * rate) + 1,
-        "emotiv_insight": 1,
-        "shimmer3_gsr": 4,
-        "polar_h10": 2,
-        "vernier_respiration_belt": 2,
-        "zephyr": _PACKETS.get(data_name, 1),
-        "ble_heart_rate": 0,
-    }[name]
-
-
 _PACKETS = MappingProxyType({"ecg": 63, "breathing": 18, "acc": 20})
+_WRISTBAND = MappingProxyType({"bvp": 4, "acc": 2, "gsr": 6, "st": 6})
+
+
+def tolerance(kind: FaultKind, name: str, data_name: str) -> int:
+    """By how many samples the count of those that are lost may be wrong.
+
+    A wristband's loss is a time, told to 0.05 s, and some of its samples come six at a
+    time. What else is lost without a break of the connection is counted exactly, and over
+    a break what a headset or a BioHarness numbers and stamps; but after a restart the
+    BioHarness measures between two packets, which are what it numbers. Belt and strap
+    begin a new series at each connection, which is placed by time. A Shimmer may have
+    samples in its radio when that breaks.
+    """
+    if name == "empatica_e4":
+        return _WRISTBAND[data_name]
+    if kind not in BREAKS:
+        return 0
+    if name == "zephyr":
+        return _PACKETS[data_name] if kind is FaultKind.RESTART else 0
+    return {"emotiv_insight": 0, "shimmer3_gsr": 4}.get(name, 2)
 
 
 def numeric_streams(name: str) -> tuple[str, ...]:

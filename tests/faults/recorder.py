@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
-from typing import NamedTuple
+from types import TracebackType
+from typing import NamedTuple, Self
 
 import numpy as np
 import pylsl
@@ -35,7 +36,7 @@ class Recorded(NamedTuple):
 
 
 class Recorder:
-    """Pulls numeric streams in a thread, until it is stopped.
+    """Pulls numeric streams in a thread; a context manager.
 
     Parameters
     ----------
@@ -50,9 +51,18 @@ class Recorder:
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
-    def stop(self) -> None:
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self._stopping.set()
         self._thread.join()
+        self._inlets.clear()
 
     def recorded(self, source: str) -> Recorded:
         """What came so far."""

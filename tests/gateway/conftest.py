@@ -21,6 +21,9 @@ import pytest
 import structlog
 
 from biosensor_gateway import cli
+from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
+from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.world import World
 
 DEADLINE_S = 30.0
 _POLL_S = 0.01
@@ -194,3 +197,17 @@ def run(
         return Outcome(int(ended.value.code or 0), out, err)
 
     return command
+
+
+@pytest.fixture
+def world() -> Generator[World]:
+    with World() as living:
+        yield living
+
+
+@pytest.fixture
+def radio(world: World) -> Generator[Radio]:
+    """The air that this process's Bluetooth hears."""
+    air = Radio(world)
+    with virtual_bluetooth(air):
+        yield air

@@ -1,4 +1,4 @@
-"""``biosensor-gateway scan``: what it finds, how to add it, and what it says where it cannot look."""
+"""``biosensor-gateway scan``: what it finds, how to add it, and where it could not look."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from biosensor_gateway.devices import settings_models
 from biosensor_gateway.devices.emotiv_insight.simulator import SimulatedCortex, Timing
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.settings_file import load_settings
-from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.world import World
@@ -44,20 +43,6 @@ FOUND = (*STRAPS, "emotiv_insight", "empatica_e4")
 BLUETOOTH, SERIAL = "Bluetooth LE", "Serial ports"
 CORTEX, E4_SERVER = "Emotiv Insight by its service", "Empatica E4 by its service"
 QUICK = Timing(found_s=0.05, scan_s=0.3, connect_s=0.05)
-
-
-@pytest.fixture
-def world() -> Iterator[World]:
-    with World() as living:
-        yield living
-
-
-@pytest.fixture
-def radio(world: World) -> Iterator[Radio]:
-    """The air that this process's Bluetooth hears."""
-    air = Radio(world)
-    with virtual_bluetooth(air):
-        yield air
 
 
 @pytest.fixture(autouse=True)

@@ -22,7 +22,6 @@ from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.zephyr.driver import ZephyrSettings
 from biosensor_gateway.devices.zephyr.simulator import SimulatedZephyr
 from biosensor_gateway.settings import DeviceSettings
-from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.twin import Twin
@@ -34,19 +33,6 @@ if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome
 
 Run = Callable[..., "Outcome"]
-
-
-@pytest.fixture
-def world() -> Iterator[World]:
-    with World() as living:
-        yield living
-
-
-@pytest.fixture
-def radio(world: World) -> Iterator[Radio]:
-    air = Radio(world)
-    with virtual_bluetooth(air):
-        yield air
 
 
 @pytest.fixture
@@ -218,7 +204,8 @@ def acting(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
             del settings
             return lambda: Made(act, sink)
 
-        monkeypatch.setattr(trial, "driver", lambda _: DriverEntry(ZephyrSettings, make))
+        entry = DriverEntry(ZephyrSettings, make)
+        monkeypatch.setattr(trial, "driver", {"zephyr": entry}.__getitem__)
 
     return replace
 

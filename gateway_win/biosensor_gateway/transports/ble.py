@@ -15,13 +15,13 @@ from weakref import WeakKeyDictionary
 
 from bleak import BleakClient
 from bleak.backends.characteristic import BleakGATTCharacteristic
-from bleak.exc import BleakDeviceNotFoundError, BleakError, BleakGATTProtocolError
+from bleak.exc import BleakError, BleakGATTProtocolError
 from bleak.uuids import normalize_uuid_str
 from pylsl import local_clock
 
 from biosensor_common.errors import ProtocolError, ProtocolReason, TransportError, TransportReason
 from biosensor_gateway.transports.ble_choice import Choice
-from biosensor_gateway.transports.ble_errors import AttError, connect_error
+from biosensor_gateway.transports.ble_errors import AttError, connect_error, is_forgotten
 from biosensor_gateway.transports.ble_scanner import Sighting, forget
 from biosensor_gateway.transports.deadlines import in_background, within
 from biosensor_gateway.transports.seen import Advertisement
@@ -104,12 +104,12 @@ class BleLink:
         sighting = await self._choice.find()
         try:
             await self._connect(sighting)
-        except BleakDeviceNotFoundError:
+        except BleakError:
             # The system forgot it between scan and connection.
             sighting = await self._choice.find()
             try:
                 await self._connect(sighting)
-            except BleakDeviceNotFoundError as error:
+            except BleakError as error:
                 raise connect_error(self.what, error) from error
         self._choice.keep(sighting.advertisement)
         return sighting.advertisement
@@ -136,22 +136,28 @@ class BleLink:
             ``UNSUPPORTED``: there is no such characteristic.
         """
         found = self._characteristic(uuid)
-        return bytes(await self._request(lambda client: client.read_gatt_char(found)))
+        return bytes(
+            await self._request(lambda client: client.read_gatt_char(found), REQUEST_LIMIT_S)
+        )
 
     async def write(self, uuid: str, data: bytes, *, response: bool = True) -> None:
         """Write a characteristic; raises as :meth:`read` does."""
         found = self._characteristic(uuid)
-        await self._request(lambda client: client.write_gatt_char(found, data, response=response))
+        await self._request(
+            lambda client: client.write_gatt_char(found, data, response=response), REQUEST_LIMIT_S
+        )
 
     async def subscribe(self, uuid: str) -> None:
         """Pass notifications or indications on to :meth:`next`; raises as :meth:`read` does."""
         found = self._characteristic(uuid)
-        await self._request(lambda client: client.start_notify(found, self._arrived))
+        await self._request(
+            lambda client: client.start_notify(found, self._arrived), REQUEST_LIMIT_S
+        )
 
     async def unsubscribe(self, uuid: str) -> None:
         """End it; raises as :meth:`read` does."""
         found = self._characteristic(uuid)
-        await self._request(lambda client: client.stop_notify(found))
+        await self._request(lambda client: client.stop_notify(found), REQUEST_LIMIT_S)
 
     async def pair(self) -> None:
         """Pair without a PIN; nothing to do on macOS, which pairs when it must.
@@ -187,7 +193,7 @@ class BleLink:
             await self._hang_up(client)
 
     async def _connect(self, sighting: Sighting) -> None:
-        """Raise as :meth:`open` does, or a BleakDeviceNotFoundError."""
+        """Raise as :meth:`open` does, or a BleakError if the system forgot the device."""
         lock = _connecting.setdefault(asyncio.get_running_loop(), asyncio.Lock())
         async with lock:
             # Connected or not, what it said before does not hold any more.
@@ -206,7 +212,7 @@ class BleLink:
             except Exception as error:
                 self._client = None
                 await self._hang_up(client)
-                if isinstance(error, BleakDeviceNotFoundError):
+                if is_forgotten(error):
                     raise
                 raise connect_error(self.what, error) from error
 
@@ -230,7 +236,7 @@ class BleLink:
     async def _request(
         self,
         ask: _Asking[_T],
-        limit_s: float = REQUEST_LIMIT_S,
+        limit_s: float,
         failure: TransportReason = TransportReason.LOST,
     ) -> _T:
         client = self._client

@@ -89,8 +89,8 @@ class Choice:
             pass
         if len(found) > 1:
             names = ", ".join(sorted(self._id(each.advertisement) for each in found.values()))
-            message = f"more than one {self._kind} is in range ({names}); set `device` to one of them"
-            raise ProtocolError(ProtocolReason.REFUSED, message)
+            message = f"more than one {self._kind} is in range ({names})"
+            raise ProtocolError(ProtocolReason.REFUSED, f"{message}; set `device` to one of them")
         return found[first.advertisement.address]
 
     async def _next(self, heard: AsyncIterator[Sighting]) -> Sighting:

@@ -1,12 +1,16 @@
-"""What bleak's errors mean, on every platform, decided by class and code."""
+"""What bleak's errors mean, on every platform, decided by class and code where there is one."""
 
 from __future__ import annotations
+
+import re
 
 from bleak.exc import (
     PROTOCOL_ERROR_CODES,
     BleakBluetoothNotAvailableError,
     BleakBluetoothNotAvailableReason,
     BleakDBusError,
+    BleakDeviceNotFoundError,
+    BleakError,
 )
 
 from biosensor_common.errors import ProtocolError, ProtocolReason, TransportError, TransportReason
@@ -37,6 +41,9 @@ _ADVICE = {
     TransportReason.DENIED: "the system refuses Bluetooth to this program; allow it there",
     TransportReason.UNAVAILABLE: "Bluetooth is unavailable; plug in or switch on the radio",
 }
+
+# How bleak puts it when its own picture of BlueZ has lost the device before BlueZ is asked.
+_NOT_IN_BLUEZ = re.compile(r"device '\w+' not found")
 
 
 class AttError(ProtocolError):
@@ -71,6 +78,16 @@ def connect_error(what: str, error: Exception) -> TransportError:
         return TransportError(reason, f"{what}: {_ADVICE[reason]} ({_text(error)})")
     message = f"{what}: seen, but it does not connect ({_text(error)}); is it near and free?"
     return TransportError(TransportReason.ABSENT, message)
+
+
+def is_forgotten(error: Exception) -> bool:
+    """Tell whether the system forgot the device between the scan and the connection.
+
+    BlueZ does, half a minute after the scan; another scan brings the device back.
+    """
+    if isinstance(error, BleakDeviceNotFoundError):
+        return True
+    return isinstance(error, BleakError) and _NOT_IN_BLUEZ.fullmatch(str(error)) is not None
 
 
 def _system_reason(error: Exception) -> TransportReason | None:

@@ -16,8 +16,9 @@ from biosensor_gateway.transports.seen import SerialPort
 
 SERIAL_PORT_SERVICE = "00001101-0000-1000-8000-00805f9b34fb"
 _DBUS_TIMEOUT_S = 3.0
-# BTHENUM\{00001101-0000-...}_LOCALMFG&0000\7&23456789&0&000666AABBCC_C00000000
-_WINDOWS_BLUETOOTH = re.compile(r"BTHENUM\\\{00001101-.*&([0-9A-F]{12})_C", re.IGNORECASE)
+# BTHENUM\{00001101-0000-...}_LOCALMFG&0000\7&23456789&0&000666AABBCC_C00000000, and for a port
+# that waits for a caller ...&0&000000000000_00000000
+_WINDOWS_BLUETOOTH = re.compile(r"BTHENUM\\\{00001101-.*&([0-9A-F]{12})_", re.IGNORECASE)
 _INCOMING = "000000000000"
 
 
@@ -72,10 +73,10 @@ async def _bluez_names() -> dict[str, str]:
                 answer = await bus.call(question)
             finally:
                 bus.disconnect()
-    except (OSError, DBusError, TimeoutError, EOFError):
-        # No bus or no BlueZ: the ports are listed without names.
+    except (OSError, ValueError, DBusError, TimeoutError, EOFError):
+        # No bus (or nonsense as its address), or no BlueZ: the ports are listed without names.
         return {}
-    return _paired(answer.body[0]) if answer is not None and answer.signature[:2] == "a{" else {}
+    return _paired(answer.body[0]) if answer.signature[:2] == "a{" else {}
 
 
 def _paired(objects: dict[str, Any]) -> dict[str, str]:

@@ -12,6 +12,7 @@ a line, until its input ends. It answers each with a line, ``ok`` or what is wro
     connect_delay SECONDS
     forgets_after_scan on       or off
     die
+    rise
     kill_bus
 """
 
@@ -73,6 +74,7 @@ def _obey(line: str, bluez: FakeBluez, twins: dict[str, Twin]) -> str:
         "connect_delay": lambda: setattr(bluez, "connect_delay_s", float(argument)),
         "forgets_after_scan": lambda: setattr(bluez, "forgets_after_scan", argument == "on"),
         "die": bluez.die,
+        "rise": bluez.rise,
         "kill_bus": bluez.kill_bus,
     }
     try:

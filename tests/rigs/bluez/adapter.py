@@ -92,8 +92,12 @@ class FakeBluez:
         self._radio.world.call(lambda: self._devices.pop(address).forget())
 
     def die(self) -> None:
-        """Vanish from the bus without a word, as a daemon that is killed."""
-        self._radio.world.await_(self._leave())
+        """Vanish from the bus without a word, as a daemon that is killed; its links are lost."""
+        self._radio.world.await_(self._stop())
+
+    def rise(self) -> None:
+        """Start anew after `die`, and know no device any more."""
+        self._radio.world.await_(self._start())
 
     def kill_bus(self) -> None:
         """End the bus itself."""
@@ -114,14 +118,17 @@ class FakeBluez:
         await self._bus.request_name(_NAME)
 
     async def _stop(self) -> None:
+        bus, self._bus = self._bus, None
+        if bus is None:
+            return
         self._radio.on_switched_off.remove(self._on_switched_off)
-        await self._leave()
+        if bus.connected:
+            bus.disconnect()
+            await bus.wait_for_disconnect()
         await self.central.close()
-
-    async def _leave(self) -> None:
-        if self._bus and self._bus.connected:
-            self._bus.disconnect()
-            await self._bus.wait_for_disconnect()
+        self._devices.clear()
+        self._scanning.clear()
+        self._duplicates.clear()
 
     def _properties(self) -> Properties:
         return {

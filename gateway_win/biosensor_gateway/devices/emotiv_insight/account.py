@@ -49,10 +49,7 @@ class Credentials:
 
     def params(self) -> dict[str, object]:
         """Return them as parameters of a request."""
-        return {
-            "clientId": self.client_id.reveal(),
-            "clientSecret": self.client_secret.reveal(),
-        }
+        return {"clientId": self.client_id, "clientSecret": self.client_secret}
 
 
 async def find_credentials() -> Credentials:
@@ -139,7 +136,7 @@ class Account:
 
     def with_token(self, params: Mapping[str, object]) -> dict[str, object]:
         """Return parameters with the token added."""
-        return {"cortexToken": self._token.reveal() if self._token else "", **params}
+        return {"cortexToken": self._token or "", **params}
 
     def say_once(self, sentence: str, **details: object) -> None:
         """Log a sentence, the first time with these details for this device."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
-import json
 from collections import Counter, deque
 from collections.abc import Generator, Mapping
 from typing import NamedTuple, Protocol
@@ -28,6 +27,7 @@ from biosensor_gateway.devices.emotiv_insight.messages import (
     Warned,
     parse,
 )
+from biosensor_gateway.devices.emotiv_insight.requests import request_text
 from biosensor_gateway.transports.websocket import ReceivedText
 
 REPLY_TIMEOUT_S = 10.0
@@ -140,6 +140,8 @@ class CortexClient:
 
         Parameters
         ----------
+        params
+            What JSON knows, and secrets.
         timeout_s
             How long the reply may take; 0 for the usual time.
 
@@ -159,7 +161,7 @@ class CortexClient:
             if self._ended is not None:
                 raise self._ended
             async with asyncio.timeout(timeout_s or REPLY_TIMEOUT_S):
-                await self._link.send(_request(reply_id, method, params))
+                await self._link.send(request_text(reply_id, method, params))
                 reply = await future
         except TimeoutError as error:
             message = f"Cortex does not answer {method}; restart EMOTIV Launcher"
@@ -182,7 +184,7 @@ class CortexClient:
         TransportError
             ``LOST``.
         """
-        await self._link.send(_request(next(self._ids), method, params))
+        await self._link.send(request_text(next(self._ids), method, params))
 
     async def next_data(self) -> ArrivedData:
         """Wait for the next sample of any stream.
@@ -285,10 +287,3 @@ class CortexClient:
         for hidden in self._hidden:
             text = text.replace(hidden, "***")
         return " ".join(text.split())[:_LONGEST_SHOWN]
-
-
-def _request(reply_id: int, method: str, params: Mapping[str, object] | None) -> str:
-    return json.dumps(
-        {"jsonrpc": "2.0", "id": reply_id, "method": method, "params": dict(params or {})},
-        separators=(",", ":"),
-    )

@@ -104,6 +104,8 @@ class E4Driver:
 
     async def close(self) -> None:
         """Unbind, which makes the server close the connection, and close."""
+        # The rest of a line at the connection's end, and what made no sense before streaming.
+        self._sink.dropped_bytes += self._talk.take_dropped_bytes()
         await self._talk.close()
 
     async def _listed(self) -> Wristband | None:

@@ -44,6 +44,7 @@ class LossEstimate:
 
     def begin_window(self) -> None:
         """Start a window with the next samples, so that a known gap is told at its end."""
+        self._accounted_s = min(self._accounted_s, self._least_s)
         self._least_s = inf
         self._window_end_s = inf
 

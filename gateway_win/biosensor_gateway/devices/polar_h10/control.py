@@ -39,7 +39,10 @@ class ControlPoint:
 
     @property
     def knocking(self) -> bool:
-        """Whether a command was written, and the device has let none through yet."""
+        """Whether something was written, a subscription or a command, and no command came through.
+
+        A device that demands to be paired may refuse the one or the other.
+        """
         return self._knocking and not self._open
 
     async def open(self) -> frozenset[int]:
@@ -54,6 +57,7 @@ class ControlPoint:
         """
         # Before the subscription: BlueZ passes a value that is read on as a notification, too.
         features = parse_features(await self._link.read(CONTROL_POINT))
+        self._knocking = True
         # Before the first command, which is refused or never answered otherwise.
         await self._link.subscribe(CONTROL_POINT)
         await self._link.subscribe(DATA)
@@ -72,7 +76,6 @@ class ControlPoint:
             ``NO_REPLY``.
         """
         await self._flush()
-        self._knocking = True
         await self._link.write(CONTROL_POINT, command)
         self._open = True
         try:

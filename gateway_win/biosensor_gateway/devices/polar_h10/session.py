@@ -99,8 +99,8 @@ class PolarSession:
     def wants_pairing(self, error: GatewayError) -> bool:
         """Whether pairing may help against what went wrong in `open`.
 
-        BlueZ keeps the device's answer to itself: there, the first command fails with
-        another error, or nothing comes of it.
+        BlueZ keeps the device's answer to itself: there, the subscription to the control
+        point or the first command fails with another error, or nothing comes of it.
         """
         if isinstance(error, AttError):
             return error.code in _NOT_PAIRED or (

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from biosensor_gateway.devices.empatica_e4.simulator.number_format import NumberFormat
 
-_COUNTS_PER_G = 64
+COUNTS_PER_G = 64
 
 
 class Stream(NamedTuple):
@@ -41,7 +41,7 @@ def _conductance(values: Sequence[float]) -> tuple[float, ...]:
 
 
 def _acceleration(values: Sequence[float]) -> tuple[float, ...]:
-    return tuple(value / _COUNTS_PER_G for value in values)
+    return tuple(value / COUNTS_PER_G for value in values)
 
 
 def _charge(values: Sequence[float]) -> tuple[float, ...]:

@@ -10,6 +10,7 @@ from biosensor_gateway.devices.empatica_e4.simulator.number_format import as_sen
 from biosensor_gateway.devices.empatica_e4.simulator.samples import (
     ACC,
     BVP,
+    COUNTS_PER_G,
     GSR,
     TEMPERATURE,
     Stream,
@@ -20,7 +21,6 @@ Rows = list[tuple[float, ...]]
 
 _BVP_SCALE = 120.0
 _AMBIENT_C = 24.5
-_COUNTS_PER_G = 64
 _OPEN = 0.0
 """How the wire says that the electrodes touch no skin."""
 
@@ -47,7 +47,7 @@ class Signals:
     def read(self, stream: Stream, t: Floats) -> Rows:
         """Return what a regular stream reads at some times, as the wire can say it."""
         if stream is ACC:
-            counts = np.rint(self._wearer.acceleration_g(t) * _COUNTS_PER_G)
+            counts = np.rint(self._wearer.acceleration_g(t) * COUNTS_PER_G)
             return [tuple(row) for row in np.clip(counts, -128, 127).tolist()]
         return [(as_sent(value),) for value in self._read_one(stream, t).tolist()]
 

@@ -1,0 +1,229 @@
+"""A Bluetooth LE link in use: requests, notifications, losses, pairing, closing."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from bleak import BleakClient
+from bleak.exc import BleakDBusError, BleakError
+from pylsl import local_clock
+
+from biosensor_common.errors import (
+    ProtocolError,
+    ProtocolReason,
+    TransportReason,
+)
+from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.transports import ble
+from biosensor_gateway.transports.ble import BleLink
+from biosensor_gateway.transports.ble_errors import AttError
+from tests.rigs.bluetooth import ON_BUMBLE
+from tests.rigs.polling import until
+from tests.rigs.probe import COMPANY, EVENT, FLOW, NOTE, REFUSAL, SECRET, SERIAL, Probe
+from tests.rigs.probe_link import DEADLINE_S, choice, refusal
+
+HEART_RATE = "0000180d-0000-1000-8000-00805f9b34fb"
+
+
+async def test_open_returns_what_the_device_advertised(radio: Radio, probe: Probe) -> None:
+    link = BleLink(choice("1"))
+    seen = await link.open()
+    assert (seen.address, seen.name, seen.rssi_dbm) == (probe.address, "Probe 1", -58)
+    assert HEART_RATE in seen.service_uuids
+    assert seen.manufacturer_data == {COMPANY: b"\x01\x02\x03"}
+    await link.close()
+
+
+async def test_values_are_read_and_written(link: BleLink, probe: Probe) -> None:
+    assert await link.read(SERIAL) == b"0815"
+    await link.write(NOTE, b"with", response=True)
+    await link.write(NOTE, b"without", response=False)
+    await until(lambda: probe.notes == [b"with", b"without"])
+
+
+async def test_requests_at_the_same_time_take_turns(link: BleLink, probe: Probe) -> None:
+    notes = [bytes([number]) for number in range(10)]
+    async with asyncio.TaskGroup() as tasks:
+        for note in notes:
+            tasks.create_task(link.write(NOTE, note))
+        reading = tasks.create_task(link.read(SERIAL))
+    assert sorted(probe.notes) == notes
+    assert reading.result() == b"0815"
+
+
+async def test_characteristics_are_known_even_when_the_link_is_gone(link: BleLink) -> None:
+    await link.close()
+    assert link.has(FLOW)
+    assert link.properties(FLOW) == {"notify", "read"}
+    assert not link.has("2a37")
+    assert link.properties("2a37") == frozenset()
+
+
+async def test_short_uuids_mean_the_long_ones(link: BleLink) -> None:
+    # BlueZ keeps the Generic Access service, which has 0x2A00, to itself.
+    assert link.has("2A05")
+    assert link.has("00002a05-0000-1000-8000-00805F9B34FB")
+
+
+async def test_a_missing_characteristic_is_unsupported(link: BleLink) -> None:
+    error = await refusal(link.read("2a37"))
+    assert isinstance(error, ProtocolError)
+    assert error.reason is ProtocolReason.UNSUPPORTED
+
+
+async def test_notifications_and_indications_come_in_order(link: BleLink, probe: Probe) -> None:
+    await link.subscribe(FLOW)
+    await link.subscribe(EVENT)
+    before = local_clock()
+    probe.notify(probe.flow, b"1", b"2")
+    probe.notify(probe.event, b"3")
+    received = [await link.next() for _ in range(3)]
+    assert [(each.uuid, each.data) for each in received] == [
+        (FLOW, b"1"), (FLOW, b"2"), (EVENT, b"3")
+    ]  # fmt: skip
+    arrivals = [before, *(each.arrival for each in received), local_clock()]
+    assert arrivals == sorted(arrivals)
+
+
+async def test_nothing_comes_after_unsubscribing(link: BleLink, probe: Probe) -> None:
+    await link.subscribe(FLOW)
+    await link.unsubscribe(FLOW)
+    assert probe.notify(probe.flow, b"1") == [False]
+
+
+async def test_what_had_arrived_is_taken_before_the_loss(link: BleLink, probe: Probe) -> None:
+    await link.subscribe(FLOW)
+    probe.notify(probe.flow, b"1", b"2")
+    probe.drop()
+    assert [(await link.next()).data for _ in range(2)] == [b"1", b"2"]
+    for _ in range(2):
+        assert (await refusal(link.next())).reason is TransportReason.LOST
+
+
+async def test_a_loss_wakes_whoever_waits(link: BleLink, probe: Probe) -> None:
+    waiting = asyncio.create_task(link.next())
+    await asyncio.sleep(0)
+    probe.drop()
+    assert (await refusal(waiting)).reason is TransportReason.LOST
+
+
+@pytest.mark.parametrize("ask", ["read", "write", "subscribe"])
+async def test_a_loss_ends_a_request_under_way(ask: str, link: BleLink, probe: Probe) -> None:
+    probe.set_stalled(True)
+    requests: dict[str, Callable[[], Any]] = {
+        "read": lambda: link.read(SERIAL),
+        "write": lambda: link.write(NOTE, b"1"),
+        "subscribe": lambda: link.subscribe(FLOW),
+    }
+    asking = asyncio.create_task(requests[ask]())
+    await asyncio.sleep(0)
+    probe.drop()
+    assert (await refusal(asking)).reason is TransportReason.LOST
+    assert (await refusal(requests[ask]())).reason is TransportReason.LOST
+
+
+async def test_a_device_that_does_not_answer_is_silent(
+    link: BleLink, probe: Probe, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert ble.REQUEST_LIMIT_S == 5.0
+    monkeypatch.setattr(ble, "REQUEST_LIMIT_S", 0.3)
+    probe.set_stalled(True)
+    assert (await refusal(link.read(SERIAL))).reason is TransportReason.SILENT
+
+
+async def test_a_refusal_carries_its_code(link: BleLink) -> None:
+    for request, code in ((link.read(REFUSAL), 0x80), (link.write(REFUSAL, b"\xfd"), 0xFD)):
+        error = await refusal(request)
+        assert isinstance(error, AttError)
+        assert (error.code, error.reason) == (code, ProtocolReason.REFUSED)
+    assert await link.read(SERIAL) == b"0815"
+
+
+@pytest.mark.parametrize("pair_first", [False, True])
+async def test_a_device_may_have_to_be_paired(rig: str, radio: Radio, pair_first: bool) -> None:
+    probe = Probe(radio, "A0:9E:1A:00:00:01", "Probe 1")
+    probe.peripheral.demand_pairing = True
+    probe.power_on()
+    link = BleLink(choice("1"), pair_first=pair_first)
+    await link.open()
+    if not pair_first:
+        error = await refusal(link.read(SECRET))
+        assert isinstance(error, AttError)
+        # BlueZ swallows the true one, and answers for itself.
+        assert error.code == {"bumble": 0x05, "bluez": 0x0E}[rig]
+        await link.pair()
+    assert await link.read(SECRET) == b"secret"
+    await link.close()
+
+
+@ON_BUMBLE
+async def test_a_system_that_cannot_pair_by_command_pairs_by_itself(
+    link: BleLink, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def unknown(*_: Any) -> None:
+        raise NotImplementedError
+
+    monkeypatch.setattr(BleakClient, "pair", unknown)
+    await link.pair()
+
+
+@ON_BUMBLE
+async def test_a_failed_pairing_is_denied(link: BleLink, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def fails(*_: Any) -> None:
+        raise BleakError("Failure trying to pair with device!")
+
+    monkeypatch.setattr(BleakClient, "pair", fails)
+    assert (await refusal(link.pair())).reason is TransportReason.DENIED
+
+
+async def test_closing_sets_the_device_free(link: BleLink, probe: Probe) -> None:
+    await link.close()
+    await until(lambda: not probe.peripheral.connected)
+    assert (await refusal(link.read(SERIAL))).reason is TransportReason.LOST
+    assert (await refusal(link.next())).reason is TransportReason.LOST
+    await link.close()
+
+
+async def test_a_link_that_was_never_opened_can_be_closed(radio: Radio) -> None:
+    await BleLink(choice()).close()
+
+
+@ON_BUMBLE
+@pytest.mark.parametrize("trouble", ["hangs", "raises"])
+async def test_closing_ends_whatever_the_system_does(
+    trouble: str, link: BleLink, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def fails(*_: Any) -> None:
+        if trouble == "hangs":
+            await asyncio.Event().wait()
+        raise EOFError
+
+    monkeypatch.setattr(BleakClient, "disconnect", fails)
+    await asyncio.wait_for(link.close(), DEADLINE_S)
+
+
+@ON_BUMBLE
+async def test_a_dead_bluetooth_service_ends_requests(
+    link: BleLink, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def fails(*_: Any, **__: Any) -> bytearray:
+        raise BleakDBusError("org.freedesktop.DBus.Error.ServiceUnknown", ["no such name"])
+
+    monkeypatch.setattr(BleakClient, "read_gatt_char", fails)
+    error = await refusal(link.read(SERIAL))
+    assert error.reason is TransportReason.LOST
+    assert "Bluetooth system" in str(error)
+
+
+@ON_BUMBLE
+async def test_a_call_that_cancels_itself_is_a_loss(
+    link: BleLink, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def cancelled(*_: Any, **__: Any) -> bytearray:
+        raise asyncio.CancelledError
+
+    monkeypatch.setattr(BleakClient, "read_gatt_char", cancelled)
+    assert (await refusal(link.read(SERIAL))).reason is TransportReason.LOST

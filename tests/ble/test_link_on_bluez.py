@@ -1,0 +1,66 @@
+"""What only BlueZ can do to a Bluetooth LE link."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from bleak import BleakClient
+
+from biosensor_common.errors import TransportReason
+from biosensor_gateway.transports.ble import BleLink
+from tests.rigs.bluetooth import ON_BLUEZ
+from tests.rigs.probe import SERIAL, Probe
+from tests.rigs.probe_link import choice, refusal
+
+if TYPE_CHECKING:
+    from tests.rigs.bluez import FakeBluez
+
+pytestmark = ON_BLUEZ
+
+
+async def test_a_daemon_that_dies_shows_in_the_next_request(
+    link: BleLink, bluez: FakeBluez
+) -> None:
+    bluez.die()
+    error = await refusal(link.read(SERIAL))
+    assert error.reason is TransportReason.LOST
+    assert "the Bluetooth system of this computer fails" in str(error)
+    await link.close()
+    again = BleLink(choice("1"))
+    assert (await refusal(again.open())).reason is TransportReason.UNAVAILABLE
+    bluez.rise()
+    await again.open()
+    assert await again.read(SERIAL) == b"0815"
+    await again.close()
+
+
+async def test_a_bus_that_dies_ends_the_link(link: BleLink, bluez: FakeBluez) -> None:
+    bluez.kill_bus()
+    assert (await refusal(link.next())).reason is TransportReason.LOST
+    await link.close()
+    error = await refusal(BleLink(choice("1")).open())
+    assert error.reason is TransportReason.UNAVAILABLE
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+async def test_a_device_that_bluez_forgets_after_the_scan_is_looked_for_again(
+    probe: Probe, bluez: FakeBluez, at_once: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    connect, attempts = BleakClient.connect, list[BleakClient]()
+
+    async def noted(self: BleakClient, **options: Any) -> None:
+        attempts.append(self)
+        if len(attempts) == 1 and not at_once:
+            # Too late for bleak to notice before it asks.
+            bluez.forget(probe.address)
+        bluez.forgets_after_scan = False
+        await connect(self, **options)
+
+    monkeypatch.setattr(BleakClient, "connect", noted)
+    bluez.forgets_after_scan = at_once
+    link = BleLink(choice("1"))
+    await link.open()
+    assert await link.read(SERIAL) == b"0815"
+    assert len(attempts) == 2
+    await link.close()

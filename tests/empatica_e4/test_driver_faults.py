@@ -1,0 +1,279 @@
+"""The driver under its supervisor, and what can befall radio, server and lines."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Mapping
+from contextlib import AbstractAsyncContextManager
+from typing import Any
+
+import numpy as np
+import pytest
+from structlog.testing import capture_logs
+
+from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4
+from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.world import World
+from biosensor_gateway.supervisor import State
+
+ID = "9ff167"
+FOREVER = float("inf")
+REGULAR = ("bvp", "acc", "gsr", "st")
+# Without a rival for the processor it is a hundredth of that.
+NEAR_S = 0.15
+
+Running = Callable[[Mapping[str, Any]], AbstractAsyncContextManager[Any]]
+
+
+async def test_a_lost_radio_link_that_comes_back_needs_no_new_connection(
+    world: World, running: Running
+) -> None:
+    with SimulatedE4(world, beat_delay_s=0.5) as server:
+        with capture_logs() as logs:
+            async with running(server.settings) as run:
+                await run.until_more(rows=64)
+                server.apply(Fault(FaultKind.DROP, 1.2))
+                await run.until(lambda: server.truth.unsent_count("bvp"))
+                await run.until_more(rows=64)
+                assert run.supervisor.connections == 1
+                run.assert_all_arrived(server.truth, "bvp", "acc")
+                # Of a new reference, and yet in place: the pause is in the stamps.
+                errors = run.stamp_errors(server.truth, "bvp")
+                assert np.abs(errors).max() < NEAR_S
+                assert np.diff(run.sink.stamps["bvp"]).max() > 0.8
+                run.assert_none_doubled(server.truth)
+        assert not any(each.startswith("device_list") for each in server.requests[1:])
+    told = [entry["event"] for entry in logs if entry.get("device") == ID]
+    assert told == ["the wristband is out of reach of its dongle", "the wristband is back"]
+
+
+@pytest.mark.parametrize("automatic", [True, False])
+async def test_a_radio_link_that_stays_lost_is_connected_anew(
+    world: World, running: Running, automatic: bool
+) -> None:
+    with SimulatedE4(world, automatic=automatic) as server:
+        async with running(server.settings) as run:
+            await run.until_more()
+            server.apply(Fault(FaultKind.DROP, FOREVER))
+            await run.until(lambda: "out of reach" in run.error or "sees no" in run.error)
+            server.clear(FaultKind.DROP)
+            await run.until(run.has_reconnected)
+            await run.until_more()
+            run.assert_none_doubled(server.truth)
+
+
+async def test_a_manual_radio_that_is_back_is_connected_after_the_grace(
+    world: World, running: Running
+) -> None:
+    with SimulatedE4(world, automatic=False) as server:
+        async with running(server.settings) as run:
+            await run.until_more()
+            server.apply(Fault(FaultKind.DROP, 0.2))
+            await run.until(run.has_reconnected)
+            await run.until_more()
+            run.assert_none_doubled(server.truth)
+    assert sum(each.startswith("device_connect_btle") for each in server.requests) == 2
+
+
+async def test_a_wristband_that_is_turned_off_is_awaited(world: World, running: Running) -> None:
+    with SimulatedE4(world) as server:
+        async with running(server.settings) as run:
+            await run.until_more()
+            before = len(server.truth.samples("bvp").times)
+            server.turn_off()
+            await run.until(lambda: "switch it on" in run.error)
+            # Not even what came in one piece with the event is lost.
+            assert len(run.sink.rows["bvp"]) >= before
+            assert State.BACKOFF not in run.states
+            server.turn_on()
+            await run.until_more()
+            run.assert_all_arrived(server.truth, "bvp", "acc")
+            assert {run.sink.counted(name).lost for name in REGULAR} == {0}
+
+
+async def test_what_comes_in_one_piece_with_an_event_counts(world: World, running: Running) -> None:
+    with SimulatedE4(world) as server:
+        async with running(server.settings) as run:
+            await run.until_more()
+            tag = f"E4_Tag {time.time():.5f}\r\n"
+            server.send_raw(f"{tag}R device {ID} turned off via button\n".encode())
+            await run.until(lambda: "switched off" in run.error)
+            assert run.sink.tags == ["button"]
+            # Another wristband's radio is no concern of this one's.
+            await run.until(run.has_reconnected)
+            server.send_raw(b"R device cc34cd turned off via button\n")
+            await run.until_more()
+            assert run.supervisor.connections == 2
+
+
+async def test_a_stalled_server_is_asked_and_then_left(world: World, running: Running) -> None:
+    with SimulatedE4(world) as server:
+        async with running(server.settings) as run:
+            await run.until_more()
+            server.apply(Fault(FaultKind.STALL, FOREVER))
+            await run.until(lambda: "says nothing any more" in run.error)
+            server.clear(FaultKind.STALL)
+            await run.until(run.has_reconnected)
+            await run.until_more()
+            run.assert_none_doubled(server.truth)
+
+
+def end_radio_link(line_client: Any, server: SimulatedE4) -> None:
+    with line_client(server.settings) as other:
+        assert other.ask(f"device_disconnect_btle {ID}").endswith("OK\n")
+
+
+async def test_a_server_that_answers_without_data_is_left_too(
+    world: World, running: Running, line_client: Any
+) -> None:
+    with SimulatedE4(world) as server:
+        async with running(server.settings) as run:
+            await run.until_more()
+            # Another program ends the radio link, of which nobody is told.
+            await asyncio.to_thread(end_radio_link, line_client, server)
+            await run.until(lambda: "no data from wristband" in run.error)
+            await run.until(run.has_reconnected)
+            await run.until_more()
+
+
+async def test_a_short_hold_up_is_waited_for_and_its_backlog_misleads_no_stamp(
+    world: World,
+    running: Running,
+) -> None:
+    with SimulatedE4(world, seed=9) as server:
+        async with running(server.settings) as run:
+            await run.until_more(rows=128)
+            server.tear_line(1.5)
+            await run.until_more(rows=192)
+            assert run.supervisor.connections == 1
+            run.assert_all_arrived(server.truth, "bvp", "acc", "st")
+            errors = run.stamp_errors(server.truth, "bvp", after_s=1.0)
+            assert np.abs(errors).max() < NEAR_S
+            assert run.sink.dropped_bytes == 0
+
+
+async def test_garbage_costs_nothing_but_itself(world: World, running: Running) -> None:
+    with SimulatedE4(world, seed=5) as server:
+        async with running(server.settings) as run:
+            await run.until_more()
+            server.apply(Fault(FaultKind.GARBAGE, 300))
+            await run.until(lambda: run.sink.dropped_bytes > 5000)
+            server.send_raw(b"E4_Bvp " + b"1" * 200_000 + b"\r\n")
+            await run.until(lambda: run.sink.dropped_bytes > 205_000)
+            await run.until_more()
+            run.assert_all_arrived(server.truth, "bvp", "acc")
+            assert run.supervisor.connections == 1
+            assert run.sink.clock_state.reanchors <= 1
+
+
+async def test_lines_that_come_twice_glued_or_in_pieces(world: World, running: Running) -> None:
+    with SimulatedE4(world) as server:
+        async with running(server.settings) as run:
+            for _ in range(5):
+                server.duplicate_line()
+                server.tear_line(0.05)
+                server.tear_line(0.05, in_line_end=True)
+                await run.until_more()
+            run.assert_all_arrived(server.truth, "bvp", "acc")
+            assert run.sink.dropped_bytes == 0
+            server.glue_lines()
+            await run.until(lambda: run.sink.dropped_bytes)
+            await run.until_more()
+            run.assert_all_arrived(server.truth, "bvp", "acc")
+
+
+async def test_a_connection_that_ends_within_a_line_is_begun_anew(
+    world: World, running: Running
+) -> None:
+    with SimulatedE4(world) as server:
+        async with running(server.settings) as run:
+            await run.until_more()
+            server.close_within_line()
+            await run.until(run.has_reconnected)
+            await run.until_more()
+            run.assert_none_doubled(server.truth)
+            run.assert_all_arrived(server.truth, "bvp")
+            assert run.sink.dropped_bytes > 0
+
+
+async def test_a_restart_under_another_locale_is_survived(world: World, running: Running) -> None:
+    with SimulatedE4(world) as server:
+        async with running(server.settings) as run:
+            await run.until_more(rows=64)
+            server.apply(Fault(FaultKind.RESTART, 0.8))
+            await run.until(run.has_reconnected)
+            await run.until_more(rows=64)
+            run.assert_none_doubled(server.truth)
+            assert run.sink.dropped_bytes < 64
+            stamps = np.array(run.sink.stamps["bvp"])
+            true = server.truth.samples("bvp").times[run.places(server.truth)]
+            assert np.abs(stamps - true).max() < NEAR_S
+
+
+async def test_a_refusal_to_bind_is_overcome(world: World, running: Running) -> None:
+    with SimulatedE4(world) as server:
+        async with running(server.settings) as run:
+            await run.until_more()
+            server.apply(Fault(FaultKind.REFUSE, FOREVER))
+            await run.until(lambda: f"wristband {ID} is refused" in run.error)
+            server.clear(FaultKind.REFUSE)
+            await run.until(run.has_reconnected)
+            await run.until_more()
+            run.assert_none_doubled(server.truth)
+
+
+async def test_late_answers_are_waited_for(world: World, running: Running) -> None:
+    with SimulatedE4(world) as server:
+        async with running(server.settings) as run:
+            await run.until_more()
+            server.apply(Fault(FaultKind.LATE, 0.3))
+            await run.until(run.has_reconnected)
+            await run.until_more()
+            assert run.supervisor.connections == 2
+            run.assert_none_doubled(server.truth)
+
+
+async def test_answers_that_come_too_late_answer_nothing_else(
+    world: World, running: Running
+) -> None:
+    with SimulatedE4(world) as server:
+        async with running(server.settings) as run:
+            await run.until_more()
+            server.apply(Fault(FaultKind.LATE, 2.5))
+            await run.until(lambda: "no answer to device_list" in run.error)
+            assert run.supervisor.connections == 1
+            server.clear(FaultKind.LATE)
+            await run.until(run.has_reconnected)
+            await run.until_more()
+
+
+async def test_an_answer_that_never_comes_begins_anew(world: World, running: Running) -> None:
+    with SimulatedE4(world) as server:
+        server.withhold_reply("pause")
+        async with running(server.settings) as run:
+            await run.until(lambda: "no answer to pause" in run.error)
+            await run.until_more()
+
+
+async def test_an_empty_list_is_waited_for(world: World, running: Running) -> None:
+    with SimulatedE4(world) as server:
+        server.empty_list(0.7)
+        async with running(server.settings) as run:
+            await run.until(lambda: "sees no wristband" in run.error)
+            await run.until_more()
+
+
+@pytest.mark.parametrize("seconds", [3600.0, -3600.0])
+async def test_the_clock_of_the_server_may_be_set(
+    world: World, running: Running, seconds: float
+) -> None:
+    with SimulatedE4(world) as server:
+        async with running(server.settings) as run:
+            await run.until_more(rows=64)
+            server.jump_clock(seconds)
+            await run.until_more(rows=128)
+            run.assert_all_arrived(server.truth, "bvp", "acc")
+            errors = run.stamp_errors(server.truth, "bvp")
+            assert np.abs(errors).max() < NEAR_S
+            assert run.supervisor.connections == 1

@@ -1,0 +1,225 @@
+"""What each line of the E4 server puts into which stream, and what it does not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+from structlog.testing import capture_logs
+
+from biosensor_common.sensors.empatica_e4 import SENSOR
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.devices.empatica_e4.emitter import E4Emitter
+from biosensor_gateway.devices.empatica_e4.loss import WINDOW_S
+from biosensor_gateway.devices.empatica_e4.messages import Sample, Stream
+from biosensor_gateway.sink import DeviceSink
+
+UNIX_S = 1_680_442_024.0
+ARRIVAL_S = 5_000.0
+NAN = math.nan
+
+
+class NotedSink(DeviceSink):
+    """Notes what it is told instead of telling LSL."""
+
+    def __init__(self) -> None:
+        super().__init__(DeviceIdentity("empatica_e4", "noted"))
+        self.emitted: dict[str, list[list[float]]] = {}
+        self.times: dict[str, list[float]] = {}
+        self.texts: list[tuple[str, str, float]] = []
+        self.observed: list[tuple[float, float]] = []
+        self.restarts: list[int] = []
+        self.losses: dict[str, int] = {}
+
+    def observe(self, device_s: float, arrival_s: float) -> None:
+        super().observe(device_s, arrival_s)
+        self.observed.append((device_s, arrival_s))
+
+    def mapped(self, device_s: float) -> float:
+        return self._clock.to_lsl(device_s)
+
+    def restart_clock(self) -> None:
+        super().restart_clock()
+        self.restarts.append(len(self.observed))
+
+    def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
+        for time in device_times:
+            self.mapped(time)
+        width = len(SENSOR.stream(data_name).channels)
+        rows = np.asarray(samples, np.float64).reshape(-1, width).tolist()
+        assert len(rows) == len(device_times)
+        self.emitted.setdefault(data_name, []).extend(rows)
+        self.times.setdefault(data_name, []).extend(device_times)
+
+    def emit_text(self, data_name: str, text: str, device_s: float) -> None:
+        self.mapped(device_s)
+        self.texts.append((data_name, text, device_s))
+
+    def lost(self, data_name: str, count: int) -> None:
+        self.losses[data_name] = self.losses.get(data_name, 0) + count
+
+
+class Bench:
+    """An emitter that has been told of a new radio link, and its sink."""
+
+    def __init__(self) -> None:
+        self.sink = NotedSink()
+        self.emitter = E4Emitter(self.sink)
+        self.emitter.new_epoch()
+
+    def take(self, stream: Stream, after_s: float, *values: float, late_s: float = 0.0) -> None:
+        sample = Sample(stream, UNIX_S + after_s, values)
+        self.emitter.take([sample], ARRIVAL_S + after_s + late_s)
+
+    def stream_bvp(self, begin_s: float, end_s: float, *, ahead_s: float = 0.0) -> None:
+        """Take BVP; the stamps may run behind what the arrival says by a loss."""
+        for number in range(round(begin_s * 64), round(end_s * 64)):
+            sample = Sample(Stream.BVP, UNIX_S + number / 64 - ahead_s, (float(number),))
+            self.emitter.take([sample], ARRIVAL_S + number / 64)
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+def test_values_are_those_of_the_declaration(bench: Bench) -> None:
+    bench.take(Stream.BVP, 0.0, -12.5)
+    bench.take(Stream.ACC, 0.03, -64.0, 0.0, 127.0)
+    bench.take(Stream.TMP, 0.0, 33.75)
+    bench.take(Stream.GSR, 0.0, 0.0832364)
+    bench.take(Stream.BAT, 0.0, 0.73)
+    bench.take(Stream.HR, 0.0, 72.5)
+    bench.take(Stream.IBI, 0.0, 0.828125)
+    emitted = bench.sink.emitted
+    assert emitted["bvp"] == [[-12.5]]
+    assert emitted["acc"] == [[-1.0, 0.0, 127 / 64]]
+    assert emitted["st"] == [[33.75]]
+    assert emitted["gsr"] == [[0.0832364]]
+    assert emitted["bat"] == [[pytest.approx(73.0)]]
+    assert emitted["hr"] == [[72.5]]
+    assert emitted["ibi"] == [[0.828125]]
+    assert set(emitted) == {stream.data_name for stream in SENSOR.streams} - {"tag"}
+
+
+def test_a_press_of_the_button_is_a_marker(bench: Bench) -> None:
+    bench.take(Stream.BVP, 0.0, 1.0)
+    bench.take(Stream.TAG, 0.5)
+    assert bench.sink.texts == [("tag", "button", UNIX_S + 0.5)]
+
+
+def test_only_what_is_not_late_by_design_moves_the_clock(bench: Bench) -> None:
+    bench.take(Stream.BVP, 1.0, 1.0)
+    bench.take(Stream.ACC, 1.01, 1.0, 2.0, 3.0)
+    for stream in (Stream.GSR, Stream.TMP, Stream.IBI, Stream.HR, Stream.BAT):
+        bench.take(stream, 0.5, 1.0, late_s=5.6)
+    bench.take(Stream.TAG, 0.7)
+    assert bench.sink.observed == [
+        (UNIX_S + 1.0, ARRIVAL_S + 1.0),
+        (UNIX_S + 1.01, ARRIVAL_S + 1.01),
+    ]
+
+
+def test_of_samples_that_arrive_together_the_newest_moves_the_clock(bench: Bench) -> None:
+    samples = [Sample(Stream.BVP, UNIX_S + k / 64, (1.0,)) for k in range(64)]
+    bench.emitter.take(samples, ARRIVAL_S + 1)
+    assert bench.sink.observed == [(samples[-1].time_s, ARRIVAL_S + 1)]
+    assert bench.sink.times["bvp"] == [sample.time_s for sample in samples]
+
+
+def test_what_cannot_be_mapped_yet_waits_for_what_can(bench: Bench) -> None:
+    bench.take(Stream.GSR, 0.0, 1.0)
+    bench.take(Stream.GSR, 0.25, 2.0)
+    bench.take(Stream.TAG, 0.3)
+    assert bench.sink.emitted == {}
+    bench.take(Stream.BVP, 0.35, 1.0)
+    assert bench.sink.emitted["gsr"] == [[1.0], [2.0]]
+    assert len(bench.sink.texts) == 1
+    bench.emitter.new_epoch()
+    bench.take(Stream.GSR, 0.5, 3.0)
+    assert len(bench.sink.emitted["gsr"]) == 2
+    bench.take(Stream.ACC, 0.6, 1.0, 1.0, 1.0)
+    assert bench.sink.emitted["gsr"] == [[1.0], [2.0], [3.0]]
+
+
+def test_a_line_that_comes_twice_is_one_sample(bench: Bench) -> None:
+    for after_s in (0.0, 0.0, 1 / 64, 1 / 64, 2 / 64):
+        bench.take(Stream.BVP, after_s, 7.0)
+    assert bench.sink.times["bvp"] == [UNIX_S + k / 64 for k in range(3)]
+    # A stamp that two streams share is no repetition.
+    bench.take(Stream.HR, 1.0, 60.0)
+    bench.take(Stream.IBI, 1.0, 1.0)
+    assert (len(bench.sink.emitted["hr"]), len(bench.sink.emitted["ibi"])) == (1, 1)
+
+
+def conduct(bench: Bench, values: Sequence[float], begin_s: float = 0.0) -> None:
+    for number, value in enumerate(values):
+        bench.take(Stream.GSR, begin_s + number / 4, value)
+
+
+def test_no_conductance_keeps_its_place_and_for_two_seconds_means_not_worn(bench: Bench) -> None:
+    bench.take(Stream.BVP, 0.0, 1.0)
+    conduct(bench, [1.0] + [0.0] * 7 + [2.0])
+    assert [row[0] for row in bench.sink.emitted["quality"]] == [1.0]
+    conduct(bench, [0.0] * 12, 3.0)
+    conduct(bench, [2.0, 2.0], 6.0)
+    assert [row[0] for row in bench.sink.emitted["quality"]] == [1.0, 0.0, 1.0]
+    assert bench.sink.times["quality"] == [UNIX_S, UNIX_S + 4.75, UNIX_S + 6.0]
+    gsr = np.array(bench.sink.emitted["gsr"])[:, 0]
+    assert np.isnan(gsr).tolist() == [False] + [True] * 7 + [False] + [True] * 12 + [False] * 2
+
+
+def test_at_the_start_a_few_open_samples_do_not_tell(bench: Bench) -> None:
+    bench.take(Stream.BVP, 0.0, 1.0)
+    conduct(bench, [0.0] * 7)
+    assert "quality" not in bench.sink.emitted
+    conduct(bench, [0.0], 2.0)
+    assert [row[0] for row in bench.sink.emitted["quality"]] == [0.0]
+
+
+def test_without_loss_quality_says_so_every_window(bench: Bench) -> None:
+    bench.stream_bvp(0, 3 * WINDOW_S + 1)
+    np.testing.assert_equal(bench.sink.emitted["quality"], [[NAN, 0.0]] * 3)
+    assert set(bench.sink.losses.values()) <= {0}
+    assert bench.sink.restarts == [0]
+
+
+def test_radio_loss_is_counted_for_every_stream_and_starts_the_clock_anew(bench: Bench) -> None:
+    bench.stream_bvp(0, 15)
+    with capture_logs() as logs:
+        bench.stream_bvp(17, 45, ahead_s=2.0)
+    lost = bench.sink.losses
+    assert lost["bvp"] == pytest.approx(128, abs=4)
+    assert lost["acc"] == pytest.approx(64, abs=2)
+    assert lost["gsr"] == lost["st"] == 8
+    assert len(bench.sink.restarts) == 2
+    losses = [row[1] for row in bench.sink.emitted["quality"]]
+    assert [loss for loss in losses if loss] == [pytest.approx(0.2, abs=0.01)]
+    (entry,) = [entry for entry in logs if "estimated" in entry["event"]]
+    assert entry["seconds"] == pytest.approx(2.0, abs=0.05)
+    # Those that came after are where they were measured.
+    newest = bench.sink.times["bvp"][-1]
+    assert bench.sink.mapped(newest) == pytest.approx(newest - UNIX_S + 2.0 + ARRIVAL_S, abs=0.02)
+
+
+def test_a_gap_that_was_told_is_counted_without_another_start_of_the_clock(bench: Bench) -> None:
+    bench.stream_bvp(0, 25)
+    bench.emitter.new_epoch()
+    bench.stream_bvp(30, 55)
+    assert bench.sink.losses["bvp"] == pytest.approx(5 * 64, abs=4)
+    assert len(bench.sink.restarts) == 2
+    # What is lost later is another matter.
+    bench.stream_bvp(58, 85, ahead_s=3.0)
+    assert bench.sink.losses["bvp"] == pytest.approx(8 * 64, abs=6)
+    assert len(bench.sink.restarts) == 3
+
+
+def test_a_wristband_that_was_switched_off_lost_nothing(bench: Bench) -> None:
+    bench.stream_bvp(0, 25)
+    bench.emitter.switched_off()
+    bench.emitter.new_epoch()
+    bench.stream_bvp(45, 70)
+    assert set(bench.sink.losses.values()) <= {0}

@@ -1,0 +1,64 @@
+"""The bench of the fault matrix, and its table at the end of the report."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+
+import pytest
+
+from biosensor_common.registry import sensor
+from tests.faults.agent import AgentProcess
+from tests.faults.bench import Bench
+from tests.faults.expectations import SENSORS, numeric_streams, source
+from tests.faults.recorder import Recorder
+from tests.faults.table import LEGEND, NAME, FaultTable
+from tests.rigs.lab_client import LabProcess, settings_toml
+
+JITTER_S = 0.01
+
+_TABLE = pytest.StashKey[FaultTable]()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.stash[_TABLE] = FaultTable()
+
+
+def pytest_terminal_summary(
+    terminalreporter: pytest.TerminalReporter, exitstatus: int, config: pytest.Config
+) -> None:
+    del exitstatus
+    table = config.stash.get(_TABLE, None)
+    if table:
+        folder = config.rootpath / "build"
+        table.write(folder)
+        terminalreporter.section("time to recover [s]")
+        terminalreporter.write_line(table.markdown())
+        terminalreporter.write_line(f"{LEGEND} All figures: {folder / NAME}.json")
+
+
+@pytest.fixture(scope="module")
+def bench(
+    tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Config
+) -> Generator[Bench]:
+    """Every virtual device, an agent that streams from all of them, and a recorder."""
+    folder = tmp_path_factory.mktemp("bench")
+    devices = [
+        {"key": name, "sensor": name, "options": {"seed": seed, "jitter_s": JITTER_S}}
+        for seed, name in enumerate(SENSORS)
+    ]
+    channels = {
+        source(name, data_name): len(sensor(name).stream(data_name).channels)
+        for name in SENSORS
+        for data_name in numeric_streams(name)
+    }
+    with LabProcess(devices, folder) as lab:
+        settings = folder / "settings.toml"
+        settings.write_text(settings_toml(lab, {name: name for name in SENSORS}))
+        options = ("--settings", str(settings))
+        with (
+            AgentProcess(folder, *options, environment=lab.environment) as agent,
+            Recorder(channels) as recorder,
+        ):
+            running = Bench(lab, agent, recorder, pytestconfig.stash[_TABLE])
+            running.wait_for_streams()
+            yield running

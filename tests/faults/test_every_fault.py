@@ -1,0 +1,112 @@
+"""Each fault, for each sensor that it can hit: noticed, said, recovered from, counted.
+
+All devices have a fault at the same time, and the agent is never started anew. The
+report ends with a table: sensor x fault x time to recover.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from biosensor_gateway.simulation.faults import FaultKind
+from tests.faults.bench import Bench
+from tests.faults.expectations import (
+    BREAKS,
+    CELLS,
+    NO_VALUE,
+    OF_THE_AGENT,
+    SENSORS,
+    WEAR,
+    numeric_streams,
+    regular_streams,
+    unit_of,
+)
+
+LONGEST_SENTENCE = 250
+STAMP_LIMIT_S = 0.020
+SETTLED_S = 2.0
+
+# The first test of a kind lets it happen to all devices.
+pytestmark = pytest.mark.timeout(400)
+EVERY_CELL = pytest.mark.parametrize(
+    ("kind", "name"), CELLS, ids=[f"{kind.value}-{name}" for kind, name in CELLS]
+)
+EVERY_SENSOR = pytest.mark.parametrize("name", SENSORS)
+
+
+def test_the_devices_can_have_the_faults_of_the_matrix(bench: Bench) -> None:
+    assert {name: set(kinds) for name, kinds in bench.lab.faults.items()} == {
+        name: {kind.value for kind, hit in CELLS if hit == name} for name in SENSORS
+    }
+
+
+@EVERY_CELL
+def test_it_is_noticed(bench: Bench, kind: FaultKind, name: str) -> None:
+    assert (kind, name) in bench.episode(kind).seen
+
+
+@EVERY_CELL
+def test_it_is_said_in_one_sentence(bench: Bench, kind: FaultKind, name: str) -> None:
+    warnings = bench.episode(kind).warnings(name)
+    assert warnings or kind not in BREAKS
+    for record in warnings:
+        assert record["unit"] == unit_of(name)
+        assert record["level"] == "warning"
+        assert "exception" not in record
+        assert record["event"].isprintable()
+        assert len(record["event"]) <= LONGEST_SENTENCE
+
+
+@EVERY_CELL
+def test_it_recovers_by_itself(bench: Bench, kind: FaultKind, name: str) -> None:
+    episode = bench.episode(kind)
+    assert (kind, name) in episode.recovered_s
+    before, after = episode.before[name].status, episode.after[name].status
+    assert (after["state"], after["error"]) == ("streaming", None)
+    if kind not in BREAKS:
+        assert after["connections"] == before["connections"]
+
+
+@EVERY_CELL
+def test_what_is_lost_is_counted(bench: Bench, kind: FaultKind, name: str) -> None:
+    assert not bench.episode(kind).imbalance(name)
+
+
+@EVERY_CELL
+def test_nothing_comes_twice_or_from_nowhere(bench: Bench, kind: FaultKind, name: str) -> None:
+    episode = bench.episode(kind)
+    for data_name in numeric_streams(name):
+        assert (np.diff(episode.received[name, data_name].times) > 0).all(), data_name
+        assert episode.counted(name, data_name, "refused") == 0, data_name
+        if (name, data_name) not in OF_THE_AGENT and (name, data_name) in episode.truth:
+            episode.matched(name, data_name)
+
+
+@EVERY_SENSOR
+def test_without_contact_there_is_no_value(bench: Bench, name: str) -> None:
+    episode = bench.episode(FaultKind.OFF_BODY)
+    wear = WEAR[name]
+    contact = episode.received[name, wear.data_name]
+    off_s = float(contact.times[contact.values[:, wear.channel] == wear.off][0])
+    for data_name in NO_VALUE[name]:
+        received = episode.received[name, data_name]
+        values = received.since(off_s + SETTLED_S).until(episode.end_s[FaultKind.OFF_BODY, name])
+        assert np.isnan(values.values).all(), data_name
+        assert bool(len(values.times)) == (data_name in regular_streams(name)), data_name
+        assert (received.values != 0).all(), data_name
+
+
+@EVERY_SENSOR
+def test_stamps_follow_a_crystal_that_drifts(bench: Bench, name: str) -> None:
+    episode = bench.episode(FaultKind.DRIFT)
+    for data_name in regular_streams(name):
+        places = episode.matched(name, data_name)
+        measured_s = episode.truth[name, data_name].times[places]
+        errors_s = episode.received[name, data_name].times - measured_s
+        assert np.abs(errors_s).max() <= STAMP_LIMIT_S, data_name
+
+
+def test_the_agent_was_never_started_anew(bench: Bench) -> None:
+    assert bench.agent.is_running
+    assert "the driver failed" not in bench.agent.console()

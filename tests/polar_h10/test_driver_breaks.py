@@ -1,0 +1,132 @@
+"""Whatever happens to a Polar sensor or the link to it, the driver comes back and says so."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import inf
+
+import numpy as np
+import pytest
+from structlog.testing import capture_logs
+
+from biosensor_gateway.devices.polar_h10 import measurements as measurements_module
+from biosensor_gateway.devices.polar_h10.driver import PolarH10Driver
+from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
+from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
+from biosensor_gateway.devices.polar_h10.simulator.quirks import Quirks
+from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.supervisor import State
+from biosensor_gateway.transports import ble
+from tests.rigs.driver_run import Run, streaming
+from tests.rigs.polar_h10 import assert_only_gaps
+from tests.rigs.polling import until
+
+Twins = Callable[..., SimulatedPolarH10]
+
+
+async def after_a_break(run: Run, break_it: Callable[[], None]) -> None:
+    await until(run.sink.has(100, "ecg"))
+    await until(run.sink.has(36, "acc"))
+    break_it()
+    await until(lambda: State.DISCOVERING in run.states)
+    ecg, acc = len(run.sink.rows["ecg"]), len(run.sink.rows["acc"])
+    await until(run.sink.has(ecg + 100, "ecg"))
+    await until(run.sink.has(acc + 36, "acc"))
+    await until(run.sink.has(1, "bat"))
+
+
+async def test_a_lost_link_is_a_gap_of_known_length(sensor: Twins) -> None:
+    h10 = sensor()
+    async with streaming(h10) as run:
+        await after_a_break(run, lambda: h10.apply(Fault(FaultKind.DROP, 0.8)))
+        lost = {name: run.sink.lost_count(name) for name in ("ecg", "acc")}
+    assert_only_gaps(h10, run.sink)
+    for name, rate in {"ecg": 130, "acc": 50}.items():
+        stamps = np.array(run.sink.times[name])
+        assert lost[name] == pytest.approx((np.diff(stamps) - 1 / rate).max() * rate, abs=6)
+
+
+async def test_a_device_that_restarts_counts_anew_and_loses_nothing_meanwhile(
+    sensor: Twins,
+) -> None:
+    h10 = sensor()
+    async with streaming(h10) as run:
+        await after_a_break(run, lambda: h10.apply(Fault(FaultKind.RESTART, 0.8)))
+        lost = run.sink.lost_count("ecg")
+    assert_only_gaps(h10, run.sink)
+    assert lost == 0
+
+
+async def test_measurements_that_went_on_are_started_anew(sensor: Twins) -> None:
+    h10 = sensor(Quirks(keeps_streaming=True, announces_stops=True))
+    async with streaming(h10) as run:
+        await after_a_break(run, lambda: h10.apply(Fault(FaultKind.DROP, 0.8)))
+    assert_only_gaps(h10, run.sink)
+
+
+async def test_a_measurement_that_stops_is_started_again(
+    sensor: Twins, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert (measurements_module.RESTART_AFTER_S, measurements_module.GIVE_UP_AFTER_S) == (5, 15)
+    monkeypatch.setattr(measurements_module, "RESTART_AFTER_S", 1.5)
+    h10 = sensor()
+    async with streaming(h10) as run:
+        await until(run.sink.has(73, "ecg"))
+        with capture_logs() as logs:
+            h10.stop_measurements(Measurement.ECG)
+            await run.goes_on(146, "ecg")
+        assert run.supervisor.connections == 1
+        lost = run.sink.lost_count("ecg")
+    assert_only_gaps(h10, run.sink)
+    assert {"the device stopped measuring", "no data; the measurement is started anew"} <= {
+        entry["event"] for entry in logs
+    }
+    assert lost > 100
+
+
+async def test_a_silent_device_is_connected_anew(
+    sensor: Twins, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert PolarH10Driver.silence_limit_s == 15.0
+    monkeypatch.setattr(ble, "REQUEST_LIMIT_S", 0.5)
+    monkeypatch.setattr(measurements_module, "RESTART_AFTER_S", 1.0)
+    monkeypatch.setattr(measurements_module, "GIVE_UP_AFTER_S", 2.0)
+    h10 = sensor()
+    async with streaming(h10) as run:
+        await until(run.sink.has(73, "ecg"))
+        h10.apply(Fault(FaultKind.STALL, inf))
+        await until(lambda: State.DISCOVERING in run.states)
+        assert "no data for 2 s" in str(run.supervisor.last_error)
+        h10.clear(FaultKind.STALL)
+        await run.goes_on(73, "ecg")
+        assert run.supervisor.connections >= 2
+    assert_only_gaps(h10, run.sink)
+
+
+async def test_a_short_stall_only_delays(sensor: Twins) -> None:
+    h10 = sensor()
+    async with streaming(h10) as run:
+        await until(run.sink.has(100, "ecg"))
+        await until(run.sink.has(36, "acc"))
+        h10.apply(Fault(FaultKind.STALL, 1.6))
+        await until(lambda: h10.truth.unsent_count("ecg"))
+        await run.goes_on(146, "ecg")
+        await run.goes_on(36, "acc")
+        assert run.supervisor.connections == 1
+        lost = {name: run.sink.lost_count(name) for name in ("ecg", "acc")}
+        unsent = {name: h10.truth.unsent_count(name) for name in lost}
+    assert_only_gaps(h10, run.sink)
+    assert lost == unsent
+
+
+async def test_garbage_is_counted_and_never_emitted(sensor: Twins) -> None:
+    h10 = sensor()
+    async with streaming(h10) as run:
+        await until(run.sink.has(73, "ecg"))
+        h10.apply(Fault(FaultKind.GARBAGE, 20))
+        await until(lambda: run.sink.dropped_bytes > 0)
+        await run.goes_on(146, "ecg")
+        assert run.supervisor.connections == 1
+        lost = run.sink.lost_count("ecg")
+    assert_only_gaps(h10, run.sink)
+    assert lost == 0

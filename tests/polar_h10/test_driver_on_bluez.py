@@ -1,0 +1,198 @@
+"""What BlueZ does and no other system: how the driver of a Polar sensor takes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from bleak import BleakClient
+from structlog.testing import capture_logs
+
+from biosensor_gateway.devices.polar_h10 import measurements as measurements_module
+from biosensor_gateway.devices.polar_h10.protocol.control_point import CONTROL_POINT
+from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
+from biosensor_gateway.devices.polar_h10.simulator.quirks import Quirks
+from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.supervisor import State
+from biosensor_gateway.transports import ble
+from biosensor_gateway.transports.ble import BleLink, Notification
+from tests.rigs.bluetooth import ON_BLUEZ
+from tests.rigs.driver_run import streaming
+from tests.rigs.polar_h10 import assert_only_gaps
+from tests.rigs.polling import until
+
+if TYPE_CHECKING:
+    from tests.rigs.bluez import FakeBluez
+
+pytestmark = ON_BLUEZ
+
+Twins = Callable[..., SimulatedPolarH10]
+FRAME = 73
+
+
+@pytest.fixture
+def attempts(monkeypatch: pytest.MonkeyPatch) -> list[BleakClient]:
+    """Connections that bleak was asked for; what one of them does is up to the test."""
+    asked: list[BleakClient] = []
+    connect = BleakClient.connect
+
+    async def noted(self: BleakClient, **options: Any) -> None:
+        asked.append(self)
+        await connect(self, **options)
+
+    monkeypatch.setattr(BleakClient, "connect", noted)
+    return asked
+
+
+async def test_an_adapter_that_is_switched_off_is_waited_for(
+    sensor: Twins, bluez: FakeBluez
+) -> None:
+    h10 = sensor()
+    async with streaming(h10) as run:
+        await until(run.sink.has(FRAME, "ecg"))
+        bluez.set_powered(False)
+        await until(lambda: State.BACKOFF in run.states)
+        assert "Bluetooth is unavailable" in str(run.supervisor.last_error)
+        bluez.set_powered(True)
+        await run.goes_on(FRAME, "ecg")
+        assert run.supervisor.connections == 2
+    assert_only_gaps(h10, run.sink)
+
+
+async def test_a_daemon_that_dies_without_a_word_is_noticed_and_waited_for(
+    sensor: Twins, bluez: FakeBluez, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(measurements_module, "RESTART_AFTER_S", 1.5)
+    h10 = sensor()
+    async with streaming(h10) as run:
+        await until(run.sink.has(FRAME, "ecg"))
+        with capture_logs() as logs:
+            bluez.die()
+            await until(lambda: State.BACKOFF in run.states)
+        said = [entry["event"] for entry in logs]
+        assert "no data; the measurement is started anew" in said
+        assert any("the Bluetooth system of this computer fails" in event for event in said)
+        assert "Bluetooth is unavailable" in str(run.supervisor.last_error)
+        bluez.rise()
+        await run.goes_on(FRAME, "ecg")
+        assert run.supervisor.connections == 2
+    assert_only_gaps(h10, run.sink)
+
+
+async def test_a_daemon_that_is_back_before_anybody_noticed_costs_one_connection(
+    sensor: Twins, bluez: FakeBluez, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(measurements_module, "RESTART_AFTER_S", 1.5)
+    h10 = sensor()
+    async with streaming(h10) as run:
+        await until(run.sink.has(FRAME, "ecg"))
+        bluez.die()
+        bluez.rise()
+        await until(lambda: run.supervisor.connections == 2)
+        assert State.BACKOFF not in run.states
+        await run.goes_on(FRAME, "ecg")
+    assert_only_gaps(h10, run.sink)
+
+
+async def test_a_sensor_that_bluez_forgets_after_the_scan_is_looked_for_again(
+    sensor: Twins, bluez: FakeBluez, attempts: list[BleakClient], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    h10 = sensor()
+    bluez.forgets_after_scan = True
+    connect = BleakClient.connect
+
+    async def remembered_next_time(self: BleakClient, **options: Any) -> None:
+        bluez.forgets_after_scan = False
+        await connect(self, **options)
+
+    monkeypatch.setattr(BleakClient, "connect", remembered_next_time)
+    async with streaming(h10) as run:
+        await until(run.sink.has(FRAME, "ecg"))
+        assert run.states == [State.CONNECTING, State.STREAMING]
+    assert len(attempts) == 2
+
+
+async def test_a_sensor_that_bluez_always_forgets_is_absent_until_it_does_not(
+    sensor: Twins, bluez: FakeBluez
+) -> None:
+    h10 = sensor()
+    bluez.forgets_after_scan = True
+    async with streaming(h10) as run:
+        await until(lambda: State.DISCOVERING in run.states)
+        assert "does not connect" in str(run.supervisor.last_error)
+        bluez.forgets_after_scan = False
+        await until(run.sink.has(FRAME, "ecg"))
+        assert State.BACKOFF not in run.states
+
+
+async def test_a_connection_that_fails_is_tried_again(sensor: Twins, bluez: FakeBluez) -> None:
+    h10 = sensor()
+    bluez.connect_error = "le-connection-refused"
+    async with streaming(h10) as run:
+        await until(lambda: State.DISCOVERING in run.states)
+        assert "le-connection-refused" in str(run.supervisor.last_error)
+        bluez.connect_error = ""
+        await until(run.sink.has(FRAME, "ecg"))
+        assert State.BACKOFF not in run.states
+
+
+async def test_a_connection_that_takes_too_long_is_given_up_and_tried_again(
+    sensor: Twins, bluez: FakeBluez, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ble, "CONNECT_LIMIT_S", 1.0)
+    h10 = sensor()
+    bluez.connect_delay_s = 60.0
+    async with streaming(h10) as run:
+        await until(lambda: State.DISCOVERING in run.states)
+        assert "does not connect (TimeoutError)" in str(run.supervisor.last_error)
+        bluez.connect_delay_s = 0.0
+        await until(run.sink.has(FRAME, "ecg"))
+        assert State.BACKOFF not in run.states
+
+
+async def test_a_demand_for_pairing_that_bluez_swallows_is_understood(
+    sensor: Twins, bluez: FakeBluez
+) -> None:
+    del bluez
+    h10 = sensor(Quirks(demands_pairing=True))
+    with capture_logs() as logs:
+        async with streaming(h10) as run:
+            await until(run.sink.has(FRAME, "ecg"))
+            assert run.states == [State.CONNECTING, State.STREAMING]
+    causes = [entry["cause"] for entry in logs if entry["event"].startswith("pairing")]
+    assert len(causes) == 1
+    assert "ATT error 0x0E" in causes[0]
+
+
+async def test_a_value_that_is_read_is_no_answer_and_no_sample(
+    sensor: Twins, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """BlueZ passes what anybody on the computer reads on to all who are subscribed."""
+    write, take = BleLink.write, BleLink.next
+    heard: list[Notification] = []
+
+    async def write_then_read(link: BleLink, uuid: str, *data: Any, **options: Any) -> None:
+        await write(link, uuid, *data, **options)
+        await link.read(CONTROL_POINT)
+
+    async def noted(link: BleLink) -> Notification:
+        heard.append(await take(link))
+        return heard[-1]
+
+    monkeypatch.setattr(BleLink, "write", write_then_read)
+    monkeypatch.setattr(BleLink, "next", noted)
+    h10 = sensor()
+    # So that the replies come after the values.
+    h10.apply(Fault(FaultKind.LATE, 0.2))
+    async with streaming(h10) as run:
+        await until(run.sink.has(FRAME, "ecg"))
+        await until(run.sink.has(36, "acc"))
+        await until(run.sink.has(1, "bat"))
+        assert run.states == [State.CONNECTING, State.STREAMING]
+    kinds = [each.data[0] for each in heard if each.uuid == CONTROL_POINT]
+    # Settings and start of two measurements; each time the value first, then the reply.
+    assert kinds[:8] == [0x0F, 0xF0] * 4
+    assert_only_gaps(h10, run.sink)
+    assert run.sink.rows["bat"] == [[87]]
+    assert run.sink.dropped_bytes == 0

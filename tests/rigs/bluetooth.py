@@ -1,0 +1,103 @@
+"""Bluetooth LE on two rigs, as fixtures for a conftest to import.
+
+On ``bumble``, bleak has a backend of ours over the virtual radio. On ``bluez`` it is
+bleak's own Linux backend, which talks D-Bus to a fake BlueZ on the same radio. A test
+that uses `radio` runs on both; the marks say why one would not.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+import sys
+from collections.abc import AsyncGenerator, Generator
+from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING, NamedTuple
+
+import pytest
+
+from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
+from biosensor_gateway.simulation.radio import MAX_MTU, Radio
+from biosensor_gateway.simulation.world import World
+from tests.rigs.polling import until
+
+if TYPE_CHECKING:
+    from tests.rigs.bluez import FakeBluez
+
+__all__ = ["bluetooth", "bluez", "host_mtu", "radio", "rig", "world"]
+
+ON_BLUEZ = pytest.mark.parametrize("rig", ["bluez"])
+"""For what only BlueZ does."""
+ON_BUMBLE = pytest.mark.parametrize("rig", ["bumble"])
+"""For what BlueZ does otherwise, and for bleak calls that the test replaces on any rig."""
+
+
+class Bluetooth(NamedTuple):
+    """What a computer's Bluetooth is made of; no BlueZ where the rig is ours alone."""
+
+    radio: Radio
+    bluez: FakeBluez | None = None
+
+
+@pytest.fixture(params=["bumble", "bluez"])
+def rig(request: pytest.FixtureRequest) -> str:
+    name: str = request.param
+    return name
+
+
+@pytest.fixture
+def host_mtu() -> int:
+    """The ATT MTU that the computer asks for; a test may say another one."""
+    return MAX_MTU
+
+
+@pytest.fixture
+def world() -> Generator[World]:
+    with World() as world:
+        yield world
+
+
+@pytest.fixture
+async def bluetooth(
+    rig: str, host_mtu: int, world: World, monkeypatch: pytest.MonkeyPatch
+) -> AsyncGenerator[Bluetooth]:
+    """Have bleak use the rig."""
+    radio = Radio(world, host_mtu=host_mtu)
+    if rig == "bumble":
+        with virtual_bluetooth(radio):
+            yield Bluetooth(radio)
+    else:
+        async with _fake_bluez(radio, monkeypatch) as bluez:
+            yield Bluetooth(radio, bluez)
+
+
+@pytest.fixture
+def radio(bluetooth: Bluetooth) -> Radio:
+    return bluetooth.radio
+
+
+@pytest.fixture
+def bluez(bluetooth: Bluetooth) -> FakeBluez:
+    """The service itself; for tests marked `ON_BLUEZ`."""
+    assert bluetooth.bluez
+    return bluetooth.bluez
+
+
+@asynccontextmanager
+async def _fake_bluez(radio: Radio, monkeypatch: pytest.MonkeyPatch) -> AsyncGenerator[FakeBluez]:
+    if sys.platform != "linux" or not shutil.which("dbus-daemon"):
+        pytest.skip("a Linux with dbus-daemon is needed")
+    # D-Bus libraries are there on Linux only.
+    from bleak.backends.bluezdbus.version import BlueZFeatures  # noqa: PLC0415 - see above
+
+    from tests.rigs.bluez import FakeBluez  # noqa: PLC0415 - see above
+
+    with FakeBluez(radio) as bluez:
+        for name, value in bluez.environment.items():
+            monkeypatch.setenv(name, value)
+        # bleak asks once a process, and waits for ever if who asked first was cancelled.
+        await BlueZFeatures.check_bluez_version()
+        yield bluez
+        bluez.kill_bus()
+        # bleak has one manager an event loop; it ends with its bus, and so do pending calls.
+        await until(lambda: len(asyncio.all_tasks()) == 1)

@@ -1,0 +1,139 @@
+"""A driver under its supervisor, and all that it emits."""
+
+from __future__ import annotations
+
+import asyncio
+import uuid
+from collections.abc import AsyncGenerator, Callable, Mapping, Sequence
+from contextlib import asynccontextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from biosensor_common.registry import sensor as declared_sensor
+from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices import driver as driver_of
+from biosensor_gateway.devices.driver import Connected, Driver
+from biosensor_gateway.outlets import Counters
+from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.supervisor import State, Supervisor
+from tests.rigs.polling import until
+
+
+class NotedSink(DeviceSink):
+    """Notes what drivers emit on its way into LSL.
+
+    Attributes
+    ----------
+    rows, times
+        Samples of each stream, and their LSL times [s].
+    info, rates
+        Of the newest connection.
+    """
+
+    def __init__(self, sensor: str) -> None:
+        super().__init__(DeviceIdentity(sensor, uuid.uuid4().hex))
+        self._spec = declared_sensor(sensor)
+        names = [stream.data_name for stream in self._spec.streams]
+        self.rows: dict[str, list[list[float]]] = {name: [] for name in names}
+        self.times: dict[str, list[float]] = {name: [] for name in names}
+        self.info = DeviceInfo()
+        self.rates: Mapping[str, float] = {}
+        self._kept: dict[str, Counters] = {}
+
+    @property
+    def counters(self) -> dict[str, Counters]:
+        """Counters of all streams, also after the end."""
+        return super().counters or self._kept
+
+    def open(self, info: DeviceInfo, rates: Mapping[str, float]) -> None:
+        """Note what the device is."""
+        super().open(info, rates)
+        self.info, self.rates = info, rates
+
+    def close(self) -> None:
+        """Keep the counters."""
+        self._kept = self.counters
+        super().close()
+
+    def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
+        """Note samples; those that the device stamps pass here as well."""
+        super().emit_at(data_name, samples, lsl_times)
+        width = len(self._spec.stream(data_name).channels)
+        self.rows[data_name] += np.asarray(samples, np.float64).reshape(-1, width).tolist()
+        self.times[data_name] += lsl_times
+
+    def values(self, data_name: str) -> list[float]:
+        """Return the first channel of a stream."""
+        return [row[0] for row in self.rows[data_name]]
+
+    def has(self, count: int, *data_names: str) -> Callable[[], bool]:
+        """Return a condition: so many samples of each have come."""
+        return lambda: all(len(self.rows[name]) >= count for name in data_names)
+
+    def lost_count(self, data_name: str) -> int:
+        """Return how many samples of a stream are counted as lost."""
+        (lost,) = (
+            each.lost for source, each in self.counters.items() if source.endswith(f"-{data_name}")
+        )
+        return lost
+
+
+class Run:
+    """The supervisor of a device, and what came of it.
+
+    Attributes
+    ----------
+    sink
+    states
+        All that it has been in.
+    supervisor
+    """
+
+    def __init__(self, twin: Twin, **fields: Any) -> None:
+        self.sink = NotedSink(twin.sensor)
+        self.states: list[State] = []
+        make = _maker(twin, self.sink, fields)
+        self.supervisor = Supervisor(make, self.sink, self.states.append)
+
+    async def goes_on(self, count: int, *data_names: str) -> None:
+        """Wait until so many further samples of each have come."""
+        wanted = {name: len(self.sink.rows[name]) + count for name in data_names}
+        await until(lambda: all(len(self.sink.rows[name]) >= wanted[name] for name in wanted))
+
+
+@asynccontextmanager
+async def streaming(twin: Twin, **fields: Any) -> AsyncGenerator[Run]:
+    """Run until the block ends; then nothing may have been refused or be half closed.
+
+    Fields are those of the device's settings, besides the ones that lead to the twin.
+    """
+    run = Run(twin, **fields)
+    task = asyncio.create_task(run.supervisor.run())
+    try:
+        yield run
+    finally:
+        task.cancel()
+        await asyncio.wait({task}, timeout=20)
+    assert run.states[-1] is State.STOPPED
+    assert {each.refused for each in run.sink.counters.values()} <= {0}
+    run.sink.close()
+
+
+@asynccontextmanager
+async def connected(twin: Twin, **fields: Any) -> AsyncGenerator[Connected]:
+    """Connect once, without a supervisor."""
+    driver = _maker(twin, NotedSink(twin.sensor), fields)()
+    try:
+        yield await driver.connect()
+    finally:
+        await driver.close()
+
+
+def _maker(twin: Twin, sink: NotedSink, fields: Mapping[str, Any]) -> Callable[[], Driver]:
+    entry = driver_of(twin.sensor)
+    named = {"sensor": twin.sensor, "unit": sink.identity.unit}
+    settings = entry.settings.model_validate({**named, **twin.settings, **fields})
+    return entry.make(settings, sink)
