@@ -1,8 +1,7 @@
 """Serial ports, Bluetooth ones included.
 
 One thread reads and one writes, because a blocked call on a Bluetooth port
-cannot be interrupted on every system. Both are daemons: a port that hangs for
-ever must not keep the agent from ending.
+cannot be interrupted on every system.
 """
 
 from __future__ import annotations
@@ -10,9 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
-import queue
 import re
-import threading
 
 import serial
 from pylsl import local_clock
@@ -20,6 +17,7 @@ from pylsl import local_clock
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.transports.link import Received
 from biosensor_gateway.transports.threads import in_daemon_thread
+from biosensor_gateway.transports.traffic import Traffic
 
 OPEN_TIMEOUT_S = 20.0
 # On Windows a write to a vanished Bluetooth port would wait for ever.
@@ -55,10 +53,7 @@ class SerialLink:
         self._name = port
         self._baudrate = baudrate
         self._port: serial.Serial | None = None
-        self._incoming: asyncio.Queue[Received | TransportError] = asyncio.Queue()
-        self._outgoing: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-        self._closing = False
-        self._threads: tuple[threading.Thread, ...] = ()
+        self._traffic = Traffic(port)
 
     async def open(self) -> None:
         """Open the port; see :class:`~biosensor_gateway.transports.link.ByteLink`."""
@@ -66,7 +61,7 @@ class SerialLink:
             async with asyncio.timeout(OPEN_TIMEOUT_S):
                 port = await in_daemon_thread(self._open_port)
         except TimeoutError as error:
-            self._closing = True
+            self._traffic.closing = True
             message = f"{self._name}: opening takes over {OPEN_TIMEOUT_S:.0f} s; is the device on?"
             raise TransportError(TransportReason.ABSENT, message) from error
         except OSError as error:
@@ -74,38 +69,29 @@ class SerialLink:
         except ValueError as error:
             message = f"{self._name}: not a usable port name ({error})"
             raise TransportError(TransportReason.ABSENT, message) from error
-        loop = asyncio.get_running_loop()
-        self._threads = (
-            threading.Thread(target=self._read_forever, args=(port, loop), daemon=True),
-            threading.Thread(target=self._write_forever, args=(port, loop), daemon=True),
-        )
-        for thread in self._threads:
-            thread.start()
+        self._traffic.start(lambda: self._read_forever(port), lambda: self._write_forever(port))
 
     async def read(self) -> Received:
         """Wait for the next bytes; raise ``LOST`` when the port is gone."""
-        item = await self._incoming.get()
-        if isinstance(item, TransportError):
-            self._incoming.put_nowait(item)
-            raise item
-        return item
+        return await self._traffic.read()
 
     def write(self, data: bytes) -> None:
         """Queue bytes for the writing thread."""
-        self._outgoing.put(data)
+        self._traffic.write(data)
 
     async def close(self) -> None:
         """Let the writer send what is queued, then close the port."""
-        self._closing = True
-        self._outgoing.put(None)
+        self._traffic.closing = True
+        self._traffic.end_writing()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(CLOSE_TIMEOUT_S):
                 await in_daemon_thread(self._end)
 
     def _end(self) -> None:
-        for thread in self._threads:
-            thread.join(CLOSE_TIMEOUT_S)
-        if self._port is not None and not self._threads:
+        if self._traffic.started:
+            self._traffic.join_reader(CLOSE_TIMEOUT_S)
+            self._traffic.join_writer(CLOSE_TIMEOUT_S)
+        elif self._port is not None:
             # It was opened when whoever asked for it had gone.
             self._port.close()
 
@@ -118,7 +104,7 @@ class SerialLink:
             exclusive=True,
         )
         self._port = port
-        if self._closing:
+        if self._traffic.closing:
             # Nobody waits for it any more; held open, it would refuse the next attempt.
             port.close()
         return port
@@ -128,9 +114,9 @@ class SerialLink:
         reason, advice = _OPEN_REASONS.get(_error_code(error), unknown)
         return TransportError(reason, f"{self._name}: {advice}")
 
-    def _read_forever(self, port: serial.Serial, loop: asyncio.AbstractEventLoop) -> None:
+    def _read_forever(self, port: serial.Serial) -> None:
         try:
-            while not self._closing:
+            while not self._traffic.closing:
                 data = port.read(1)
                 arrival = local_clock()
                 try:
@@ -138,33 +124,21 @@ class SerialLink:
                 finally:
                     # Also when the link is cut between the two calls.
                     if data:
-                        self._deliver(loop, Received(data, arrival))
+                        self._traffic.deliver(data, arrival)
         except _PORT_ERRORS as error:
-            self._lost(loop, error)
+            self._traffic.lost(error)
 
-    def _write_forever(self, port: serial.Serial, loop: asyncio.AbstractEventLoop) -> None:
+    def _write_forever(self, port: serial.Serial) -> None:
         try:
-            while (data := self._outgoing.get()) is not None:
+            for data in self._traffic.outgoing():
                 port.write(data)
         except _PORT_ERRORS as error:
-            self._lost(loop, error)
+            self._traffic.lost(error)
         try:
             port.cancel_read()
             port.close()
         except _PORT_ERRORS as error:
-            self._lost(loop, error)
-
-    def _lost(self, loop: asyncio.AbstractEventLoop, error: Exception) -> None:
-        if not self._closing:
-            message = f"{self._name}: the link was cut ({error})"
-            self._deliver(loop, TransportError(TransportReason.LOST, message))
-
-    def _deliver(self, loop: asyncio.AbstractEventLoop, item: Received | TransportError) -> None:
-        try:
-            loop.call_soon_threadsafe(self._incoming.put_nowait, item)
-        except RuntimeError:
-            # The loop has ended; nobody is left to read.
-            self._closing = True
+            self._traffic.lost(error)
 
 
 def _error_code(error: OSError) -> int | None:
