@@ -6,6 +6,8 @@ SHELL := /bin/sh
 PYTHON_FILES := common gateway_win ros_side tests typings
 RUN := .venv/bin/python -m
 SECONDS :=
+# Each of these fills a small machine; side by side they would disturb each other's clocks.
+ALONE := tests/e2e tests/faults tests/peers tests/ros
 
 .PHONY: demo test test-system check bench format docs lock venv-ros venv-dev venv-peers
 
@@ -13,7 +15,8 @@ demo: venv-ros
 	.venv/bin/biosensor-gateway demo $(if $(SECONDS),--seconds $(SECONDS))
 
 test: check venv-peers
-	$(RUN) pytest -m "not system"
+	$(RUN) pytest -m "not system" -n 4 --dist loadfile $(ALONE:%=--ignore=%)
+	$(RUN) pytest -m "not system" $(ALONE)
 	@echo
 	@echo "Not run here, only by 'make test-system' (needs root and system packages):"
 	@$(RUN) pytest -m system --collect-only -qq | sed 's/^/  /'

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator
 from contextlib import ExitStack
+from functools import partial
 from typing import Any
 
 import pytest
@@ -18,18 +19,24 @@ from tests.rigs.bluetooth import bluetooth, bluez, host_mtu, radio, rig, world
 __all__ = ["bluetooth", "bluez", "host_mtu", "radio", "rig", "world"]
 
 
+Make = Callable[..., SimulatedPolarH10]
+
+
 @pytest.fixture
-def sensor(
-    radio: Radio, monkeypatch: pytest.MonkeyPatch
-) -> Generator[Callable[..., SimulatedPolarH10]]:
-    """Switch a sensor on for the rest of the test; it is looked for without long pauses."""
-    monkeypatch.setattr(supervisor_module, "PROBE_INTERVAL_S", 0.05)
-    monkeypatch.setattr(supervisor_module, "BACKOFF_FIRST_S", 0.1)
+def make_h10(radio: Radio) -> Generator[Make]:
+    """Switch a sensor on for the rest of the test."""
     with ExitStack() as stack:
 
         def make(quirks: Quirks | None = None, **options: Any) -> SimulatedPolarH10:
-            wearer = Wearer(seed=5, heart_rate_bpm=100)
-            twin = SimulatedPolarH10(radio.world, radio, quirks=quirks, wearer=wearer, **options)
+            twin = SimulatedPolarH10(radio.world, radio, quirks=quirks, **options)
             return stack.enter_context(twin)
 
         yield make
+
+
+@pytest.fixture
+def sensor(make_h10: Make, monkeypatch: pytest.MonkeyPatch) -> Make:
+    """Do so for a driver, which looks for it without long pauses."""
+    monkeypatch.setattr(supervisor_module, "PROBE_INTERVAL_S", 0.05)
+    monkeypatch.setattr(supervisor_module, "BACKOFF_FIRST_S", 0.1)
+    return partial(make_h10, wearer=Wearer(seed=5, heart_rate_bpm=100))

@@ -1,0 +1,160 @@
+"""Other firmware, products and circumstances of the virtual sensor, through plain bleak."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from bleak.exc import BleakGATTProtocolError
+from pylsl import local_clock
+
+from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
+from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
+from biosensor_gateway.devices.polar_h10.simulator.products import VERITY_SENSE
+from biosensor_gateway.devices.polar_h10.simulator.quirks import Firmware, Quirks
+from biosensor_gateway.simulation.wearer import Wearer
+from tests.rigs.bluetooth import ON_BUMBLE
+from tests.rigs.gatt_host import connection
+from tests.rigs.polar_pmd import (
+    CONTROL,
+    HEART_RATE,
+    NAME,
+    START_ACC,
+    START_ECG,
+    frames_of,
+    int24,
+    open_pmd,
+)
+from tests.rigs.polling import until
+
+PMD_SERVICE = "fb005c80-02e7-f387-1cad-8acd2d8df0c8"
+SENSE = "Polar Sense A1B2C3D4"
+MakeH10 = Callable[..., SimulatedPolarH10]
+
+pytestmark = ON_BUMBLE
+
+
+@pytest.mark.parametrize("host_mtu", [23])
+async def test_a_small_mtu_makes_small_frames_and_long_replies(make_h10: MakeH10) -> None:
+    h10 = make_h10()
+    async with connection(NAME) as host:
+        await open_pmd(host)
+        assert (await host.ask(CONTROL, "0102"))[:10] == "f001020001"
+        await until(lambda: len(host.all(CONTROL)) == 2)
+        assert b"".join(data[5:] for data in host.all(CONTROL)).hex() == (
+            "0004190032006400c800010110000203020004000800"
+        )
+        await host.ask(CONTROL, START_ECG)
+        await until(lambda: len(frames_of(host, 0)) >= 20)
+        frames = frames_of(host, 0)[:20]
+    assert {len(frame.body) for frame in frames} == {9}
+    values = [uv for frame in frames for uv in int24(frame.body)]
+    assert h10.truth.samples("ecg").values[:60, 0].tolist() == values
+
+
+async def test_compressed_acceleration_is_smaller_and_the_truth(make_h10: MakeH10) -> None:
+    h10 = make_h10(Quirks(compressed_acceleration=True))
+    async with connection(NAME) as host:
+        await open_pmd(host)
+        await host.ask(CONTROL, START_ACC)
+        await until(lambda: len(frames_of(host, 2)) >= 3)
+        frames = frames_of(host, 2)
+    assert {frame.layout for frame in frames} == {0x81}
+    truth = h10.truth.samples("acc").values
+    first = np.frombuffer(frames[0].body[:6], "<i2")
+    np.testing.assert_allclose(truth[0], first / 1000, atol=1e-12)
+    count = 1
+    at = 6
+    while at < len(frames[0].body):
+        count += frames[0].body[at + 1]
+        at += 2 + -(-frames[0].body[at] * frames[0].body[at + 1] * 3 // 8)
+    assert at == len(frames[0].body)
+    assert count > 36
+    np.testing.assert_allclose(
+        truth[count], np.frombuffer(frames[1].body[:6], "<i2") / 1000, atol=1e-12
+    )
+
+
+async def test_the_true_rate_is_in_the_stamps(make_h10: MakeH10) -> None:
+    h10 = make_h10(Quirks(sampling_deviation=0.015, first_sample_s=0.5))
+    async with connection(NAME) as host:
+        await open_pmd(host)
+        asked_s = local_clock()
+        await host.ask(CONTROL, START_ECG)
+        await until(lambda: len(frames_of(host, 0)) >= 3)
+        stamps = [frame.stamp_ns for frame in frames_of(host, 0)]
+    np.testing.assert_allclose(np.diff(stamps), 73e9 / (130 * 1.015), atol=2)
+    times = h10.truth.samples("ecg").times
+    np.testing.assert_allclose(np.diff(times), 1 / (130 * 1.015))
+    assert times[0] >= asked_s + 0.5
+
+
+async def test_pairing_can_be_demanded(make_h10: MakeH10) -> None:
+    make_h10(Quirks(demands_pairing=True))
+    async with connection(NAME) as host:
+        assert bytes(await host.client.read_gatt_char("2a19")) == b"\x57"
+        with pytest.raises(BleakGATTProtocolError) as refused:
+            await host.client.write_gatt_char(CONTROL, b"\1\0", response=True)
+        assert refused.value.code == 0x05
+        await host.client.pair()
+        await open_pmd(host)
+        assert await host.ask(CONTROL, START_ECG) == "f002000000"
+
+
+@pytest.mark.parametrize("firmware", [Firmware.OLD, Firmware.HEART_RATE_ONLY])
+async def test_other_firmware_has_no_pmd(make_h10: MakeH10, firmware: Firmware) -> None:
+    h10 = make_h10(Quirks(firmware=firmware))
+    async with connection(NAME) as host:
+        services = host.client.services
+        assert services.get_service(PMD_SERVICE) is None
+        uuids = {one.uuid[:8] for one in services.characteristics.values()}
+        assert ("fb005c51" in uuids) == ("fb005c52" in uuids) == (firmware is Firmware.OLD)
+        await host.subscribe(HEART_RATE)
+        await host.more(HEART_RATE, 2, 0)
+        h10.stop_measurements(Measurement.ECG)
+    assert "hr" in h10.truth.data_names
+
+
+async def test_a_former_host_may_have_left_a_measurement_on(make_h10: MakeH10) -> None:
+    make_h10(Quirks(left_streaming=(Measurement.ECG,), keeps_streaming=True))
+    async with connection(NAME) as host:
+        await open_pmd(host)
+        await until(lambda: frames_of(host, 0))
+        assert await host.ask(CONTROL, START_ECG) == "f002000600"
+    async with connection(NAME) as host:
+        await open_pmd(host)
+        assert await host.ask(CONTROL, START_ECG) == "f002000600"
+        assert await host.ask(CONTROL, "0300") == "f003000000"
+        assert await host.ask(CONTROL, START_ECG) == "f002000000"
+
+
+async def test_a_stop_can_be_announced_besides(make_h10: MakeH10) -> None:
+    make_h10(Quirks(announces_stops=True))
+    async with connection(NAME) as host:
+        await open_pmd(host)
+        await host.ask(CONTROL, START_ECG)
+        assert await host.ask(CONTROL, "0300") == "f003000000"
+        assert (await host.more(CONTROL, 1, 2)) == [b"\1\0"]
+
+
+async def test_a_verity_sense_has_ppg_intervals_and_compressed_acceleration(
+    make_h10: MakeH10,
+) -> None:
+    sense = make_h10(product=VERITY_SENSE, wearer=Wearer(heart_rate_bpm=100.0))
+    async with connection(SENSE) as host:
+        await open_pmd(host)
+        for command in ("0203", "02010001370001011600040104"):
+            assert (await host.ask(CONTROL, command))[6:8] == "00"
+        reply = await host.ask(CONTROL, "0202000134000101100002010800040103")
+        assert reply == "f002020000050140da7f39"
+        await until(lambda: all(frames_of(host, kind) for kind in (1, 2, 3)))
+        ppg, acc, ppi = (frames_of(host, kind)[0] for kind in (1, 2, 3))
+    assert (ppg.layout, acc.layout, ppi.layout, ppi.stamp_ns) == (0x80, 0x80, 0, 0)
+    reference = [int.from_bytes(ppg.body[at : at + 3], "little", signed=True) for at in (0, 3, 6)]
+    assert sense.truth.samples("ppg").values[0, :3].tolist() == reference
+    counts = np.frombuffer(acc.body[:6], "<i2")
+    np.testing.assert_allclose(sense.truth.samples("acc").values[0], counts * 0.000244)
+    lengths = [int.from_bytes(ppi.body[at + 1 : at + 3], "little") / 1000 for at in (0, 6)]
+    assert sense.truth.samples("ppi").values[:2, 0].tolist() == lengths
+    assert ppi.body[5] & 0b111 == 0b110
