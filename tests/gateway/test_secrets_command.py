@@ -176,12 +176,13 @@ def test_a_secret_is_never_an_argument(run: Run, store: Path) -> None:
     assert file_keyring.entries(store) == {}
 
 
+@pytest.mark.parametrize("name", [SENSOR, "emotiv"])
 def test_check_says_where_each_is_and_shows_none(
-    run: Run, store: Path, monkeypatch: pytest.MonkeyPatch
+    run: Run, store: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     put(store)
     monkeypatch.setenv("EMOTIV_CLIENT_SECRET", CLIENT_SECRET)
-    assert run("secrets", "check", SENSOR) == (
+    assert run("secrets", "check", name) == (
         0,
         (
             "The client id of the Cortex app: from the keyring\n"

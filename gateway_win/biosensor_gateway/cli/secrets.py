@@ -13,7 +13,7 @@ from biosensor_gateway.secret_store import SecretName
 
 app = typer.Typer(help="Secrets in the keyring of the system.", no_args_is_help=True)
 
-SensorArgument = Annotated[str, typer.Argument(help="Whose secrets, as in emotiv_insight.")]
+SensorArgument = Annotated[str, typer.Argument(help="Whose secrets: emotiv.")]
 
 
 @app.command("set")
@@ -51,12 +51,14 @@ def check_secrets(sensor: SensorArgument) -> None:
 
 
 def _secrets_of(sensor: str) -> tuple[SecretName, ...]:
-    secrets = driver(sensor).secrets
-    if not secrets:
-        having = [name for name in driver_names() if driver(name).secrets]
-        message = f"{sensor} needs no secrets; what does: {', '.join(having)}"
-        raise ConfigError(ConfigReason.WRONG_VALUE, message)
-    return secrets
+    having = {name: driver(name).secrets for name in driver_names() if driver(name).secrets}
+    # The vendor's name is enough: emotiv for emotiv_insight.
+    meant = [name for name in having if name == sensor or name.startswith(f"{sensor}_")]
+    if len(meant) == 1:
+        return having[meant[0]]
+    driver(sensor)
+    message = f"{sensor} needs no secrets; what does: {', '.join(having)}"
+    raise ConfigError(ConfigReason.WRONG_VALUE, message)
 
 
 def _sentence(secret: SecretName) -> str:
