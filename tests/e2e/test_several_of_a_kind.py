@@ -28,6 +28,8 @@ UNITS = {"A": "AAAA0001", "B": "BBBB0002"}
 SENSOR = "biosensors/polar_h10"
 BARE = f"/{SENSOR}"
 FLOWING = 40
+# Of one step: processes start, connect and find each other.
+DEADLINE_S = 60.0
 # So many samples of an ECG with noise are like no others.
 CERTAIN = 12
 
@@ -224,9 +226,9 @@ def test_no_strap_is_ever_heard_under_the_topic_of_the_other(
         stage.take(step)
         before = {base: len(messages) for base, messages in stage.heard.items()}
         what = f"step {number} of {scene.steps}, {stage.expected()}"
-        wait_until(partial(stage.is_as_expected, before), what)
+        wait_until(partial(stage.is_as_expected, before), what, DEADLINE_S)
         if stage.expected():
-            wait_until(stage.says_so, f"{what} in the diagnostics")
+            wait_until(stage.says_so, f"{what} in the diagnostics", DEADLINE_S)
 
     heard = {
         base: np.array([message.data for message in messages], np.float32)

@@ -34,6 +34,7 @@ from tests.faults.table import FaultTable, Row
 from tests.rigs.lab_client import LabProcess, Samples
 
 DEADLINE_S = 90.0
+"""Some devices are asked for their battery once a minute only."""
 HOLD_S = 3.0
 """A fault that lasts goes on for so long after everybody has noticed it."""
 _POLL_S = 0.1

@@ -50,6 +50,12 @@ _DEFAULTS = {
     FaultKind.DRIFT: 150.0,
     FaultKind.LATE: 1.0,
 }
+_RANGES = {
+    FaultKind.LOW_BATTERY: (0.0, 100.0),
+    FaultKind.GARBAGE: (0.0, 1e6),
+    # Far beyond any crystal, and far from one that stands still.
+    FaultKind.DRIFT: (-100_000.0, 100_000.0),
+}
 _SECONDS = "s"
 _DEFAULT_SECONDS = 5.0
 _FAULT = re.compile(
@@ -75,8 +81,10 @@ class Fault:
     value: float
 
     def __post_init__(self) -> None:
-        if math.isnan(self.value) or (self.value < 0 and self.kind is not FaultKind.DRIFT):
-            raise ValueError(f"a fault {self.kind.value} of {self.value} makes no sense")
+        low, high = _RANGES.get(self.kind, (0.0, math.inf))
+        # NaN is in no range.
+        if not low <= self.value <= high:
+            raise ValueError(f"a fault {self.kind.value} of {self.value:g} makes no sense")
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,282 @@
+"""Virtual devices with faults, as the command line asks for them."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+import threading
+from collections.abc import Callable, Generator, Mapping
+from contextlib import AbstractContextManager
+from math import inf, nan
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway import health
+from biosensor_gateway.logs import LOG_FILE_NAME
+from biosensor_gateway.simulation import twin as twin_module
+from biosensor_gateway.simulation.faults import Fault, FaultKind, ScheduledFault, parse_fault
+from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.simulation.world import World
+
+if TYPE_CHECKING:
+    from tests.gateway.conftest import Outcome
+
+Run = Callable[..., "Outcome"]
+Until = Callable[[Callable[[], bool]], None]
+StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
+
+_UNITS = {FaultKind.GARBAGE: "", FaultKind.LOW_BATTERY: "%", FaultKind.DRIFT: "ppm"}
+SHORT_S = 0.05
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("drop:5s@10s", ScheduledFault(Fault(FaultKind.DROP, 5.0), 10.0)),
+        ("drop@10", ScheduledFault(Fault(FaultKind.DROP, 5.0), 10.0)),
+        (" stall:2.5@0.5s ", ScheduledFault(Fault(FaultKind.STALL, 2.5), 0.5)),
+        ("garbage@1", ScheduledFault(Fault(FaultKind.GARBAGE, 64.0), 1.0)),
+        ("late@1", ScheduledFault(Fault(FaultKind.LATE, 1.0), 1.0)),
+        ("low_battery:7%@5s", ScheduledFault(Fault(FaultKind.LOW_BATTERY, 7.0), 5.0)),
+        ("low_battery@5s", ScheduledFault(Fault(FaultKind.LOW_BATTERY, 4.0), 5.0)),
+        ("drift:-80ppm@0s", ScheduledFault(Fault(FaultKind.DRIFT, -80.0), 0.0)),
+        (
+            "polar_h10:off_body:20s@15s",
+            ScheduledFault(Fault(FaultKind.OFF_BODY, 20.0), 15.0, "polar_h10"),
+        ),
+        (
+            "zephyr:recording:drop@3s",
+            ScheduledFault(Fault(FaultKind.DROP, 5.0), 3.0, "zephyr:recording"),
+        ),
+    ],
+)
+def test_a_fault_is_read(text: str, expected: ScheduledFault) -> None:
+    assert parse_fault(text) == expected
+
+
+@given(
+    kind=st.sampled_from(FaultKind),
+    value=st.integers(0, 100),
+    start_s=st.integers(0, 10**6),
+    sensor=st.sampled_from(["", "zephyr", "empatica_e4"]),
+)
+def test_what_is_written_is_read_again(
+    kind: FaultKind, value: int, start_s: int, sensor: str
+) -> None:
+    text = f"{sensor}:" * bool(sensor) + f"{kind.value}:{value}{_UNITS.get(kind, 's')}@{start_s}s"
+    assert parse_fault(text) == ScheduledFault(Fault(kind, float(value)), float(start_s), sensor)
+
+
+@given(
+    st.text() | st.from_regex(r"[a-z_]{0,8}:?(drop|drift):?-?[0-9.]{0,4}(s|%|ppm)?@?[0-9s]{0,3}")
+)
+def test_any_other_text_is_refused_in_words(text: str) -> None:
+    try:
+        parse_fault(text)
+    except ConfigError as error:
+        assert error.reason is ConfigReason.WRONG_VALUE
+        assert repr(text) in str(error)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [
+        (FaultKind.DROP, -1.0),
+        (FaultKind.DROP, nan),
+        (FaultKind.GARBAGE, inf),
+        (FaultKind.LOW_BATTERY, 101.0),
+        (FaultKind.DRIFT, nan),
+        # A clock that stands still.
+        (FaultKind.DRIFT, -1e6),
+    ],
+)
+def test_a_fault_that_cannot_be_does_not_exist(kind: FaultKind, value: float) -> None:
+    with pytest.raises(ValueError, match=f"{kind.value} of .* makes no sense"):
+        Fault(kind, value)
+
+
+BAD_FAULTS = (
+    "",
+    "drop",
+    "drop:5s",
+    "drop@",
+    "drop@soon",
+    "drop@-1s",
+    "drop:five@1s",
+    "drop:-5s@1s",
+    "drop:inf@1s",
+    "drop:5%@1s",
+    "low_battery:4s@1s",
+    "low_battery:400%@1s",
+    "drift:1000000ppm@1s",
+    "explode:5s@1s",
+    "Polar:drop:5s@1s",
+    "drop:5s@1s@2s",
+)
+
+
+@pytest.mark.parametrize("fault", BAD_FAULTS)
+def test_a_fault_that_makes_no_sense_ends_the_command(run: Run, fault: str) -> None:
+    code, out, err = run("run", "--simulate", "polar_h10", "--fault", fault)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"biosensor-gateway: {fault!r}")
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("simulated", "fault", "who"),
+    [
+        ("ble_heart_rate", "refuse:5s@1s", "none of the virtual devices"),
+        ("zephyr:recording,zephyr", "zephyr:recording:off_body@1s", "zephyr:recording"),
+        ("polar_h10", "zephyr:drop:5s@1s", "zephyr"),
+    ],
+)
+def test_a_fault_that_nobody_can_have_ends_the_command(
+    run: Run, simulated: str, fault: str, who: str
+) -> None:
+    code, out, err = run("run", "--simulate", simulated, "--fault", fault)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"biosensor-gateway: {who} cannot have the fault ")
+    assert err.count("\n") == 1
+
+
+def test_real_devices_are_given_no_faults(run: Run) -> None:
+    code, out, err = run("run", "--fault", "drop:5s@10s")
+    assert (code, out) == (2, "")
+    assert "--simulate" in err
+
+
+class Recording(Twin):
+    """Notes what it is told."""
+
+    sensor = "recording"
+    faults = frozenset(FaultKind) - {FaultKind.REFUSE}
+
+    def __init__(self, world: World) -> None:
+        super().__init__(world)
+        self.told: list[str] = []
+        self.thread_names: set[str] = set()
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        return {}
+
+    async def _start(self) -> None:
+        pass
+
+    async def _stop(self) -> None:
+        pass
+
+    def _begin(self, fault: Fault) -> None:
+        self.thread_names.add(threading.current_thread().name)
+        self.told.append(f"begin {fault.kind.value} {fault.value:g}")
+
+    def _end(self, kind: FaultKind) -> None:
+        self.thread_names.add(threading.current_thread().name)
+        self.told.append(f"end {kind.value}")
+
+
+@pytest.fixture
+def device(world: World) -> Generator[Recording]:
+    with Recording(world) as living:
+        yield living
+
+
+def test_a_scheduled_fault_begins_and_ends_by_itself(device: Recording, until: Until) -> None:
+    device.schedule(Fault(FaultKind.DROP, SHORT_S), SHORT_S)
+    until(lambda: len(device.told) == 2)
+    assert device.told == ["begin drop 0.05", "end drop"]
+    assert device.thread_names == {"virtual devices"}
+
+
+def test_a_scheduled_fault_does_not_begin_before_its_time(device: Recording) -> None:
+    device.schedule(Fault(FaultKind.DROP, 1.0), 3600.0)
+    assert device.told == []
+
+
+def test_an_endless_fault_ends_when_it_is_cleared(device: Recording) -> None:
+    device.apply(Fault(FaultKind.STALL, inf))
+    assert device.told == ["begin stall inf"]
+    device.clear(FaultKind.STALL)
+    device.clear(FaultKind.STALL)
+    device.clear(FaultKind.DROP)
+    assert device.told == ["begin stall inf", "end stall"]
+
+
+def test_a_cleared_fault_does_not_end_twice(device: Recording, until: Until) -> None:
+    device.apply(Fault(FaultKind.DROP, SHORT_S))
+    device.clear(FaultKind.DROP)
+    device.apply(Fault(FaultKind.STALL, 2 * SHORT_S))
+    until(lambda: device.told[-1] == "end stall")
+    assert device.told == ["begin drop 0.05", "end drop", "begin stall 0.1", "end stall"]
+
+
+def test_a_fault_that_comes_again_ends_first(device: Recording) -> None:
+    for seconds in (10.0, 20.0):
+        device.apply(Fault(FaultKind.OFF_BODY, seconds))
+    assert device.told == ["begin off_body 10", "end off_body", "begin off_body 20"]
+
+
+def test_different_faults_do_not_end_each_other(device: Recording) -> None:
+    device.apply(Fault(FaultKind.DROP, inf))
+    device.apply(Fault(FaultKind.OFF_BODY, inf))
+    device.clear(FaultKind.DROP)
+    assert device.told == ["begin drop inf", "begin off_body inf", "end drop"]
+
+
+@pytest.mark.parametrize("kind", [FaultKind.LOW_BATTERY, FaultKind.DRIFT, FaultKind.GARBAGE])
+def test_what_acts_at_once_has_no_end(device: Recording, kind: FaultKind, until: Until) -> None:
+    device.apply(Fault(kind, 0.0))
+    device.apply(Fault(FaultKind.DROP, SHORT_S))
+    until(lambda: device.told[-1] == "end drop")
+    device.clear(kind)
+    assert device.told == [f"begin {kind.value} 0", "begin drop 0.05", "end drop"]
+
+
+def test_late_answers_last_longer_than_they_are_late(
+    device: Recording, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(twin_module, "LATE_LASTS_S", 2 * SHORT_S)
+    device.apply(Fault(FaultKind.LATE, 3600.0))
+    until(lambda: device.told == ["begin late 3600", "end late"])
+
+
+def test_a_device_has_no_faults_but_its_own(device: Recording) -> None:
+    refusal = Fault(FaultKind.REFUSE, 1.0)
+    with pytest.raises(ValueError, match="recording cannot have the fault refuse"):
+        device.apply(refusal)
+    with pytest.raises(ValueError, match="recording cannot have the fault refuse"):
+        device.schedule(refusal, 0.0)
+    assert device.told == []
+
+
+def test_a_virtual_device_that_is_dropped_streams_again(
+    cli_process: StartCli, until: Until, tmp_path: Path
+) -> None:
+    def polar() -> dict[str, Any]:
+        with contextlib.suppress(ConfigError):
+            (device,) = health.read_status(tmp_path)["devices"]
+            return device
+        return {}
+
+    def pushed() -> int:
+        return sum(counters["pushed"] for counters in polar().get("streams", {}).values())
+
+    with cli_process(
+        tmp_path, "run", "--simulate", "polar_h10", "--fault", "drop:3s@8s"
+    ) as process:
+        until(lambda: pushed() > 0)
+        until(lambda: polar().get("connections") == 2)
+        before = pushed()
+        until(lambda: polar().get("state") == "streaming" and pushed() > before)
+        assert process.poll() is None
+    lines = (tmp_path / LOG_FILE_NAME).read_text(encoding="utf-8").splitlines()
+    records = [json.loads(line) for line in lines]
+    said = [record for record in records if record.get("reason") == "lost"]
+    assert [(record["sensor"], record["level"]) for record in said] == [("polar_h10", "warning")]
