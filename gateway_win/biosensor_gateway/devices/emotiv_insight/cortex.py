@@ -100,6 +100,7 @@ class CortexClient:
         self._link = link
         self._ids = itertools.count(1)
         self._pending: dict[int, asyncio.Future[Reply]] = {}
+        self._unawaited: set[int] = set()
         self._watches: list[tuple[frozenset[Event], asyncio.Queue[Warned]]] = []
         self._data: deque[ArrivedData] = deque()
         self._news = asyncio.Event()
@@ -184,7 +185,9 @@ class CortexClient:
         TransportError
             ``LOST``.
         """
-        await self._link.send(request_text(next(self._ids), method, params))
+        reply_id = next(self._ids)
+        self._unawaited.add(reply_id)
+        await self._link.send(request_text(reply_id, method, params))
 
     async def next_data(self) -> ArrivedData:
         """Wait for the next sample of any stream.
@@ -261,6 +264,9 @@ class CortexClient:
     def _answer(self, reply: Reply) -> None:
         if reply.attention is not None:
             self._warn(reply.attention)
+        if reply.request_id in self._unawaited:
+            self._unawaited.discard(reply.request_id)
+            return
         future = self._pending.get(reply.request_id)
         if future is None or future.done():
             self.note(Fault(FaultCode.UNKNOWN_ID))
