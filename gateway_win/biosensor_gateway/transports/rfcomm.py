@@ -47,7 +47,7 @@ class RfcommLink(SocketLink):
 
     def __init__(self, address: str, channel: int = 1) -> None:
         self._address, self._channel = address, channel
-        super().__init__(address, self._connected, self._explained)
+        super().__init__(address, self._connected, self._explained, "is the device on and near?")
 
     async def open(self) -> None:
         """Connect; see :class:`~biosensor_gateway.transports.link.ByteLink`."""

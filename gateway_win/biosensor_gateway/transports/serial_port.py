@@ -53,7 +53,7 @@ class SerialLink:
         self._name = port
         self._baudrate = baudrate
         self._port: serial.Serial | None = None
-        self._traffic = Traffic(port)
+        self._traffic = Traffic(port, "is the device on and near?")
 
     async def open(self) -> None:
         """Open the port; see :class:`~biosensor_gateway.transports.link.ByteLink`."""

@@ -39,6 +39,8 @@ class SocketLink:
         Makes the connected, blocking socket; runs in a thread of its own.
     open_error
         Turns what `connect` raised into the error that a user sees.
+    advice
+        What to look at when the connection has ended.
     """
 
     def __init__(
@@ -46,12 +48,13 @@ class SocketLink:
         name: str,
         connect: Callable[[], socket.socket],
         open_error: Callable[[OSError], TransportError],
+        advice: str,
     ) -> None:
         self._name = name
         self._connect = connect
         self._open_error = open_error
         self._socket: socket.socket | None = None
-        self._traffic = Traffic(name)
+        self._traffic = Traffic(name, advice)
 
     async def open(self) -> None:
         """Connect; see :class:`~biosensor_gateway.transports.link.ByteLink`."""
@@ -109,7 +112,7 @@ class SocketLink:
             while data := self._receive(connected):
                 if not self._traffic.closing:
                     self._traffic.deliver(data, local_clock())
-            self._traffic.lost("the other side closed it")
+            self._traffic.lost()
         except OSError as error:
             self._traffic.lost(error)
 

@@ -41,7 +41,8 @@ class TcpLink(SocketLink):
     def __init__(self, host: str, port: int) -> None:
         self._host, self._port = host, port
         shown = f"[{host}]" if ":" in host else host
-        super().__init__(f"{shown}:{port}", self._connected, self._explained)
+        advice = "is the program there still running?"
+        super().__init__(f"{shown}:{port}", self._connected, self._explained, advice)
 
     def _connected(self) -> socket.socket:
         connection = socket.create_connection((self._host, self._port), CONNECT_TIMEOUT_S)

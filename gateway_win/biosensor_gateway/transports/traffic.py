@@ -21,6 +21,8 @@ class Traffic:
     ----------
     name
         What error messages call the link.
+    advice
+        What they tell a user to look at when it has ended.
 
     Attributes
     ----------
@@ -28,8 +30,9 @@ class Traffic:
         Set it before the link is closed on purpose: from then on nothing is an error.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, advice: str) -> None:
         self._name = name
+        self._advice = advice
         self.closing = False
         self._incoming: asyncio.Queue[Received | TransportError] = asyncio.Queue()
         self._outgoing: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
@@ -75,11 +78,13 @@ class Traffic:
         """Hand on what came, with its LSL time of arrival; for the reading thread."""
         self._hand_on(Received(data, arrival))
 
-    def lost(self, cause: object) -> None:
+    def lost(self, cause: Exception | None = None) -> None:
         """Tell that the link has ended, unless that is on purpose; for both threads."""
         if not self.closing:
-            message = f"{self._name}: the link was cut ({cause})"
-            self._hand_on(TransportError(TransportReason.LOST, message))
+            message = f"{self._name}: the link was cut; {self._advice}"
+            error = TransportError(TransportReason.LOST, message)
+            error.__cause__ = cause
+            self._hand_on(error)
 
     def join_writer(self, seconds: float) -> None:
         """Wait for the writing thread, at most so long."""

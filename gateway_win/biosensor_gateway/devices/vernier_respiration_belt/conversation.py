@@ -123,7 +123,8 @@ class Conversation:
         """
         payload = (await self.ask(body, limit_s)).payload
         if payload and payload[0] & REFUSED:
-            message = f"{self._link.what} refuses {_name(body)} (status 0x{payload[0]:02X})"
+            command, status = _name(body), f"status 0x{payload[0]:02X}"
+            message = f"{self._link.what} refuses {command} ({status}); switch it off and on"
             raise ProtocolError(ProtocolReason.REFUSED, message)
 
     async def tell(self, body: bytes) -> None:
