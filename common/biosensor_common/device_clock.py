@@ -189,9 +189,7 @@ class DeviceClock:
     def state(self) -> ClockState:
         """The present offset, drift and counts."""
         if self._envelope is None:
-            return ClockState(
-                math.nan, math.nan, math.nan, self._reanchors, self._observations
-            )
+            return ClockState(math.nan, math.nan, math.nan, self._reanchors, self._observations)
         newest = self._device_origin + self._newest
         return ClockState(
             offset_s=self.to_lsl(newest) - newest,
