@@ -12,7 +12,6 @@ import pytest
 
 from biosensor_gateway.devices.zephyr.expectation import expect
 
-
 EXPECTED = {
     "empatica_e4": "bvp bvp_chunk gsr st hr ibi acc quality",
     "emotiv_insight": "eeg eeg_chunk pow pow_chunk met mot dev eeg_status",

@@ -17,7 +17,6 @@ from biosensor_common.registry import sensor
 from biosensor_common.sensors.zephyr import SENSOR
 from biosensor_common.spec import FROM_DEVICE, DeviceIdentity, DeviceInfo, StreamSpec
 from biosensor_gateway import outlets as module
-from biosensor_gateway import outlets
 from biosensor_gateway.outlets import Counters, DeviceOutlets, Outlet, counters_text
 
 FORMATS = {
@@ -59,7 +58,7 @@ def pull(inlet: pylsl.StreamInlet, count: int) -> tuple[list[list[Any]], list[fl
 @pytest.fixture(autouse=True)
 def attach_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Receivers are there from the start here."""
-    monkeypatch.setattr(outlets, "ATTACH_TIME_S", 0.0)
+    monkeypatch.setattr(module, "ATTACH_TIME_S", 0.0)
 
 
 @pytest.mark.parametrize(
@@ -283,7 +282,7 @@ def test_states_wait_for_a_receiver(unit: str, inlet: OpenInlet) -> None:
 def test_states_leave_time_to_attach(
     unit: str, inlet: OpenInlet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(outlets, "ATTACH_TIME_S", 3600.0)
+    monkeypatch.setattr(module, "ATTACH_TIME_S", 3600.0)
     outlet = outlet_of(unit, "rssi")
     reader = inlet(outlet.source_id)
     outlet.push([-60.0], now(0.0))
