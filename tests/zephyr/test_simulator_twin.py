@@ -186,9 +186,10 @@ def test_intervals_of_the_truth_are_where_the_wire_turns_its_sign(bench: Bench) 
         host = bench.connect(device)
         assert host.ask(RR_ON) == ACK
         packets = host.wait_for(RR, 3)
-        truth = settled(device, "ibi", 5)
-    raw = np.concatenate([np.frombuffer(each.payload[9:], "<i2") for each in packets])
-    turns = np.flatnonzero(np.diff(np.sign(raw))) + 1
+        raw = np.concatenate([np.frombuffer(each.payload[9:], "<i2") for each in packets])
+        turns = np.flatnonzero(np.diff(np.sign(raw))) + 1
+        truth = settled(device, "ibi", len(turns))
+    assert len(turns) >= 5
     np.testing.assert_allclose(truth.values[: len(turns), 0], np.abs(raw[turns]) / 1000)
     samples_apart = np.diff(truth.times)[: len(turns) - 1] / 0.056
     np.testing.assert_allclose(samples_apart, np.diff(turns), atol=1e-3)
