@@ -11,6 +11,7 @@ from std_msgs.msg import Float32
 
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway import outlets
 from biosensor_gateway.outlets import Outlet
 
 IDENTITY = DeviceIdentity("zephyr", "BH1", participant="latched")
@@ -18,8 +19,10 @@ IDENTITY = DeviceIdentity("zephyr", "BH1", participant="latched")
 
 @pytest.mark.parametrize(("data_name", "values"), [("bat", [55.0]), ("posture", [])])
 def test_a_late_subscriber_gets_the_last_battery_level(
-    ros: Any, node: Any, data_name: str, values: list[float]
+    ros: Any, node: Any, monkeypatch: pytest.MonkeyPatch, data_name: str, values: list[float]
 ) -> None:
+    # The node is attached before anything is pushed.
+    monkeypatch.setattr(outlets, "ATTACH_TIME_S", 0.0)
     outlet = Outlet(sensor("zephyr").stream(data_name), IDENTITY, DeviceInfo())
     topic = f"/latched/biosensors/zephyr/{data_name}"
     ros.attached(topic)
