@@ -13,7 +13,7 @@ from pylsl import local_clock
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.device_clock import ClockState, DeviceClock
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.outlets import Counters, DeviceOutlets
+from biosensor_gateway.outlets import MAX_STAMP_ERROR_S, Counters, DeviceOutlets
 
 _log = structlog.get_logger("biosensor_gateway.sink")
 
@@ -106,7 +106,10 @@ class DeviceSink:
         lsl_times : sequence of float, length n_samples
             LSL clock at each sample, as near as can be told, in seconds.
         """
-        stamps = self._guarded(data_name, lsl_times)
+        stamps = lsl_times
+        if max(lsl_times, default=0.0) < local_clock() + MAX_STAMP_ERROR_S:
+            # One from the future is refused; guarded, it would push all later ones there, too.
+            stamps = self._guarded(data_name, lsl_times)
         refusal = self._outlets[data_name].push(samples, stamps)
         if refusal is not None and (data_name, refusal) not in self._refusals:
             # Once per cause: the counter tells how often.

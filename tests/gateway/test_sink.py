@@ -122,3 +122,12 @@ def test_silence_is_counted_from_what_was_last_heard(
 def test_every_declared_stream_has_its_counters(sink: DeviceSink) -> None:
     assert len(sink.counters) == 13
     assert all(each == Counters() for each in sink.counters.values())
+
+
+def test_a_stamp_from_the_future_is_refused_and_holds_nothing_back(sink: DeviceSink) -> None:
+    now = pylsl.local_clock()
+    sink.emit_at("ecg", [1.0], [now + 3600])
+    sink.emit_at("ecg", [2.0, 3.0], [now, now + ECG_PERIOD_S])
+    counted = counters(sink, "ecg")
+    assert (counted.refused, counted.pushed) == (1, 2)
+    assert counted.last_stamp == pytest.approx(now + ECG_PERIOD_S)

@@ -22,6 +22,8 @@ BAND_POWER_RATE_HZ = 8.0
 CLOCK_STREAMS = frozenset({"eeg", "mot"})
 """Sent as soon as measured; what is computed first comes late by a varying time."""
 _COUNTERS = {"eeg": "COUNTER", "mot": "COUNTER_MEMS"}
+# A sample cannot come so long before it was measured.
+_SET_AHEAD_S = 1.0
 _LOST_WITH = {"eeg": ("eeg", "eeg_status"), "mot": ("mot", "gyro"), "pow": ("pow",)}
 GYROSCOPE = ("GYROX", "GYROY", "GYROZ")
 _METRICS = {
@@ -120,9 +122,13 @@ class EmotivEmitter:
     def _observe(self, sample: Sample, arrival_s: float) -> None:
         if sample.stream in CLOCK_STREAMS:
             self._clock_leads = True
-        elif self._clock_leads:
+        elif self._clock_leads and not self._is_clock_set(sample.time_s, arrival_s):
             return
         self._sink.observe(sample.time_s, arrival_s)
+
+    def _is_clock_set(self, time_s: float, arrival_s: float) -> bool:
+        """Tell whether Cortex's clock went ahead; whichever stream shows it first leads then."""
+        return time_s + self._sink.clock_state.offset_s - arrival_s > _SET_AHEAD_S
 
     def _lost_before(self, sample: Sample, arrival_s: float) -> int | None:
         count = self._counts.get(sample.stream)
