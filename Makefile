@@ -15,7 +15,7 @@ demo: venv-ros
 	.venv/bin/biosensor-gateway demo $(if $(SECONDS),--seconds $(SECONDS))
 
 test: check venv-peers
-	$(RUN) pytest -m "not system" -n 4 --dist loadfile $(ALONE:%=--ignore=%)
+	$(RUN) pytest -m "not system" -n 3 --dist loadfile $(ALONE:%=--ignore=%)
 	$(RUN) pytest -m "not system" $(ALONE)
 	@echo
 	@echo "Not run here, only by 'make test-system' (needs root and system packages):"
