@@ -12,6 +12,14 @@ setup(
         (f"share/{PACKAGE}", ["package.xml"]),
         (f"share/{PACKAGE}/launch", ["launch/lsl_to_ros.launch.py"]),
         (f"share/{PACKAGE}/config", ["config/params.yaml"]),
+        (
+            f"share/{PACKAGE}/config/layouts",
+            [
+                "config/layouts/README.md",
+                "config/layouts/foxglove.json",
+                "config/layouts/plotjuggler.xml",
+            ],
+        ),
     ],
     # ROS packages are named in package.xml; this one comes from PyPI.
     install_requires=["pylsl>=1.18"],

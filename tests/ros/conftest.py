@@ -11,10 +11,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import IO, Any
 
+import numpy as np
+import pylsl
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces import srv
+from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
@@ -23,6 +26,7 @@ from rclpy.subscription import Subscription
 
 DEADLINE_S = 30.0
 QUEUE = 20_000
+NODE = "/lsl_to_ros"
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +50,7 @@ class Ros:
         self.node = rclpy.create_node("listener")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
-        self._set = self.node.create_client(SetParameters, "/lsl_to_ros/set_parameters")
+        self._clients: dict[str, Client] = {}
         self._heard: list[Subscription] = []
         self._status: dict[str, Status] = {}
         self._reported_ns = 0
@@ -64,10 +68,15 @@ class Ros:
             assert time.monotonic() < deadline, f"never happened: {expected}"
             self._executor.spin_once(timeout_sec=0.05)
 
-    def listen(self, kind: type[Any], topic: str) -> list[Any]:
+    def spin(self, seconds: float) -> None:
+        """Spin for a time, in which something must not happen."""
+        end = time.monotonic() + seconds
+        self.until(lambda: time.monotonic() >= end, "the end of the wait")
+
+    def listen(self, kind: type[Any], topic: str, qos: QoSProfile | None = None) -> list[Any]:
         """Subscribe; the list fills with messages while the test waits."""
         messages: list[Any] = []
-        qos = QoSProfile(depth=QUEUE)
+        qos = qos or QoSProfile(depth=QUEUE)
         self._heard.append(self.node.create_subscription(kind, topic, messages.append, qos))
         return messages
 
@@ -76,6 +85,11 @@ class Ros:
         for subscription in self._heard:
             self.node.destroy_subscription(subscription)
         self._heard.clear()
+
+    def publishers(self, topic: str) -> list[Any]:
+        """What DDS knows of each publisher of a topic (``TopicEndpointInfo``)."""
+        node: Any = self.node
+        return node.get_publishers_info_by_topic(topic)
 
     def topics(self) -> dict[str, list[str]]:
         """Message types by topic, of what is published or subscribed."""
@@ -106,15 +120,30 @@ class Ros:
 
         self.until(are_attached, f"{topics} with {readers} subscribers")
 
-    def set(self, name: str, value: bool | float | str) -> str:
-        """Set a parameter of the node; return the reason of a refusal, empty if accepted."""
-        assert self._set.wait_for_service(timeout_sec=DEADLINE_S)
+    def call(self, service: str, kind: type[Any], request: Any) -> Any:
+        """Call a service; return the answer."""
+        if service not in self._clients:
+            self._clients[service] = self.node.create_client(kind, service)
+        client = self._clients[service]
+        assert client.wait_for_service(timeout_sec=DEADLINE_S)
+        answer = client.call_async(request)
+        self.until(answer.done, f"an answer of {service}")
+        return answer.result()
+
+    def set(self, name: str, value: bool | float | str | None, node: str = NODE) -> str:
+        """Set a parameter of a node; return the reason of a refusal, empty if accepted."""
         parameter = Parameter(name, value=value).to_parameter_msg()
-        answer = self._set.call_async(SetParameters.Request(parameters=[parameter]))
-        self.until(answer.done, f"an answer for {name}")
-        (result,) = answer.result().results
+        request = srv.SetParameters.Request(parameters=[parameter])
+        (result,) = self.call(f"{node}/set_parameters", srv.SetParameters, request).results
         assert result.successful is not bool(result.reason)
         return result.reason
+
+    def describe(self, *names: str) -> dict[str, Any]:
+        """Descriptors of the node's parameters by name."""
+        kind: type[Any] = vars(srv)["DescribeParameters"]
+        request = kind.Request(names=list(names))
+        answer = self.call(f"{NODE}/describe_parameters", kind, request)
+        return dict(zip(names, answer.descriptors, strict=True))
 
     def _take(self, report: DiagnosticArray) -> None:
         stamp = report.header.stamp
@@ -159,9 +188,13 @@ class RunningNode:
         """Count the lines of the log that contain all *parts*."""
         return sum(all(part in line for part in parts) for line in list(self._lines))
 
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal that does not end it."""
+        self._process.send_signal(number)
+
     def signal(self, number: signal.Signals) -> int:
         """Send a signal; return the exit code."""
-        self._process.send_signal(number)
+        self.send(number)
         return self.wait()
 
     def wait(self) -> int:
@@ -186,6 +219,36 @@ class RunningNode:
             self._lines.append(line)
 
 
+class Flow:
+    """Pushes 1, 2, 3, ... in a thread of its own, stamped evenly at the stream's rate."""
+
+    def __init__(self, outlet: pylsl.StreamOutlet, rate: float, channels: int = 1) -> None:
+        self.pushed = 0
+        self._outlet = outlet
+        self._rate = rate
+        self._channels = channels
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._push, daemon=True)
+        self._thread.start()
+
+    def stop(self) -> int:
+        """End; return how many samples there were."""
+        self._stopping.set()
+        self._thread.join()
+        return self.pushed
+
+    def _push(self) -> None:
+        begun = pylsl.local_clock()
+        while not self._stopping.wait(0.02):
+            due = int((pylsl.local_clock() - begun) * self._rate)
+            new = np.arange(self.pushed + 1, due + 1)
+            if len(new):
+                samples = np.repeat(new[:, np.newaxis], self._channels, axis=1)
+                stamps = begun + new / self._rate
+                self._outlet.push_chunk(samples.astype(np.float32), list(stamps))
+                self.pushed = due
+
+
 @pytest.fixture(scope="session")
 def listener() -> Iterator[Ros]:
     listener = Ros()
@@ -200,9 +263,12 @@ def ros(listener: Ros) -> Iterator[Ros]:
 
 
 @pytest.fixture(scope="module")
-def node(listener: Ros) -> Iterator[RunningNode]:
-    """One node for all tests of a module; none of them may end it or break it."""
-    running = RunningNode()
+def node(listener: Ros, request: pytest.FixtureRequest) -> Iterator[RunningNode]:
+    """One node for all tests of a module; none of them may end it or break it.
+
+    It gets the module's ``NODE_ARGUMENTS``, if there are any.
+    """
+    running = RunningNode(*getattr(request.module, "NODE_ARGUMENTS", ()))
     listener.report()
     yield running
     died, log = not running.is_running, running.log
@@ -223,3 +289,17 @@ def start_node() -> Iterator[Callable[..., RunningNode]]:
     yield start
     for running in started:
         running.end()
+
+
+@pytest.fixture
+def flow() -> Iterator[Callable[..., Flow]]:
+    """Let samples flow until the end of the test."""
+    begun: list[Flow] = []
+
+    def begin(outlet: pylsl.StreamOutlet, rate: float, channels: int = 1) -> Flow:
+        begun.append(Flow(outlet, rate, channels))
+        return begun[-1]
+
+    yield begin
+    for one in begun:
+        one.stop()

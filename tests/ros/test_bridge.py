@@ -4,81 +4,68 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
-from builtin_interfaces.msg import Time
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from std_msgs.msg import Float32, Float32MultiArray, UInt8
 
-from biosensor_common.quantities import Category, ChannelFormat, MessageType
-from biosensor_common.spec import DeviceIdentity
+from biosensor_common.quantities import ChannelFormat, MessageType
 from biosensor_common.stream_header import StreamHeader
-from lsl_to_ros.bridge import FOREIGN_JITTER_S, Bridge, Tally
-from lsl_to_ros.losses import LossAccount
+from lsl_to_ros.blocks import Block
+from lsl_to_ros.bridge import Bridge, Outputs
+from lsl_to_ros.gaps import FOREIGN_JITTER_S
+from lsl_to_ros.messages import CLASSES
 from lsl_to_ros.parameters import StreamSettings
+from lsl_to_ros.tally import Refusals, Tally
+from lsl_to_ros.writers import ChunkWriter, NumberWriter
+from tests.rigs.recorded_topics import Clocks, RecordedPort, header_of
 
-HEADER = StreamHeader(
-    identity=DeviceIdentity("zephyr", "BH1"),
-    data_name="ecg",
-    category=Category.RAW,
-    content_type="ECG",
-    labels=("ECG",),
-    units=("counts",),
-    rate=100.0,
-    format=ChannelFormat.FLOAT32,
-    message_type=MessageType.FLOAT32,
-    chunk="ecg",
-)
+if TYPE_CHECKING:
+    from tests.ros.conftest import Ros
+
+HEADER = header_of("zephyr", "ecg", rate=100.0)
 ON = StreamSettings(raw=True, chunk=True, chunk_length=4)
 
 
-@dataclass
-class Topic:
-    """Stands for a publisher."""
-
-    topic_name: str = "/topic"
-    readers: int = 1
-    sent: list[Any] = field(default_factory=list[Any])
-
-    def publish(self, msg: Any) -> None:
-        self.sent.append(msg.data)
-
-    def get_subscription_count(self) -> int:
-        return self.readers
-
-
-@dataclass
 class Setup:
-    bridge: Bridge
-    raw: Topic
-    chunk: Topic
-    tally: Tally
-    warnings: list[str]
+    """A bridge of one channel with a raw topic and, if the header says so, chunks."""
+
+    def __init__(self, ros: Ros, header: StreamHeader, settings: StreamSettings) -> None:
+        self.raw = RecordedPort(CLASSES[header.message_type])
+        self.chunk = RecordedPort(Float32MultiArray, "biosensors/zephyr/ecg_chunk")
+        self.tally = Tally()
+        self.warnings: list[str] = []
+        refuse = Refusals(header, self.tally, self.warnings.append)
+        outputs = Outputs(raw=NumberWriter(self.raw, header.message_type, 1, refuse))
+        if header.chunk:
+            outputs.chunk = ChunkWriter(self.chunk, MessageType.FLOAT32_MULTI_ARRAY, 1)
+        self.bridge = Bridge(header, outputs, settings, self.tally, Clocks(ros.node), refuse)
 
     def send(self, *values: float, start: float = 1000.0, step: float = 0.01) -> None:
+        """Send samples one by one."""
         for number, value in enumerate(values):
-            self.bridge.receive([value], start + number * step)
+            self.send_block([value], [start + number * step])
+
+    def send_block(self, values: list[float], stamps: list[float]) -> None:
+        dtype = {
+            ChannelFormat.FLOAT32: np.float32,
+            ChannelFormat.INT16: np.int16,
+        }[self.bridge.header.format]
+        self.bridge.receive(Block(np.array(values, dtype)[:, np.newaxis], np.array(stamps)))
 
 
 Make = Callable[..., Setup]
 
 
 @pytest.fixture
-def make() -> Make:
+def make(ros: Ros) -> Make:
     def setup(header: StreamHeader = HEADER, settings: StreamSettings = ON) -> Setup:
-        raw, chunk, tally = Topic(), Topic(), Tally()
-        warnings: list[str] = []
-        bridge = Bridge(
-            header,
-            raw,
-            chunk if header.chunk else None,
-            settings,
-            LossAccount(),
-            tally,
-            lambda _: Time(),
-            warnings.append,
-        )
-        return Setup(bridge, raw, chunk, tally, warnings)
+        return Setup(ros, header, settings)
 
     return setup
 
@@ -86,31 +73,74 @@ def make() -> Make:
 def test_every_sample_goes_out_at_once_and_in_its_chunk(make: Make) -> None:
     it = make()
     it.send(1, 2, 3, 4, 5)
-    assert it.raw.sent == [1, 2, 3, 4, 5]
-    assert [list(chunk) for chunk in it.chunk.sent] == [[1, 2, 3, 4]]
-    assert it.tally == Tally(received=5)
+    assert it.raw.values == [1, 2, 3, 4, 5]
+    assert it.chunk.values == [[1, 2, 3, 4]]
+    assert (it.tally.received, it.tally.missing, it.tally.discarded) == (5, 0, 0)
 
 
-def test_a_chunk_never_spans_a_gap(make: Make) -> None:
+def test_a_block_is_no_different(make: Make) -> None:
     it = make()
-    it.send(1, 2, 3)
-    it.send(4, 5, 6, 7, start=1000.02 + 0.1)
-    assert it.raw.sent == [1, 2, 3, 4, 5, 6, 7]
-    assert [list(chunk) for chunk in it.chunk.sent] == [[4, 5, 6, 7]]
+    it.send_block([1, 2, 3, 4, 5], [1000 + number * 0.01 for number in range(5)])
+    assert it.raw.values == [1, 2, 3, 4, 5]
+    assert it.chunk.values == [[1, 2, 3, 4]]
+    assert it.tally.received == 5
+
+
+@pytest.mark.parametrize("as_block", [False, True])
+def test_a_chunk_never_spans_a_gap(make: Make, as_block: bool) -> None:
+    it = make()
+    stamps = [1000.0, 1000.01, 1000.02, 1000.12, 1000.13, 1000.14, 1000.15]
+    values = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
+    if as_block:
+        it.send_block(values, stamps)
+    else:
+        for value, stamp in zip(values, stamps, strict=True):
+            it.send_block([value], [stamp])
+    assert it.raw.values == [1, 2, 3, 4, 5, 6, 7]
+    assert it.chunk.values == [[4, 5, 6, 7]]
     assert (it.tally.discarded, it.tally.missing) == (3, 9)
+
+
+@settings(
+    deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    steps=st.lists(st.sampled_from([0.01, 0.01, 0.01, 0.01, 0.05, 1.0]), max_size=40),
+    cuts=st.sets(st.integers(1, 40)),
+)
+def test_what_comes_in_blocks_is_published_and_counted_as_if_it_came_singly(
+    make: Make, steps: list[float], cuts: set[int]
+) -> None:
+    stamps = [1000.0]
+    for step in steps:
+        stamps.append(stamps[-1] + step)
+    values = [float(number) for number in range(len(stamps))]
+    singly, together = make(), make()
+    for value, stamp in zip(values, stamps, strict=True):
+        singly.send_block([value], [stamp])
+    edges = sorted({0, len(stamps), *(cut for cut in cuts if cut < len(stamps))})
+    for start, end in pairwise(edges):
+        together.send_block(values[start:end], stamps[start:end])
+    assert together.raw.values == singly.raw.values == values
+    assert together.chunk.values == singly.chunk.values
+    for counter in ("received", "missing", "discarded", "unfit", "unstamped"):
+        assert getattr(together.tally, counter) == getattr(singly.tally, counter)
+    in_chunks = sum(len(chunk) for chunk in singly.chunk.values)
+    singly.bridge.end(0)
+    assert in_chunks + singly.tally.discarded == len(values)
 
 
 def test_a_stamp_that_is_a_little_late_is_no_gap(make: Make) -> None:
     it = make()
     it.send(1, 2, 3, 4, step=0.0149)
-    assert len(it.chunk.sent) == 1
-    assert it.tally == Tally(received=4)
+    assert len(it.chunk.messages) == 1
+    assert (it.tally.missing, it.tally.discarded) == (0, 0)
 
 
 def test_stamps_of_other_programs_may_jitter(make: Make) -> None:
     it = make(replace(HEADER, foreign=True))
     it.send(1, 2, 3, 4, step=FOREIGN_JITTER_S * 0.9)
-    assert len(it.chunk.sent) == 1
+    assert len(it.chunk.messages) == 1
     it.send(5, 6, step=FOREIGN_JITTER_S * 2.0, start=1001.0)
     assert it.tally.missing > 0
 
@@ -118,44 +148,47 @@ def test_stamps_of_other_programs_may_jitter(make: Make) -> None:
 def test_an_irregular_stream_has_no_gaps(make: Make) -> None:
     it = make(replace(HEADER, rate=0.0, chunk=""))
     it.send(1, 2, 3, step=60.0)
-    assert it.raw.sent == [1, 2, 3]
-    assert it.tally == Tally(received=3)
+    assert it.raw.values == [1, 2, 3]
+    assert (it.tally.received, it.tally.missing) == (3, 0)
 
 
 @pytest.mark.parametrize("stamp", [math.inf, -math.inf, math.nan, 1e308, 0.0, -5.0])
-def test_no_stamp_stops_a_stream(make: Make, stamp: float) -> None:
+@pytest.mark.parametrize("as_block", [False, True])
+def test_no_stamp_stops_a_stream(make: Make, stamp: float, as_block: bool) -> None:
     it = make(replace(HEADER, rate=1e300))
     it.send(1)
-    it.bridge.receive([2.0], stamp)
-    it.send(3, start=1000.01)
-    assert it.raw.sent == [1, 2, 3]
+    if as_block:
+        it.send_block([2.0, 3.0], [stamp, 1000.01])
+    else:
+        it.send_block([2.0], [stamp])
+        it.send(3, start=1000.01)
+    assert it.raw.values == [1, 2, 3]
     assert it.tally.received == 3
 
 
 def test_a_sample_that_does_not_fit_is_counted_and_said_once(make: Make) -> None:
     it = make(replace(HEADER, message_type=MessageType.UINT8, format=ChannelFormat.INT16))
-    it.send(60, 300, -1, 61)
-    assert it.raw.sent == [60, 61]
-    assert it.tally.unfit == 2
+    it.send_block([60, 300, -1, 61], [1000.0, 1000.01, 1000.02, 1000.03])
+    it.send(62, 256, start=1000.04)
+    assert it.raw.values == [60, 61, 62]
+    assert it.tally.unfit == 3
     assert len(it.warnings) == 1
     assert "zephyr ecg" in it.warnings[0]
     assert "300" in it.warnings[0]
 
 
-def test_a_chunk_does_not_go_on_after_a_sample_that_does_not_fit(make: Make) -> None:
-    header = replace(HEADER, message_type=MessageType.INT32_MULTI_ARRAY)
-    it = make(header)
-    it.raw.readers = 0
-    it.send(1, 2, 2**40, 3, 4, 5, 6)
-    assert [list(chunk) for chunk in it.chunk.sent] == [[3, 4, 5, 6]]
-    assert it.tally == Tally(received=7, unfit=1, discarded=2)
+def test_a_sample_that_does_not_fit_the_raw_message_is_still_in_its_chunk(make: Make) -> None:
+    it = make(replace(HEADER, message_type=MessageType.UINT8, format=ChannelFormat.INT16))
+    assert it.raw.type_name == f"std_msgs/msg/{UInt8.__name__}"
+    it.send(1, 300, 3, 4)
+    assert it.chunk.values == [[1, 300, 3, 4]]
 
 
 def test_the_raw_topic_alone_can_be_silenced(make: Make) -> None:
     it = make(settings=replace(ON, raw=False))
     it.send(1, 2, 3, 4)
-    assert it.raw.sent == []
-    assert len(it.chunk.sent) == 1
+    assert it.raw.messages == []
+    assert len(it.chunk.messages) == 1
 
 
 def test_silenced_chunks_leave_nothing_behind(make: Make) -> None:
@@ -165,31 +198,90 @@ def test_silenced_chunks_leave_nothing_behind(make: Make) -> None:
     it.send(3, 4, start=1000.02)
     it.bridge.settings = ON
     it.send(5, 6, 7, 8, start=1000.04)
-    assert it.raw.sent == [1, 2, 3, 4, 5, 6, 7, 8]
-    assert [list(chunk) for chunk in it.chunk.sent] == [[5, 6, 7, 8]]
+    assert it.raw.values == [1, 2, 3, 4, 5, 6, 7, 8]
+    assert it.chunk.values == [[5, 6, 7, 8]]
     assert it.tally.discarded == 2
+
+
+def test_a_new_chunk_length_holds_from_the_next_sample_on(make: Make) -> None:
+    it = make()
+    it.send(1, 2, 3)
+    it.bridge.settings = replace(ON, chunk_length=2)
+    it.send(4, start=1000.03)
+    it.bridge.settings = replace(ON, chunk_length=3)
+    it.send(5, 6, 7, start=1000.04)
+    assert it.chunk.values == [[1, 2], [3, 4], [5, 6, 7]]
+    assert it.tally.discarded == 0
 
 
 def test_what_nobody_reads_is_not_published_but_counted(make: Make) -> None:
     it = make()
-    it.raw.readers = it.chunk.readers = 0
+    it.raw.set_readers(0)
+    it.chunk.set_readers(0)
     it.send(1, 2, 3, 4)
-    assert it.raw.sent == it.chunk.sent == []
+    assert it.raw.messages == it.chunk.messages == []
     assert it.tally.received == 4
 
 
-def test_a_reader_of_the_raw_topic_wants_each_sample(make: Make) -> None:
+def test_a_reader_that_comes_in_the_middle_of_a_chunk_gets_all_of_it(make: Make) -> None:
+    it = make()
+    it.chunk.set_readers(0)
+    it.send(1, 2)
+    it.chunk.set_readers(1)
+    it.send(3, 4, start=1000.02)
+    assert it.chunk.values == [[1, 2, 3, 4]]
+
+
+def test_a_reader_of_single_samples_wants_each_at_once(make: Make) -> None:
     it = make()
     assert it.bridge.wants_each_sample
-    it.raw.readers = 0
+    assert it.bridge.readers == 2
+    it.raw.set_readers(0)
     assert not it.bridge.wants_each_sample
-    it.raw.readers = 1
+    assert it.bridge.readers == 1
+    it.raw.set_readers(1)
     it.bridge.settings = replace(ON, raw=False)
     assert not it.bridge.wants_each_sample
 
 
-def test_the_end_of_a_stream_discards_its_partial_chunk(make: Make) -> None:
+def test_the_end_of_a_stream_discards_its_partial_chunk_and_counts_what_lsl_dropped(
+    make: Make,
+) -> None:
     it = make()
     it.send(1, 2, 3)
-    it.bridge.end()
-    assert it.tally.discarded == 3
+    it.bridge.end(7)
+    assert (it.tally.discarded, it.tally.undelivered, it.tally.missing) == (3, 7, 7)
+    it.send(4, 5, 6, 7, start=1000.03)
+    assert it.chunk.values == [[4, 5, 6, 7]]
+
+
+def test_who_listens_gets_every_sample_whether_or_not_somebody_reads(ros: Ros) -> None:
+    header, tally = HEADER, Tally()
+    port = RecordedPort(Float32, readers=0)
+    refuse = Refusals(header, tally, pytest.fail)
+    outputs = Outputs(raw=NumberWriter(port, header.message_type, 1, refuse))
+    heard: list[list[float]] = []
+    bridge = Bridge(
+        header,
+        outputs,
+        ON,
+        tally,
+        Clocks(ros.node),
+        refuse,
+        listen=lambda sample: heard.append(sample.tolist()),
+    )
+    assert bridge.wants_each_sample
+    bridge.receive(Block(np.array([[1.0], [2.0]], np.float32), np.array([5.0, 5.01])))
+    assert heard == [[1.0], [2.0]]
+    assert port.messages == []
+
+
+def test_the_newest_sample_of_an_irregular_stream_is_kept(make: Make) -> None:
+    it = make(replace(HEADER, rate=0.0, chunk=""))
+    assert it.bridge.newest is None
+    block = Block(np.array([[1.0], [2.0]], np.float32), np.array([5.0, 6.0]))
+    it.bridge.receive(block)
+    block.samples[:] = 0
+    assert it.bridge.newest is not None
+    assert it.bridge.newest.tolist() == [2.0]
+    assert it.bridge.last_stamp == 6.0

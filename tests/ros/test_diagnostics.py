@@ -3,140 +3,242 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
+import numpy as np
 import pylsl
 import pytest
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from std_msgs.msg import Float32MultiArray
 
 from biosensor_common.naming import TopicName
-from biosensor_common.quantities import Category, ChannelFormat, MessageType
+from biosensor_common.quantities import MessageType
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.outlets import Counters, Outlet, counters_text
-from lsl_to_ros.bridge import Bridge, Tally
-from lsl_to_ros.diagnostics import RateMeter, stream_status
-from lsl_to_ros.losses import LossAccount
+from lsl_to_ros import diagnostics, rates
+from lsl_to_ros.blocks import Block
+from lsl_to_ros.bridge import Bridge, Outputs
+from lsl_to_ros.diagnostics import StreamHealth, stream_facts, stream_status
 from lsl_to_ros.parameters import StreamSettings
+from lsl_to_ros.rates import RATE_WINDOW_S
+from lsl_to_ros.tally import Refusals, Tally
+from lsl_to_ros.writers import ChunkWriter, NumberWriter
+from tests.rigs.recorded_topics import Clocks, RecordedPort, header_of
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
 
 COUNTERS = "/biosensors/gateway/counters"
-NAME = TopicName("biosensors/zephyr", "ecg")
+NAME = TopicName("p01/biosensors/zephyr_left", "acc")
+HEADER = header_of("zephyr", "acc", participant="p01", label="left", rate=100.0, chunk="acc")
+SETTINGS = StreamSettings(raw=True, chunk=True, chunk_length=8)
 
 
-@dataclass
-class Topic:
-    topic_name: str = "/biosensors/zephyr/ecg"
+class Clock:
+    """Time that passes when a test says so."""
 
-    def publish(self, msg: Any) -> None:
-        pass
+    def __init__(self) -> None:
+        self.now = 1000.0
 
-    def get_subscription_count(self) -> int:
-        return 2
+    def __call__(self) -> float:
+        return self.now
 
 
-Make = Callable[..., Bridge]
+class Stream:
+    """One stream, looked at by ``/diagnostics`` once a second."""
+
+    def __init__(self, ros: Ros, clock: Clock, header: StreamHeader = HEADER) -> None:
+        self.tally = Tally()
+        self.clocks = Clocks(ros.node)
+        self.topic = NAME
+        self._clock = clock
+        refuse = Refusals(header, self.tally, pytest.fail)
+        raw = RecordedPort(Float32MultiArray, NAME.name, readers=2)
+        chunk = RecordedPort(Float32MultiArray, f"{NAME.name}_chunk")
+        kind = MessageType.FLOAT32_MULTI_ARRAY
+        outputs = Outputs(raw=NumberWriter(raw, kind, 3, refuse), chunk=ChunkWriter(chunk, kind, 3))
+        self.bridge = Bridge(header, outputs, SETTINGS, self.tally, self.clocks, refuse)
+        self._health = StreamHealth(begun_s=clock.now)
+
+    def receive(self, *ages: float) -> Stream:
+        """Receive samples of so many seconds ago, each by itself."""
+        for age in ages:
+            stamp = pylsl.local_clock() - age - (self.clocks.correction or 0.0)
+            self.bridge.receive(Block(np.zeros((1, 3), np.float32), np.array([stamp])))
+        return self
+
+    def pass_time(self, seconds: float) -> Stream:
+        self._clock.now += seconds
+        return self
+
+    def look(self, spread: float = 0.0) -> DiagnosticStatus:
+        facts = stream_facts(
+            self.topic,
+            self.bridge,
+            self._health,
+            self.clocks.correction,
+            spread,
+            pylsl.local_clock(),
+        )
+        return stream_status(facts)
 
 
 @pytest.fixture
-def make() -> Make:
-    def bridge(rate: float = 100.0, *, foreign: bool = False) -> Bridge:
-        header = StreamHeader(
-            identity=DeviceIdentity("zephyr", "BH1", "p01", "left"),
-            data_name="ecg",
-            category=Category.RAW,
-            content_type="ECG",
-            labels=("a", "b"),
-            units=("g", "g"),
-            rate=rate,
-            format=ChannelFormat.FLOAT32,
-            message_type=MessageType.FLOAT32_MULTI_ARRAY,
-            chunk="",
-            foreign=foreign,
-        )
-        settings = StreamSettings(raw=True, chunk=True, chunk_length=8)
-        account, tally = LossAccount(), Tally()
-        return Bridge(
-            header, Topic(), None, settings, account, tally, lambda _: Time(), lambda _: None
-        )
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(diagnostics, "monotonic", clock)
+    monkeypatch.setattr(rates, "monotonic", clock)
+    return clock
 
-    return bridge
+
+@pytest.fixture
+def stream(ros: Ros, clock: Clock) -> Stream:
+    return Stream(ros, clock)
+
+
+@pytest.fixture
+def irregular(ros: Ros, clock: Clock) -> Stream:
+    """A stream of which no rate can be expected."""
+    return Stream(ros, clock, replace(HEADER, rate=0.0, chunk=""))
 
 
 def values(status: DiagnosticStatus) -> dict[str, str]:
     return {entry.key: entry.value for entry in status.values}
 
 
-def describe(bridge: Bridge, topic: TopicName = NAME, age: float = 0.1) -> DiagnosticStatus:
-    return stream_status(topic, bridge, 99.5, age, None)
-
-
-def test_a_streaming_stream_is_ok(make: Make) -> None:
-    bridge = make()
-    bridge.receive([1.0, 2.0], 10.0)
-    status = describe(bridge)
+def test_a_streaming_stream_is_ok(stream: Stream) -> None:
+    stream.clocks.correction = 12.5
+    status = stream.receive(0.5).look(spread=0.25)
     assert (status.level, status.message) == (DiagnosticStatus.OK, "streaming")
-    assert status.name == "lsl_to_ros: /biosensors/zephyr/ecg"
-    assert status.hardware_id == "BH1"
+    assert status.name == "lsl_to_ros: /p01/biosensors/zephyr_left/acc"
+    assert status.hardware_id == "U1"
     shown = values(status)
     assert (shown["sensor"], shown["participant"], shown["label"]) == ("zephyr", "p01", "left")
+    assert shown["topic"] == "/p01/biosensors/zephyr_left/acc"
+    assert shown["chunk_topic"] == "/p01/biosensors/zephyr_left/acc_chunk"
     assert shown["unit_of_measurement"] == "g"
-    assert (shown["rate_measured"], shown["rate_nominal"]) == ("99.50", "100.00")
-    assert (shown["received"], shown["subscribers"]) == ("1", "2")
-    assert shown["clock_offset_s"] == ""
+    assert shown["rate_nominal"] == "100.00"
+    assert (shown["received"], shown["subscribers"]) == ("1", "3")
+    assert (shown["clock_offset_s"], shown["clock_offset_spread_s"]) == ("12.500000", "0.250000")
+    for age in ("age_s", "latency_mean_s", "latency_max_s"):
+        # The sample was half a second old, and the test takes some time itself.
+        assert 0.5 <= float(shown[age]) < 30.0
 
 
-def test_a_regular_stream_without_samples_is_stale_an_irregular_one_is_not(make: Make) -> None:
-    assert describe(make()).level == DiagnosticStatus.STALE
-    bridge = make()
-    bridge.receive([1.0, 2.0], 10.0)
-    assert describe(bridge, age=60.0).level == DiagnosticStatus.STALE
-    assert describe(make(rate=0.0), age=60.0).level == DiagnosticStatus.OK
+def test_latencies_are_those_since_the_report_before(stream: Stream) -> None:
+    shown = values(stream.receive(4.0, 2.0).look())
+    assert 4.0 <= float(shown["latency_max_s"]) < 30.0
+    assert 3.0 <= float(shown["latency_mean_s"]) < float(shown["latency_max_s"])
+    shown = values(stream.look())
+    assert (shown["latency_mean_s"], shown["latency_max_s"]) == ("", "")
 
 
-def test_a_shared_name_is_an_error(make: Make) -> None:
-    bridge = make()
-    bridge.receive([1.0, 2.0], 10.0)
-    conflict = describe(bridge, TopicName("biosensors/zephyr_BH1", "ecg", conflict=True))
-    assert conflict.level == DiagnosticStatus.ERROR
-    assert "label" in conflict.message
-    duplicate = describe(bridge, TopicName("biosensors/zephyr", "ecg", duplicate=True))
-    assert duplicate.level == DiagnosticStatus.ERROR
+def test_what_is_not_known_is_empty(stream: Stream) -> None:
+    stream.clocks.correction = None
+    shown = values(stream.look())
+    for key in ("age_s", "latency_mean_s", "clock_offset_s", "clock_offset_spread_s"):
+        assert shown[key] == ""
 
 
-def test_samples_that_do_not_fit_are_a_warning(make: Make) -> None:
-    bridge = make()
-    bridge.receive([1.0, 2.0], 10.0)
-    bridge.tally.unfit = 3
-    status = describe(bridge)
+def test_a_regular_stream_without_samples_is_stale(stream: Stream) -> None:
+    assert stream.look().level == DiagnosticStatus.STALE
+    assert stream.receive(6.0).look().level == DiagnosticStatus.STALE
+    assert stream.receive(0.0).look().level == DiagnosticStatus.OK
+
+
+def test_an_irregular_stream_may_be_silent(irregular: Stream) -> None:
+    status = irregular.look()
+    assert (status.level, status.message) == (DiagnosticStatus.OK, "no sample yet")
+    status = irregular.receive(6.0).look()
+    assert (status.level, status.message) == (DiagnosticStatus.OK, "streaming")
+
+
+def test_a_shared_name_is_an_error(stream: Stream) -> None:
+    stream.receive(0.0)
+    stream.topic = TopicName("biosensors/zephyr_U1", "acc", conflict=True)
+    assert stream.look().level == DiagnosticStatus.ERROR
+    assert "label" in stream.look().message
+    stream.topic = TopicName("biosensors/zephyr", "acc", duplicate=True)
+    assert stream.look().level == DiagnosticStatus.ERROR
+
+
+def test_samples_that_do_not_fit_are_a_warning_for_a_while(irregular: Stream) -> None:
+    assert irregular.receive(0.0).look().level == DiagnosticStatus.OK
+    irregular.tally.unfit = 3
+    status = irregular.pass_time(1.0).receive(0.0).look()
+    assert (status.level, values(status)["unfit"]) == (DiagnosticStatus.WARN, "3")
+    irregular.pass_time(RATE_WINDOW_S - 1.0)
+    assert irregular.receive(0.0).look().level == DiagnosticStatus.WARN
+    status = irregular.pass_time(1.0).receive(0.0).look()
+    assert (status.level, values(status)["unfit"]) == (DiagnosticStatus.OK, "3")
+
+
+def test_lost_samples_are_a_warning_for_a_while(irregular: Stream) -> None:
+    irregular.tally.account.reported(0, 4, 0.0)
+    assert irregular.receive(0.0).look().level == DiagnosticStatus.OK
+    irregular.tally.account.reported(0, 9, 0.0)
+    status = irregular.pass_time(1.0).receive(0.0).look()
+    assert (status.level, values(status)["lost"]) == (DiagnosticStatus.WARN, "9")
+    assert status.message == "5 samples lost in the last 10 s"
+    irregular.pass_time(RATE_WINDOW_S - 1.0)
+    assert irregular.receive(0.0).look().level == DiagnosticStatus.WARN
+    assert irregular.pass_time(1.0).receive(0.0).look().level == DiagnosticStatus.OK
+
+
+def test_what_is_lost_is_counted_estimated_or_unknown_but_never_made_up(
+    ros: Ros, clock: Clock
+) -> None:
+    ours = Stream(ros, clock)
+    assert values(ours.look())["lost"] == "unknown"
+    ours.tally.account.reported(0, 4, 0.0)
+    assert values(ours.look())["lost"] == "4"
+    marker = replace(HEADER, rate=0.0, foreign=True)
+    assert values(Stream(ros, clock, marker).look())["lost"] == "unknown"
+    foreign = Stream(ros, clock, replace(HEADER, foreign=True))
+    stamps = np.array([10.0, 10.5])
+    foreign.bridge.receive(Block(np.zeros((2, 3), np.float32), stamps))
+    assert values(foreign.look())["lost"] == "about 49"
+
+
+def test_a_clock_that_cannot_be_asked_is_a_warning_after_some_patience(irregular: Stream) -> None:
+    irregular.clocks.correction = None
+    assert irregular.receive(0.0).pass_time(10.0).look().level == DiagnosticStatus.OK
+    status = irregular.receive(0.0).pass_time(0.5).look()
     assert status.level == DiagnosticStatus.WARN
-    assert values(status)["unfit"] == "3"
+    assert "UDP" in status.message
+    irregular.clocks.correction = 0.0
+    assert irregular.receive(0.0).look().level == DiagnosticStatus.OK
 
 
-def test_what_is_lost_is_counted_estimated_or_unknown_but_never_made_up(make: Make) -> None:
-    ours = make()
-    assert values(describe(ours))["lost"] == "unknown"
-    ours.account.reported(0, 4, 0.0)
-    assert values(describe(ours))["lost"] == "4"
-    assert values(describe(make(rate=0.0, foreign=True)))["lost"] == "unknown"
-    foreign = make(foreign=True)
-    foreign.receive([1.0, 2.0], 10.0)
-    foreign.receive([1.0, 2.0], 10.5)
-    assert values(describe(foreign))["lost"] == "about 49"
+@pytest.mark.parametrize("age", [1e9, -1e9, 40.0])
+def test_stamps_of_another_clock_are_a_warning(stream: Stream, age: float) -> None:
+    status = stream.receive(age).look()
+    assert status.level == DiagnosticStatus.WARN
+    assert "LSL clock" in status.message
 
 
-def test_the_rate_is_measured_from_sample_to_sample() -> None:
-    meter = RateMeter()
-    assert meter.rate(0, 0.0) == 0.0
-    assert meter.rate(10, 100.0) == 0.0
-    assert meter.rate(10, 100.0) == 0.0
-    assert meter.rate(260, 101.0) == pytest.approx(250.0)
+def send_at(stream: Stream, rate: float) -> DiagnosticStatus:
+    """Let a stream of that true rate be looked at for 12 s; return the last look."""
+    status = stream.look()
+    start = pylsl.local_clock() - 12.0
+    for second in range(12):
+        stamps = start + second + np.arange(round(rate)) / rate
+        stream.bridge.receive(Block(np.zeros((len(stamps), 3), np.float32), stamps))
+        status = stream.pass_time(1.0).look()
+    return status
+
+
+@pytest.mark.parametrize(
+    ("rate", "is_off"), [(100, False), (95, False), (106, False), (85, True), (120, True)]
+)
+def test_a_rate_that_is_far_off_is_a_warning(stream: Stream, rate: float, is_off: bool) -> None:
+    status = send_at(stream, rate)
+    assert values(status)["rate_measured"] == f"{rate:.2f}"
+    assert (status.level == DiagnosticStatus.WARN) is is_off
+    assert (status.message == f"{rate:.2f} Hz instead of 100.00 Hz") is is_off
 
 
 @pytest.fixture

@@ -15,11 +15,11 @@ import pytest
 LAUNCH_FILE = (
     Path(__file__).parents[2] / "ros_side" / "lsl_to_ros" / "launch" / "lsl_to_ros.launch.py"
 )
+PARAMETERS = ("topic_prefix", "stream_predicate", "session_id", "known_peers")
 NOTHING_GIVEN = {
     "namespace": "",
-    "topic_prefix": "",
-    "session_id": "",
-    "known_peers": "",
+    "node_name": "lsl_to_ros",
+    **dict.fromkeys(PARAMETERS, ""),
     "params_file": "",
 }
 
@@ -67,17 +67,22 @@ def _node(actions: list[Noted], **given: str) -> dict[str, Any]:
 
 def test_every_argument_can_be_left_out(actions: list[Noted]) -> None:
     declared = {action.args[0]: action.options for action in actions[:-1]}
-    assert set(declared) == set(NOTHING_GIVEN)
-    assert all(options["default_value"] == "" for options in declared.values())
+    defaults = {name: options["default_value"] for name, options in declared.items()}
+    assert defaults == NOTHING_GIVEN
+    # ros2 launch --show-args prints it.
     assert all(options["description"] for options in declared.values())
 
 
 def test_it_starts_the_node_that_is_installed(actions: list[Noted]) -> None:
     node = _node(actions)
     assert (node["package"], node["executable"]) == ("lsl_to_ros", "lsl_to_ros")
-    # The example of a parameter file addresses it by this name.
-    assert node["name"] == "lsl_to_ros"
-    assert node["namespace"].args == ("namespace",)
+
+
+def test_name_and_namespace_are_the_arguments(actions: list[Noted]) -> None:
+    node = _node(actions)
+    for option, argument in {"name": "node_name", "namespace": "namespace"}.items():
+        assert type(node[option]) is Configuration
+        assert node[option].args == (argument,)
 
 
 def test_what_is_not_given_does_not_overrule_a_parameter_file(actions: list[Noted]) -> None:
@@ -87,13 +92,24 @@ def test_what_is_not_given_does_not_overrule_a_parameter_file(actions: list[Note
 
 def test_what_is_given_comes_after_the_file_and_keeps_its_type(actions: list[Noted]) -> None:
     file, given = _node(
-        actions, params_file="lab.yaml", topic_prefix="7", session_id="42", known_peers="[a, b]"
+        actions,
+        params_file="lab.yaml",
+        topic_prefix="7",
+        stream_predicate="type='EEG'",
+        session_id="42",
+        known_peers="[a, b]",
     )["parameters"]
     assert file == "lab.yaml"
     assert {name: value.args[0].args[0] for name, value in given.items()} == {
-        name: name for name in ("topic_prefix", "session_id", "known_peers")
+        name: name for name in PARAMETERS
     }
     types = {name: value.options["value_type"] for name, value in given.items()}
-    assert types["topic_prefix"] is types["session_id"] is str
+    assert {types[name] for name in ("topic_prefix", "stream_predicate", "session_id")} == {str}
     # launch compares with typing's alias and refuses the plain list[str].
     assert repr(types["known_peers"]) == "typing.List[str]"
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_each_parameter_can_be_given_alone(actions: list[Noted], name: str) -> None:
+    (given,) = _node(actions, **{name: "x"})["parameters"]
+    assert list(given) == [name]

@@ -59,8 +59,9 @@ class Link:
         self._reports.append((self._pushed, self.lost, self._stamp))
 
     def deliver(self, samples: int, reports: int) -> None:
-        for _ in range(min(samples, len(self._samples))):
-            self.account.pulled(self._samples.popleft())
+        count = min(samples, len(self._samples))
+        if count:
+            self.account.pulled([self._samples.popleft() for _ in range(count)])
         for _ in range(min(reports, len(self._reports))):
             self.account.reported(*self._reports.popleft())
 
@@ -104,7 +105,7 @@ def test_a_sample_is_lost_whether_before_or_after_the_agent() -> None:
 
 def test_nothing_is_said_before_the_agent_has_said_something() -> None:
     account = LossAccount()
-    account.pulled(1.0)
+    account.pulled([1.0])
     assert account.losses is None
 
 
@@ -145,13 +146,66 @@ def test_a_report_too_old_to_compare_changes_nothing() -> None:
     assert link.account.losses == Losses(device=0, transport=0)
 
 
-def test_an_agent_that_starts_anew_is_compared_anew() -> None:
+@given(counts=st.lists(st.integers(1, 3000), min_size=1, max_size=4))
+def test_a_report_is_compared_however_many_samples_come_at_once(counts: list[int]) -> None:
+    link = Link(0)
+    link.settle()
+    for count in counts:
+        link.push([True] * (count - 1) + [False])
+        link.report()
+        link.push([True])
+        link.deliver_all()
+    assert link.account.losses == Losses(device=0, transport=len(counts))
+
+
+def anew(link: Link, undelivered: int = 0) -> Link:
+    """Let the stream come from an outlet that counts from zero."""
+    link.account.restarted(undelivered)
+    again = Link(0)
+    again.account = link.account
+    return again
+
+
+def test_what_was_lost_before_an_agent_started_anew_stays_counted() -> None:
     link = Link(0)
     link.settle()
     link.push([False, True])
+    link.report(lost=4)
     link.settle()
-    link.account.restarted()
-    again = Link(0)
-    again.account = link.account
+    again = anew(link)
+    assert again.account.losses == Losses(device=4, transport=1)
     again.settle()
-    assert link.account.losses == Losses(device=0, transport=0)
+    assert again.account.losses == Losses(device=4, transport=1)
+    again.push([False, True])
+    again.report(lost=2)
+    again.settle()
+    assert again.account.losses == Losses(device=6, transport=2)
+
+
+def test_what_lsl_dropped_when_an_outlet_ended_is_lost_on_the_way() -> None:
+    link = Link(0)
+    link.settle()
+    again = anew(link, undelivered=5)
+    assert again.account.losses == Losses(device=0, transport=5)
+    again.settle()
+    assert again.account.losses == Losses(device=0, transport=5)
+
+
+def test_a_report_of_the_outlet_before_is_not_compared_with_the_new_one() -> None:
+    link = Link(0)
+    link.settle()
+    link.push([False])
+    link.report()
+    link.deliver_all()
+    again = anew(link)
+    again.settle()
+    assert again.account.losses == Losses(device=0, transport=0)
+
+
+def test_a_stream_that_is_attached_again_counts_what_it_missed() -> None:
+    link = Link(0)
+    link.settle()
+    # While the node is away; the outlet goes on counting.
+    link.push([False] * 7)
+    link.settle()
+    assert link.account.losses == Losses(device=0, transport=7)

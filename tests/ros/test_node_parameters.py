@@ -20,6 +20,17 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.usefixtures("node")
 
 LENGTH = 4
+BOOL, INTEGER, STRING, STRINGS = 1, 2, 4, 9
+# Type, whether it is read at the start only, and a word of its description.
+MEANINGS = {
+    "Sensor_Enable": (BOOL, False, "publish anything"),
+    "Chunk_Enable": (BOOL, False, "publish chunk topics"),
+    "Chunk_Length": (INTEGER, False, "samples in one chunk"),
+    "topic_prefix": (STRING, False, "first part of every topic"),
+    "stream_predicate": (STRING, False, "LSL query"),
+    "session_id": (STRING, True, "LSL session"),
+    "known_peers": (STRINGS, True, "hosts"),
+}
 
 
 class Belt:
@@ -160,8 +171,49 @@ def test_the_chunk_of_the_breathing_waveform_belongs_to_the_rate(ros: Ros) -> No
         ("polar_h10.ecg.Chunk_Length", -1, "polar_h10.ecg.Chunk_Length must be"),
         ("polar_h10.ecg.Chunk_Lenght", 12, "polar_h10.ecg.Chunk_Lenght is no parameter"),
         ("Sensor_Enabled", True, "Sensor_Enabled is no parameter"),
-        ("topic_prefix", "elsewhere", "read-only"),
+        ("session_id", "elsewhere", "read-only parameter: session_id"),
+        ("known_peers", "10.0.0.1", "read-only parameter: known_peers"),
+        ("qos_overrides./a/b.publisher.depth", 0, "qos_overrides./a/b.publisher.depth must be"),
+        ("qos_overrides./a/b.publisher.reliability", "some", "reliability must be one of reliable"),
+        ("qos_overrides./a/b.publisher.lifespan", 1, "publisher.lifespan: only depth, history"),
     ],
 )
 def test_a_refusal_comes_back_with_its_reason(ros: Ros, name: str, value: Any, reason: str) -> None:
     assert reason in ros.set(name, value)
+
+
+def test_what_every_parameter_means_can_be_asked(ros: Ros) -> None:
+    described = ros.describe(*MEANINGS)
+    for name, (kind, read_only, word) in MEANINGS.items():
+        descriptor = described[name]
+        assert (descriptor.name, descriptor.type) == (name, kind)
+        assert descriptor.read_only is read_only
+        assert not descriptor.dynamic_typing
+        assert word in descriptor.description
+    (limits,) = described["Chunk_Length"].integer_range
+    assert (limits.from_value, limits.to_value, limits.step) == (1, 100_000, 1)
+
+
+def test_a_key_of_a_sensor_can_be_set_before_and_is_described_once_it_is_there(ros: Ros) -> None:
+    assert ros.set("absent.EEG.Chunk_Length", 2) == ""
+    assert "absent.EEG.Chunk_Length must be" in ros.set("absent.EEG.Chunk_Length", 0)
+    # Taken back, as if it had never been set.
+    assert ros.set("absent.Chunk_Enable", value=False) == ""
+    assert ros.set("absent.Chunk_Enable", None) == ""
+    info = pylsl.StreamInfo("absent", "EEG", 1, 100.0, "float32", "absent")
+    outlet = pylsl.StreamOutlet(info)
+    topic = "/biosensors/absent/EEG"
+    chunks = ros.listen(Float32MultiArray, f"{topic}_chunk")
+    ros.attached(topic, readers=1)
+    begun = pylsl.local_clock()
+    outlet.push_chunk([[1.0], [2.0]], [begun, begun + 0.01])
+    ros.until(lambda: bool(chunks), "a chunk of two")
+    assert list(chunks[0].data) == [1.0, 2.0]
+    for owner, keys in (
+        ("absent", ("Sensor_Enable", "Chunk_Enable", "Chunk_Length")),
+        ("absent.EEG", ("Sensor_Enable", "Chunk_Enable", "Chunk_Length")),
+    ):
+        for name, descriptor in ros.describe(*(f"{owner}.{key}" for key in keys)).items():
+            general = ros.describe(name.rpartition(".")[2]).popitem()[1].description
+            assert descriptor.description.startswith(general), name
+            assert "not set" in descriptor.description

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import signal
+import time
 from collections.abc import Callable
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING
 
 import pylsl
@@ -12,7 +14,7 @@ import pytest
 from std_msgs.msg import Float32MultiArray
 
 if TYPE_CHECKING:
-    from tests.ros.conftest import Ros, RunningNode
+    from tests.ros.conftest import Flow, Ros, RunningNode
 
 Start = Callable[..., "RunningNode"]
 
@@ -21,12 +23,41 @@ lsl_to_ros:
   ros__parameters:
     Chunk_Length: 0
     Chunk_Enabled: true
+    topic_prefix: /absolute
+    stream_predicate: "type="
+    qos_overrides:
+      /biosensors/exit/EEG:
+        publisher:
+          reliability: sometimes
+          durability: transient_local
+      /biosensors/exit/EEG_chunk:
+        publisher:
+          depth: 0
+      /diagnostics:
+        publisher:
+          lifespan: 5
     exit:
       Sensor_Enable: "yes"
       Chunk_Length: 3
       EEG:
         Chunk_Enable: 7
 """
+
+BAD = (
+    "Chunk_Length must",
+    "Chunk_Enabled",
+    "exit.Sensor_Enable",
+    "exit.EEG.Chunk_En",
+    "topic_prefix must",
+    "stream_predicate must",
+    "EEG.publisher.reliability must be one of",
+    "EEG_chunk.publisher.depth must be",
+    "diagnostics.publisher.lifespan",
+)
+# The requirement: topics flow again so soon after the node was started.
+RESTART_S = 2.0
+# What a single start may take on a busy machine.
+LONGEST_RESTART_S = 10.0
 
 
 def open_stream(name: str = "exit", source_id: str = "exit id") -> pylsl.StreamOutlet:
@@ -47,8 +78,13 @@ def test_bad_values_of_a_parameter_file_are_said_and_ignored(
     outlet.push_chunk([[0.0], [1.0], [2.0]], [start + number * 0.01 for number in range(3)])
     ros.until(lambda: len(raw) == 3 and len(chunks) == 1, "three samples and a chunk")
     assert list(chunks[0].data) == [0.0, 1.0, 2.0]
-    for name in ("Chunk_Length must", "Chunk_Enabled", "exit.Sensor_Enable", "exit.EEG.Chunk_En"):
+    for name in BAD:
         assert node.count("[ERROR]", name, "ignored") == 1
+    assert node.count("[ERROR]") == len(BAD)
+    for topic, durability in (("EEG", "TRANSIENT_LOCAL"), ("EEG_chunk", "VOLATILE")):
+        (publisher,) = ros.publishers(f"/biosensors/exit/{topic}")
+        assert publisher.qos_profile.reliability.name == "RELIABLE"
+        assert publisher.qos_profile.durability.name == durability
     assert node.signal(signal.SIGINT) == 0
     assert "Traceback" not in node.log
 
@@ -87,3 +123,26 @@ def test_a_signal_ends_the_node_cleanly_while_streams_come_and_go(
     assert node.signal(signal.SIGTERM) == 0
     assert "Traceback" not in node.log
     del coming
+
+
+def test_topics_flow_again_two_seconds_after_a_killed_node_was_started_anew(
+    ros: Ros, start_node: Start, flow: Callable[..., Flow]
+) -> None:
+    names = ("kill_a", "kill_b", "kill_c")
+    heard = [ros.listen(Float32MultiArray, f"/biosensors/{name}/EEG") for name in names]
+    for name in names:
+        flow(open_stream(name, name), 100.0)
+    delays: list[float] = []
+    for _ in range(4):
+        for messages in heard:
+            messages.clear()
+        begun = time.monotonic()
+        node = start_node()
+        ros.until(lambda: all(heard), "samples of each stream")
+        delays.append(time.monotonic() - begun)
+        assert node.signal(signal.SIGKILL) == -signal.SIGKILL
+        # What is still on its way belongs to the node that was killed.
+        ros.spin(0.2)
+    print(f"{', '.join(f'{delay:.2f}' for delay in delays)} s")
+    assert median(delays) <= RESTART_S
+    assert max(delays) <= LONGEST_RESTART_S

@@ -182,11 +182,38 @@ def test_a_streams_keys_are_listed_without_being_set(make_node: MakeNode) -> Non
     assert not parameters.settings(PLAIN, "ecg", "ecg").chunk
 
 
-def test_a_listener_hears_of_every_change(make_node: MakeNode) -> None:
+def test_a_value_that_was_set_can_be_unset_again(make_node: MakeNode) -> None:
+    node = make_node(zephyr__Chunk_Length=7)
+    parameters = Parameters(node)
+    parameters.declare(PLAIN, "ecg", "ecg")
+    assert set_to(node, zephyr__ecg__Chunk_Length=9) == ""
+    assert parameters.settings(PLAIN, "ecg", "ecg").chunk_length == 9
+    assert set_to(node, zephyr__ecg__Chunk_Length=None) == ""
+    assert parameters.settings(PLAIN, "ecg", "ecg").chunk_length == 7
+
+
+def test_no_value_of_several_is_taken_if_one_is_refused(make_node: MakeNode) -> None:
+    node: Any = make_node()
+    parameters = Parameters(node)
+    result = node.set_parameters_atomically(
+        [Parameter("Chunk_Length", value=5), Parameter("zephyr.Chunk_Length", value=0)]
+    )
+    assert "zephyr.Chunk_Length" in result.reason
+    assert parameters.settings(PLAIN, "ecg", "ecg") == DEFAULT
+
+
+def test_a_listener_hears_of_every_change_and_of_no_other(make_node: MakeNode) -> None:
     node = make_node()
     parameters = Parameters(node)
     calls: list[int] = []
     parameters.on_change(lambda: calls.append(1))
     set_to(node, Chunk_Length=5)
+    assert len(calls) == 1
     set_to(node, Chunk_Length=0)
     assert len(calls) == 1
+    # To declare is to set, as ROS sees it.
+    parameters.declare(PLAIN, "ecg", "ecg")
+    node.declare_parameter("qos_overrides./x.publisher.depth", 5)
+    assert len(calls) == 1
+    set_to(node, zephyr__ecg__Chunk_Length=6)
+    assert len(calls) == 2

@@ -19,9 +19,10 @@ class ParameterDescriptor:
 
 class ParameterType:
     PARAMETER_NOT_SET: int
+    PARAMETER_STRING_ARRAY: int
+    PARAMETER_STRING: int
     PARAMETER_BOOL: int
     PARAMETER_INTEGER: int
-    PARAMETER_STRING: int
 
 class Parameter:
     name: str

@@ -4,10 +4,12 @@ from typing import Any, TypeVar
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.client import Client
 from rclpy.clock import Clock
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.logging import RcutilsLogger
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
@@ -27,7 +29,13 @@ class Node:
     def get_logger(self) -> RcutilsLogger: ...
     def get_clock(self) -> Clock: ...
     def create_publisher(
-        self, msg_type: type[Any], topic: str, qos_profile: QoSProfile | int
+        self,
+        msg_type: type[Any],
+        topic: str,
+        qos_profile: QoSProfile | int,
+        *,
+        event_callbacks: PublisherEventCallbacks | None = ...,
+        qos_overriding_options: QoSOverridingOptions | None = ...,
     ) -> Publisher: ...
     def destroy_publisher(self, publisher: Publisher) -> bool: ...
     def create_subscription(

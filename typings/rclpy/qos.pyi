@@ -8,6 +8,12 @@ class ReliabilityPolicy(Enum):
     RELIABLE = 1
     BEST_EFFORT = 2
 
+class QoSPolicyKind(Enum):
+    HISTORY = 1
+    DEPTH = 2
+    RELIABILITY = 3
+    DURABILITY = 4
+
 class QoSProfile:
     def __init__(
         self,

@@ -1,6 +1,9 @@
 """Start ``lsl_to_ros``.
 
 ``ros2 launch lsl_to_ros lsl_to_ros.launch.py namespace:=lab known_peers:="[192.168.1.20]"``
+
+Several nodes share the streams of a lab, each under a name of its own:
+``node_name:=lsl_eeg stream_predicate:="type='EEG'"``
 """
 
 from typing import List  # noqa: UP035 - launch knows a list type only by typing.List
@@ -11,9 +14,12 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+DEFAULTS = {"node_name": "lsl_to_ros"}
 ARGUMENTS = {
     "namespace": "namespace of the node and of its topics",
+    "node_name": "name of the node; several nodes in one namespace need one each",
     "topic_prefix": "first part of every topic, relative to the namespace",
+    "stream_predicate": "LSL query: which streams this node serves, e.g. type='EEG'",
     "session_id": "LSL session; LabRecorder and the agents must use the same",
     "known_peers": "hosts that multicast does not reach, as a YAML list",
     "params_file": "parameter file; the share folder's config/params.yaml is an example",
@@ -21,6 +27,7 @@ ARGUMENTS = {
 # Without these types, YAML rules would make a number of a session named 42.
 PARAMETER_TYPES = {
     "topic_prefix": str,
+    "stream_predicate": str,
     "session_id": str,
     "known_peers": List[str],  # noqa: UP006 - as above
 }
@@ -28,11 +35,14 @@ PARAMETER_TYPES = {
 
 def generate_launch_description() -> LaunchDescription:
     """Declare the arguments and start one node."""
-    arguments = [
-        DeclareLaunchArgument(name, default_value="", description=f"{text}; empty: not set here")
-        for name, text in ARGUMENTS.items()
-    ]
+    arguments = [_argument(name, text) for name, text in ARGUMENTS.items()]
     return LaunchDescription([*arguments, OpaqueFunction(function=_start_node)])
+
+
+def _argument(name: str, text: str) -> DeclareLaunchArgument:
+    default = DEFAULTS.get(name, "")
+    description = text if default else f"{text}; empty: not set here"
+    return DeclareLaunchArgument(name, default_value=default, description=description)
 
 
 def _start_node(context: LaunchContext) -> list[Node]:
@@ -46,7 +56,7 @@ def _start_node(context: LaunchContext) -> list[Node]:
     node = Node(
         package="lsl_to_ros",
         executable="lsl_to_ros",
-        name="lsl_to_ros",
+        name=LaunchConfiguration("node_name"),
         namespace=LaunchConfiguration("namespace"),
         output="screen",
         # The last one wins.

@@ -2,189 +2,201 @@
 
 from __future__ import annotations
 
-import math
-from array import array
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Protocol
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from numpy.typing import NDArray
 
 from biosensor_common.stream_header import StreamHeader
-from lsl_to_ros import messages
-from lsl_to_ros.chunker import Chunker
-from lsl_to_ros.losses import LossAccount
+from lsl_to_ros.blocks import Block, Run, part, split
+from lsl_to_ros.gaps import Gap, GapFinder
+from lsl_to_ros.liblsl import local_clock
 from lsl_to_ros.parameters import StreamSettings
+from lsl_to_ros.ports import Port
+from lsl_to_ros.stamping import Stamping
+from lsl_to_ros.tally import Tally
+from lsl_to_ros.writers import ChunkWriter, Refuse, Writer
 
-# Two samples whose stamps are further apart than this many periods are not neighbours.
-GAP_PERIODS = 1.5
-# Other programs often stamp with the time at which they push, so their stamps jitter.
-FOREIGN_JITTER_S = 0.1
+# Runs that wait until the sender's clock has been measured, which takes 0.7 s.
+HELD_RUNS = 10_000
 
 
 @dataclass(slots=True)
-class Tally:
-    """What became of one stream's samples; it outlives its bridges.
+class Outputs:
+    """What a stream is written to.
 
     Attributes
     ----------
-    received
-        Samples received.
-    missing
-        Samples that did not come, estimated from the stamps of a regular stream.
-    unfit
-        Samples that do not fit the message type, and were not published.
-    discarded
-        Samples of partial chunks that ended at a gap. They went out raw.
+    raw
+        Without stamps; None where the raw message has one itself.
+    timed
+        What needs the time of a sample.
+    chunk
+        None for a stream without chunks.
     """
 
-    received: int = 0
-    missing: int = 0
-    unfit: int = 0
-    discarded: int = 0
-
-
-class Topic(Protocol):
-    """What the bridge needs of an rclpy publisher."""
+    raw: Writer | None = None
+    timed: list[Writer] = field(default_factory=list[Writer])
+    chunk: ChunkWriter | None = None
 
     @property
-    def topic_name(self) -> str:
-        """Full name of the topic."""
-        ...
+    def of_samples(self) -> list[Writer]:
+        """All that write sample by sample; what is raw comes first, for it waits for nothing."""
+        return [*([self.raw] if self.raw else []), *self.timed]
 
-    def publish(self, msg: Any) -> None:  # noqa: ANN401 - any message
-        """Send one message."""
-        ...
-
-    def get_subscription_count(self) -> int:
-        """Count the matched subscribers."""
-        ...
+    @property
+    def ports(self) -> list[Port]:
+        """All topics."""
+        chunk = [self.chunk.port] if self.chunk else []
+        return [*(writer.port for writer in self.of_samples), *chunk]
 
 
 class Bridge:
-    """Receives one stream's samples in its inlet's thread and publishes them there.
+    """Publishes the samples of one stream; a :class:`~lsl_to_ros.inlets.Receiver`.
+
+    Its methods are called by whichever thread reads the stream, one at a time.
 
     Parameters
     ----------
-    raw, chunk
-        Publishers; *chunk* is None where the stream has no chunk topic.
-    settings
-        May be replaced at any time, as a whole; it holds from the next sample on.
-    to_time
-        Turns a stamp into a ROS time, for messages with a header.
-    warn
-        Called with a sentence for the first sample that does not fit its message.
+    refuse
+        Called when samples cannot be published.
     listen
-        Gets the text of every sample, whether or not the topic has readers.
-    latched
-        A subscriber that comes later gets the last sample, so each is published.
+        Called with each sample before it is published.
 
     Attributes
     ----------
-    last_stamp
-        Newest stamp, on the sender's LSL clock; 0 before the first.
+    newest
+        Values of the newest sample of an irregular stream, None before the first.
     """
 
     def __init__(
         self,
         header: StreamHeader,
-        raw: Topic,
-        chunk: Topic | None,
+        outputs: Outputs,
         settings: StreamSettings,
-        account: LossAccount,
         tally: Tally,
-        to_time: messages.ToTime,
-        warn: Callable[[str], None],
-        listen: Callable[[str], None] | None = None,
-        *,
-        latched: bool = False,
+        stamping: Stamping,
+        refuse: Refuse,
+        listen: Callable[[NDArray[Any]], None] | None = None,
     ) -> None:
         self.header = header
+        self.outputs = outputs
         self.settings = settings
-        self.account = account
         self.tally = tally
-        self.last_stamp = 0.0
-        self._raw, self._chunk = raw, chunk
-        self._warn = warn
+        self.newest: NDArray[Any] | None = None
+        self._stamping = stamping
+        self._refuse = refuse
         self._listen = listen
-        self._latched = latched
-        channels = len(header.labels)
-        self._build = messages.builder(header.message_type, channels, to_time)
-        self._chunk_type = messages.chunk_type(header.message_type)
-        self.chunker = Chunker(channels, messages.typecode(self._chunk_type))
-        jitter = FOREIGN_JITTER_S if header.foreign else 0.0
-        self._longest_step = max(GAP_PERIODS / header.rate, jitter) if header.rate > 0 else math.inf
+        self._is_counted_by_agent = not header.foreign
+        self._keeps_newest = header.rate == 0 and not header.message_type.is_text
+        self._gaps = GapFinder(header.rate, foreign=header.foreign)
+        self._held: deque[Run] = deque(maxlen=HELD_RUNS)
 
     @property
-    def received(self) -> int:
-        """Samples received."""
-        return self.tally.received
+    def last_stamp(self) -> float:
+        """Newest stamp, on the sender's LSL clock; 0 before the first."""
+        return self._gaps.last_stamp
 
     @property
-    def raw(self) -> Topic:
-        """Publisher of single samples."""
-        return self._raw
-
-    @property
-    def chunk(self) -> Topic | None:
-        """Publisher of chunks, if the stream has any."""
-        return self._chunk
+    def readers(self) -> int:
+        """Subscribers of all its topics."""
+        return sum(port.readers for port in self.outputs.ports)
 
     @property
     def wants_each_sample(self) -> bool:
         """Whether somebody reads single samples; else they can be drained in batches."""
-        return self._listen is not None or (
-            self.settings.raw and self._raw.get_subscription_count() > 0
-        )
-
-    def receive(self, sample: list[Any], stamp: float) -> None:
-        """Publish one sample and the chunks that it fills."""
-        self.tally.received += 1
-        self._note(stamp)
-        self.account.pulled(stamp)
         if self._listen is not None:
-            self._listen(sample[0])
-        try:
-            self._publish(sample, stamp, self.settings)
-        except (OverflowError, TypeError, ValueError) as error:
-            self._refuse(error)
+            return True
+        return self.settings.raw and any(writer.port.readers for writer in self.outputs.of_samples)
 
-    def end(self) -> None:
-        """Give up the partial chunk: what comes next, comes after a break."""
+    def receive(self, block: Block) -> None:
+        """Publish samples and the chunks that they fill."""
+        sequence = self.tally.received
+        self.tally.received += len(block.stamps)
+        if self._is_counted_by_agent:
+            self.tally.account.pulled(block.stamps.tolist())
+        if self._keeps_newest:
+            self.newest = block.samples[-1].copy()
+        if self._listen is not None:
+            for sample in block.samples:
+                self._listen(sample)
+        gaps = self._gaps.find(block.stamps)
+        if gaps:
+            self._write_around(gaps, block, sequence)
+        else:
+            self._write(Run(block.samples, block.stamps, sequence))
+        if self._stamping.is_known:
+            self.tally.delays.add(local_clock() - self._stamping.local(self.last_stamp))
+
+    def clock_known(self) -> None:
+        """Write what waited for the sender's clock."""
+        while self._held:
+            self._write_timed(self._held.popleft())
+
+    def end(self, undelivered: int) -> None:
+        """Give up what is not complete: what comes next, comes after a break."""
+        self.tally.connection_ended(undelivered)
+        self.tally.unstamped += sum(len(run.stamps) for run in self._held)
+        self._held.clear()
         self._discard()
 
-    def _note(self, stamp: float) -> None:
-        """Look for a gap before this stamp; the stamps of other programs may be anything."""
-        step = stamp - self.last_stamp if self.last_stamp else 0.0
-        if step > self._longest_step:
-            periods = step * self.header.rate
-            self.tally.missing += round(periods) - 1 if math.isfinite(periods) else 0
+    def _write_around(self, gaps: Iterable[Gap], block: Block, sequence: int) -> None:
+        start = 0
+        for gap in gaps:
+            self._write(part(block, start, gap.place, sequence))
+            self.tally.missing += gap.missing
             self._discard()
-        if math.isfinite(stamp):
-            self.last_stamp = stamp
+            start = gap.place
+        self._write(part(block, start, len(block.stamps), sequence))
+
+    def _write(self, run: Run) -> None:
+        # Read once: it may be replaced by another thread at any time.
+        settings = self.settings
+        if settings.raw:
+            self._write_samples(run)
+        if self.outputs.chunk is not None:
+            if settings.chunk:
+                self.outputs.chunk.add(run.samples, settings.chunk_length)
+            else:
+                self._discard()
+
+    def _write_samples(self, run: Run) -> None:
+        outputs = self.outputs
+        if outputs.raw is not None:
+            self._publish(outputs.raw, run)
+        if not outputs.timed:
+            return
+        if self._held or not self._stamping.is_known:
+            self._hold(run)
+        else:
+            self._write_timed(run)
+
+    def _hold(self, run: Run) -> None:
+        if any(writer.port.is_wanted for writer in self.outputs.timed):
+            if len(self._held) == HELD_RUNS:
+                self.tally.unstamped += len(self._held[0].stamps)
+            # A view would keep the whole block in memory.
+            self._held.append(Run(run.samples.copy(), run.stamps.copy(), run.sequence))
+
+    def _write_timed(self, run: Run) -> None:
+        fits = self._stamping.are_times(run.stamps)
+        if not fits.all():
+            self._refuse(int((~fits).sum()), "its stamp is no time")
+        # A text that cannot be read must not cost those that came with it.
+        is_text = self.header.message_type.is_text
+        for piece in split(run, fits, alone=is_text):
+            for writer in self.outputs.timed:
+                self._publish(writer, piece)
+
+    def _publish(self, writer: Writer, run: Run) -> None:
+        if writer.port.is_wanted and len(run.stamps):
+            try:
+                writer.write(run)
+            except (OverflowError, TypeError, ValueError) as error:
+                self._refuse(len(run.stamps), str(error))
 
     def _discard(self) -> None:
-        self.tally.discarded += self.chunker.discard()
-
-    def _refuse(self, error: Exception) -> None:
-        if not self.tally.unfit:
-            name = f"{self.header.identity.sensor} {self.header.data_name}"
-            self._warn(f"{name}: a sample is not published ({error})")
-        self.tally.unfit += 1
-        self._discard()
-
-    def _publish(self, sample: list[Any], stamp: float, settings: StreamSettings) -> None:
-        if settings.raw and (self._latched or self._raw.get_subscription_count()):
-            self._raw.publish(self._build(sample, stamp))
-        if self._chunk is not None:
-            self._add_to_chunk(self._chunk, sample, settings)
-
-    def _add_to_chunk(self, topic: Topic, sample: list[Any], settings: StreamSettings) -> None:
-        if not settings.chunk:
-            self._discard()
-            return
-        for values in self.chunker.add(sample, settings.chunk_length):
-            self._publish_chunk(topic, values)
-
-    def _publish_chunk(self, topic: Topic, values: array[float]) -> None:
-        if topic.get_subscription_count():
-            channels = len(self.header.labels)
-            topic.publish(messages.chunk_message(self._chunk_type, values, channels))
+        if self.outputs.chunk is not None:
+            self.tally.discarded += self.outputs.chunk.discard()

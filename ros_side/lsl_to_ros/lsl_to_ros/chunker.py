@@ -2,52 +2,43 @@
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Sequence
-
 
 class Chunker:
     """Cuts a stream into chunks; no sample is dropped or repeated by a change of length.
 
     Parameters
     ----------
-    channels
-        Values in one sample.
-    typecode
-        Of the chunk's array: ``f``, ``d``, ``i`` or ``q``, as in :mod:`array`.
-
+    sample_size
+        Bytes of one sample.
     """
 
-    def __init__(self, channels: int, typecode: str) -> None:
-        self._channels = channels
-        self._values: array[float] = array(typecode)
+    def __init__(self, sample_size: int) -> None:
+        self._sample_size = sample_size
+        self._values = bytearray()
 
     @property
     def pending(self) -> int:
         """Samples waiting for their chunk to be full."""
-        return len(self._values) // self._channels
+        return len(self._values) // self._sample_size
 
-    def add(self, sample: Sequence[float], length: int) -> list[array[float]]:
-        """Add one sample; return the chunks of *length* samples that are now full.
+    def add(self, values: bytes, length: int) -> list[bytes]:
+        """Add whole samples; return the chunks of *length* samples that are now full.
 
-        More than one can be full after the length was reduced. Each is row-major,
-        shape [length, channels].
-
-        Raises
-        ------
-        TypeError, OverflowError
-            If a value does not fit the array; nothing of the sample is then kept.
+        Several can be full, after many samples or when the length was reduced. Values
+        stay as they come: row-major, shape [length, channels].
         """
-        self._values.extend(array(self._values.typecode, sample))
-        size = length * self._channels
-        full: list[array[float]] = []
-        while len(self._values) >= size:
-            full.append(self._values[:size])
-            del self._values[:size]
+        collected = self._values
+        collected += values
+        size = length * self._sample_size
+        end = len(collected) - len(collected) % size
+        if not end:
+            return []
+        full = [bytes(collected[start : start + size]) for start in range(0, end, size)]
+        del collected[:end]
         return full
 
     def discard(self) -> int:
         """Give up a partial chunk, for a chunk never spans a gap; return its samples."""
         discarded = self.pending
-        del self._values[:]
+        self._values.clear()
         return discarded

@@ -1,112 +1,196 @@
-"""``/diagnostics``: one status a stream, once a second."""
+"""``/diagnostics``: what there is to know of each stream, each device and the node.
+
+Levels of a stream:
+
+* ERROR: its name is not its own, because two units or two streams claim it.
+* STALE: a regular stream, without a sample for 5 s.
+* WARN: in the last 10 s samples were lost or did not fit their message, or the
+  measured rate is more than 10 % off; the sender's clock is not known, or its
+  stamps are not LSL times.
+* OK: none of these.
+"""
 
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass, field
 from time import monotonic
-from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from biosensor_common.naming import TopicName
 from lsl_to_ros.bridge import Bridge
+from lsl_to_ros.rates import RATE_WINDOW_S, RateMeter
+from lsl_to_ros.tally import Delays, Tally, can_estimate_losses
 
-RATE_WINDOW_S = 10.0
 # A regular stream is stale after so long without a sample.
 STALE_AFTER_S = 5.0
+RATE_TOLERANCE = 0.1
+# Stamps so far from now are of another clock than LSL's; the agent refuses them at 30 s.
+CLOCK_TOLERANCE_S = 30.0
+# A clock that is unknown for longer cannot be asked: UDP does not get through.
+CLOCK_PATIENCE_S = 10.0
+
+PREFIX = "lsl_to_ros: "
 
 
-class RateMeter:
-    """Mean rate over the last seconds, from a count that only grows.
+@dataclass(slots=True)
+class StreamHealth:
+    """What the reports of one stream remember from one to the next."""
 
-    Samples come in packets, so the time that counts is that of the newest sample,
-    not that of the look: at 250 Hz in packets of 63 the difference is 2 percent.
-    """
+    meter: RateMeter = field(default_factory=RateMeter)
+    begun_s: float = field(default_factory=monotonic)
+    troubles: deque[tuple[float, int, int]] = field(default_factory=deque[tuple[float, int, int]])
 
-    def __init__(self) -> None:
-        self._points: deque[_Point] = deque()
-
-    def rate(self, count: int, newest_s: float) -> float:
-        """Take in the present count and the newest sample's time; return samples per second."""
+    def recent(self, lost: int, unfit: int) -> tuple[int, int]:
+        """Take in the present counts; return how much they grew in the last 10 s."""
         now = monotonic()
-        if newest_s and (not self._points or count != self._points[-1].samples):
-            self._points.append(_Point(now, count, newest_s))
-        while self._points and now - self._points[0].seen_s > RATE_WINDOW_S:
-            self._points.popleft()
-        if len(self._points) < 2:
-            return 0.0
-        first, last = self._points[0], self._points[-1]
-        elapsed = last.newest_s - first.newest_s
-        return (last.samples - first.samples) / elapsed if elapsed > 0 else 0.0
+        self.troubles.append((now, lost, unfit))
+        while now - self.troubles[0][0] > RATE_WINDOW_S:
+            self.troubles.popleft()
+        return lost - self.troubles[0][1], unfit - self.troubles[0][2]
 
 
-class _Point(NamedTuple):
-    seen_s: float
-    samples: int
-    newest_s: float
+@dataclass(frozen=True, slots=True)
+class StreamFacts:
+    """One look at a stream.
 
-
-def stream_status(
-    topic: TopicName, bridge: Bridge, rate: float, latency_s: float, correction_s: float | None
-) -> DiagnosticStatus:
-    """Describe one stream.
-
-    Parameters
+    Attributes
     ----------
+    age_s
+        Of the newest sample, on this machine's LSL clock.
     rate
         Measured, in Hz.
-    latency_s
-        Age of the newest sample.
-    correction_s
-        Offset between the sender's LSL clock and ours, None if not measured yet.
+    correction_s, spread_s
+        Offset between the sender's LSL clock and ours and its recent spread; the
+        offset is None if it is not measured yet.
+    delays
+        Of the samples since the last report, from their stamps to their receipt.
+    lost_lately, unfit_lately
+        In the last 10 s.
+    attached_s
+        How long the node has had this stream.
     """
-    header = bridge.header
-    level, message = _judge(topic, bridge, latency_s)
-    readers = bridge.raw.get_subscription_count()
-    readers += bridge.chunk.get_subscription_count() if bridge.chunk else 0
+
+    topic: TopicName
+    bridge: Bridge
+    age_s: float
+    rate: float
+    correction_s: float | None
+    spread_s: float
+    delays: Delays
+    lost_lately: int
+    unfit_lately: int
+    attached_s: float
+
+
+def stream_facts(
+    topic: TopicName,
+    bridge: Bridge,
+    health: StreamHealth,
+    correction_s: float | None,
+    spread_s: float,
+    now_s: float,
+) -> StreamFacts:
+    """Look at one stream; *now_s* is this machine's LSL clock."""
+    tally: Tally = bridge.tally
+    lost = tally.lost(can_estimate=can_estimate_losses(bridge.header))
+    lost_lately, unfit_lately = health.recent(max(lost.count, 0), tally.unfit + tally.unstamped)
+    return StreamFacts(
+        topic=topic,
+        bridge=bridge,
+        age_s=now_s - bridge.last_stamp - (correction_s or 0.0),
+        rate=health.meter.rate(tally.received, bridge.last_stamp),
+        correction_s=correction_s,
+        spread_s=spread_s,
+        delays=tally.take_delays(),
+        lost_lately=lost_lately,
+        unfit_lately=unfit_lately,
+        attached_s=monotonic() - health.begun_s,
+    )
+
+
+def stream_status(facts: StreamFacts) -> DiagnosticStatus:
+    """Describe one stream."""
+    bridge, header = facts.bridge, facts.bridge.header
+    level, message = judge(facts)
+    raw, chunk = bridge.outputs.of_samples[0].port, bridge.outputs.chunk
+    tally = bridge.tally
+    lost = tally.lost(can_estimate=can_estimate_losses(header))
     values = {
-        "topic": bridge.raw.topic_name,
-        "chunk_topic": bridge.chunk.topic_name if bridge.chunk else "",
+        "topic": raw.name,
+        "chunk_topic": chunk.port.name if chunk else "",
         "sensor": header.identity.sensor,
         "participant": header.identity.participant,
         "label": header.identity.label,
         "unit_of_measurement": ", ".join(dict.fromkeys(header.units)),
-        "rate_measured": f"{rate:.2f}",
+        "rate_measured": f"{facts.rate:.2f}",
         "rate_nominal": f"{header.rate:.2f}",
-        "received": str(bridge.received),
-        "lost": _lost(bridge),
-        "unfit": str(bridge.tally.unfit),
-        "chunk_discarded": str(bridge.tally.discarded),
-        "age_s": f"{latency_s:.3f}" if bridge.last_stamp else "",
-        "clock_offset_s": "" if correction_s is None else f"{correction_s:.6f}",
-        "subscribers": str(readers),
+        "received": str(tally.received),
+        "lost": str(lost),
+        "unfit": str(tally.unfit),
+        "unstamped": str(tally.unstamped),
+        "chunk_discarded": str(tally.discarded),
+        "age_s": f"{facts.age_s:.3f}" if bridge.last_stamp else "",
+        "latency_mean_s": _seconds(facts.delays.mean),
+        "latency_max_s": _seconds(facts.delays.longest if facts.delays.count else None),
+        "clock_offset_s": _seconds(facts.correction_s),
+        "clock_offset_spread_s": _seconds(
+            facts.spread_s if facts.correction_s is not None else None
+        ),
+        "subscribers": str(bridge.readers),
     }
+    return status(f"{raw.name}", level, message, values, header.identity.unit)
+
+
+def status(
+    name: str, level: bytes, message: str, values: dict[str, str], hardware_id: str = ""
+) -> DiagnosticStatus:
+    """Make an entry of ``/diagnostics``."""
     return DiagnosticStatus(
         level=level,
-        name=f"lsl_to_ros: {bridge.raw.topic_name}",
+        name=f"{PREFIX}{name}",
         message=message,
-        hardware_id=header.identity.unit,
+        hardware_id=hardware_id,
         values=[KeyValue(key=key, value=value) for key, value in values.items()],
     )
 
 
-def _judge(topic: TopicName, bridge: Bridge, latency_s: float) -> tuple[bytes, str]:
-    if topic.conflict:
+def judge(facts: StreamFacts) -> tuple[bytes, str]:
+    """Return level and reason; the module's text has the thresholds."""
+    bridge = facts.bridge
+    is_regular = bridge.header.rate > 0
+    if facts.topic.conflict:
         return DiagnosticStatus.ERROR, "two units of one sensor: give each a label in its settings"
-    if topic.duplicate:
+    if facts.topic.duplicate:
         return DiagnosticStatus.ERROR, "two streams claim to be this one"
-    if bridge.header.rate > 0 and (not bridge.received or latency_s > STALE_AFTER_S):
+    is_silent = not bridge.last_stamp or facts.age_s > STALE_AFTER_S
+    if is_regular and is_silent and not _has_foreign_clock(facts):
         return DiagnosticStatus.STALE, "no samples"
-    if bridge.tally.unfit:
-        return DiagnosticStatus.WARN, "samples do not fit the message type"
-    return DiagnosticStatus.OK, "streaming"
+    for is_so, reason in _warnings(facts):
+        if is_so:
+            return DiagnosticStatus.WARN, reason
+    return DiagnosticStatus.OK, "streaming" if bridge.last_stamp else "no sample yet"
 
 
-def _lost(bridge: Bridge) -> str:
-    """By the agent's count, else an estimate, else the honest word."""
-    losses = bridge.account.losses
-    if losses is not None:
-        return str(losses.total)
-    if bridge.header.foreign and bridge.header.rate > 0:
-        return f"about {bridge.tally.missing}"
-    return "unknown"
+def _warnings(facts: StreamFacts) -> list[tuple[bool, str]]:
+    nominal = facts.bridge.header.rate
+    is_measured = nominal > 0 and facts.rate > 0 and facts.attached_s > RATE_WINDOW_S
+    is_off = is_measured and abs(facts.rate / nominal - 1) > RATE_TOLERANCE
+    is_unknown = facts.correction_s is None and facts.attached_s > CLOCK_PATIENCE_S
+    return [
+        (facts.unfit_lately > 0, "samples do not fit the message type"),
+        (_has_foreign_clock(facts), "its stamps are not times of the LSL clock"),
+        (is_unknown, "the sender's clock cannot be asked: is UDP blocked? stamped topics wait"),
+        (facts.lost_lately > 0, f"{facts.lost_lately} samples lost in the last 10 s"),
+        (is_off, f"{facts.rate:.2f} Hz instead of {nominal:.2f} Hz"),
+    ]
+
+
+def _has_foreign_clock(facts: StreamFacts) -> bool:
+    mean = facts.delays.mean
+    return mean is not None and abs(mean) > CLOCK_TOLERANCE_S
+
+
+def _seconds(value: float | None) -> str:
+    return "" if value is None else f"{value:.6f}"

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import pylsl
 
 from biosensor_common.errors import SpecError
+from biosensor_common.quantities import ContentType
 from lsl_to_ros.inlets import Inlet, InletState
 
 # An outlet that has just died is still reported by the resolver for a while.
@@ -36,9 +37,10 @@ class Discovery:
     by itself, with its backlog.
     """
 
-    def __init__(self, warn: Callable[[str], None]) -> None:
+    def __init__(self, warn: Callable[[str], None], predicate: str = "") -> None:
         self._warn = warn
-        self._resolver = pylsl.ContinuousResolver(forget_after=FORGET_AFTER_S)
+        self._predicate = predicate
+        self._resolver = _resolver(predicate)
         self._inlets: dict[str, Inlet] = {}
         self._announced: set[str] = set()
         self._order: dict[str, int] = {}
@@ -52,6 +54,23 @@ class Discovery:
     def inlets(self) -> list[Inlet]:
         """All present inlets."""
         return list(self._inlets.values())
+
+    @property
+    def refused(self) -> int:
+        """How many of the present streams cannot be used."""
+        return len(self._refused)
+
+    def set_predicate(self, predicate: str) -> None:
+        """Serve other streams from now on.
+
+        Parameters
+        ----------
+        predicate
+            LSL query; empty for all streams.
+        """
+        if predicate != self._predicate:
+            self._predicate = predicate
+            self._resolver = _resolver(predicate)
 
     def update(self) -> Changes:
         """Open inlets for new streams; return those that became ready or ended."""
@@ -68,16 +87,17 @@ class Discovery:
             for inlet in self.inlets
             if inlet.state is InletState.READY and inlet.uid not in self._announced
         ]
-        self._announced.update(inlet.uid for inlet in ready)
+        for inlet in ready:
+            inlet.is_served = inlet.matches(self._predicate)
+            self._announced.add(inlet.uid)
         return Changes(ready, gone)
 
     def stop(self) -> None:
         """End all inlets."""
-        for inlet in self.inlets:
-            inlet.stop()
+        closing = [inlet.stop() for inlet in self.inlets]
         deadline = monotonic() + STOP_TIMEOUT_S
-        for inlet in self.inlets:
-            inlet.join(max(0.0, deadline - monotonic()))
+        for thread in closing:
+            thread.join(max(0.0, deadline - monotonic()))
         self._inlets.clear()
 
     def _ended(self) -> list[Inlet]:
@@ -86,14 +106,23 @@ class Discovery:
             wait = {InletState.LOST: RETRY_S, InletState.FAILED: RETRY_FAILED_S}.get(inlet.state)
             if wait is not None:
                 self._not_before[inlet.uid] = monotonic() + wait
+            if inlet.state is InletState.REFUSED:
+                self._refused.add(inlet.uid)
+                ended.append(inlet)
+            elif wait is not None or self._is_served_otherwise(inlet):
                 ended.append(inlet)
         return ended
+
+    def _is_served_otherwise(self, inlet: Inlet) -> bool:
+        """Whether the predicate has changed for a stream since it was announced."""
+        is_announced = inlet.uid in self._announced
+        return is_announced and inlet.matches(self._predicate) is not inlet.is_served
 
     def _open(self, info: pylsl.StreamInfo) -> list[Inlet]:
         """Open an inlet; return those that it replaces."""
         try:
             inlet = Inlet(info, self._warn)
-        except (SpecError, RuntimeError) as error:
+        except SpecError as error:
             self._warn(f"an LSL stream is ignored: {error}")
             self._refused.add(info.uid())
             return []
@@ -141,3 +170,10 @@ class Discovery:
                 del record[uid]
         self._refused.intersection_update(found)
         self._warned.intersection_update(found)
+
+
+def _resolver(predicate: str) -> pylsl.ContinuousResolver:
+    """Look for what a predicate names, and for the counts of losses of all agents."""
+    # In brackets, for liblsl puts its own condition on the session before it.
+    query = f"(({predicate}) or type='{ContentType.COUNTERS}')" if predicate else None
+    return pylsl.ContinuousResolver(pred=query, forget_after=FORGET_AFTER_S)

@@ -1,71 +1,75 @@
-"""One LSL inlet and the thread that reads it."""
+"""One LSL inlet: opened in a thread of its own, then read by whoever asks."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable
 from contextlib import suppress
 from enum import Enum, unique
-from typing import Any, Protocol
+from typing import Protocol
 
+import numpy as np
 import pylsl
 from pylsl import util
 
-from biosensor_common.errors import SpecError, SpecReason
+from biosensor_common.errors import SpecError
 from biosensor_common.lsl_header import read_header
 from biosensor_common.quantities import ChannelFormat
-from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
+from biosensor_common.stream_header import StreamHeader, foreign_header
+from lsl_to_ros.announcements import buffer_length, read_core
+from lsl_to_ros.blocks import Block
+from lsl_to_ros.liblsl import matches_query, samples_available
+from lsl_to_ros.pulls import decoded, pull, pull_one
 
 OPEN_TIMEOUT_S = 10.0
-# How long a blocked pull keeps the thread from noticing that it should end.
+FIRST_CORRECTION_TIMEOUT_S = 5.0
+# A first measurement that has failed is awaited so long at every look.
+CORRECTION_TIMEOUT_S = 0.05
+CORRECTIONS_KEPT = 10
+# How long a blocked pull keeps its thread from noticing that it should end.
 PULL_TIMEOUT_S = 0.2
-BATCH_TIMEOUT_S = 0.1
 BATCH_SAMPLES = 1024
-BUFFER_S = 360
-# What other programs announce may be anything, and liblsl would reserve memory for it.
-BUFFER_SAMPLES = 4_000_000
-MAX_RATE_HZ = 1e6
-
-_FORMATS = {
-    pylsl.cf_float32: ChannelFormat.FLOAT32,
-    pylsl.cf_double64: ChannelFormat.DOUBLE64,
-    pylsl.cf_string: ChannelFormat.STRING,
-    pylsl.cf_int32: ChannelFormat.INT32,
-    pylsl.cf_int16: ChannelFormat.INT16,
-    pylsl.cf_int8: ChannelFormat.INT8,
-    pylsl.cf_int64: ChannelFormat.INT64,
-}
 
 
 @unique
 class InletState(Enum):
-    """Life of an inlet."""
+    """Life of an inlet.
+
+    A lost or failed one is tried again; a refused one is not, for liblsl cannot read
+    its announcement or speak its protocol.
+    """
 
     OPENING = "opening"
     READY = "ready"
     LOST = "lost"
     FAILED = "failed"
+    REFUSED = "refused"
 
 
 class Receiver(Protocol):
-    """Who gets an inlet's samples, in the inlet's thread."""
+    """Who gets an inlet's samples; its methods are never called at the same time."""
 
     @property
     def wants_each_sample(self) -> bool:
         """Whether samples are wanted at once rather than in batches."""
         ...
 
-    def receive(self, sample: list[Any], stamp: float) -> None:
-        """Take one sample with its stamp on the sender's LSL clock."""
+    def receive(self, block: Block) -> None:
+        """Take samples with their stamps on the sender's LSL clock."""
         ...
 
-    def end(self) -> None:
-        """Take note that no further sample comes; never called during :meth:`receive`."""
+    def clock_known(self) -> None:
+        """Take note that the sender's clock has been measured."""
+        ...
+
+    def end(self, undelivered: int) -> None:
+        """Take note that no further sample comes, and how many LSL dropped at the end."""
         ...
 
 
 class Inlet:
-    """Opens a stream, reads its header, then hands every sample to a receiver.
+    """Opens a stream, reads its header, then hands its samples to a receiver.
 
     Parameters
     ----------
@@ -78,14 +82,14 @@ class Inlet:
     Raises
     ------
     SpecError
-        ``INVALID``, if the stream has no channels or an impossible rate.
-    RuntimeError
-        If liblsl cannot read the announcement or speak its protocol.
+        ``INVALID``, if the stream has no channels, too many, or an impossible rate.
 
     Attributes
     ----------
     header
         Set once the state is ``READY``.
+    is_served
+        Whether the node's predicate names it; else it only serves the node itself.
     correction
         Seconds to add to a stamp for this machine's LSL clock; None before the
         first measurement.
@@ -93,25 +97,41 @@ class Inlet:
 
     def __init__(self, info: pylsl.StreamInfo, warn: Callable[[str], None]) -> None:
         self.uid = info.uid()
-        self.source_id = info.source_id()
         self.state = InletState.OPENING
         self.header: StreamHeader | None = None
+        self.core = read_core(info)
         self.correction: float | None = None
-        self._core = _core(info)
+        self.is_served = True
+        self._corrections: deque[float] = deque(maxlen=CORRECTIONS_KEPT)
+        self._full_info: pylsl.StreamInfo | None = None
         self._warn = warn
-        self._stop = threading.Event()
+        self._is_stopped = threading.Event()
+        # Held by whoever pulls, so that samples stay in order.
+        self._pulling = threading.Lock()
         self._delivery = threading.Lock()
         self._receiver: Receiver | None = None
-        self._has_receiver = threading.Event()
-        # Recovery is ours: liblsl would reattach to a stream of another shape, or to none.
-        self._inlet = pylsl.StreamInlet(
-            info,
-            max_buflen=_buffer_length(self._core.rate),
-            recover=False,
-            as_numpy=self._is_text,
+        self._lsl: pylsl.StreamInlet | None = None
+        thread = threading.Thread(
+            target=self._open, args=(info,), daemon=True, name=f"open {info.name()}"
         )
-        self._thread = threading.Thread(target=self._run, daemon=True, name=f"lsl {info.name()}")
-        self._thread.start()
+        thread.start()
+
+    @property
+    def source_id(self) -> str:
+        """The outlet's, possibly empty."""
+        return self.core.source_id
+
+    @property
+    def correction_spread(self) -> float:
+        """Largest minus smallest of the last ten clock corrections, in seconds."""
+        recent = list(self._corrections)
+        return max(recent) - min(recent) if recent else 0.0
+
+    @property
+    def wants_each_sample(self) -> bool:
+        """Whether its receiver wants samples at once."""
+        receiver = self._receiver
+        return receiver is not None and receiver.wants_each_sample
 
     def continues_as(self, info: pylsl.StreamInfo) -> bool:
         """Whether *info* announces this stream, come back.
@@ -122,116 +142,169 @@ class Inlet:
         if not self.source_id or info.source_id() != self.source_id:
             return False
         is_ours = self.header is not None and not self.header.foreign
-        core = self._core
+        core = self.core
         return is_ours or (info.name(), info.type()) == (core.name, core.content_type)
 
+    def matches(self, query: str) -> bool:
+        """Whether the stream fits an LSL query; an empty one fits all."""
+        info = self._full_info
+        return not query or info is None or matches_query(info, query)
+
     def deliver_to(self, receiver: Receiver) -> None:
-        """Start pulling, or go on for another receiver.
+        """Let a receiver have what comes from now on, and what waits in the inlet.
 
-        What came since the stream was opened is delivered first. After the return
-        the previous receiver gets nothing more.
+        After the return the previous receiver gets nothing more.
         """
-        self._hand_over(receiver)
-        self._has_receiver.set()
+        with self._delivery:
+            if self._receiver is not None:
+                self._receiver.end(0)
+            self._receiver = receiver
+            if self.correction is not None:
+                receiver.clock_known()
 
-    def stop(self) -> None:
-        """Ask the thread to end; the receiver gets nothing more."""
-        self._stop.set()
-        self._hand_over(None)
-        self._has_receiver.set()
+    def drain(self) -> None:
+        """Deliver what has come, without waiting, and find out whether the stream is lost.
 
-    def join(self, timeout_s: float) -> None:
-        """Wait for the thread's end."""
-        self._thread.join(timeout_s)
+        Nothing happens if another thread reads.
+        """
+        self._without_waiting(self._drain)
 
-    def measure_correction(self, timeout_s: float) -> None:
-        """Refresh ``correction``; may block for seconds, so never call it in a reading thread."""
-        # The reading thread finds a loss out and says so; the last correction still holds.
+    def peek(self) -> None:
+        """Deliver what has come, as :meth:`drain`, but at next to no cost if nothing has."""
+        lsl = self._lsl
+        if lsl is not None and samples_available(lsl):
+            self._without_waiting(self._drain)
+
+    def follow(self, is_to_go_on: Callable[[], bool]) -> None:
+        """Deliver each sample as it comes, for as long as that is wanted."""
+        with self._pulling:
+            self._guarded(lambda lsl: self._follow(lsl, is_to_go_on))
+
+    def stop(self) -> threading.Thread:
+        """End the inlet after what has come; the receiver gets nothing more.
+
+        Returns
+        -------
+        Thread
+            What closes it, which waits for a reader and for liblsl's own threads.
+        """
+        self.drain()
+        self._is_stopped.set()
+        self._end_delivery(0)
+        thread = threading.Thread(target=self._close, daemon=True, name="close an inlet")
+        thread.start()
+        return thread
+
+    def measure_correction(self, timeout_s: float = CORRECTION_TIMEOUT_S) -> None:
+        """Refresh ``correction``."""
+        lsl = self._lsl
+        if lsl is None:
+            return
+        # Whoever reads finds a loss out and says so; the last correction still holds.
         # Every error of pylsl is a RuntimeError.
         with suppress(RuntimeError):
-            self.correction = self._inlet.time_correction(timeout_s)
+            correction = lsl.time_correction(timeout_s)
+            is_first = self.correction is None
+            self._corrections.append(correction)
+            self.correction = correction
+            if is_first:
+                with self._delivery:
+                    if self._receiver is not None:
+                        self._receiver.clock_known()
 
-    def _run(self) -> None:
+    def _open(self, info: pylsl.StreamInfo) -> None:
         try:
-            self._inlet.open_stream(OPEN_TIMEOUT_S)
-            self.header = self._read_header()
-            self.state = InletState.READY
-            self._has_receiver.wait()
-            self._pull_until_stopped()
-        except (util.LostError, util.TimeoutError):
-            self.state = InletState.LOST
-        except Exception as error:  # noqa: BLE001 - else the stream would end unsaid
-            self._warn(f"{self._core}: reading it failed, it is opened anew ({error!r})")
-            self.state = InletState.FAILED
+            # Recovery is ours: liblsl would reattach to a stream of another shape, or to none.
+            lsl = pylsl.StreamInlet(
+                info, max_buflen=buffer_length(self.core.rate), recover=False, as_numpy=True
+            )
+        except RuntimeError as error:
+            self._warn(f"{self.core}: it is ignored, for LSL cannot open it ({error})")
+            self.state = InletState.REFUSED
+            return
+        self._lsl = None if self._is_stopped.is_set() else lsl
+        self._guarded(self._read_descriptions)
+        if self.state is InletState.READY:
+            self.measure_correction(FIRST_CORRECTION_TIMEOUT_S)
 
-    def _read_header(self) -> StreamHeader:
+    def _read_descriptions(self, lsl: pylsl.StreamInlet) -> None:
+        lsl.open_stream(OPEN_TIMEOUT_S)
+        self._full_info = lsl.info(OPEN_TIMEOUT_S)
+        self.header = self._read_header(self._full_info)
+        self.state = InletState.READY
+
+    def _read_header(self, info: pylsl.StreamInfo) -> StreamHeader:
         try:
-            return read_header(self._inlet.info(OPEN_TIMEOUT_S).as_xml())
+            return read_header(info.as_xml())
         except SpecError as error:
             # What cannot be parsed does not say whose it is.
-            said = str(error).removeprefix(f"{self._core}: ")
-            self._warn(f"{self._core}: {said}; it is published as an unknown one")
-            return foreign_header(self._core)
+            said = str(error).removeprefix(f"{self.core}: ")
+            self._warn(f"{self.core}: {said}; it is published as an unknown one")
+            return foreign_header(self.core)
 
-    @property
-    def _is_text(self) -> bool:
-        return self._core.format is ChannelFormat.STRING
+    def _guarded(self, work: Callable[[pylsl.StreamInlet], None]) -> None:
+        """Do something with liblsl's inlet; the state says how it ended."""
+        lsl = self._lsl
+        if lsl is None or self.state in (InletState.LOST, InletState.FAILED):
+            return
+        try:
+            work(lsl)
+        except (util.LostError, util.TimeoutError):
+            # The last entry of a lost stream's queue is no sample: it wakes who waits.
+            self._end_delivery(max(0, lsl.flush() - 1))
+            self.state = InletState.LOST
+        except Exception as error:  # noqa: BLE001 - else the stream would end unsaid
+            if not self._is_stopped.is_set():
+                self._warn(f"{self.core}: reading it failed, it is opened anew ({error!r})")
+            self._end_delivery(lsl.flush())
+            self.state = InletState.FAILED
 
-    def _pull_until_stopped(self) -> None:
-        inlet = self._inlet
-        while not self._stop.is_set():
-            if self._wants_each_sample():
-                sample, stamp = inlet.pull_sample(PULL_TIMEOUT_S)
-                if sample is not None and stamp is not None:
-                    self._deliver(sample, stamp)
-            else:
-                samples, stamps = inlet.pull_chunk(BATCH_TIMEOUT_S, BATCH_SAMPLES)
-                for sample, stamp in zip(samples, stamps, strict=True):
-                    self._deliver(sample, stamp)
+    def _without_waiting(self, work: Callable[[pylsl.StreamInlet], None]) -> None:
+        if self._receiver is not None and self._pulling.acquire(blocking=False):
+            try:
+                self._guarded(work)
+            finally:
+                self._pulling.release()
 
-    def _wants_each_sample(self) -> bool:
-        with self._delivery:
-            return self._receiver is not None and self._receiver.wants_each_sample
+    def _drain(self, lsl: pylsl.StreamInlet) -> None:
+        while not self._is_stopped.is_set():
+            # At least one is asked for, because only a pull finds out about a loss.
+            wanted = min(max(samples_available(lsl), 1), BATCH_SAMPLES)
+            block = pull_one(lsl, 0.0) if wanted == 1 else pull(lsl, wanted)
+            if block is not None:
+                self._deliver(block)
+            if wanted < BATCH_SAMPLES:
+                return
 
-    def _deliver(self, sample: Sequence[Any], stamp: float) -> None:
-        values = [_decode(text) for text in sample] if self._is_text else list(sample)
+    def _follow(self, lsl: pylsl.StreamInlet, is_to_go_on: Callable[[], bool]) -> None:
+        while not self._is_stopped.is_set() and is_to_go_on():
+            block = pull_one(lsl, PULL_TIMEOUT_S)
+            if block is None:
+                continue
+            waiting = min(samples_available(lsl), BATCH_SAMPLES)
+            if waiting:
+                # What came in one packet belongs into one message where there is such.
+                more = pull(lsl, waiting)
+                block = Block(
+                    np.concatenate((block.samples, more.samples)),
+                    np.concatenate((block.stamps, more.stamps)),
+                )
+            self._deliver(block)
+
+    def _deliver(self, block: Block) -> None:
+        if self.core.format is ChannelFormat.STRING:
+            block = Block(decoded(block.samples), block.stamps)
         # The receiver's publishers may be destroyed as soon as it is replaced.
         with self._delivery:
             if self._receiver is not None:
-                self._receiver.receive(values, stamp)
+                self._receiver.receive(block)
 
-    def _hand_over(self, receiver: Receiver | None) -> None:
+    def _end_delivery(self, undelivered: int) -> None:
         with self._delivery:
             if self._receiver is not None:
-                self._receiver.end()
-            self._receiver = receiver
+                self._receiver.end(undelivered)
+            self._receiver = None
 
-
-def _decode(text: bytes) -> str:
-    """Decode text as pylsl does names: UTF-8, else what a Windows program means by it."""
-    try:
-        return text.decode()
-    except UnicodeDecodeError:
-        return text.decode("latin-1")
-
-
-def _core(info: pylsl.StreamInfo) -> CoreFields:
-    if info.channel_count() < 1:
-        raise SpecError(SpecReason.INVALID, f"LSL stream {info.name()!r} has no channels")
-    if not 0 <= info.nominal_srate() <= MAX_RATE_HZ:
-        message = f"LSL stream {info.name()!r}: {info.nominal_srate()} Hz is no possible rate"
-        raise SpecError(SpecReason.INVALID, message)
-    return CoreFields(
-        name=info.name(),
-        content_type=info.type(),
-        source_id=info.source_id(),
-        hostname=info.hostname(),
-        channel_count=info.channel_count(),
-        rate=info.nominal_srate(),
-        format=_FORMATS[info.channel_format()],
-    )
-
-
-def _buffer_length(rate: float) -> int:
-    """Seconds to buffer; hundreds of samples where the rate is 0, as liblsl has it."""
-    return BUFFER_S if rate * BUFFER_S <= BUFFER_SAMPLES else max(1, int(BUFFER_SAMPLES / rate))
+    def _close(self) -> None:
+        with self._pulling:
+            self._lsl = None

@@ -26,8 +26,8 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from biosensor_common.quantities import MessageType
-from lsl_to_ros.diagnostics import RateMeter
 from lsl_to_ros.messages import CLASSES
+from lsl_to_ros.rates import RateMeter
 
 FIRST_SAMPLE_TIMEOUT_S = 30.0
 REFRESH_S = 1.0

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -31,7 +32,7 @@ class Losses:
     Attributes
     ----------
     device
-        Lost between sensor and agent since the agent started.
+        Lost between sensor and agent; from the start of the agent that was there first.
     transport
         Lost between agent and this node since it first attached.
     """
@@ -57,18 +58,24 @@ class LossAccount:
         self._recent: deque[float] = deque(maxlen=_RECENT)
         self._base: int | None = None
         self._waiting: deque[_Report] = deque(maxlen=_WAITING)
-        self._losses: Losses | None = None
+        self._device = self._transport = 0
+        # What was lost of outlets that have ended.
+        self._earlier = Losses(device=0, transport=0)
+        self._is_known = False
 
     @property
     def losses(self) -> Losses | None:
         """The latest result, None as long as the agent has said nothing."""
-        return self._losses
+        if not self._is_known:
+            return None
+        earlier = self._earlier
+        return Losses(earlier.device + self._device, earlier.transport + self._transport)
 
-    def pulled(self, stamp: float) -> None:
-        """Count one sample; the stamp is the sender's, as the agent's report has it."""
+    def pulled(self, stamps: Sequence[float]) -> None:
+        """Count samples; the stamps are the sender's, as the agent's report has them."""
         with self._lock:
-            self._pulled += 1
-            self._recent.append(stamp)
+            self._pulled += len(stamps)
+            self._recent.extend(stamps)
             if self._waiting:
                 self._settle()
 
@@ -76,17 +83,34 @@ class LossAccount:
         """Take in what the agent said of this stream."""
         with self._lock:
             if not pushed:
-                self._losses = Losses(device=lost, transport=0)
+                self._take_device(lost)
                 return
             self._waiting.append(_Report(pushed, lost, last_stamp))
             self._settle()
 
-    def restarted(self) -> None:
-        """Start anew: the stream comes from an agent that counts from zero."""
+    def restarted(self, undelivered: int = 0) -> None:
+        """Start anew: the stream comes from an outlet that counts from zero.
+
+        Parameters
+        ----------
+        undelivered
+            Samples that the node had received of the outlet before, and LSL dropped
+            when it ended.
+        """
         with self._lock:
             self._waiting.clear()
             self._recent.clear()
             self._pulled, self._base = 0, None
+            transport = self._earlier.transport + self._transport + undelivered
+            self._earlier = Losses(self._earlier.device, transport)
+            self._transport = 0
+
+    def _take_device(self, lost: int) -> None:
+        """Take in the agent's own count; one that falls is that of an agent that started anew."""
+        if lost < self._device:
+            self._earlier = Losses(self._earlier.device + self._device, self._earlier.transport)
+        self._device = lost
+        self._is_known = True
 
     def _settle(self) -> None:
         """Compare the reports whose stamp the stream has passed."""
@@ -101,13 +125,14 @@ class LossAccount:
                 continue
             if self._base is None:
                 self._base = missing
-            self._losses = Losses(device=report.lost, transport=missing - self._base)
+            self._transport = missing - self._base
+            self._take_device(report.lost)
 
     def _is_complete(self, missing: int) -> bool:
         """Whether no more samples of the newest stamp can be on their way."""
-        if self._base is None or self._losses is None:
+        if self._base is None or not self._is_known:
             return False
-        return missing - self._base <= self._losses.transport
+        return missing - self._base <= self._transport
 
     def _pulled_after(self, stamp: float) -> int:
         count = 0

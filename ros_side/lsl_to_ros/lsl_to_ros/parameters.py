@@ -24,13 +24,14 @@ from rclpy.parameter import Parameter
 
 from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity
+from lsl_to_ros import node_parameters
+from lsl_to_ros.node_parameters import QOS_OVERRIDES
 
 SENSOR_ENABLE, CHUNK_ENABLE, CHUNK_LENGTH = "Sensor_Enable", "Chunk_Enable", "Chunk_Length"
 LENGTH_RANGE = range(1, 100_001)
 DEFAULTS: dict[str, bool | int] = {SENSOR_ENABLE: True, CHUNK_ENABLE: True, CHUNK_LENGTH: 128}
 
-# Every other parameter without a dot in its name is a misspelt one.
-_OF_THE_NODE = frozenset({"topic_prefix", "session_id", "known_peers"})
+# Every other parameter is a misspelt one.
 _OF_ROS = frozenset({"use_sim_time", "start_type_description_service"})
 
 _TEXTS = {
@@ -71,6 +72,7 @@ class Parameters:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._on_change: Callable[[], None] = lambda: None
+        self._is_declaring = False
         self._drop_invalid()
         for key, value in DEFAULTS.items():
             given = node.get_parameter_or(key).value
@@ -99,7 +101,13 @@ class Parameters:
 
     def declare(self, identity: DeviceIdentity, data_name: str, chunk: str) -> None:
         """Make the keys of a stream visible to ``ros2 param list``, without setting them."""
-        sensor = prefixes(identity, data_name)[-1]
+        self._is_declaring = True
+        try:
+            self._declare(prefixes(identity, data_name)[-1], data_name, chunk)
+        finally:
+            self._is_declaring = False
+
+    def _declare(self, sensor: str, data_name: str, chunk: str) -> None:
         for owner, keys in (
             (sensor, tuple(DEFAULTS)),
             (f"{sensor}.{_token(data_name)}", (SENSOR_ENABLE,)),
@@ -134,8 +142,11 @@ class Parameters:
         reason = next((fault for fault in faults if fault is not None), "")
         return SetParametersResult(successful=not reason, reason=reason)
 
-    def _changed(self, _: Iterable[Parameter]) -> None:
-        self._on_change()
+    def _changed(self, parameters: Iterable[Parameter]) -> None:
+        # Declaring is setting to ROS; a hundred streams declare a thousand parameters.
+        is_ours = any(not parameter.name.startswith(QOS_OVERRIDES) for parameter in parameters)
+        if is_ours and not self._is_declaring:
+            self._on_change()
 
 
 def prefixes(identity: DeviceIdentity, data_name: str) -> list[str]:
@@ -157,9 +168,10 @@ def _token(data_name: str) -> str:
 def _fault(name: str, value: Any) -> str | None:  # noqa: ANN401 - whatever a user sets
     """Say why a parameter is refused; parameters that are not ours pass."""
     key = name.rpartition(".")[2]
+    if node_parameters.is_known(name):
+        return None if value is None else node_parameters.fault(name, value)
     if key not in DEFAULTS:
-        is_known = name in _OF_THE_NODE | _OF_ROS or name.startswith("qos_overrides.")
-        return None if is_known else _unknown(name)
+        return None if name in _OF_ROS else _unknown(name)
     if value is None:
         return None
     if key == CHUNK_LENGTH:

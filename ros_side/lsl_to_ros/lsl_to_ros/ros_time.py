@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import time
 
+import numpy as np
 import pylsl
 from builtin_interfaces.msg import Time
+from numpy.typing import NDArray
 from rclpy.node import Node
 
 from biosensor_common.ros_clock import NS_PER_S, OffsetStep, OffsetTracker, measure_offset_ns
+
+# The seconds of builtin_interfaces/Time are an int32. The margin is for slews and steps.
+MAX_TIME_S = 2.0**31 - 1e6
 
 
 class RosTime:
@@ -30,6 +35,14 @@ class RosTime:
     def refresh(self) -> OffsetStep | None:
         """Measure again, once a second; returns a jump of the system clock."""
         return self._tracker.update(_measure(), pylsl.local_clock())
+
+    def are_times(self, lsl_s: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Say of each stamp on this machine's LSL clock whether ROS has such a time."""
+        if self._clock.ros_time_is_active:
+            return np.isfinite(lsl_s)
+        offset_s = self._tracker.to_ros_ns(0.0) / NS_PER_S
+        with np.errstate(invalid="ignore"):
+            return (lsl_s + offset_s >= 0) & (lsl_s + offset_s < MAX_TIME_S)
 
     def to_msg(self, lsl_s: float) -> Time:
         """ROS time of a stamp on this machine's LSL clock."""

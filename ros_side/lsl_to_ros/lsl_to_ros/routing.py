@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
-from math import ceil
+from typing import Any
 
-from builtin_interfaces.msg import Time
+from numpy.typing import NDArray
 from rclpy.node import Node
-from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from biosensor_common import naming
 from biosensor_common.naming import TopicName, resolve_topics
@@ -18,16 +15,21 @@ from biosensor_common.quantities import MessageType
 from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros import messages
-from lsl_to_ros.bridge import Bridge, Tally
-from lsl_to_ros.diagnostics import RateMeter
+from lsl_to_ros.bridge import Bridge, Outputs
+from lsl_to_ros.diagnostics import StreamHealth
 from lsl_to_ros.inlets import Inlet
+from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.losses import LossAccount
-from lsl_to_ros.parameters import Parameters
+from lsl_to_ros.outputs import open_outputs
+from lsl_to_ros.parameters import Parameters, StreamSettings
+from lsl_to_ros.ports import Port, Ports
 from lsl_to_ros.ros_time import RosTime
+from lsl_to_ros.stamping import Stamping
+from lsl_to_ros.tally import Refusals, Tally, can_estimate_losses
+from lsl_to_ros.writers import StreamContext
 
-# A late subscriber of these sees the last value at once.
-LATCHED = frozenset({"bat", "rssi", "dev"})
-MIN_DEPTH, MAX_DEPTH = 10, 10_000
+# So many topics of streams that are away stay open for their subscribers.
+ABSENT_TOPICS = 1000
 
 
 @dataclass(slots=True)
@@ -38,15 +40,15 @@ class Route:
     header: StreamHeader
     topic: TopicName | None = None
     bridge: Bridge | None = None
-    meter: RateMeter = field(default_factory=RateMeter)
+    health: StreamHealth = field(default_factory=StreamHealth)
 
 
 @dataclass(slots=True)
 class _Record:
-    """What is counted of a stream over all its outlets."""
+    """What is remembered of a stream over all its outlets."""
 
     uid: str = ""
-    account: LossAccount = field(default_factory=LossAccount)
+    shape: tuple[object, ...] = ()
     tally: Tally = field(default_factory=Tally)
 
 
@@ -55,38 +57,60 @@ class Routing:
 
     Parameters
     ----------
-    node
-        Owner of the publishers.
     prefix
         First part of every topic, relative.
     """
 
-    def __init__(self, node: Node, prefix: str, parameters: Parameters, ros_time: RosTime) -> None:
-        self._node = node
+    def __init__(
+        self,
+        node: Node,
+        prefix: str,
+        parameters: Parameters,
+        ros_time: RosTime,
+        log: LimitedLog,
+    ) -> None:
+        self._ports = Ports(node)
         self._prefix = prefix
         self._parameters = parameters
         self._time = ros_time
+        self._log = log
+        self._warn = log.warn
         self._routes: dict[str, Route] = {}
-        self._topics: dict[tuple[str, MessageType], Publisher] = {}
         self._records: dict[tuple[str, str], _Record] = {}
         self._accounts: dict[str, LossAccount] = {}
         self._seen: set[DeviceIdentity] = set()
+
+    def device_name(self, route: Route) -> str:
+        """Name of a stream's device as in its topics: ``p01/zephyr_left``."""
+        return self._frame_id(route.topic) if route.topic else ""
 
     @property
     def routes(self) -> list[Route]:
         """All attached streams."""
         return list(self._routes.values())
 
-    def update(self, ready: list[Inlet], gone: list[Inlet]) -> None:
-        """Attach and detach streams."""
+    def update(self, ready: list[Inlet], gone: list[Inlet]) -> bool:
+        """Attach and detach streams; return whether anything changed."""
         for inlet in gone:
-            if self._routes.pop(inlet.uid, None) is not None:
-                self._node.get_logger().info(f"stream {inlet.source_id or inlet.uid} is gone")
+            route = self._routes.pop(inlet.uid, None)
+            if route is not None:
+                self._say_gone(route)
         for inlet in ready:
-            if inlet.header is not None:
+            if inlet.header is not None and inlet.is_served:
                 self._routes[inlet.uid] = Route(inlet, inlet.header)
+            elif inlet.header is not None:
+                self._listen_only(inlet, inlet.header)
         if ready or gone:
             self._map_topics()
+        return bool(ready or gone)
+
+    def set_prefix(self, prefix: str) -> None:
+        """Move every topic; those of absent streams are closed."""
+        if prefix != self._prefix:
+            self._prefix = prefix
+            self._map_topics()
+            used = self._used_ports()
+            self._ports.close(lambda port: port not in used)
 
     def apply_settings(self) -> None:
         """Let every stream follow the parameters from its next sample on."""
@@ -97,25 +121,35 @@ class Routing:
                     header.identity, header.data_name, header.chunk
                 )
 
+    def count_readers(self) -> None:
+        """Ask for the subscribers of every topic."""
+        self._ports.count_readers()
+
+    def _say_gone(self, route: Route) -> None:
+        name = route.topic.name if route.topic else route.inlet.core.name
+        self._log.inform(f"{name}: its stream is gone")
+        undelivered = route.bridge.tally.undelivered if route.bridge else 0
+        if undelivered:
+            self._warn(f"{name}: {undelivered} samples were lost with the connection")
+
     def _map_topics(self) -> None:
         """Give every stream its topic; a stream whose topic changes gets a new bridge."""
         names = {
             uid: (route.header.identity, route.header.data_name)
             for uid, route in self._routes.items()
         }
-        renamed: list[TopicName] = []
         # A unit that has left keeps its name: another one's data must not appear under it.
         self._seen.update(
             route.header.identity for route in self.routes if _is_named_after_unit(route.header)
         )
+        left: set[str] = set()
         for uid, topic in resolve_topics(names, self._prefix, gone=self._seen).items():
             route = self._routes[uid]
-            if route.bridge is not None and route.topic == topic:
-                continue
-            if route.topic is not None:
-                renamed.append(route.topic)
-            self._connect(route, topic)
-        self._close({topic.base for topic in renamed} | self._crowded())
+            old, route.topic = route.topic, topic
+            if old is None or old.name != topic.name:
+                left.update([old.base] if old else [])
+                self._connect(route, topic)
+        self._close_topics(left | self._crowded())
 
     def _crowded(self) -> set[str]:
         """Names that several units would have; the one that had it may be absent by now."""
@@ -127,73 +161,99 @@ class Routing:
             if route.topic is not None and route.topic.conflict
         }
 
-    def _connect(self, route: Route, topic: TopicName) -> None:
-        header = route.header
-        record = self._record(route.inlet, header)
-        self._parameters.declare(header.identity, header.data_name, header.chunk)
-        route.topic = topic
-        route.bridge = Bridge(
-            header,
-            raw=self._publisher(topic.name, header.message_type, header),
-            chunk=self._chunk_publisher(_chunk_topic(topic, header), header),
-            settings=self._parameters.settings(header.identity, header.data_name, header.chunk),
-            account=record.account,
-            tally=record.tally,
-            to_time=partial(self._to_time, route.inlet),
-            warn=self._warn,
-            listen=self._listener(header),
-            latched=_is_latched(header),
-        )
-        if topic.conflict:
-            self._warn(f"{topic.name}: two units share a name; give each a label in its settings")
-        route.inlet.deliver_to(route.bridge)
-        self._node.get_logger().info(f"{topic.name} ({header.message_type})")
-
-    def _chunk_publisher(self, name: str, header: StreamHeader) -> Publisher | None:
-        if not name:
-            return None
-        return self._publisher(name, messages.chunk_type(header.message_type), header)
-
-    def _publisher(self, name: str, kind: MessageType, header: StreamHeader) -> Publisher:
-        key = (name, kind)
-        if key not in self._topics:
-            # The rate of another program's stream may be any number.
-            depth = ceil(min(max(header.rate, MIN_DEPTH), MAX_DEPTH))
-            qos = QoSProfile(depth=depth)
-            if _is_latched(header):
-                qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-            self._topics[key] = self._node.create_publisher(messages.CLASSES[kind], name, qos)
-        return self._topics[key]
-
-    def _close(self, bases: set[str]) -> None:
-        """Close what nobody publishes any more under these names.
+    def _close_topics(self, bases: set[str]) -> None:
+        """Close what nobody publishes any more under these names, and what changed its type.
 
         Topics of streams that are merely absent stay: their subscribers then need
         not match anew when the stream returns.
         """
-        used = {route.topic.base for route in self._routes.values() if route.topic is not None}
-        for name, kind in list(self._topics):
-            if name.rpartition("/")[0] in bases - used:
-                self._node.destroy_publisher(self._topics.pop((name, kind)))
+        used = self._used_ports()
+        names = {port.name for port in used}
+        bases -= {port.topic.rpartition("/")[0] for port in used}
+        changed = self._ports.close(lambda port: port.name in names and port not in used)
+        for topic in changed:
+            self._warn(
+                f"{topic}: the stream came back in another format; the topic changes its type"
+            )
+        self._ports.close(lambda port: port.topic.rpartition("/")[0] in bases)
+        self._ports.close_oldest(used, ABSENT_TOPICS)
 
-    def _record(self, inlet: Inlet, header: StreamHeader) -> _Record:
+    def _used_ports(self) -> set[Port]:
+        bridges = (route.bridge for route in self._routes.values())
+        return {port for bridge in bridges if bridge for port in bridge.outputs.ports}
+
+    def _connect(self, route: Route, topic: TopicName) -> None:
+        header, inlet = route.header, route.inlet
+        tally = self._record(route).tally
+        self._parameters.declare(header.identity, header.data_name, header.chunk)
+        stamping = Stamping(self._time, lambda: inlet.correction)
+        refuse = Refusals(header, tally, self._warn)
+        context = StreamContext(
+            header=header,
+            topic=topic,
+            frame_id=self._frame_id(topic),
+            stamping=stamping,
+            lost=lambda: tally.lost(can_estimate=can_estimate_losses(header)),
+            refuse=refuse,
+        )
+        route.bridge = Bridge(
+            header,
+            open_outputs(self._ports, context),
+            settings=self._parameters.settings(header.identity, header.data_name, header.chunk),
+            tally=tally,
+            stamping=stamping,
+            refuse=refuse,
+            listen=self._listener(header),
+        )
+        if topic.conflict:
+            self._warn(f"{topic.name}: two units share a name; give each a label in its settings")
+        inlet.deliver_to(route.bridge)
+        self._log.inform(f"{topic.name} ({header.message_type})")
+
+    def _listen_only(self, inlet: Inlet, header: StreamHeader) -> None:
+        """Take in an agent's counters that another node publishes."""
+        bridge = Bridge(
+            header,
+            Outputs(),
+            settings=StreamSettings(raw=False, chunk=False, chunk_length=1),
+            tally=Tally(),
+            stamping=Stamping(self._time, lambda: inlet.correction),
+            refuse=lambda count, reason: None,
+            listen=self._listener(header),
+        )
+        inlet.deliver_to(bridge)
+
+    def _frame_id(self, topic: TopicName) -> str:
+        """Name of the sensor as in the topic, without the prefix: ``p01/zephyr_left``."""
+        parts = topic.base.split("/")
+        prefix = self._prefix.split("/") if self._prefix else []
+        sensor, before = parts[-1], parts[: len(parts) - len(prefix) - 1]
+        return "/".join([*before, sensor])
+
+    def _record(self, route: Route) -> _Record:
+        inlet, header = route.inlet, route.header
         key = (inlet.source_id or inlet.uid, header.data_name)
         record = self._records.setdefault(key, _Record())
+        shape = (len(header.labels), header.format, header.rate)
         if record.uid != inlet.uid:
-            record.uid = inlet.uid
-            record.account.restarted()
+            if record.uid:
+                record.tally.outlet_changed()
+            if record.shape not in ((), shape):
+                name = route.topic.name if route.topic else inlet.core.name
+                self._warn(f"{name}: the stream came back as {_shape_text(shape)}")
+            record.uid, record.shape = inlet.uid, shape
         if not header.foreign:
-            self._accounts[inlet.source_id] = record.account
+            self._accounts[inlet.source_id] = record.tally.account
         return record
 
-    def _listener(self, header: StreamHeader) -> Callable[[str], None] | None:
+    def _listener(self, header: StreamHeader) -> Callable[[NDArray[Any]], None] | None:
         is_counters = header.message_type is MessageType.DIAGNOSTIC_ARRAY
         return self._take_counters if is_counters else None
 
-    def _take_counters(self, text: str) -> None:
-        """Hand on the agent's counters; runs in that stream's thread."""
+    def _take_counters(self, sample: NDArray[Any]) -> None:
+        """Hand on the agent's counters; runs in the thread that reads that stream."""
         try:
-            counters = messages.read_counters(text)
+            counters = messages.read_counters(sample[0])
         except ValueError:
             return
         for source_id, entry in counters.items():
@@ -201,22 +261,10 @@ class Routing:
             if known is not None:
                 known.reported(int(entry["pushed"]), int(entry["lost"]), entry["last_stamp"])
 
-    def _to_time(self, inlet: Inlet, stamp: float) -> Time:
-        return self._time.to_msg(stamp + (inlet.correction or 0.0))
 
-    def _warn(self, sentence: str) -> None:
-        self._node.get_logger().warning(sentence)
-
-
-def _chunk_topic(topic: TopicName, header: StreamHeader) -> str:
-    if not header.chunk:
-        return ""
-    data = topic.data if header.chunk == header.data_name else header.chunk
-    return f"{topic.base}/{data}_chunk"
-
-
-def _is_latched(header: StreamHeader) -> bool:
-    return header.data_name in LATCHED and not header.foreign
+def _shape_text(shape: tuple[object, ...]) -> str:
+    channels, channel_format, rate = shape
+    return f"{channels} channels of {channel_format} at {rate or 'an irregular rate'}"
 
 
 def _is_named_after_unit(header: StreamHeader) -> bool:

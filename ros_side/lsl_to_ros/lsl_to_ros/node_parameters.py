@@ -1,0 +1,131 @@
+"""The parameters of the node as a whole."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeGuard, cast
+
+from rcl_interfaces.msg import ParameterDescriptor, ParameterType
+from rclpy.node import Node
+
+from lsl_to_ros.liblsl import is_query
+
+TOPIC_PREFIX, STREAM_PREDICATE = "topic_prefix", "stream_predicate"
+SESSION_ID, KNOWN_PEERS = "session_id", "known_peers"
+
+QOS_OVERRIDES = "qos_overrides."
+MAX_PREFIX_CHARACTERS = 100
+MAX_DEPTH = 1_000_000
+
+_RELATIVE_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
+_QOS_VALUES = {
+    "history": ("keep_last", "keep_all", "system_default"),
+    "reliability": ("reliable", "best_effort", "system_default"),
+    "durability": ("volatile", "transient_local", "system_default"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _Parameter:
+    """One parameter; ``fault`` says why a value of the right type is refused."""
+
+    default: str | list[str]
+    description: str
+    fault: Callable[[Any], str | None]
+    read_only: bool = False
+
+    @property
+    def descriptor(self) -> ParameterDescriptor:
+        is_list = isinstance(self.default, list)
+        return ParameterDescriptor(
+            description=self.description,
+            read_only=self.read_only,
+            type=ParameterType.PARAMETER_STRING_ARRAY
+            if is_list
+            else ParameterType.PARAMETER_STRING,
+        )
+
+
+def _prefix_fault(value: str) -> str | None:
+    is_name = _RELATIVE_NAME.fullmatch(value) and "__" not in value and not value.endswith("_")
+    if (is_name and len(value) <= MAX_PREFIX_CHARACTERS) or not value:
+        return None
+    return (
+        "must be a relative ROS name of letters, digits, single underscores and slashes,"
+        f" at most {MAX_PREFIX_CHARACTERS} characters, such as biosensors; it is {value!r}"
+    )
+
+
+def _query_fault(value: str) -> str | None:
+    if not value or is_query(value):
+        return None
+    return f"must be an LSL query such as type='EEG' or starts-with(name,'p01'), not {value!r}"
+
+
+_PARAMETERS = {
+    TOPIC_PREFIX: _Parameter(
+        "biosensors", "first part of every topic, relative to the namespace", _prefix_fault
+    ),
+    STREAM_PREDICATE: _Parameter(
+        "", "LSL query of the streams that this node serves; empty: all", _query_fault
+    ),
+    SESSION_ID: _Parameter(
+        "", "LSL session; empty: LSL's own setting", lambda _: None, read_only=True
+    ),
+    KNOWN_PEERS: _Parameter(
+        [""], "hosts that multicast does not reach", lambda _: None, read_only=True
+    ),
+}
+
+
+def declare(node: Node, name: str) -> Any:  # noqa: ANN401 - a string or a list of them
+    """Declare one parameter with what a file or the command line says; return its value."""
+    parameter = _PARAMETERS[name]
+    given = node.get_parameter_or(name).value
+    if given is not None:
+        node.undeclare_parameter(name)
+    value = parameter.default if given is None or fault(name, given) else given
+    return node.declare_parameter(name, value, parameter.descriptor, ignore_override=True).value
+
+
+def is_known(name: str) -> bool:
+    """Whether :func:`fault` can judge a parameter of that name."""
+    return name in _PARAMETERS or name.startswith(QOS_OVERRIDES)
+
+
+def fault(name: str, value: Any) -> str | None:  # noqa: ANN401 - whatever a user sets
+    """Say why a value is refused."""
+    if name.startswith(QOS_OVERRIDES):
+        return _qos_fault(name, value)
+    parameter = _PARAMETERS[name]
+    if isinstance(parameter.default, str):
+        if not isinstance(value, str):
+            return f"{name} must be text, not {value!r}"
+    elif not _is_text_list(value):
+        return f"{name} must be a list of host names, not {value!r}"
+    reason = parameter.fault(value)
+    return reason and f"{name} {reason}"
+
+
+def _is_text_list(value: Any) -> TypeGuard[Sequence[str]]:  # noqa: ANN401 - whatever a user sets
+    if not isinstance(value, Sequence) or isinstance(value, (str, bytes)):
+        return False
+    return all(isinstance(item, str) for item in cast("Sequence[object]", value))
+
+
+def _qos_fault(name: str, value: Any) -> str | None:  # noqa: ANN401 - whatever a user sets
+    """Judge ``qos_overrides.<topic>.publisher.<policy>``."""
+    owner, _, policy = name.rpartition(".")
+    if not owner.endswith(".publisher"):
+        return None
+    if policy == "depth":
+        is_depth = isinstance(value, int) and not isinstance(value, bool)
+        if is_depth and 1 <= value <= MAX_DEPTH:
+            return None
+        return f"{name} must be a whole number from 1 to {MAX_DEPTH}, not {value!r}"
+    values = _QOS_VALUES.get(policy)
+    if values is None:
+        return f"{name}: only depth, {', '.join(_QOS_VALUES)} can be overridden"
+    return None if value in values else f"{name} must be one of {', '.join(values)}, not {value!r}"

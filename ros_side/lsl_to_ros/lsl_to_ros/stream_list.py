@@ -1,0 +1,48 @@
+"""``~/streams``: which LSL stream fills which topics, latched, anew at each change."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from std_msgs.msg import Header
+
+from lsl_to_ros.routing import Route
+
+TOPIC = "~/streams"
+
+
+def stream_list(routes: Iterable[Route], stamp: Time) -> DiagnosticArray:
+    """Make the message: a status a stream, named by its raw topic, its facts as values."""
+    statuses = [_entry(route) for route in routes if route.bridge is not None]
+    statuses.sort(key=lambda status: status.name)
+    return DiagnosticArray(header=Header(stamp=stamp), status=statuses)
+
+
+def _entry(route: Route) -> DiagnosticStatus:
+    assert route.bridge is not None
+    header, core = route.header, route.inlet.core
+    ports = route.bridge.outputs.ports
+    values = {
+        "lsl_name": core.name,
+        "lsl_type": core.content_type,
+        "source_id": core.source_id,
+        "uid": route.inlet.uid,
+        "host": core.hostname,
+        "rate": f"{header.rate:g}",
+        "format": header.format.value,
+        "labels": ", ".join(header.labels),
+        "units": ", ".join(header.units),
+        "participant": header.identity.participant,
+        "label": header.identity.label,
+        "foreign": str(header.foreign).lower(),
+        **{f"topic {port.name}": port.type_name for port in ports},
+    }
+    return DiagnosticStatus(
+        level=DiagnosticStatus.OK,
+        name=ports[0].name,
+        message=f"{core.name} of {core.hostname}",
+        hardware_id=header.identity.unit,
+        values=[KeyValue(key=key, value=value) for key, value in values.items()],
+    )

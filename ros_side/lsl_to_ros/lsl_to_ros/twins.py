@@ -1,0 +1,193 @@
+"""Topics of ``sensor_msgs`` beside our own, for streams that have such a message.
+
+What a stream measures is read from its header, so a new sensor gets them too.
+Values are in SI units as the messages demand. A covariance that is unknown is all
+zeros, and one whose first element is -1 says that the quantity itself is missing:
+that is the messages' own convention.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from geometry_msgs.msg import Quaternion, Vector3
+from sensor_msgs.msg import BatteryState, Imu, MagneticField, Temperature
+from std_msgs.msg import Header
+
+from biosensor_common.quantities import ContentType, Unit
+from biosensor_common.stream_header import StreamHeader
+from lsl_to_ros.blocks import Run
+from lsl_to_ros.ports import Port
+from lsl_to_ros.stamping import Stamping
+from lsl_to_ros.writers import Writer
+
+STANDARD_GRAVITY = 9.80665
+"""In m/s², exactly (3rd General Conference on Weights and Measures, 1901)."""
+
+_MISSING = [-1.0, *[0.0] * 8]
+_UNKNOWN = [0.0] * 9
+
+
+class TwinWriter(Writer):
+    """One message of ``sensor_msgs`` a sample.
+
+    Attributes
+    ----------
+    message_class
+        What it publishes.
+    """
+
+    message_class: ClassVar[type[Any]]
+
+    def __init__(self, port: Port, header: StreamHeader, frame_id: str, stamping: Stamping) -> None:
+        super().__init__(port)
+        self._stream = header
+        self._columns = {label: column for column, label in enumerate(header.labels)}
+        self._frame_id = frame_id
+        self._stamping = stamping
+
+    @classmethod
+    @abstractmethod
+    def topic_of(cls, header: StreamHeader) -> str:
+        """Return the data name of this twin of a stream, empty if it has none."""
+
+    @abstractmethod
+    def build(self, header: Header, sample: Sequence[float]) -> Any:  # noqa: ANN401 - any message
+        """Make a message of one sample."""
+
+    def write(self, run: Run) -> None:
+        """Publish each sample."""
+        for sample, stamp in zip(run.samples, run.stamps, strict=True):
+            header = Header(stamp=self._stamping.to_time(float(stamp)), frame_id=self._frame_id)
+            self.port.publish(self.build(header, sample.astype(np.float64).tolist()))
+
+    def _vector(self, sample: Sequence[float], labels: Sequence[str], scale: float) -> Vector3:
+        x, y, z = (scale * sample[self._columns[label]] for label in labels)
+        return Vector3(x=x, y=y, z=z)
+
+
+class TemperatureWriter(TwinWriter):
+    """``<data>_temperature``; a variance of 0 means unknown."""
+
+    message_class = Temperature
+
+    @classmethod
+    def topic_of(cls, header: StreamHeader) -> str:
+        """See :meth:`TwinWriter.topic_of`."""
+        fits = header.content_type == ContentType.TEMPERATURE and header.units == (Unit.CELSIUS,)
+        return f"{header.data_name}_temperature" if fits else ""
+
+    def build(self, header: Header, sample: Sequence[float]) -> Temperature:
+        """Make a message; both are in °C."""
+        return Temperature(header=header, temperature=float(sample[0]), variance=0.0)
+
+
+class BatteryStateWriter(TwinWriter):
+    """``bat_state``, from a stream of the battery or from a status with ``BatteryPercent``."""
+
+    message_class = BatteryState
+    _STATUS_LABEL = "BatteryPercent"
+
+    def __init__(self, port: Port, header: StreamHeader, frame_id: str, stamping: Stamping) -> None:
+        super().__init__(port, header, frame_id, stamping)
+        self._column = self._columns.get(self._STATUS_LABEL, 0)
+
+    @classmethod
+    def topic_of(cls, header: StreamHeader) -> str:
+        """See :meth:`TwinWriter.topic_of`."""
+        if header.content_type == ContentType.BATTERY and header.units == (Unit.PERCENT,):
+            return f"{header.data_name}_state"
+        channels = zip(header.labels, header.units, strict=True)
+        is_status = header.content_type == ContentType.STATUS
+        return "bat_state" if is_status and (cls._STATUS_LABEL, Unit.PERCENT) in channels else ""
+
+    def build(self, header: Header, sample: Sequence[float]) -> BatteryState:
+        """Make a message: the charge as a fraction, NaN for all that is not measured."""
+        return BatteryState(
+            header=header,
+            voltage=math.nan,
+            temperature=math.nan,
+            current=math.nan,
+            charge=math.nan,
+            capacity=math.nan,
+            design_capacity=math.nan,
+            percentage=_float32(sample[self._column] / 100),
+            power_supply_status=BatteryState.POWER_SUPPLY_STATUS_UNKNOWN,
+            power_supply_health=BatteryState.POWER_SUPPLY_HEALTH_UNKNOWN,
+            power_supply_technology=BatteryState.POWER_SUPPLY_TECHNOLOGY_UNKNOWN,
+            present=True,
+            location=self._stream.identity.label,
+            serial_number=self._stream.identity.unit,
+        )
+
+
+class ImuWriter(TwinWriter):
+    """``<data>_imu``: orientation and acceleration of a motion sensor.
+
+    The orientation's scalar part is Q0. Nothing says which way the device's world
+    frame points, so neither is turned: see the sensor's page.
+    """
+
+    message_class = Imu
+    _QUATERNION = ("Q1", "Q2", "Q3", "Q0")
+    _ACCELERATION = ("ACCX", "ACCY", "ACCZ")
+
+    @classmethod
+    def topic_of(cls, header: StreamHeader) -> str:
+        """See :meth:`TwinWriter.topic_of`."""
+        has_it = {*cls._QUATERNION, *cls._ACCELERATION} <= set(header.labels)
+        is_it = has_it and header.content_type == ContentType.MOCAP and Unit.G in header.units
+        return f"{header.data_name}_imu" if is_it else ""
+
+    def build(self, header: Header, sample: Sequence[float]) -> Imu:
+        """Make a message; acceleration in m/s², no angular velocity."""
+        x, y, z, w = (sample[self._columns[label]] for label in self._QUATERNION)
+        is_known = not math.isnan(x + y + z + w)
+        orientation = Quaternion(x=x, y=y, z=z, w=w) if is_known else Quaternion()
+        return Imu(
+            header=header,
+            orientation=orientation,
+            orientation_covariance=_UNKNOWN if is_known else _MISSING,
+            angular_velocity_covariance=_MISSING,
+            linear_acceleration=self._vector(sample, self._ACCELERATION, STANDARD_GRAVITY),
+            linear_acceleration_covariance=_UNKNOWN,
+        )
+
+
+class MagneticFieldWriter(TwinWriter):
+    """``<data>_mag``."""
+
+    message_class = MagneticField
+    _FIELD = ("MAGX", "MAGY", "MAGZ")
+
+    @classmethod
+    def topic_of(cls, header: StreamHeader) -> str:
+        """See :meth:`TwinWriter.topic_of`."""
+        has_it = set(cls._FIELD) <= set(header.labels) and Unit.MICROTESLA in header.units
+        is_it = has_it and header.content_type == ContentType.MOCAP
+        return f"{header.data_name}_mag" if is_it else ""
+
+    def build(self, header: Header, sample: Sequence[float]) -> MagneticField:
+        """Make a message in tesla."""
+        return MagneticField(
+            header=header,
+            magnetic_field=self._vector(sample, self._FIELD, 1e-6),
+            magnetic_field_covariance=_UNKNOWN,
+        )
+
+
+TWINS: tuple[type[TwinWriter], ...] = (
+    TemperatureWriter,
+    BatteryStateWriter,
+    ImuWriter,
+    MagneticFieldWriter,
+)
+
+
+def _float32(value: float) -> float:
+    with np.errstate(over="ignore"):
+        return float(np.float32(value))

@@ -1,0 +1,83 @@
+"""package.xml names what the package imports, and nothing else.
+
+rosdep installs by it and colcon orders by it, but neither looks into the code.
+"""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+from xml.etree import ElementTree
+
+PACKAGE = Path(__file__).parents[2] / "ros_side" / "lsl_to_ros"
+SOURCES = sorted([*(PACKAGE / "lsl_to_ros").rglob("*.py"), *(PACKAGE / "launch").glob("*.py")])
+# Import names whose rosdep key is another.
+KEYS = {"numpy": "python3-numpy"}
+# No rosdep key: setup.py names it.
+FROM_PYPI = {"pylsl"}
+OPTIONAL = {"biosensor_msgs"}
+
+
+def _manifest() -> ElementTree.Element:
+    return ElementTree.parse(PACKAGE / "package.xml").getroot()
+
+
+def _named() -> dict[str, list[str]]:
+    """Dependencies by their tags, of every kind that the format knows."""
+    named: dict[str, list[str]] = {}
+    for element in _manifest():
+        if element.tag.endswith("depend"):
+            named.setdefault(element.tag, []).append(element.text or "")
+    return named
+
+
+def _imported_by(node: ast.AST) -> Iterator[str]:
+    """Top-level names that a piece of code imports."""
+    for part in ast.walk(node):
+        if isinstance(part, ast.Import):
+            yield from (alias.name.partition(".")[0] for alias in part.names)
+        elif isinstance(part, ast.ImportFrom) and part.module and not part.level:
+            yield part.module.partition(".")[0]
+
+
+def test_the_manifest_names_what_is_imported_and_nothing_else() -> None:
+    imported = {name for path in SOURCES for name in _imported_by(ast.parse(path.read_text()))}
+    foreign = imported - set(sys.stdlib_module_names) - {PACKAGE.name}
+    assert foreign >= FROM_PYPI
+    keys = {KEYS.get(name, name) for name in foreign - FROM_PYPI - OPTIONAL}
+    assert _named() == {"exec_depend": sorted(keys)}
+
+
+def test_the_node_can_be_imported_without_what_is_optional() -> None:
+    # None in sys.modules makes an import fail as that of a missing package does.
+    hide = "".join(f"sys.modules[{name!r}] = None; " for name in OPTIONAL)
+    program = f"import sys; {hide}import lsl_to_ros.node"
+    result = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 0, result.stderr
+
+
+def test_setup_names_what_comes_from_pypi() -> None:
+    (call,) = (
+        node
+        for node in ast.walk(ast.parse((PACKAGE / "setup.py").read_text()))
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "setup"
+    )
+    (required,) = (word.value for word in call.keywords if word.arg == "install_requires")
+    names = {requirement.partition(">")[0] for requirement in ast.literal_eval(required)}
+    assert names == FROM_PYPI
+
+
+def test_numpy_from_apt_is_what_pylsl_needs() -> None:
+    # Else pip would put another one over the one that the messages were built with.
+    requirements = metadata.requires("pylsl") or []
+    assert [text for text in requirements if "extra" not in text] == ["numpy<3,>=1.21"]
+
+
+def test_colcon_builds_it_by_the_type_that_it_exports() -> None:
+    assert _manifest().findtext("export/build_type") == "ament_python"

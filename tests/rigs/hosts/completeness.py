@@ -1,0 +1,158 @@
+"""Whether what was received is all that was sent: every sample once, in order.
+
+A reference received the same streams on a way where nothing can be lost. What was
+observed must be a part of it without a hole. Values tell where the part begins; where
+they repeat themselves, as a battery's, the times of arrival tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.rigs.hosts.recordings import Recording
+
+# How far two receivers' times of arrival may be apart on a busy machine.
+MARGIN_S = 2.0
+_WINDOW_S = 5.0
+_EQUALLY_NEAR_S = 0.005
+
+Codes = NDArray[np.int64]
+
+
+class Span(NamedTuple):
+    """A time, in seconds of Unix time; its end is not part of it."""
+
+    start: float
+    end: float
+
+    def holds(self, times: NDArray[np.float64]) -> NDArray[np.bool_]:
+        return (times >= self.start) & (times < self.end)
+
+    def windows(self) -> list[Span]:
+        """Cut it into equal parts of some seconds."""
+        count = max(1, int((self.end - self.start) / _WINDOW_S))
+        edges = np.linspace(self.start, self.end, count + 1)
+        return [Span(float(a), float(b)) for a, b in pairwise(edges)]
+
+
+def fault(
+    reference: Recording,
+    observed: Recording,
+    required: Span,
+    calm: Sequence[Span],
+    unfilled: int = 0,
+) -> str:
+    """Say what is wrong with what was observed; an empty text if nothing is.
+
+    Parameters
+    ----------
+    reference
+        All that was sent, from `MARGIN_S` before the required time to as long after it.
+    observed
+        What came of it, in order.
+    required
+        What the reference received in this time must be in *observed*.
+    calm
+        When samples come to both at about the same time.
+    unfilled
+        How many samples at the end may still wait for their chunk to be full.
+    """
+    wanted = np.flatnonzero(required.holds(reference.arrivals))
+    part = observed.between(required.start - MARGIN_S, required.end + MARGIN_S)
+    if not len(part.rows):
+        return f"nothing came of {len(wanted)} samples" if len(wanted) > unfilled else ""
+    whole_codes, codes = _codes(reference, part)
+    starts = _starts(whole_codes, codes)
+    if not starts:
+        return f"{_missing(whole_codes, codes)} between the first and the last of {len(codes)}"
+    start = _punctual(reference, part, starts, calm)
+    if start is None:
+        return "it fits what was sent, but not always when it was sent: samples are missing"
+    if not len(wanted):
+        return ""
+    begin, end = start, start + len(codes)
+    early, late = begin - int(wanted[0]), int(wanted[-1]) + 1 - end
+    if early > 0 or late > unfilled:
+        return f"{max(0, early)} samples are missing at the begin, {max(0, late)} at the end"
+    return ""
+
+
+def delays(reference: Recording, observed: Recording) -> NDArray[np.float64]:
+    """Seconds by which each sample came later than to the reference; shape (n,).
+
+    Raises
+    ------
+    ValueError
+        If it is unclear which samples were observed.
+    """
+    starts = _starts(*_codes(reference, observed))
+    if len(starts) != 1:
+        raise ValueError(f"it fits what was sent in {len(starts)} places")
+    sent = reference.arrivals[starts[0] : starts[0] + len(observed.rows)]
+    return observed.arrivals - sent
+
+
+def _starts(whole: Codes, part: Codes) -> list[int]:
+    """Where the values allow the part to begin."""
+    candidates = np.flatnonzero(whole[: max(0, len(whole) - len(part) + 1)] == part[0])
+    return [int(at) for at in candidates if np.array_equal(whole[at : at + len(part)], part)]
+
+
+def _missing(whole: Codes, part: Codes) -> str:
+    """Tell from the places of its first and last samples how many are missing in between."""
+    size = min(100, len(part) // 2)
+    first, last = _starts(whole, part[:size]), _starts(whole, part[len(part) - size :])
+    if not size or len(first) != 1 or len(last) != 1:
+        return "a hole or a swap"
+    return f"{last[0] - first[0] - (len(part) - size)} samples are missing"
+
+
+def _codes(reference: Recording, part: Recording) -> tuple[Codes, Codes]:
+    """Number the different samples: equal ones get one number, NaN like any value."""
+    rows = np.concatenate([reference.rows, part.rows])
+    if rows.dtype.kind == "f":
+        rows = np.where(np.isnan(rows), np.float32(np.nan), rows)
+    size = rows.dtype.itemsize * rows.shape[1]
+    whole_rows = np.ascontiguousarray(rows).view(np.dtype((np.void, size))).ravel()
+    codes = np.unique(whole_rows, return_inverse=True)[1]
+    return codes[: len(reference.rows)], codes[len(reference.rows) :]
+
+
+def _punctual(
+    reference: Recording, part: Recording, starts: Sequence[int], calm: Sequence[Span]
+) -> int | None:
+    """Choose the place at which the part came when the reference did, all the time.
+
+    A sample that is missing where all values are equal makes one place right before it
+    and another one behind it, so that none is left.
+    """
+    whole, codes = _codes(reference, part)
+    # A chunk comes when its last sample has come.
+    last = np.flatnonzero(np.diff(part.arrivals, append=np.inf) > 0)
+
+    def distance(start: int, here: NDArray[np.int64]) -> float:
+        return float(np.median(np.abs(part.arrivals[here] - reference.arrivals[start + here])))
+
+    remaining = list(starts)
+    for window in (each for span in calm for each in span.windows()):
+        here = last[window.holds(part.arrivals[last])]
+        if len(here):
+            rivals = _rivals(whole, codes, starts, slice(here[0], here[-1] + 1))
+            nearest = min(distance(start, here) for start in rivals) + _EQUALLY_NEAR_S
+            remaining = [start for start in remaining if distance(start, here) <= nearest]
+    return min(remaining, key=lambda start: distance(start, last), default=None)
+
+
+def _rivals(whole: Codes, part: Codes, starts: Sequence[int], here: slice) -> set[int]:
+    """Return the places, and those beside them that fit as well in one piece of the part."""
+    fitting = set(starts)
+    for start in (each + step for each in starts for step in (-1, 1)):
+        begin, end = start + here.start, start + here.stop
+        if begin >= 0 and np.array_equal(whole[begin:end], part[here]):
+            fitting.add(start)
+    return fitting

@@ -1,0 +1,209 @@
+"""Agent and node on computers of a network, with those who watch what they do."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple, Self
+
+from biosensor_common import naming
+from biosensor_common.registry import sensor
+from biosensor_common.spec import DeviceIdentity
+from tests.rigs.hosts import recordings
+from tests.rigs.hosts.completeness import Span, fault
+from tests.rigs.hosts.lan import Host, Lan
+from tests.rigs.hosts.programs import Program, SteeredProgram
+from tests.rigs.hosts.recordings import Recording
+
+SENSORS = (
+    "empatica_e4",
+    "emotiv_insight",
+    "shimmer3_gsr",
+    "polar_h10",
+    "vernier_respiration_belt",
+    "zephyr",
+    "ble_heart_rate",
+)
+# Of the slowest stream, at 4 Hz, one fills in four seconds.
+CHUNK_LENGTH = 16
+MATCH_TIMEOUT_S = 60.0
+_VIRTUAL_UNIT = "virtual"
+
+
+class Place(NamedTuple):
+    """Where one stream goes; *chunks* is empty if it has no chunk topic."""
+
+    topic: str
+    chunks: str
+
+
+class Places(NamedTuple):
+    """On which computer each program runs; the receiver is the LSL reference."""
+
+    agent: str
+    node: str
+    subscriber: str
+    receiver: str
+
+
+def expected_places(agent_host: str) -> dict[str, Place]:
+    """All streams of an agent with a virtual device of every kind, by source_id."""
+    identities = [DeviceIdentity(name, _VIRTUAL_UNIT) for name in SENSORS]
+    places = {
+        naming.source_id(identity, stream.data_name): Place(
+            _topic(identity, stream.data_name),
+            f"{_topic(identity, stream.chunk)}_chunk" if stream.chunk else "",
+        )
+        for identity in identities
+        for stream in sensor(identity.sensor).streams
+    }
+    counters = _topic(DeviceIdentity("gateway", agent_host), "counters")
+    return places | {source_of_counters(agent_host): Place(counters, "")}
+
+
+def source_of_counters(agent_host: str) -> str:
+    """source_id of an agent's own counters."""
+    return naming.source_id(DeviceIdentity("gateway", agent_host), "counters")
+
+
+def _topic(identity: DeviceIdentity, data_name: str) -> str:
+    return f"/{naming.topic(identity, data_name)}"
+
+
+class Observation(NamedTuple):
+    """What the watchers have received.
+
+    Attributes
+    ----------
+    streams
+        By source_id, as LSL carried them.
+    topics
+        By name, as the subscriber got them.
+    diagnostics
+        Unix time and, by topic, the facts of its status.
+    """
+
+    streams: dict[str, Recording]
+    topics: dict[str, Recording]
+    diagnostics: list[tuple[float, dict[str, dict[str, str]]]]
+
+    def facts_at(self, time_s: float) -> dict[str, dict[str, str]]:
+        """Return the first diagnostics that came from a time on."""
+        return next(facts for came, facts in self.diagnostics if came >= time_s)
+
+    def faults(
+        self, places: Mapping[str, Place], required: Span, calm: Sequence[Span]
+    ) -> dict[str, str]:
+        """Say by topic what is wrong with what the subscriber got; see `completeness.fault`."""
+        checked = {
+            topic: fault(self.streams[source], self.topics[topic], required, calm, unfilled)
+            for source, place in places.items()
+            for topic, unfilled in ((place.topic, 0), (place.chunks, CHUNK_LENGTH - 1))
+            if topic
+        }
+        return {topic: what for topic, what in checked.items() if what}
+
+
+class Pair:
+    """The running programs; a context manager.
+
+    Parameters
+    ----------
+    environment
+        Of all programs; each computer gets a folder of state of its own.
+    best_effort
+        Topic that the subscriber receives a second time, best effort.
+    """
+
+    def __init__(
+        self,
+        lan: Lan,
+        places: Places,
+        environment: Mapping[str, str],
+        folder: Path,
+        best_effort: str = "",
+    ) -> None:
+        self._lan, self._places = lan, places
+        self._environment, self._folder = environment, folder
+        self._best_effort = best_effort
+        self._stack = ExitStack()
+        self.expected = expected_places(places.agent)
+
+    def __enter__(self) -> Self:
+        places = self._places
+        with ExitStack() as stack:
+            self._receiver = stack.enter_context(
+                SteeredProgram(*self._on(places.receiver), "tests.rigs.hosts.receiver")
+            )
+            self._subscriber = stack.enter_context(
+                SteeredProgram(
+                    *self._on(places.subscriber),
+                    "tests.rigs.hosts.subscriber",
+                    *(("--best-effort", self._best_effort) if self._best_effort else ()),
+                )
+            )
+            chunks = ("--ros-args", "-p", f"Chunk_Length:={CHUNK_LENGTH}")
+            self.node = stack.enter_context(
+                Program(*self._on(places.node), "lsl_to_ros.node", *chunks)
+            )
+            simulate = ("run", "--simulate", "all")
+            self.agent = stack.enter_context(
+                Program(*self._on(places.agent), "biosensor_gateway.cli", *simulate)
+            )
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
+
+    def await_matched(self) -> None:
+        """Wait until every stream is received and every topic has its reader, on both sides.
+
+        Raises
+        ------
+        TimeoutError
+            With what is missing.
+        """
+        end = time.monotonic() + MATCH_TIMEOUT_S
+        while missing := self._unmatched():
+            if time.monotonic() > end:
+                said = f"{self.agent.last_words}\n{self.node.last_words}"
+                raise TimeoutError(f"not matched: {missing}\n{said}")
+            time.sleep(0.5)
+
+    def observe(self) -> Observation:
+        """Fetch what the watchers have received so far."""
+        streams, topics = self._folder / "streams.npz", self._folder / "topics.npz"
+        self._receiver.ask("save", path=str(streams))
+        self._subscriber.ask("save", path=str(topics))
+        diagnostics = json.loads(topics.with_suffix(".json").read_text())
+        return Observation(
+            recordings.load(streams),
+            recordings.load(topics),
+            [(came, facts) for came, facts in diagnostics],
+        )
+
+    def _on(self, name: str) -> tuple[Host, dict[str, str], Path]:
+        state = {"BIOSENSOR_GATEWAY_STATE": str(self._folder / f"state-{name}")}
+        return self._lan[name], {**self._environment, **state}, self._folder
+
+    def _unmatched(self) -> list[str]:
+        received = self._receiver.ask("state")
+        state = self._subscriber.ask("state")
+        matched, facts = set(state["matched"]), state["diagnostics"]
+        missing: list[str] = []
+        for source, place in self.expected.items():
+            topics = [topic for topic in place if topic]
+            readers = int(facts.get(place.topic, {}).get("subscribers", 0))
+            if source not in received or readers < len(topics) or not matched.issuperset(topics):
+                missing.append(source)
+        return missing

@@ -1,0 +1,207 @@
+"""What needs a sender's clock waits for it, and then goes out once and in order."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import Temperature
+from std_msgs.msg import Float32
+
+from biosensor_common.quantities import MessageType
+from biosensor_gateway.outlets import Counters, counters_text
+from lsl_to_ros import bridge as bridge_module
+from lsl_to_ros.blocks import Block
+from lsl_to_ros.bridge import Bridge, Outputs
+from lsl_to_ros.outputs import CountersWriter
+from lsl_to_ros.parameters import StreamSettings
+from lsl_to_ros.tally import Refusals, Tally
+from lsl_to_ros.twins import TemperatureWriter
+from lsl_to_ros.writers import NumberWriter
+from tests.rigs.recorded_topics import Clocks, RecordedPort, header_of
+
+if TYPE_CHECKING:
+    from tests.ros.conftest import Ros
+
+SETTINGS = StreamSettings(raw=True, chunk=True, chunk_length=4)
+OFFSET_S = 12.5
+
+
+class Skin:
+    """Skin temperature, which has a raw topic and one with a stamp."""
+
+    def __init__(self, ros: Ros, correction: float | None = None) -> None:
+        header = header_of("zephyr", "st")
+        self.clocks = Clocks(ros.node, correction)
+        self.raw, self.timed = RecordedPort(Float32), RecordedPort(Temperature)
+        self.tally = Tally()
+        self.warnings: list[str] = []
+        refuse = Refusals(header, self.tally, self.warnings.append)
+        outputs = Outputs(
+            raw=NumberWriter(self.raw, MessageType.FLOAT32, 1, refuse),
+            timed=[TemperatureWriter(self.timed, header, "zephyr", self.clocks)],
+        )
+        self.bridge = Bridge(header, outputs, SETTINGS, self.tally, self.clocks, refuse)
+
+    def send(self, *stamps: float) -> None:
+        """Send a block of samples that have their stamps as values."""
+        values = np.array(stamps)[:, np.newaxis]
+        self.bridge.receive(Block(values, np.array(stamps)))
+
+    def measure(self) -> None:
+        self.clocks.correction = OFFSET_S
+        self.bridge.clock_known()
+
+    def expect(self, *stamps: float) -> None:
+        messages = self.timed.messages
+        assert [message.temperature for message in messages] == list(stamps)
+        times = [self.clocks.ros_time.to_msg(stamp + OFFSET_S) for stamp in stamps]
+        assert [message.header.stamp for message in messages] == times
+
+
+@pytest.fixture
+def skin(ros: Ros) -> Skin:
+    return Skin(ros)
+
+
+def test_what_came_before_the_clock_is_written_once_it_is_known(skin: Skin) -> None:
+    skin.send(1.0)
+    skin.send(2.0, 3.0)
+    assert skin.raw.values == [1.0, 2.0, 3.0]
+    skin.expect()
+    skin.measure()
+    skin.expect(1.0, 2.0, 3.0)
+    skin.bridge.clock_known()
+    skin.send(4.0)
+    skin.expect(1.0, 2.0, 3.0, 4.0)
+    assert (skin.tally.unstamped, skin.tally.unfit) == (0, 0)
+    skin.bridge.end(0)
+    assert skin.tally.unstamped == 0
+
+
+def test_what_comes_between_measurement_and_word_of_it_keeps_its_place(skin: Skin) -> None:
+    skin.send(1.0)
+    skin.clocks.correction = OFFSET_S
+    skin.send(2.0)
+    skin.expect()
+    skin.bridge.clock_known()
+    skin.send(3.0)
+    skin.expect(1.0, 2.0, 3.0)
+
+
+def test_a_known_clock_makes_nothing_wait(ros: Ros) -> None:
+    skin = Skin(ros, OFFSET_S)
+    skin.send(1.0)
+    skin.send(2.0)
+    skin.expect(1.0, 2.0)
+
+
+def test_what_waits_does_not_change_with_the_memory_that_it_came_in(skin: Skin) -> None:
+    values, stamps = np.array([[1.0], [2.0]], np.float32), np.array([1.0, 2.0])
+    skin.bridge.receive(Block(values, stamps))
+    values[:], stamps[:] = 0.0, 0.0
+    skin.measure()
+    skin.expect(1.0, 2.0)
+
+
+def test_a_clock_that_stays_unknown_is_counted(skin: Skin) -> None:
+    skin.send(1.0)
+    skin.send(2.0, 3.0)
+    skin.bridge.end(0)
+    assert skin.tally.unstamped == 3
+    skin.measure()
+    skin.expect()
+    skin.send(4.0)
+    skin.expect(4.0)
+
+
+def test_what_nobody_reads_does_not_wait(skin: Skin) -> None:
+    skin.timed.set_readers(0)
+    skin.send(1.0)
+    skin.timed.set_readers(1)
+    skin.send(2.0)
+    skin.measure()
+    skin.expect(2.0)
+    assert skin.tally.unstamped == 0
+
+
+def test_what_is_latched_waits_without_a_reader(ros: Ros) -> None:
+    skin = Skin(ros)
+    skin.timed.set_readers(0)
+    skin.timed.latched = True
+    skin.send(1.0)
+    skin.measure()
+    skin.expect(1.0)
+
+
+def test_the_oldest_give_way_and_are_counted(ros: Ros, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bridge_module, "HELD_RUNS", 3)
+    skin = Skin(ros)
+    skin.send(1.0, 2.0)
+    for stamp in (3.0, 4.0, 5.0, 6.0):
+        skin.send(stamp)
+    assert skin.tally.unstamped == 3
+    skin.measure()
+    skin.expect(4.0, 5.0, 6.0)
+
+
+def test_a_silenced_stream_lets_nothing_wait(skin: Skin) -> None:
+    skin.bridge.settings = StreamSettings(raw=False, chunk=False, chunk_length=4)
+    skin.send(1.0)
+    skin.measure()
+    skin.expect()
+    skin.bridge.end(0)
+    assert skin.tally.unstamped == 0
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e300, 3e9])
+def test_a_stamp_that_is_no_time_costs_its_own_sample_only(ros: Ros, bad: float) -> None:
+    skin = Skin(ros, OFFSET_S)
+    skin.send(1.0, bad, 3.0)
+    skin.send(4.0)
+    assert len(skin.raw.messages) == 4
+    skin.expect(1.0, 3.0, 4.0)
+    assert skin.tally.unfit == 1
+    assert len(skin.warnings) == 1
+
+
+class Agent:
+    """The agent's counters, whose raw message needs the time."""
+
+    def __init__(self, ros: Ros) -> None:
+        header = header_of("gateway", "counters")
+        self.clocks = Clocks(ros.node, OFFSET_S)
+        self.port = RecordedPort(DiagnosticArray)
+        self.tally = Tally()
+        self.warnings: list[str] = []
+        refuse = Refusals(header, self.tally, self.warnings.append)
+        outputs = Outputs(timed=[CountersWriter(self.port, self.clocks)])
+        self.bridge = Bridge(header, outputs, SETTINGS, self.tally, self.clocks, refuse)
+
+    def send(self, *texts: str) -> None:
+        samples: np.ndarray[Any, Any] = np.array([[text] for text in texts], object)
+        self.bridge.receive(Block(samples, np.arange(1.0, 1.0 + len(texts))))
+
+
+def report(pushed: int) -> str:
+    return counters_text({"zephyr-U1-ecg": Counters(pushed=pushed, lost=0, last_stamp=1.0)})
+
+
+def test_the_agents_counters_have_a_stamp_of_their_own(ros: Ros) -> None:
+    agent = Agent(ros)
+    agent.send(report(1), report(2))
+    stamps = [message.header.stamp for message in agent.port.messages]
+    assert stamps == [agent.clocks.ros_time.to_msg(s + OFFSET_S) for s in (1.0, 2.0)]
+    assert (agent.tally.unfit, agent.warnings) == (0, [])
+
+
+def test_a_report_that_no_agent_writes_costs_itself_only(ros: Ros) -> None:
+    agent = Agent(ros)
+    agent.send(report(1), "nonsense", report(3))
+    pushed = [message.status[0].values[0].value for message in agent.port.messages]
+    assert [float(value) for value in pushed] == [1.0, 3.0]
+    assert agent.tally.unfit == 1
+    assert len(agent.warnings) == 1

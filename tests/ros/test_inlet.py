@@ -1,0 +1,171 @@
+"""An inlet against real outlets: every sample comes once, in order and as it is."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pylsl
+import pytest
+
+from lsl_to_ros.inlets import BATCH_SAMPLES, InletState
+from lsl_to_ros.liblsl import samples_available
+from tests.rigs.lsl_streams import (
+    DEADLINE_S,
+    Collector,
+    Open,
+    Source,
+    drain_until,
+    inlets,
+    keep_lsl_inlets,
+    wait_until,
+)
+
+
+@pytest.fixture
+def warnings() -> list[str]:
+    return []
+
+
+@pytest.fixture
+def open_inlet(warnings: list[str]) -> Iterator[Open]:
+    with inlets(warnings.append) as open_:
+        yield open_
+
+
+@pytest.fixture
+def lsl_inlets(monkeypatch: pytest.MonkeyPatch) -> list[pylsl.StreamInlet]:
+    return keep_lsl_inlets(monkeypatch)
+
+
+@pytest.mark.parametrize(
+    ("channel_format", "dtype", "sample"),
+    [
+        ("float32", np.float32, [0.5, float("nan"), float("inf")]),
+        ("double64", np.float64, [0.1, 1e300, -5e-324]),
+        ("int32", np.int32, [2**31 - 1, -(2**31), 0]),
+        ("int16", np.int16, [2**15 - 1, -(2**15), 0]),
+        ("int8", np.int8, [127, -128, 0]),
+        ("int64", np.int64, [2**63 - 1, -(2**63), 0]),
+    ],
+)
+@pytest.mark.parametrize("count", [1, 3])
+def test_numbers_of_every_format_come_as_they_are(
+    open_inlet: Open, channel_format: str, dtype: type[Any], sample: list[Any], count: int
+) -> None:
+    source = Source(channel_format, len(sample))
+    inlet, receiver = open_inlet(source.find()), Collector()
+    inlet.deliver_to(receiver)
+    pushed = np.array([sample] * count, dtype)
+    source.outlet.push_chunk(pushed, [5.0 + number for number in range(count)])
+    drain_until(inlet, receiver, count)
+    received = np.concatenate([block.samples for block in receiver.blocks])
+    assert received.dtype == dtype
+    assert received.tobytes() == pushed.tobytes()
+    assert receiver.stamps == [5.0 + number for number in range(count)]
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_text_is_decoded(open_inlet: Open, count: int) -> None:
+    source = Source("string", 3)
+    inlet, receiver = open_inlet(source.find()), Collector()
+    inlet.deliver_to(receiver)
+    for _ in range(count):
+        source.outlet.push_sample(["Größe ☃".encode(), "Größe".encode("latin-1"), b""], 5.0)
+    drain_until(inlet, receiver, count)
+    assert receiver.samples == [["Größe ☃", "Größe", ""]] * count
+
+
+@pytest.mark.parametrize("count", [1, BATCH_SAMPLES, BATCH_SAMPLES + 1, 5 * BATCH_SAMPLES])
+def test_what_waits_in_the_inlet_is_drained_in_order(
+    open_inlet: Open, lsl_inlets: list[pylsl.StreamInlet], count: int
+) -> None:
+    source = Source(channels=2)
+    inlet, receiver = open_inlet(source.find()), Collector()
+    (lsl,) = lsl_inlets
+    source.push(count)
+    # Nobody has to be there when a sample comes.
+    wait_until(lambda: samples_available(lsl) == count, "all samples in the inlet")
+    inlet.drain()
+    assert receiver.count == 0
+    inlet.deliver_to(receiver)
+    inlet.drain()
+    receiver.assert_all(0, count)
+    inlet.drain()
+    inlet.peek()
+    assert receiver.count == count
+    source.push(1)
+    wait_until(lambda: samples_available(lsl) == 1, "one more")
+    inlet.peek()
+    receiver.assert_all(0, count + 1)
+
+
+def test_a_follower_delivers_what_comes_until_it_is_not_wanted_any_more(open_inlet: Open) -> None:
+    source = Source()
+    inlet, receiver = open_inlet(source.find()), Collector(wants_each_sample=True)
+    inlet.deliver_to(receiver)
+    assert inlet.wants_each_sample
+    follower = threading.Thread(target=inlet.follow, args=(lambda: inlet.wants_each_sample,))
+    follower.start()
+    for count in (1, 1, 7, 2000, 1):
+        source.push(count)
+        pushed = source.pushed
+        wait_until(lambda pushed=pushed: receiver.count == pushed, "all that was pushed")
+    receiver.wants_each_sample = False
+    assert not inlet.wants_each_sample
+    follower.join(DEADLINE_S)
+    assert not follower.is_alive()
+    source.push(5)
+    drain_until(inlet, receiver, source.pushed)
+    receiver.assert_all(0, source.pushed)
+    assert inlet.state is InletState.READY
+
+
+def test_several_that_read_at_once_disturb_no_order(open_inlet: Open) -> None:
+    source = Source()
+    inlet, receiver = open_inlet(source.find()), Collector()
+    inlet.deliver_to(receiver)
+    is_over = threading.Event()
+
+    def repeat(work: Callable[[], None]) -> None:
+        while not is_over.is_set():
+            work()
+
+    def follow_a_while() -> None:
+        turns = iter(range(5))
+        inlet.follow(lambda: next(turns, None) is not None and not is_over.is_set())
+
+    threads = [
+        threading.Thread(target=repeat, args=(work,))
+        for work in (inlet.drain, inlet.peek, inlet.drain, follow_a_while)
+    ]
+    for thread in threads:
+        thread.start()
+    for count in [1, 3, 50, 1, 700] * 20:
+        source.push(count)
+    wait_until(lambda: receiver.count >= source.pushed, "all that was pushed")
+    is_over.set()
+    for thread in threads:
+        thread.join(DEADLINE_S)
+    receiver.assert_all(0, source.pushed)
+
+
+def test_each_sample_goes_to_one_of_several_receivers(open_inlet: Open) -> None:
+    source = Source()
+    inlet = open_inlet(source.find())
+    receivers: list[Collector] = []
+    starts: list[int] = []
+    for count in (10, 2000, 1, 30):
+        receiver = Collector()
+        inlet.deliver_to(receiver)
+        if receivers:
+            assert receivers[-1].ends == [0]
+        receivers.append(receiver)
+        starts.append(source.pushed)
+        source.push(count)
+        drain_until(inlet, receiver, count)
+    for receiver, start, end in zip(receivers, starts, [*starts[1:], source.pushed], strict=True):
+        receiver.assert_all(start, end)
+    assert receivers[-1].ends == []

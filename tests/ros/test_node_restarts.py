@@ -1,0 +1,207 @@
+"""Programs and the node itself are killed and come back; how long their topics are silent."""
+
+from __future__ import annotations
+
+import signal
+import statistics
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+
+import pylsl
+import pytest
+from std_msgs.msg import Float32MultiArray
+
+if TYPE_CHECKING:
+    from tests.ros.conftest import Ros, RunningNode
+
+Start = Callable[..., "RunningNode"]
+
+# The requirement is the median; a single return may fall into a busy moment.
+MEDIAN_S = 2.0
+SINGLE_S = 6.0
+NODE_SINGLE_S = 8.0
+RATE_HZ = 100.0
+RETURNS = 3
+
+# Each sample is the number of the outlet's life. The clock is that of the whole machine.
+FLOWING = """
+import sys, time, pylsl
+name, source_id, rate, life = sys.argv[1:]
+info = pylsl.StreamInfo(name, "EEG", 1, float(rate), "float32", source_id)
+outlet = pylsl.StreamOutlet(info)
+print(pylsl.local_clock(), flush=True)
+while True:
+    outlet.push_sample([float(life)])
+    time.sleep(1 / float(rate))
+"""
+
+# Two lines are read: each lets so many samples out, in one go and without a gap between them.
+BURSTING = """
+import sys, numpy, pylsl
+name, rate = sys.argv[1], float(sys.argv[2])
+outlet = pylsl.StreamOutlet(pylsl.StreamInfo(name, "EEG", 1, rate, "float32", "id of " + name))
+print(pylsl.local_clock(), flush=True)
+begun, pushed = pylsl.local_clock(), 0
+for line in sys.stdin:
+    numbers = numpy.arange(pushed, pushed + int(line))
+    outlet.push_chunk(numbers.astype(numpy.float32)[:, None], list(begun + numbers / rate))
+    pushed += len(numbers)
+    print(pushed, flush=True)
+"""
+
+
+class Program:
+    """Another program with one outlet, in a process of its own."""
+
+    def __init__(self, script: str, *arguments: str) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", script, *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        self.up_s = float(self._read())
+        """When its outlet was there, on the LSL clock."""
+
+    def push(self, count: int) -> None:
+        """Let it push samples; return when it has handed them to LSL."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(f"{count}\n")
+        self._process.stdin.flush()
+        self._read()
+
+    def kill(self) -> None:
+        """End it without a chance to close anything."""
+        self._process.kill()
+        self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout):
+            assert pipe is not None
+            pipe.close()
+
+    @property
+    def is_running(self) -> bool:
+        return self._process.poll() is None
+
+    def _read(self) -> str:
+        assert self._process.stdout is not None
+        return self._process.stdout.readline()
+
+
+@pytest.fixture
+def run() -> Iterator[Callable[..., Program]]:
+    """Run programs until the end of the test."""
+    programs: list[Program] = []
+
+    def begin(script: str, *arguments: object) -> Program:
+        programs.append(Program(script, *map(str, arguments)))
+        return programs[-1]
+
+    yield begin
+    for program in programs:
+        if program.is_running:
+            program.kill()
+
+
+def first_of(ros: Ros, heard: list[Any], life: int) -> float:
+    """Wait for a sample of that life of the outlet; return when it arrived."""
+    ros.until(lambda: any(message.data[0] == life for message in heard), f"life {life}")
+    return pylsl.local_clock()
+
+
+IDS: dict[str, list[tuple[str, float]]] = {
+    "same id": [("one id", RATE_HZ)] * (RETURNS + 1),
+    "empty id": [("", RATE_HZ)] * (RETURNS + 1),
+    "new ids": [(f"id {number}", RATE_HZ) for number in range(RETURNS + 1)],
+    "other rates": [("rated id", RATE_HZ + 50.0 * number) for number in range(RETURNS + 1)],
+}
+
+
+@pytest.mark.parametrize("case", IDS)
+def test_a_killed_program_flows_again_within_two_seconds_of_its_return(
+    ros: Ros, start_node: Start, run: Callable[..., Program], case: str
+) -> None:
+    node = start_node()
+    name = case.replace(" ", "_")
+    topic = f"/biosensors/{name}/EEG"
+    heard: list[Any] = ros.listen(Float32MultiArray, topic)
+    silent_s: list[float] = []
+    for life, (source_id, rate) in enumerate(IDS[case]):
+        program = run(FLOWING, name, source_id, rate, life)
+        silent_s.append(first_of(ros, heard, life) - program.up_s)
+        ros.report()
+        status = ros.status(topic)
+        assert status is not None
+        assert float(status["rate_nominal"]) == rate
+        program.kill()
+    # The first life is a start, not a return.
+    returns_s = silent_s[1:]
+    print(f"{case}: samples {[f'{value:.2f}' for value in returns_s]} s after the outlet was up")
+    assert max(returns_s) < SINGLE_S
+    assert statistics.median(returns_s) < MEDIAN_S
+    lives = [message.data[0] for message in heard]
+    assert lives == sorted(lives)
+    assert node.count("[WARN]", f"{topic[1:]}: the stream came back as") == (
+        RETURNS if case == "other rates" else 0
+    )
+
+
+def test_a_killed_node_publishes_again_within_two_seconds_of_its_start(
+    ros: Ros, start_node: Start, run: Callable[..., Program]
+) -> None:
+    topic = "/biosensors/survivor/EEG"
+    heard: list[Any] = ros.listen(Float32MultiArray, topic)
+    run(FLOWING, "survivor", "id of survivor", RATE_HZ, 1)
+    silent_s: list[float] = []
+    for _ in range(RETURNS + 1):
+        begun_s = pylsl.local_clock()
+        node = start_node()
+        first_of(ros, heard, 1)
+        silent_s.append(pylsl.local_clock() - begun_s)
+        assert node.signal(signal.SIGKILL) == -signal.SIGKILL
+        # What was on its way must not be taken for the next node's.
+        ros.spin(0.5)
+        heard.clear()
+        ros.spin(0.5)
+        assert not heard
+    returns_s = silent_s[1:]
+    print(f"samples {[f'{value:.2f}' for value in returns_s]} s after the node's start")
+    assert max(returns_s) < NODE_SINGLE_S
+    assert statistics.median(returns_s) < MEDIAN_S
+
+
+def test_what_lsl_drops_with_a_dead_program_is_said_and_counted(
+    ros: Ros, start_node: Start, run: Callable[..., Program]
+) -> None:
+    node = start_node()
+    name, topic = "bursting", "/biosensors/bursting/EEG"
+    before, burst = 10, 2000
+    pushed = dropped = 0
+
+    def is_balanced() -> bool:
+        status = ros.status(topic)
+        if status is None or not status["lost"].startswith("about "):
+            return False
+        lost = int(status["lost"].removeprefix("about "))
+        return (lost > 0, int(status["received"]) + lost) == (dropped > 0, pushed)
+
+    # Whether the node reads all before it sees the end is a matter of milliseconds.
+    while not dropped:
+        program = run(BURSTING, name, 1000)
+        ros.attached(topic)
+        program.push(before)
+        pushed += before
+        ros.until(is_balanced, "the first samples")
+        # It does not come to read until the program is dead, as on a machine that is busy.
+        node.send(signal.SIGSTOP)
+        program.push(burst)
+        ros.spin(0.5)
+        program.kill()
+        node.send(signal.SIGCONT)
+        pushed += burst
+        ros.until(lambda: topic not in ros.present(), "its end")
+        dropped = node.count("[WARN]", f"{topic[1:]}: ", "samples were lost with the connection")
+    program = run(BURSTING, name, 1000)
+    ros.attached(topic)
+    ros.until(is_balanced, "the sum of all samples")

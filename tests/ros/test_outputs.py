@@ -1,0 +1,175 @@
+"""Which topics a stream opens, and that real subscribers get what is written to them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from std_msgs.msg import (
+    Float32MultiArray,
+    Float64MultiArray,
+    Int32MultiArray,
+    Int64MultiArray,
+    String,
+)
+
+from biosensor_common.naming import TopicName
+from biosensor_common.quantities import ChannelFormat, MessageType
+from biosensor_common.registry import sensor, sensor_names
+from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
+from lsl_to_ros.blocks import Run
+from lsl_to_ros.bridge import Outputs
+from lsl_to_ros.messages import CLASSES
+from lsl_to_ros.outputs import HAS_STAMPED_TOPICS, is_latched, open_outputs
+from lsl_to_ros.ports import Port, Ports
+from lsl_to_ros.tally import Lost
+from lsl_to_ros.twins import TWINS
+from lsl_to_ros.writers import ChunkWriter, NumberWriter, StreamContext
+from tests.rigs.recorded_topics import Clocks, header_of
+
+if TYPE_CHECKING:
+    from tests.ros.conftest import Ros
+
+
+@pytest.fixture
+def ports(ros: Ros) -> Iterator[Ports]:
+    ports = Ports(ros.node)
+    yield ports
+    ports.close(lambda _: True)
+
+
+def must_not_refuse(count: int, reason: str) -> None:
+    pytest.fail(f"{count} refused: {reason}")
+
+
+def context(ros: Ros, header: StreamHeader, base: str) -> StreamContext:
+    return StreamContext(
+        header=header,
+        topic=TopicName(base, header.data_name),
+        frame_id=header.identity.sensor,
+        stamping=Clocks(ros.node),
+        lost=lambda: Lost(0, is_estimated=False),
+        refuse=must_not_refuse,
+    )
+
+
+def kinds(outputs: Outputs, base: str) -> dict[str, str]:
+    return {port.topic.removeprefix(f"{base}/"): port.type_name for port in outputs.ports}
+
+
+STREAMS = [(name, stream.data_name) for name in sensor_names() for stream in sensor(name).streams]
+
+
+@pytest.mark.parametrize(("sensor_name", "data_name"), STREAMS)
+def test_the_topics_of_a_declared_stream(
+    ros: Ros, ports: Ports, sensor_name: str, data_name: str
+) -> None:
+    header = header_of(sensor_name, data_name)
+    base = f"topics/{sensor_name}"
+    outputs = open_outputs(ports, context(ros, header, base))
+    expected = {data_name: header.message_type.value}
+    expected |= {
+        name: f"sensor_msgs/msg/{twin.message_class.__name__}"
+        for twin in TWINS
+        if (name := twin.topic_of(header))
+    }
+    if header.chunk:
+        expected[f"{header.chunk}_chunk"] = MessageType.FLOAT32_MULTI_ARRAY.value
+    has_time = header.message_type is MessageType.DIAGNOSTIC_ARRAY
+    if HAS_STAMPED_TOPICS and not has_time:
+        kind = "Event" if header.message_type.is_text else "Samples"
+        expected[f"{data_name}_stamped"] = f"biosensor_msgs/msg/{kind}"
+    assert kinds(outputs, base) == expected
+    assert (outputs.raw is None) == has_time
+    latched = {port.latched for port in outputs.ports}
+    assert latched == {data_name in ("bat", "rssi", "dev")}
+    assert outputs.of_samples[0].port.topic == f"{base}/{data_name}"
+
+
+def test_a_declared_chunk_name_is_kept_where_the_topic_has_another_name(
+    ros: Ros, ports: Ports
+) -> None:
+    breathing = context(ros, header_of("zephyr", "breathing"), "names/zephyr")
+    assert open_outputs(ports, breathing).ports[-1].topic == "names/zephyr/br_chunk"
+    ecg = context(ros, header_of("zephyr", "ecg"), "names/zephyr")._replace(
+        topic=TopicName("names/zephyr", "ecg_x75_U1")
+    )
+    assert open_outputs(ports, ecg).ports[-1].topic == "names/zephyr/ecg_x75_U1_chunk"
+
+
+@pytest.mark.parametrize(
+    ("channel_format", "kind", "chunk"),
+    [
+        (ChannelFormat.FLOAT32, Float32MultiArray, Float32MultiArray),
+        (ChannelFormat.DOUBLE64, Float64MultiArray, Float64MultiArray),
+        (ChannelFormat.INT8, Int32MultiArray, Int32MultiArray),
+        (ChannelFormat.INT16, Int32MultiArray, Int32MultiArray),
+        (ChannelFormat.INT32, Int32MultiArray, Int32MultiArray),
+        (ChannelFormat.INT64, Int64MultiArray, Int64MultiArray),
+        (ChannelFormat.STRING, String, None),
+    ],
+)
+def test_the_topics_of_another_programs_stream(
+    ros: Ros,
+    ports: Ports,
+    channel_format: ChannelFormat,
+    kind: type[Any],
+    chunk: type[Any] | None,
+) -> None:
+    core = CoreFields("Cap", "bat", "id", "host", 2, 100.0, channel_format)
+    header = foreign_header(core, ("level", "BatteryPercent"), ("percent", "percent"))
+    outputs = open_outputs(ports, context(ros, header, "foreign/cap"))
+    found = kinds(outputs, "foreign/cap")
+    assert found.pop(header.data_name) == f"std_msgs/msg/{kind.__name__}"
+    assert found.pop(f"{header.data_name}_chunk", None) == (
+        f"std_msgs/msg/{chunk.__name__}" if chunk else None
+    )
+    found.pop(f"{header.data_name}_stamped", None)
+    # What it measures is not known well enough to say it in a message of sensor_msgs.
+    assert found == {}
+    assert not is_latched(header)
+
+
+def hear(ros: Ros, port: Port, kind: type[Any]) -> list[Any]:
+    heard = ros.listen(kind, port.name)
+
+    def is_read() -> bool:
+        port.count_readers()
+        return port.readers == 1
+
+    ros.until(is_read, "a subscriber of our own")
+    return heard
+
+
+@pytest.mark.parametrize(
+    ("kind", "samples"),
+    [
+        (MessageType.FLOAT32, np.array([[0.5], [-1.25]], np.float32)),
+        (MessageType.UINT8, np.array([[0], [255]], np.int16)),
+        (MessageType.UINT16, np.array([[0], [65535]], np.int32)),
+        (MessageType.FLOAT32_MULTI_ARRAY, np.array([[0.5, 2.0], [1.0, 3.0]], np.float32)),
+        (MessageType.INT64_MULTI_ARRAY, np.array([[2**63 - 1], [-(2**63)]], np.int64)),
+    ],
+)
+def test_subscribers_get_what_was_written_as_bytes(
+    ros: Ros, ports: Ports, kind: MessageType, samples: NDArray[Any]
+) -> None:
+    port = ports.open(f"bytes/{kind.name.lower()}", CLASSES[kind])
+    heard = hear(ros, port, CLASSES[kind])
+    writer = NumberWriter(port, kind, samples.shape[1], must_not_refuse)
+    writer.write(Run(samples, np.arange(1.0, 1.0 + len(samples)), 0))
+    ros.until(lambda: len(heard) == len(samples), "every sample")
+    data = [list(message.data) if kind.is_array else [message.data] for message in heard]
+    assert data == samples.tolist()
+
+
+def test_subscribers_get_chunks(ros: Ros, ports: Ports) -> None:
+    port = ports.open("bytes/chunk", Float32MultiArray)
+    heard = hear(ros, port, Float32MultiArray)
+    writer = ChunkWriter(port, MessageType.FLOAT32_MULTI_ARRAY, 2)
+    writer.add(np.array([[1, 2], [3, 4], [5, 6], [7, 8]], np.float32), 2)
+    ros.until(lambda: len(heard) == 2, "two chunks")
+    assert [list(message.data) for message in heard] == [[1, 2, 3, 4], [5, 6, 7, 8]]

@@ -1,0 +1,107 @@
+"""What became of a stream's samples is counted, estimated or unknown, but never made up."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from lsl_to_ros.losses import Losses
+from lsl_to_ros.tally import Delays, Lost, Refusals, Tally, can_estimate_losses
+from tests.rigs.recorded_topics import header_of
+
+ECG = header_of("zephyr", "ecg")
+FOREIGN = replace(ECG, foreign=True)
+
+
+@pytest.mark.parametrize(
+    ("lost", "text"),
+    [
+        (Lost(0, is_estimated=False), "0"),
+        (Lost(17, is_estimated=False), "17"),
+        (Lost(17, is_estimated=True), "about 17"),
+        (Lost(0, is_estimated=True), "about 0"),
+        (Lost(-1, is_estimated=False), "unknown"),
+    ],
+)
+def test_a_loss_says_how_certain_it_is(lost: Lost, text: str) -> None:
+    assert str(lost) == text
+
+
+def test_only_gaps_of_another_programs_regular_stream_tell_of_losses() -> None:
+    assert can_estimate_losses(FOREIGN)
+    assert not can_estimate_losses(replace(FOREIGN, rate=0.0))
+    assert not can_estimate_losses(ECG)
+
+
+def test_the_agents_count_is_better_than_an_estimate_and_that_better_than_nothing() -> None:
+    tally = Tally(missing=5)
+    assert tally.lost(can_estimate=False) == Lost(-1, is_estimated=False)
+    assert tally.lost(can_estimate=True) == Lost(5, is_estimated=True)
+    tally.account.reported(0, 3, 0.0)
+    assert tally.lost(can_estimate=True) == Lost(3, is_estimated=False)
+
+
+def test_what_lsl_dropped_is_missing() -> None:
+    tally = Tally(missing=2)
+    tally.connection_ended(5)
+    assert (tally.undelivered, tally.missing) == (5, 7)
+    assert tally.lost(can_estimate=True) == Lost(7, is_estimated=True)
+
+
+def test_what_lsl_dropped_is_lost_for_good_when_another_outlet_takes_over() -> None:
+    tally = Tally()
+    tally.account.reported(0, 0, 0.0)
+    tally.connection_ended(5)
+    tally.outlet_changed()
+    assert tally.account.losses == Losses(device=0, transport=5)
+    assert tally.undelivered == 0
+    tally.outlet_changed()
+    assert tally.account.losses == Losses(device=0, transport=5)
+
+
+def test_what_lsl_dropped_is_counted_once_by_an_outlet_that_continues() -> None:
+    tally = Tally()
+    tally.account.pulled([1.0])
+    tally.account.reported(1, 0, 1.0)
+    tally.account.pulled([2.0])
+    assert tally.account.losses == Losses(device=0, transport=0)
+    # 3.0 came, and LSL dropped it: the outlet has counted it, this node has not.
+    tally.connection_ended(1)
+    tally.account.pulled([4.0])
+    tally.account.reported(4, 0, 4.0)
+    tally.account.pulled([5.0])
+    assert tally.account.losses == Losses(device=0, transport=1)
+
+
+def test_delays_are_those_since_the_last_look() -> None:
+    tally = Tally()
+    assert tally.take_delays() == Delays()
+    assert Delays().mean is None
+    for age in (0.25, 0.5, 0.75):
+        tally.delays.add(age)
+    delays = tally.take_delays()
+    assert (delays.count, delays.mean, delays.longest) == (3, 0.5, 0.75)
+    assert tally.take_delays().mean is None
+    tally.delays.add(0.125)
+    assert tally.take_delays().longest == 0.125
+
+
+def test_what_does_not_fit_is_counted_and_said_once() -> None:
+    tally = Tally()
+    said: list[str] = []
+    refuse = Refusals(ECG, tally, said.append)
+    refuse(3, "300 does not fit into UInt8")
+    refuse(2, "something else")
+    assert tally.unfit == 5
+    (sentence,) = said
+    for part in ("zephyr ecg", "300 does not fit into UInt8"):
+        assert part in sentence
+
+
+def test_a_new_connection_of_the_same_stream_does_not_say_it_again() -> None:
+    tally = Tally()
+    said: list[str] = []
+    Refusals(ECG, tally, said.append)(1, "too large")
+    Refusals(ECG, tally, said.append)(1, "too large")
+    assert (tally.unfit, len(said)) == (2, 1)

@@ -1,0 +1,231 @@
+"""Topics of ``sensor_msgs``: who gets them, and that they hold what the messages say."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from sensor_msgs.msg import BatteryState, Imu, MagneticField, Temperature
+from std_msgs.msg import Header
+
+from biosensor_common.quantities import ChannelFormat, ContentType, Unit
+from biosensor_common.registry import sensor, sensor_names
+from biosensor_common.stream_header import StreamHeader
+from lsl_to_ros.blocks import Run
+from lsl_to_ros.twins import TWINS, TwinWriter
+from tests.rigs.recorded_topics import Clocks, RecordedPort, header_of
+
+if TYPE_CHECKING:
+    from tests.ros.conftest import Ros
+
+STREAMS = [(name, stream.data_name) for name in sensor_names() for stream in sensor(name).streams]
+# As the design has it: the headset's motion, every battery, every skin temperature.
+EXPECTED: dict[tuple[str, str], dict[str, type[Any]]] = {
+    ("emotiv_insight", "mot"): {"mot_imu": Imu, "mot_mag": MagneticField},
+    ("emotiv_insight", "dev"): {"bat_state": BatteryState},
+    ("empatica_e4", "bat"): {"bat_state": BatteryState},
+    ("empatica_e4", "st"): {"st_temperature": Temperature},
+    ("shimmer3_gsr", "bat"): {"bat_state": BatteryState},
+    ("polar_h10", "bat"): {"bat_state": BatteryState},
+    ("vernier_respiration_belt", "bat"): {"bat_state": BatteryState},
+    ("zephyr", "bat"): {"bat_state": BatteryState},
+    ("zephyr", "st"): {"st_temperature": Temperature},
+    ("ble_heart_rate", "bat"): {"bat_state": BatteryState},
+}
+MOTION = header_of("emotiv_insight", "mot")
+DEVICE = header_of("emotiv_insight", "dev")
+BATTERY = header_of("zephyr", "bat", participant="p01", label="left")
+SKIN = header_of("zephyr", "st")
+
+DTYPES = {
+    ChannelFormat.FLOAT32: np.float32,
+    ChannelFormat.DOUBLE64: np.float64,
+    ChannelFormat.INT16: np.int16,
+}
+G = 9.80665
+MISSING = [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+UNKNOWN = [0.0] * 9
+FRAME = "p01/zephyr_left"
+
+
+def twins_of(header: StreamHeader) -> dict[str, type[TwinWriter]]:
+    return {name: twin for twin in TWINS if (name := twin.topic_of(header))}
+
+
+class Wire:
+    """Samples of a stream on their way to a twin's subscribers."""
+
+    def __init__(self, ros: Ros, header: StreamHeader, kind: type[Any]) -> None:
+        (twin,) = [twin for twin in twins_of(header).values() if twin.message_class is kind]
+        self.clocks = Clocks(ros.node, 12.5)
+        self.port = RecordedPort(kind)
+        self._header = header
+        self._writer = twin(self.port, header, FRAME, self.clocks)
+
+    def send(self, *samples: list[float], start: float = 100.0) -> list[Any]:
+        """Write a run; return the messages so far."""
+        stamps = np.array([start + number * 0.25 for number in range(len(samples))])
+        self._writer.write(Run(np.array(samples, DTYPES[self._header.format]), stamps, 0))
+        return self.port.messages
+
+
+@pytest.mark.parametrize(("sensor_name", "data_name"), STREAMS)
+def test_which_twins_a_declared_stream_has(sensor_name: str, data_name: str) -> None:
+    twins = twins_of(header_of(sensor_name, data_name))
+    found = {name: twin.message_class for name, twin in twins.items()}
+    assert found == EXPECTED.get((sensor_name, data_name), {})
+
+
+def test_every_expected_twin_is_of_a_declared_stream() -> None:
+    assert EXPECTED.keys() <= set(STREAMS)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        replace(SKIN, units=(Unit.MILLIVOLTS,)),
+        replace(SKIN, content_type=ContentType.ACTIVITY.value),
+        replace(BATTERY, units=(Unit.MILLIVOLTS,)),
+        replace(BATTERY, content_type=ContentType.QUALITY.value),
+        replace(DEVICE, content_type=ContentType.QUALITY.value),
+        replace(DEVICE, units=(*DEVICE.units[:-1], Unit.INDEX.value)),
+        replace(MOTION, content_type=ContentType.ACCELEROMETER.value),
+        replace(MOTION, units=(Unit.NONE.value,) * 10),
+        replace(MOTION, labels=tuple("abcdefghij")),
+    ],
+    ids=lambda header: f"{header.content_type}-{header.units[-1]}-{header.labels[-1]}",
+)
+def test_what_only_looks_alike_has_no_twin(header: StreamHeader) -> None:
+    assert twins_of(header) == {}
+
+
+def test_a_sensor_that_this_version_has_never_heard_of_has_them_too() -> None:
+    core = replace(SKIN, identity=replace(SKIN.identity, sensor="new_patch"), data_name="core")
+    assert set(twins_of(core)) == {"core_temperature"}
+    labels = ("ACCX", "ACCY", "ACCZ", "Q3", "Q2", "Q1", "Q0")
+    units = ("g",) * 3 + ("none",) * 4
+    motion = replace(MOTION, data_name="head", labels=labels, units=units)
+    assert set(twins_of(motion)) == {"head_imu"}
+
+
+def test_orientation_and_acceleration_are_in_si_units(ros: Ros) -> None:
+    sample = [0.5, 0.25, -0.5, 0.125, 1.0, -2.0, 0.5, 30.0, -40.0, 50.0]
+    (message,) = Wire(ros, MOTION, Imu).send(sample)
+    assert quaternion(message) == (0.25, -0.5, 0.125, 0.5)
+    acceleration = message.linear_acceleration
+    assert (acceleration.x, acceleration.y, acceleration.z) == (G, -2 * G, 0.5 * G)
+    assert list(message.orientation_covariance) == UNKNOWN
+    assert list(message.linear_acceleration_covariance) == UNKNOWN
+    assert list(message.angular_velocity_covariance) == MISSING
+
+
+def quaternion(message: Any) -> tuple[float, float, float, float]:
+    at = message.orientation
+    return at.x, at.y, at.z, at.w
+
+
+@pytest.mark.parametrize("missing", [range(4), [0], [1], [2], [3]])
+def test_an_orientation_that_was_not_measured_is_said_to_be_missing(ros: Ros, missing: Any) -> None:
+    sample = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 30.0, -40.0, 50.0]
+    for place in missing:
+        sample[place] = math.nan
+    (message,) = Wire(ros, MOTION, Imu).send(sample)
+    assert list(message.orientation_covariance) == MISSING
+    # A quaternion that rotates by nothing, for who does not look at the covariance.
+    assert quaternion(message) == (0.0, 0.0, 0.0, 1.0)
+    assert message.linear_acceleration.z == G
+
+
+def test_the_channels_of_motion_are_found_by_their_labels(ros: Ros) -> None:
+    turned = replace(MOTION, labels=MOTION.labels[::-1], units=MOTION.units[::-1])
+    sample = [float(number) for number in range(10)]
+    (imu,) = Wire(ros, turned, Imu).send(sample[::-1])
+    assert quaternion(imu) == (1.0, 2.0, 3.0, 0.0)
+    assert imu.linear_acceleration.x == 4 * G
+    (field,) = Wire(ros, turned, MagneticField).send(sample[::-1])
+    assert field.magnetic_field.z == pytest.approx(9e-6, rel=1e-12)
+
+
+def test_the_magnetic_field_is_in_tesla(ros: Ros) -> None:
+    sample = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 30.0, -40.0, math.nan]
+    (message,) = Wire(ros, MOTION, MagneticField).send(sample)
+    field = message.magnetic_field
+    assert (field.x, field.y) == pytest.approx((30e-6, -40e-6), rel=1e-12)
+    # The message's own word for a component that is not measured.
+    assert math.isnan(field.z)
+    assert list(message.magnetic_field_covariance) == UNKNOWN
+
+
+def check_battery(message: Any, charge: float) -> None:
+    """The charge, and nothing that nobody measured."""
+    assert message.percentage == pytest.approx(charge, rel=1e-6)
+    for unmeasured in (
+        message.voltage,
+        message.temperature,
+        message.current,
+        message.charge,
+        message.capacity,
+        message.design_capacity,
+    ):
+        assert math.isnan(unmeasured)
+    assert message.power_supply_status == BatteryState.POWER_SUPPLY_STATUS_UNKNOWN
+    assert message.power_supply_health == BatteryState.POWER_SUPPLY_HEALTH_UNKNOWN
+    assert message.power_supply_technology == BatteryState.POWER_SUPPLY_TECHNOLOGY_UNKNOWN
+    assert message.present is True
+    assert list(message.cell_voltage) == list(message.cell_temperature) == []
+
+
+@pytest.mark.parametrize("percent", [0.0, 1.0, 55.0, 99.5, 100.0])
+def test_a_battery_is_a_fraction(ros: Ros, percent: float) -> None:
+    (message,) = Wire(ros, BATTERY, BatteryState).send([percent])
+    check_battery(message, percent / 100)
+    assert (message.location, message.serial_number) == ("left", "U1")
+
+
+def test_the_headsets_battery_is_in_its_status(ros: Ros) -> None:
+    status = dict.fromkeys(DEVICE.labels, 4.0) | {"Battery": 3.0, "BatteryPercent": 87.0}
+    (message,) = Wire(ros, DEVICE, BatteryState).send(list(status.values()))
+    check_battery(message, 0.87)
+    status["BatteryPercent"] = math.nan
+    message = Wire(ros, DEVICE, BatteryState).send(list(status.values()))[0]
+    assert math.isnan(message.percentage)
+
+
+def test_a_temperature_is_in_degrees_celsius(ros: Ros) -> None:
+    first, second = Wire(ros, SKIN, Temperature).send([33.5], [math.nan])
+    assert (first.temperature, first.variance) == (33.5, 0.0)
+    assert math.isnan(second.temperature)
+
+
+@pytest.mark.parametrize(
+    ("header", "kind"),
+    [(SKIN, Temperature), (BATTERY, BatteryState), (MOTION, Imu), (MOTION, MagneticField)],
+)
+def test_every_message_says_where_and_when_it_was_measured(
+    ros: Ros, header: StreamHeader, kind: type[Any]
+) -> None:
+    wire = Wire(ros, header, kind)
+    sample = [1.0] * len(header.labels)
+    messages = wire.send(sample, sample, sample, start=200.0)
+    times = [wire.clocks.ros_time.to_msg(200.0 + 12.5 + place * 0.25) for place in range(3)]
+    expected = [Header(stamp=time, frame_id=FRAME) for time in times]
+    assert [message.header for message in messages] == expected
+
+
+@pytest.mark.parametrize("channel_format", [ChannelFormat.INT16, ChannelFormat.DOUBLE64])
+@pytest.mark.parametrize(
+    ("header", "kind"),
+    [(SKIN, Temperature), (BATTERY, BatteryState), (MOTION, Imu), (MOTION, MagneticField)],
+)
+def test_a_stream_of_another_format_has_the_same_twin(
+    ros: Ros, channel_format: ChannelFormat, header: StreamHeader, kind: type[Any]
+) -> None:
+    sample = [float(number) for number in range(len(header.labels))]
+    (usual,) = Wire(ros, header, kind).send(sample)
+    (message,) = Wire(ros, replace(header, format=channel_format), kind).send(sample)
+    message.header = usual.header
+    # As text, for NaN is not equal to itself.
+    assert repr(message) == repr(usual)

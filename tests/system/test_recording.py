@@ -1,0 +1,171 @@
+"""A bag and an XDF file of the same run hold the same samples with the same times.
+
+The agent runs a virtual device of every kind, other programs send in every format, the
+node is the one that colcon has installed, and the real LabRecorder records beside a
+recorder of the stamped topics.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from tests.system import lsl_sources, recorded_run
+from tests.system.lsl_time import NS_PER_S
+from tests.system.recorded_run import RecordedRun
+from tests.system.tracks import Errors, Track, place_of, time_errors, with_columns
+from tests.system.workspace import Workspace
+
+pytestmark = pytest.mark.system
+
+SHORTEST_S = 12.0
+TIME_LIMIT_NS = 200_000
+# Noise of LabRecorder's measurements between two programs on one computer.
+CLOCK_OFFSET_LIMIT_S = 0.002
+# Only headsets with older firmware fill it.
+EMPTY = "/biosensors/emotiv_insight/gyro_stamped"
+
+
+@pytest.fixture(scope="module")
+def run(workspace: Workspace, tmp_path_factory: pytest.TempPathFactory) -> RecordedRun:
+    return recorded_run.record(tmp_path_factory.mktemp("recording"), workspace)
+
+
+def _pairs(run: RecordedRun) -> Iterator[tuple[str, Track, Track]]:
+    """Yield topic, XDF and bag of the streams that have samples in the XDF file."""
+    for topic, stream in run.streams.items():
+        expected = stream.track
+        if len(expected):
+            assert topic in run.topics, f"{topic}: not in the bag"
+            track = run.topics[topic].track
+            is_list = track.values.dtype == object and expected.values.shape[1] > 1
+            yield topic, expected, with_columns(track) if is_list else track
+
+
+def test_both_have_every_stream(run: RecordedRun) -> None:
+    declared = recorded_run.declared()
+    assert run.streams.keys() == recorded_run.in_xdf().keys()
+    assert run.topics.keys() <= run.streams.keys() | run.pushed.keys()
+    regular = {topic for topic, stream in declared.items() if stream.is_regular} - {EMPTY}
+    regular |= {spec.topic for spec in lsl_sources.SPECS if spec.is_regular}
+    for topic in regular:
+        times = run.topics[topic].track.times_ns
+        assert times[-1] - times[0] >= SHORTEST_S * NS_PER_S, topic
+    assert not len(run.streams[EMPTY].track)
+    assert EMPTY not in run.topics
+
+
+def test_every_sample_of_the_xdf_file_is_in_the_bag_once(run: RecordedRun) -> None:
+    wrong = [topic for topic, xdf, bag in _pairs(run) if place_of(xdf, bag) is None]
+    assert not wrong, f"values, order or number of samples differ: {wrong}"
+
+
+def test_every_sample_of_the_bag_is_in_the_xdf_file_once(run: RecordedRun) -> None:
+    begin, end = run.both_ns
+    assert end - begin > 10 * NS_PER_S
+    for topic, xdf, bag in _pairs(run):
+        arrivals = run.topics[topic].arrivals_ns
+        during = np.flatnonzero((arrivals >= begin) & (arrivals <= end))
+        start = place_of(xdf, bag)
+        assert start is not None, topic
+        beyond = during[(during < start) | (during >= start + len(xdf))]
+        assert not len(beyond), f"{topic}: {len(beyond)} samples are not in the XDF file"
+    for topic, stream in run.streams.items():
+        if not len(stream.track) and topic in run.topics:
+            arrivals = run.topics[topic].arrivals_ns
+            assert not ((arrivals >= begin) & (arrivals <= end)).any(), topic
+
+
+def test_times_are_the_same(
+    run: RecordedRun, record_property: Callable[[str, object], None]
+) -> None:
+    errors: dict[str, Errors] = {}
+    for topic, xdf, bag in _pairs(run):
+        start = place_of(xdf, bag)
+        assert start is not None, topic
+        errors[topic] = time_errors(bag.part(start, len(xdf)), xdf)
+        worst, rms = (each / 1e3 for each in errors[topic])
+        report = f"{len(xdf)} samples, worst {worst:.1f} us, RMS {rms:.1f} us"
+        record_property(topic, report)
+        print(f"{topic}: {report}")
+    too_large = {topic for topic, each in errors.items() if each.worst > TIME_LIMIT_NS}
+    assert not too_large, {topic: errors[topic] for topic in too_large}
+
+
+def test_the_clocks_are_one(run: RecordedRun) -> None:
+    """Why stamps are compared without the offsets that LabRecorder has measured."""
+    for topic, stream in run.streams.items():
+        offsets = np.abs(stream.clock_offsets)
+        assert len(offsets) >= 2, topic
+        assert np.median(offsets) < CLOCK_OFFSET_LIMIT_S, topic
+
+
+def test_the_comparison_covers_every_kind_of_value(run: RecordedRun) -> None:
+    pairs = {topic: xdf for topic, xdf, _ in _pairs(run)}
+    missing = {
+        topic
+        for topic, xdf in pairs.items()
+        if xdf.values.dtype == np.float64 and np.isnan(xdf.values).any()
+    }
+    assert "/biosensors/headset/EEG_stamped" in missing
+    assert missing & recorded_run.declared().keys(), "no virtual device had a NaN"
+    others = {spec.topic for spec in lsl_sources.SPECS} | {lsl_sources.BUTTON_TOPIC}
+    assert others <= pairs.keys() | run.pushed.keys()
+    channels = {xdf.values.shape[1] for xdf in pairs.values()}
+    assert {1, 3, 8, 25} <= channels
+
+
+def test_integers_of_64_bits_are_exact(run: RecordedRun) -> None:
+    """LabRecorder drops them, so the bag is compared with what was pushed."""
+    begin, end = run.both_ns
+    for topic, pushed in run.pushed.items():
+        bag = run.topics[topic].track
+        assert bag.values.dtype == np.int64
+        start = place_of(bag, pushed)
+        assert start is not None, topic
+        during = np.flatnonzero((pushed.times_ns >= begin) & (pushed.times_ns <= end))
+        assert start <= during[0] and during[-1] < start + len(bag)
+        assert time_errors(pushed.part(start, len(bag)), bag).worst <= TIME_LIMIT_NS
+
+
+def test_numbers_go_up_by_one(run: RecordedRun) -> None:
+    for topic, recorded in run.topics.items():
+        assert (np.diff(recorded.sequences) == 1).all(), topic
+
+
+def test_channels_are_named_as_in_the_xdf_file(run: RecordedRun) -> None:
+    for topic, xdf, bag in _pairs(run):
+        if bag.values.dtype != object:
+            assert (bag.labels, bag.units) == (xdf.labels, xdf.units), topic
+        sensor = topic.rpartition("/")[0].replace("biosensors/", "")
+        assert run.topics[topic].frame_ids == {sensor.removeprefix("/")}, topic
+
+
+def test_the_bag_is_an_ordinary_one(run: RecordedRun, workspace: Workspace) -> None:
+    """It has metadata, and the definitions and hashes of the messages that colcon has built."""
+    metadata = (run.bag / "metadata.yaml").read_text()
+    assert metadata.startswith("rosbag2_bagfile_information:")
+    assert "\n  storage_identifier: mcap\n" in metadata
+    package = workspace.install / "biosensor_msgs" / "share" / "biosensor_msgs" / "msg"
+    with Reader(run.bag) as bag:
+        assert [file.name for file in run.bag.glob("*.mcap")] == [run.bag.name + ".mcap"]
+        assert {c.msgtype for c in bag.connections} == {
+            "biosensor_msgs/msg/Event",
+            "biosensor_msgs/msg/Samples",
+        }
+        assert sum(1 for _ in bag.messages()) == bag.message_count
+        for connection in bag.connections:
+            name = connection.msgtype.rpartition("/")[2]
+            built = json.loads((package / f"{name}.json").read_text())["type_hashes"]
+            (expected,) = (
+                each["hash_string"] for each in built if each["type_name"] == connection.msgtype
+            )
+            assert connection.digest == expected
+            store = get_typestore(Stores.EMPTY)
+            store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
+            assert store.hash_rihs01(connection.msgtype) == expected
