@@ -1,1 +1,1 @@
-"""``make bench``: latency from LSL to ROS against its two floors, and the speed of a parser."""
+"""``make bench``: what the node and the agent cost and how late they are, against targets."""

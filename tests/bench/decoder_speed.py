@@ -19,7 +19,6 @@ from unittest.mock import patch
 from biosensor_gateway import trial
 from biosensor_gateway.simulate import simulated_settings
 
-_TAPED_S = 5.0
 _PACKAGE = "biosensor_gateway.devices"
 
 # Functions by the module that calls them; classes with their methods, and with the
@@ -93,18 +92,18 @@ class _Tape:
         return time.perf_counter() - begin
 
 
-def measure(passes: int) -> list[DecoderSpeed]:
-    """Tape all decoders at once, then play each tape so many times."""
-    return [_measure(sensor, passes) for sensor in SENSORS]
+def measure(passes: int, taped_s: float) -> list[DecoderSpeed]:
+    """Tape each decoder for so long, then play its tape so many times."""
+    return [_measure(sensor, passes, taped_s) for sensor in SENSORS]
 
 
-def _measure(sensor: str, passes: int) -> DecoderSpeed:
+def _measure(sensor: str, passes: int, taped_s: float) -> DecoderSpeed:
     tape = _Tape()
     with _taping(sensor, tape), simulated_settings([sensor]) as settings:
-        outcome = asyncio.run(trial.try_device(settings.devices[0], _TAPED_S))
+        outcome = asyncio.run(trial.try_device(settings.devices[0], taped_s))
     assert outcome.info is not None, outcome.problems
-    multiples = [_TAPED_S / tape.play() for _ in range(passes)]
-    return DecoderSpeed(sensor, _TAPED_S, max(multiples), statistics.median(multiples))
+    multiples = [taped_s / tape.play() for _ in range(passes)]
+    return DecoderSpeed(sensor, taped_s, max(multiples), statistics.median(multiples))
 
 
 @contextmanager

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 import uuid
 from contextlib import ExitStack
 from pathlib import Path
@@ -15,6 +16,10 @@ from queue import Empty, Queue
 from typing import Self
 
 _PATIENCE_S = 30.0
+# An outlet takes two ports of TCP and two of UDP, so 100 would not find enough of them
+# between those of other sessions on this machine. One beyond the range is not found.
+_PORT_RANGE = 256
+_BASE_PORTS = range(20_000, 32_000, _PORT_RANGE)
 _LSL_CONFIG = """\
 [lab]
 SessionID = bench-{session}
@@ -22,7 +27,8 @@ KnownPeers = {{127.0.0.1}}
 [multicast]
 ResolveScope = machine
 [ports]
-PortRange = 256
+BasePort = {base_port}
+PortRange = {port_range}
 [log]
 level = -2
 """
@@ -35,7 +41,8 @@ class BenchError(Exception):
 def isolated_environment(folder: Path) -> dict[str, str]:
     """Return an environment whose LSL session and ROS domain nobody else is in."""
     config = folder / "lsl_api.cfg"
-    config.write_text(_LSL_CONFIG.format(session=uuid.uuid4().hex))
+    ports = {"base_port": random.choice(_BASE_PORTS), "port_range": _PORT_RANGE}
+    config.write_text(_LSL_CONFIG.format(session=uuid.uuid4().hex, **ports))
     return {
         **os.environ,
         "LSLAPICFG": str(config),
@@ -48,7 +55,7 @@ class Process:
     """One child that talks by lines; killed at the end of its ``with`` block."""
 
     def __init__(self, arguments: list[str], environment: dict[str, str], log: Path) -> None:
-        self._name = " ".join(arguments[:2])
+        self._name = " ".join(arguments)[:80]
         self._log = log
         with log.open("wb") as errors:
             self._process = subprocess.Popen(
@@ -86,6 +93,16 @@ class Process:
         pages = int(Path(f"/proc/{self._process.pid}/statm").read_text().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
+    @property
+    def threads(self) -> int:
+        """Threads that it has now."""
+        return sum(1 for _ in Path(f"/proc/{self._process.pid}/task").iterdir())
+
+    @property
+    def descriptors(self) -> int:
+        """File descriptors that it has open now."""
+        return sum(1 for _ in Path(f"/proc/{self._process.pid}/fd").iterdir())
+
     def line(self, patience_s: float = _PATIENCE_S) -> str:
         """Return the next line that it says; empty if none comes."""
         try:
@@ -93,8 +110,8 @@ class Process:
         except Empty:
             return ""
 
-    def expect(self, word: str, patience_s: float = _PATIENCE_S) -> None:
-        """Wait until it says that word.
+    def expect(self, word: str, patience_s: float = _PATIENCE_S) -> list[str]:
+        """Wait until it says that word; return what else is in the line.
 
         Raises
         ------
@@ -102,28 +119,46 @@ class Process:
             If it says something else, nothing, or ends.
         """
         said = self.line(patience_s)
-        if said != word:
+        first, *more = said.split() or [""]
+        if first != word:
             raise self._failure(f"said {said!r} instead of {word!r}")
+        return more
 
-    def tell(self) -> None:
-        """Let it go on."""
+    def tell(self, order: str = "") -> None:
+        """Give it an order; an empty one lets it go on."""
         assert self._process.stdin is not None
-        self._process.stdin.write(b"\n")
+        self._process.stdin.write(f"{order}\n".encode())
 
-    def interrupt(self) -> None:
-        """Send SIGINT."""
+    def stop(self) -> None:
+        """End it by SIGINT.
+
+        Raises
+        ------
+        BenchError
+            If it does not end, or not with exit code 0.
+        """
         self._process.send_signal(signal.SIGINT)
+        self.wait()
+
+    def kill(self) -> None:
+        """Send SIGKILL, and see it dead."""
+        self._process.kill()
+        self._process.wait()
+
+    def close(self) -> None:
+        """Tell it to finish, by closing the pipe."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
 
     def wait(self) -> None:
-        """Let it end.
+        """Let it finish.
 
         Raises
         ------
         BenchError
             If it does not, or not with exit code 0.
         """
-        assert self._process.stdin is not None
-        self._process.stdin.close()
+        self.close()
         try:
             code = self._process.wait(_PATIENCE_S)
         except subprocess.TimeoutExpired as error:
@@ -140,6 +175,19 @@ class Process:
     def _failure(self, what: str) -> BenchError:
         tail = self._log.read_text(errors="replace")[-2000:]
         return BenchError(f"{self._name} {what}\n{tail}")
+
+
+class CpuMeter:
+    """CPU of one process between two moments, in percent of one core."""
+
+    def __init__(self, process: Process) -> None:
+        self._process = process
+        self._begin_s, self._begin_cpu_s = time.monotonic(), process.cpu_s
+
+    def percent(self) -> float:
+        """Return the share since this meter was made."""
+        cpu_s = self._process.cpu_s - self._begin_cpu_s
+        return 100 * cpu_s / (time.monotonic() - self._begin_s)
 
 
 class Processes:
@@ -162,6 +210,10 @@ class Processes:
 
     def __exit__(self, *_: object) -> None:
         self._stack.close()
+
+    def start_node(self) -> Process:
+        """Start ``lsl_to_ros``; :meth:`Process.stop` ends it."""
+        return self.start("lsl_to_ros.node")
 
     def start(self, *arguments: str) -> Process:
         """Start ``python -m`` with these arguments."""

@@ -1,0 +1,92 @@
+"""Sixty-four streams of which only the chunks are read: loss, CPU and memory of the node."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from tests.bench.effort import Effort
+from tests.bench.figures import Figure, Measurement, Target
+from tests.bench.processes import CpuMeter, Processes
+from tests.bench.receivers import Receivers
+from tests.bench.ros_receiver import Wish
+from tests.bench.samples import Passage, passage, topic_of
+from tests.bench.senders import Senders
+
+STREAMS = 64
+_LOST, _CPU, _MEMORY = Target(0), Target(60.0), Target(250.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """What the node did and cost.
+
+    Attributes
+    ----------
+    passage
+        Of samples; the latency is that of whole chunks, so half a second at most.
+    node_cpu_percent, subscriber_cpu_percent, sender_cpu_percent
+        Of one core; the busiest of the senders.
+    late_p99_ms
+        How long after its due time a sample was pushed.
+    """
+
+    passage: Passage
+    node_cpu_percent: float
+    node_memory_mb: float
+    node_threads: int
+    subscriber_cpu_percent: float
+    sender_cpu_percent: float
+    late_p50_ms: float
+    late_p99_ms: float
+
+
+def measure(effort: Effort) -> Measurement:
+    """Measure once: there is no floor to compare with."""
+    sys.stderr.write(f"  {STREAMS} streams\n")
+    return _measurement(_load(effort.chunks_s, effort.settle_s))
+
+
+def _load(seconds: float, settle_s: float) -> Load:
+    with tempfile.TemporaryDirectory() as name, Processes(Path(name)) as processes:
+        node = processes.start_node()
+        senders = Senders(processes, STREAMS, frugal=True)
+        topics = [f"{topic_of(each)}_chunk" for each in senders.names]
+        wish = Wish(topics, senders.count(seconds), "", chunks=True)
+        receivers = Receivers(processes, wish)
+        senders.expect_up()
+        receivers.expect_all()
+        time.sleep(settle_s)
+        meter = CpuMeter(node)
+        receivers.start_meters()
+        sent = senders.send(seconds)
+        node_cpu, subscriber_cpu = meter.percent(), receivers.cpu_percent()
+        memory_mb, threads = node.memory_mb, node.threads
+        arrived, repeated = receivers.finish()
+        node.stop()
+        senders.finish()
+        result = passage(sent.times, arrived, repeated)
+        late = sent.late_p50_ms, sent.late_p99_ms
+        return Load(result, node_cpu, memory_mb, threads, subscriber_cpu, sent.cpu_percent, *late)
+
+
+def _measurement(load: Load) -> Measurement:
+    lost_note = f"of {load.passage.sent}, {load.passage.repeated} repeated"
+    late = f"pushed {load.late_p99_ms:.2f} ms late (p99)"
+    figures = [
+        Figure("lost", load.passage.lost, "", _LOST, lost_note),
+        Figure("CPU of lsl_to_ros", load.node_cpu_percent, "%", _CPU, "of one core"),
+        Figure(
+            "memory of lsl_to_ros",
+            load.node_memory_mb,
+            "MB",
+            _MEMORY,
+            f"resident, {load.node_threads} threads",
+        ),
+        Figure("CPU of the subscriber", load.subscriber_cpu_percent, "%"),
+        Figure("busiest sender", load.sender_cpu_percent, "%", note=late),
+    ]
+    return Measurement(f"{STREAMS} streams, only chunks read", figures, asdict(load))

@@ -1,0 +1,66 @@
+"""How long is measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """Durations and repetitions of one run.
+
+    Attributes
+    ----------
+    rounds
+        Of each measurement that is compared with a floor.
+    one_s, sixteen_s, chunks_s, idle_s, agent_s
+        What one round takes without its preparation.
+    settle_s
+        Time for what starts up to come to rest.
+    restarts
+        Of the node, and of the outlet in each way.
+    published
+        Chunks that are published.
+    taped_s, passes
+        Of each decoder.
+    """
+
+    rounds: int
+    one_s: float
+    sixteen_s: float
+    chunks_s: float
+    idle_s: float
+    settle_s: float
+    restarts: int
+    published: int
+    agent_s: float
+    taped_s: float
+    passes: int
+
+
+FULL = Effort(
+    rounds=3,
+    one_s=10.0,
+    sixteen_s=10.0,
+    chunks_s=15.0,
+    idle_s=10.0,
+    settle_s=2.0,
+    restarts=3,
+    published=200,
+    agent_s=30.0,
+    taped_s=5.0,
+    passes=15,
+)
+QUICK = Effort(
+    rounds=1,
+    one_s=2.0,
+    sixteen_s=2.0,
+    chunks_s=3.0,
+    idle_s=2.0,
+    settle_s=0.5,
+    restarts=1,
+    published=50,
+    agent_s=4.0,
+    taped_s=1.0,
+    passes=5,
+)

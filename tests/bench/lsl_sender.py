@@ -1,0 +1,73 @@
+"""A process with LSL outlets: ``python -m tests.bench.lsl_sender OFFER``, an `Offer` as JSON."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import pylsl
+
+from tests.bench.child import Orders, say
+from tests.bench.samples import CHANNELS, CONTENT_TYPE, FILLER, RATE_HZ, values_of
+from tests.bench.schedule import Schedule
+
+# pylsl.transp_sync_blocking: a push writes to the socket itself.
+_SYNCHRONOUS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """What one process sends.
+
+    Attributes
+    ----------
+    names
+        Of the streams.
+    source_id
+        Of the only stream; None: each stream's is its name.
+    offset_s
+        Delay of the first stream within a period.
+    filler
+        What is in channel 0 while no sample counts.
+    frugal
+        Whether all streams are sent at once and without a thread for each, which costs
+        a quarter of the CPU. The receiver sees the same packets.
+    """
+
+    names: Sequence[str]
+    rate_hz: float = RATE_HZ
+    source_id: str | None = None
+    offset_s: float = 0.0
+    filler: float = FILLER
+    frugal: bool = False
+
+    def as_arguments(self) -> list[str]:
+        """Return the arguments that start the process."""
+        return ["tests.bench.lsl_sender", json.dumps(asdict(self))]
+
+
+def _outlet(name: str, offer: Offer) -> pylsl.StreamOutlet:
+    source_id = name if offer.source_id is None else offer.source_id
+    shape = CHANNELS, offer.rate_hz, "float32"
+    info = pylsl.StreamInfo(name, CONTENT_TYPE, *shape, source_id)
+    make: Any = pylsl.StreamOutlet
+    return make(info, transport_flags=_SYNCHRONOUS if offer.frugal else 0)
+
+
+def send(offer: Offer) -> None:
+    """Offer the streams, say ``up`` and when, and push sample by sample."""
+    orders = Orders()
+    pushes = [_outlet(name, offer).push_sample for name in offer.names]
+    say(f"up {time.monotonic()}")
+    schedule = Schedule(
+        values_of, pushes, offer.rate_hz, offer.offset_s, offer.filler, together=offer.frugal
+    )
+    schedule.run(orders)
+
+
+if __name__ == "__main__":
+    send(Offer(**json.loads(sys.argv[1])))

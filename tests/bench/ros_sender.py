@@ -1,0 +1,35 @@
+"""DDS alone, sending end: ``python -m tests.bench.ros_sender TOPIC``."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from array import array
+
+import rclpy
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Float32MultiArray
+
+from tests.bench.child import Orders
+from tests.bench.samples import RATE_HZ, values_of
+from tests.bench.schedule import Schedule
+
+
+def send(topic: str) -> None:
+    """Publish from a plain thread, as ``lsl_to_ros`` does."""
+    node = rclpy.create_node("bench_sender")
+    publisher = node.create_publisher(Float32MultiArray, topic, QoSProfile(depth=int(RATE_HZ)))
+
+    def message_of(number: float) -> Float32MultiArray:
+        return Float32MultiArray(data=array("f", values_of(number)))
+
+    schedule = Schedule(message_of, [publisher.publish], RATE_HZ)
+    thread = threading.Thread(target=schedule.run, args=(Orders(),))
+    thread.start()
+    thread.join()
+
+
+if __name__ == "__main__":
+    rclpy.init()
+    send(sys.argv[1])
+    rclpy.shutdown()
