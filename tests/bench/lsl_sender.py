@@ -59,7 +59,12 @@ def _outlet(name: str, offer: Offer) -> pylsl.StreamOutlet:
 
 
 def send(offer: Offer) -> None:
-    """Offer the streams, say ``up`` and when, and push sample by sample."""
+    """Offer the streams, say ``up`` and when, and push sample by sample.
+
+    The stamps are those of a device that measures on time. On Linux, LSL's clock is the
+    monotonic one. With the time of the push instead, a sender that was held up by other
+    load would seem to have a gap.
+    """
     orders = Orders()
     pushes = [_outlet(name, offer).push_sample for name in offer.names]
     say(f"up {time.monotonic()}")

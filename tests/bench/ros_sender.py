@@ -15,7 +15,7 @@ from tests.bench.samples import RATE_HZ, values_of
 from tests.bench.schedule import Schedule
 
 
-def send(topic: str) -> None:
+def run(topic: str) -> None:
     """Publish from a plain thread, as ``lsl_to_ros`` does."""
     node = rclpy.create_node("bench_sender")
     publisher = node.create_publisher(Float32MultiArray, topic, QoSProfile(depth=int(RATE_HZ)))
@@ -23,7 +23,10 @@ def send(topic: str) -> None:
     def message_of(number: float) -> Float32MultiArray:
         return Float32MultiArray(data=array("f", values_of(number)))
 
-    schedule = Schedule(message_of, [publisher.publish], RATE_HZ)
+    def send(message: Float32MultiArray, _due: float) -> None:
+        publisher.publish(message)
+
+    schedule = Schedule(message_of, [send], RATE_HZ)
     thread = threading.Thread(target=schedule.run, args=(Orders(),))
     thread.start()
     thread.join()
@@ -31,5 +34,5 @@ def send(topic: str) -> None:
 
 if __name__ == "__main__":
     rclpy.init()
-    send(sys.argv[1])
+    run(sys.argv[1])
     rclpy.shutdown()

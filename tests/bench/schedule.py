@@ -25,7 +25,7 @@ class Schedule(Generic[T]):
     make
         Makes what is sent for a number.
     sends
-        One for each stream.
+        One for each stream; takes what is sent and the monotonic time at which it was due.
     offset_s
         Delay of the first stream within a period, so that several processes take turns.
     filler
@@ -37,7 +37,7 @@ class Schedule(Generic[T]):
     def __init__(
         self,
         make: Callable[[float], T],
-        sends: Sequence[Callable[[T], None]],
+        sends: Sequence[Callable[[T, float], None]],
         rate_hz: float,
         offset_s: float = 0.0,
         filler: float = FILLER,
@@ -79,10 +79,9 @@ class Schedule(Generic[T]):
         times: list[float] = []
         for send, offset_s in zip(self._sends, self._offsets_s, strict=True):
             sample = self._make(number)
-            wait_s = self._due + offset_s - time.monotonic()
-            if wait_s > 0:
-                time.sleep(wait_s)
+            due = self._due + offset_s
+            time.sleep(max(0.0, due - time.monotonic()))
             times.append(time.monotonic())
-            send(sample)
+            send(sample, due)
         self._due += self._period_s
         return times

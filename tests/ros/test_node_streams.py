@@ -12,9 +12,6 @@ from std_msgs.msg import (
     Empty,
     Float32,
     Float32MultiArray,
-    Float64MultiArray,
-    Int32MultiArray,
-    Int64MultiArray,
     String,
     UInt8,
 )
@@ -28,20 +25,6 @@ if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
 
 pytestmark = pytest.mark.usefixtures("node")
-
-HOSTILE_NAMES = [
-    "two words",
-    'it\'s "quoted"',
-    "a/b//c",
-    "../../x",
-    "~private",
-    "{node}",
-    "\N{PILE OF POO} heart",
-    "1st",
-    "x" * 200,
-    "line\nbreak",
-    "&lt;<b>",
-]
 
 
 def foreign(name: str, kind: str, channels: int, rate: float, format_: str) -> pylsl.StreamOutlet:
@@ -113,59 +96,6 @@ def test_a_chunk_never_spans_a_gap(ros: Ros) -> None:
     assert status is not None
     assert status["chunk_discarded"] == "5"
     assert status["received"] == "35"
-
-
-LIMITS: list[tuple[str, type[Any], list[float]]] = [
-    ("float32", Float32MultiArray, [0.5, -3.25, math.inf, 16777216.0]),
-    ("double64", Float64MultiArray, [0.1, 1.7976931348623157e308, 5e-324, -math.pi]),
-    ("int8", Int32MultiArray, [-128, 127, 0, 1]),
-    ("int16", Int32MultiArray, [-32768, 32767, 0, 1]),
-    ("int32", Int32MultiArray, [-(2**31), 2**31 - 1, 0, 16777217]),
-    ("int64", Int64MultiArray, [-(2**63), 2**63 - 1, 2**53 + 1, 1]),
-]
-
-
-def test_streams_of_other_programs_keep_their_precision(ros: Ros) -> None:
-    opened: list[tuple[pylsl.StreamOutlet, list[Any], list[Any]]] = []
-    for format_, message_class, _ in LIMITS:
-        topic = f"/biosensors/plain_{format_}/Gaze"
-        assert ros.set(f"plain_{format_}.Chunk_Length", 1) == ""
-        raw, chunks = ros.listen(message_class, topic), ros.listen(message_class, f"{topic}_chunk")
-        opened.append((foreign(f"plain_{format_}", "Gaze", 4, 50.0, format_), raw, chunks))
-    ros.attached(*(f"/biosensors/plain_{format_}/Gaze" for format_, _, _ in LIMITS), readers=2)
-    for (outlet, raw, chunks), (format_, _, values) in zip(opened, LIMITS, strict=True):
-        outlet.push_sample(values, pylsl.local_clock())
-        ros.until(lambda raw=raw, chunks=chunks: bool(raw and chunks), f"a sample of {format_}")
-        assert list(raw[0].data) == list(chunks[0].data) == values
-        assert layout(raw[0]) == [("channels", 4, 4)]
-
-
-def test_hostile_names_of_marker_streams_give_valid_topics(ros: Ros) -> None:
-    outlets = [foreign(name, "Markers", 1, 0.0, "string") for name in HOSTILE_NAMES]
-    topics = [f"/biosensors/{sanitise(name)}/Markers" for name in HOSTILE_NAMES]
-    assert len(set(topics)) == len(topics)
-    # Subscribing is what proves that ROS takes the name.
-    heard = [ros.listen(String, topic) for topic in topics]
-    ros.attached(*topics, readers=1)
-    for number, outlet in enumerate(outlets):
-        outlet.push_sample([f"marker {number} \N{SNOWMAN}"], pylsl.local_clock())
-    ros.until(lambda: all(heard), "a marker of each")
-    assert [[message.data for message in messages] for messages in heard] == [
-        [f"marker {number} \N{SNOWMAN}"] for number in range(len(outlets))
-    ]
-    assert not [topic for topic in ros.topics() if topic.endswith("Markers_chunk")]
-
-
-def test_irregular_streams_have_no_chunks_and_those_without_a_type_are_data(ros: Ros) -> None:
-    outlets = [
-        foreign("irregular", "Mouse", 2, 0.0, "float32"),
-        foreign("untyped", "", 1, 0, "int8"),
-    ]
-    topics = ["/biosensors/irregular/Mouse", "/biosensors/untyped/data"]
-    ros.attached(*topics)
-    ros.until(lambda: set(topics) <= ros.topics().keys(), "their topics")
-    assert not {f"{topic}_chunk" for topic in topics} & ros.topics().keys()
-    del outlets
 
 
 def test_text_that_is_not_utf_8_neither_stops_nor_loses_anything(ros: Ros) -> None:

@@ -119,8 +119,8 @@ def test_the_topics_of_another_programs_stream(
     kind: type[Any],
     chunk: type[Any] | None,
 ) -> None:
-    core = CoreFields("Cap", "bat", "id", "host", 2, 100.0, channel_format)
-    header = foreign_header(core, ("level", "BatteryPercent"), ("percent", "percent"))
+    core = CoreFields("Cap", "Battery", "id", "host", 1, 100.0, channel_format)
+    header = foreign_header(core, ("level",), ("percent",))
     outputs = open_outputs(ports, context(ros, header, "foreign/cap"))
     found = kinds(outputs, "foreign/cap")
     assert found.pop(header.data_name) == f"std_msgs/msg/{kind.__name__}"

@@ -48,3 +48,12 @@ def test_manifest_and_setup_name_the_same_maintainer_and_license(folder: Path) -
 def test_each_package_has_the_marker_by_which_ament_finds_it(name: str, folder: Path) -> None:
     assert ElementTree.parse(folder / "package.xml").getroot().findtext("name") == name
     assert (folder / "resource" / name).is_file()
+
+
+def test_the_messages_have_the_version_and_the_owner_of_the_node() -> None:
+    messages, node = (
+        ElementTree.parse(ROOT / "ros_side" / name / "package.xml").getroot()
+        for name in ("biosensor_msgs", "lsl_to_ros")
+    )
+    for field in ("version", "maintainer", "license"):
+        assert messages.findtext(field) == node.findtext(field)

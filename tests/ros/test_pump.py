@@ -105,6 +105,24 @@ def test_many_that_are_wanted_at_once_share_one(streams: Streams) -> None:
         streams.settle()
 
 
+def test_those_of_a_few_give_way_to_the_one_of_many(streams: Streams) -> None:
+    for _ in range(MOST_FOLLOWERS):
+        streams.add(wants_each_sample=True)
+    streams.pump.look()
+    assert streams.followed == streams.all
+    one_more = streams.add(wants_each_sample=True)
+    streams.pump.look()
+    wait_until(lambda: not streams.followed, "the end of the threads of single streams")
+    streams.push(3)
+    streams.settle()
+    one_more.receiver.wants_each_sample = False
+    streams.pump.look()
+    wait_until(lambda: "peek" not in shared(), "the end of the thread of many")
+    assert streams.followed == streams.all[:-1]
+    streams.push(3)
+    streams.settle()
+
+
 def test_an_inlet_that_is_not_open_yet_is_left_alone(streams: Streams) -> None:
     stream = streams.add(wants_each_sample=True)
     stream.inlet.state = InletState.OPENING

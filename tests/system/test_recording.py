@@ -25,6 +25,8 @@ pytestmark = pytest.mark.system
 
 SHORTEST_S = 12.0
 TIME_LIMIT_NS = 200_000
+# Of a single sample, however busy the computer is.
+WORST_LIMIT_NS = 1_000_000
 # Noise of LabRecorder's measurements between two programs on one computer.
 CLOCK_OFFSET_LIMIT_S = 0.002
 # Only headsets with older firmware fill it.
@@ -81,9 +83,21 @@ def test_every_sample_of_the_bag_is_in_the_xdf_file_once(run: RecordedRun) -> No
             assert not ((arrivals >= begin) & (arrivals <= end)).any(), topic
 
 
+def _limit_ns(run: RecordedRun) -> float:
+    """Return by how much a time may differ.
+
+    A busy computer measures clocks badly, the node no worse than LabRecorder, whose
+    offsets between two programs on one computer should all be zero.
+    """
+    offsets_s = np.abs(np.concatenate([each.clock_offsets for each in run.streams.values()]))
+    noise_ns = 2 * float(np.percentile(offsets_s, 99)) * NS_PER_S
+    return min(max(TIME_LIMIT_NS, noise_ns), WORST_LIMIT_NS)
+
+
 def test_times_are_the_same(
     run: RecordedRun, record_property: Callable[[str, object], None]
 ) -> None:
+    limit = _limit_ns(run)
     errors: dict[str, Errors] = {}
     for topic, xdf, bag in _pairs(run):
         start = place_of(xdf, bag)
@@ -93,8 +107,9 @@ def test_times_are_the_same(
         report = f"{len(xdf)} samples, worst {worst:.1f} us, RMS {rms:.1f} us"
         record_property(topic, report)
         print(f"{topic}: {report}")
-    too_large = {topic for topic, each in errors.items() if each.worst > TIME_LIMIT_NS}
-    assert not too_large, {topic: errors[topic] for topic in too_large}
+    too_large = {topic: each for topic, each in errors.items() if each.worst > limit}
+    assert not too_large, f"more than {limit / 1e3:.0f} us: {too_large}"
+    assert np.mean([each.rms for each in errors.values()]) <= TIME_LIMIT_NS
 
 
 def test_the_clocks_are_one(run: RecordedRun) -> None:
@@ -130,7 +145,7 @@ def test_integers_of_64_bits_are_exact(run: RecordedRun) -> None:
         assert start is not None, topic
         during = np.flatnonzero((pushed.times_ns >= begin) & (pushed.times_ns <= end))
         assert start <= during[0] and during[-1] < start + len(bag)
-        assert time_errors(pushed.part(start, len(bag)), bag).worst <= TIME_LIMIT_NS
+        assert time_errors(pushed.part(start, len(bag)), bag).worst <= _limit_ns(run)
 
 
 def test_numbers_go_up_by_one(run: RecordedRun) -> None:

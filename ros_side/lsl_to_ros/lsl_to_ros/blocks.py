@@ -43,6 +43,14 @@ class Run(NamedTuple):
     sequence: int
 
 
+def joined(first: Block, second: Block) -> Block:
+    """Return the samples of both."""
+    return Block(
+        np.concatenate((first.samples, second.samples)),
+        np.concatenate((first.stamps, second.stamps)),
+    )
+
+
 def part(block: Block, start: int, end: int, sequence: int) -> Run:
     """Return samples *start* to *end* of a block whose first has that number."""
     return Run(block.samples[start:end], block.stamps[start:end], sequence + start)

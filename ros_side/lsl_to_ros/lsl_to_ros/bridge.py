@@ -166,7 +166,7 @@ class Bridge:
         outputs = self.outputs
         if outputs.raw is not None:
             self._publish(outputs.raw, run)
-        if not outputs.timed:
+        if not any(writer.port.is_wanted for writer in outputs.timed):
             return
         if self._held or not self._stamping.is_known:
             self._hold(run)
@@ -174,11 +174,10 @@ class Bridge:
             self._write_timed(run)
 
     def _hold(self, run: Run) -> None:
-        if any(writer.port.is_wanted for writer in self.outputs.timed):
-            if len(self._held) == HELD_RUNS:
-                self.tally.unstamped += len(self._held[0].stamps)
-            # A view would keep the whole block in memory.
-            self._held.append(Run(run.samples.copy(), run.stamps.copy(), run.sequence))
+        if len(self._held) == HELD_RUNS:
+            self.tally.unstamped += len(self._held[0].stamps)
+        # A view would keep the whole block in memory.
+        self._held.append(Run(run.samples.copy(), run.stamps.copy(), run.sequence))
 
     def _write_timed(self, run: Run) -> None:
         fits = self._stamping.are_times(run.stamps)

@@ -14,6 +14,8 @@ from lsl_to_ros.blocks import Stamps
 GAP_PERIODS = 1.5
 # Other programs often stamp with the time at which they push, so their stamps jitter.
 FOREIGN_JITTER_S = 0.1
+# Stamps that jump to another clock must not make a count that no message can hold.
+MOST_MISSING = 1_000_000_000
 
 
 class Gap(NamedTuple):
@@ -78,4 +80,4 @@ class GapFinder:
     def _gap(self, index: int, step_s: float) -> Iterator[Gap]:
         if step_s > self._longest_step:
             periods = step_s * self._rate
-            yield Gap(index, round(periods) - 1 if math.isfinite(periods) else 0)
+            yield Gap(index, round(min(periods, MOST_MISSING)) - 1)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from enum import Enum, unique
 from typing import Protocol
 
-import numpy as np
 import pylsl
 from pylsl import util
 
@@ -18,7 +18,7 @@ from biosensor_common.lsl_header import read_header
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.stream_header import StreamHeader, foreign_header
 from lsl_to_ros.announcements import buffer_length, read_core
-from lsl_to_ros.blocks import Block
+from lsl_to_ros.blocks import Block, joined
 from lsl_to_ros.liblsl import matches_query, samples_available
 from lsl_to_ros.pulls import decoded, pull, pull_one
 
@@ -29,6 +29,7 @@ CORRECTION_TIMEOUT_S = 0.05
 CORRECTIONS_KEPT = 10
 # How long a blocked pull keeps its thread from noticing that it should end.
 PULL_TIMEOUT_S = 0.2
+LAST_ENTRY_S = 0.01
 BATCH_SAMPLES = 1024
 
 
@@ -250,7 +251,9 @@ class Inlet:
         try:
             work(lsl)
         except (util.LostError, util.TimeoutError):
-            # The last entry of a lost stream's queue is no sample: it wakes who waits.
+            # The last entry of a lost stream's queue is no sample: it wakes who waits. liblsl
+            # puts it there a moment after it has called the stream lost.
+            time.sleep(LAST_ENTRY_S)
             self._end_delivery(max(0, lsl.flush() - 1))
             self.state = InletState.LOST
         except Exception as error:  # noqa: BLE001 - else the stream would end unsaid
@@ -282,14 +285,12 @@ class Inlet:
             if block is None:
                 continue
             waiting = min(samples_available(lsl), BATCH_SAMPLES)
-            if waiting:
+            try:
                 # What came in one packet belongs into one message where there is such.
-                more = pull(lsl, waiting)
-                block = Block(
-                    np.concatenate((block.samples, more.samples)),
-                    np.concatenate((block.stamps, more.stamps)),
-                )
-            self._deliver(block)
+                block = joined(block, pull(lsl, waiting)) if waiting else block
+            finally:
+                # The pull may find out that the stream is lost.
+                self._deliver(block)
 
     def _deliver(self, block: Block) -> None:
         if self.core.format is ChannelFormat.STRING:

@@ -84,9 +84,12 @@ def declare(node: Node, name: str) -> Any:  # noqa: ANN401 - a string or a list 
     """Declare one parameter with what a file or the command line says; return its value."""
     parameter = _PARAMETERS[name]
     given = node.get_parameter_or(name).value
+    reason = None if given is None else fault(name, given)
+    if reason is not None:
+        node.get_logger().error(f"{reason}; it is ignored")
     if given is not None:
         node.undeclare_parameter(name)
-    value = parameter.default if given is None or fault(name, given) else given
+    value = parameter.default if given is None or reason is not None else given
     return node.declare_parameter(name, value, parameter.descriptor, ignore_override=True).value
 
 

@@ -148,13 +148,17 @@ class ImuWriter(TwinWriter):
         x, y, z, w = (sample[self._columns[label]] for label in self._QUATERNION)
         is_known = not math.isnan(x + y + z + w)
         orientation = Quaternion(x=x, y=y, z=z, w=w) if is_known else Quaternion()
+        acceleration = self._vector(sample, self._ACCELERATION, STANDARD_GRAVITY)
+        has_acceleration = not any(
+            math.isnan(sample[self._columns[label]]) for label in self._ACCELERATION
+        )
         return Imu(
             header=header,
             orientation=orientation,
             orientation_covariance=_UNKNOWN if is_known else _MISSING,
             angular_velocity_covariance=_MISSING,
-            linear_acceleration=self._vector(sample, self._ACCELERATION, STANDARD_GRAVITY),
-            linear_acceleration_covariance=_UNKNOWN,
+            linear_acceleration=acceleration if has_acceleration else Vector3(),
+            linear_acceleration_covariance=_UNKNOWN if has_acceleration else _MISSING,
         )
 
 

@@ -82,6 +82,17 @@ def fault(
     return ""
 
 
+def is_current(reference: Recording, observed: Recording, span: Span) -> bool:
+    """Whether the newest sample of a time came."""
+    sent, came = reference.between(*span).rows, observed.between(*span).rows
+    if not len(sent):
+        return True
+    # At the end of the time one may have come to only one of them.
+    next_sent = reference.between(span.end, span.end + MARGIN_S).rows[:1]
+    newest = np.concatenate([sent[-2:], next_sent]).tolist()
+    return len(came) > 0 and came[-1].tolist() in newest
+
+
 def delays(reference: Recording, observed: Recording) -> NDArray[np.float64]:
     """Seconds by which each sample came later than to the reference; shape (n,).
 

@@ -20,6 +20,21 @@ def canonical(counters: Mapping[str, Mapping[str, float]]) -> str:
     return json.dumps(floats, sort_keys=True)
 
 
+def lost_by_devices(reports: Recording, span: Span) -> dict[str, float]:
+    """Count what the agent says was lost in a time before it came to LSL, by source_id."""
+    first, last = _first_and_last(reports, span)
+    before = {source: entry["lost"] for source, entry in first.items()}
+    lost = {source: entry["lost"] - before.get(source, 0) for source, entry in last.items()}
+    return {source: count for source, count in lost.items() if count}
+
+
+def _first_and_last(
+    reports: Recording, span: Span
+) -> tuple[dict[str, dict[str, float]], dict[str, dict[str, float]]]:
+    texts = reports.between(*span).rows[:, 0]
+    return json.loads(str(texts[0])), json.loads(str(texts[-1]))
+
+
 def differences(reports: Recording, streams: Mapping[str, Recording], span: Span) -> dict[str, str]:
     """Compare what the agent says it pushed with what a receiver of its streams got.
 
@@ -35,8 +50,7 @@ def differences(reports: Recording, streams: Mapping[str, Recording], span: Span
     dict of str
         What differs, by source_id; also what the agent says it has lost itself.
     """
-    texts = reports.between(*span).rows[:, 0]
-    first, last = (json.loads(str(text)) for text in (texts[0], texts[-1]))
+    first, last = _first_and_last(reports, span)
     found: dict[str, str] = {}
     for source, end in last.items():
         begin, stamps = first[source], streams[source].stamps

@@ -13,8 +13,10 @@ from typing import NamedTuple, Self
 from biosensor_common import naming
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity
+from lsl_to_ros.outputs import LATCHED
 from tests.rigs.hosts import recordings
-from tests.rigs.hosts.completeness import Span, fault
+from tests.rigs.hosts.completeness import Span, fault, is_current
+from tests.rigs.hosts.counters import lost_by_devices
 from tests.rigs.hosts.lan import Host, Lan
 from tests.rigs.hosts.programs import Program, SteeredProgram
 from tests.rigs.hosts.recordings import Recording
@@ -32,6 +34,7 @@ SENSORS = (
 CHUNK_LENGTH = 16
 MATCH_TIMEOUT_S = 60.0
 _VIRTUAL_UNIT = "virtual"
+_GATEWAY, _COUNTERS = "gateway", "counters"
 
 
 class Place(NamedTuple):
@@ -61,17 +64,16 @@ def expected_places(agent_host: str) -> dict[str, Place]:
         for identity in identities
         for stream in sensor(identity.sensor).streams
     }
-    counters = _topic(DeviceIdentity("gateway", agent_host), "counters")
-    return places | {source_of_counters(agent_host): Place(counters, "")}
-
-
-def source_of_counters(agent_host: str) -> str:
-    """source_id of an agent's own counters."""
-    return naming.source_id(DeviceIdentity("gateway", agent_host), "counters")
+    gateway = DeviceIdentity(_GATEWAY, agent_host)
+    return places | {naming.source_id(gateway, _COUNTERS): Place(_topic(gateway, _COUNTERS), "")}
 
 
 def _topic(identity: DeviceIdentity, data_name: str) -> str:
     return f"/{naming.topic(identity, data_name)}"
+
+
+def _is_state(place: Place) -> bool:
+    return place.topic.rpartition("/")[2] in LATCHED
 
 
 class Observation(NamedTuple):
@@ -106,6 +108,37 @@ class Observation(NamedTuple):
             if topic
         }
         return {topic: what for topic, what in checked.items() if what}
+
+    def faults_in_bad_weather(
+        self, places: Mapping[str, Place], required: Span, calm: Sequence[Span]
+    ) -> dict[str, str]:
+        """Say the same of a time in which the network was disturbed.
+
+        A latched topic keeps one message, so of a state only the newest counts. On a busy
+        machine a virtual device may lose samples; no chunk spans such a gap.
+        """
+        states = {s: place for s, place in places.items() if _is_state(place)}
+        broken = lost_by_devices(self.counters, required)
+        others = {
+            source: place._replace(chunks="") if source in broken else place
+            for source, place in places.items()
+            if source not in states
+        }
+        outdated = {
+            place.topic: "the newest state did not come"
+            for source, place in states.items()
+            if not is_current(self.streams[source], self.topics[place.topic], required)
+        }
+        return self.faults(others, required, calm) | outdated
+
+    @property
+    def counters(self) -> Recording:
+        """What the agent said of its streams."""
+        return next(
+            stream
+            for source, stream in self.streams.items()
+            if source.startswith(_GATEWAY) and source.endswith(_COUNTERS)
+        )
 
 
 class Pair:
