@@ -91,18 +91,19 @@ class Routing:
 
     def update(self, ready: list[Inlet], gone: list[Inlet]) -> bool:
         """Attach and detach streams; return whether anything changed."""
-        for inlet in gone:
-            route = self._routes.pop(inlet.uid, None)
-            if route is not None:
-                self._say_gone(route)
+        # What is gone need not have been here: a dead outlet is reported for a while.
+        left = [route for inlet in gone if (route := self._routes.pop(inlet.uid, None))]
+        for route in left:
+            self._say_gone(route)
         for inlet in ready:
             if inlet.header is not None and inlet.is_served:
                 self._routes[inlet.uid] = Route(inlet, inlet.header)
             elif inlet.header is not None:
                 self._listen_only(inlet, inlet.header)
-        if ready or gone:
+        has_changed = bool(ready or left)
+        if has_changed:
             self._map_topics()
-        return bool(ready or gone)
+        return has_changed
 
     def set_prefix(self, prefix: str) -> None:
         """Move every topic; those of absent streams are closed."""

@@ -1,0 +1,163 @@
+"""Names and types of streams that other programs choose, however hostile."""
+
+from __future__ import annotations
+
+from itertools import count
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import pylsl
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.validate_full_topic_name import validate_full_topic_name
+from std_msgs.msg import Float32MultiArray, String
+
+if TYPE_CHECKING:
+    from tests.ros.conftest import Ros, RunningNode
+
+pytestmark = pytest.mark.usefixtures("node")
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+STREAMS = "/lsl_to_ros/streams"
+# An outlet takes two ports of the 256 that tests look at.
+WAVE = 72
+SUBSCRIBED = 8
+
+HOSTILE = [
+    # Quotes, blanks and what shells, XML, XPath, URLs, paths and ROS make something of.
+    *("two words", " leading", "trailing ", "tab\tinside", "line\nbreak", "cr\rinside", "a  b"),
+    *("it's", '"quoted"', "`back`", "$(reboot)", "${HOME}", "%s%n", "a;b", "a|b", "a&b", "a&&b"),
+    *("&lt;", "&#0;", "<b>", "</name>", "]]>", "<!--", "<!DOCTYPE x>", "<?xml?>", "a=b", "[1]"),
+    *("' or '1'='1", "') or true() or ('", "a/b", "a//b", "/", "//", "/abs", "a/", "../../x"),
+    *("..", ".", "a.b", "C:\\x", "\\", "~", "~/private", "{node}", "{ns}", "a:=b", "__node"),
+    *("_", "__", "___", "a_", "a__b", "_a", "a_b", "-", "--", "a-b", "+", "*", "#", "@", "!", "?"),
+    # What the node's own names, escapes and topics look like.
+    *("biosensors", "diagnostics", "rosout", "parameter_events", "clock", "lsl_to_ros", "node"),
+    *("x_chunk", "x_stamped", "x_imu", "x_mag", "bat_state", "x_temperature", "_chunk", "chunk"),
+    *("polar_h10", "polar_h10_left", "zephyr", "p01", "gateway", "x0", "x0a", "_x20", "a_x20b"),
+    *("x0_x20", "_x2F", "x2F", "a_x5Fchunk", "a_x68b", "a_x75b", "x_X2F", "a_x2f", "data", "Data"),
+    # Reserved words, numbers, and letters of one case only.
+    *("int", "class", "string", "null", "None", "true", "NaN", "namespace", "con", "nul", "CON"),
+    *("0", "1st", "42", "0x10", "1e5", "-1", "EEG", "eeg", "Eeg", "i", "I", "İ", "ı", "ß", "SS"),
+    # More than ASCII: accents both ways, width, direction, emoji, and beyond the first plane.
+    *(
+        "é",
+        "e\u0301",
+        "ü",
+        "\N{OHM SIGN}",
+        "\N{GREEK CAPITAL LETTER OMEGA}",
+        "脳波",
+        "心電図",
+        "сердце",
+        "قلب",
+        "ＥＥＧ",
+        "ﬁ",
+        "a\u200bb",
+    ),
+    *("\u202eabc", "\ufeffbom", "a\u00a0b", "\N{PILE OF POO}", "\U0001d54f", "\U0010fffd", "\x7f"),
+    # Control characters. LSL turns a carriage return into a line feed.
+    *(f"a{chr(code)}b" for code in range(1, 32) if chr(code) not in "\n\r"),
+    # Lengths at and around the limit of a token, and far beyond it.
+    *("x" * length for length in (1, 63, 64, 65, 200, 255, 256, 5000)),
+    *("x" * 63 + "y", "x" * 64 + "y", "x" * 65 + "y", "x" * 4999 + "y", "_" * 64, "a" + " " * 300),
+    *("é" * 32, "é" * 33, "é" * 2500, "/" * 5000, "x" * 60 + "_chunk", "x" * 60 + "_stamped"),
+]
+# An empty name, or one of blanks alone, LSL refuses itself; an empty type it does not.
+BLANK = ["", " ", " " * 300, "\n"]
+
+
+class Claim(NamedTuple):
+    """What a stream calls itself."""
+
+    name: str
+    kind: str
+    rate: float
+    format: str
+
+    def open(self, source_id: str) -> pylsl.StreamOutlet:
+        info = pylsl.StreamInfo(self.name, self.kind, 1, self.rate, self.format, source_id)
+        return pylsl.StreamOutlet(info)
+
+
+def waves() -> list[list[Claim]]:
+    """Every hostile text as a name, as a type, and each with another one."""
+    types = [*BLANK, *HOSTILE]
+    groups = [
+        [Claim(text, "EEG", 100.0, "float32") for text in HOSTILE],
+        [Claim(f"typed {place}", text, 100.0, "float32") for place, text in enumerate(types)],
+        [Claim(*pair, 0.0, "string") for pair in zip(HOSTILE[::3], HOSTILE[1::3], strict=False)],
+    ]
+    return [group[start : start + WAVE] for group in groups for start in range(0, len(group), WAVE)]
+
+
+class Wave:
+    """Streams with hostile names, and the topics that the node gives them."""
+
+    def __init__(self, claims: list[Claim], numbers: count[int]) -> None:
+        self.claims = {f"hostile {next(numbers)}": claim for claim in claims}
+        self.outlets = {key: claim.open(key) for key, claim in self.claims.items()}
+
+    def topics(self, lists: list[Any]) -> dict[str, list[str]]:
+        """Topics by source_id, as far as they are in the latest list."""
+        entries = [{one.key: one.value for one in status.values} for status in lists[-1].status]
+        return {
+            entry["source_id"]: [
+                key.removeprefix("topic ") for key in entry if key.startswith("topic ")
+            ]
+            for entry in entries
+            if entry["source_id"] in self.claims
+        }
+
+
+def test_every_name_and_type_gives_valid_topics_of_its_own(ros: Ros) -> None:
+    lists = ros.listen(DiagnosticArray, STREAMS, LATCHED)
+    ros.until(lambda: bool(lists), "the list of streams")
+    numbers, taken = count(), set[str]()
+    for claims in waves():
+        wave = Wave(claims, numbers)
+        ros.until(
+            lambda wave=wave: wave.topics(lists).keys() == wave.claims.keys(), "the whole wave"
+        )
+        topics = wave.topics(lists)
+        for key, names in topics.items():
+            assert len(names) == (2 if wave.claims[key].rate else 1)
+            for name in names:
+                assert validate_full_topic_name(name)
+                assert name.startswith("/biosensors/")
+                assert name.count("/") == 3
+                assert name not in taken, wave.claims[key]
+                taken.add(name)
+        check_flow(ros, wave, topics)
+        wave.outlets.clear()
+        ros.until(lambda wave=wave: not wave.topics(lists), "the end of the wave")
+    assert next(numbers) >= 400
+    assert len(taken) > 700
+
+
+def check_flow(ros: Ros, wave: Wave, topics: dict[str, list[str]]) -> None:
+    """Push through some streams of a wave, evenly chosen."""
+    chosen = list(topics)[:: len(topics) // SUBSCRIBED + 1]
+    kinds = {"float32": Float32MultiArray, "string": String}
+    heard = {key: ros.listen(kinds[wave.claims[key].format], topics[key][0]) for key in chosen}
+
+    def all_flow() -> bool:
+        for number, key in enumerate(chosen):
+            value = number if wave.claims[key].format == "float32" else str(number)
+            wave.outlets[key].push_sample([value], pylsl.local_clock())
+        return all(heard.values())
+
+    ros.until(all_flow, "samples under hostile names")
+    for number, messages in enumerate(heard.values()):
+        data = messages[0].data
+        assert (data if isinstance(data, str) else data[0]) in (number, str(number))
+
+
+def test_a_name_that_lsl_cannot_carry_harms_no_other_stream(ros: Ros, node: RunningNode) -> None:
+    nameless = pylsl.StreamOutlet(pylsl.StreamInfo(" ", "EEG", 1, 0.0, "float32", "nameless"))
+    ros.until(lambda: node.count("[WARN]", "ignored", "invalid") > 0, "a sentence about it")
+    good = pylsl.StreamOutlet(pylsl.StreamInfo("named", "EEG", 1, 0.0, "float32", "named"))
+    heard = ros.listen(Float32MultiArray, "/biosensors/named/EEG")
+    ros.attached("/biosensors/named/EEG", readers=1)
+    good.push_sample([1.0], pylsl.local_clock())
+    ros.until(lambda: bool(heard), "a sample of another stream")
+    del nameless
