@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from itertools import count
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -20,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("node")
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 STREAMS = "/lsl_to_ros/streams"
 # An outlet takes two ports of the 256 that tests look at.
-WAVE = 72
+WAVE = 100
 SUBSCRIBED = 8
 
 HOSTILE = [
@@ -38,22 +39,10 @@ HOSTILE = [
     *("x0_x20", "_x2F", "x2F", "a_x5Fchunk", "a_x68b", "a_x75b", "x_X2F", "a_x2f", "data", "Data"),
     # Reserved words, numbers, and letters of one case only.
     *("int", "class", "string", "null", "None", "true", "NaN", "namespace", "con", "nul", "CON"),
-    *("0", "1st", "42", "0x10", "1e5", "-1", "EEG", "eeg", "Eeg", "i", "I", "İ", "ı", "ß", "SS"),
+    *("0", "1st", "42", "0x10", "1e5", "-1", "EEG", "eeg", "Eeg", "i", "I", "ss", "SS"),
     # More than ASCII: accents both ways, width, direction, emoji, and beyond the first plane.
-    *(
-        "é",
-        "e\u0301",
-        "ü",
-        "\N{OHM SIGN}",
-        "\N{GREEK CAPITAL LETTER OMEGA}",
-        "脳波",
-        "心電図",
-        "сердце",
-        "قلب",
-        "ＥＥＧ",
-        "ﬁ",
-        "a\u200bb",
-    ),
+    *("é", "e\u0301", "ü", "\N{OHM SIGN}", "\N{GREEK CAPITAL LETTER OMEGA}", "脳波", "心電図"),
+    *("сердце", "قلب", "\uff25\uff25\uff27", "ﬁ", "a\u200bb", "\u0130", "\u0131", "ß"),
     *("\u202eabc", "\ufeffbom", "a\u00a0b", "\N{PILE OF POO}", "\U0001d54f", "\U0010fffd", "\x7f"),
     # Control characters. LSL turns a carriage return into a line feed.
     *(f"a{chr(code)}b" for code in range(1, 32) if chr(code) not in "\n\r"),
@@ -97,6 +86,11 @@ class Wave:
         self.claims = {f"hostile {next(numbers)}": claim for claim in claims}
         self.outlets = {key: claim.open(key) for key, claim in self.claims.items()}
 
+    def close(self) -> None:
+        # Each waits for liblsl's threads.
+        with ThreadPoolExecutor(len(self.outlets)) as pool:
+            pool.map(self.outlets.__delitem__, list(self.outlets))
+
     def topics(self, lists: list[Any]) -> dict[str, list[str]]:
         """Topics by source_id, as far as they are in the latest list."""
         entries = [{one.key: one.value for one in status.values} for status in lists[-1].status]
@@ -128,7 +122,7 @@ def test_every_name_and_type_gives_valid_topics_of_its_own(ros: Ros) -> None:
                 assert name not in taken, wave.claims[key]
                 taken.add(name)
         check_flow(ros, wave, topics)
-        wave.outlets.clear()
+        wave.close()
         ros.until(lambda wave=wave: not wave.topics(lists), "the end of the wave")
     assert next(numbers) >= 400
     assert len(taken) > 700

@@ -129,6 +129,11 @@ class Inlet:
         return max(recent) - min(recent) if recent else 0.0
 
     @property
+    def is_delivering(self) -> bool:
+        """Whether it has a receiver."""
+        return self._receiver is not None
+
+    @property
     def wants_each_sample(self) -> bool:
         """Whether its receiver wants samples at once."""
         receiver = self._receiver

@@ -79,6 +79,8 @@ class Routing:
         self._records: dict[tuple[str, str], _Record] = {}
         self._accounts: dict[str, LossAccount] = {}
         self._seen: set[DeviceIdentity] = set()
+        self._newest: list[Route] = []
+        self._due: list[Route] = []
 
     def device_name(self, route: Route) -> str:
         """Name of a stream's device as in its topics: ``p01/zephyr_left``."""
@@ -123,8 +125,17 @@ class Routing:
                 )
 
     def count_readers(self) -> None:
-        """Ask for the subscribers of every topic."""
+        """Ask for the subscribers of every topic, and begin with the streams that are due.
+
+        A stream begins one look after its topics opened: subscribers that wait for them
+        have found them by then, and liblsl keeps the samples.
+        """
         self._ports.count_readers()
+        due, self._due, self._newest = self._due, self._newest, []
+        for route in due:
+            is_here = self._routes.get(route.inlet.uid) is route
+            if is_here and route.bridge is not None and not route.inlet.is_delivering:
+                route.inlet.deliver_to(route.bridge)
 
     def _say_gone(self, route: Route) -> None:
         name = route.topic.name if route.topic else route.inlet.core.name
@@ -208,7 +219,10 @@ class Routing:
         )
         if topic.conflict:
             self._warn(f"{topic.name}: two units share a name; give each a label in its settings")
-        inlet.deliver_to(route.bridge)
+        if inlet.is_delivering:
+            inlet.deliver_to(route.bridge)
+        else:
+            self._newest.append(route)
         self._log.inform(f"{topic.name} ({header.message_type})")
 
     def _listen_only(self, inlet: Inlet, header: StreamHeader) -> None:

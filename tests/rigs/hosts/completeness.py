@@ -89,8 +89,8 @@ def is_current(reference: Recording, observed: Recording, span: Span) -> bool:
         return True
     # At the end of the time one may have come to only one of them.
     next_sent = reference.between(span.end, span.end + MARGIN_S).rows[:1]
-    newest = np.concatenate([sent[-2:], next_sent]).tolist()
-    return len(came) > 0 and came[-1].tolist() in newest
+    newest = {row.tobytes() for row in np.concatenate([sent[-2:], next_sent])}
+    return len(came) > 0 and came[-1].tobytes() in newest
 
 
 def delays(reference: Recording, observed: Recording) -> NDArray[np.float64]:
