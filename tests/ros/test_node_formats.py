@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -259,18 +260,25 @@ def test_another_format_changes_the_type_of_the_topic_and_is_said_once(
         assert node.count("[WARN]", f"{stream.name}/EEG") == 1
 
 
-def test_streams_that_claim_one_topic_in_two_formats_do_no_harm(
+def test_streams_that_claim_one_topic_in_several_types_do_no_harm(
     ros: Ros, node: RunningNode
 ) -> None:
-    claims = [
+    claims: list[Any] = [
         pylsl.StreamOutlet(pylsl.StreamInfo("claimed", "EEG", 1, 0.0, format_, ""))
         for format_ in ("float32", "int32", "string")
     ]
+    # What is derived from one stream, another one of the same device may have as its name.
+    wristband = DeviceIdentity("empatica_e4", "U1", participant="claims")
+    skin = sensor("empatica_e4").stream("st")
+    claims += [
+        Outlet(replace(skin, data_name=data, chunk="st"), wristband, DeviceInfo())
+        for data in ("st", "st_temperature")
+    ]
     good = foreign("unclaimed", 1, 0.0, "float32")
     heard = ros.listen(Float32MultiArray, "/biosensors/unclaimed/EEG")
-    ros.until(lambda: any("claimed/" in topic for topic in ros.present()), "one of them")
+    wanted = {"/biosensors/claimed/EEG", "/claims/biosensors/empatica_e4/st"}
+    ros.until(lambda: wanted <= ros.present(), "the first of each")
     ros.attached("/biosensors/unclaimed/EEG", readers=1)
-    ros.report()
     ros.report()
     good.push_sample([1.0], pylsl.local_clock())
     ros.until(lambda: bool(heard), "a sample of another stream")

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
 import pylsl
 import pytest
-from std_msgs.msg import Float32, Float32MultiArray, String
+from std_msgs.msg import Float32, Float32MultiArray, Int64MultiArray, String
 
 from biosensor_common import naming
 from biosensor_common.lsl_header import MAX_XML_CHARACTERS, describe
@@ -83,12 +83,18 @@ def append(parent: pylsl.XMLElement, element: ET.Element) -> None:
             parent.append_child_value(child.tag, child.text or "")
 
 
-def lying(name: str, tamper: Tamper, sensor_name: str = "zephyr") -> pylsl.StreamOutlet:
-    """Open an outlet with a description that would be right but for *tamper*."""
+def lying(
+    name: str,
+    tamper: Tamper,
+    sensor_name: str = "zephyr",
+    channels: int = 1,
+    format_: str = "float32",
+) -> pylsl.StreamOutlet:
+    """Open an outlet with a description that would be right but for *tamper* and its shape."""
     stream = sensor("zephyr").stream("ecg")
     identity = DeviceIdentity(sensor_name, name)
     source_id = naming.source_id(identity, "ecg")
-    info = pylsl.StreamInfo(name, "ECG", 1, 250.0, "float32", source_id)
+    info = pylsl.StreamInfo(name, "ECG", channels, 250.0, format_, source_id)
     desc = describe(stream, identity, DeviceInfo())
     tamper(desc)
     append(info.desc(), desc)
@@ -124,6 +130,45 @@ def test_a_lying_description_makes_a_foreign_stream_and_one_sentence(
         assert node.count("[WARN]", f"'{name}'") == 1
         assert node.count("[WARN]", f"'{name}'", reason) == 1
     assert not [topic for topic in ros.topics() if topic.startswith("/biosensors/zephyr")]
+
+
+def claim_channels(desc: ET.Element) -> None:
+    channels = desc.find("channels")
+    assert channels is not None
+    channels.extend([channels[0]] * 4)
+
+
+def test_a_description_of_another_shape_is_refused_alone(ros: Ros, node: RunningNode) -> None:
+    truthful = lying("shape_true", leave_alone, sensor_name="shape_sensor")
+    good = ros.listen(Float32, "/biosensors/shape_sensor/ecg")
+    integers = set_field("message_type", "std_msgs/msg/Int32MultiArray")
+    cases: list[tuple[str, pylsl.StreamOutlet, type[Any], list[Any]]] = [
+        # One value a message, but three a sample.
+        ("shape_wide", lying("shape_wide", leave_alone, channels=3), Float32MultiArray, [1, 2, 3]),
+        ("shape_text", lying("shape_text", leave_alone, format_="string"), String, ["text"]),
+        ("shape_long", lying("shape_long", integers, format_="int64"), Int64MultiArray, [2**40]),
+    ]
+    topics = [f"/biosensors/{name}/ECG" for name, _, _, _ in cases]
+    heard = [ros.listen(kind, topic) for (_, _, kind, _), topic in zip(cases, topics, strict=True)]
+    # Five labels for one channel: none of them can be believed, but the rest can.
+    labels = lying("shape_labels", claim_channels, sensor_name="shape_labels")
+    labelled = ros.listen(Float32, "/biosensors/shape_labels/ecg")
+    own = ["/biosensors/shape_sensor/ecg", "/biosensors/shape_labels/ecg"]
+    ros.attached(*topics, *own, readers=1)
+    for name, outlet, _, sample in cases:
+        outlet.push_sample(sample, pylsl.local_clock())
+        assert node.count("[WARN]", f"'{name}'", "does not fit the stream") == 1
+    for outlet in (truthful, labels):
+        outlet.push_sample([7.5], pylsl.local_clock())
+    ros.until(lambda: all(heard) and bool(good and labelled), "a sample of each")
+    for (_, _, kind, sample), messages in zip(cases, heard, strict=True):
+        data = messages[0].data
+        assert ([data] if kind is String else list(data)) == sample
+    assert [message.data for message in (*good, *labelled)] == [7.5, 7.5]
+    for topic in own:
+        status = ros.status(topic)
+        assert status is not None
+        assert status["unit_of_measurement"] == ("counts" if topic == own[0] else "")
 
 
 def test_a_truthful_description_is_taken_at_its_word(ros: Ros, node: RunningNode) -> None:

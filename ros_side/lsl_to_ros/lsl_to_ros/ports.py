@@ -12,7 +12,10 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-MIN_DEPTH, MAX_DEPTH = 10, 10_000
+# On a network that loses packets, or is away for some seconds, what is sent again must
+# still be there; measured with 5 % of all packets lost and with a cut of 6 s.
+DEPTH_S = 30.0
+MIN_RATE_HZ, MAX_DEPTH = 10.0, 100_000
 
 _POLICIES = (
     QoSPolicyKind.HISTORY,
@@ -111,12 +114,12 @@ def make_publisher(
 ) -> Publisher:
     """Make a reliable publisher whose quality of service parameters can override.
 
-    The queue holds the messages of one second. Latched means transient local with a
+    The queue holds the messages of half a minute. Latched means transient local with a
     depth of 1. The overrides are ROS's own, named
     ``qos_overrides.<topic>.publisher.<policy>`` and read when the topic opens.
     """
     # The rate of another program's stream may be any number.
-    qos = QoSProfile(depth=ceil(min(max(rate, MIN_DEPTH), MAX_DEPTH)))
+    qos = QoSProfile(depth=ceil(min(max(rate, MIN_RATE_HZ) * DEPTH_S, MAX_DEPTH)))
     if latched:
         qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     return node.create_publisher(

@@ -3,7 +3,7 @@
 Streams that nobody reads sample by sample share one thread, which fetches what has
 come ten times a second. Of those that are read, up to four have a thread each, which
 waits for the next sample: nothing is faster. When there are more, the threads would
-mostly wake and wait for each other, so one looks at all of them 1000 times a second.
+mostly wake and wait for each other, so one looks at all of them 500 times a second.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable
 from lsl_to_ros.inlets import Inlet, InletState
 
 DRAIN_PERIOD_S = 0.1
-PEEK_PERIOD_S = 0.001
+PEEK_PERIOD_S = 0.002
 MOST_FOLLOWERS = 4
 
 
