@@ -268,7 +268,8 @@ def node(listener: Ros, request: pytest.FixtureRequest) -> Iterator[RunningNode]
 
     It gets the module's ``NODE_ARGUMENTS``, if there are any.
     """
-    running = RunningNode(*getattr(request.module, "NODE_ARGUMENTS", ()))
+    module: Any = request.module  # pyright: ignore[reportUnknownMemberType]
+    running = RunningNode(*getattr(module, "NODE_ARGUMENTS", ()))
     listener.report()
     yield running
     died, log = not running.is_running, running.log

@@ -1,300 +1,290 @@
-"""What the running node tells of streams and devices that do well, fall silent or lie."""
+"""What the running node tells of itself: ``/diagnostics``, ``~/streams`` and its log."""
 
 from __future__ import annotations
 
 import socket
 import time
-import uuid
-from collections.abc import Iterator
-from itertools import groupby
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pylsl
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import Float32
 
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.outlets import Outlet
-from tests.ros.conftest import Flow
+from biosensor_gateway.outlets import Counters, Outlet, counters_text
 
 if TYPE_CHECKING:
-    from tests.ros.conftest import Ros, RunningNode
+    from tests.ros.conftest import Flow, Ros, RunningNode, Status
 
-OK, WARN, STALE = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.STALE
-RATE_HZ = 50.0
-STALE_AFTER_S = 5.0
-# Samples that one stream leaves out, by their numbers.
-LEFT_OUT = range(101, 161)
-LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-# fmt: off
-FIELDS = {
-    "topic", "chunk_topic", "sensor", "participant", "label", "unit_of_measurement",
-    "rate_measured", "rate_nominal", "received", "lost", "unfit", "unstamped", "chunk_discarded",
-    "age_s", "latency_mean_s", "latency_max_s", "clock_offset_s", "clock_offset_spread_s",
-    "subscribers",
-}
-# fmt: on
+pytestmark = pytest.mark.usefixtures("node")
 
+Begin = Callable[..., "Flow"]
 
-class LossyOutlet(pylsl.StreamOutlet):
-    """Never pushes the samples of certain numbers."""
-
-    def push_chunk(self, x: Any, timestamp: Any = 0.0, pushthrough: bool = True) -> None:
-        kept = ~np.isin(x[:, 0], LEFT_OUT)
-        if kept.any():
-            super().push_chunk(x[kept], list(np.array(timestamp)[kept]), pushthrough)
+OK, WARN, ERROR, STALE = (
+    DiagnosticStatus.OK,
+    DiagnosticStatus.WARN,
+    DiagnosticStatus.ERROR,
+    DiagnosticStatus.STALE,
+)
+STALE_S = 5.0
+LOG_LINES, LOG_WINDOW_S = 200, 10.0
+LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+CHEST = DeviceIdentity("polar_h10", "H1", participant="p02", label="chest")
+BASE = "/p02/biosensors/polar_h10_chest"
 
 
-class UnixTimeOutlet(pylsl.StreamOutlet):
-    """Stamps with the seconds since 1970, as programs do that do not ask LSL for the time."""
-
-    def push_chunk(self, x: Any, timestamp: Any = 0.0, pushthrough: bool = True) -> None:
-        offset = time.time() - pylsl.local_clock()
-        super().push_chunk(x, [stamp + offset for stamp in timestamp], pushthrough)
+def foreign(name: str, rate: float = 100.0, source_id: str | None = None) -> pylsl.StreamOutlet:
+    given = f"id of {name}" if source_id is None else source_id
+    return pylsl.StreamOutlet(pylsl.StreamInfo(name, "EEG", 1, rate, "float32", given))
 
 
-def describe(info: pylsl.StreamInfo, *channels: tuple[str, str]) -> None:
-    """Add labels and units as the XDF format has them."""
-    parent = info.desc().append_child("channels")
-    for label, unit in channels:
-        channel = parent.append_child("channel")
-        channel.append_child_value("label", label)
-        channel.append_child_value("unit", unit)
+def declared(identity: DeviceIdentity, data: str) -> Outlet:
+    return Outlet(sensor(identity.sensor).stream(data), identity, DeviceInfo())
 
 
-def announced(name: str, rate: float = RATE_HZ) -> pylsl.StreamInfo:
-    info = pylsl.StreamInfo(name, "EEG", 1, rate, "float32", f"id of {name}")
-    describe(info, ("AF3", "microvolts"))
-    return info
+def unchecked(outlet: Outlet) -> pylsl.StreamOutlet:
+    return vars(outlet)["_outlet"]
 
 
-def topic(name: str) -> str:
-    return f"/biosensors/{name}/EEG"
+def status_of(ros: Ros, topic: str) -> Status:
+    status = ros.status(topic)
+    assert status is not None, topic
+    return status
 
 
-class Report:
-    """One stream's entry in one message of ``/diagnostics``."""
-
-    def __init__(self, array: DiagnosticArray, status: DiagnosticStatus) -> None:
-        self.time_s = array.header.stamp.sec + array.header.stamp.nanosec * 1e-9
-        self.level, self.message = status.level, status.message
-        self.values = {value.key: value.value for value in status.values}
-
-    def number(self, key: str) -> float:
-        return float(self.values[key])
-
-
-class History:
-    """All reports while streams did well, paused, lied and recovered, side by side."""
-
-    def __init__(self, arrays: list[DiagnosticArray]) -> None:
-        self._arrays = arrays
-
-    def of(self, name: str, least: int = 1) -> list[Report]:
-        """Reports of one stream in which it has had so many samples."""
-        found = [
-            Report(array, status)
-            for array in self._arrays
-            for status in array.status
-            if status.name == f"lsl_to_ros: {topic(name)}"
-        ]
-        return [report for report in found if report.number("received") >= least]
-
-    def levels(self, name: str) -> list[bytes]:
-        """Levels in their order, each once as long as it lasts."""
-        return [level for level, _ in groupby(report.level for report in self.of(name))]
-
-    def is_at(self, name: str, level: bytes) -> bool:
-        reports = self.of(name)
-        return bool(reports) and reports[-1].level == level
-
-
-@pytest.fixture(scope="module")
-def history(listener: Ros, node: RunningNode) -> Iterator[History]:
-    """Let all scenes happen at the same time, for each takes ten seconds or more."""
-    arrays: list[DiagnosticArray] = listener.listen(DiagnosticArray, "/diagnostics")
-    history = History(arrays)
-    well, pausing = (pylsl.StreamOutlet(announced(name)) for name in ("well", "pausing"))
-    slow = pylsl.StreamOutlet(announced("slow", 100.0))
-    unix, lossy = UnixTimeOutlet(announced("unix")), LossyOutlet(announced("lossy"))
-    names = ("well", "pausing", "slow", "unix", "lossy")
-    listener.attached(*(topic(name) for name in names))
-    flows = [Flow(well, RATE_HZ), Flow(slow, 80.0), Flow(unix, RATE_HZ), Flow(lossy, RATE_HZ)]
-    flows.append(Flow(pausing, RATE_HZ))
-    try:
-        listener.until(lambda: history.is_at("pausing", OK), "the first samples")
-        flows.pop().stop()
-        listener.until(lambda: history.is_at("pausing", STALE), "the end of its samples")
-        flows.append(Flow(pausing, RATE_HZ))
-        listener.until(lambda: history.is_at("slow", WARN), "a wrong rate")
-        listener.until(lambda: history.is_at("lossy", OK), "losses that are long ago")
-        listener.until(lambda: history.is_at("pausing", OK), "a pause that is long ago")
-        listener.stop_listening()
-        yield history
-    finally:
-        for flow in flows:
-            flow.stop()
-
-
-def test_a_stream_that_does_well_is_always_ok(history: History) -> None:
-    assert {(report.level, report.message) for report in history.of("well")} == {(OK, "streaming")}
-
-
-def test_every_field_of_a_stream_is_there_and_true(history: History) -> None:
-    report = history.of("well")[-1]
-    values = report.values
-    assert set(values) == FIELDS
-    assert (values["topic"], values["chunk_topic"]) == (topic("well"), f"{topic('well')}_chunk")
-    assert (values["sensor"], values["participant"], values["label"]) == ("well", "", "")
-    assert values["unit_of_measurement"] == "microvolts"
-    assert values["rate_nominal"] == "50.00"
-    assert report.number("rate_measured") == pytest.approx(RATE_HZ, rel=0.01)
-    assert values["lost"] == "about 0"
-    for key in ("unfit", "unstamped", "chunk_discarded", "subscribers"):
-        assert values[key] == "0"
-    # Nobody reads it, so its samples are fetched ten times a second.
-    assert 0.0 < report.number("latency_mean_s") <= report.number("latency_max_s") < STALE_AFTER_S
-    assert 0.0 < report.number("age_s") < STALE_AFTER_S
-    assert abs(report.number("clock_offset_s")) < 0.01
-    assert 0.0 <= report.number("clock_offset_spread_s") < 0.01
-
-
-def test_a_regular_stream_is_stale_after_five_seconds_of_silence_and_recovers(
-    history: History,
-) -> None:
-    reports = history.of("pausing")
-    # What did not come in the pause counts as lost for ten seconds.
-    assert history.levels("pausing") == [OK, STALE, WARN, OK]
-    for report in reports:
-        assert (report.level == STALE) == (report.number("age_s") > STALE_AFTER_S)
-    assert {report.message for report in reports if report.level == STALE} == {"no samples"}
-    pause = next(report for report in reports if report.level == WARN)
-    assert "samples lost in the last 10 s" in pause.message
-    lost = float(pause.values["lost"].removeprefix("about "))
-    assert lost > STALE_AFTER_S * RATE_HZ
-
-
-def test_a_wrong_rate_is_a_warning_once_it_was_measured_for_ten_seconds(history: History) -> None:
-    reports = history.of("slow")
-    assert history.levels("slow") == [OK, WARN]
-    first = next(report for report in reports if report.level == WARN)
-    assert first.message == f"{first.values['rate_measured']} Hz instead of 100.00 Hz"
-    assert first.number("rate_measured") == pytest.approx(80.0, rel=0.01)
-    assert first.time_s - history.of("slow", least=0)[0].time_s > 8.0
-
-
-def test_stamps_of_another_clock_are_a_warning(history: History) -> None:
-    reports = history.of("unix")
-    warning = (WARN, "its stamps are not times of the LSL clock")
-    assert {(report.level, report.message) for report in reports} == {warning}
-    assert reports[-1].number("rate_measured") == pytest.approx(RATE_HZ, rel=0.01)
-    age = time.time() - pylsl.local_clock()
-    assert reports[-1].number("age_s") == pytest.approx(-age, abs=120.0)
-
-
-def test_samples_that_a_stream_leaves_out_are_a_warning_for_ten_seconds(history: History) -> None:
-    reports = history.of("lossy")
-    assert history.levels("lossy") == [OK, WARN, OK]
-    warnings = [report for report in reports if report.level == WARN]
-    missing = len(LEFT_OUT)
-    assert {report.message for report in warnings} == {f"{missing} samples lost in the last 10 s"}
-    # Reports are a second apart, so the ten seconds are met to two of them.
-    assert 7.0 < warnings[-1].time_s - warnings[0].time_s < 11.0
-    assert reports[-1].values["lost"] == f"about {missing}"
-
-
-def test_missing_messages_for_stamps_are_a_warning_and_said_once(
-    ros: Ros, node: RunningNode, history: History
-) -> None:
-    ros.report()
-    status = ros.status("node")
-    assert status is not None
-    assert (status.level, status["stamped_topics"]) == (WARN, "no")
-    assert "biosensor_msgs is not installed" in status.message
-    assert node.count("[WARN]", "biosensor_msgs is not installed") == 1
-    assert not any(name.endswith("_stamped") for name in ros.topics())
-    attached = {name for name in ros.present() if name.startswith("/biosensors/")}
-    assert status["streams"] == str(len(attached))
-    assert status["streams_refused"] == "0"
-
-
-def strap(data: str, participant: str) -> Outlet:
-    identity = DeviceIdentity("polar_h10", f"unit of {participant}", participant=participant)
-    return Outlet(sensor("polar_h10").stream(data), identity, DeviceInfo())
-
-
-def test_a_device_that_is_empty_or_not_worn_is_a_warning_until_it_is_mended(
-    ros: Ros, node: RunningNode
-) -> None:
-    tired, slipped = strap("bat", "tired"), strap("quality", "slipped")
-    steps: list[tuple[Outlet, str, str, float, bytes, str]] = [
-        (tired, "tired", "bat/level", 5.0, WARN, "battery at 5 %"),
-        (tired, "tired", "bat/level", 10.0, WARN, "battery at 10 %"),
-        (tired, "tired", "bat/level", 11.0, OK, "as its streams tell"),
-        (slipped, "slipped", "quality/contact", 0.0, WARN, "not worn"),
-        (slipped, "slipped", "quality/contact", 1.0, OK, "as its streams tell"),
-    ]
-    for outlet, who, key, value, level, message in steps:
-        assert outlet.push([value], [pylsl.local_clock()]) is None
-        expected = (level, message, f"unit of {who}", {key: f"{value:g}"})
-
-        def is_told(outlet: Outlet = outlet, who: str = who, expected: object = expected) -> bool:
-            # The first value of a state waits for its receivers.
-            outlet.release()
-            status = ros.status(f"device {who}/polar_h10")
-            return status is not None and expected == (
-                status.level,
-                status.message,
-                status.unit,
-                status.values,
-            )
-
-        ros.until(is_told, f"{expected}")
-
-
-def entries(arrays: list[DiagnosticArray]) -> dict[str, dict[str, str]]:
-    """Return the facts of each stream by its topic, from the latest list."""
-    found = arrays[-1].status if arrays else []
-    return {one.name: {value.key: value.value for value in one.values} for one in found}
-
-
-def test_the_list_of_streams_is_latched_and_follows_what_comes_and_goes(
-    ros: Ros, node: RunningNode
-) -> None:
-    info = pylsl.StreamInfo("listed", "Gaze", 2, 60.0, "double64", "id of listed")
-    describe(info, ("x", "pixels"), ("y", "pixels"))
-    outlet = pylsl.StreamOutlet(info)
-    name = "/biosensors/listed/Gaze"
-    ros.attached(name)
-    lists: list[DiagnosticArray] = ros.listen(DiagnosticArray, "/lsl_to_ros/streams", LATCHED)
-    ros.until(lambda: bool(lists), "the list for a subscriber that comes late")
-    listed = entries(lists)[name]
-    uid = listed.pop("uid")
-    assert str(uuid.UUID(uid)) == uid
-    kind = "std_msgs/msg/Float64MultiArray"
-    expected = {
-        "lsl_name": "listed",
-        "lsl_type": "Gaze",
-        "source_id": "id of listed",
-        "host": socket.gethostname(),
-        "rate": "60",
-        "format": "double64",
-        "labels": "x, y",
-        "units": "pixels, pixels",
-        "participant": "",
-        "label": "",
-        "foreign": "true",
-        f"topic {name}": kind,
-        f"topic {name}_chunk": kind,
+def test_the_status_of_a_stream_says_everything_about_it(ros: Ros, flow: Begin) -> None:
+    ecg = declared(CHEST, "ecg")
+    agent = declared(DeviceIdentity("gateway", "agent"), "counters")
+    heard = ros.listen(Float32, f"{BASE}/ecg")
+    assert ros.set("p02.polar_h10_chest.Chunk_Length", 10) == ""
+    ros.attached(f"{BASE}/ecg", readers=1)
+    ros.attached("/biosensors/gateway/counters")
+    before = status_of(ros, f"{BASE}/ecg")
+    assert (before.level, before.message, before["age_s"]) == (STALE, "no samples", "")
+    assert before["lost"] == "unknown"
+    assert [before[f"latency_{which}_s"] for which in ("mean", "max")] == ["", ""]
+    flowing = flow(unchecked(ecg), 130.0)
+    ros.until(lambda: len(heard) > 300, "two seconds of samples")
+    count = flowing.stop()
+    stamp = pylsl.local_clock()
+    for later in range(2):
+        # The agent says what it has pushed; a later sample shows that nothing is on its way.
+        counters = Counters(pushed=count + later, lost=3, last_stamp=stamp)
+        agent.push_text(counters_text({ecg.source_id: counters}), stamp)
+        stamp = pylsl.local_clock()
+        unchecked(ecg).push_sample([0.0], stamp)
+    ros.until(lambda: status_of(ros, f"{BASE}/ecg")["lost"] == "3", "the agent's loss")
+    status = status_of(ros, f"{BASE}/ecg")
+    assert (status.level, status.message) == (WARN, "3 samples lost in the last 10 s")
+    assert status.unit == "H1"
+    measured = {key: float(status.values.pop(key)) for key in MEASURED}
+    assert status.values == {
+        "topic": f"{BASE}/ecg",
+        "chunk_topic": f"{BASE}/ecg_chunk",
+        "sensor": "polar_h10",
+        "participant": "p02",
+        "label": "chest",
+        "unit_of_measurement": "microvolts",
+        "rate_nominal": "130.00",
+        "received": str(count + 2),
+        "lost": "3",
+        "unfit": "0",
+        "unstamped": "0",
+        "chunk_discarded": status["chunk_discarded"],
+        "subscribers": "1",
     }
-    assert listed == expected
-    staying = pylsl.StreamOutlet(announced("comes"))
-    ros.until(lambda: topic("comes") in entries(lists), "a stream that comes")
-    assert entries(lists)[name] == {**expected, "uid": uid}
+    assert measured["rate_measured"] == pytest.approx(130.0, rel=0.05)
+    assert 0.0 <= measured["age_s"] < 10.0
+    # One machine has one LSL clock.
+    assert abs(measured["clock_offset_s"]) < 1e-3
+    assert 0.0 <= measured["clock_offset_spread_s"] < 1e-3
+    assert 0.0 <= measured["latency_mean_s"] <= measured["latency_max_s"] < 10.0
+
+
+MEASURED = (
+    "rate_measured",
+    "age_s",
+    "latency_mean_s",
+    "latency_max_s",
+    "clock_offset_s",
+    "clock_offset_spread_s",
+)
+
+
+def test_the_status_of_a_device_tells_of_battery_and_contact(ros: Ros) -> None:
+    outlets = {data: unchecked(declared(CHEST, data)) for data in ("bat", "quality", "rssi")}
+    ros.attached(*(f"{BASE}/{data}" for data in outlets))
+    device = "device p02/polar_h10_chest"
+    for sent, level, message in (
+        ({"bat": 80.0, "quality": 1.0, "rssi": -60.0}, OK, "as its streams tell"),
+        ({"bat": 10.0}, WARN, "battery at 10 %"),
+        ({"bat": 55.0, "quality": 0.0}, WARN, "not worn"),
+        ({"quality": 1.0}, OK, "as its streams tell"),
+    ):
+        for data, value in sent.items():
+            outlets[data].push_sample([value], pylsl.local_clock())
+
+        def is_so(level: bytes = level, message: str = message) -> bool:
+            status = ros.status(device)
+            return status is not None and (status.level, status.message) == (level, message)
+
+        ros.until(is_so, message)
+    status = status_of(ros, device)
+    assert status.unit == "H1"
+    assert status.values == {"bat/level": "55", "quality/contact": "1", "rssi/signal": "-60"}
+
+
+def test_the_status_of_the_node_warns_once_that_stamped_topics_are_missing(
+    ros: Ros, node: RunningNode
+) -> None:
+    outlets = [
+        foreign("usable", 0.0),
+        pylsl.StreamOutlet(pylsl.StreamInfo("unusable", "EEG", 0, 0.0, "float32", "unusable")),
+    ]
+    ros.attached("/biosensors/usable/EEG")
+    ros.until(lambda: status_of(ros, "node")["streams_refused"] == "1", "a stream refused")
+    status = status_of(ros, "node")
+    others = len([topic for topic in ros.present() if topic.startswith("/")])
+    assert status.level == WARN
+    assert "biosensor_msgs is not installed" in status.message
+    assert status.values == {
+        "streams": str(others),
+        "streams_refused": "1",
+        "clock_steps": "0",
+        "stamped_topics": "no",
+        "liblsl": str(pylsl.library_version()),
+    }
+    assert node.count("biosensor_msgs is not installed") == 1
+    del outlets
+
+
+def test_levels_follow_what_happens_to_a_stream(ros: Ros, flow: Begin) -> None:
+    names = ("steady", "quiet", "slow", "lossy", "clock", "clock_ends", "late", "rare")
+    topics = {name: f"/biosensors/{name}/EEG" for name in names}
+    outlets = {name: foreign(name, 0.0 if name == "rare" else 100.0) for name in names}
+    ros.attached(*topics.values())
+    flows = {name: flow(outlets[name], 80.0 if name == "slow" else 100.0) for name in names[:4]}
+    begun = time.monotonic()
+
+    # Unix time instead of the LSL clock's, and a device whose samples take 10 s.
+    clocks: dict[str, Callable[[], float]] = {
+        "clock": time.time,
+        "clock_ends": time.time,
+        "late": lambda: pylsl.local_clock() - 10.0,
+    }
+
+    def wait(name: str, level: bytes, *parts: str) -> None:
+        def is_so() -> bool:
+            for other, clock in clocks.items():
+                outlets[other].push_sample([0.0], clock())
+            status = status_of(ros, topics[name])
+            return status.level == level and all(part in status.message for part in parts)
+
+        ros.until(is_so, f"{name}: {parts}")
+
+    outlets["rare"].push_sample([0.0], pylsl.local_clock())
+    for name in (*names[:4], "rare"):
+        wait(name, OK, "streaming")
+    flows["lossy"].stop()
+    stopped = time.monotonic()
+    flows["quiet"].stop()
+    for name in ("clock", "clock_ends"):
+        wait(name, WARN, "not times of the LSL clock")
+    del clocks["clock_ends"]
+    flow(outlets["lossy"], 100.0)
+    wait("lossy", WARN, "samples lost in the last 10 s")
+    lost = int(status_of(ros, topics["lossy"])["lost"].removeprefix("about "))
+    assert 100 * (time.monotonic() - stopped) >= lost > 10
+    wait("quiet", STALE, "no samples")
+    assert time.monotonic() - stopped > STALE_S - 0.5
+    flow(outlets["quiet"], 100.0)
+    wait("quiet", WARN, "samples lost")
+    wait("slow", WARN, "80.", "Hz instead of 100.00 Hz")
+    assert time.monotonic() - begun > 8.0
+    for name in ("lossy", "quiet"):
+        wait(name, OK, "streaming")
+    for name in ("steady", "rare"):
+        wait(name, OK, "streaming")
+    wait("clock", WARN, "not times of the LSL clock")
+    assert status_of(ros, topics["late"]).level != STALE
+    # It ended long ago, whatever clock it had.
+    wait("clock_ends", STALE, "no samples")
+
+
+def test_streams_that_claim_one_name_are_an_error(ros: Ros) -> None:
+    # Without a source_id, they differ in nothing at all.
+    same = [foreign("same", source_id="") for _ in range(2)]
+    units = [foreign("units", source_id=f"unit {number}") for number in (1, 2)]
+    topics = [f"/biosensors/units_unit_x20{number}/EEG" for number in (1, 2)]
+    ros.until(lambda: {"/biosensors/same/EEG", *topics} <= ros.present(), "all of them")
+    for topic, part in (
+        ("/biosensors/same/EEG", "two streams"),
+        *((one, "label") for one in topics),
+    ):
+        ros.until(lambda topic=topic: status_of(ros, topic).level == ERROR, f"{topic}: an error")
+        assert part in status_of(ros, topic).message
+    del same, units
+
+
+def test_the_list_of_streams_says_where_each_comes_from_and_goes_to(ros: Ros) -> None:
+    identity = DeviceIdentity("polar_h10", "H9", participant="p03", label="belt")
+    ours, other = declared(identity, "ecg"), foreign("listed", 25.0)
+    lists = ros.listen(DiagnosticArray, "/lsl_to_ros/streams", LATCHED)
+    topics = ["/p03/biosensors/polar_h10_belt/ecg", "/biosensors/listed/EEG"]
+
+    def entries() -> dict[str, Any]:
+        return {status.name: status for status in lists[-1].status} if lists else {}
+
+    ros.until(lambda: set(topics) <= set(entries()), "both")
+    entry = entries()[topics[0]]
+    facts = {item.key: item.value for item in entry.values}
+    assert entry.hardware_id == "H9"
+    assert facts.pop("uid")
+    assert facts == {
+        "lsl_name": ours.name,
+        "lsl_type": "ECG",
+        "source_id": ours.source_id,
+        "host": socket.gethostname(),
+        "rate": "130",
+        "format": "float32",
+        "labels": "ECG",
+        "units": "microvolts",
+        "participant": "p03",
+        "label": "belt",
+        "foreign": "false",
+        f"topic {topics[0]}": "std_msgs/msg/Float32",
+        f"topic {topics[0]}_chunk": "std_msgs/msg/Float32MultiArray",
+    }
+    facts = {item.key: item.value for item in entries()[topics[1]].values}
+    assert (facts["lsl_name"], facts["foreign"], facts["rate"]) == ("listed", "true", "25")
+    assert facts[f"topic {topics[1]}"] == "std_msgs/msg/Float32MultiArray"
+    assert ros.set("topic_prefix", "elsewhere") == ""
+    ros.until(lambda: "/elsewhere/listed/EEG" in entries(), "the new topic")
+    assert not [name for name in entries() if "/biosensors/" in name]
+    assert ros.set("topic_prefix", "biosensors") == ""
+    del other
+    ros.until(lambda: topics[1] not in entries(), "its end")
+    assert topics[0] in entries()
+
+
+def test_the_log_says_a_thing_once_and_how_much_was_held_back(ros: Ros, node: RunningNode) -> None:
+    outlet = foreign("logged")
+    ros.attached("/biosensors/logged/EEG")
+    # Two lines in turn, one a stream, ten times.
+    for _ in range(10):
+        for prefix in ("log_a", "log_b"):
+            assert ros.set("topic_prefix", prefix) == ""
+    assert node.count("log_a/logged/EEG") == node.count("log_b/logged/EEG") == 1
+    assert node.count("lines were held back)") >= 1
+    # And more of different lines than anybody could read.
+    begun = time.monotonic()
+    for number in range(300):
+        assert ros.set("topic_prefix", f"flood_{number}") == ""
+    windows = (time.monotonic() - begun) / LOG_WINDOW_S
+    assert node.count("flood_") <= LOG_LINES * (windows + 1)
+    assert ros.set("topic_prefix", "biosensors") == ""
     del outlet
-    ros.until(lambda: name not in entries(lists), "a stream that goes")
-    assert topic("comes") in entries(lists)
-    assert staying.have_consumers()
