@@ -268,7 +268,8 @@ def node(listener: Ros, request: pytest.FixtureRequest) -> Iterator[RunningNode]
 
     It gets the module's ``NODE_ARGUMENTS``, if there are any.
     """
-    module: Any = request.module  # pyright: ignore[reportUnknownMemberType]
+    # By name: pytest leaves the type of a module open.
+    module = getattr(request, "module", None)
     running = RunningNode(*getattr(module, "NODE_ARGUMENTS", ()))
     listener.report()
     yield running
