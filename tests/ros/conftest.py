@@ -71,13 +71,13 @@ class Ros:
     def spin(self, seconds: float) -> None:
         """Spin for a time, in which something must not happen."""
         end = time.monotonic() + seconds
-        self.until(lambda: time.monotonic() >= end, "the end of the wait")
+        self.until(lambda: time.monotonic() >= end, "its end")
 
     def listen(self, kind: type[Any], topic: str, qos: QoSProfile | None = None) -> list[Any]:
         """Subscribe; the list fills with messages while the test waits."""
         messages: list[Any] = []
-        qos = qos or QoSProfile(depth=QUEUE)
-        self._heard.append(self.node.create_subscription(kind, topic, messages.append, qos))
+        profile = qos or QoSProfile(depth=QUEUE)
+        self._heard.append(self.node.create_subscription(kind, topic, messages.append, profile))
         return messages
 
     def stop_listening(self) -> None:
@@ -222,11 +222,10 @@ class RunningNode:
 class Flow:
     """Pushes 1, 2, 3, ... in a thread of its own, stamped evenly at the stream's rate."""
 
-    def __init__(self, outlet: pylsl.StreamOutlet, rate: float, channels: int = 1) -> None:
+    def __init__(self, outlet: pylsl.StreamOutlet, rate: float) -> None:
         self.pushed = 0
         self._outlet = outlet
         self._rate = rate
-        self._channels = channels
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._push, daemon=True)
         self._thread.start()
@@ -243,9 +242,8 @@ class Flow:
             due = int((pylsl.local_clock() - begun) * self._rate)
             new = np.arange(self.pushed + 1, due + 1)
             if len(new):
-                samples = np.repeat(new[:, np.newaxis], self._channels, axis=1)
-                stamps = begun + new / self._rate
-                self._outlet.push_chunk(samples.astype(np.float32), list(stamps))
+                samples = new[:, np.newaxis].astype(np.float32)
+                self._outlet.push_chunk(samples, list(begun + new / self._rate))
                 self.pushed = due
 
 
@@ -264,10 +262,7 @@ def ros(listener: Ros) -> Iterator[Ros]:
 
 @pytest.fixture(scope="module")
 def node(listener: Ros, request: pytest.FixtureRequest) -> Iterator[RunningNode]:
-    """One node for all tests of a module; none of them may end it or break it.
-
-    It gets the module's ``NODE_ARGUMENTS``, if there are any.
-    """
+    """One node, with a module's ``NODE_ARGUMENTS``; none of its tests may end or break it."""
     # By name: pytest leaves the type of a module open.
     module = getattr(request, "module", None)
     running = RunningNode(*getattr(module, "NODE_ARGUMENTS", ()))
@@ -298,8 +293,8 @@ def flow() -> Iterator[Callable[..., Flow]]:
     """Let samples flow until the end of the test."""
     begun: list[Flow] = []
 
-    def begin(outlet: pylsl.StreamOutlet, rate: float, channels: int = 1) -> Flow:
-        begun.append(Flow(outlet, rate, channels))
+    def begin(outlet: pylsl.StreamOutlet, rate: float) -> Flow:
+        begun.append(Flow(outlet, rate))
         return begun[-1]
 
     yield begin

@@ -103,6 +103,17 @@ class Wave:
         }
 
 
+def test_a_name_that_lsl_cannot_carry_harms_no_other_stream(ros: Ros, node: RunningNode) -> None:
+    nameless = pylsl.StreamOutlet(pylsl.StreamInfo(" ", "EEG", 1, 0.0, "float32", "nameless"))
+    ros.until(lambda: node.count("[WARN]", "ignored", "invalid") > 0, "a sentence about it")
+    good = pylsl.StreamOutlet(pylsl.StreamInfo("named", "EEG", 1, 0.0, "float32", "named"))
+    heard = ros.listen(Float32MultiArray, "/biosensors/named/EEG")
+    ros.attached("/biosensors/named/EEG", readers=1)
+    good.push_sample([1.0], pylsl.local_clock())
+    ros.until(lambda: bool(heard), "a sample of another stream")
+    del nameless
+
+
 def test_every_name_and_type_gives_valid_topics_of_its_own(ros: Ros) -> None:
     lists = ros.listen(DiagnosticArray, STREAMS, LATCHED)
     ros.until(lambda: bool(lists), "the list of streams")
@@ -144,14 +155,3 @@ def check_flow(ros: Ros, wave: Wave, topics: dict[str, list[str]]) -> None:
     for number, messages in enumerate(heard.values()):
         data = messages[0].data
         assert (data if isinstance(data, str) else data[0]) in (number, str(number))
-
-
-def test_a_name_that_lsl_cannot_carry_harms_no_other_stream(ros: Ros, node: RunningNode) -> None:
-    nameless = pylsl.StreamOutlet(pylsl.StreamInfo(" ", "EEG", 1, 0.0, "float32", "nameless"))
-    ros.until(lambda: node.count("[WARN]", "ignored", "invalid") > 0, "a sentence about it")
-    good = pylsl.StreamOutlet(pylsl.StreamInfo("named", "EEG", 1, 0.0, "float32", "named"))
-    heard = ros.listen(Float32MultiArray, "/biosensors/named/EEG")
-    ros.attached("/biosensors/named/EEG", readers=1)
-    good.push_sample([1.0], pylsl.local_clock())
-    ros.until(lambda: bool(heard), "a sample of another stream")
-    del nameless

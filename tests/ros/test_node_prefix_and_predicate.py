@@ -190,6 +190,7 @@ def test_two_nodes_share_the_streams_of_their_session_without_overlap(
     assert ros.set("stream_predicate", "false()") == ""
     kinds = ("EEG", "ECG", "PPG", "GSR")
     topics = [f"/biosensors/shared/{kind}" for kind in kinds]
+    elsewhere = "/biosensors/another_lab/ECG"
     outlets = [foreign("shared", kind) for kind in kinds]
     ros.until(lambda: not set(topics) & ros.present(), "a node without streams")
     # liblsl puts its condition on the session before the query, and this one has an "or".
@@ -202,7 +203,9 @@ def test_two_nodes_share_the_streams_of_their_session_without_overlap(
     heard = [ros.listen(Float32MultiArray, topic) for topic in topics]
 
     def served(name: str) -> set[str]:
-        return {status.name for status in lists[name][-1].status} if lists[name] else set()
+        if not lists[name]:
+            return set()
+        return {*topics, elsewhere} & {status.name for status in lists[name][-1].status}
 
     ros.until(lambda: served("shard_a") | served("shard_b") >= set(topics), "all four streams")
     flows = [flow(outlet, RATE) for outlet in outlets]

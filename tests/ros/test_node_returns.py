@@ -139,7 +139,7 @@ def test_a_program_that_starts_with_a_new_source_id_keeps_its_topic(ros: Ros) ->
 
 
 def test_what_a_killed_program_sent_flows_again_two_seconds_after_it_is_back(
-    ros: Ros, start_program: Callable[[], Program]
+    ros: Ros, node: RunningNode, start_program: Callable[[], Program]
 ) -> None:
     names = ("same_id", "empty_id", "new_id", "new_rate")
 
@@ -175,6 +175,10 @@ def test_what_a_killed_program_sent_flows_again_two_seconds_after_it_is_back(
         print(f"{name}: {', '.join(f'{delay:.2f}' for delay in returns)} s")
         assert median(returns) <= RETURN_S, name
         assert max(returns) <= LONGEST_RETURN_S, name
+        runs = [message.data[0] for message in heard[name]]
+        assert runs == sorted(runs)
+        changes = len(returns) if name == "new_rate" else 0
+        assert node.count("[WARN]", f"{name}/EEG: the stream came back as") == changes
 
 
 def test_what_lsl_drops_when_a_program_is_killed_is_counted(

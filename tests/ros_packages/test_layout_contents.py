@@ -6,8 +6,8 @@ import itertools
 
 import pytest
 
-from tests.packaging import foxglove, plotjuggler
-from tests.packaging.series import DIMENSIONLESS, SENSORS, Series, declared_topics, unit
+from tests.ros_packages import foxglove, plotjuggler
+from tests.ros_packages.series import DIMENSIONLESS, SENSORS, Series, declared_topics, unit
 
 
 def _plotjuggler() -> list[list[list[Series]]]:

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from tests.packaging import foxglove
-from tests.packaging.series import Series, label
+from tests.ros_packages import foxglove
+from tests.ros_packages.series import Series, label
 
 PANEL_TYPES = {"DiagnosticStatusPanel", "DiagnosticSummary", "Plot", "RawMessages", "Tab"}
 SPLIT = {"direction", "first", "second", "splitPercentage"}

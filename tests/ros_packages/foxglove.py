@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
-from tests.packaging.series import LAYOUTS, Series, read_series
+from tests.ros_packages.series import LAYOUTS, Series, read_series
 
 PATH = LAYOUTS / "foxglove.json"
 TABS = "Tab!sensors"

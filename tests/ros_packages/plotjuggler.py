@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from xml.etree.ElementTree import Element, parse
 
-from tests.packaging.series import LAYOUTS, Series, read_series
+from tests.ros_packages.series import LAYOUTS, Series, read_series
 
 PATH: Path = LAYOUTS / "plotjuggler.xml"
 

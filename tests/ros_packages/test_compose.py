@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.packaging import dockerfile
+from tests.ros_packages import dockerfile
 
 FOLDER = Path(__file__).parents[2] / "ros_side" / "docker"
 # The keys of the specification that are used; a misspelt one is none of them.

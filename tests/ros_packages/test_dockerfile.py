@@ -12,8 +12,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-from tests.packaging import dockerfile
-from tests.packaging.dockerfile import Instruction
+from tests.ros_packages import dockerfile
+from tests.ros_packages.dockerfile import Instruction
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "ros_side" / "docker"

@@ -7,8 +7,8 @@ from xml.etree.ElementTree import Element
 
 import pytest
 
-from tests.packaging import plotjuggler
-from tests.packaging.series import declared_topics, label
+from tests.ros_packages import plotjuggler
+from tests.ros_packages.series import declared_topics, label
 
 STREAMER = "ROS2 Topic Subscriber"
 STYLES = {"Lines", "Dots", "LinesAndDots", "Sticks", "Steps", "StepsInv"}
