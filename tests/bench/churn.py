@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 import argparse
+import math
+import statistics
 import sys
 import tempfile
 import time
@@ -24,13 +26,18 @@ from tests.bench.samples import stream_names, topic_of
 STREAMS = 4
 PERIOD_S = 2.0
 ROTATION = 2 * STREAMS
-_WARM_UP_SHARE = 0.2
+_WARM_UP_SHARE = 0.3
+# The newest stream is received by then, and the next step is not near.
+_LOOK_AFTER_S = 0.8 * PERIOD_S
+_LEAST_ROTATIONS = 8
+# Rotations whose median stands for the beginning, and for the end.
+_ENDS = 3
 _NO_GROWTH = Target(0)
 
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """The node's process, in the middle of a step."""
+    """The node's process, late in a step."""
 
     time_s: float
     memory_mb: float
@@ -51,6 +58,10 @@ def measure(minutes: float) -> Measurement:
     ValueError
         If the time is too short for a slope.
     """
+    rotations = round(60 * minutes / PERIOD_S / ROTATION)
+    if rotations < _LEAST_ROTATIONS:
+        least = math.ceil(_LEAST_ROTATIONS * ROTATION * PERIOD_S / 60)
+        raise ValueError(f"{minutes:g} minutes are too short for a slope, give {least} or more")
     names = stream_names(STREAMS)
     raw = [topic_of(name) for name in (names[0], names[2])]
     chunks = [f"{topic_of(name)}_chunk" for name in (names[1], names[2])]
@@ -59,7 +70,7 @@ def measure(minutes: float) -> Measurement:
         wishes = Wish(raw, 0, f"{name}/raw.npy"), Wish(chunks, 0, f"{name}/chunks.npy", chunks=True)
         receivers = [processes.start(*wish.as_arguments()) for wish in wishes]
         outlets = processes.start("tests.bench.churn_outlets", str(STREAMS), str(PERIOD_S))
-        states = _watch(node, outlets, rotations=round(60 * minutes / PERIOD_S / ROTATION))
+        states = _watch(node, outlets, rotations)
         for receiver in receivers:
             # Else the node would have been watched without readers.
             receiver.expect("connected")
@@ -74,7 +85,7 @@ def _watch(node: Process, outlets: Process, rotations: int) -> list[State]:
     states: list[State] = []
     for step in range(rotations * ROTATION):
         outlets.expect("step")
-        time.sleep(PERIOD_S / 2)
+        time.sleep(_LOOK_AFTER_S)
         time_s = time.monotonic() - begin_s
         states.append(State(time_s, node.memory_mb, node.threads, node.descriptors))
         if step % ROTATION == 0:
@@ -90,23 +101,24 @@ def _measurement(states: Sequence[State]) -> Measurement:
     memory_mb = [float(np.mean([state.memory_mb for state in each])) for each in counted]
     line = slope.fit(hours, memory_mb)
     # All streams run in this step.
-    begin, end = (each[STREAMS - 1] for each in (counted[0], counted[-1]))
+    full = [each[STREAMS - 1] for each in counted]
     interval = f"95 % interval {line.low:.2f} to {line.high:.2f}, {len(counted)} rotations"
     figures = [
         Figure("memory at the beginning", memory_mb[0], "MB", note="after the warm-up"),
         Figure("memory at the end", memory_mb[-1], "MB"),
         Figure("slope", line.value, "MB/h", note=interval),
         Figure("slope that is certain", line.low, "MB/h", _NO_GROWTH, "lower end of the interval"),
-        _growth("threads", begin.threads, end.threads),
-        _growth("file descriptors", begin.descriptors, end.descriptors),
+        _growth("threads", [state.threads for state in full]),
+        _growth("file descriptors", [state.descriptors for state in full]),
     ]
     details = {"slope_mb_per_h": asdict(line), "states": [asdict(state) for state in states]}
     title = f"{STREAMS} streams, one comes or goes every {PERIOD_S:g} s"
     return Measurement(title, figures, details)
 
 
-def _growth(title: str, begin: int, end: int) -> Figure:
-    return Figure(f"more {title}", end - begin, "", _NO_GROWTH, f"from {begin} to {end}")
+def _growth(title: str, counts: Sequence[int]) -> Figure:
+    begin, end = statistics.median(counts[:_ENDS]), statistics.median(counts[-_ENDS:])
+    return Figure(f"more {title}", end - begin, "", _NO_GROWTH, f"from {begin:g} to {end:g}")
 
 
 def main() -> None:

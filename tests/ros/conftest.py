@@ -24,8 +24,7 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
-DEADLINE_S = 30.0
-QUEUE = 20_000
+DEADLINE_S, QUEUE = 30.0, 20_000
 NODE = "/lsl_to_ros"
 
 
@@ -264,8 +263,7 @@ def ros(listener: Ros) -> Iterator[Ros]:
 def node(listener: Ros, request: pytest.FixtureRequest) -> Iterator[RunningNode]:
     """One node, with a module's ``NODE_ARGUMENTS``; none of its tests may end or break it."""
     # By name: pytest leaves the type of a module open.
-    module = getattr(request, "module", None)
-    running = RunningNode(*getattr(module, "NODE_ARGUMENTS", ()))
+    running = RunningNode(*getattr(getattr(request, "module", None), "NODE_ARGUMENTS", ()))
     listener.report()
     yield running
     died, log = not running.is_running, running.log

@@ -41,9 +41,11 @@ for line in sys.stdin:
             pylsl.StreamOutlet(pylsl.StreamInfo(name, "EEG", 1, rate, "float32", source_id))
             for name, rate, source_id in argument
         ]
+        begun, pushed = pylsl.local_clock(), 0
     if order == "push":
-        begun = pylsl.local_clock()
-        stamps = [begun + number / 100 for number in range(argument)]
+        # The stamps have no gap, however long the push before it is ago.
+        stamps = [begun + (pushed + number) / 100 for number in range(argument)]
+        pushed += argument
         for outlet in outlets:
             outlet.push_chunk([[1.0]] * argument, stamps)
     print(pylsl.local_clock(), flush=True)

@@ -164,7 +164,9 @@ def judge(facts: StreamFacts) -> tuple[bytes, str]:
         return DiagnosticStatus.ERROR, "two units of one sensor: give each a label in its settings"
     if facts.topic.duplicate:
         return DiagnosticStatus.ERROR, "two streams claim to be this one"
-    is_silent = not bridge.last_stamp or facts.age_s > STALE_AFTER_S
+    # Samples may be old and keep coming: then it is their latency that tells.
+    is_silent = not facts.delays.count and facts.age_s > STALE_AFTER_S
+    is_silent = is_silent or not bridge.last_stamp
     if is_regular and is_silent and not _has_foreign_clock(facts):
         return DiagnosticStatus.STALE, "no samples"
     for is_so, reason in _warnings(facts):

@@ -28,7 +28,7 @@ from lsl_to_ros.reporting import Reporting
 from lsl_to_ros.ros_time import RosTime
 from lsl_to_ros.routing import Routing
 
-LOOK_PERIOD_S = 0.25
+LOOK_PERIOD_S = 0.1
 REPORT_PERIOD_S = 1.0
 CORRECTION_PERIOD_S = 1.0
 

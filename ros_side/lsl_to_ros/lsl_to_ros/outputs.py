@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from importlib import import_module
 from types import ModuleType
 
@@ -45,13 +46,19 @@ class CountersWriter(Writer):
             self.port.publish(messages.counters_message(sample[0], time))
 
 
-def open_outputs(ports: Ports, context: StreamContext) -> Outputs:
-    """Open every topic of a stream: raw, stamped, ``sensor_msgs`` twins and chunks."""
+def open_outputs(ports: Ports, context: StreamContext, used: Collection[Port] = ()) -> Outputs:
+    """Open every topic of a stream: raw, stamped, ``sensor_msgs`` twins and chunks.
+
+    Raises
+    ------
+    TopicTypeError
+        If one of the topics is among the *used* ones and has another type.
+    """
     header, topic = context.header, context.topic
     latched = is_latched(header)
 
     def opened(name: str, kind: type) -> Port:
-        return ports.open(f"{topic.base}/{name}", kind, header.rate, latched=latched)
+        return ports.open(f"{topic.base}/{name}", kind, header.rate, latched=latched, used=used)
 
     raw = opened(topic.data, messages.CLASSES[header.message_type])
     if header.message_type is MessageType.DIAGNOSTIC_ARRAY:

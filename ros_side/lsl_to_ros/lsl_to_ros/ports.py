@@ -25,6 +25,10 @@ _POLICIES = (
 )
 
 
+class TopicTypeError(Exception):
+    """A topic cannot have a second message type."""
+
+
 class Port:
     """One topic, and how many read it.
 
@@ -78,12 +82,34 @@ class Ports:
         self._open: dict[_Key, Port] = {}
 
     def open(
-        self, topic: str, kind: type[Any], rate: float = 0.0, *, latched: bool = False
+        self,
+        topic: str,
+        kind: type[Any],
+        rate: float = 0.0,
+        *,
+        latched: bool = False,
+        used: Collection[Port] = (),
     ) -> Port:
-        """Return the port of a topic; *rate* is that of its messages, in Hz."""
+        """Return the port of a topic; one of another type that is not used is closed.
+
+        Parameters
+        ----------
+        rate
+            Of its messages, in Hz.
+        used
+            Ports of the present streams.
+
+        Raises
+        ------
+        TopicTypeError
+            If the topic is used with another type: a topic of one node has one.
+        """
         key = _Key(topic, kind)
         port = self._open.pop(key, None)
         if port is None:
+            if any(other.topic == topic for other in used):
+                raise TopicTypeError(f"{topic} is in use with another type than {kind.__name__}")
+            self.close(lambda other: other.topic == topic)
             publisher = make_publisher(self._node, topic, kind, rate, latched=latched)
             port = Port(topic, kind, publisher, latched=latched)
         # Put at the end again: the order is that of the last use.

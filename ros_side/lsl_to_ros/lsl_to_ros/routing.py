@@ -22,7 +22,7 @@ from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.losses import LossAccount
 from lsl_to_ros.outputs import open_outputs
 from lsl_to_ros.parameters import Parameters, StreamSettings
-from lsl_to_ros.ports import Port, Ports
+from lsl_to_ros.ports import Port, Ports, TopicTypeError
 from lsl_to_ros.ros_time import RosTime
 from lsl_to_ros.stamping import Stamping
 from lsl_to_ros.tally import Refusals, Tally, can_estimate_losses
@@ -208,9 +208,16 @@ class Routing:
             lost=lambda: tally.lost(can_estimate=can_estimate_losses(header)),
             refuse=refuse,
         )
+        used = self._used_ports()
+        try:
+            outputs = open_outputs(self._ports, context, used)
+        except TopicTypeError as error:
+            route.bridge = None
+            self._warn(f"{error}; LSL stream {inlet.core.name!r} is not published")
+            return
         route.bridge = Bridge(
             header,
-            open_outputs(self._ports, context),
+            outputs,
             settings=self._parameters.settings(header.identity, header.data_name, header.chunk),
             tally=tally,
             stamping=stamping,
