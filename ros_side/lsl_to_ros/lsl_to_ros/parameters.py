@@ -115,8 +115,11 @@ class Parameters:
         ):
             for key in keys:
                 name = f"{owner}.{key}"
-                if not self._node.has_parameter(name):
-                    descriptor = _descriptor(key, dynamic=True)
+                descriptor = _descriptor(key, dynamic=True)
+                if self._node.has_parameter(name):
+                    # It was set before its sensor was known, and has no description yet.
+                    self._node.set_descriptor(name, descriptor)
+                else:
                     # A bad value of a parameter file was dropped, and must not come back.
                     self._node.declare_parameter(name, None, descriptor, ignore_override=True)
 
