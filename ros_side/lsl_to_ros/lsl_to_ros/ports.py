@@ -26,7 +26,7 @@ _POLICIES = (
 
 
 class TopicTypeError(Exception):
-    """A topic cannot have a second message type."""
+    """A topic cannot be opened: it has another message type, or ROS refuses it."""
 
 
 class Port:
@@ -102,7 +102,7 @@ class Ports:
         Raises
         ------
         TopicTypeError
-            If the topic is used with another type: a topic of one node has one.
+            If the topic is used with another type, or ROS refuses it.
         """
         key = _Key(topic, kind)
         port = self._open.pop(key, None)
@@ -110,7 +110,12 @@ class Ports:
             if any(other.topic == topic for other in used):
                 raise TopicTypeError(f"{topic} is in use with another type than {kind.__name__}")
             self.close(lambda other: other.topic == topic)
-            publisher = make_publisher(self._node, topic, kind, rate, latched=latched)
+            try:
+                publisher = make_publisher(self._node, topic, kind, rate, latched=latched)
+            except Exception as error:
+                # rclpy has no common class for what it refuses, such as a name too long.
+                reason = str(error).splitlines()[0]
+                raise TopicTypeError(f"ROS refuses the topic {topic[:200]} ({reason})") from error
             port = Port(topic, kind, publisher, latched=latched)
         # Put at the end again: the order is that of the last use.
         self._open[key] = port
