@@ -139,6 +139,9 @@ class Parameters:
             if fault is not None:
                 self._node.get_logger().error(f"{fault}; it is ignored")
                 self._node.undeclare_parameter(name)
+                # A publisher would declare its own with the bad value again.
+                overrides: dict[str, Any] = getattr(self._node, "_parameter_overrides", {})
+                overrides.pop(name, None)
 
     def _validate(self, parameters: Iterable[Parameter]) -> SetParametersResult:
         faults = (_fault(parameter.name, parameter.value) for parameter in parameters)
