@@ -11,7 +11,7 @@ from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros import messages
 from lsl_to_ros.blocks import Run
 from lsl_to_ros.bridge import Outputs
-from lsl_to_ros.ports import Port, Ports
+from lsl_to_ros.ports import Port, Ports, TopicTypeError
 from lsl_to_ros.stamping import Stamping
 from lsl_to_ros.twins import TWINS
 from lsl_to_ros.writers import ChunkWriter, NumberWriter, StreamContext, TextWriter, Writer
@@ -69,7 +69,11 @@ def open_outputs(ports: Ports, context: StreamContext, used: Collection[Port] = 
         outputs.timed.append(_STAMPED.writer(port, context))
     for twin in () if header.foreign else TWINS:
         if name := twin.topic_of(header):
-            port = opened(name, twin.message_class)
+            try:
+                port = opened(name, twin.message_class)
+            except TopicTypeError:
+                # Another stream of the device has that name as its own.
+                continue
             outputs.timed.append(twin(port, header, context.frame_id, context.stamping))
     if header.chunk:
         kind = messages.chunk_type(header.message_type)
