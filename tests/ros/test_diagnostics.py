@@ -21,7 +21,7 @@ from biosensor_gateway.outlets import Counters, Outlet, counters_text
 from lsl_to_ros import diagnostics, rates
 from lsl_to_ros.blocks import Block
 from lsl_to_ros.bridge import Bridge, Outputs
-from lsl_to_ros.diagnostics import StreamHealth, stream_facts, stream_status
+from lsl_to_ros.diagnostics import STALE_AFTER_S, StreamHealth, stream_facts, stream_status
 from lsl_to_ros.parameters import StreamSettings
 from lsl_to_ros.rates import RATE_WINDOW_S
 from lsl_to_ros.tally import Refusals, Tally
@@ -61,7 +61,7 @@ class Stream:
         kind = MessageType.FLOAT32_MULTI_ARRAY
         outputs = Outputs(raw=NumberWriter(raw, kind, 3, refuse), chunk=ChunkWriter(chunk, kind, 3))
         self.bridge = Bridge(header, outputs, SETTINGS, self.tally, self.clocks, refuse)
-        self._health = StreamHealth(begun_s=clock.now)
+        self._health = StreamHealth(begun_s=clock.now, heard_s=clock.now)
 
     def receive(self, *ages: float) -> Stream:
         """Receive samples of so many seconds ago, each by itself."""
@@ -145,8 +145,19 @@ def test_what_is_not_known_is_empty(stream: Stream) -> None:
 
 def test_a_regular_stream_without_samples_is_stale(stream: Stream) -> None:
     assert stream.look().level == DiagnosticStatus.STALE
-    assert stream.receive(6.0).look().level == DiagnosticStatus.STALE
     assert stream.receive(0.0).look().level == DiagnosticStatus.OK
+    assert stream.pass_time(STALE_AFTER_S).look().level == DiagnosticStatus.OK
+    assert stream.pass_time(0.1).look().level == DiagnosticStatus.STALE
+    assert stream.receive(0.0).look().level == DiagnosticStatus.OK
+
+
+@pytest.mark.parametrize(("age", "level"), [(20.0, b"\x00"), (-1e9, b"\x01")])
+def test_samples_are_no_silence_whatever_their_stamps(
+    stream: Stream, age: float, level: bytes
+) -> None:
+    for _ in range(7):
+        assert stream.pass_time(1.0).receive(age).look().level == level
+    assert stream.pass_time(STALE_AFTER_S + 0.1).look().level == DiagnosticStatus.STALE
 
 
 def test_an_irregular_stream_may_be_silent(irregular: Stream) -> None:

@@ -41,6 +41,15 @@ class StreamHealth:
     meter: RateMeter = field(default_factory=RateMeter)
     begun_s: float = field(default_factory=monotonic)
     troubles: deque[tuple[float, int, int]] = field(default_factory=deque[tuple[float, int, int]])
+    received: int = 0
+    heard_s: float = field(default_factory=monotonic)
+
+    def silence(self, received: int) -> float:
+        """Take in the count of samples; return for how many seconds it has stood still."""
+        now = monotonic()
+        if received != self.received:
+            self.received, self.heard_s = received, now
+        return now - self.heard_s
 
     def recent(self, lost: int, unfit: int) -> tuple[int, int]:
         """Take in the present counts; return how much they grew in the last 10 s."""
@@ -68,6 +77,8 @@ class StreamFacts:
         Of the samples since the last report, from their stamps to their receipt.
     lost_lately, unfit_lately
         In the last 10 s.
+    silent_s
+        Since a report first saw the newest sample.
     attached_s
         How long the node has had this stream.
     """
@@ -81,6 +92,7 @@ class StreamFacts:
     delays: Delays
     lost_lately: int
     unfit_lately: int
+    silent_s: float
     attached_s: float
 
 
@@ -106,6 +118,7 @@ def stream_facts(
         delays=tally.take_delays(),
         lost_lately=lost_lately,
         unfit_lately=unfit_lately,
+        silent_s=health.silence(tally.received),
         attached_s=monotonic() - health.begun_s,
     )
 
@@ -164,10 +177,9 @@ def judge(facts: StreamFacts) -> tuple[bytes, str]:
         return DiagnosticStatus.ERROR, "two units of one sensor: give each a label in its settings"
     if facts.topic.duplicate:
         return DiagnosticStatus.ERROR, "two streams claim to be this one"
-    # Samples may be old and keep coming: then it is their latency that tells.
-    is_silent = not facts.delays.count and facts.age_s > STALE_AFTER_S
-    is_silent = is_silent or not bridge.last_stamp
-    if is_regular and is_silent and not _has_foreign_clock(facts):
+    # Not by the samples' age: their stamps may be old, or of another clock, and keep coming.
+    is_silent = facts.silent_s > STALE_AFTER_S or not bridge.last_stamp
+    if is_regular and is_silent:
         return DiagnosticStatus.STALE, "no samples"
     for is_so, reason in _warnings(facts):
         if is_so:
