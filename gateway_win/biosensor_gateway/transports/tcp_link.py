@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import socket
 
@@ -51,7 +52,10 @@ class TcpLink(SocketLink):
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         for name, value in KEEPALIVE.items():
             option: int | None = getattr(socket, name, None)
-            if option is not None:
+            if option is None:
+                continue
+            # Windows before 10 1709, and Wine, refuse some; their defaults must do then.
+            with contextlib.suppress(OSError):
                 connection.setsockopt(socket.IPPROTO_TCP, option, value)
         return connection
 
