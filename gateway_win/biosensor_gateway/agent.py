@@ -14,10 +14,11 @@ from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway import health
 from biosensor_gateway.devices import driver
+from biosensor_gateway.keep_awake import KeepAwake, system_inhibitor
 from biosensor_gateway.outlets import Counters, Outlet, configure_lsl, counters_text
 from biosensor_gateway.settings import DeviceSettings, GatewaySettings, LslSettings
 from biosensor_gateway.sink import DeviceSink
-from biosensor_gateway.supervisor import Supervisor
+from biosensor_gateway.supervisor import State, Supervisor
 
 REPORT_INTERVAL_S = 1.0
 
@@ -43,6 +44,7 @@ class Agent:
         enabled = [device for device in settings.devices if device.enabled]
         self.devices = [_supervised(device) for device in enabled]
         self._unwritable = False
+        self._awake = KeepAwake(system_inhibitor() if settings.power.keep_awake else None)
 
     async def run(self) -> None:
         """Stream until cancelled, then close every device and outlet."""
@@ -55,12 +57,16 @@ class Agent:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
+            self._awake.close()
             for _, sink in self.devices:
                 sink.close()
             health.remove_status(self._folder)
 
     async def _report(self, outlet: Outlet) -> None:
-        """Once a second: waiting states and counters into LSL, state into the status file."""
+        """Once a second: waiting states and counters into LSL, state into the status file.
+
+        The computer is kept awake from here as well, on the thread of the loop.
+        """
         loop = asyncio.get_running_loop()
         due = loop.time()
         while True:
@@ -70,6 +76,7 @@ class Agent:
                 merged |= sink.counters
             outlet.push_text(counters_text(merged), pylsl.local_clock())
             self._write_status()
+            self._awake.hold(any(each.state is State.STREAMING for each, _ in self.devices))
             # After a computer's sleep the missed reports are not made up for.
             due = max(due + REPORT_INTERVAL_S, loop.time())
             await asyncio.sleep(max(0.0, due - loop.time()))

@@ -124,6 +124,19 @@ class LogSettings(BaseModel):
     )
 
 
+class PowerSettings(BaseModel):
+    """What the agent asks of the computer that it runs on."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    keep_awake: bool = Field(
+        default=True,
+        description="Whether the computer is kept from going to sleep by itself while a device "
+        "streams, and for a minute after. The screen may go dark. A closed lid still sends it to "
+        "sleep, and so may a long time on battery: plug it in.",
+    )
+
+
 class DeviceSettings(BaseModel):
     """What every device has; each driver adds its own fields in a subclass.
 
@@ -188,6 +201,7 @@ class GatewaySettings(BaseSettings):
 
     lsl: LslSettings = LslSettings()
     log: LogSettings = LogSettings()
+    power: PowerSettings = PowerSettings()
     devices: tuple[DeviceSettings, ...] = Field(default=(), alias="device")
 
     @classmethod

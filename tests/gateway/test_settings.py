@@ -70,6 +70,7 @@ def test_an_empty_file_gives_the_defaults(load: Loader) -> None:
     assert settings == GatewaySettings()
     assert (settings.lsl.session_id, settings.lsl.port_range) == ("", 256)
     assert (settings.log.level, settings.devices) == ("info", ())
+    assert settings.power.keep_awake
 
 
 def test_everything_that_can_be_set_arrives(load: Loader) -> None:
@@ -153,7 +154,7 @@ DEVICE = '[[device]]\nsensor = "strap"\nunit = "A"\n'
     ("text", "line", "said"),
     [
         ("\n[lsl]\nsesion_id = 'x'", 3, "'lsl.sesion_id' (did you mean 'session_id'?); known keys"),
-        ("\n[lls]\nport_range = 1", 2, "'lls' (did you mean 'lsl'?); known keys: lsl, log, device"),
+        ("\n[lls]\nkey = 1", 2, "'lls' (did you mean 'lsl'?); known keys: lsl, log, power, device"),
         ("[LSL]\nport_range = 1", 1, "'LSL' (did you mean 'lsl'?"),
         ("devices = []", 1, "'devices' (did you mean 'device'?"),
         ("_cli_parse_args = true", 1, "'_cli_parse_args'"),
@@ -182,6 +183,7 @@ def test_an_unknown_key_is_named_with_its_line(
         ("lsl = 3", 1, "'lsl' should be a table"),
         ("[log]\nlevel = 'loud'", 2, "should be 'debug', 'info', 'warning' or 'error', but is"),
         ("[log]\nkeep_files = 0", 2, "'log.keep_files'"),
+        ("[power]\nkeep_awake = 'no'", 2, "'power.keep_awake' should be true or false, but is"),
         (DEVICE + f"label = '{'x' * 33}'", 4, "'device.label' should have at most 32 characters"),
         (DEVICE + "label = ' left'", 4, "should be printable text without spaces at its ends"),
         (DEVICE + 'participant = "p\\t1"', 4, "'device.participant' should be printable"),

@@ -11,7 +11,12 @@ import pytest
 from pydantic import Field
 
 from biosensor_common.errors import ConfigError, ConfigReason, SpecError
-from biosensor_gateway.settings import DeviceSettings, GatewaySettings, LslSettings
+from biosensor_gateway.settings import (
+    DeviceSettings,
+    GatewaySettings,
+    LslSettings,
+    PowerSettings,
+)
 from biosensor_gateway.settings_file import load_settings
 from biosensor_gateway.settings_template import template, write_template
 
@@ -51,6 +56,7 @@ def test_the_template_loads_with_every_example_switched_on(tmp_path: Path) -> No
     path.write_text(text, encoding="utf-8")
     settings = load_settings(path, MODELS)
     assert settings.lsl == LslSettings()
+    assert settings.power == PowerSettings()
     assert [type(device) for device in settings.devices] == [StrapSettings, BoxSettings]
     assert settings.devices[1] == BoxSettings(sensor="box", unit="0123456789", port="COM3")
 
@@ -58,7 +64,7 @@ def test_the_template_loads_with_every_example_switched_on(tmp_path: Path) -> No
 def test_the_template_names_and_describes_every_field() -> None:
     text = template(MODELS)
     joined = re.sub(r"\n# ", " ", text)
-    for model in (LslSettings, StrapSettings, BoxSettings):
+    for model in (LslSettings, PowerSettings, StrapSettings, BoxSettings):
         for key, field in model.model_fields.items():
             assert key == "rate" or f"\n#{key} = " in text
             assert key == "sensor" or str(field.description) in joined

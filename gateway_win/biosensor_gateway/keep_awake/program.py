@@ -1,0 +1,79 @@
+"""Holding off sleep by a program that does it for as long as it runs: macOS, Linux."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+
+class ProgramInhibitor:
+    """A program that holds off sleep for as long as it runs.
+
+    Parameters
+    ----------
+    command
+        The program and its arguments. It must end when its standard input or this
+        process does.
+    echoes
+        Whether it gives back what it reads as soon as it holds off sleep. Of a
+        program that does not, it is believed as long as it runs.
+    """
+
+    def __init__(self, command: Sequence[str], *, echoes: bool) -> None:
+        self._command = command
+        self._echoes = echoes
+        self._answered = False
+        self._process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def way(self) -> str:
+        """Name of the program."""
+        return Path(self._command[0]).name
+
+    def begin(self) -> None:
+        """Start the program; raises ``OSError`` if it cannot be."""
+        self._answered = not self._echoes
+        self._process = process = subprocess.Popen(  # noqa: S603 - of the system
+            self._command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            bufsize=0,
+            # Ctrl-C is for the agent, which still has devices to close.
+            process_group=0,
+        )
+        assert process.stdin is not None
+        assert process.stdout is not None
+        assert process.stderr is not None
+        if sys.platform != "win32":  # which has no such program
+            os.set_blocking(process.stdout.fileno(), False)
+            os.set_blocking(process.stderr.fileno(), False)
+        # If it has ended already, held() knows why.
+        with contextlib.suppress(BrokenPipeError):
+            process.stdin.write(b"\n")
+
+    def held(self) -> bool:
+        """Whether the program holds off sleep; raises ``OSError`` if it has ended."""
+        process = self._process
+        if process is None:
+            return False
+        assert process.stdout is not None
+        assert process.stderr is not None
+        if process.poll() is not None:
+            said = (process.stderr.read() or b"").decode(errors="replace").split("\n")
+            last = next((line for line in reversed(said) if line.strip()), "it ended by itself")
+            raise OSError(last.strip())
+        if not self._answered:
+            self._answered = bool(process.stdout.read(1))
+        return self._answered
+
+    def end(self) -> None:
+        """End the program."""
+        if self._process is not None:
+            with self._process as process:
+                self._process = None
+                process.kill()
