@@ -9,14 +9,18 @@ from __future__ import annotations
 
 import configparser
 import io
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from biosensor_common.errors import ConfigError, ConfigReason
 
+CONFIG_NAME = "lsl_api.cfg"
 # Two ports an outlet; liblsl's default of 32 hides every stream beyond the 16th.
 DEFAULT_PORT_RANGE = 256
+# What liblsl takes where its file says nothing else.
+LSL_BASE_PORT, LSL_DISCOVERY_PORT = 16572, 16571
+LSL_SESSION = "default"
 # liblsl writes to stderr beside our own log; only what went wrong belongs there.
 _LOG_WARNINGS = -1
 
@@ -32,27 +36,38 @@ class LslOverrides:
     known_peers
         Hosts to ask directly where multicast does not reach.
     port_range
-        Number of ports from 16572 on.
+        Number of ports from 16572 on; without it the user's own, but at least 256.
     """
 
     session_id: str = ""
     known_peers: tuple[str, ...] = ()
-    port_range: int = DEFAULT_PORT_RANGE
+    port_range: int | None = None
 
 
-def user_config_file(environment: Mapping[str, str], home: Path, folder: Path) -> Path | None:
-    """Find the file that liblsl itself would read.
+def config_places(environment: Mapping[str, str], home: Path, folder: Path) -> tuple[Path, ...]:
+    """Return where liblsl looks for its file; it reads the first that is there.
 
     Order of https://labstreaminglayer.readthedocs.io/info/lslapicfg.html: the
     variable ``LSLAPICFG``, the working folder, the home folder, the system.
     """
-    candidates: Iterable[Path] = (
-        *([Path(environment["LSLAPICFG"])] if environment.get("LSLAPICFG") else []),
-        folder / "lsl_api.cfg",
-        home / "lsl_api" / "lsl_api.cfg",
-        Path("/etc/lsl_api/lsl_api.cfg"),
+    named = environment.get("LSLAPICFG")
+    return (
+        *((Path(named),) if named else ()),
+        folder / CONFIG_NAME,
+        home_config_file(home),
+        Path("/etc/lsl_api") / CONFIG_NAME,
     )
-    return next((path for path in candidates if path.is_file()), None)
+
+
+def home_config_file(home: Path) -> Path:
+    """Return the user's own place for the file, in the home folder."""
+    return home / "lsl_api" / CONFIG_NAME
+
+
+def user_config_file(environment: Mapping[str, str], home: Path, folder: Path) -> Path | None:
+    """Find the file that liblsl itself would read."""
+    places = config_places(environment, home, folder)
+    return next((path for path in places if path.is_file()), None)
 
 
 def effective_config(user_file: Path | None, overrides: LslOverrides) -> str:
@@ -67,7 +82,7 @@ def effective_config(user_file: Path | None, overrides: LslOverrides) -> str:
     parser.optionxform = str  # type: ignore[assignment,method-assign]  # liblsl's keys have case
     if user_file is not None:
         _read(parser, user_file)
-    _set(parser, "ports", "PortRange", str(overrides.port_range))
+    _set(parser, "ports", "PortRange", str(overrides.port_range or _own_port_range(parser)))
     if overrides.session_id:
         _set(parser, "lab", "SessionID", overrides.session_id)
     if overrides.known_peers:
@@ -89,6 +104,11 @@ def _read(parser: configparser.ConfigParser, path: Path) -> None:
         first_line = str(error).splitlines()[0]
         message = f"{path}: not an LSL configuration ({first_line}); mend or remove it"
         raise ConfigError(ConfigReason.MALFORMED, message) from error
+
+
+def _own_port_range(parser: configparser.ConfigParser) -> int:
+    text = parser.get("ports", "PortRange", fallback="")
+    return max(int(text), DEFAULT_PORT_RANGE) if text.isdecimal() else DEFAULT_PORT_RANGE
 
 
 def _set(parser: configparser.ConfigParser, section: str, key: str, value: str) -> None:

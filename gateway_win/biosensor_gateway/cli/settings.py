@@ -5,11 +5,13 @@ from __future__ import annotations
 import typer
 
 from biosensor_gateway import settings_file, settings_template
+from biosensor_gateway.cli import editor, lsl_file
 from biosensor_gateway.cli.options import SettingsOption
 from biosensor_gateway.devices import settings_models
 from biosensor_gateway.settings import settings_path
 
 app = typer.Typer(help="The settings file.", no_args_is_help=True)
+app.command("lsl")(lsl_file.write_lsl_file)
 
 
 @app.command("path")
@@ -24,6 +26,21 @@ def write_template(settings: SettingsOption = None) -> None:
     path = settings or settings_path()
     settings_template.write_template(path, settings_models())
     typer.echo(f"wrote {path}; add your devices there")
+
+
+@app.command("edit")
+def edit(settings: SettingsOption = None) -> None:
+    """Open the settings file in your editor; write it first if there is none."""
+    path = (settings or settings_path()).absolute()
+    try:
+        if not path.exists():
+            settings_template.write_template(path, settings_models())
+            typer.echo(f"wrote {path}")
+        editor.open_in_editor(path)
+    except Exception:
+        # The Start menu's window would be gone before anybody has read the reason.
+        editor.hold_window()
+        raise
 
 
 @app.command("check")

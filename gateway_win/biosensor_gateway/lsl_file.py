@@ -1,0 +1,222 @@
+"""The text of an ``lsl_api.cfg``, with which LabRecorder finds every stream.
+
+LabRecorder carries liblsl 1.17. On a computer without an active network adapter that
+sees one local stream of many, whichever, unless ``KnownPeers`` names the computer
+itself; and it asks known peers on ``PortRange`` ports only, 32 by default, which is 16
+streams. ``SessionID`` separates: both sides must have the same.
+
+A file that is there already is edited line by line, so that its other settings and its
+comments stay as they are. What is a line follows liblsl's own reader
+(https://github.com/sccn/liblsl/blob/main/src/util/inireader.cpp), which ignores a whole
+file for one line that it does not understand.
+"""
+
+from __future__ import annotations
+
+import difflib
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.lsl_config import LSL_BASE_PORT, LSL_DISCOVERY_PORT, LSL_SESSION
+
+LOOPBACK = "127.0.0.1"
+
+_SESSION, _PEERS = ("lab", "SessionID"), ("lab", "KnownPeers")
+_PORT_RANGE, _BASE_PORT = ("ports", "PortRange"), ("ports", "BasePort")
+_DISCOVERY_PORT = ("ports", "MulticastPort")
+_HEADER = """\
+; Settings of the Lab Streaming Layer for LabRecorder and the other LSL programs of this
+; computer, written by `biosensor-gateway config lsl`.
+"""
+_WHY_SESSION = ("; The session of the agent: LSL programs see no streams of other sessions.",)
+_WHY_PORTS = (
+    "; Covers the ports of the agent's streams, two each. LSL's default of 32 is enough for 16",
+    "; streams, and known peers are not asked for more.",
+)
+_WHY_LOOPBACK = (
+    "; LabRecorder and the agent are on this computer. Without a network adapter that is up,",
+    "; LabRecorder (liblsl 1.17) sees one stream of many, unless it asks this computer directly.",
+)
+_WHY_PEERS = ("; The computers to ask directly, because multicast may not get through to them.",)
+_OWN_COMMENTS = frozenset((*_WHY_SESSION, *_WHY_PORTS, *_WHY_LOOPBACK, *_WHY_PEERS))
+
+
+@dataclass(frozen=True, slots=True)
+class LabRecorderSettings:
+    """What LabRecorder's configuration must hold.
+
+    Attributes
+    ----------
+    session_id
+        The agent's session.
+    known_peers
+        Hosts to ask directly.
+    port_range
+        Number of ports that the agent's streams may have.
+    """
+
+    session_id: str
+    known_peers: tuple[str, ...]
+    port_range: int
+
+
+class Ports(NamedTuple):
+    """What firewalls must let in: UDP *discovery*, and UDP and TCP from *first* to *last*."""
+
+    discovery: int
+    first: int
+    last: int
+
+
+@dataclass(slots=True)
+class _Line:
+    """A line with its end, and the setting in it if there is one."""
+
+    text: str
+    section: str
+    key: str = ""
+    value: str = ""
+
+
+class LslFile:
+    """The text of a configuration, with its settings.
+
+    Parameters
+    ----------
+    text
+        The whole file; empty for a new one.
+    source
+        What to call it in messages.
+
+    Raises
+    ------
+    ConfigError
+        ``MALFORMED``, if liblsl would not understand it and therefore ignore it.
+    """
+
+    def __init__(self, text: str, source: str) -> None:
+        self._lines = list(_parsed(text or _HEADER, source))
+        self._newline = "\r\n" if "\r\n" in text else "\n"
+
+    @property
+    def text(self) -> str:
+        """The file as it is now."""
+        return "".join(line.text for line in self._lines)
+
+    @property
+    def session_id(self) -> str:
+        """Its session."""
+        return self._get(_SESSION) or LSL_SESSION
+
+    @property
+    def known_peers(self) -> tuple[str, ...]:
+        """Hosts that are asked directly."""
+        names = self._get(_PEERS).removeprefix("{").removesuffix("}").split(",")
+        return tuple(name.strip() for name in names if name.strip())
+
+    @property
+    def ports(self) -> Ports:
+        """The ports that firewalls must let in."""
+        first = self._number(_BASE_PORT, LSL_BASE_PORT)
+        last = first + self._number(_PORT_RANGE, 1) - 1
+        return Ports(self._number(_DISCOVERY_PORT, LSL_DISCOVERY_PORT), first, last)
+
+    def adapt(self, wanted: LabRecorderSettings) -> None:
+        """Make it hold what LabRecorder needs; other peers and a larger range of ports stay."""
+        if self._get(_SESSION) != wanted.session_id:
+            self._set(_SESSION, wanted.session_id, _WHY_SESSION)
+        peers = tuple(dict.fromkeys((*self.known_peers, *wanted.known_peers)))
+        if peers != self.known_peers or not self._get(_PEERS).startswith("{"):
+            self._set(_PEERS, "{" + ", ".join(peers) + "}", _why_peers(peers))
+        if self._number(_PORT_RANGE, 0) < wanted.port_range:
+            self._set(_PORT_RANGE, str(wanted.port_range), _WHY_PORTS)
+
+    def _get(self, name: tuple[str, str]) -> str:
+        return next((line.value for line in self._lines if (line.section, line.key) == name), "")
+
+    def _number(self, name: tuple[str, str], default: int) -> int:
+        text = self._get(name)
+        return int(text) if text.isdecimal() else default
+
+    def _set(self, name: tuple[str, str], value: str, why: Sequence[str]) -> None:
+        section, key = name
+        block = [
+            *(_Line(comment + self._newline, section) for comment in why),
+            _Line(f"{key} = {value}{self._newline}", section, key, value),
+        ]
+        start, end = self._place(name)
+        self._lines[start:end] = block
+
+    def _place(self, name: tuple[str, str]) -> tuple[int, int]:
+        """Lines to replace: the old setting with our comments above it, or none."""
+        section, _ = name
+        for at, line in enumerate(self._lines):
+            if (line.section, line.key) == name:
+                start = at
+                while start and self._lines[start - 1].text.strip() in _OWN_COMMENTS:
+                    start -= 1
+                return start, at + 1
+        self._end_last_line()
+        in_section = [at for at, line in enumerate(self._lines) if line.section == section]
+        if in_section:
+            filled = [at for at in in_section if self._lines[at].text.strip()]
+            return filled[-1] + 1, filled[-1] + 1
+        heading = f"[{section}]{self._newline}"
+        self._lines += [_Line(self._newline, ""), _Line(heading, section)]
+        return len(self._lines), len(self._lines)
+
+    def _end_last_line(self) -> None:
+        if self._lines and not self._lines[-1].text.endswith("\n"):
+            self._lines[-1].text += self._newline
+
+
+def _why_peers(peers: Sequence[str]) -> tuple[str, ...]:
+    local = _WHY_LOOPBACK if LOOPBACK in peers else ()
+    others = _WHY_PEERS if any(peer != LOOPBACK for peer in peers) else ()
+    return (*local, *others)
+
+
+def changes(before: str, after: str) -> list[str]:
+    """List the lines that differ: ``- `` before those that go, ``+ `` before those that come."""
+    compared = difflib.ndiff(before.splitlines(), after.splitlines())
+    return [
+        # Bytes that are no UTF-8 are kept in the file; a console cannot show them.
+        line.rstrip().encode("utf-8", "replace").decode()
+        for line in compared
+        if line[0] in "+-" and line[2:].strip()
+    ]
+
+
+def _parsed(text: str, source: str) -> Iterator[_Line]:
+    section = ""
+    seen: set[tuple[str, str]] = set()
+    if text.startswith("\ufeff"):
+        raise _malformed(source, 1, "a byte order mark; save it as UTF-8 without one")
+    for number, line in enumerate(io.StringIO(text, newline="\n"), start=1):
+        if not line.strip() or line.startswith(";"):
+            yield _Line(line, section)
+        elif line.startswith("["):
+            section, bracket, _ = line[1:].partition("]")
+            if not bracket:
+                raise _malformed(source, number, "the ']' of the section is missing")
+            yield _Line(line, section)
+        else:
+            key, equals, value = (part.strip() for part in line.partition("="))
+            if not (key and equals and value):
+                what = "it is no 'key = value', and no comment, which begins with ';'"
+                raise _malformed(source, number, what)
+            if (section, key) in seen:
+                raise _malformed(source, number, f"{key} is set a second time")
+            seen.add((section, key))
+            yield _Line(line, section, key, value)
+
+
+def _malformed(source: str, number: int, what: str) -> ConfigError:
+    message = (
+        f"{source}, line {number}: {what}; LSL ignores the whole file for it; "
+        "correct the line or remove the file"
+    )
+    return ConfigError(ConfigReason.MALFORMED, message)
