@@ -78,6 +78,8 @@ class ConfigReason(Enum):
     WRONG_VALUE = "wrong_value"
     EXISTS = "exists"
     """A file is in the way and would be overwritten."""
+    IN_USE = "in_use"
+    """Another agent works with the same state folder."""
 
 
 @unique

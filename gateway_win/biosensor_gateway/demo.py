@@ -20,6 +20,7 @@ from pathlib import Path
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.demo_expectation import SENSORS, expected_topics
+from biosensor_gateway.settings import STATE_VARIABLE
 
 # Short enough that the slowest chunk, of the wristband's 4 Hz, fills in eight seconds.
 CHUNK_LENGTH = 32
@@ -60,7 +61,7 @@ def run(seconds: float | None) -> int:
         if seconds is not None:
             options += ["--seconds", str(seconds)]
         table = subprocess.Popen(  # noqa: S603 - our own program
-            [sys.executable, "-m", "lsl_to_ros.live_table", *options], env=_environment()
+            [sys.executable, "-m", "lsl_to_ros.live_table", *options], env=_environment(folder)
         )
         return _wait(table, servers, folder)
 
@@ -79,7 +80,7 @@ def _process(name: str, command: Sequence[str], folder: Path) -> Generator[subpr
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,
-            env=_environment(),
+            env=_environment(folder),
         )
         try:
             yield process
@@ -87,9 +88,11 @@ def _process(name: str, command: Sequence[str], folder: Path) -> Generator[subpr
             _stop(process)
 
 
-def _environment() -> Mapping[str, str]:
-    # A try-out stays on this machine unless the user says otherwise.
-    return {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", **os.environ}
+def _environment(folder: Path) -> Mapping[str, str]:
+    # A try-out stays on this machine unless the user says otherwise, and beside the user's
+    # own agent, whose state folder is taken.
+    local = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    return {**local, **os.environ, STATE_VARIABLE: str(folder / "state")}
 
 
 def _wait(

@@ -1,25 +1,32 @@
-"""``biosensor-gateway run`` and ``demo``."""
+"""``biosensor-gateway run``, ``stop`` and ``demo``."""
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import signal
-from collections.abc import Callable, Coroutine
-from types import FrameType
+import os
+import time
+from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager, AsyncExitStack, ExitStack, nullcontext
+from functools import partial
+from pathlib import Path
 from typing import Annotated, Any
 
 import structlog
 import typer
 
-from biosensor_common.errors import ConfigError
+from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
+from biosensor_gateway import control, settings_file
 from biosensor_gateway import demo as demonstration
-from biosensor_gateway import settings_file
 from biosensor_gateway.agent import Agent
 from biosensor_gateway.cli.options import FaultOption, SettingsOption, SimulateOption
+from biosensor_gateway.control import ControlServer
 from biosensor_gateway.devices import settings_models
+from biosensor_gateway.ending import until_signalled
 from biosensor_gateway.logs import configure_logs
 from biosensor_gateway.settings import GatewaySettings, settings_path, state_folder
+from biosensor_gateway.single_instance import single_instance, wait_until_free
+
+_ASK_AGAIN_S = 0.2
 
 _log = structlog.get_logger("biosensor_gateway.cli")
 
@@ -30,53 +37,104 @@ def run(
     fault: FaultOption = None,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every detail.")] = False,
 ) -> None:
-    """Stream all devices of the settings until Ctrl-C."""
-    if simulate:
-        from biosensor_gateway.simulate import simulated_settings  # noqa: PLC0415 - only on request
-
-        with simulated_settings(simulate.split(","), fault or ()) as loaded:
-            _run_agent(loaded, verbose=verbose)
-    elif fault:
+    """Stream all devices of the settings until Ctrl-C, or until it is told to stop."""
+    if fault and not simulate:
         raise typer.BadParameter("only virtual devices can be given faults; add --simulate")
-    else:
-        path = settings or settings_path()
-        _run_agent(settings_file.load_settings(path, settings_models()), verbose=verbose)
+    source = _virtual_devices(simulate, fault or ()) if simulate else _settings_file(settings)
+    with ExitStack() as stack:
+        unguarded = _claim(stack, state_folder())
+        _run_agent(stack.enter_context(source), unguarded, verbose=verbose)
 
 
-def _run_agent(loaded: GatewaySettings, *, verbose: bool) -> None:
+def _settings_file(path: Path | None) -> AbstractContextManager[GatewaySettings]:
+    return nullcontext(settings_file.load_settings(path or settings_path(), settings_models()))
+
+
+def _virtual_devices(names: str, faults: Iterable[str]) -> AbstractContextManager[GatewaySettings]:
+    from biosensor_gateway.simulate import simulated_settings  # noqa: PLC0415 - only on request
+
+    return simulated_settings(names.split(","), faults)
+
+
+def _claim(stack: ExitStack, folder: Path) -> ConfigError | None:
+    """Be the folder's only agent until the stack unwinds; say why not if it is read-only."""
     try:
-        configure_logs(loaded.log, state_folder(), verbose=verbose)
+        stack.enter_context(single_instance(folder))
+    except ConfigError as error:
+        if error.reason is ConfigReason.IN_USE:
+            raise
+        return error
+    return None
+
+
+def _run_agent(loaded: GatewaySettings, unguarded: ConfigError | None, *, verbose: bool) -> None:
+    folder = state_folder()
+    try:
+        configure_logs(loaded.log, folder, verbose=verbose)
     except ConfigError as error:
         # Recording goes on without a log file; it does not go on unsaid.
         configure_logs(loaded.log, None, verbose=verbose)
         _log.warning(str(error))
+    if unguarded is not None:
+        _log.warning(str(unguarded))
     if not any(device.enabled for device in loaded.devices):
         _log.warning("no device is enabled in the settings; nothing will be streamed")
-    agent = Agent(loaded, state_folder())
-    asyncio.run(until_signalled(agent.run))
+    agent = Agent(loaded, folder)
+    controlled = partial(_run_controlled, agent, folder)
+    asyncio.run(until_signalled(agent.run if unguarded else controlled))
 
 
-async def until_signalled(main_task: Callable[[], Coroutine[Any, Any, None]]) -> None:
-    """Run a coroutine until it ends or SIGINT, SIGTERM or a console's close asks to stop."""
-    task = asyncio.create_task(main_task())
-    loop = asyncio.get_running_loop()
+async def _run_controlled(agent: Agent, folder: Path) -> None:
+    """Run the agent, and end it as a signal does when a client asks for it."""
+    running = asyncio.current_task()
+    assert running is not None
 
-    def stop() -> None:
-        # A second Ctrl-C must not cut short what the first one has begun to close.
-        if not task.cancelling():
-            task.cancel()
+    async def stop(_arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        # Whoever asks again must not cut short what the first one has begun to close.
+        if not running.cancelling():
+            running.cancel()
+        return {"process": os.getpid()}
 
-    def stop_from_handler(_number: int, _frame: FrameType | None) -> None:
-        loop.call_soon_threadsafe(stop)
-
-    for number in (signal.SIGINT, signal.SIGTERM):
+    async with AsyncExitStack() as stack:
         try:
-            loop.add_signal_handler(number, stop)
-        except NotImplementedError:
-            # Windows: the handler runs between bytecodes of the main thread.
-            signal.signal(number, stop_from_handler)
-    with contextlib.suppress(asyncio.CancelledError):
-        await task
+            await stack.enter_async_context(ControlServer(folder, {"stop": stop}))
+        except ConfigError as error:
+            _log.warning(str(error))
+        await agent.run()
+
+
+def stop(
+    timeout: Annotated[
+        float, typer.Option(min=1, help="How many seconds to wait until the agent has ended.")
+    ] = 10.0,
+) -> None:
+    """End the running agent; exit code 1 if none runs or it does not end in time."""
+    folder, deadline = state_folder(), time.monotonic() + timeout
+    process = _ask_to_end(folder, deadline)
+    if process is not None and not wait_until_free(folder, max(0.0, deadline - time.monotonic())):
+        message = (
+            f"the agent has not ended within {timeout:g} s; wait, or end its process {process} "
+            "by the means of the system"
+        )
+        raise TransportError(TransportReason.BUSY, message)
+    typer.echo("the agent has ended")
+
+
+def _ask_to_end(folder: Path, deadline: float) -> int | None:
+    """Ask until the agent answers, and return its process; None if it has ended by itself."""
+    was_there = False
+    while True:
+        left = max(_ASK_AGAIN_S, deadline - time.monotonic())
+        try:
+            return control.ask(folder, "stop", time_limit_s=left)["process"]
+        except TransportError as error:
+            if error.reason is TransportReason.ABSENT and was_there:
+                return None
+            # While it starts, it does not listen yet.
+            if error.reason is TransportReason.ABSENT or time.monotonic() >= deadline:
+                raise
+        was_there = True
+        time.sleep(_ASK_AGAIN_S)
 
 
 def demo(
