@@ -86,6 +86,13 @@ async def end_of(link: WebSocketLink) -> TransportError:
     return raised.value
 
 
+async def test_the_scheme_may_be_in_capitals(authority: trustme.CA, ca_file: str) -> None:
+    async with serving(stay, identified(authority.issue_cert("localhost"))) as (_, url):
+        link = WebSocketLink(url.replace("wss", "WSS"), ca_file)
+        await link.open()
+        await link.close()
+
+
 async def test_messages_go_both_ways_in_order_with_their_time_of_arrival(
     authority: trustme.CA, ca_file: str
 ) -> None:

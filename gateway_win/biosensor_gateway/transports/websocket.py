@@ -78,7 +78,7 @@ class WebSocketLink:
         ConfigError
             The file of the certificate authority or the URL cannot be used.
         """
-        context = tls_context(self._ca_file) if self._url.startswith("wss:") else None
+        context = tls_context(self._ca_file) if urlsplit(self._url).scheme == "wss" else None
         self._socket = await self._connect(context)
         self._reader = asyncio.create_task(self._read_forever(self._socket))
 
