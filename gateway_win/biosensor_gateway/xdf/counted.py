@@ -1,0 +1,140 @@
+"""Compares what the capture agent counted with what a recording holds.
+
+Once a second the agent's ``counters`` stream says, by source_id, how many samples
+were pushed and lost since the agent began, and the stamp of the newest one. So
+between two of these readings the file must hold as many samples as were pushed.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+# At its stop the recorder loses what came in the last 0.5 s, and some devices send
+# what they measured only after a second or two.
+TAIL_S = 3.0
+# Text keeps every digit of a stamp, but a recorder may compute one anew.
+_SAME_STAMP_S = 1e-6
+
+
+class Reading(NamedTuple):
+    """What the agent had counted of one stream at one moment."""
+
+    pushed: int
+    lost: int
+    last_stamp: float
+
+
+@dataclass(frozen=True, slots=True)
+class Counted:
+    """Comparison of one stream.
+
+    Attributes
+    ----------
+    pushed
+        Samples that the agent pushed between the compared readings.
+    held
+        Samples of the same time in the file.
+    lost
+        Samples that the agent counted as lost before LSL while it was recorded.
+    restarts
+        How often the agent began to count anew.
+    """
+
+    pushed: int
+    held: int
+    lost: int
+    restarts: int = 0
+
+
+def parse_readings(texts: Iterable[str]) -> tuple[dict[str, list[Reading]], int]:
+    """Read the samples of a counters stream.
+
+    Returns
+    -------
+    dict
+        Readings by source_id, in the order of the file.
+    int
+        Number of samples that could not be read.
+    """
+    readings: dict[str, list[Reading]] = {}
+    unreadable = 0
+    for text in texts:
+        try:
+            entries = _entries(text)
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError):
+            unreadable += 1
+            continue
+        for source_id, reading in entries.items():
+            readings.setdefault(source_id, []).append(reading)
+    return readings, unreadable
+
+
+def _entries(text: str) -> dict[str, Reading]:
+    content = cast("Mapping[str, Mapping[str, Any]]", json.loads(text))
+    entries = {
+        source_id: Reading(int(entry["pushed"]), int(entry["lost"]), float(entry["last_stamp"]))
+        for source_id, entry in content.items()
+    }
+    if not all(np.isfinite(reading.last_stamp) for reading in entries.values()):
+        raise ValueError("a stamp is no number")
+    return entries
+
+
+def compare(readings: Sequence[Reading], stamps: NDArray[np.float64], end: float) -> Counted:
+    """Compare the readings of one stream with its stamps.
+
+    Compared is from the first reading that the recording of the stream reaches to the
+    last one that it had to reach.
+
+    Parameters
+    ----------
+    readings
+        In the order of the file, at least one.
+    stamps : ndarray, shape (n_samples,)
+        All stamps of the stream on its own clock.
+    end
+        When the last reading was taken, on the same clock; of the `TAIL_S` before,
+        nothing needs to be in the file.
+    """
+    ordered = np.sort(stamps[np.isfinite(stamps)])
+    runs = _runs(readings)
+    parts = [_compare_run(run, ordered, end - TAIL_S) for run in runs]
+    return Counted(
+        pushed=sum(part.pushed for part in parts),
+        held=sum(part.held for part in parts),
+        lost=sum(part.lost for part in parts),
+        restarts=len(runs) - 1,
+    )
+
+
+def _runs(readings: Sequence[Reading]) -> list[list[Reading]]:
+    """Cut where the agent was started again."""
+    runs: list[list[Reading]] = [[]]
+    for reading in readings:
+        before = runs[-1][-1] if runs[-1] else reading
+        if reading.pushed < before.pushed or reading.lost < before.lost:
+            runs.append([])
+        runs[-1].append(reading)
+    return runs
+
+
+def _compare_run(run: Sequence[Reading], stamps: NDArray[np.float64], tail_begin: float) -> Counted:
+    lost = run[-1].lost - run[0].lost
+    # Nothing recorded at all: the first reading is the only beginning there is.
+    first, last = (stamps[0], stamps[-1]) if len(stamps) else (-np.inf, -np.inf)
+    reached = [reading for reading in run if reading.last_stamp >= first - _SAME_STAMP_S]
+    needless_after = max(last + _SAME_STAMP_S, tail_begin)
+    while reached and reached[-1].last_stamp > needless_after:
+        reached.pop()
+    if not reached:
+        return Counted(0, 0, lost)
+    begin, end = reached[0], reached[-1]
+    bounds = np.array([begin.last_stamp, end.last_stamp]) + _SAME_STAMP_S
+    before, until = np.searchsorted(stamps, bounds, side="right").tolist()
+    return Counted(end.pushed - begin.pushed, until - before, lost)

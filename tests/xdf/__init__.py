@@ -1,0 +1,1 @@
+"""The check of recordings: on files written byte by byte, and on LabRecorder's own."""

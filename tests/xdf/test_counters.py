@@ -1,0 +1,174 @@
+"""What the agent counted, against what the file holds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import accumulate
+
+import numpy as np
+import pytest
+
+from biosensor_common.lsl_header import describe
+from biosensor_common.naming import lsl_name, source_id
+from biosensor_common.registry import sensor
+from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.outlets import Counters, counters_text
+from biosensor_gateway.xdf.counted import Counted, Reading, compare, parse_readings
+from biosensor_gateway.xdf.findings import Level
+from tests.xdf import xdf_file as x
+from tests.xdf.checking import check, codes, text_of
+
+RATE, SECONDS = 130, 30
+AGENT = DeviceIdentity("gateway", "lab-pc")
+STRAP = DeviceIdentity("polar_h10", "A1B2")
+ECG = source_id(STRAP, "ecg")
+STAMPS = [1000 + k / RATE for k in range(RATE * SECONDS)]
+
+
+def _header(stream_id: int, identity: DeviceIdentity, data_name: str) -> bytes:
+    spec = sensor(identity.sensor).stream(data_name)
+    assert isinstance(spec.rate, int | float)
+    return x.stream_header(
+        stream_id,
+        lsl_name(identity, data_name),
+        kind=spec.content_type.value,
+        channels=len(spec.channels),
+        rate=float(spec.rate),
+        fmt=spec.format.value,
+        source_id=source_id(identity, data_name),
+        desc=describe(spec, identity, DeviceInfo()),
+    )
+
+
+def _end(stream_id: int, count: int) -> bytes:
+    return x.offsets(stream_id, (1005, 1010, 1015)) + x.footer(stream_id, count)
+
+
+def _counted_each_second(*, lost: int = 0, more: int = 0) -> list[dict[str, Counters]]:
+    """What the agent says of the stream from second 1 on; `more` is pushed in second 10."""
+    return [
+        {
+            ECG: Counters(
+                pushed=5000 + RATE * second + (more if second >= 10 else 0),
+                lost=lost if second >= 10 else 0,
+                last_stamp=STAMPS[RATE * second - 1],
+            )
+        }
+        for second in range(1, SECONDS + 1)
+    ]
+
+
+def _file(stamps: list[float], counted: list[Mapping[str, Counters]] | None) -> bytes:
+    parts = [
+        _header(1, STRAP, "ecg"),
+        x.samples(1, "float32", [[1.0]] * len(stamps), [*stamps]) if stamps else b"",
+        _end(1, len(stamps)),
+    ]
+    if counted is not None:
+        texts = [[counters_text(counters)] for counters in counted]
+        times = [1001.0 + k for k in range(len(texts))]
+        parts += [_header(2, AGENT, "counters"), x.samples(2, "string", texts, times)]
+        parts += [_end(2, len(texts))]
+    return x.xdf(*parts)
+
+
+def test_all_that_was_pushed_is_there() -> None:
+    report = check(_file(STAMPS, [*_counted_each_second()]))
+    assert not report.findings
+    assert report.streams[0].counted == Counted(RATE * 29, RATE * 29, 0)
+    assert report.streams[0].stream.header.is_ours
+
+
+def test_what_the_recorder_lost_is_an_error() -> None:
+    report = check(_file(STAMPS[:1000] + STAMPS[1100:], [*_counted_each_second()]))
+    name = lsl_name(STRAP, "ecg")
+    assert codes(report, Level.ERROR) == {("not-recorded", name)}
+    assert text_of(report, "not-recorded", name).startswith("100 of 3770 samples")
+    assert ("gaps", name) in codes(report, Level.WARNING)
+
+
+def test_what_the_device_lost_is_a_warning() -> None:
+    report = check(_file(STAMPS, [*_counted_each_second(lost=40)]))
+    assert codes(report) == {("lost", lsl_name(STRAP, "ecg"))}
+    assert report.is_good
+
+
+def test_more_samples_than_were_pushed() -> None:
+    report = check(_file(STAMPS, [*_counted_each_second(more=-5)]))
+    assert codes(report, Level.ERROR) == {("too-many", lsl_name(STRAP, "ecg"))}
+
+
+def test_pushed_and_nothing_recorded() -> None:
+    report = check(_file([], [*_counted_each_second()]))
+    name = lsl_name(STRAP, "ecg")
+    assert ("not-recorded", name) in codes(report, Level.ERROR)
+
+
+def test_without_counters_it_says_so() -> None:
+    assert codes(check(_file(STAMPS, None))) == {("no-counters", "")}
+
+
+def test_a_stream_that_was_left_out() -> None:
+    counted = [{**each, "other": each[ECG]} for each in _counted_each_second()]
+    report = check(_file(STAMPS, [*counted]))
+    assert codes(report) == {("left-out", lsl_name(AGENT, "counters"))}
+
+
+def test_counters_of_another_computer_do_not_count() -> None:
+    content = _file(STAMPS, [*_counted_each_second()])
+    assert content.count(b"<hostname>host<") == 2
+    other = content.replace(b"<hostname>host<", b"<hostname>tsoh<", 1)
+    report = check(other)
+    assert report.streams[0].counted is None
+    assert ("left-out", lsl_name(AGENT, "counters")) in codes(report)
+
+
+def test_counters_that_cannot_be_read() -> None:
+    texts = [["{"], ["[]"], ['{"a": 1}'], ['{"a": {"pushed": 1, "lost": 0, "last_stamp": NaN}}']]
+    content = x.xdf(
+        _header(1, AGENT, "counters"), x.samples(1, "string", texts, [1.0, 2, 3, 4]), _end(1, 4)
+    )
+    assert "4 of its samples" in text_of(check(content), "counters", lsl_name(AGENT, "counters"))
+
+
+def test_a_header_that_lies_is_not_ours() -> None:
+    told, lied = (f"<source_id>{name}<".encode() for name in (ECG, ECG[::-1]))
+    content = _file(STAMPS, None)
+    assert content.count(told) == 1
+    content = content.replace(told, lied)
+    report = check(content)
+    assert not report.streams[0].stream.header.is_ours
+    assert "another source_id" in text_of(report, "refused-header", lsl_name(STRAP, "ecg"))
+
+
+def test_readings_are_what_the_agent_writes() -> None:
+    readings, unreadable = parse_readings(
+        [counters_text({"a": Counters(3, 1, 9, 2.5)}), counters_text({"a": Counters(4, 1, 9, 3.5)})]
+    )
+    assert readings == {"a": [Reading(3, 1, 2.5), Reading(4, 1, 3.5)]}
+    assert not unreadable
+
+
+def _readings(pushed: list[int], stamps: list[float], lost: int = 0) -> list[Reading]:
+    return [Reading(p, lost, s) for p, s in zip(pushed, stamps, strict=True)]
+
+
+def test_comparing_begins_where_the_recording_of_the_stream_begins() -> None:
+    # Five were pushed before the recorder was attached to this stream.
+    readings = _readings([0, 5, 8, 12], [0.0, 5.0, 8.0, 12.0])
+    assert compare(readings, np.arange(7.0, 13.0), 100.0) == Counted(4, 4, 0)
+
+
+@pytest.mark.parametrize(("end", "missing"), [(13.0, 0), (16.9, 4)])
+def test_only_what_came_right_before_the_end_may_be_missing(end: float, missing: int) -> None:
+    readings = _readings([1, 8, 12], [1.0, 8.0, 12.0])
+    compared = compare(readings, np.arange(1.0, 9.0), end)
+    assert compared.pushed - compared.held == missing
+
+
+def test_an_agent_that_was_started_again() -> None:
+    counts = [*accumulate([4] * 5), *accumulate([4] * 5)]
+    stamps = [4.0 * (k + 1) for k in range(5)] + [40 + 4.0 * (k + 1) for k in range(5)]
+    held = np.concatenate([np.arange(1.0, 21.0), np.arange(41.0, 61.0)])
+    assert compare(_readings(counts, stamps), held, 100.0) == Counted(32, 32, 0, restarts=1)
+    assert compare(_readings(counts, stamps), np.delete(held, [7, 30]), 100.0).held == 30
