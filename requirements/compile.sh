@@ -16,6 +16,6 @@ compile() {
 compile gateway pyproject.toml "$@"
 compile ros pyproject.toml --extra ros --extra simulate "$@"
 compile dev pyproject.toml --extra ros --extra simulate --extra dev "$@"
-echo 'pyinstaller>=6.16' | compile freeze pyproject.toml - --extra simulate "$@"
+printf 'pyinstaller>=6.16\ncyclonedx-python-lib>=11\n' | compile freeze pyproject.toml - --extra simulate "$@"
 compile colcon requirements/colcon.in "$@"
 echo 'uv>=0.9' | compile uv - "$@"

@@ -70,6 +70,9 @@ def _signals_call(
     """Have signals call ``stop``; afterwards they do what they did before, or nothing."""
     before = {number: signal.getsignal(number) for number in _requests()}
     loop = asyncio.get_running_loop()
+    if sys.platform == "win32":
+        # The loop asks to be told when it need not be woken any more, which is no trouble.
+        signal.set_wakeup_fd(signal.set_wakeup_fd(-1), warn_on_full_buffer=False)
     for number in before:
         if sys.platform == "win32":
             # Runs between bytecodes of the main thread, so the loop has to be woken.

@@ -15,7 +15,7 @@ from typer.core import TyperGroup
 
 from biosensor_common.registry import sensor, sensor_names
 from biosensor_gateway import settings_file
-from biosensor_gateway.cli import app
+from biosensor_gateway.cli.app import app
 from biosensor_gateway.devices import settings_models
 
 ROOT = Path(__file__).parents[2]

@@ -1,5 +1,5 @@
 """``python -m biosensor_gateway.cli``."""
 
-from biosensor_gateway.cli.app import main
+from biosensor_gateway.cli import main
 
 main()

@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from biosensor_common.errors import ConfigError, GatewayError
-from biosensor_gateway.cli import looking, running, secrets, settings
+from biosensor_gateway.cli import installation, looking, running, secrets, settings, xdf
 
 EXIT_FAILED, EXIT_USAGE = 1, 2
 
@@ -24,12 +24,15 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command()(running.run)
+app.command()(running.stop)
 app.command()(running.demo)
 app.command()(looking.status)
 app.command()(looking.scan)
 app.command("test")(looking.test)
 app.add_typer(settings.app, name="config")
 app.add_typer(secrets.app, name="secrets")
+app.add_typer(xdf.app, name="xdf")
+app.add_typer(installation.app, name="installation", hidden=True)
 
 
 def main() -> None:
