@@ -1,15 +1,16 @@
 # make demo [SECONDS=20]   the pair end to end, with a virtual device of every kind
 # make test                checks and tests; needs no root, no ROS, no second step
 # make test-system         what needs root or system packages (tests/system/packages.txt)
+# make installer           the Windows installer, built under Wine (needs the same packages)
 # make check, make bench, make format, make docs, make lock
 SHELL := /bin/sh
-PYTHON_FILES := common gateway_win ros_side tests typings
+PYTHON_FILES := common gateway_win installer ros_side tests typings
 RUN := .venv/bin/python -m
 SECONDS :=
 # Each of these fills a small machine; side by side they would disturb each other's clocks.
 ALONE := tests/e2e tests/faults tests/peers tests/ros
 
-.PHONY: demo test test-system check bench format docs lock venv-ros venv-dev venv-peers
+.PHONY: demo test test-system installer check bench format docs lock venv-ros venv-dev venv-peers
 
 demo: venv-ros
 	.venv/bin/biosensor-gateway demo $(if $(SECONDS),--seconds $(SECONDS))
@@ -21,8 +22,11 @@ test: check venv-peers
 	@echo "Not run here, only by 'make test-system' (needs root and system packages):"
 	@$(RUN) pytest -m system --collect-only -qq | sed 's/^/  /'
 
-test-system: venv-dev
+test-system: venv-dev installer
 	$(RUN) pytest -m system
+
+installer: venv-dev
+	$(RUN) installer.wine
 
 check: venv-dev
 	$(RUN) ruff check $(PYTHON_FILES)

@@ -1,0 +1,83 @@
+"""The Python distributions that a bundle was made from, as their ``dist-info`` describes them."""
+
+from __future__ import annotations
+
+import base64
+import csv
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from email.message import Message
+from email.parser import BytesParser
+from functools import cached_property
+from pathlib import Path
+
+from installer.bundle.names import normalised
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """An installed distribution.
+
+    Attributes
+    ----------
+    folder
+        Where it is installed; the paths of its record are below this.
+    info
+        Name of its ``dist-info`` folder.
+    metadata
+        Its ``METADATA``.
+    record
+        Path, with ``/``, to SHA-256 (hex) of each of its files; None where none is recorded.
+    """
+
+    folder: Path
+    info: str
+    metadata: Message[str, str]
+    record: Mapping[str, str | None]
+
+    @cached_property
+    def name(self) -> str:
+        """Its name, normalised."""
+        return normalised(str(self.metadata["Name"]))
+
+    @property
+    def version(self) -> str:
+        """Its version."""
+        return str(self.metadata["Version"])
+
+    def values(self, field: str) -> list[str]:
+        """Return all values of a field of the metadata."""
+        return [value.strip() for value in self.metadata.get_all(field, [])]
+
+    def read(self, path: str) -> bytes:
+        """Return a file of its record."""
+        return (self.folder / path).read_bytes()
+
+
+def read_distributions(folders: Iterable[Path]) -> list[Distribution]:
+    """Read all distributions in some folders, each folder once, sorted by name."""
+    unique = {folder.resolve(): None for folder in folders}
+    found = [
+        _read(info) for folder in unique for info in folder.glob("*.dist-info") if info.is_dir()
+    ]
+    return sorted(found, key=lambda each: (each.name, each.version))
+
+
+def _read(info: Path) -> Distribution:
+    metadata = BytesParser().parsebytes((info / "METADATA").read_bytes())
+    lines = (info / "RECORD").read_text(encoding="utf-8").splitlines()
+    record = {
+        path.replace("\\", "/"): _hex(recorded)
+        for path, recorded, *_ in csv.reader(lines)
+        # Scripts lie outside of the folder and are never bundled.
+        if not path.startswith("..")
+    }
+    return Distribution(info.parent, info.name, metadata, record)
+
+
+def _hex(recorded: str) -> str | None:
+    """Turn ``sha256=<base64>`` of a record into hex."""
+    algorithm, _, digest = recorded.partition("=")
+    if algorithm != "sha256":
+        return None
+    return base64.urlsafe_b64decode(digest + "=" * (-len(digest) % 4)).hex()

@@ -1,0 +1,11 @@
+"""What PyInstaller freezes: the command line of the agent."""
+
+from __future__ import annotations
+
+from multiprocessing import freeze_support
+
+from biosensor_gateway.cli import main
+
+if __name__ == "__main__":
+    freeze_support()
+    main()

@@ -1,0 +1,1 @@
+"""The build on Linux: a Windows Python under Wine freezes the program."""

@@ -1,0 +1,120 @@
+"""What the installed program consists of."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+from cyclonedx.schema import SchemaVersion
+from cyclonedx.validation.json import JsonStrictValidator
+
+from installer.bundle.archive import read_archive
+from installer.bundle.forbidden import refuse_forbidden
+from installer.bundle.sbom import FILE_NAME, LICENCE_TEXT, MODULE
+from installer.layout import PROGRAM, version
+
+pytestmark = pytest.mark.system
+
+Entry = dict[str, Any]
+UNINSTALLER = "uninstall.exe"
+MOST_BYTES = 130 * 2**20
+
+
+@pytest.fixture(scope="module")
+def bom(bundle: Path) -> Entry:
+    return json.loads((bundle / FILE_NAME).read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def files(bundle: Path) -> list[str]:
+    """What was installed, but the bill itself and what the installer adds."""
+    found = (path.relative_to(bundle) for path in bundle.rglob("*") if path.is_file())
+    return sorted({path.as_posix() for path in found} - {FILE_NAME, UNINSTALLER})
+
+
+def entries(bom: Entry) -> Iterator[Entry]:
+    """Go through all entries at every depth."""
+    pending = [bom["metadata"]["component"], *bom["components"]]
+    while pending:
+        entry = pending.pop()
+        yield entry
+        pending += cast("list[Entry]", entry.get("components", []))
+
+
+def properties(bom: Entry, name: str) -> Iterator[str]:
+    for entry in entries(bom):
+        for each in entry.get("properties", []):
+            if each["name"] == name:
+                yield each["value"]
+
+
+def test_it_is_the_bill_of_this_product(bom: Entry) -> None:
+    product = bom["metadata"]["component"]
+    assert (product["name"], product["version"]) == (PROGRAM, version())
+
+
+def test_it_follows_the_schema(bundle: Path) -> None:
+    document = (bundle / FILE_NAME).read_text(encoding="utf-8")
+    assert JsonStrictValidator(SchemaVersion.V1_6).validate_str(document) is None
+
+
+def test_every_installed_file_is_in_it_as_it_was_built(
+    bundle: Path, bom: Entry, files: list[str]
+) -> None:
+    listed = [
+        (entry["name"], entry["hashes"][0]["content"])
+        for entry in entries(bom)
+        if entry["type"] == "file"
+    ]
+    installed = [(path, hashlib.sha256((bundle / path).read_bytes()).hexdigest()) for path in files]
+    assert sorted(listed) == installed
+
+
+def test_every_module_of_the_program_is_in_it(bundle: Path, bom: Entry) -> None:
+    archive = read_archive(bundle / f"{PROGRAM}.exe")
+    held = {*archive.scripts, *archive.modules}
+    assert len(held) > 1000
+    assert held <= set(properties(bom, MODULE))
+
+
+def test_every_component_has_its_licence_and_the_text_of_it(bundle: Path, bom: Entry) -> None:
+    components = [entry for entry in entries(bom) if entry["type"] != "file"]
+    assert len(components) > 50
+    for component in components:
+        assert component["licenses"], component["name"]
+        texts = list(
+            properties({"metadata": {"component": component}, "components": []}, LICENCE_TEXT)
+        )
+        assert texts, component["name"]
+        for text in texts:
+            assert (bundle / text).stat().st_size > 0, text
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["cpython", "liblsl", "microsoft-vc-runtime", "numpy", "OpenBLAS", "openssl", "pyinstaller"],
+)
+def test_what_is_known_to_be_in_the_program_is_named(bom: Entry, name: str) -> None:
+    assert name in {entry["name"] for entry in entries(bom)}
+
+
+def test_nothing_is_in_it_that_must_not_be(bundle: Path, files: list[str]) -> None:
+    refuse_forbidden(bundle, files, read_archive(bundle / f"{PROGRAM}.exe").modules)
+
+
+def test_there_is_no_library_under_the_lgpl(bom: Entry, files: list[str]) -> None:
+    assert not [path for path in files if "usb" in path.lower() or "dbus" in path.lower()]
+    modules = set(properties(bom, MODULE))
+    assert not {"usb", "usb1", "libusb_package", "dbus_fast"} & modules
+
+
+def test_the_lsl_library_is_there(files: list[str]) -> None:
+    assert [path for path in files if path.endswith("/lsl.dll")]
+
+
+def test_it_is_no_larger_than_allowed(bundle: Path, files: list[str]) -> None:
+    assert sum((bundle / path).stat().st_size for path in files) <= MOST_BYTES

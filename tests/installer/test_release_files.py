@@ -1,0 +1,297 @@
+"""What can be said of the Windows build, its smoke test and the workflows without a Windows."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+from packaging.specifiers import SpecifierSet
+from ruamel.yaml import YAML
+
+from biosensor_gateway import settings
+from biosensor_gateway.devices import driver_names, settings_models
+from biosensor_gateway.settings_template import template
+from installer import layout
+from installer.wine.recipe import STAGES
+
+ROOT = Path(__file__).resolve().parents[2]
+INSTALLER = ROOT / "installer"
+BUILD = (INSTALLER / "build.ps1").read_text(encoding="ascii")
+SMOKE_TEST = (INSTALLER / "smoke-test.ps1").read_text(encoding="ascii")
+NSIS = (INSTALLER / "biosensor-gateway.nsi").read_text(encoding="utf-8")
+WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
+
+# What Wine alone needs.
+ONLY_UNDER_WINE = {"downloads", "prefix"}
+PINNED_ACTION = re.compile(r"[\w.-]+/[\w./-]+@[0-9a-f]{40} # v\d+\.\d+\.\d+")
+
+
+def workflow(name: str) -> dict[str, Any]:
+    # By YAML 1.2, as GitHub has it: the key "on" is a text, not a truth.
+    loader = YAML(typ="safe", pure=True)
+    text = (ROOT / ".github" / "workflows" / f"{name}.yml").read_text(encoding="utf-8")
+    return cast("dict[str, Any]", loader.load(text))  # pyright: ignore[reportUnknownMemberType]
+
+
+def steps(name: str, job: str) -> list[dict[str, Any]]:
+    return cast("list[dict[str, Any]]", workflow(name)["jobs"][job]["steps"])
+
+
+def commands(name: str) -> Iterator[str]:
+    for job in workflow(name)["jobs"]:
+        yield from (step["run"] for step in steps(name, job) if "run" in step)
+
+
+# ---- Workflows
+
+
+@pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
+def test_actions_are_pinned_by_commit(path: Path) -> None:
+    used = re.findall(r"uses: *(.*)", path.read_text(encoding="utf-8"))
+    assert used
+    assert [each for each in used if not PINNED_ACTION.fullmatch(each)] == []
+
+
+@pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
+def test_a_job_may_do_nothing_that_it_does_not_name(path: Path) -> None:
+    loaded = workflow(path.stem)
+    assert loaded["permissions"] == {}
+    for job in loaded["jobs"].values():
+        assert job["permissions"]
+        assert job["timeout-minutes"]
+
+
+def test_only_the_job_that_publishes_may_write() -> None:
+    writers = {
+        (name, job): rights["permissions"]
+        for name in ("ci", "release")
+        for job, rights in workflow(name)["jobs"].items()
+        if rights["permissions"] != {"contents": "read"}
+    }
+    publishing = {"contents": "write", "id-token": "write", "attestations": "write"}
+    assert writers == {("release", "release"): publishing}
+    # It runs nothing of the repository or of its dependencies.
+    assert not any("checkout" in step.get("uses", "") for step in steps("release", "release"))
+
+
+def test_nothing_checked_out_keeps_the_token() -> None:
+    for path in WORKFLOWS:
+        for job in workflow(path.stem)["jobs"]:
+            for step in steps(path.stem, job):
+                if "checkout" in step.get("uses", ""):
+                    assert step["with"]["persist-credentials"] is False
+
+
+def test_no_workflow_needs_a_secret_of_the_repository() -> None:
+    for path in WORKFLOWS:
+        assert "secrets." not in path.read_text(encoding="utf-8")
+
+
+def test_what_others_write_is_never_put_into_a_command() -> None:
+    for path in WORKFLOWS:
+        assert [each for each in commands(path.stem) if "${{" in each] == []
+
+
+def test_a_release_is_made_of_tags_and_by_hand() -> None:
+    loaded = workflow("release")
+    assert loaded["on"] == {"push": {"tags": ["v*"]}, "workflow_dispatch": None}
+    assert loaded["jobs"]["release"]["if"] == "startsWith(github.ref, 'refs/tags/v')"
+    assert loaded["jobs"]["release"]["needs"] == "build"
+    assert loaded["jobs"]["build"]["needs"] == "check"
+
+
+@pytest.mark.parametrize(("tag", "accepted"), [("", True), ("9.9.9", False)])
+def test_a_tag_must_be_the_version(tag: str, accepted: bool) -> None:
+    (check,) = (
+        step for step in steps("release", "check") if step.get("name") == "The tag is the version"
+    )
+    assert check["if"] == "github.ref_type == 'tag'"
+    ended = subprocess.run(
+        ["bash", "-e", "-c", check["run"]],
+        cwd=ROOT,
+        env={
+            "PATH": f"{Path(sys.executable).parent}:/usr/bin:/bin",
+            "GITHUB_REF_NAME": f"v{tag or layout.version()}",
+        },
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=30,
+    )
+    assert (ended.returncode == 0) is accepted, ended.stdout + ended.stderr
+    assert accepted or f"has version {layout.version()}." in ended.stdout
+
+
+def test_windows_is_built_and_tried_with_one_script_each() -> None:
+    run = [step["run"] for step in steps("release", "build") if "run" in step]
+    scripts = [
+        name for command in run for name in re.findall(r"\.\\(installer\\\S+\.ps1)", command)
+    ]
+    assert scripts == [r"installer\build.ps1", r"installer\smoke-test.ps1"]
+    # Both PowerShells are used.
+    shells = {step["shell"] for step in steps("release", "build") if "shell" in step}
+    assert shells == {"powershell", "pwsh"}
+    (nsis,) = (command for command in run if "nsis" in command)
+    assert re.search(r"--version=\d+\.\d+\.\d+ ", nsis)
+
+
+def test_pull_requests_run_what_a_change_must_pass() -> None:
+    assert workflow("ci")["on"] == {"pull_request": None}
+    (command,) = commands("ci")
+    assert command.endswith(" .ci/run")
+    assert (ROOT / ".ci" / "run").is_file()
+
+
+# ---- build.ps1
+
+
+def test_stages_are_those_of_the_build_under_wine() -> None:
+    named = re.findall(r"Invoke-Stage '(\w+)'", BUILD)
+    under_wine = [stage.name for stage in STAGES if stage.name not in ONLY_UNDER_WINE]
+    assert [name for name in named if name in under_wine] == under_wine
+    assert set(named) - set(under_wine) <= {"bundle"}
+
+
+def test_the_spec_gets_the_variables_that_it_reads() -> None:
+    spec = (INSTALLER / "biosensor-gateway.spec").read_text(encoding="utf-8")
+    read = set(re.findall(r'os\.environ\["(\w+)"\]', spec))
+    assert read == set(re.findall(r"^ +(GATEWAY_\w+) +=", BUILD, re.MULTILINE))
+
+
+def test_the_script_of_the_installer_reads_what_it_is_given() -> None:
+    given = set(re.findall(r"-D(\w+)=", BUILD))
+    assert given == {"TARGET", "VERSION", "BUNDLE", "OUTPUT"}
+    assert {name for name in given if f"${{{name}}}" not in NSIS} == set()
+
+
+def test_the_bundle_is_completed_by_options_that_exist() -> None:
+    asked = subprocess.run(
+        [sys.executable, "-m", "installer.bundle", "--help"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=30,
+    )
+    given = re.findall(r"'(--(?:bundle|packages|python|product|out))'", BUILD)
+    assert len(given) == 5
+    assert [option for option in given if option not in asked.stdout] == [], asked.stderr
+
+
+def test_the_lock_of_the_build_has_what_completes_the_bundle() -> None:
+    lock = (ROOT / "requirements" / "freeze.txt").read_text(encoding="utf-8")
+    locked = set(re.findall(r"^([\w.-]+)==", lock, re.MULTILINE))
+    needed = {"pyinstaller", "packaging", "cyclonedx-python-lib"}
+    assert needed - locked == set()
+
+
+def test_files_that_are_named_exist() -> None:
+    lock = re.findall(r"'(requirements\\[\w.]+)'", BUILD)
+    beside = re.findall(r"Join-Path \$PSScriptRoot '([\w.-]+)'", BUILD)
+    assert lock == [r"requirements\freeze.txt"]
+    assert set(beside) == {"frozen.py", "biosensor-gateway.spec", "biosensor-gateway.nsi"}
+    named = [ROOT / lock[0].replace("\\", "/"), *(INSTALLER / name for name in beside)]
+    assert [path for path in named if not path.is_file()] == []
+
+
+def test_version_and_names_come_from_one_place() -> None:
+    asked = re.findall(r"'(from installer\.layout import \w+; print\(.+?\))'\)", BUILD)
+    printed: list[str] = []
+    for code in asked:
+        ended = subprocess.run(
+            [sys.executable, "-c", code],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=30,
+        )
+        printed.append(ended.stdout.strip())
+    assert printed == [layout.version(), layout.PROGRAM, layout.setup_file().name]
+    for text in (BUILD, SMOKE_TEST, NSIS.split("VERSION=", 1)[1].split("\n", 1)[1]):
+        assert layout.version() not in text
+
+
+def test_pythons_are_those_of_the_project() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    allowed = SpecifierSet(project["requires-python"])
+    lowest, highest = re.findall(r"\((3), (\d+)\)", BUILD)
+    bounds = [".".join(lowest), ".".join(highest)]
+    assert all(f"{bound}.1" in allowed for bound in bounds)
+    below, above = f"3.{int(lowest[1]) - 1}.1", f"3.{int(highest[1]) + 1}.1"
+    assert below not in allowed
+    assert above not in allowed
+    (used,) = {
+        step["with"]["python-version"]
+        for step in steps("release", "build")
+        if "setup-python" in step.get("uses", "")
+    }
+    assert used == bounds[1]
+
+
+# ---- smoke-test.ps1
+
+
+def test_the_smoke_test_sets_variables_that_the_program_reads() -> None:
+    (listed,) = re.findall(r"^\$Variables = @\((.+)\)$", SMOKE_TEST, re.MULTILINE)
+    prefix, between = settings.OVERRIDE_PREFIX, settings.OVERRIDE_DELIMITER
+    assert re.findall(r"'(\w+)'", listed) == [
+        settings.SETTINGS_VARIABLE,
+        settings.STATE_VARIABLE,
+        f"{prefix}LSL{between}SESSION_ID",
+    ]
+    assert "session_id" in settings.LslSettings.model_fields
+
+
+def test_the_smoke_test_finds_every_sensor_in_a_new_settings_file() -> None:
+    (pattern,) = re.findall(r"-Pattern '(.+)'", SMOKE_TEST)
+    found = re.findall(pattern, template(settings_models()), re.MULTILINE)
+    assert sorted(found) == sorted(driver_names())
+
+
+def test_the_smoke_test_and_the_installer_agree_on_names() -> None:
+    (name,) = re.findall(r'^!define NAME "(.+)"$', NSIS, re.MULTILINE)
+    (program,) = re.findall(r'^!define PROGRAM "(.+)"$', NSIS, re.MULTILINE)
+    assert f"$Name = '{name}'" in SMOKE_TEST
+    assert f"$Program = '{program}'" in SMOKE_TEST
+    assert program == layout.PROGRAM
+    (listed,) = re.findall(r"^\$Shortcuts = @\((.+)\)$", SMOKE_TEST, re.MULTILINE)
+    expected = {each.replace("$Name", name) for each in re.findall(r"[\"']([^\"']+)[\"']", listed)}
+    made = re.findall(r'CreateShortcut "\$SMPROGRAMS\\\$\{NAME\}\\(.+?\.lnk)"', NSIS)
+    assert expected == {each.replace("${NAME}", name) for each in made}
+
+
+# ---- Both scripts
+
+
+@pytest.mark.parametrize("script", [BUILD, SMOKE_TEST], ids=["build", "smoke-test"])
+def test_scripts_run_in_windows_powershell_too(script: str) -> None:
+    body = re.sub(r"(?m)^\s*#.*$", "", re.sub(r"(?s)<#.*?#>", "", script))
+    # These came with PowerShell 7.
+    assert re.findall(r"&&|\|\||\?\?|\?\.|(?<!\w)-(?:Environment|AsHashtable)\b", body) == []
+    assert "Set-StrictMode -Version 3.0" in body
+    assert "$ErrorActionPreference = 'Stop'" in body
+    assert body.rstrip().endswith("exit 0")
+
+
+@pytest.mark.parametrize("script", [BUILD, SMOKE_TEST], ids=["build", "smoke-test"])
+def test_what_a_script_calls_it_also_defines(script: str) -> None:
+    defined = set(re.findall(r"^function ([\w-]+)", script, re.MULTILINE))
+    called = set(re.findall(r"(?<![\w-])((?:Assert|Complete|Find|Invoke|Read|Use)-\w+)", script))
+    assert called <= defined
+    for name in defined:
+        assert len(re.findall(rf"(?<![\w-]){name}(?![\w-])", script)) > 1, name
+
+
+def test_every_program_of_the_build_has_its_exit_code_checked() -> None:
+    calls = re.findall(
+        r"^ +(?:\$\w+ = )?& \$(?!Make |Make$|Block).*\n((?:.*\n){2})", BUILD, re.MULTILINE
+    )
+    assert len(calls) == 3
+    assert all("$LASTEXITCODE" in after for after in calls)

@@ -1,0 +1,1 @@
+"""Virtual Windows PCs, by Wine, on which the finished installer is run."""
