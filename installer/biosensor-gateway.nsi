@@ -36,13 +36,13 @@ SetCompressorDictSize 32
 !define RUN_KEY "Software\Microsoft\Windows\CurrentVersion\Run"
 
 ; What "Check this PC" runs.
-!define CHECK_COMMAND "scan"
+!define CHECK_COMMAND "doctor"
 
 Name "${NAME}"
 OutFile "${OUTPUT}"
-; No folder can be called so: it tells .onInit that there was no /D=, which NSIS reads itself.
-; The name after it is what the dialog appends to a folder that is looked for.
-!define NO_FOLDER "*\${NAME}"
+; No whole path: it tells .onInit that there was no /D=, which NSIS reads itself. The folder
+; dialog appends the name to what is chosen there.
+!define NO_FOLDER "\${NAME}"
 InstallDir "${NO_FOLDER}"
 BrandingText "${NAME} ${VERSION}"
 VIProductVersion "${VERSION}.0"
@@ -259,6 +259,16 @@ FunctionEnd
 
 ; ---- Removal -----------------------------------------------------------------------------
 
+; First, because the program itself takes its secrets out of the system's keyring.
+Section /o "un.Settings, logs and secrets of your user account" SectionSettings
+  Call un.CloseProgram
+  nsExec::Exec '"$INSTDIR\${EXE}" secrets forget emotiv'
+  Pop $R0
+  SetShellVarContext current
+  RMDir /r "$LOCALAPPDATA\${PROGRAM}"
+  SetShellVarContext all
+SectionEnd
+
 Section "un.${NAME}"
   SectionIn RO
   Call un.CloseProgram
@@ -287,12 +297,6 @@ Section "un.${NAME}"
   Delete "$INSTDIR\${EXE}"
   Delete "$INSTDIR\uninstall.exe"
   RMDir "$INSTDIR"
-SectionEnd
-
-Section /o "un.Settings and logs of your user account" SectionSettings
-  SetShellVarContext current
-  RMDir /r "$LOCALAPPDATA\${PROGRAM}"
-  SetShellVarContext all
 SectionEnd
 
 Function un.onInit

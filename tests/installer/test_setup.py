@@ -1,0 +1,121 @@
+"""What a silent installation leaves on a PC; nothing here changes it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from installer.layout import PROGRAM, PUBLISHER, version
+from tests.rigs.windows.desktop import (
+    APP_PATH_KEY,
+    DEFAULT_FOLDER,
+    OWN_KEY,
+    RUN_KEY,
+    path_entries,
+    search_path,
+    start_menu,
+)
+from tests.rigs.windows.pc import NAME, UNINSTALL_KEY, WindowsPc
+from tests.rigs.windows.registry import Registry, Value
+from tests.rigs.windows.shortcuts import Shortcut, read_shortcut
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
+
+MEBIBYTE = 1024 * 1024
+EXE = rf"{DEFAULT_FOLDER}\{PROGRAM}.exe"
+UNINSTALLER = rf"{DEFAULT_FOLDER}\uninstall.exe"
+
+
+@pytest.fixture(scope="module")
+def registry(installed: WindowsPc) -> Registry:
+    return Registry.of(installed.prefix.folder)
+
+
+def size(folder: Path) -> int:
+    return sum(each.stat().st_size for each in folder.rglob("*") if each.is_file())
+
+
+def test_the_folder_has_the_program_and_what_belongs_to_it(bundle: Path) -> None:
+    assert {each.name for each in bundle.iterdir()} == {
+        *(f"{PROGRAM}.exe", "_internal", "uninstall.exe"),
+        *("licenses", "sbom.cdx.json"),
+    }
+
+
+def test_licences_and_the_list_of_components_come_along(bundle: Path) -> None:
+    assert any((bundle / "licenses").iterdir())
+    assert json.loads((bundle / "sbom.cdx.json").read_text("utf-8"))["bomFormat"] == "CycloneDX"
+
+
+def test_it_is_small_enough(setup: Path, bundle: Path, record_property: object) -> None:
+    assert callable(record_property)
+    record_property("setup_bytes", setup.stat().st_size)
+    record_property("installed_bytes", size(bundle))
+    assert setup.stat().st_size <= 45 * MEBIBYTE
+    assert size(bundle) <= 130 * MEBIBYTE
+
+
+def test_windows_lists_it_among_the_installed_programs(registry: Registry, bundle: Path) -> None:
+    entry = dict(registry.key(UNINSTALL_KEY) or {})
+    estimated = entry.pop("estimatedsize")
+    assert estimated.kind == "REG_DWORD"
+    assert int(estimated.data) == pytest.approx(size(bundle) / 1024, rel=0.02)
+    assert {name: value.data for name, value in entry.items()} == {
+        "displayname": NAME,
+        "displayversion": version(),
+        "displayicon": EXE,
+        "publisher": PUBLISHER,
+        "installlocation": DEFAULT_FOLDER,
+        "uninstallstring": f'"{UNINSTALLER}"',
+        "quietuninstallstring": f'"{UNINSTALLER}" /S',
+        "nomodify": 1,
+        "norepair": 1,
+    }
+
+
+def test_the_run_dialog_finds_it(registry: Registry) -> None:
+    assert registry.key(APP_PATH_KEY) == {
+        "": Value("REG_SZ", EXE),
+        "path": Value("REG_SZ", DEFAULT_FOLDER),
+    }
+
+
+def test_it_comes_last_in_path_and_all_else_stays(registry: Registry, pc: WindowsPc) -> None:
+    before = search_path(Registry.of(pc.prefix.folder))
+    assert "%SystemRoot%" in str(before.data)
+    assert before.kind == "REG_EXPAND_SZ"
+    assert search_path(registry) == Value("REG_EXPAND_SZ", f"{before.data};{DEFAULT_FOLDER}")
+    assert path_entries(registry).count(DEFAULT_FOLDER) == 1
+
+
+def test_a_new_terminal_finds_the_command(installed: WindowsPc) -> None:
+    ended = installed.prefix.attempt("cmd", "/c", PROGRAM, "--version")
+    assert (ended.returncode, ended.stdout.strip()) == (0, f"{PROGRAM} {version()}")
+
+
+def test_all_users_have_its_entries_in_the_start_menu(installed: WindowsPc) -> None:
+    cmd = r"C:\windows\system32\cmd.exe"
+    found = {each.stem: read_shortcut(each) for each in start_menu(installed).iterdir()}
+    home = "%USERPROFILE%"
+    assert found == {
+        NAME: Shortcut(cmd, f'/k ""{EXE}" run"', home, EXE),
+        "Check this PC": Shortcut(cmd, f'/k ""{EXE}" doctor"', home, EXE),
+        "Settings": Shortcut(cmd, f'/c ""{EXE}" config edit || pause"', home, EXE),
+        "Uninstall": Shortcut(UNINSTALLER, "", home),
+    }
+    shortcuts = {name for name in installed.files() if name.endswith(".lnk")}
+    assert len(shortcuts) == len(found)
+
+
+def test_nothing_else_is_done_without_being_asked(registry: Registry) -> None:
+    assert registry.key(OWN_KEY) is None
+    assert registry.value(RUN_KEY, NAME) is None
+
+
+def test_a_folder_that_path_cannot_hold_is_refused_in_one_sentence(installed: WindowsPc) -> None:
+    ended = installed.gateway("installation", "add-to-path", r"C:\a;b")
+    assert ended.returncode == 2
+    assert ended.stdout.count("\n") == 1
+    assert r"C:\a;b has a semicolon in its name; install into another folder" in ended.stdout
