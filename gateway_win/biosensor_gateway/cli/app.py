@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from biosensor_common.errors import ConfigError, GatewayError
-from biosensor_gateway.cli import installation, looking, running, secrets, settings, xdf
+from biosensor_gateway.cli import doctor, installation, looking, running, secrets, settings, xdf
 
 EXIT_FAILED, EXIT_USAGE = 1, 2
 
@@ -29,6 +29,8 @@ app.command()(running.demo)
 app.command()(looking.status)
 app.command()(looking.scan)
 app.command("test")(looking.test)
+app.command()(doctor.doctor)
+app.command("doctor-probe", hidden=True)(doctor.doctor_probe)
 app.add_typer(settings.app, name="config")
 app.add_typer(secrets.app, name="secrets")
 app.add_typer(xdf.app, name="xdf")

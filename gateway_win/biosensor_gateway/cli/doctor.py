@@ -1,0 +1,61 @@
+"""``biosensor-gateway doctor``: what is wrong on this computer, and how to mend it."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+from biosensor_gateway.cli.options import JsonOption, SettingsOption
+from biosensor_gateway.doctor import probe
+from biosensor_gateway.doctor.context import LAB_RECORDER_PORT, read_context
+from biosensor_gateway.doctor.report import as_json, as_text
+from biosensor_gateway.doctor.runner import run_checks
+from biosensor_gateway.doctor.table import CHECKS, Check
+from biosensor_gateway.settings import settings_path, state_folder
+
+_NAMES = ", ".join(check.name for check in CHECKS)
+
+
+def _chosen(names: list[str] | None) -> list[str]:
+    known = {check.name for check in CHECKS}
+    for name in names or ():
+        if name not in known:
+            raise typer.BadParameter(f"there is no check {name!r}; there are {_NAMES}")
+    return names or []
+
+
+def doctor(
+    as_json_: JsonOption = False,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--only",
+            metavar="NAME",
+            help=f"Run this check only (repeatable): {_NAMES}.",
+            callback=_chosen,
+        ),
+    ] = None,
+    settings: SettingsOption = None,
+    lab_recorder_port: Annotated[
+        int, typer.Option(min=1, max=65535, help="TCP port of LabRecorder's remote control.")
+    ] = LAB_RECORDER_PORT,
+) -> None:
+    """Say what is wrong on this computer and how to mend it; exit code 1 if there are errors."""
+    context = read_context(
+        settings or settings_path(), state_folder(), lab_recorder_port=lab_recorder_port
+    )
+    report = run_checks(_checks(only or []), context)
+    typer.echo(as_json(report) if as_json_ else as_text(report, sys.stdout.encoding or "ascii"))
+    if not report.is_good:
+        raise typer.Exit(1)
+
+
+def _checks(names: list[str]) -> list[Check]:
+    return [check for check in CHECKS if not names or check.name in names]
+
+
+def doctor_probe() -> None:
+    """Be the other program of a check; used by doctor itself."""
+    probe.main()

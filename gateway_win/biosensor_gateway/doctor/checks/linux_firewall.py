@@ -1,0 +1,33 @@
+"""Whether ufw or firewalld is on; their rules can only be read by the administrator."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+
+from biosensor_gateway.doctor import firewall_rules, lsl_text, programs
+from biosensor_gateway.doctor.context import Context
+from biosensor_gateway.doctor.finding import Finding, note, ok
+from biosensor_gateway.lsl_file import Ports
+
+_OPENING: dict[str, Callable[[Ports], str]] = {
+    "ufw": firewall_rules.ufw,
+    "firewalld": firewall_rules.firewalld,
+}
+
+
+def examine(context: Context) -> Iterator[Finding]:
+    """Ask systemd."""
+    if sys.platform != "linux":
+        return
+    ports = lsl_text.ports(context.agent_config)
+    active = [each for each in _OPENING if programs.succeeds("systemctl", "is-active", each)]
+    for name in active:
+        yield note(
+            f"the firewall {name} is on",
+            "Other computers see the streams of this one only if it lets them in: UDP "
+            f"{ports.discovery}, and UDP and TCP {ports.first} to {ports.last}.",
+            _OPENING[name](ports),
+        )
+    if not active:
+        yield ok("neither ufw nor firewalld is on, as far as systemd knows")

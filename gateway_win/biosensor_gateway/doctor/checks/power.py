@@ -1,0 +1,110 @@
+"""What may send the computer or its Bluetooth adapter to sleep during a recording."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from biosensor_gateway.doctor import programs, windows_power
+from biosensor_gateway.doctor.context import Context
+from biosensor_gateway.doctor.device_kinds import by_bluetooth_le
+from biosensor_gateway.doctor.finding import Finding, note, ok, warning
+
+ADAPTERS = Path("/sys/class/bluetooth")
+_GNOME = "org.gnome.settings-daemon.plugins.power"
+_GNOME_KEY = "sleep-inactive-ac-type"
+_HELD_OFF = (
+    "The agent holds sleep off while a device streams, but not before the first one does, nor if "
+    "the lid is closed."
+)
+_NOT_HELD_OFF = "A recording ends with the sleep, and keep_awake is off in the settings."
+
+
+def examine(context: Context) -> Iterator[Finding]:
+    """Look at sleep, mains and Bluetooth."""
+    yield from _sleep(context.keep_awake)
+    yield from _battery()
+    if sys.platform == "linux":
+        yield from adapters(ADAPTERS)
+    elif sys.platform == "win32" and by_bluetooth_le(context.enabled):
+        yield note(
+            "Windows may switch the Bluetooth adapter off to save power",
+            "Then the sensors drop out, and come back only by chance.",
+            "Device Manager > Bluetooth > the adapter > Properties > Power Management: clear "
+            "'Allow the computer to turn off this device'",
+        )
+
+
+def _sleep(keep_awake: bool) -> Iterator[Finding]:
+    if sys.platform == "linux":
+        after = _linux_sleep()
+        fix = f"gsettings set {_GNOME} {_GNOME_KEY} nothing"
+    elif sys.platform == "win32":
+        after = _windows_sleep()
+        fix = "powercfg /change standby-timeout-ac 0"
+    else:
+        return
+    if after is None:
+        yield ok("nothing is known to send this computer to sleep by itself")
+    elif keep_awake:
+        yield note(f"this computer goes to sleep {after}", _HELD_OFF, fix)
+    else:
+        yield warning(f"this computer goes to sleep {after}", _NOT_HELD_OFF, fix)
+
+
+def _linux_sleep() -> str | None:
+    masked = programs.output_of("systemctl", "is-enabled", "sleep.target")
+    if masked is not None and masked.strip() == "masked":
+        return None
+    desktop = programs.output_of("gsettings", "get", _GNOME, _GNOME_KEY)
+    if desktop is not None and "suspend" in desktop:
+        return "when nobody uses it (the desktop's setting for mains)"
+    return None
+
+
+def _windows_sleep() -> str | None:
+    seconds = windows_power.sleep_timeout_s()
+    return f"after {seconds / 60:g} minutes on mains" if seconds else None
+
+
+def _battery() -> Iterator[Finding]:
+    import psutil  # noqa: PLC0415
+
+    # Not on every system.
+    state = psutil.sensors_battery() if hasattr(psutil, "sensors_battery") else None
+    if state is not None and state.power_plugged is False:
+        yield note(
+            f"this computer runs on battery ({state.percent:.0f} percent)",
+            "It saves power at the cost of radio and timing, and may go to sleep whatever the "
+            "agent asks for.",
+            "plug it in",
+        )
+
+
+def adapters(folder: Path) -> Iterator[Finding]:
+    """Judge the power saving of the USB adapters of Linux.
+
+    Parameters
+    ----------
+    folder
+        With one entry for each adapter, as ``/sys/class/bluetooth`` is.
+    """
+    for adapter in sorted(folder.glob("hci*")):
+        # The adapter is an interface of the USB device.
+        for control in (adapter / "device/../power/control", adapter / "device/power/control"):
+            if _is_auto(control):
+                yield note(
+                    f"the Bluetooth adapter {adapter.name} may be suspended (USB autosuspend)",
+                    "Some adapters lose connections by it, or do not come back.",
+                    f"echo on | sudo tee {control.resolve()}\nfor good: options btusb "
+                    "enable_autosuspend=0 in /etc/modprobe.d/btusb.conf",
+                )
+                break
+
+
+def _is_auto(control: Path) -> bool:
+    try:
+        return control.read_text("ascii").strip() == "auto"
+    except (OSError, ValueError):
+        return False

@@ -1,0 +1,108 @@
+"""Starts `biosensor_gateway.doctor.probe` as a process of its own, and asks it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+import sys
+import threading
+from collections import deque
+from types import TracebackType
+from typing import Any, Self
+
+PROBE_COMMAND = "doctor-probe"
+"""Hidden command of the frozen program, which is its own Python."""
+_LOG_LINES, _LOG_PATIENCE_S = 20, 1.0
+
+
+class ProbeError(Exception):
+    """The other process did not answer; says what it said last."""
+
+
+def probe_command() -> list[str]:
+    """Command line of the other process, from source or frozen."""
+    if getattr(sys, "frozen", False):
+        return [sys.executable, PROBE_COMMAND]
+    return [sys.executable, "-m", "biosensor_gateway.doctor.probe"]
+
+
+class Probe:
+    """The other process; a context manager.
+
+    Parameters
+    ----------
+    role
+        What it does; see `biosensor_gateway.doctor.probe`.
+    limit_s
+        How long it may live.
+    request
+        What the role needs, ``config`` first of all.
+    """
+
+    def __init__(self, role: str, limit_s: float, **request: object) -> None:
+        self.process = subprocess.Popen(  # noqa: S603 - this program itself
+            probe_command(),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            encoding="ascii",
+            errors="replace",
+        )
+        self._log: deque[str] = deque(maxlen=_LOG_LINES)
+        self._logger = threading.Thread(target=self._keep_log, daemon=True)
+        self._logger.start()
+        self._limit = threading.Timer(limit_s, self.process.kill)
+        self._limit.daemon = True
+        self._limit.start()
+        self._request = json.dumps({"role": role, "life_s": limit_s, **request})
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._limit.cancel()
+        self.process.kill()
+        self.process.wait()
+        for pipe in (self.process.stdin, self.process.stdout):
+            # What could not be written any more is of no use.
+            with contextlib.suppress(OSError):
+                if pipe is not None:
+                    pipe.close()
+
+    def answer(self) -> dict[str, Any]:
+        """Pass on the request and wait for the answer.
+
+        Raises
+        ------
+        ProbeError
+            The process ended, or was ended because its time was over.
+        """
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        try:
+            self.process.stdin.write(self._request + "\n")
+            self.process.stdin.flush()
+            # pylsl prints remarks of its own.
+            while line := self.process.stdout.readline():
+                if line.startswith("{"):
+                    return json.loads(line)
+        except (OSError, ValueError):
+            pass
+        raise ProbeError(f"a second process for LSL gave no answer{self._last_words()}")
+
+    def _keep_log(self) -> None:
+        assert self.process.stderr is not None
+        with self.process.stderr as lines:
+            self._log.extend(lines)
+
+    def _last_words(self) -> str:
+        self._logger.join(_LOG_PATIENCE_S)
+        lines = [line.strip() for line in list(self._log) if line.strip()]
+        return f": {lines[-1]}" if lines else ""

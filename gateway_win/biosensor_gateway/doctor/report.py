@@ -1,0 +1,93 @@
+"""The findings as text for a person and as JSON for a script."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterator
+
+from biosensor_gateway.doctor.finding import Finding, Level
+from biosensor_gateway.doctor.runner import Report
+from biosensor_gateway.doctor.table import Category
+
+FORMAT_VERSION = 1
+
+_MARKS = {
+    Level.OK: "[ok]     ",
+    Level.NOTE: "[note]   ",
+    Level.WARNING: "[warning]",
+    Level.ERROR: "[ERROR]  ",
+}
+_INDENT = " " * 12
+
+
+def as_json(report: Report) -> str:
+    """Return the report as JSON, in ASCII."""
+    categories = {check.name: check.category.value for check in report.checks}
+    content = {
+        "version": FORMAT_VERSION,
+        "good": report.is_good,
+        "seconds": round(report.seconds, 3),
+        "checks": [check.name for check in report.checks],
+        "counts": {level.value: count for level, count in _counts(report).items()},
+        "findings": [
+            {
+                "check": finding.check,
+                "category": categories[finding.check],
+                "level": finding.level.value,
+                "what": finding.what,
+                "why": finding.why,
+                "fix": finding.fix,
+            }
+            for finding in report.findings
+        ],
+    }
+    return json.dumps(content, indent=2)
+
+
+def as_text(report: Report, encoding: str = "utf-8") -> str:
+    """Return the report as lines that a console of that encoding can show."""
+    text = "\n".join([*_lines(report), _summary(report)])
+    return text.encode(encoding, "replace").decode(encoding)
+
+
+def _lines(report: Report) -> Iterator[str]:
+    for category in Category:
+        names = [check.name for check in report.checks if check.category is category]
+        found = [finding for finding in report.findings if finding.check in names]
+        if found:
+            yield category.value
+            for finding in found:
+                yield from _finding_lines(finding)
+            yield ""
+
+
+def _finding_lines(finding: Finding) -> Iterator[str]:
+    yield f"  {_MARKS[finding.level]} {finding.check}: {_safe(finding.what)}"
+    if finding.why:
+        yield f"{_INDENT}why: {_safe(finding.why)}"
+    if finding.fix:
+        first, *others = finding.fix.splitlines()
+        yield f"{_INDENT}fix: {_safe(first)}"
+        yield from (f"{_INDENT}     {_safe(line)}" for line in others)
+
+
+def _summary(report: Report) -> str:
+    counts = _counts(report)
+    parts = [
+        f"{counts[level]} {level.value}{'' if counts[level] == 1 else 's'}"
+        for level in (Level.ERROR, Level.WARNING, Level.NOTE)
+        if counts[level]
+    ]
+    checks = "1 check" if len(report.checks) == 1 else f"{len(report.checks)} checks"
+    return f"{checks} in {report.seconds:.1f} s: {', '.join(parts) or 'no problem found'}"
+
+
+def _counts(report: Report) -> dict[Level, int]:
+    counted = Counter(finding.level for finding in report.findings)
+    return {level: counted[level] for level in Level}
+
+
+def _safe(text: str) -> str:
+    """Keep what a stranger wrote, such as a stream's name, from steering the terminal."""
+    return "".join(char if char.isprintable() else "?" for char in text)

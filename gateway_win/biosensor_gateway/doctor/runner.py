@@ -1,0 +1,85 @@
+"""Runs checks side by side; none of them can stop the others or the program."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from biosensor_gateway.doctor.context import Context
+from biosensor_gateway.doctor.finding import Finding, Level, warning
+from biosensor_gateway.doctor.table import Check
+
+_UNKNOWN = "What it would have found is unknown."
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """All findings, in the order of the checks.
+
+    Attributes
+    ----------
+    checks
+        What was to be looked at.
+    findings
+    seconds
+        How long it took.
+    """
+
+    checks: tuple[Check, ...]
+    findings: tuple[Finding, ...]
+    seconds: float
+
+    @property
+    def is_good(self) -> bool:
+        """Whether there are no errors."""
+        return all(finding.level is not Level.ERROR for finding in self.findings)
+
+
+def run_checks(checks: Sequence[Check], context: Context) -> Report:
+    """Run checks at once, each for as long as it may take.
+
+    A check that raises, or has not ended in time, has a finding that says so, behind what it
+    has found until then. One that hangs goes on in a daemon thread until the program ends.
+    """
+    begun = time.monotonic()
+    running = [_Running(check, context) for check in checks]
+    findings = [finding for each in running for finding in each.result(begun)]
+    return Report(tuple(checks), tuple(findings), time.monotonic() - begun)
+
+
+class _Running:
+    """A check in its thread."""
+
+    def __init__(self, check: Check, context: Context) -> None:
+        self._check = check
+        self._findings: list[Finding] = []
+        self._thread = threading.Thread(
+            target=self._run, args=(context,), name=f"doctor-{check.name}", daemon=True
+        )
+        self._thread.start()
+
+    def result(self, begun: float) -> list[Finding]:
+        """Wait until the check ends or its time is over; return what it has found."""
+        self._thread.join(max(0.0, begun + self._check.limit_s - time.monotonic()))
+        is_late = self._thread.is_alive()
+        found = self._findings.copy()
+        if is_late:
+            what = f"the check did not end within {self._check.limit_s:g} s"
+            found.append(warning(what, _UNKNOWN, self._alone()))
+        return [replace(each, check=self._check.name) for each in found]
+
+    def _run(self, context: Context) -> None:
+        try:
+            for finding in self._check.load()(context):
+                self._findings.append(finding)
+        except BaseException as problem:  # noqa: BLE001 - a check may fail in any way
+            what = f"the check failed: {type(problem).__name__}: {problem}"
+            self._findings.append(warning(what, _UNKNOWN, self._alone()))
+
+    def _alone(self) -> str:
+        return (
+            f"run it alone: biosensor-gateway doctor --only {self._check.name}; if it fails again, "
+            "report it with the output of: biosensor-gateway doctor --json"
+        )

@@ -1,0 +1,161 @@
+"""What streams must be like to be found, told apart, recorded and aligned."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+
+from biosensor_common.lsl_config import LSL_BASE_PORT
+from biosensor_gateway.doctor.finding import Finding, error, note, ok, warning
+from biosensor_gateway.doctor.lsl_text import LSL_PORT_RANGE
+from biosensor_gateway.doctor.seen_stream import SeenStream
+
+MAX_STAMP_ERROR_S = 30.0
+"""A stamp further off is not on the LSL clock at all (Unix time, the device's time)."""
+MAX_ROUND_TRIP_S = 0.1
+_SHOWN = 5
+# pylsl makes it of Python's hash, which is another one at every start.
+_GENERATED_ID = re.compile(r"-?\d{15,20}")
+_BY_AUTHOR = "ask the author of that program; in pylsl it is StreamInfo(..., source_id='...')"
+
+
+def judge(streams: Sequence[SeenStream]) -> Iterator[Finding]:
+    """Apply all rules."""
+    yield from _hosts(streams)
+    for rule in (_names, _source_ids, _empty_ids, _generated_ids, _int64, _clocks, _far_ports):
+        yield from rule(streams)
+
+
+def listed(names: Iterable[str]) -> str:
+    """Return the first names, and how many more there are."""
+    every = list(names)
+    more = f" and {len(every) - _SHOWN} more" if len(every) > _SHOWN else ""
+    return ", ".join(every[:_SHOWN]) + more
+
+
+def _hosts(streams: Sequence[SeenStream]) -> Iterator[Finding]:
+    for host, there in _grouped(streams, lambda each: each.host).items():
+        measured = [each for each in there if each.round_trip_s is not None]
+        what = f"{_amount(there)} on {host}"
+        best = min(measured, key=lambda each: each.round_trip_s or 0.0, default=None)
+        if best is None or best.offset_s is None or best.round_trip_s is None:
+            yield warning(
+                f"{what}, which gives no time",
+                "Without its clock's offset its stamps cannot be aligned with others. A firewall "
+                "may let TCP through but not UDP.",
+                f"on {host}: biosensor-gateway doctor; its firewall must let in UDP and TCP from "
+                f"{LSL_BASE_PORT} on",
+            )
+            continue
+        what += (
+            f": clock offset {best.offset_s:+.6f} s, round trip {best.round_trip_s * 1e3:.2f} ms"
+        )
+        if best.round_trip_s <= MAX_ROUND_TRIP_S:
+            yield ok(what)
+            continue
+        yield warning(
+            what,
+            "Half of the round trip is how wrong the offset may be. Such values are those of busy "
+            "or power-saving Wi-Fi.",
+            f"connect {host} by cable, or see the part Tuning of "
+            "https://labstreaminglayer.readthedocs.io/info/lslapicfg.html",
+        )
+
+
+def _names(streams: Sequence[SeenStream]) -> Iterator[Finding]:
+    for name, same in _repeated(streams, lambda each: each.name):
+        yield warning(
+            f"{len(same)} streams are called {name} (on {listed(sorted({e.host for e in same}))})",
+            "LabRecorder lists streams by name and computer; those with the same cannot be chosen "
+            "apart.",
+            "give each a name of its own; for devices of this gateway set label or participant: "
+            "biosensor-gateway config edit",
+        )
+
+
+def _source_ids(streams: Sequence[SeenStream]) -> Iterator[Finding]:
+    for source_id, same in _repeated(streams, lambda each: each.source_id):
+        where = listed(sorted(f"{each.name} on {each.host}" for each in same))
+        yield error(
+            f"{len(same)} streams have the source_id {source_id}: {where}",
+            "LabRecorder takes them for one, and receivers cannot go on after a restart.",
+            "end all but one of the programs that send them; for devices of this gateway that are "
+            "two, correct unit, label or participant: biosensor-gateway config edit",
+        )
+
+
+def _empty_ids(streams: Sequence[SeenStream]) -> Iterator[Finding]:
+    found = [each.name for each in streams if not each.source_id]
+    if found:
+        yield warning(
+            f"without a source_id: {listed(found)}",
+            "When that program restarts, its stream is missing from the rest of the recording.",
+            f"have the program set a source_id that stays the same; {_BY_AUTHOR}",
+        )
+
+
+def _generated_ids(streams: Sequence[SeenStream]) -> Iterator[Finding]:
+    found = [each.name for each in streams if _GENERATED_ID.fullmatch(each.source_id)]
+    if found:
+        yield warning(
+            f"with a source_id that pylsl made up: {listed(found)}",
+            "It is another one at every start of that program: a recording does not go on after a "
+            "restart.",
+            f"have the program set a source_id that stays the same; {_BY_AUTHOR}",
+        )
+
+
+def _int64(streams: Sequence[SeenStream]) -> Iterator[Finding]:
+    found = [each.name for each in streams if each.format == "int64"]
+    if found:
+        yield error(
+            f"of the format int64: {listed(found)}",
+            "LabRecorder writes no sample of such streams, and does not say so.",
+            "have the program send int32 or double64",
+        )
+
+
+def _clocks(streams: Sequence[SeenStream]) -> Iterator[Finding]:
+    for each in streams:
+        if each.stamp_error_s is not None and abs(each.stamp_error_s) > MAX_STAMP_ERROR_S:
+            yield error(
+                f"{each.name} on {each.host}: its stamps are {each.stamp_error_s:+.0f} s off",
+                "They are not on the LSL clock, so that the stream cannot be aligned with others.",
+                "have the program stamp with LSL's local_clock(), or without a stamp; Unix time "
+                "and a device's own time are wrong",
+            )
+
+
+def _far_ports(streams: Sequence[SeenStream]) -> Iterator[Finding]:
+    end = LSL_BASE_PORT + LSL_PORT_RANGE
+    far = [each for each in streams if any(port >= end for port in each.ports)]
+    for host, there in _grouped(far, lambda each: each.host).items():
+        yield note(
+            f"{_amount(there)} on {host}, on ports from {end} on: "
+            f"{listed(each.name for each in there)}",
+            f"LSL programs without a configuration ask known peers on {LSL_PORT_RANGE} ports "
+            "only, which is 16 streams. By multicast they find all.",
+            "where LabRecorder is: biosensor-gateway config lsl (with --for two-pc --peer "
+            f"{host} if that is another computer)",
+        )
+
+
+def _repeated(
+    streams: Sequence[SeenStream], key: Callable[[SeenStream], str]
+) -> list[tuple[str, list[SeenStream]]]:
+    groups = _grouped(streams, key)
+    return [(name, same) for name, same in groups.items() if name and len(same) > 1]
+
+
+def _grouped(
+    streams: Sequence[SeenStream], key: Callable[[SeenStream], str]
+) -> dict[str, list[SeenStream]]:
+    groups: defaultdict[str, list[SeenStream]] = defaultdict(list)
+    for each in streams:
+        groups[key(each)].append(each)
+    return groups
+
+
+def _amount(streams: Sequence[SeenStream]) -> str:
+    return "1 stream" if len(streams) == 1 else f"{len(streams)} streams"

@@ -1,0 +1,114 @@
+"""What there is on the network, seen by a process of its own."""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import pylsl
+from pylsl.lib import lib
+
+from biosensor_gateway.doctor.seen_stream import SeenStream
+
+MAX_EXAMINED = 256
+"""So many streams are listened to; all are listed."""
+_THREADS = 64
+_MAX_HEADER = 100_000
+_FORMATS = {
+    pylsl.cf_float32: "float32",
+    pylsl.cf_double64: "double64",
+    pylsl.cf_string: "string",
+    pylsl.cf_int32: "int32",
+    pylsl.cf_int16: "int16",
+    pylsl.cf_int8: "int8",
+    pylsl.cf_int64: "int64",
+}
+
+
+def survey(search_s: float, listen_s: float, limit_s: float) -> dict[str, Any]:
+    """Look for streams, then listen to each of them.
+
+    Parameters
+    ----------
+    search_s
+        How long to look; streams answer in waves.
+    listen_s
+        How long each step of listening to one may take.
+    limit_s
+        After so long no listening begins any more.
+
+    Returns
+    -------
+    dict
+        ``streams``, each as a `SeenStream`.
+    """
+    deadline_s = time.monotonic() + limit_s
+    resolver = pylsl.ContinuousResolver(forget_after=60.0)
+    time.sleep(search_s)
+    infos = resolver.results()
+    seen = [_described(info) for info in infos]
+    examined = min(len(infos), MAX_EXAMINED)
+    with ThreadPoolExecutor(_THREADS) as pool:
+        for info, each in zip(infos[:examined], seen[:examined], strict=True):
+            pool.submit(_listen, info, each, listen_s, deadline_s)
+    return {"streams": [asdict(each) for each in seen]}
+
+
+def _described(info: pylsl.StreamInfo) -> SeenStream:
+    return SeenStream(
+        info.name(),
+        info.source_id(),
+        info.uid(),
+        info.hostname(),
+        _FORMATS.get(info.channel_format(), "unknown"),
+        _ports(info.as_xml()),
+    )
+
+
+def _ports(header: str) -> list[int]:
+    """Return the ports of a header; a resolver's has no description, so it is small."""
+    if len(header) > _MAX_HEADER:
+        return []
+    try:
+        root = ET.fromstring(header)  # noqa: S314 - liblsl itself writes it, without entities
+    except ET.ParseError:
+        return []
+    names = ("v4data_port", "v4service_port", "v6data_port", "v6service_port")
+    texts = [root.findtext(name, "0") for name in names]
+    return [int(text) for text in texts if text.isdecimal() and int(text)]
+
+
+def _listen(info: pylsl.StreamInfo, seen: SeenStream, limit_s: float, deadline_s: float) -> None:
+    if time.monotonic() > deadline_s:
+        return
+    inlet = pylsl.StreamInlet(info, max_buflen=1, recover=False)
+    try:
+        _measure_clock(inlet, seen, limit_s)
+        inlet.open_stream(limit_s)
+        _, stamp = inlet.pull_sample(limit_s)
+    except RuntimeError:
+        # Time out, or the stream has ended meanwhile.
+        return
+    if stamp is not None and seen.offset_s is not None:
+        seen.stamp_error_s = stamp + seen.offset_s - pylsl.local_clock()
+
+
+def _measure_clock(inlet: pylsl.StreamInlet, seen: SeenStream, limit_s: float) -> None:
+    remote_s, uncertainty_s = ctypes.c_double(), ctypes.c_double()
+    code = ctypes.c_int()
+    measure = lib.lsl_time_correction_ex
+    measure.restype = ctypes.c_double
+    offset_s: float = measure(
+        inlet.obj,
+        ctypes.byref(remote_s),
+        ctypes.byref(uncertainty_s),
+        ctypes.c_double(limit_s),
+        ctypes.byref(code),
+    )
+    if code.value == 0:
+        # What liblsl calls uncertainty is the round trip of its best packet.
+        seen.offset_s, seen.round_trip_s = offset_s, uncertainty_s.value

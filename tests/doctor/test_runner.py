@@ -1,0 +1,133 @@
+"""Checks run side by side, and none of them can stop the others."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import pytest
+
+from biosensor_gateway.doctor.context import Context
+from biosensor_gateway.doctor.finding import Finding, Level, error, note, ok
+from biosensor_gateway.doctor.runner import Report, run_checks
+from biosensor_gateway.doctor.table import CHECKS, Category, Check, Examine
+
+
+class Made(Check):
+    """A check that is not a module."""
+
+    examine: Examine
+
+    def load(self) -> Examine:
+        return self.examine
+
+
+def made(name: str, examine: Examine, limit_s: float = 30.0) -> Check:
+    check = Made(name, Category.PROGRAM, name, limit_s)
+    check.examine = examine
+    return check
+
+
+def run(*checks: Check) -> Report:
+    return run_checks(checks, Context(Path("settings.toml"), Path("state")))
+
+
+def good(_: Context) -> Iterator[Finding]:
+    yield ok("it is there")
+
+
+def raising(_: Context) -> Iterator[Finding]:
+    yield ok("so far")
+    raise ZeroDivisionError("a mistake")
+
+
+def test_findings_are_in_the_order_of_the_checks_whoever_is_first() -> None:
+    first = threading.Event()
+
+    def waits(_: Context) -> Iterator[Finding]:
+        assert first.wait(30.0)
+        yield ok("second")
+
+    def signals(_: Context) -> Iterator[Finding]:
+        yield ok("first")
+        first.set()
+
+    report = run(made("waits", waits), made("signals", signals))
+    assert [(each.check, each.what) for each in report.findings] == [
+        ("waits", "second"),
+        ("signals", "first"),
+    ]
+    assert report.is_good
+
+
+@pytest.mark.parametrize("problem", [ZeroDivisionError("no"), SystemExit(3), KeyboardInterrupt()])
+def test_a_check_that_raises_is_a_finding(problem: BaseException) -> None:
+    def fails(_: Context) -> Iterator[Finding]:
+        yield ok("so far")
+        raise problem
+
+    report = run(made("fails", fails), made("good", good))
+    so_far, failed, there = report.findings
+    assert (so_far.what, there.what) == ("so far", "it is there")
+    assert (failed.check, failed.level) == ("fails", Level.WARNING)
+    assert type(problem).__name__ in failed.what
+    assert "biosensor-gateway doctor --only fails" in failed.fix
+
+
+def test_a_check_that_cannot_be_imported_is_a_finding() -> None:
+    report = run(Check("no_such_module", Category.PROGRAM, ""), made("good", good))
+    failed, there = report.findings
+    assert "ModuleNotFoundError" in failed.what
+    assert there.level is Level.OK
+
+
+def test_a_check_that_hangs_is_a_finding_behind_what_it_found() -> None:
+    release = threading.Event()
+
+    def hangs(_: Context) -> Iterator[Finding]:
+        yield error("found before", "it matters", "mend it")
+        release.wait()
+
+    begun = time.monotonic()
+    report = run(made("hangs", hangs, limit_s=0.3), made("good", good))
+    release.set()
+    found, late, there = report.findings
+    assert (found.what, found.level) == ("found before", Level.ERROR)
+    assert (late.check, late.what) == ("hangs", "the check did not end within 0.3 s")
+    assert late.fix
+    assert there.what == "it is there"
+    # The limit is the requirement; its double is for a busy machine.
+    assert 0.3 <= report.seconds <= time.monotonic() - begun
+    assert not report.is_good
+
+
+def test_checks_that_hang_wait_at_the_same_time() -> None:
+    release = threading.Event()
+
+    def hangs(_: Context) -> Iterable[Finding]:
+        release.wait()
+        return []
+
+    report = run(*(made(f"hangs-{number}", hangs, limit_s=1.0) for number in range(8)))
+    release.set()
+    assert len(report.findings) == 8
+    # One after the other they would take 8 s.
+    assert report.seconds < 5.0
+
+
+def test_no_finding_above_ok_without_reason_and_remedy() -> None:
+    assert ok("fine").fix == ""
+    for why, fix in [("", "do"), ("because", "")]:
+        with pytest.raises(ValueError, match="say why"):
+            note("something", why, fix)
+
+
+def test_every_check_of_the_table_is_there_and_ends_in_time() -> None:
+    names = [check.name for check in CHECKS]
+    assert len(set(names)) == len(names)
+    for check in CHECKS:
+        assert callable(check.load())
+        assert check.title
+        assert check.limit_s <= 15.0

@@ -1,0 +1,139 @@
+"""Streams that something is wrong with: outlets of another process, in a session of theirs."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from biosensor_gateway import health
+from biosensor_gateway.doctor import stream_rules
+from biosensor_gateway.doctor.checks import streams
+from biosensor_gateway.doctor.context import Context
+from biosensor_gateway.doctor.finding import Finding, Level
+from biosensor_gateway.doctor.seen_stream import SeenStream
+from tests.doctor.conftest import above_ok, only
+from tests.doctor.outlets import Offered
+
+if TYPE_CHECKING:
+    from tests.doctor.conftest import Examine
+
+GOOD = SeenStream("ecg", "id-1", "u1", "lab-pc", "float32", [16572], 0.001, 0.0004, 0.01)
+
+
+@pytest.fixture(autouse=True)
+def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On one computer, streams answer at once."""
+    monkeypatch.setattr(streams, "SEARCH_S", 1.5)
+
+
+def judged(*seen: SeenStream) -> list[Finding]:
+    return above_ok(list(stream_rules.judge(seen)))
+
+
+def test_nothing_is_there(examine: Examine, context: Context, session: str) -> None:
+    del session
+    assert [each.what for each in examine(context, "streams")] == [
+        "no LSL stream is there at the moment"
+    ]
+
+
+def test_real_streams_with_real_mistakes(
+    examine: Examine, context: Context, session: str, offer: Callable[..., None]
+) -> None:
+    del session
+    offer(
+        Offered("good", "good-1"),
+        Offered("twin", "twin-1"),
+        Offered("twin", "twin-2"),
+        Offered("same-id-a", "same"),
+        Offered("same-id-b", "same"),
+        Offered("empty", ""),
+        Offered("automatic", None),
+        Offered("whole", "whole-1", format="int64"),
+        Offered("unix", "unix-1", clock="unix"),
+    )
+    found = examine(context, "streams")
+    (host,) = [each for each in found if each.level is Level.OK]
+    print(host.what)
+    assert host.what.startswith(f"9 streams on {socket.gethostname()}: clock offset ")
+    bad = {each.what.split(":")[0].split(" (")[0]: each for each in above_ok(found)}
+    # Other programs of this computer may have the low ports.
+    bad = {what: each for what, each in bad.items() if each.level is not Level.NOTE}
+    assert {what: each.level for what, each in bad.items()} == {
+        "2 streams are called twin": Level.WARNING,
+        "2 streams have the source_id same": Level.ERROR,
+        "without a source_id": Level.WARNING,
+        "with a source_id that pylsl made up": Level.WARNING,
+        "of the format int64": Level.ERROR,
+        f"unix on {socket.gethostname()}": Level.ERROR,
+    }
+    assert "same-id-a" in bad["2 streams have the source_id same"].what
+    assert bad["without a source_id"].what.endswith(": empty")
+    assert bad["with a source_id that pylsl made up"].what.endswith(": automatic")
+    assert bad["of the format int64"].what.endswith(": whole")
+
+
+def test_more_streams_than_lsl_asks_for(
+    examine: Examine, context: Context, session: str, offer: Callable[..., None]
+) -> None:
+    del session
+    offer(*(Offered(f"stream-{number}", f"id-{number}") for number in range(30)))
+    found = examine(context, "streams")
+    assert only(found, "round trip").what.startswith("30 streams on ")
+    far = only(found, "on ports from 16604 on")
+    assert far.level is Level.NOTE
+    assert "biosensor-gateway config lsl" in far.fix
+
+
+def test_what_the_agent_offers_and_nobody_sees(
+    examine: Examine, context: Context, session: str
+) -> None:
+    del session
+    device: dict[str, Any] = {"sensor": "zephyr", "streams": {"zephyr-1-ecg": {}}}
+    health.write_status(
+        context.state_folder, {"written": time.time() + 60, "process": 1, "devices": [device]}
+    )
+    found = only(examine(context, "streams"), "zephyr-1-ecg")
+    assert found.level is Level.ERROR
+
+
+def test_what_there_is_to_see_is_read_as_the_agent_reads_it(
+    context: Context, session: str, offer: Callable[..., None]
+) -> None:
+    offer(Offered("a", session))
+    (seen,) = streams.find(context)
+    assert (seen.name, seen.source_id, seen.format) == ("a", session, "float32")
+    assert len(seen.ports) >= 2
+    assert seen.offset_s is not None
+    assert seen.stamp_error_s is not None
+    # One computer, one clock.
+    assert abs(seen.offset_s) < 0.1
+
+
+def test_streams_without_a_mistake() -> None:
+    assert not judged(GOOD, replace(GOOD, name="acc", source_id="id-2", uid="u2"))
+
+
+@pytest.mark.parametrize(
+    ("seen", "what"),
+    [
+        ((replace(GOOD, round_trip_s=0.25),), "round trip 250.00 ms"),
+        ((replace(GOOD, offset_s=None, round_trip_s=None),), "gives no time"),
+        ((replace(GOOD, source_id="-4611686018427387904"),), "pylsl made up"),
+        ((replace(GOOD, stamp_error_s=-1.7e9),), "its stamps are -1700000000 s off"),
+    ],
+)
+def test_what_the_rules_say(seen: Sequence[SeenStream], what: str) -> None:
+    (found,) = judged(*seen)
+    assert what in found.what
+    assert found.level in (Level.WARNING, Level.ERROR)
+
+
+@pytest.mark.parametrize("serial", ["0123456789", "p01@zephyr-ecg", "00:06:66:AA:BB:CC-gsr"])
+def test_ids_of_devices_are_not_taken_for_made_up_ones(serial: str) -> None:
+    assert not judged(replace(GOOD, source_id=serial))

@@ -1,0 +1,51 @@
+"""Versions and places, and libraries that are missing."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+import pylsl
+import pytest
+from pylsl.lib import lib
+
+from biosensor_gateway.doctor.context import Context
+from biosensor_gateway.doctor.finding import Level
+from tests.doctor.conftest import above_ok, only
+
+if TYPE_CHECKING:
+    from tests.doctor.conftest import Examine
+
+
+def test_what_runs_here(examine: Examine, context: Context) -> None:
+    found = examine(context, "versions")
+    assert not above_ok(found)
+    assert only(found, f"Python {sys.version.split()[0]}, {sys.executable}")
+    assert only(found, f"({pylsl.library_info()}), {lib._name}")
+    for name in ("biosensor-gateway ", "pylsl ", "bleak ", "numpy "):
+        assert [each for each in found if each.what.startswith(name)]
+
+
+def test_a_computer_without_liblsl(
+    examine: Examine, context: Context, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pylsl", None)
+    found = only(examine(context, "versions"), "pylsl cannot be used")
+    assert found.level is Level.ERROR
+    monkeypatch.setattr("platform.machine", lambda: "aarch64")
+    arm = only(examine(context, "versions"), "pylsl cannot be used")
+    assert "https://github.com/sccn/liblsl/releases" in arm.fix
+
+
+def test_an_old_liblsl(examine: Examine, context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pylsl, "library_version", lambda: 116)
+    found = only(examine(context, "versions"), "is too old")
+    assert found.level is Level.ERROR
+
+
+def test_a_library_that_is_missing(
+    examine: Examine, context: Context, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "bleak", None)
+    found = only(examine(context, "versions"), "bleak cannot be used")
+    assert (found.level, found.fix.endswith(" bleak")) == (Level.ERROR, True)
