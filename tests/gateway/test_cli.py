@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from importlib.metadata import version
@@ -57,6 +60,22 @@ def test_a_wrong_command_is_a_usage_error(run: Run, arguments: tuple[str, ...]) 
 
 def test_config_path_says_where_the_settings_are(run: Run, settings: Path) -> None:
     assert run("config", "path") == (0, f"{settings}\n", "")
+
+
+def test_a_letter_that_the_output_does_not_have_is_escaped() -> None:
+    named = subprocess.run(
+        [sys.executable, "-m", "biosensor_gateway.cli", "config", "path"],
+        env={
+            **os.environ,
+            "PYTHONIOENCODING": "cp1252",
+            "BIOSENSOR_GATEWAY_SETTINGS": "/Łukasz/größer.toml",
+        },
+        capture_output=True,
+        timeout=60,
+        check=False,
+    )
+    assert named.stdout.decode("cp1252") == f"/\\u0141ukasz/größer.toml{os.linesep}"
+    assert (named.returncode, named.stderr) == (0, b"")
 
 
 def test_config_init_writes_settings_that_config_check_accepts(run: Run, settings: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 
 from biosensor_gateway.ending import end_quietly_until_running
@@ -11,9 +12,18 @@ __all__ = ["main"]
 
 def main() -> None:
     """Run the command line; see `biosensor_gateway.cli.app`."""
+    _say_anything()
     if sys.argv[1:2] == ["run"]:
         # The commands take a second to import, and a service may be stopped as it starts.
         end_quietly_until_running()
     from biosensor_gateway.cli import app  # noqa: PLC0415 - only now
 
     app.main()
+
+
+def _say_anything() -> None:
+    """Write what an output has no letter for as an escape: Windows' pipes know 256 letters."""
+    for stream in (sys.stdout, sys.stderr):
+        # A program without a console on Windows has neither.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
