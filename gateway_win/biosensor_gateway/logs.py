@@ -19,7 +19,7 @@ import structlog
 from structlog.typing import EventDict, Processor, WrappedLogger
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.settings import LogSettings
+from biosensor_gateway.settings import STATE_VARIABLE, LogSettings
 
 LOG_FILE_NAME = "biosensor-gateway.log"
 
@@ -123,7 +123,10 @@ def _file_handler(settings: LogSettings, folder: Path) -> logging.Handler:
             encoding="utf-8",
         )
     except OSError as error:
-        message = f"cannot write the log file in {folder}: {error.strerror or error}"
+        message = (
+            f"cannot write the log file in {folder}: {error.strerror or error}; let "
+            f"{STATE_VARIABLE} name a folder that can be written"
+        )
         raise ConfigError(ConfigReason.UNREADABLE, message) from error
     handler.set_name(f"{_HANDLER_PREFIX}file")
     renderer = structlog.processors.JSONRenderer()
