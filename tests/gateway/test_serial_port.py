@@ -363,3 +363,24 @@ async def test_a_closed_port_is_free_at_once(pty: Pty) -> None:
         await link.open()
         link.write(b"x")
         await close(link)
+
+
+async def test_a_read_that_the_system_aborts_is_the_end_of_the_link(
+    pty: Pty, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ports: list[serial.Serial] = []
+
+    def opened(*arguments: Any, **options: Any) -> serial.Serial:
+        ports.append(make(*arguments, **options))
+        return ports[0]
+
+    make = serial.Serial
+    monkeypatch.setattr(module.serial, "Serial", opened)
+    link = SerialLink(pty.port)
+    await link.open()
+    # What Windows does to a pending read when a device is pulled out.
+    ports[0].cancel_read()
+    with pytest.raises(TransportError) as caught:
+        await asyncio.wait_for(link.read(), CLOSED_WITHIN_S)
+    assert caught.value.reason is TransportReason.LOST
+    await close(link)

@@ -117,10 +117,13 @@ class SerialLink:
     def _read_forever(self, port: serial.Serial) -> None:
         try:
             while not self._traffic.closing:
-                data = port.read(1)
-                arrival = local_clock()
+                data, arrival = port.read(1), local_clock()
                 try:
-                    data += port.read(port.in_waiting)
+                    waiting = port.in_waiting
+                    # Not earlier: what comes while this thread waits for its turn would be
+                    # stamped before it was sent, and the device's clock follows the earliest.
+                    arrival = local_clock()
+                    data += port.read(waiting)
                 finally:
                     # Also when the link is cut between the two calls.
                     if data:
