@@ -67,7 +67,7 @@ class Prefix:
         return ended.stdout
 
     def attempt(
-        self, *command: str | Path, timeout: float = 300.0
+        self, *command: str | Path, timeout: float = 300.0, encoding: str = "utf-8"
     ) -> subprocess.CompletedProcess[str]:
         """Run a program to its end, whatever comes of it; its stderr is in its stdout."""
         # Windows Pythons die under Wine when stdout is a file, so there are pipes here.
@@ -77,7 +77,7 @@ class Prefix:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            encoding="utf-8",
+            encoding=encoding,
             errors="replace",
             timeout=timeout,
             check=False,

@@ -16,6 +16,8 @@ from installer.wine.prefix import Prefix
 
 NAME = "Biosensor Gateway"
 UNINSTALL_KEY = rf"HKLM\Software\Microsoft\Windows\CurrentVersion\Uninstall\{PROGRAM}"
+# What programs write into pipes in a Western European Windows.
+PIPE_ENCODING = "cp1252"
 # As on any PC: folders of its own user, whatever is chosen on the host, and names in Unicode.
 _ORDINARY = {
     "BIOSENSOR_GATEWAY_SETTINGS": "",
@@ -109,7 +111,7 @@ class WindowsPc:
 
     def gateway(self, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
         """Run a command of the installed program to its end."""
-        return self.prefix.attempt(self.program, *arguments)
+        return self.prefix.attempt(self.program, *arguments, encoding=PIPE_ENCODING)
 
     def registry(self, key: str) -> dict[str, str] | None:
         """Values of a registry key, None if there is no such key."""

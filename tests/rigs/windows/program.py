@@ -1,0 +1,157 @@
+"""The installed program on a Windows PC while it runs, with its status and its log."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from biosensor_common.errors import ConfigError
+from biosensor_gateway import health
+from biosensor_gateway.logs import LOG_FILE_NAME
+from installer.wine.prefix import Prefix, windows_path
+from tests.rigs.windows.pc import WindowsPc
+
+DEADLINE_S = 60.0
+_POLL_S = 0.05
+_UTF8 = {"LC_ALL": "C.UTF-8"}
+"""Wine passes on letters beyond ASCII in file names and arguments only then."""
+
+
+def lively(pc: WindowsPc, environment: Mapping[str, str] | None = None) -> Prefix:
+    """Return the PC's Wine, whose server now stays when its last program has ended.
+
+    Server and services would otherwise be started by a program, and keep its pipes open.
+
+    Parameters
+    ----------
+    environment
+        Variables of all programs that are started by what is returned.
+    """
+    variables = {**pc.prefix.environment, **_UTF8, **(environment or {})}
+    prefix = replace(pc.prefix, environment=variables)
+    prefix.end()
+    # The first program starts Windows' services, which inherit its outputs and stay, too.
+    for words in (("wineserver", "-p"), ("wine", "cmd", "/c", "exit")):
+        subprocess.run(
+            [*prefix.before, *words],
+            env=prefix.variables,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            check=True,
+            timeout=DEADLINE_S,
+        )
+    return prefix
+
+
+def lsl_environment() -> dict[str, str]:
+    """Return variables with which a program joins the LSL session of the tests."""
+    return {"LSLAPICFG": windows_path(Path(os.environ["LSLAPICFG"]))}
+
+
+def program_environment(folder: Path) -> dict[str, str]:
+    """Return the same, and that a folder of the host gets its state."""
+    return {**lsl_environment(), "BIOSENSOR_GATEWAY_STATE": windows_path(folder)}
+
+
+def wait_until(holds: Callable[[], bool], expected: str) -> None:
+    """Return once it holds; the test fails if it never does."""
+    deadline = time.monotonic() + DEADLINE_S
+    while not holds():
+        assert time.monotonic() < deadline, f"never happened: {expected}"
+        time.sleep(_POLL_S)
+
+
+class RunningProgram:
+    """``biosensor-gateway.exe run``; a context manager. Leaving it ends the program by force.
+
+    Parameters
+    ----------
+    prefix
+        Its Windows, with the environment that it is to have.
+    program
+        The installed program.
+    folder
+        Its state folder, which the environment names as well.
+    arguments
+        Behind ``run``.
+    """
+
+    def __init__(self, prefix: Prefix, program: Path, folder: Path, *arguments: str | Path) -> None:
+        self._folder = folder
+        self._said = bytearray()
+        self._process = prefix.start(program, "run", *arguments)
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.kill()
+        self._process.wait()
+        self._reader.join(DEADLINE_S)
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it has not ended."""
+        return self._process.poll() is None
+
+    def press_ctrl_c(self) -> None:
+        """Have its console do what it does when Ctrl-C is pressed: Wine makes it of SIGINT."""
+        self._process.send_signal(signal.SIGINT)
+
+    def exit_code(self) -> int:
+        """Wait until it has ended; its exit code."""
+        code = self._process.wait(DEADLINE_S)
+        self._reader.join(DEADLINE_S)
+        return code
+
+    def said(self) -> str:
+        """What it has printed so far."""
+        return self._said.decode(errors="replace")
+
+    def status(self) -> dict[str, Any]:
+        """What it says of itself; empty before it has said anything."""
+        assert self.is_running, self.said()
+        try:
+            return health.read_status(self._folder)
+        except ConfigError:
+            return {}
+
+    def device(self, sensor: str) -> dict[str, Any]:
+        """What it says of one device; empty before it has said anything."""
+        devices: list[dict[str, Any]] = self.status().get("devices", [])
+        return {each["sensor"]: each for each in devices}.get(sensor, {})
+
+    def wait_for_state(self, sensor: str, state: str) -> None:
+        """Wait until a device is in a state."""
+        wait_until(lambda: self.device(sensor).get("state") == state, f"{sensor} is {state}")
+
+    def log(self) -> list[dict[str, Any]]:
+        """Everything that it has logged, as records."""
+        path = self._folder / LOG_FILE_NAME
+        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+        return [json.loads(line) for line in lines]
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        with self._process.stdout as pipe:
+            while data := os.read(pipe.fileno(), 65536):
+                self._said += data
