@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple, Self
+from typing import NamedTuple, Protocol, Self
 
 from biosensor_common import naming
 from biosensor_common.registry import sensor
@@ -33,7 +33,7 @@ SENSORS = (
 # Of the slowest stream, at 4 Hz, one fills in four seconds.
 CHUNK_LENGTH = 16
 MATCH_TIMEOUT_S = 60.0
-_VIRTUAL_UNIT = "virtual"
+VIRTUAL_UNIT = "virtual"
 _GATEWAY, _COUNTERS = "gateway", "counters"
 
 
@@ -53,9 +53,9 @@ class Places(NamedTuple):
     receiver: str
 
 
-def expected_places(agent_host: str) -> dict[str, Place]:
-    """All streams of an agent with a virtual device of every kind, by source_id."""
-    identities = [DeviceIdentity(name, _VIRTUAL_UNIT) for name in SENSORS]
+def expected_places(agent_host: str, sensors: Sequence[str] = SENSORS) -> dict[str, Place]:
+    """All streams of an agent with a virtual device of each of these kinds, by source_id."""
+    identities = [DeviceIdentity(name, VIRTUAL_UNIT) for name in sensors]
     places = {
         naming.source_id(identity, stream.data_name): Place(
             _topic(identity, stream.data_name),
@@ -141,6 +141,15 @@ class Observation(NamedTuple):
         )
 
 
+class Talking(Protocol):
+    """A running program, as far as one needs it to tell why something is missing."""
+
+    @property
+    def last_words(self) -> str:
+        """The end of what it wrote."""
+        ...
+
+
 class Pair:
     """The running programs; a context manager.
 
@@ -150,6 +159,10 @@ class Pair:
         Of all programs; each computer gets a folder of state of its own.
     best_effort
         Topic that the subscriber receives a second time, best effort.
+    agent
+        Started last, in place of an agent of this project's own interpreter.
+    sensors
+        Of which the agent has a virtual device each.
     """
 
     def __init__(
@@ -159,12 +172,15 @@ class Pair:
         environment: Mapping[str, str],
         folder: Path,
         best_effort: str = "",
+        agent: AbstractContextManager[Talking] | None = None,
+        sensors: Sequence[str] = SENSORS,
     ) -> None:
         self._lan, self._places = lan, places
         self._environment, self._folder = environment, folder
         self._best_effort = best_effort
+        self._given_agent = agent
         self._stack = ExitStack()
-        self.expected = expected_places(places.agent)
+        self.expected = expected_places(places.agent, sensors)
 
     def __enter__(self) -> Self:
         places = self._places
@@ -183,10 +199,7 @@ class Pair:
             self.node = stack.enter_context(
                 Program(*self._on(places.node), "lsl_to_ros.node", *chunks)
             )
-            simulate = ("run", "--simulate", "all")
-            self.agent = stack.enter_context(
-                Program(*self._on(places.agent), "biosensor_gateway.cli", *simulate)
-            )
+            self.agent = stack.enter_context(self._given_agent or self._simulating_agent())
             self._stack = stack.pop_all()
         return self
 
@@ -224,6 +237,10 @@ class Pair:
             recordings.load(topics),
             [(came, facts) for came, facts in diagnostics],
         )
+
+    def _simulating_agent(self) -> AbstractContextManager[Talking]:
+        simulate = ("run", "--simulate", "all")
+        return Program(*self._on(self._places.agent), "biosensor_gateway.cli", *simulate)
 
     def _on(self, name: str) -> tuple[Host, dict[str, str], Path]:
         state = {"BIOSENSOR_GATEWAY_STATE": str(self._folder / f"state-{name}")}

@@ -22,6 +22,8 @@ from tests.rigs.windows.pc import WindowsPc
 
 DEADLINE_S = 60.0
 _POLL_S = 0.05
+# The end of its outputs may never come: services that it has started have them, too.
+_LAST_WORDS_S = 5.0
 _UTF8 = {"LC_ALL": "C.UTF-8"}
 """Wine passes on letters beyond ASCII in file names and arguments only then."""
 
@@ -106,7 +108,7 @@ class RunningProgram:
         self._process.stdin.close()
         self._process.kill()
         self._process.wait()
-        self._reader.join(DEADLINE_S)
+        self._reader.join(_LAST_WORDS_S)
 
     @property
     def is_running(self) -> bool:
@@ -120,7 +122,7 @@ class RunningProgram:
     def exit_code(self) -> int:
         """Wait until it has ended; its exit code."""
         code = self._process.wait(DEADLINE_S)
-        self._reader.join(DEADLINE_S)
+        self._reader.join(_LAST_WORDS_S)
         return code
 
     def said(self) -> str:

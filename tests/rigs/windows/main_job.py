@@ -1,0 +1,189 @@
+"""One run of the main job: devices, the installed program, ROS topics and an XDF file."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from biosensor_common import naming
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.logs import LOG_FILE_NAME
+from installer.wine.prefix import windows_path
+from tests.rigs.hosts.completeness import MARGIN_S, Span
+from tests.rigs.hosts.lan import Lan
+from tests.rigs.hosts.pair import VIRTUAL_UNIT, Observation, Pair, Place, Places
+from tests.rigs.hosts.programs import SteeredProgram
+from tests.rigs.lab_client import Samples
+from tests.rigs.windows import xdf
+from tests.rigs.windows.agent import InstalledAgent
+from tests.rigs.windows.clocks import Clocks
+from tests.rigs.windows.pc import WindowsPc
+from tests.rigs.windows.xdf import XdfStream
+
+SENSORS = ("empatica_e4", "emotiv_insight", "shimmer3_gsr", "zephyr")
+# Wine has no Bluetooth.
+UNREACHABLE = "polar_h10"
+PC = "pc"
+SECONDS = 60.0
+# The first chunk holds samples of the four seconds before it.
+LEAD_S = MARGIN_S + 4.0
+# A wristband's heart rate comes six seconds after the beat.
+LATEST_S = 8.0
+DEADLINE_S = 30.0
+_COM_PORTS = {"shimmer3_gsr": 5, "zephyr": 6}
+
+
+class MainJob(NamedTuple):
+    """What was sent, and what came of it.
+
+    Attributes
+    ----------
+    minute
+        In which all that was measured must have come.
+    truth
+        What the devices have sent, by source_id; times are Unix time, in seconds.
+    recorded
+        The XDF file, by source_id.
+    status, log
+        What ``status`` said within the minute, as text and as JSON, and the log of the run.
+    devices_clocks, recorder_clocks
+        Those of the computers of the devices and of LabRecorder.
+    """
+
+    expected: dict[str, Place]
+    minute: Span
+    truth: dict[str, Samples]
+    recorded: dict[str, XdfStream]
+    observation: Observation
+    status: str
+    devices: dict[str, dict[str, Any]]
+    log: list[dict[str, Any]]
+    devices_clocks: Clocks
+    recorder_clocks: Clocks
+
+
+def run(
+    pc: WindowsPc,
+    lan: Lan,
+    lsl_config: Path,
+    environment: Mapping[str, str],
+    other_host: str,
+    folder: Path,
+) -> MainJob:
+    """Let the installed program stream all devices for a minute, and watch what comes of it.
+
+    Parameters
+    ----------
+    pc
+        With the program; it is the computer `PC` of the network.
+    lsl_config, environment
+        LSL's configuration of all programs, and the environment of those on Linux.
+    other_host
+        Where node, subscriber and LabRecorder run; may be `PC`.
+    folder
+        For recordings and logs.
+    """
+    places = Places(agent=PC, node=other_host, subscriber=other_host, receiver=PC)
+    with ExitStack() as stack:
+        devices = stack.enter_context(
+            SteeredProgram(lan[PC], environment, folder, _rig("devices"), *SENSORS)
+        )
+        described = devices.ask("describe")
+        _configure(pc, described["settings"])
+        windows = {**described["environment"], "LSLAPICFG": windows_path(lsl_config)}
+        agent = InstalledAgent(pc, lan[PC], windows)
+        pair = stack.enter_context(
+            Pair(lan, places, environment, folder, agent=agent, sensors=SENSORS)
+        )
+        recorder = stack.enter_context(
+            SteeredProgram(lan[other_host], environment, folder, _rig("recorder"))
+        )
+        pair.await_matched()
+        sources = list(pair.expected)
+        file = recorder.ask("start", folder=str(folder), source_ids=sources)
+        begin = time.time() + LEAD_S
+        minute = Span(begin, begin + SECONDS)
+        _sleep_until(begin + SECONDS / 2)
+        status, figures = _answer(agent, "status"), _answer(agent, "status", "--json")
+        _sleep_until(minute.end + LATEST_S + MARGIN_S)
+        observation = pair.observe()
+        clocks = [Clocks(**each.ask("clocks")) for each in (devices, recorder)]
+        recorder.ask("stop")
+        truth = _truth(devices, clocks[0], folder)
+    lines = [json.loads(line) for line in _log(pc).read_text(encoding="utf-8").splitlines()]
+    return MainJob(
+        pair.expected,
+        minute,
+        truth,
+        xdf.read(Path(file)),
+        observation,
+        status,
+        {device["sensor"]: device for device in json.loads(figures)["devices"]},
+        lines,
+        *clocks,
+    )
+
+
+def _rig(name: str) -> str:
+    return f"tests.rigs.windows.{name}"
+
+
+def _answer(agent: InstalledAgent, *arguments: str) -> str:
+    """Ask until it is answered: on a busy machine the agent's report may be too old."""
+    deadline = time.monotonic() + DEADLINE_S
+    while (ended := agent.gateway(*arguments)).returncode:
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"{' '.join(arguments)}: {ended.stdout}\n{agent.last_words}")
+    return ended.stdout
+
+
+def _sleep_until(time_s: float) -> None:
+    time.sleep(max(0.0, time_s - time.time()))
+
+
+def _log(pc: WindowsPc) -> Path:
+    return pc.user_folder / LOG_FILE_NAME
+
+
+def _configure(pc: WindowsPc, settings: Mapping[str, Mapping[str, Any]]) -> None:
+    """Plug the serial devices in, and write the settings where the PC's user has them."""
+    blocks = [_block(UNREACHABLE, {})]
+    for sensor, described in settings.items():
+        fields = dict(described)
+        if sensor in _COM_PORTS:
+            pc.plug_in(_COM_PORTS[sensor], fields["port"])
+            fields["port"] = f"COM{_COM_PORTS[sensor]}"
+        if "ca_file" in fields:
+            fields["ca_file"] = windows_path(Path(fields["ca_file"]))
+        blocks.append(_block(sensor, fields))
+    pc.user_folder.mkdir(parents=True, exist_ok=True)
+    (pc.user_folder / "settings.toml").write_text("\n".join(blocks), encoding="utf-8")
+    # Of a run before this one.
+    _log(pc).unlink(missing_ok=True)
+
+
+def _block(sensor: str, fields: Mapping[str, Any]) -> str:
+    # A string of JSON, a backslash and all, is one of TOML.
+    values = {"sensor": sensor, "unit": VIRTUAL_UNIT, **fields}
+    lines = [f"{name} = {json.dumps(value)}" for name, value in values.items()]
+    return "\n".join(["[[device]]", *lines, ""])
+
+
+def _truth(devices: SteeredProgram, clocks: Clocks, folder: Path) -> dict[str, Samples]:
+    truth: dict[str, Samples] = {}
+    for sensor in SENSORS:
+        path = folder / f"truth-{sensor}.npz"
+        devices.ask("truth", key=sensor, path=str(path))
+        identity = DeviceIdentity(sensor, VIRTUAL_UNIT)
+        with np.load(path) as arrays:
+            for name in {key.partition(".")[0] for key in arrays.files}:
+                truth[naming.source_id(identity, name)] = Samples(
+                    arrays[f"{name}.times"] + clocks.unix_minus_lsl, arrays[f"{name}.values"]
+                )
+    return truth
