@@ -21,6 +21,7 @@ DEFAULT_PORT_RANGE = 256
 # What liblsl takes where its file says nothing else.
 LSL_BASE_PORT, LSL_DISCOVERY_PORT = 16572, 16571
 LSL_SESSION = "default"
+_MOST_DIGITS = 9
 # liblsl writes to stderr beside our own log; only what went wrong belongs there.
 _LOG_WARNINGS = -1
 
@@ -107,8 +108,12 @@ def _read(parser: configparser.ConfigParser, path: Path) -> None:
 
 
 def _own_port_range(parser: configparser.ConfigParser) -> int:
-    text = parser.get("ports", "PortRange", fallback="")
-    return max(int(text), DEFAULT_PORT_RANGE) if text.isdecimal() else DEFAULT_PORT_RANGE
+    return max(whole_number(parser.get("ports", "PortRange", fallback=""), 0), DEFAULT_PORT_RANGE)
+
+
+def whole_number(text: str, default: int) -> int:
+    """Read a number of a configuration; the default if it is none, or no C integer."""
+    return int(text) if text.isdecimal() and len(text) <= _MOST_DIGITS else default
 
 
 def _set(parser: configparser.ConfigParser, section: str, key: str, value: str) -> None:

@@ -6,27 +6,27 @@ itself; and it asks known peers on ``PortRange`` ports only, 32 by default, whic
 streams. ``SessionID`` separates: both sides must have the same.
 
 A file that is there already is edited line by line, so that its other settings and its
-comments stay as they are. What is a line follows liblsl's own reader
-(https://github.com/sccn/liblsl/blob/main/src/util/inireader.cpp), which ignores a whole
-file for one line that it does not understand.
+comments stay as they are.
 """
 
 from __future__ import annotations
 
 import difflib
-import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
-from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_common.lsl_config import LSL_BASE_PORT, LSL_DISCOVERY_PORT, LSL_SESSION
+from biosensor_common.doctor.lsl_api_file import (
+    LOOPBACK,
+    PEERS,
+    PORT_RANGE,
+    SESSION,
+    Line,
+    LslApiFile,
+    Ports,
+)
 
-LOOPBACK = "127.0.0.1"
+__all__ = ["LOOPBACK", "LabRecorderSettings", "LslFile", "Ports", "changes"]
 
-_SESSION, _PEERS = ("lab", "SessionID"), ("lab", "KnownPeers")
-_PORT_RANGE, _BASE_PORT = ("ports", "PortRange"), ("ports", "BasePort")
-_DISCOVERY_PORT = ("ports", "MulticastPort")
 _HEADER = """\
 ; Settings of the Lab Streaming Layer for LabRecorder and the other LSL programs of this
 ; computer, written by `biosensor-gateway config lsl`.
@@ -63,26 +63,8 @@ class LabRecorderSettings:
     port_range: int
 
 
-class Ports(NamedTuple):
-    """What firewalls must let in: UDP *discovery*, and UDP and TCP from *first* to *last*."""
-
-    discovery: int
-    first: int
-    last: int
-
-
-@dataclass(slots=True)
-class _Line:
-    """A line with its end, and the setting in it if there is one."""
-
-    text: str
-    section: str
-    key: str = ""
-    value: str = ""
-
-
-class LslFile:
-    """The text of a configuration, with its settings.
+class LslFile(LslApiFile):
+    """The text of a configuration that can be adapted.
 
     Parameters
     ----------
@@ -98,7 +80,7 @@ class LslFile:
     """
 
     def __init__(self, text: str, source: str) -> None:
-        self._lines = list(_parsed(text or _HEADER, source))
+        super().__init__(text or _HEADER, source)
         self._newline = "\r\n" if "\r\n" in text else "\n"
 
     @property
@@ -106,46 +88,21 @@ class LslFile:
         """The file as it is now."""
         return "".join(line.text for line in self._lines)
 
-    @property
-    def session_id(self) -> str:
-        """Its session."""
-        return self._get(_SESSION) or LSL_SESSION
-
-    @property
-    def known_peers(self) -> tuple[str, ...]:
-        """Hosts that are asked directly."""
-        names = self._get(_PEERS).removeprefix("{").removesuffix("}").split(",")
-        return tuple(name.strip() for name in names if name.strip())
-
-    @property
-    def ports(self) -> Ports:
-        """The ports that firewalls must let in."""
-        first = self._number(_BASE_PORT, LSL_BASE_PORT)
-        last = first + self._number(_PORT_RANGE, 1) - 1
-        return Ports(self._number(_DISCOVERY_PORT, LSL_DISCOVERY_PORT), first, last)
-
     def adapt(self, wanted: LabRecorderSettings) -> None:
         """Make it hold what LabRecorder needs; other peers and a larger range of ports stay."""
-        if self._get(_SESSION) != wanted.session_id:
-            self._set(_SESSION, wanted.session_id, _WHY_SESSION)
+        if self._get(SESSION) != wanted.session_id:
+            self._set(SESSION, wanted.session_id, _WHY_SESSION)
         peers = tuple(dict.fromkeys((*self.known_peers, *wanted.known_peers)))
-        if peers != self.known_peers or not self._get(_PEERS).startswith("{"):
-            self._set(_PEERS, "{" + ", ".join(peers) + "}", _why_peers(peers))
-        if self._number(_PORT_RANGE, 0) < wanted.port_range:
-            self._set(_PORT_RANGE, str(wanted.port_range), _WHY_PORTS)
-
-    def _get(self, name: tuple[str, str]) -> str:
-        return next((line.value for line in self._lines if (line.section, line.key) == name), "")
-
-    def _number(self, name: tuple[str, str], default: int) -> int:
-        text = self._get(name)
-        return int(text) if text.isdecimal() else default
+        if peers != self.known_peers or not self._get(PEERS).startswith("{"):
+            self._set(PEERS, "{" + ", ".join(peers) + "}", _why_peers(peers))
+        if self._number(PORT_RANGE, 0) < wanted.port_range:
+            self._set(PORT_RANGE, str(wanted.port_range), _WHY_PORTS)
 
     def _set(self, name: tuple[str, str], value: str, why: Sequence[str]) -> None:
         section, key = name
         block = [
-            *(_Line(comment + self._newline, section) for comment in why),
-            _Line(f"{key} = {value}{self._newline}", section, key, value),
+            *(Line(comment + self._newline, section) for comment in why),
+            Line(f"{key} = {value}{self._newline}", section, key, value),
         ]
         start, end = self._place(name)
         self._lines[start:end] = block
@@ -165,7 +122,7 @@ class LslFile:
             filled = [at for at in in_section if self._lines[at].text.strip()]
             return filled[-1] + 1, filled[-1] + 1
         heading = f"[{section}]{self._newline}"
-        self._lines += [_Line(self._newline, ""), _Line(heading, section)]
+        self._lines += [Line(self._newline, ""), Line(heading, section)]
         return len(self._lines), len(self._lines)
 
     def _end_last_line(self) -> None:
@@ -188,35 +145,3 @@ def changes(before: str, after: str) -> list[str]:
         for line in compared
         if line[0] in "+-" and line[2:].strip()
     ]
-
-
-def _parsed(text: str, source: str) -> Iterator[_Line]:
-    section = ""
-    seen: set[tuple[str, str]] = set()
-    if text.startswith("\ufeff"):
-        raise _malformed(source, 1, "a byte order mark; save it as UTF-8 without one")
-    for number, line in enumerate(io.StringIO(text, newline="\n"), start=1):
-        if not line.strip() or line.startswith(";"):
-            yield _Line(line, section)
-        elif line.startswith("["):
-            section, bracket, _ = line[1:].partition("]")
-            if not bracket:
-                raise _malformed(source, number, "the ']' of the section is missing")
-            yield _Line(line, section)
-        else:
-            key, equals, value = (part.strip() for part in line.partition("="))
-            if not (key and equals and value):
-                what = "it is no 'key = value', and no comment, which begins with ';'"
-                raise _malformed(source, number, what)
-            if (section, key) in seen:
-                raise _malformed(source, number, f"{key} is set a second time")
-            seen.add((section, key))
-            yield _Line(line, section, key, value)
-
-
-def _malformed(source: str, number: int, what: str) -> ConfigError:
-    message = (
-        f"{source}, line {number}: {what}; LSL ignores the whole file for it; "
-        "correct the line or remove the file"
-    )
-    return ConfigError(ConfigReason.MALFORMED, message)

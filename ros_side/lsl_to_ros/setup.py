@@ -11,7 +11,10 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
         (f"share/{PACKAGE}/launch", ["launch/lsl_to_ros.launch.py"]),
-        (f"share/{PACKAGE}/config", ["config/params.yaml"]),
+        (
+            f"share/{PACKAGE}/config",
+            ["config/lsl_to_ros.policy.xml", "config/params.yaml"],
+        ),
         (
             f"share/{PACKAGE}/config/layouts",
             [
@@ -28,5 +31,10 @@ setup(
     maintainer_email="maintainers@biosensor-gateway.org",
     description="Finds every LSL stream in the lab and publishes it as ROS 2 topics",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["lsl_to_ros = lsl_to_ros.node:main"]},
+    entry_points={
+        "console_scripts": ["lsl_to_ros = lsl_to_ros.node:main"],
+        # Read by ``ros2 doctor`` where ros2doctor is installed; nothing needs it.
+        "ros2doctor.checks": ["BiosensorCheck = lsl_to_ros.ros2_doctor:BiosensorCheck"],
+        "ros2doctor.report": ["BiosensorReport = lsl_to_ros.ros2_doctor:BiosensorReport"],
+    },
 )

@@ -15,11 +15,11 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from biosensor_common.doctor.children import PROBE_COMMAND
+from biosensor_common.doctor.finding import Finding, Level
+from biosensor_common.doctor.runner import run_checks
 from biosensor_gateway.cli import doctor as commands
-from biosensor_gateway.doctor.children import PROBE_COMMAND
 from biosensor_gateway.doctor.context import Context, read_context
-from biosensor_gateway.doctor.finding import Finding, Level
-from biosensor_gateway.doctor.runner import run_checks
 from biosensor_gateway.doctor.table import CHECKS
 from tests.doctor.outlets import Offered, arguments, running
 

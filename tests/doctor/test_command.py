@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from biosensor_gateway.doctor import runner
+from biosensor_common.doctor import runner
 from biosensor_gateway.doctor.table import CHECKS
 
 if TYPE_CHECKING:
@@ -70,12 +70,12 @@ def test_the_agent_does_not_load_it() -> None:
 
 def test_the_command_s_help_loads_nothing_heavy() -> None:
     code = (
-        "import sys, biosensor_gateway.doctor.table, biosensor_gateway.doctor.runner, "
-        "biosensor_gateway.doctor.probe; "
-        "print([each for each in ('pylsl', 'bleak', 'psutil', 'numpy') if each in sys.modules])"
+        "import sys, biosensor_gateway.doctor.table, biosensor_common.doctor.runner, "
+        "biosensor_common.doctor.probe; "
+        "heavy = {'pylsl', 'bleak', 'psutil', 'numpy', 'rclpy'}; print(heavy & {*sys.modules})"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    assert done.stdout.strip() == "set()"
 
 
 def test_the_output_suits_a_western_console(tmp_path: Path) -> None:

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from biosensor_gateway.doctor import firewall_rules, programs
-from biosensor_gateway.doctor.checks import clock, power, windows_firewall
+from biosensor_common.doctor import firewall_rules, programs
+from biosensor_common.doctor.checks import clock
+from biosensor_common.doctor.finding import Level
+from biosensor_common.doctor.lsl_api_file import Ports
+from biosensor_gateway.doctor.checks import power, windows_firewall
 from biosensor_gateway.doctor.checks.windows_firewall import Network
 from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.doctor.finding import Level
-from biosensor_gateway.lsl_file import Ports
 from tests.doctor.conftest import above_ok, only
 
 if TYPE_CHECKING:
@@ -95,13 +96,70 @@ def test_adapters_that_may_be_suspended(tmp_path: Path) -> None:
         ([], "", Level.NOTE),
         (["chronyd"], "", Level.OK),
         (["systemd-timesyn"], "NTP=yes\nNTPSynchronized=yes\n", Level.OK),
-        (["ptp4l"], "NTP=no\n", Level.OK),
+        (["ptp4l"], "NTP=no\nNTPSynchronized=no\n", Level.NOTE),
+        (["ptp4l"], "NTP=no\nNTPSynchronized=yes\n", Level.OK),
+        (["ptp4l", "phc2sys"], "NTP=no\nNTPSynchronized=no\n", Level.OK),
         (["chronyd"], "NTP=yes\nNTPSynchronized=no\n", Level.NOTE),
         ([], "NTP=yes\nNTPSynchronized=yes\n", Level.OK),
     ],
 )
 def test_what_keeps_the_clock(running: list[str], shown: str, level: Level) -> None:
-    assert clock.judge(running, shown).level is level
+    assert [each.level for each in clock.judge(running, shown)] == [level]
+
+
+def test_programs_that_set_the_clock_against_each_other() -> None:
+    synchronised = "NTP=yes\nNTPSynchronized=yes\n"
+    for running in (["chronyd", "systemd-timesyn"], ["chronyd", "phc2sys", "ptp4l"]):
+        quarrel, kept = clock.judge(running, synchronised)
+        assert (quarrel.level, kept.level) == (Level.WARNING, Level.OK)
+        assert quarrel.fix.startswith("keep one of them")
+    # timemaster lets phc2sys speak to chronyd only.
+    (kept,) = clock.judge(["chronyd", "phc2sys", "ptp4l", "timemaster"], synchronised)
+    assert kept.level is Level.OK
+
+
+@pytest.mark.parametrize(
+    ("said", "source", "offset_s", "bound_s"),
+    [
+        # The fields of chronyd 4.3; the first and the last as it really said them.
+        (
+            "7F7F0101,,8,1795282219.2,0.000000000,0.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,Normal\n",
+            "7F7F0101",
+            0.0,
+            0.0,
+        ),
+        (
+            "C0A80101,192.168.1.1,3,1795282219.2,-0.00025,0.0,0.0,1.2,0.0,0.1,0.002,0.0005,6,Normal\n",
+            "192.168.1.1",
+            -0.00025,
+            0.00175,
+        ),
+        ("00000000,,0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,1.0,1.0,0.0,Not synchronised\n", "", 0.0, 1.5),
+    ],
+)
+def test_what_chrony_says(said: str, source: str, offset_s: float, bound_s: float) -> None:
+    tracking = clock.tracking(said)
+    assert tracking is not None
+    assert tracking.source == source
+    assert (tracking.offset_s, tracking.bound_s) == pytest.approx((offset_s, bound_s))
+
+
+@pytest.mark.parametrize(
+    ("tracking", "level", "part"),
+    [
+        (clock.Tracking("192.168.1.1", -0.00025, 0.00175), Level.OK, "-0.250 ms off"),
+        (clock.Tracking("192.168.1.1", 0.001, 0.2), Level.NOTE, "200.000 ms at most"),
+        (clock.Tracking("", 0.0, 1.5), Level.NOTE, "not synchronised"),
+    ],
+)
+def test_how_far_chrony_is_off(tracking: clock.Tracking, level: Level, part: str) -> None:
+    (found,) = clock.judge(["chronyd"], "NTP=yes\nNTPSynchronized=yes\n", tracking)
+    assert (found.level, part in found.what) == (level, True)
+
+
+@pytest.mark.parametrize("said", ["", "506 Cannot talk to daemon\n", "a,b,c"])
+def test_a_chrony_that_does_not_answer(said: str) -> None:
+    assert clock.tracking(said) is None
 
 
 def test_the_clock_of_this_computer_is_judged(examine: Examine, context: Context) -> None:

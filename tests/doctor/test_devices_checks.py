@@ -18,13 +18,13 @@ import keyring
 import pytest
 from keyring.backends import fail
 
+from biosensor_common.doctor.finding import Level
 from biosensor_gateway.devices.emotiv_insight.simulator import SimulatedCortex
 from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.doctor import device_kinds
 from biosensor_gateway.doctor.checks import bluetooth, services
 from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.doctor.finding import Level
 from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.world import World

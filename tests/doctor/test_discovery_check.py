@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from biosensor_gateway.doctor import children, lsl_text
-from biosensor_gateway.doctor.checks import discovery
-from biosensor_gateway.doctor.children import PROBE_COMMAND, Probe, ProbeError
+from biosensor_common.doctor import children, lsl_text
+from biosensor_common.doctor.checks import discovery
+from biosensor_common.doctor.children import PROBE_COMMAND, Probe, ProbeError
+from biosensor_common.doctor.finding import Level
 from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.doctor.finding import Level
 from tests.doctor.conftest import above_ok, only
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from biosensor_gateway.doctor.checks import host_name, interfaces
-from biosensor_gateway.doctor.checks.interfaces import Interface
+from biosensor_common.doctor.checks import host_name, interfaces
+from biosensor_common.doctor.checks.interfaces import Interface
+from biosensor_common.doctor.finding import Finding, Level
 from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.doctor.finding import Finding, Level
 from tests.doctor.conftest import above_ok, only
 
 if TYPE_CHECKING:

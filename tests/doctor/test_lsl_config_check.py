@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from biosensor_common.doctor.finding import Level
 from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.doctor.finding import Level
 from tests.doctor.conftest import above_ok, only
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from biosensor_gateway.doctor.children import Probe
+from biosensor_common.doctor.children import Probe
+from biosensor_common.doctor.finding import Level
 from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.doctor.finding import Level
 from tests.doctor.conftest import POLAR, ZEPHYR, above_ok, only
 from tests.doctor.outlets import Offered
 
@@ -125,7 +125,7 @@ def test_what_the_other_checks_hold_is_free(
     examine: Examine, configured: Callable[[str], Context], ports: range
 ) -> None:
     context = configured(settings())
-    with Probe("offer", 30.0, config=context.agent_config, source_id="doctor") as probe:
+    with Probe("offer", 30.0, config=context.config, source_id="doctor") as probe:
         assert probe.answer() == {"open": True}
         found = examine(context, "ports")
     assert f"TCP {ports[0]} to {ports[-1]}: {COUNT} of {COUNT} ports are free" == found[1].what

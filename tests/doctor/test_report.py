@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 
-from biosensor_gateway.doctor.finding import Finding, Level
-from biosensor_gateway.doctor.report import as_json, as_text
-from biosensor_gateway.doctor.runner import Report
+from biosensor_common.doctor.finding import Finding, Level
+from biosensor_common.doctor.report import as_json, as_text
+from biosensor_common.doctor.runner import Report
 from biosensor_gateway.doctor.table import CHECKS
 
 FINDINGS = (

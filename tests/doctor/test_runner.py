@@ -9,25 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from biosensor_common.doctor.check import Category, Check
+from biosensor_common.doctor.finding import Finding, Level, error, note, ok
+from biosensor_common.doctor.runner import Report, run_checks
 from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.doctor.finding import Finding, Level, error, note, ok
-from biosensor_gateway.doctor.runner import Report, run_checks
-from biosensor_gateway.doctor.table import CHECKS, Category, Check, Examine
-
-
-class Made(Check):
-    """A check that is not a module."""
-
-    examine: Examine
-
-    def load(self) -> Examine:
-        return self.examine
-
-
-def made(name: str, examine: Examine, limit_s: float = 30.0) -> Check:
-    check = Made(name, Category.PROGRAM, name, limit_s)
-    check.examine = examine
-    return check
+from biosensor_gateway.doctor.table import CHECKS
+from tests.doctor.made_checks import made
 
 
 def run(*checks: Check) -> Report:

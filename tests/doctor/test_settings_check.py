@@ -12,9 +12,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from biosensor_common.doctor.finding import Level
 from biosensor_gateway import health
 from biosensor_gateway.doctor.context import Context, read_context
-from biosensor_gateway.doctor.finding import Level
 from tests.doctor.conftest import POLAR, above_ok, only
 
 if TYPE_CHECKING:

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from biosensor_common.doctor import stream_rules
+from biosensor_common.doctor.checks import streams
+from biosensor_common.doctor.finding import Finding, Level
+from biosensor_common.doctor.seen_stream import SeenStream
 from biosensor_gateway import health
-from biosensor_gateway.doctor import stream_rules
-from biosensor_gateway.doctor.checks import streams
 from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.doctor.finding import Finding, Level
-from biosensor_gateway.doctor.seen_stream import SeenStream
 from tests.doctor.conftest import above_ok, only
 from tests.doctor.outlets import Offered
 

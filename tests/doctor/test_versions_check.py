@@ -9,8 +9,8 @@ import pylsl
 import pytest
 from pylsl.lib import lib
 
+from biosensor_common.doctor.finding import Level
 from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.doctor.finding import Level
 from tests.doctor.conftest import above_ok, only
 
 if TYPE_CHECKING:

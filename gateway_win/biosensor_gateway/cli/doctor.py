@@ -7,12 +7,13 @@ from typing import Annotated
 
 import typer
 
+from biosensor_common.doctor import probe
+from biosensor_common.doctor.check import Check
+from biosensor_common.doctor.report import as_json, as_text
+from biosensor_common.doctor.runner import run_checks
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
-from biosensor_gateway.doctor import probe
 from biosensor_gateway.doctor.context import LAB_RECORDER_PORT, read_context
-from biosensor_gateway.doctor.report import as_json, as_text
-from biosensor_gateway.doctor.runner import run_checks
-from biosensor_gateway.doctor.table import CHECKS, Check
+from biosensor_gateway.doctor.table import CHECKS
 from biosensor_gateway.settings import settings_path, state_folder
 
 _NAMES = ", ".join(check.name for check in CHECKS)

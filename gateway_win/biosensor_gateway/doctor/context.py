@@ -1,22 +1,25 @@
-"""What all checks are given: the settings, and where things are."""
+"""What the checks of the agent's computer are given: the settings, and where things are."""
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from pydantic import ValidationError
 
-from biosensor_common.errors import ConfigError
-from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
+from biosensor_common.doctor import context as common
+from biosensor_common.doctor.guide import Guide
+from biosensor_common.errors import ConfigError, SpecError
+from biosensor_common.lsl_config import LslOverrides
+from biosensor_common.registry import sensor
+from biosensor_gateway.doctor.guide import GUIDE
 from biosensor_gateway.settings import DeviceSettings, GatewaySettings, LslSettings
 
 LAB_RECORDER_PORT = 22345
 
 
 @dataclass(frozen=True, slots=True)
-class Context:
+class Context(common.Context):
     """The computer and the settings that are examined.
 
     Attributes
@@ -25,8 +28,8 @@ class Context:
         The settings file, whether it is there or not.
     state_folder
         Where a running agent has its status.
-    lsl, devices
-        What the file says; LSL's defaults and no devices where it cannot be read.
+    devices
+        What the file says; no devices where it cannot be read.
     keep_awake
         Whether the agent is to hold off sleep.
     problem
@@ -37,11 +40,11 @@ class Context:
 
     settings_path: Path
     state_folder: Path
-    lsl: LslSettings = field(default_factory=LslSettings)
     devices: tuple[DeviceSettings, ...] = ()
     keep_awake: bool = True
     problem: Exception | None = None
     lab_recorder_port: int = LAB_RECORDER_PORT
+    guide: Guide = field(default=GUIDE, kw_only=True)
 
     @property
     def enabled(self) -> tuple[DeviceSettings, ...]:
@@ -49,28 +52,31 @@ class Context:
         return tuple(device for device in self.devices if device.enabled)
 
     @property
-    def lsl_file(self) -> Path | None:
-        """The user's own LSL configuration that LSL programs started here would read."""
-        return user_config_file(os.environ, Path.home(), Path.cwd())
+    def streams_to_open(self) -> int:
+        """The streams of the devices and the one of the agent itself; 0 if it runs already."""
+        from biosensor_gateway.single_instance import is_held  # noqa: PLC0415
+
+        if not self.enabled or is_held(self.state_folder):
+            return 0
+        return 1 + sum(_streams(device) for device in self.enabled)
 
     @property
-    def overrides(self) -> LslOverrides:
-        """What the settings put over the user's own LSL configuration."""
-        return LslOverrides(self.lsl.session_id, self.lsl.known_peers, self.lsl.port_range)
+    def offered(self) -> frozenset[str]:
+        """The source_ids of the streams that the running agent says it has open."""
+        from biosensor_gateway import health  # noqa: PLC0415 - brings pylsl
 
-    @property
-    def agent_config(self) -> str:
-        """The LSL configuration of the agent, without the user's file if that is damaged."""
         try:
-            return effective_config(self.lsl_file, self.overrides)
+            status = health.read_status(self.state_folder)
         except ConfigError:
-            return effective_config(None, self.overrides)
+            return frozenset()
+        return frozenset(source for device in status["devices"] for source in device["streams"])
 
 
 def read_context(
     settings_path: Path, state_folder: Path, lab_recorder_port: int = LAB_RECORDER_PORT
 ) -> Context:
     """Read the settings; what is wrong with them is kept for the check of the settings."""
+    context = Context(settings_path, state_folder, lab_recorder_port=lab_recorder_port)
     try:
         # The drivers, which the models come from, bring all their libraries.
         from biosensor_gateway.devices import settings_models  # noqa: PLC0415
@@ -78,16 +84,24 @@ def read_context(
 
         loaded = load_settings(settings_path, settings_models())
     except Exception as problem:  # noqa: BLE001 - a driver that cannot be imported, too
-        context = Context(settings_path, state_folder, _default_lsl(), problem=problem)
-        return replace(context, lab_recorder_port=lab_recorder_port)
-    return Context(
-        settings_path,
-        state_folder,
-        loaded.lsl,
-        loaded.devices,
-        loaded.power.keep_awake,
-        lab_recorder_port=lab_recorder_port,
+        return replace(context, overrides=_overrides(_default_lsl()), problem=problem)
+    return replace(
+        context,
+        overrides=_overrides(loaded.lsl),
+        devices=loaded.devices,
+        keep_awake=loaded.power.keep_awake,
     )
+
+
+def _streams(device: DeviceSettings) -> int:
+    try:
+        return len(sensor(device.sensor).streams)
+    except SpecError:
+        return 0
+
+
+def _overrides(lsl: LslSettings) -> LslOverrides:
+    return LslOverrides(lsl.session_id, lsl.known_peers, lsl.port_range)
 
 
 def _default_lsl() -> LslSettings:

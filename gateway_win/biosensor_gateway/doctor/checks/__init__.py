@@ -1,1 +1,1 @@
-"""The checks, one module each; `biosensor_gateway.doctor.table` lists them."""
+"""The agent's own checks, one module each; `biosensor_gateway.doctor.table` lists them."""

@@ -6,10 +6,10 @@ import asyncio
 import sys
 from collections.abc import Iterator
 
+from biosensor_common.doctor.finding import Finding, error, note, ok
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.doctor.context import Context
 from biosensor_gateway.doctor.device_kinds import by_bluetooth_le
-from biosensor_gateway.doctor.finding import Finding, error, note, ok
 
 LISTEN_S = 2.0
 _LINUX_FIXES = {

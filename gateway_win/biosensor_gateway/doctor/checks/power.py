@@ -6,10 +6,11 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from biosensor_gateway.doctor import programs, windows_power
+from biosensor_common.doctor import programs
+from biosensor_common.doctor.finding import Finding, note, ok, warning
+from biosensor_gateway.doctor import windows_power
 from biosensor_gateway.doctor.context import Context
 from biosensor_gateway.doctor.device_kinds import by_bluetooth_le
-from biosensor_gateway.doctor.finding import Finding, note, ok, warning
 
 ADAPTERS = Path("/sys/class/bluetooth")
 _GNOME = "org.gnome.settings-daemon.plugins.power"

@@ -14,9 +14,9 @@ import sys
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
+from biosensor_common.doctor.finding import Finding, error, ok, warning
 from biosensor_gateway.doctor.context import Context
 from biosensor_gateway.doctor.device_kinds import serial_ports
-from biosensor_gateway.doctor.finding import Finding, error, ok, warning
 
 _ADDRESS = re.compile(r"[0-9A-Fa-f]{2}(?::[0-9A-Fa-f]{2}){5}")
 _PAIR = "pair or plug in the device and switch it on, then: biosensor-gateway scan"

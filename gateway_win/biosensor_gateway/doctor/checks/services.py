@@ -6,10 +6,10 @@ import socket
 import ssl
 from collections.abc import Iterator
 
+from biosensor_common.doctor.finding import Finding, error, note, ok
 from biosensor_common.errors import ConfigError, CredentialError
 from biosensor_gateway.doctor.context import Context
 from biosensor_gateway.doctor.device_kinds import Service, services
-from biosensor_gateway.doctor.finding import Finding, error, note, ok
 
 CONNECT_S = 3.0
 _LOCAL = "127.0.0.1"

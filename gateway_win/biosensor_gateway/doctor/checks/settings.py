@@ -6,9 +6,9 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from biosensor_common.doctor.finding import Finding, error, note, ok, warning
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.doctor.finding import Finding, error, note, ok, warning
 
 _NOTHING_STREAMS = "The agent streams nothing without a device."
 

@@ -6,9 +6,9 @@ import sys
 from collections.abc import Iterator
 from enum import IntEnum, unique
 
-from biosensor_gateway.doctor import firewall_rules, lsl_text, programs
+from biosensor_common.doctor import firewall_rules, lsl_text, programs
+from biosensor_common.doctor.finding import Finding, note, ok, warning
 from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.doctor.finding import Finding, note, ok, warning
 
 _NETWORKS = r"SOFTWARE\Microsoft\Windows NT\CurrentVersion\NetworkList\Profiles"
 
@@ -26,7 +26,7 @@ def examine(context: Context) -> Iterator[Finding]:
     """Look for the rule of the installer, and for what the network is taken for."""
     if sys.platform != "win32":
         return
-    opening = firewall_rules.windows(lsl_text.ports(context.agent_config))
+    opening = firewall_rules.windows(lsl_text.ports(context.config))
     yield _rule(opening)
     latest = latest_network()
     if latest is not None:

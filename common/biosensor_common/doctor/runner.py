@@ -7,9 +7,9 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.doctor.finding import Finding, Level, warning
-from biosensor_gateway.doctor.table import Check
+from biosensor_common.doctor.check import Check
+from biosensor_common.doctor.context import Context
+from biosensor_common.doctor.finding import Finding, Level, warning
 
 _UNKNOWN = "What it would have found is unknown."
 
@@ -54,6 +54,7 @@ class _Running:
 
     def __init__(self, check: Check, context: Context) -> None:
         self._check = check
+        self._alone = context.guide.alone.format(check=check.name)
         self._findings: list[Finding] = []
         self._thread = threading.Thread(
             target=self._run, args=(context,), name=f"doctor-{check.name}", daemon=True
@@ -67,7 +68,7 @@ class _Running:
         found = self._findings.copy()
         if is_late:
             what = f"the check did not end within {self._check.limit_s:g} s"
-            found.append(warning(what, _UNKNOWN, self._alone()))
+            found.append(warning(what, _UNKNOWN, self._alone))
         return [replace(each, check=self._check.name) for each in found]
 
     def _run(self, context: Context) -> None:
@@ -76,10 +77,4 @@ class _Running:
                 self._findings.append(finding)
         except BaseException as problem:  # noqa: BLE001 - a check may fail in any way
             what = f"the check failed: {type(problem).__name__}: {problem}"
-            self._findings.append(warning(what, _UNKNOWN, self._alone()))
-
-    def _alone(self) -> str:
-        return (
-            f"run it alone: biosensor-gateway doctor --only {self._check.name}; if it fails again, "
-            "report it with the output of: biosensor-gateway doctor --json"
-        )
+            self._findings.append(warning(what, _UNKNOWN, self._alone))

@@ -7,8 +7,8 @@ import socket
 import sys
 from collections.abc import Iterator
 
-from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.doctor.finding import Finding, ok, warning
+from biosensor_common.doctor.context import Context
+from biosensor_common.doctor.finding import Finding, ok, warning
 
 _PLAIN = re.compile(r"[A-Za-z0-9._-]+")
 

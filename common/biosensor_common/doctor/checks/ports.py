@@ -7,15 +7,12 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
-from biosensor_common.errors import SpecError
+from biosensor_common.doctor import lsl_text
+from biosensor_common.doctor.children import probe_command
+from biosensor_common.doctor.context import Context
+from biosensor_common.doctor.finding import Finding, error, ok, warning
+from biosensor_common.doctor.lsl_api_file import Ports
 from biosensor_common.lsl_config import DEFAULT_PORT_RANGE
-from biosensor_common.registry import sensor
-from biosensor_gateway.doctor import lsl_text
-from biosensor_gateway.doctor.children import probe_command
-from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.doctor.finding import Finding, error, ok, warning
-from biosensor_gateway.lsl_file import Ports
-from biosensor_gateway.settings import DeviceSettings
 
 PORTS_A_STREAM = 2
 """Of TCP and of UDP: one for IPv4, one for IPv6."""
@@ -25,14 +22,11 @@ _UNKNOWN = "a program of somebody else"
 
 def examine(context: Context) -> Iterator[Finding]:
     """Try to have each port for an instant."""
-    from biosensor_gateway.single_instance import is_held  # noqa: PLC0415
-
-    ports = lsl_text.ports(context.agent_config)
+    ports = lsl_text.ports(context.config)
     yield _discovery(ports.discovery)
-    # A running agent has its ports already.
-    needed = 0 if is_held(context.state_folder) else PORTS_A_STREAM * _streams(context.enabled)
+    needed = PORTS_A_STREAM * context.streams_to_open
     for kind in _KINDS:
-        yield _range(kind, ports, needed)
+        yield _range(kind, ports, needed, context.guide.edit)
 
 
 def _discovery(port: int) -> Finding:
@@ -46,7 +40,7 @@ def _discovery(port: int) -> Finding:
     )
 
 
-def _range(kind: str, ports: Ports, needed: int) -> Finding:
+def _range(kind: str, ports: Ports, needed: int, edit: str) -> Finding:
     numbers = range(ports.first, ports.last + 1)
     held = _held(kind, numbers)
     free = len(numbers) - len(held)
@@ -61,19 +55,8 @@ def _range(kind: str, ports: Ports, needed: int) -> Finding:
         who = _who_command(kind, min(held))
         return error(what, why, f"end programs that you do not need; which one has a port: {who}")
     more = max(DEFAULT_PORT_RANGE, 2 * needed)
-    fix = f"set port_range = {more} below [lsl]: biosensor-gateway config edit"
+    fix = f"set port_range = {more} below [lsl]: {edit}"
     return warning(what, why, fix)
-
-
-def _streams(devices: Sequence[DeviceSettings]) -> int:
-    """Count the streams that devices make, and the one of the agent itself."""
-    count = 1
-    for device in devices:
-        try:
-            count += len(sensor(device.sensor).streams)
-        except SpecError:
-            continue
-    return count if devices else 0
 
 
 def _is_free(kind: socket.SocketKind, port: int, *, shared: bool = False) -> bool:

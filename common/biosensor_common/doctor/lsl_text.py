@@ -6,8 +6,8 @@ import configparser
 import io
 from collections.abc import Mapping
 
-from biosensor_common.lsl_config import LSL_BASE_PORT, LSL_DISCOVERY_PORT
-from biosensor_gateway.lsl_file import Ports
+from biosensor_common.doctor.lsl_api_file import Ports
+from biosensor_common.lsl_config import LSL_BASE_PORT, LSL_DISCOVERY_PORT, whole_number
 
 LSL_PORT_RANGE = 32
 """What liblsl takes where nothing else is said: 16 streams."""
@@ -40,8 +40,7 @@ def ports(config: str) -> Ports:
 
 
 def _number(config: str, key: str, default: int) -> int:
-    text = value(config, "ports", key)
-    return int(text) if text.isdecimal() else default
+    return whole_number(value(config, "ports", key), default)
 
 
 def _parsed(config: str) -> configparser.ConfigParser:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 
-from biosensor_gateway.doctor import firewall_rules, lsl_text, programs
-from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.doctor.finding import Finding, note, ok
-from biosensor_gateway.lsl_file import Ports
+from biosensor_common.doctor import firewall_rules, lsl_text, programs
+from biosensor_common.doctor.context import Context
+from biosensor_common.doctor.finding import Finding, note, ok
+from biosensor_common.doctor.lsl_api_file import Ports
 
 _OPENING: dict[str, Callable[[Ports], str]] = {
     "ufw": firewall_rules.ufw,
@@ -20,7 +20,7 @@ def examine(context: Context) -> Iterator[Finding]:
     """Ask systemd."""
     if sys.platform != "linux":
         return
-    ports = lsl_text.ports(context.agent_config)
+    ports = lsl_text.ports(context.config)
     active = [each for each in _OPENING if programs.succeeds("systemctl", "is-active", each)]
     for name in active:
         yield note(

@@ -6,9 +6,9 @@ import json
 from collections import Counter
 from collections.abc import Iterator
 
-from biosensor_gateway.doctor.finding import Finding, Level
-from biosensor_gateway.doctor.runner import Report
-from biosensor_gateway.doctor.table import Category
+from biosensor_common.doctor.check import Category
+from biosensor_common.doctor.finding import Finding, Level
+from biosensor_common.doctor.runner import Report
 
 FORMAT_VERSION = 1
 
@@ -63,13 +63,13 @@ def _lines(report: Report) -> Iterator[str]:
 
 
 def _finding_lines(finding: Finding) -> Iterator[str]:
-    yield f"  {_MARKS[finding.level]} {finding.check}: {_safe(finding.what)}"
+    yield f"  {_MARKS[finding.level]} {finding.check}: {printable(finding.what)}"
     if finding.why:
-        yield f"{_INDENT}why: {_safe(finding.why)}"
+        yield f"{_INDENT}why: {printable(finding.why)}"
     if finding.fix:
         first, *others = finding.fix.splitlines()
-        yield f"{_INDENT}fix: {_safe(first)}"
-        yield from (f"{_INDENT}     {_safe(line)}" for line in others)
+        yield f"{_INDENT}fix: {printable(first)}"
+        yield from (f"{_INDENT}     {printable(line)}" for line in others)
 
 
 def _summary(report: Report) -> str:
@@ -88,6 +88,6 @@ def _counts(report: Report) -> dict[Level, int]:
     return {level: counted[level] for level in Level}
 
 
-def _safe(text: str) -> str:
+def printable(text: str) -> str:
     """Keep what a stranger wrote, such as a stream's name, from steering the terminal."""
     return "".join(char if char.isprintable() else "?" for char in text)

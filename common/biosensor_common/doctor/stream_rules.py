@@ -6,10 +6,10 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
+from biosensor_common.doctor.finding import Finding, error, note, ok, warning
+from biosensor_common.doctor.lsl_text import LSL_PORT_RANGE
+from biosensor_common.doctor.seen_stream import SeenStream
 from biosensor_common.lsl_config import LSL_BASE_PORT
-from biosensor_gateway.doctor.finding import Finding, error, note, ok, warning
-from biosensor_gateway.doctor.lsl_text import LSL_PORT_RANGE
-from biosensor_gateway.doctor.seen_stream import SeenStream
 
 MAX_STAMP_ERROR_S = 30.0
 """A stamp further off is not on the LSL clock at all (Unix time, the device's time)."""
@@ -69,8 +69,8 @@ def _names(streams: Sequence[SeenStream]) -> Iterator[Finding]:
             f"{len(same)} streams are called {name} (on {listed(sorted({e.host for e in same}))})",
             "LabRecorder lists streams by name and computer; those with the same cannot be chosen "
             "apart.",
-            "give each a name of its own; for devices of this gateway set label or participant: "
-            "biosensor-gateway config edit",
+            "give each a name of its own; for devices of Biosensor Gateway, on its computer, set "
+            "label or participant: biosensor-gateway config edit",
         )
 
 
@@ -80,8 +80,8 @@ def _source_ids(streams: Sequence[SeenStream]) -> Iterator[Finding]:
         yield error(
             f"{len(same)} streams have the source_id {source_id}: {where}",
             "LabRecorder takes them for one, and receivers cannot go on after a restart.",
-            "end all but one of the programs that send them; for devices of this gateway that are "
-            "two, correct unit, label or participant: biosensor-gateway config edit",
+            "end all but one of the programs that send them; for two devices of Biosensor Gateway, "
+            "on its computer, correct unit, label or participant: biosensor-gateway config edit",
         )
 
 

@@ -9,10 +9,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from ipaddress import ip_address
 
-from biosensor_gateway.doctor import lsl_text
-from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.doctor.finding import Finding, note, ok, warning
-from biosensor_gateway.lsl_file import LOOPBACK, LslFile
+from biosensor_common.doctor import lsl_text
+from biosensor_common.doctor.context import Context
+from biosensor_common.doctor.finding import Finding, note, ok, warning
+from biosensor_common.doctor.guide import Guide
+from biosensor_common.doctor.lsl_api_file import LOOPBACK, LslApiFile
 
 LSL_GROUP = "239.255.172.215"
 """The group of LSL's scope "site"."""
@@ -21,7 +22,6 @@ _VIRTUAL = re.compile(
     r"tailscale|.*(vethernet|wsl|hyper-v|vmware|virtualbox|vpn|wireguard|zerotier|tap-windows)",
     re.IGNORECASE,
 )
-_TWO_PC = "where LabRecorder is: biosensor-gateway config lsl --for two-pc --peer {0}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,9 +63,10 @@ def examine(context: Context) -> Iterator[Finding]:
         yield _only_loopback(context)
         return
     real = [each for each in network if not each.is_virtual]
-    yield from (_adapter(each) for each in real)
-    yield from _virtual([each for each in network if each.is_virtual])
-    yield from _route(network, route())
+    guide = context.guide
+    yield from (_adapter(each, guide) for each in real)
+    yield from _virtual([each for each in network if each.is_virtual], guide)
+    yield from _route(network, route(), guide)
     if len(real) > 1:
         yield note(
             f"{len(real)} networks: {', '.join(str(each) for each in real)}",
@@ -109,48 +110,48 @@ def _only_loopback(context: Context) -> Finding:
     return warning(
         "no network is up, only the loopback",
         "LabRecorder (liblsl 1.17) on this computer then sees one stream of many, whichever.",
-        "biosensor-gateway config lsl\nand restart LabRecorder; or connect this computer to a "
+        f"{context.guide.ask_itself}\nand restart LabRecorder; or connect this computer to a "
         "network, any will do",
     )
 
 
 def _asks_itself(context: Context) -> bool:
-    """Whether the user's file does what `config lsl` would do."""
+    """Whether the user's file does what the guide asks for."""
     file = context.lsl_file
     if file is None:
         return False
     try:
-        own = LslFile(file.read_bytes().decode("utf-8", "replace"), str(file))
+        own = LslApiFile(file.read_bytes().decode("utf-8", "replace"), str(file))
     except Exception:  # noqa: BLE001 - what is wrong with it is another check's
         return False
-    ports = lsl_text.ports(context.agent_config)
+    ports = lsl_text.ports(context.config)
     return LOOPBACK in own.known_peers and own.ports.last >= ports.last
 
 
-def _adapter(interface: Interface) -> Finding:
+def _adapter(interface: Interface, guide: Guide) -> Finding:
     if not interface.has_multicast:
         return warning(
             f"{interface} is up, but has no multicast",
             "LSL programs on the other side of it do not find the streams of this computer, "
             "nor this computer theirs.",
             f"sudo ip link set {interface.name} multicast on\nor "
-            + _TWO_PC.format(interface.addresses[0]),
+            + guide.ask_others.format(peer=interface.addresses[0]),
         )
     return ok(f"{interface} is up")
 
 
-def _virtual(adapters: list[Interface]) -> Iterator[Finding]:
+def _virtual(adapters: list[Interface], guide: Guide) -> Iterator[Finding]:
     if adapters:
         yield note(
             f"virtual adapters: {', '.join(str(each) for each in adapters)}",
             "Containers, virtual machines and VPNs have networks of their own. Windows may send "
             "LSL's questions there and nowhere else.",
             "if streams of other computers are missing, switch these adapters off for the "
-            "recording or use " + _TWO_PC.format("ADDRESS"),
+            "recording or, " + guide.ask_others.format(peer="ADDRESS"),
         )
 
 
-def _route(network: list[Interface], address: str) -> Iterator[Finding]:
+def _route(network: list[Interface], address: str, guide: Guide) -> Iterator[Finding]:
     """Judge the way that the system prefers; LSL before 1.16 takes that one only."""
     way = next((each for each in network if address in each.addresses), None)
     old = "LSL programs older than 1.16 ask there only; newer ones ask by every adapter."
@@ -161,7 +162,7 @@ def _route(network: list[Interface], address: str) -> Iterator[Finding]:
             f"multicast goes by the virtual adapter {way} first",
             f"No other computer of the lab is there. {old}",
             f"switch {way.name} off, or give the adapter of the lab the lower metric; or "
-            + _TWO_PC.format("ADDRESS"),
+            + guide.ask_others.format(peer="ADDRESS"),
         )
     else:
         adapter = next((each for each in network if not each.is_virtual), network[0])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from biosensor_gateway.lsl_file import Ports
+from biosensor_common.doctor.lsl_api_file import Ports
 
 WINDOWS_RULE = "Biosensor Gateway"
 """Name of the rule that the installer can add."""

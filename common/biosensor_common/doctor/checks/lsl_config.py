@@ -7,25 +7,25 @@ import socket
 from collections.abc import Iterator
 from pathlib import Path
 
+from biosensor_common.doctor import lsl_text
+from biosensor_common.doctor.context import Context
+from biosensor_common.doctor.finding import Finding, error, note, ok, warning
+from biosensor_common.doctor.lsl_api_file import LslApiFile
 from biosensor_common.errors import ConfigError
-from biosensor_common.lsl_config import LSL_SESSION, config_places
-from biosensor_gateway.doctor import lsl_text
-from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.doctor.finding import Finding, error, note, ok, warning
-from biosensor_gateway.lsl_file import LslFile
+from biosensor_common.lsl_config import DEFAULT_PORT_RANGE, LSL_SESSION, config_places
 
 _SAME_SESSION = "LSL programs see only streams of their own session."
 
 
 def examine(context: Context) -> Iterator[Finding]:
-    """Look at the user's file, then at what the agent makes of it."""
+    """Look at the user's file, then at what the program makes of it."""
     file = context.lsl_file
     yield from _places(file)
-    own = LslFile("", "")
+    own = LslApiFile("", "")
     if file is not None:
         try:
             text = file.read_bytes().decode("utf-8")
-            own = LslFile(text, str(file))
+            own = LslApiFile(text, str(file))
         except (OSError, UnicodeDecodeError, ConfigError) as problem:
             yield _damaged(file, problem)
             return
@@ -46,8 +46,7 @@ def _places(used: Path | None) -> Iterator[Finding]:
         yield warning(
             f"the environment variable LSLAPICFG names {named}, which is not there",
             "LSL goes on to the other places, silently.",
-            f"correct or remove the variable LSLAPICFG, or write the file: biosensor-gateway "
-            f"config lsl --out {named}",
+            "correct it where it is set, or remove it: the variable LSLAPICFG",
         )
     ignored = [place for place in places if place.is_file() and not _is_same(place, used)]
     if ignored:
@@ -73,27 +72,27 @@ def _damaged(file: Path, problem: Exception) -> Finding:
     )
 
 
-def _session(context: Context, own: LslFile) -> Iterator[Finding]:
-    chosen = context.lsl.session_id
+def _session(context: Context, own: LslApiFile) -> Iterator[Finding]:
+    chosen, guide = context.overrides.session_id, context.guide
     if chosen and chosen != own.session_id:
         yield warning(
-            f"the agent is in the LSL session {chosen}, LSL programs of this computer in "
+            f"{guide.program} is in the LSL session {chosen}, LSL programs of this computer in "
             f"{own.session_id}",
-            _SAME_SESSION + " LabRecorder here sees nothing of the agent.",
-            "biosensor-gateway config lsl --force\nor remove session_id from the settings of the "
-            "agent: biosensor-gateway config edit",
+            f"{_SAME_SESSION} Those here and {guide.program} know nothing of each other.",
+            f"{guide.correct_file}\nor remove session_id from the settings of {guide.program}: "
+            f"{guide.edit}",
         )
     elif own.session_id != LSL_SESSION:
         yield note(
             f"the LSL session is {own.session_id}, not {LSL_SESSION}",
-            _SAME_SESSION + " LabRecorder and the ROS node on other computers need the same.",
-            f"there: SessionID = {own.session_id} below [lab] in lsl_api.cfg, and session_id of "
-            "the ROS node",
+            f"{_SAME_SESSION} LabRecorder, agents and nodes on other computers need the same.",
+            f"there: SessionID = {own.session_id} below [lab] in lsl_api.cfg, or session_id of "
+            "the agent's settings and of the node's parameters",
         )
 
 
 def _in_force(context: Context) -> Finding:
-    config = context.agent_config
+    config = context.config
     ports = lsl_text.ports(config)
     values = {
         "session": lsl_text.value(config, "lab", "SessionID") or LSL_SESSION,
@@ -101,11 +100,12 @@ def _in_force(context: Context) -> Finding:
         "scope": lsl_text.value(config, "multicast", "ResolveScope") or "site",
         "ports": f"UDP {ports.discovery}, UDP and TCP {ports.first} to {ports.last}",
     }
-    return ok("the agent's: " + "; ".join(f"{name} {text}" for name, text in values.items()))
+    said = "; ".join(f"{name} {text}" for name, text in values.items())
+    return ok(f"{context.guide.program}'s: {said}")
 
 
 def _peers(context: Context) -> Iterator[Finding]:
-    text = lsl_text.value(context.agent_config, "lab", "KnownPeers").strip("{}")
+    text = lsl_text.value(context.config, "lab", "KnownPeers").strip("{}")
     for peer in (each.strip() for each in text.split(",") if each.strip()):
         try:
             socket.getaddrinfo(peer, None)
@@ -117,15 +117,16 @@ def _peers(context: Context) -> Iterator[Finding]:
             )
 
 
-def _range(context: Context, own: LslFile) -> Iterator[Finding]:
+def _range(context: Context, own: LslApiFile) -> Iterator[Finding]:
     ports = own.ports
     count = ports.last - ports.first + 1
     # Without an entry, what it says of itself is one port.
     count = lsl_text.LSL_PORT_RANGE if count == 1 else count
-    if own.known_peers and count < context.lsl.port_range:
+    wanted = context.overrides.port_range or DEFAULT_PORT_RANGE
+    if own.known_peers and count < wanted:
         yield note(
-            f"PortRange is {count} for LSL programs of this computer, {context.lsl.port_range} "
-            "for the agent",
+            f"PortRange is {count} for LSL programs of this computer, {wanted} for "
+            f"{context.guide.program}",
             f"LabRecorder asks known peers on {count} ports only, which is {count // 2} streams.",
-            "biosensor-gateway config lsl --force",
+            context.guide.correct_file,
         )

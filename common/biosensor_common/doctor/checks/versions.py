@@ -9,38 +9,38 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.doctor.finding import Finding, error, ok, warning
+from biosensor_common.doctor.context import Context
+from biosensor_common.doctor.finding import Finding, error, ok, warning
+from biosensor_common.doctor.guide import Guide
 
-_LIBRARIES = ("bleak", "numpy")
 _OLDEST_LIBLSL = 117
-_INSTALL = f"{sys.executable} -m pip install --force-reinstall"
 
 
-def examine(_context: Context) -> Iterator[Finding]:
+def examine(context: Context) -> Iterator[Finding]:
     """Say what runs here."""
+    guide = context.guide
     yield ok(f"{platform.platform()}, {platform.machine()}")
-    yield _gateway()
+    yield _program(guide)
     yield ok(f"Python {platform.python_version()}, {sys.executable}")
-    yield from _lsl()
-    for name in _LIBRARIES:
-        yield _library(name)
+    yield from _lsl(guide)
+    for name, install in guide.libraries.items():
+        yield _library(name, install, guide)
 
 
-def _gateway() -> Finding:
+def _program(guide: Guide) -> Finding:
     # The folder of the package; a frozen program's is beside its exe.
-    place = Path(__file__).parents[2]
+    place = Path(import_module(guide.package).__file__ or "").parent
     try:
-        return ok(f"biosensor-gateway {version('biosensor-gateway')}, {place}")
+        return ok(f"{guide.distribution} {version(guide.distribution)}, {place}")
     except PackageNotFoundError:
         return warning(
-            f"biosensor-gateway is not installed; it runs from {place}",
+            f"{guide.distribution} is not installed; it runs from {place}",
             "Its version is unknown, and so are the versions of what it needs.",
-            f"in the folder of the project: {sys.executable} -m pip install .",
+            guide.install,
         )
 
 
-def _lsl() -> Iterator[Finding]:
+def _lsl(guide: Guide) -> Iterator[Finding]:
     try:
         # Without its library, importing it fails.
         import pylsl  # noqa: PLC0415
@@ -49,7 +49,7 @@ def _lsl() -> Iterator[Finding]:
         yield error(
             f"pylsl cannot be used: {_first_line(problem)}",
             "Without the Lab Streaming Layer's library (liblsl) there are no streams.",
-            _missing_liblsl(),
+            _missing_liblsl(guide),
         )
         return
     yield ok(f"pylsl {version('pylsl')}, {Path(pylsl.__file__).parent}")
@@ -60,31 +60,39 @@ def _lsl() -> Iterator[Finding]:
         return
     yield error(
         f"{what} is too old",
-        "The agent passes its configuration on in a way that liblsl knows since 1.17.7.",
-        f"remove the old library or the variable PYLSL_LIB that names it, then: {_INSTALL} pylsl",
+        "Its configuration is passed on in a way that it knows since 1.17.7.",
+        "remove the old library or the variable PYLSL_LIB that names it, then: "
+        + guide.install_pylsl,
     )
 
 
-def _library(name: str) -> Finding:
+def _library(name: str, install: str, guide: Guide) -> Finding:
     try:
         module = import_module(name)
     except Exception as problem:  # noqa: BLE001 - parts of the system may be missing to it
         return error(
             f"{name} cannot be used: {_first_line(problem)}",
-            "The agent cannot start without it.",
-            f"{_INSTALL} {name}",
+            f"{guide.program.capitalize()} cannot start without it.",
+            install,
         )
-    return ok(f"{name} {version(name)}, {Path(module.__file__ or '').parent}")
+    return ok(f"{name} {_version(name)}, {Path(module.__file__ or '').parent}")
 
 
-def _missing_liblsl() -> str:
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "of an unknown version"
+
+
+def _missing_liblsl(guide: Guide) -> str:
     if sys.platform == "linux" and platform.machine() not in {"x86_64", "AMD64"}:
         return (
             "pylsl brings no liblsl for this processor: install it from "
             "https://github.com/sccn/liblsl/releases or build it, then set PYLSL_LIB to the "
             "path of liblsl.so"
         )
-    return f"{_INSTALL} pylsl"
+    return guide.install_pylsl
 
 
 def _first_line(problem: BaseException) -> str:

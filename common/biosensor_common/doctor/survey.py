@@ -12,7 +12,7 @@ from xml.etree import ElementTree as ET
 import pylsl
 from pylsl.lib import lib
 
-from biosensor_gateway.doctor.seen_stream import SeenStream
+from biosensor_common.doctor.seen_stream import SeenStream
 
 MAX_EXAMINED = 256
 """So many streams are listened to; all are listed."""

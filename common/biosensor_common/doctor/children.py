@@ -1,4 +1,4 @@
-"""Starts `biosensor_gateway.doctor.probe` as a process of its own, and asks it."""
+"""Starts another process for a check, asks it, and ends it."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ import subprocess
 import sys
 import threading
 from collections import deque
+from collections.abc import Sequence
 from types import TracebackType
 from typing import Any, Self
 
 PROBE_COMMAND = "doctor-probe"
 """Hidden command of the frozen program, which is its own Python."""
-_LOG_LINES, _LOG_PATIENCE_S = 20, 1.0
+_LOG_LINES, _LOG_PATIENCE_S, _END_PATIENCE_S = 20, 1.0, 2.0
 
 
 class ProbeError(Exception):
@@ -21,10 +22,10 @@ class ProbeError(Exception):
 
 
 def probe_command() -> list[str]:
-    """Command line of the other process, from source or frozen."""
+    """Command line of the other process for LSL, from source or frozen."""
     if getattr(sys, "frozen", False):
         return [sys.executable, PROBE_COMMAND]
-    return [sys.executable, "-m", "biosensor_gateway.doctor.probe"]
+    return [sys.executable, "-m", "biosensor_common.doctor.probe"]
 
 
 class Probe:
@@ -33,16 +34,20 @@ class Probe:
     Parameters
     ----------
     role
-        What it does; see `biosensor_gateway.doctor.probe`.
+        What it does; see `biosensor_common.doctor.serving`.
     limit_s
         How long it may live.
+    command
+        What it runs; `biosensor_common.doctor.probe` unless something else is said.
     request
-        What the role needs, ``config`` first of all.
+        What the role needs; for LSL ``config`` first of all.
     """
 
-    def __init__(self, role: str, limit_s: float, **request: object) -> None:
+    def __init__(
+        self, role: str, limit_s: float, *, command: Sequence[str] = (), **request: object
+    ) -> None:
         self.process = subprocess.Popen(  # noqa: S603 - this program itself
-            probe_command(),
+            command or probe_command(),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -68,8 +73,7 @@ class Probe:
         trace: TracebackType | None,
     ) -> None:
         self._limit.cancel()
-        self.process.kill()
-        self.process.wait()
+        self._end()
         for pipe in (self.process.stdin, self.process.stdout):
             # What could not be written any more is of no use.
             with contextlib.suppress(OSError):
@@ -95,7 +99,16 @@ class Probe:
                     return json.loads(line)
         except (OSError, ValueError):
             pass
-        raise ProbeError(f"a second process for LSL gave no answer{self._last_words()}")
+        raise ProbeError(f"a second process gave no answer{self._last_words()}")
+
+    def _end(self) -> None:
+        # What takes its leave from a network does so now.
+        self.process.terminate()
+        try:
+            self.process.wait(_END_PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
 
     def _keep_log(self) -> None:
         assert self.process.stderr is not None

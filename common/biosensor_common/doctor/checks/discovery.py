@@ -11,11 +11,12 @@ import uuid
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
-from biosensor_gateway.doctor import lsl_text
-from biosensor_gateway.doctor.children import Probe
-from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.doctor.finding import Finding, error, note, ok, warning
-from biosensor_gateway.doctor.firewall_rules import opening
+from biosensor_common.doctor import lsl_text
+from biosensor_common.doctor.children import Probe
+from biosensor_common.doctor.context import Context
+from biosensor_common.doctor.finding import Finding, error, note, ok, warning
+from biosensor_common.doctor.firewall_rules import opening
+from biosensor_common.doctor.guide import Guide
 
 SEARCH_S = 4.0
 _LIMIT_S = 12.0
@@ -27,7 +28,7 @@ _AWAY_PORT = "61440"
 
 def examine(context: Context) -> Iterator[Finding]:
     """Offer a stream, and look for it."""
-    config = context.agent_config
+    config = context.config
     alone = lsl_text.value(config, "multicast", "ResolveScope") == "machine"
     with ThreadPoolExecutor(2) as pool:
         multicast = None if alone else pool.submit(_is_found, config, by_multicast(config))
@@ -41,7 +42,7 @@ def examine(context: Context) -> Iterator[Finding]:
                 "lsl_config names",
             )
         else:
-            yield _multicast(multicast.result(), config)
+            yield _multicast(multicast.result(), config, context.guide)
 
 
 def by_multicast(config: str) -> str:
@@ -98,16 +99,14 @@ def _unicast(found: bool, config: str) -> Finding:
     )
 
 
-def _multicast(found: bool, config: str) -> Finding:
+def _multicast(found: bool, config: str, guide: Guide) -> Finding:
     if found:
         return ok("a stream of this computer is found here by multicast")
     return warning(
         "a stream of this computer is not found here by multicast",
         "LSL programs find streams by multicast unless they are told which computers to ask; "
         "LabRecorder then misses streams of this computer or all those of others.",
-        "biosensor-gateway config lsl\n"
-        "where LabRecorder is on another computer, run there: biosensor-gateway config lsl "
-        "--for two-pc --peer ADDRESS\n"
+        f"{guide.ask_itself}\nfor other computers, {guide.ask_others.format(peer='ADDRESS')}\n"
         "or let multicast through: the check interfaces says whether there is a way for it; if a "
-        "firewall is in the way:\n" + opening(lsl_text.ports(config)),
+        f"firewall is in the way:\n{opening(lsl_text.ports(config))}",
     )

@@ -1,0 +1,54 @@
+"""The other process of a check: LSL with a configuration of its own.
+
+This module is also imported by the program that asks, so pylsl is not imported with it.
+"""
+
+from __future__ import annotations
+
+import time
+
+from biosensor_common.doctor.serving import Request, answer, serve
+
+
+def main() -> None:
+    """Do what stdin says."""
+    serve({"offer": _offer, "find": _find, "survey": _survey})
+
+
+def _configure(request: Request) -> None:
+    import pylsl  # noqa: PLC0415
+
+    pylsl.set_config_content(request["config"])
+
+
+def _offer(request: Request) -> None:
+    """Have an outlet until this process is ended."""
+    import pylsl  # noqa: PLC0415
+
+    _configure(request)
+    source_id = request["source_id"]
+    outlet = pylsl.StreamOutlet(pylsl.StreamInfo(source_id, "Doctor", 1, 0.0, "float32", source_id))
+    answer({"open": True})
+    time.sleep(request["life_s"])
+    del outlet
+
+
+def _find(request: Request) -> None:
+    """Look for a stream."""
+    import pylsl  # noqa: PLC0415
+
+    _configure(request)
+    found = pylsl.resolve_byprop("source_id", request["source_id"], 1, request["timeout_s"])
+    answer({"found": bool(found)})
+
+
+def _survey(request: Request) -> None:
+    """Look at all streams."""
+    _configure(request)
+    from biosensor_common.doctor.survey import survey  # noqa: PLC0415
+
+    answer(survey(request["search_s"], request["listen_s"], request["listen_until_s"]))
+
+
+if __name__ == "__main__":
+    main()

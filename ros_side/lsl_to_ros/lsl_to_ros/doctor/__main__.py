@@ -1,0 +1,30 @@
+"""``python3 -m lsl_to_ros.doctor``: the checks of the node's computer, without ros2doctor."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from biosensor_common.doctor.context import Context
+from biosensor_common.doctor.report import as_json, as_text
+from biosensor_common.doctor.runner import run_checks
+from lsl_to_ros.doctor.guide import GUIDE
+from lsl_to_ros.doctor.table import CHECKS
+
+
+def main() -> int:
+    """Say what is wrong; the exit code is 1 if there are errors."""
+    parser = argparse.ArgumentParser("python3 -m lsl_to_ros.doctor", description=__doc__)
+    names = [check.name for check in CHECKS]
+    parser.add_argument("--only", action="append", choices=names, help="run this check only")
+    parser.add_argument("--json", action="store_true", help="for scripts")
+    given = parser.parse_args()
+    chosen = [check for check in CHECKS if not given.only or check.name in given.only]
+    report = run_checks(chosen, Context(guide=GUIDE))
+    text = as_json(report) if given.json else as_text(report, sys.stdout.encoding or "ascii")
+    sys.stdout.write(text + "\n")
+    return 0 if report.is_good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,135 @@
+"""What the environment says to DDS, and what is wrong with it.
+
+The variables are those of ROS 2 Jazzy; https://docs.ros.org/en/jazzy/Tutorials/Advanced/
+Improved-Dynamic-Discovery.html. What ROS does with values that are wrong was measured
+with rclpy 7.1 and Fast DDS 2.14.
+"""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator, Mapping
+
+from biosensor_common.doctor.finding import Finding, error, note, ok, warning
+
+DOMAIN, RANGE, PEERS = "ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
+SERVER, LOCALHOST_ONLY = "ROS_DISCOVERY_SERVER", "ROS_LOCALHOST_ONLY"
+MIDDLEWARE = "RMW_IMPLEMENTATION"
+MAX_DOMAIN = 232
+_RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
+# Ports from 32768 on are given away by Linux: https://docs.ros.org/en/jazzy/Concepts/
+# Intermediate/About-Domain-ID.html
+_SAFE_ON_LINUX = (range(102), range(215, MAX_DOMAIN + 1))
+_FAST_DDS = "rmw_fastrtps"
+_SHELL = "in this shell and where it is set, ~/.bashrc for instance"
+
+
+def judge(environment: Mapping[str, str]) -> Iterator[Finding]:
+    """Judge every variable."""
+    yield _domain(environment.get(DOMAIN, ""))
+    only_here = environment.get(LOCALHOST_ONLY, "")
+    if only_here:
+        yield _localhost_only(only_here)
+    if only_here != "1":
+        peers = [each for each in environment.get(PEERS, "").split(";") if each]
+        yield _range(environment.get(RANGE, ""), peers)
+        if peers:
+            yield _peers(peers)
+    if environment.get(SERVER):
+        yield _server(environment[SERVER], environment.get(MIDDLEWARE, ""))
+
+
+def domain(environment: Mapping[str, str]) -> int:
+    """Return the domain that ROS takes, 0 also for one that cannot be."""
+    text = environment.get(DOMAIN, "")
+    return int(text) if text.isdecimal() and int(text) <= MAX_DOMAIN else 0
+
+
+def _domain(text: str) -> Finding:
+    if not text:
+        return ok(f"{DOMAIN} is not set: ROS is in domain 0, as all computers that have none")
+    why = "Nodes see only those of their own domain."
+    if not text.isdecimal() or int(text) > MAX_DOMAIN:
+        return error(
+            f"{DOMAIN} is {text!r}, which is no number from 0 to {MAX_DOMAIN}",
+            f"{why} With such a value most nodes do not even start.",
+            f"export {DOMAIN}=0, or the number that the other computers have, {_SHELL}",
+        )
+    if not any(int(text) in each for each in _SAFE_ON_LINUX):
+        return warning(
+            f"{DOMAIN} is {text}",
+            "Its ports are among those that Linux gives to any program, so that nodes sometimes "
+            "cannot be reached.",
+            f"export {DOMAIN}=N, with N from 0 to 101, on all computers",
+        )
+    return ok(f"{DOMAIN} is {text}; all computers need the same")
+
+
+def _localhost_only(text: str) -> Finding:
+    if text == "1":
+        return warning(
+            f"{LOCALHOST_ONLY} is 1",
+            f"No other computer sees the topics, and {RANGE} and {PEERS} are ignored. The "
+            "variable is deprecated.",
+            f"unset {LOCALHOST_ONLY}, {_SHELL}; if other computers are not to see the topics: "
+            f"export {RANGE}=LOCALHOST",
+        )
+    return note(
+        f"{LOCALHOST_ONLY} is set, to {text!r}",
+        f"The variable is deprecated; {RANGE} has taken its place.",
+        f"unset {LOCALHOST_ONLY}, {_SHELL}",
+    )
+
+
+def _range(text: str, peers: list[str]) -> Finding:
+    wide = f"export {RANGE}=SUBNET, {_SHELL}"
+    if text and text not in _RANGES:
+        return warning(
+            f"{RANGE} is {text!r}, which is none of {', '.join(_RANGES)}",
+            "ROS takes LOCALHOST then: no other computer sees the topics.",
+            wide,
+        )
+    if text == "OFF":
+        return error(
+            f"{RANGE} is OFF",
+            "No node finds any other, not even on this computer: the topics reach nobody.",
+            wide,
+        )
+    if text == "LOCALHOST" and not peers:
+        return note(
+            f"{RANGE} is LOCALHOST",
+            "No other computer sees the topics.",
+            f"if others take part: {wide}, or export {PEERS}='ADDRESS;ADDRESS' with theirs",
+        )
+    return ok(f"{RANGE} is {text or 'not set: nodes find each other in the whole subnet'}")
+
+
+def _peers(peers: list[str]) -> Finding:
+    for peer in peers:
+        try:
+            socket.getaddrinfo(peer, None)
+        except (OSError, UnicodeError):
+            comma = " Peers are parted by ';'." if "," in peer else ""
+            return error(
+                f"{PEERS} names {peer!r}, which has no address",
+                f"With it nodes do not even start.{comma}",
+                f"export {PEERS}='ADDRESS;ADDRESS' with IP addresses, {_SHELL}",
+            )
+    return ok(f"{PEERS}: {', '.join(peers)}")
+
+
+def _server(text: str, middleware: str) -> Finding:
+    unset = f"unset {SERVER}, {_SHELL}"
+    if middleware and not middleware.startswith(_FAST_DDS):
+        return warning(
+            f"{SERVER} is set, but {MIDDLEWARE} is {middleware}",
+            "Only Fast DDS has discovery servers: nodes look for each other in another way than "
+            "you think.",
+            f"{unset}; or export {MIDDLEWARE}=rmw_fastrtps_cpp",
+        )
+    return note(
+        f"{SERVER} is {text}",
+        "Nodes find each other only while that server runs, and only those that use it.",
+        f"if there is none: {unset}; else on all computers export {SERVER}={text!r}, and for "
+        "ros2 topic, node and doctor besides: export ROS_SUPER_CLIENT=TRUE",
+    )

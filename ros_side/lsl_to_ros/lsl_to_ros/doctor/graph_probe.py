@@ -1,0 +1,100 @@
+"""The other process of the check of DDS: a node that is there, or one that looks for it.
+
+    {"role": "look", "name": "_doctor_5f", "search_s": 5, "settle_s": 2}
+    {"found": true, "seconds": 0.4, "middleware": "rmw_fastrtps_cpp", "nodes": ["/lsl_to_ros"]}
+
+A ROS context, and the libraries that are loaded for it, belong to a process for good; and
+the middleware may end the process whose environment it does not like.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+import uuid
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any, cast
+
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+
+from biosensor_common.doctor.serving import Request, answer, serve
+from lsl_to_ros.fastdds import use_our_profiles
+
+PREFIX = "_biosensor_doctor_"
+"""Of the names of these nodes; ROS's tools do not list what begins with an underscore."""
+_POLL_S = 0.05
+
+
+def main() -> None:
+    """Do what stdin says."""
+    signal.signal(signal.SIGTERM, _leave)
+    serve({"stay": _stay, "look": _look})
+
+
+def _leave(_number: int, _frame: FrameType | None) -> None:
+    # Through the contexts, so that the node takes its leave.
+    sys.exit(0)
+
+
+def _stay(request: Request) -> None:
+    """Be a node until this process is ended."""
+    with _node(request["name"]):
+        answer({"open": True})
+        time.sleep(request["life_s"])
+
+
+def _look(request: Request) -> None:
+    """Look for a node, and at all others until none has come for a while."""
+    search_s, settle_s = request["search_s"], request["settle_s"]
+    with _node(f"{PREFIX}{uuid.uuid4().hex}") as node:
+        begun = time.monotonic()
+        nodes, found_s, passed_s, changed_s = list[str](), None, 0.0, 0.0
+        while passed_s < search_s if found_s is None else passed_s < changed_s + settle_s:
+            time.sleep(_POLL_S)
+            passed_s = time.monotonic() - begun
+            before, nodes = nodes, sorted(_names(node))
+            if nodes != before:
+                changed_s = passed_s
+            if found_s is None and f"/{request['name']}" in nodes:
+                found_s = passed_s
+            if passed_s > search_s + settle_s:
+                break
+        answer(
+            {
+                "found": found_s is not None,
+                "seconds": found_s,
+                "middleware": cast("Any", rclpy).get_rmw_implementation_identifier(),
+                "nodes": [each for each in nodes if not each.startswith(f"/{PREFIX}")],
+            }
+        )
+
+
+@contextmanager
+def _node(name: str) -> Generator[Any]:
+    # As the node itself starts, so that what holds for it holds here.
+    use_our_profiles(os.environ, Path.cwd())
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = rclpy.create_node(name)
+        try:
+            yield node
+        finally:
+            node.destroy_node()
+    finally:
+        # Who only vanishes is listed by others for many seconds.
+        rclpy.try_shutdown()
+
+
+def _names(node: Any) -> Iterator[str]:  # noqa: ANN401 - rclpy's own annotations are partial
+    for name, namespace in node.get_node_names_and_namespaces():
+        yield f"{namespace.rstrip('/')}/{name}"
+
+
+if __name__ == "__main__":
+    main()
