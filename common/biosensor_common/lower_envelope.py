@@ -14,11 +14,14 @@ line is the maximum a posteriori one: as points gather it becomes the hull edge.
    network delay measurements", IEEE INFOCOM 1999.
 .. [2] L. Zhang, Z. Liu, C. H. Xia, "Clock synchronization algorithms for network
    measurements", IEEE INFOCOM 2002.
+.. [3] B. Epstein, M. Sobel, "Life testing", Journal of the American Statistical
+   Association 48, 1953: an exponential's mean from the first few of many.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from statistics import median
 
@@ -30,6 +33,11 @@ SLOPE_LIMIT = 250e-6
 SLOPE_PRIOR_SD = 100e-6
 DELAY_FLOOR_S = 1e-3
 """Smallest mean delay assumed, so that two points never claim to know the slope."""
+DELAY_CEILING_S = 0.1
+"""Largest mean delay assumed: a longer one is not a radio's jitter, but packets that are
+held back and come together, of which the last is hardly late."""
+EDGE_SHARE, EDGE_POINTS = 0.1, 4
+"""How many of the lowest points tell how dense the delays are at their edge, at least."""
 FORGET_BELOW_S = 0.2
 """A point this far under the line is a step of the clock: what was before misleads."""
 
@@ -127,13 +135,11 @@ class LowerEnvelope:
         stiffness = (self._mean_delay + DELAY_FLOOR_S) / (count * SLOPE_PRIOR_SD**2)
         slope = _most_likely_slope(hull, middle, self._prior, stiffness)
         slope = min(max(slope, -SLOPE_LIMIT), SLOPE_LIMIT)
-        heights = [y - slope * (x - middle) for x, y in zip(self._x, self._y, strict=True)]
-        lowest = min(heights)
-        # An exponential's mean by its median, because a mean would follow every stall.
-        self._mean_delay = (median(heights) - lowest) / math.log(2)
+        heights = sorted(y - slope * (x - middle) for x, y in zip(self._x, self._y, strict=True))
+        self._mean_delay = _mean_delay(heights)
         # The least of n such delays is expected at mean / n, not at 0.
         self._slope = slope
-        self._intercept = lowest - self._mean_delay / count - slope * middle
+        self._intercept = heights[0] - self._mean_delay / count - slope * middle
 
     def _hull(self) -> list[Point]:
         """Return the lower convex hull, left to right (Andrew's monotone chain)."""
@@ -146,6 +152,24 @@ class LowerEnvelope:
                 hull.pop()
             hull.append((x, y))
         return hull
+
+
+def _mean_delay(heights: Sequence[float]) -> float:
+    """Estimate the mean of exponential delays from points in rising order.
+
+    By the median, because a mean would follow every stall; and by the lowest tenth alone,
+    since what counts is how dense the delays are at their edge [3]_: where packets are
+    held and come together, half of them may be late by seconds, and the others not at
+    all. The smaller estimate is taken.
+    """
+    lowest, count = heights[0], len(heights)
+    by_median = (median(heights) - lowest) / math.log(2)
+    edge = min(max(EDGE_POINTS, round(EDGE_SHARE * count)), count)
+    if edge == 1:
+        return 0.0
+    waited = math.fsum(height - lowest for height in heights[:edge])
+    by_edge = (waited + (count - edge) * (heights[edge - 1] - lowest)) / (edge - 1)
+    return min(by_median, by_edge, DELAY_CEILING_S)
 
 
 def _most_likely_slope(hull: list[Point], middle: float, prior: float, stiffness: float) -> float:

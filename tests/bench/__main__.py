@@ -13,6 +13,7 @@ from biosensor_gateway.settings import LogSettings
 from tests.bench import (
     agent_figures,
     chunks,
+    clock_accuracy,
     hundred,
     idle,
     machine,
@@ -36,6 +37,7 @@ MEASUREMENTS: dict[str, Callable[[Effort], Measurement]] = {
     "restart": restart.measure,
     "agent": agent_figures.measure_agent,
     "decoders": agent_figures.measure_decoders,
+    "clock": clock_accuracy.measure,
 }
 
 

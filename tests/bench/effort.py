@@ -23,6 +23,8 @@ class Effort:
         Chunks that are published.
     taped_s, passes
         Of each decoder.
+    clock_seeds
+        Simulated courses of each way, packet rate and drift.
     """
 
     rounds: int
@@ -36,6 +38,7 @@ class Effort:
     agent_s: float
     taped_s: float
     passes: int
+    clock_seeds: int
 
 
 FULL = Effort(
@@ -50,6 +53,7 @@ FULL = Effort(
     agent_s=30.0,
     taped_s=5.0,
     passes=15,
+    clock_seeds=10,
 )
 QUICK = Effort(
     rounds=1,
@@ -63,4 +67,5 @@ QUICK = Effort(
     agent_s=4.0,
     taped_s=1.0,
     passes=5,
+    clock_seeds=3,
 )
