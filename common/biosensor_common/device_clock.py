@@ -84,6 +84,8 @@ class ClockState:
         before the first observation.
     reanchors : int
     observations : int
+    newest_s : float
+        LSL time of the newest device time; NaN before the first observation.
     """
 
     offset_s: float
@@ -91,6 +93,7 @@ class ClockState:
     residual_rms_s: float
     reanchors: int
     observations: int
+    newest_s: float = math.nan
 
 
 class DeviceClock:
@@ -191,12 +194,14 @@ class DeviceClock:
         if self._envelope is None:
             return ClockState(math.nan, math.nan, math.nan, self._reanchors, self._observations)
         newest = self._device_origin + self._newest
+        newest_lsl = self.to_lsl(newest)
         return ClockState(
-            offset_s=self.to_lsl(newest) - newest,
+            offset_s=newest_lsl - newest,
             drift_ppm=self._envelope.slope * 1e6,
             residual_rms_s=self._envelope.residual_rms(),
             reanchors=self._reanchors,
             observations=self._observations,
+            newest_s=newest_lsl,
         )
 
     def _jump_reason(self, x: float, distance: float, delay: float) -> ReanchorReason | None:

@@ -9,16 +9,23 @@ from pathlib import Path
 import pylsl
 import structlog
 
+from biosensor_common.device_clock import ClockState
 from biosensor_common.lsl_config import LslOverrides
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway import health
+from biosensor_gateway.control import Command
 from biosensor_gateway.devices import driver
+from biosensor_gateway.events import EventKind
+from biosensor_gateway.events.announcer import Announcer
+from biosensor_gateway.events.device import DeviceEvents
 from biosensor_gateway.keep_awake import KeepAwake, system_inhibitor
 from biosensor_gateway.outlets import Counters, Outlet, configure_lsl, counters_text
 from biosensor_gateway.settings import DeviceSettings, GatewaySettings, LslSettings
 from biosensor_gateway.sink import DeviceSink
 from biosensor_gateway.supervisor import State, Supervisor
+from biosensor_gateway.withdrawal.choice import device_name
+from biosensor_gateway.withdrawal.desk import WithdrawalDesk
 
 REPORT_INTERVAL_S = 1.0
 
@@ -33,7 +40,12 @@ class Agent:
     settings
         Validated settings; this process's LSL configuration is set from them.
     folder
-        Where the status file goes.
+        Where the status file goes, and where it is kept who has withdrawn.
+
+    Raises
+    ------
+    ConfigError
+        ``UNREADABLE`` if it cannot be read who has withdrawn.
     """
 
     def __init__(self, settings: GatewaySettings, folder: Path) -> None:
@@ -43,26 +55,45 @@ class Agent:
             _log.info("LSL configuration taken over", file=str(taken_over))
         enabled = [device for device in settings.devices if device.enabled]
         self.devices = [_supervised(device) for device in enabled]
+        self._desk = WithdrawalDesk(folder, [sink for _, sink in self.devices])
+        self._heartbeat_s = settings.events.heartbeat_s
         self._unwritable = False
         self._awake = KeepAwake(system_inhibitor() if settings.power.keep_awake else None)
+
+    @property
+    def commands(self) -> dict[str, Command]:
+        """What a running agent can be asked for, besides its end."""
+        return self._desk.commands
 
     async def run(self) -> None:
         """Stream until cancelled, then close every device and outlet."""
         counters = _counters_outlet()
+        announcer = Announcer(self._heartbeat_s, self._states)
+        for supervisor, sink in self.devices:
+            supervisor.on_drop = DeviceEvents(sink, announcer).dropped
         tasks = [asyncio.create_task(supervisor.run()) for supervisor, _ in self.devices]
-        tasks.append(asyncio.create_task(self._report(counters)))
+        tasks.append(asyncio.create_task(self._report(counters, announcer)))
+        tasks.append(asyncio.create_task(announcer.run()))
         try:
             await asyncio.gather(*tasks)
         finally:
+            announcer.announce(EventKind.AGENT_STOPPED, {})
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
             self._awake.close()
             for _, sink in self.devices:
                 sink.close()
+            await announcer.end()
             health.remove_status(self._folder)
 
-    async def _report(self, outlet: Outlet) -> None:
+    def _states(self) -> dict[str, str]:
+        return {
+            device_name(sink.identity): "paused" if sink.is_paused else supervisor.state.value
+            for supervisor, sink in self.devices
+        }
+
+    async def _report(self, outlet: Outlet, announcer: Announcer) -> None:
         """Once a second: waiting states and counters into LSL, state into the status file.
 
         The computer is kept awake from here as well, on the thread of the loop.
@@ -70,16 +101,21 @@ class Agent:
         loop = asyncio.get_running_loop()
         due = loop.time()
         while True:
-            merged: dict[str, Counters] = {}
+            merged: dict[str, Counters] = dict(announcer.counters)
             for _, sink in self.devices:
                 sink.release()
                 merged |= sink.counters
-            outlet.push_text(counters_text(merged), pylsl.local_clock())
+            outlet.push_text(counters_text(merged, self._clocks()), pylsl.local_clock())
             self._write_status()
             self._awake.hold(any(each.state is State.STREAMING for each, _ in self.devices))
             # After a computer's sleep the missed reports are not made up for.
             due = max(due + REPORT_INTERVAL_S, loop.time())
             await asyncio.sleep(max(0.0, due - loop.time()))
+
+    def _clocks(self) -> dict[str, ClockState]:
+        """Clocks of the devices, each by the source_id of the first of its streams."""
+        opened = (sink for _, sink in self.devices if sink.counters)
+        return {next(iter(sink.counters)): sink.clock_state for sink in opened}
 
     def _write_status(self) -> None:
         try:

@@ -229,9 +229,9 @@ def ask(
         place = json.loads((folder / CONTROL_FILE).read_text(encoding="utf-8"))
         request = {"token": place["token"], "command": command, "arguments": arguments or {}}
         reply = _object(_exchange(int(place["port"]), _line(request), time_limit_s))
-    except (OSError, ValueError, KeyError, TypeError, OverflowError):
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
         reply = None
-    if reply is None:
+    if reply is None or (reply.get("ok") is True and not isinstance(reply.get("answer"), dict)):
         message = (
             f"the agent with the state folder {folder} does not answer: it is starting, ending "
             "or stuck; try again"

@@ -12,6 +12,8 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from pylsl import local_clock
+
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.sink import DeviceSink
 from biosensor_gateway.supervisor import Supervisor
@@ -24,6 +26,8 @@ def snapshot(devices: Iterable[tuple[Supervisor, DeviceSink]]) -> dict[str, Any]
     """Describe every device: state, last error, clock and the counters of each stream."""
     return {
         "written": time.time(),
+        # On which the clocks' `newest_s` and the streams' `last_stamp` are.
+        "lsl_time": local_clock(),
         "process": os.getpid(),
         "devices": [_device(supervisor, sink) for supervisor, sink in devices],
     }
@@ -34,12 +38,16 @@ def _device(supervisor: Supervisor, sink: DeviceSink) -> dict[str, Any]:
     return {
         **asdict(identity),
         "state": supervisor.state.value,
+        "paused": sink.is_paused,
         "connections": supervisor.connections,
         "error": supervisor.last_error,
         "dropped_bytes": sink.dropped_bytes,
         # JSON knows no NaN; before the first packet there is nothing to say.
         "clock": clock if isfinite(clock["offset_s"]) else None,
-        "streams": {source: asdict(counters) for source, counters in sink.counters.items()},
+        "streams": {
+            source: {**asdict(counters), "rate_hz": sink.nominal_rates[source]}
+            for source, counters in sink.counters.items()
+        },
     }
 
 
@@ -69,10 +77,11 @@ def read_status(folder: Path) -> dict[str, Any]:
     try:
         status: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         age = time.time() - float(status["written"])
+        status["devices"] = list(status["devices"])
     except FileNotFoundError as error:
         message = "no agent is running; start one with: biosensor-gateway run"
         raise ConfigError(ConfigReason.NOT_FOUND, message) from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         message = f"{path}: the status file cannot be read ({error}); restart the agent"
         raise ConfigError(ConfigReason.UNREADABLE, message) from error
     if age > STALE_AFTER_S:

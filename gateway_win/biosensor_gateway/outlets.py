@@ -7,7 +7,7 @@ import math
 import os
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ import pylsl
 from numpy.typing import ArrayLike, NDArray
 
 from biosensor_common import naming
+from biosensor_common.device_clock import ClockState
 from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
 from biosensor_common.lsl_header import describe
 from biosensor_common.quantities import ChannelFormat, ContentType
@@ -72,12 +73,18 @@ class Counters:
         Samples that failed the check of range, shape or stamp.
     last_stamp
         LSL time of the newest sample, 0 before the first.
+    withheld
+        Samples that reached the agent and were not sent, because of a pause.
+    waited
+        Samples that came before the first receiver; the newest of them are pushed to it.
     """
 
     pushed: int = 0
     lost: int = 0
     refused: int = 0
     last_stamp: float = 0.0
+    withheld: int = 0
+    waited: int = field(default=0, compare=False)
 
 
 class Outlet:
@@ -93,6 +100,7 @@ class Outlet:
         if isinstance(stream.rate, FromDevice):
             raise TypeError(f"stream {stream.data_name!r}: its rate must be known by now")
         self.stream = stream
+        self.nominal_rate = stream.rate
         self.source_id = naming.source_id(identity, stream.data_name)
         self.name = naming.lsl_name(identity, stream.data_name)
         self.counters = Counters()
@@ -138,6 +146,7 @@ class Outlet:
             data = np.ascontiguousarray(values, dtype=dtype)
             if not self._has_audience():
                 self._waiting.extend(zip(data, stamps, strict=True))
+                self.counters.waited += len(stamps)
                 return None
             self.release()
             self._outlet.push_chunk(data, list(stamps))
@@ -152,6 +161,11 @@ class Outlet:
             self._outlet.push_chunk(np.array(data), list(stamps))
             self._count(stamps)
 
+    def withhold_waiting(self) -> None:
+        """Drop the samples that wait for receivers: their device has been paused."""
+        self.counters.withheld += len(self._waiting)
+        self._waiting.clear()
+
     def _has_audience(self) -> bool:
         if not self._waits:
             return True
@@ -159,6 +173,10 @@ class Outlet:
         # Once is enough: whoever comes later gets what is measured later.
         self._waits = not has_one
         return has_one
+
+    def have_consumers(self) -> bool:
+        """Whether anybody receives the stream now."""
+        return self._outlet.have_consumers()
 
     def push_text(self, text: str, stamp: float) -> None:
         """Push one string sample."""
@@ -185,9 +203,15 @@ class Outlet:
             return "stamps are not on the LSL clock"
         return None
 
+    def _is_too_large(self, values: NDArray[np.float64]) -> bool:
+        """Whether a value is infinite, or would become so in the stream's format."""
+        single = self.stream.format is ChannelFormat.FLOAT32
+        largest = np.finfo(np.float32 if single else np.float64).max
+        return bool((np.abs(values) > largest).any())
+
     def _value_fault(self, values: NDArray[np.float64]) -> str | None:
         missing = np.isnan(values)
-        if np.isinf(values).any():
+        if self._is_too_large(values):
             return "infinite values"
         if not self.stream.is_regular and missing.all(axis=1).any():
             return "no value in an irregular stream"
@@ -226,7 +250,9 @@ class DeviceOutlets:
         self._sensor = sensor(identity.sensor)
         self._outlets: dict[str, Outlet] = {}
 
-    def open(self, info: DeviceInfo, rates: Mapping[str, float]) -> None:
+    def open(
+        self, info: DeviceInfo, rates: Mapping[str, float]
+    ) -> dict[str, tuple[float | FromDevice, float | FromDevice]]:
         """Create the outlets that do not exist yet; rebuild those whose rate changed.
 
         Parameters
@@ -235,7 +261,13 @@ class DeviceOutlets:
             What the device says of itself; the declaration fills the blanks.
         rates
             Nominal rate in Hz by data name, for streams whose rate the device sets.
+
+        Returns
+        -------
+        dict
+            Rate before and after, by data name, of those that were rebuilt.
         """
+        changed: dict[str, tuple[float | FromDevice, float | FromDevice]] = {}
         info = replace(
             info,
             manufacturer=info.manufacturer or self._sensor.manufacturer,
@@ -245,10 +277,13 @@ class DeviceOutlets:
             stream = replace(declared, rate=rates.get(declared.data_name, declared.rate))
             present = self._outlets.get(stream.data_name)
             if present is None or present.stream != stream:
+                if present is not None:
+                    changed[stream.data_name] = (present.stream.rate, stream.rate)
                 # The old outlet must be gone before one of the same source_id appears.
                 self._outlets.pop(stream.data_name, None)
                 del present
                 self._outlets[stream.data_name] = Outlet(stream, self.identity, info)
+        return changed
 
     def close(self) -> None:
         """Destroy all outlets."""
@@ -259,6 +294,11 @@ class DeviceOutlets:
         for outlet in self._outlets.values():
             outlet.release()
 
+    def withhold_waiting(self) -> None:
+        """Drop what waits for a receiver; see :class:`Outlet`."""
+        for outlet in self._outlets.values():
+            outlet.withhold_waiting()
+
     def __getitem__(self, data_name: str) -> Outlet:
         return self._outlets[data_name]
 
@@ -267,16 +307,45 @@ class DeviceOutlets:
         """Counters by source_id."""
         return {outlet.source_id: outlet.counters for outlet in self._outlets.values()}
 
+    @property
+    def rates(self) -> dict[str, float]:
+        """Nominal rates in Hz by source_id, 0 of irregular streams."""
+        outlets = self._outlets.values()
+        return {each.source_id: each.nominal_rate for each in outlets}
 
-def counters_text(counters: Mapping[str, Counters]) -> str:
+
+def counters_text(
+    counters: Mapping[str, Counters], clocks: Mapping[str, ClockState] | None = None
+) -> str:
     """Sample of the ``counters`` stream: JSON, by source_id.
 
-    The node compares ``pushed`` with what it pulled up to ``last_stamp``.
+    A device's clock is in the entry of one of its streams, if it has one.
+
+    The node compares ``pushed`` with what it pulled up to ``last_stamp``. What a pause
+    withholds is not told: the number of beats in a second is a heart rate.
     """
     return json.dumps(
         {
-            source_id: {"pushed": c.pushed, "lost": c.lost, "last_stamp": c.last_stamp}
+            source_id: {
+                "pushed": c.pushed,
+                "lost": c.lost,
+                "last_stamp": c.last_stamp,
+                **_clock_entry((clocks or {}).get(source_id)),
+            }
             for source_id, c in counters.items()
         },
         separators=(",", ":"),
     )
+
+
+def _clock_entry(clock: ClockState | None) -> dict[str, dict[str, float]]:
+    if clock is None or not math.isfinite(clock.offset_s):
+        return {}
+    return {
+        "clock": {
+            "offset_s": round(clock.offset_s, 6),
+            "drift_ppm": round(clock.drift_ppm, 2),
+            "residual_rms_s": round(clock.residual_rms_s, 6),
+            "reanchors": clock.reanchors,
+        }
+    }

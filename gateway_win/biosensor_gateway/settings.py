@@ -124,6 +124,22 @@ class LogSettings(BaseModel):
     )
 
 
+class EventSettings(BaseModel):
+    """What the agent says of itself in the stream gateway/events."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    heartbeat_s: float = Field(
+        default=5.0,
+        ge=0,
+        le=3600,
+        allow_inf_nan=False,
+        description="Seconds between two signs of life in the stream of events; 0 for none. A "
+        "recording without one may be incomplete: LabRecorder does not finish a stream of text "
+        "that says nothing while it is recorded.",
+    )
+
+
 class PowerSettings(BaseModel):
     """What the agent asks of the computer that it runs on."""
 
@@ -202,6 +218,7 @@ class GatewaySettings(BaseSettings):
     lsl: LslSettings = LslSettings()
     log: LogSettings = LogSettings()
     power: PowerSettings = PowerSettings()
+    events: EventSettings = EventSettings()
     devices: tuple[DeviceSettings, ...] = Field(default=(), alias="device")
 
     @classmethod

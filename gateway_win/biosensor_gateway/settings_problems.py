@@ -119,7 +119,10 @@ def _but_is(value: object) -> str:
         return f", but is {str(value).lower()}"
     if not isinstance(value, str | int | float):
         return ""
-    shown = repr(value)
+    try:
+        shown = repr(value)
+    except ValueError:  # an integer of more digits than Python writes
+        shown = hex(cast("int", value))
     cut = f"{shown[:_LONGEST_SHOWN]}…" if len(shown) > _LONGEST_SHOWN else shown
     return f", but is {cut}"
 

@@ -17,7 +17,13 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from biosensor_common.errors import ConfigError, ConfigReason, SpecError, SpecReason
-from biosensor_gateway.settings import DeviceSettings, LogSettings, LslSettings, PowerSettings
+from biosensor_gateway.settings import (
+    DeviceSettings,
+    EventSettings,
+    LogSettings,
+    LslSettings,
+    PowerSettings,
+)
 
 _WIDTH = 88
 _INTRODUCTION = (
@@ -50,6 +56,7 @@ def template(device_models: Mapping[str, type[DeviceSettings]]) -> str:
         _section("lsl", LslSettings),
         _section("log", LogSettings),
         _section("power", PowerSettings),
+        _section("events", EventSettings),
         *(_example(sensor, model) for sensor, model in device_models.items()),
     ]
     return "\n".join("".join(f"{line}\n" for line in block) for block in blocks)

@@ -66,6 +66,11 @@ class Supervisor:
         Where drivers put samples; its silence is watched.
     on_state
         Called with every new state.
+
+    Attributes
+    ----------
+    on_drop
+        Called with the reason, in one word, as soon as a connection has ended by itself.
     """
 
     def __init__(
@@ -77,6 +82,7 @@ class Supervisor:
         self._make_driver = make_driver
         self._sink = sink
         self._on_state = on_state
+        self.on_drop: Callable[[str], None] = lambda reason: None
         self._names = {"sensor": sink.identity.sensor, "unit": sink.identity.unit}
         self._nudge = asyncio.Event()
         self._delay_s = BACKOFF_FIRST_S
@@ -111,7 +117,7 @@ class Supervisor:
             self.last_error = None
             started = time.monotonic()
             self._enter(State.STREAMING)
-            return await self._stream(driver)
+            return self._dropped(await self._stream(driver))
         except asyncio.CancelledError:
             if _is_stopping():
                 raise
@@ -141,6 +147,11 @@ class Supervisor:
             if isinstance(outcome, Exception):
                 return _cause(outcome)
         return TransportError(TransportReason.LOST, "the driver stopped by itself")
+
+    def _dropped(self, error: Exception) -> Exception:
+        # Closing comes later; it takes time and tells nothing more.
+        self.on_drop(_word(error))
+        return error
 
     async def _watch(self, limit_s: float) -> None:
         while (left := limit_s - self._sink.silence_s) > 0:  # noqa: ASYNC110 - not an event: its absence
@@ -206,6 +217,10 @@ class Supervisor:
 def _is_stopping() -> bool:
     task = asyncio.current_task()
     return task is not None and task.cancelling() > 0
+
+
+def _word(error: Exception) -> str:
+    return str(error.reason.value) if isinstance(error, GatewayError) else "failed"
 
 
 def _cause(error: Exception) -> Exception:

@@ -53,7 +53,7 @@ def test_labrecorder_records_what_the_agent_declares(
         status = programs.status()
 
     declared = {stream.data_name: stream for stream in sensor("zephyr").streams}
-    assert recorded.keys() == {*declared, "counters"}
+    assert recorded.keys() == {*declared, "counters", "events"}
     for name, spec in declared.items():
         info = recorded[name]["info"]
         channels = info["desc"][0]["channels"][0]["channel"]

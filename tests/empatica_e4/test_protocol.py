@@ -11,7 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.empatica_e4.messages import Event, Malformed, Message, Reply, Sample
+from biosensor_gateway.devices.empatica_e4.messages import (
+    Event,
+    Flaw,
+    Malformed,
+    Message,
+    Reply,
+    Sample,
+)
 from biosensor_gateway.devices.empatica_e4.protocol import MAX_LINE_BYTES, E4Protocol, request
 
 VECTORS: list[dict[str, Any]] = json.loads(
@@ -81,6 +88,13 @@ def test_events_of_a_wristband_are_no_replies() -> None:
     assert isinstance(off, Event)
     assert (back.event.value, off.event.value) == ("ble_restored", "turned_off")
     assert back.device == off.device == "9ff167"
+
+
+@pytest.mark.parametrize("time", ["0", "-1680442024", "1680442024644790", "1e11"])
+def test_a_time_that_no_clock_reads_is_refused(time: str) -> None:
+    line = f"E4_Bvp {time} 21,54169"
+    (malformed,) = E4Protocol().feed(f"{line}\n".encode())
+    assert malformed == Malformed(Flaw.BAD_NUMBER, line)
 
 
 def test_a_device_list_says_who_may_connect() -> None:

@@ -29,7 +29,16 @@ DEVICE: dict[str, Any] = {
     "label": "",
     "state": "streaming",
     "error": None,
-    "streams": {"p01@zephyr-ecg": {"pushed": 4711, "lost": 63, "refused": 5, "last_stamp": 1.0}},
+    "paused": False,
+    "streams": {
+        "p01@zephyr-ecg": {
+            "pushed": 4711,
+            "lost": 63,
+            "refused": 5,
+            "withheld": 8,
+            "last_stamp": 1.0,
+        }
+    },
 }
 
 
@@ -199,6 +208,7 @@ def test_status_for_people_names_devices_states_and_counts(run: Run, state: Path
         "participant": "",
         "label": "[left]",
         "state": "discovering",
+        "paused": True,
         "error": "COM7: there is no such port",
         "streams": {},
     }
@@ -206,6 +216,7 @@ def test_status_for_people_names_devices_states_and_counts(run: Run, state: Path
     outcome = run("status")
     assert outcome.code == 0
     assert "p01 zephyr (BHT012345): streaming\n" in outcome.out
-    assert "zephyr [left] (BHT012345): discovering - COM7: there is no such port" in outcome.out
+    shown = "zephyr [left] (BHT012345): paused (discovering) - COM7: there is no such port"
+    assert shown in outcome.out
     row = next(line.split() for line in outcome.out.splitlines() if "4711" in line)
-    assert row == ["p01@zephyr-ecg", "4711", "63", "5"]
+    assert row == ["p01@zephyr-ecg", "4711", "63", "5", "8"]

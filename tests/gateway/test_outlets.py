@@ -124,6 +124,8 @@ def test_text_arrives(unit: str, inlet: OpenInlet) -> None:
         ("ecg", [INF], [0], "infinite"),
         ("acc", [[0, 0, -INF]], [0], "infinite"),
         ("hr", [INF], [0], "infinite"),
+        # Finite as it is given, and infinite in the format of the stream.
+        ("breathing", [1e39], [0], "infinite"),
         ("ibi", [NAN], [0], "irregular"),
         ("quality", [[1] * 6, [NAN] * 6], [0, 1], "irregular"),
         ("hr", [NAN], [0], "no value"),

@@ -154,7 +154,11 @@ DEVICE = '[[device]]\nsensor = "strap"\nunit = "A"\n'
     ("text", "line", "said"),
     [
         ("\n[lsl]\nsesion_id = 'x'", 3, "'lsl.sesion_id' (did you mean 'session_id'?); known keys"),
-        ("\n[lls]\nkey = 1", 2, "'lls' (did you mean 'lsl'?); known keys: lsl, log, power, device"),
+        (
+            "\n[lls]\nkey = 1",
+            2,
+            "'lls' (did you mean 'lsl'?); known keys: lsl, log, power, events, device",
+        ),
         ("[LSL]\nport_range = 1", 1, "'LSL' (did you mean 'lsl'?"),
         ("devices = []", 1, "'devices' (did you mean 'device'?"),
         ("_cli_parse_args = true", 1, "'_cli_parse_args'"),

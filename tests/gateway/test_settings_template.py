@@ -13,6 +13,7 @@ from pydantic import Field
 from biosensor_common.errors import ConfigError, ConfigReason, SpecError
 from biosensor_gateway.settings import (
     DeviceSettings,
+    EventSettings,
     GatewaySettings,
     LslSettings,
     PowerSettings,
@@ -57,6 +58,7 @@ def test_the_template_loads_with_every_example_switched_on(tmp_path: Path) -> No
     settings = load_settings(path, MODELS)
     assert settings.lsl == LslSettings()
     assert settings.power == PowerSettings()
+    assert settings.events == EventSettings()
     assert [type(device) for device in settings.devices] == [StrapSettings, BoxSettings]
     assert settings.devices[1] == BoxSettings(sensor="box", unit="0123456789", port="COM3")
 
@@ -64,7 +66,7 @@ def test_the_template_loads_with_every_example_switched_on(tmp_path: Path) -> No
 def test_the_template_names_and_describes_every_field() -> None:
     text = template(MODELS)
     joined = re.sub(r"\n# ", " ", text)
-    for model in (LslSettings, PowerSettings, StrapSettings, BoxSettings):
+    for model in (LslSettings, PowerSettings, EventSettings, StrapSettings, BoxSettings):
         for key, field in model.model_fields.items():
             assert key == "rate" or f"\n#{key} = " in text
             assert key == "sensor" or str(field.description) in joined

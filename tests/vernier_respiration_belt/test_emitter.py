@@ -143,6 +143,14 @@ def test_a_rate_that_comes_alone_is_placed_at_the_newest_force(belt: Belt, sink:
     assert sink.device_times["bpm"] == sink.device_times["force"][-1:]
 
 
+def test_a_rate_before_the_first_force_has_no_time_and_is_lost(belt: Belt, sink: NotedSink) -> None:
+    belt.send({RATE: [15.0, 16.0]}, MeasurementKind.APERIODIC_REAL32)
+    assert sink.emitted == {}
+    assert sink.losses == {"bpm": 2}
+    belt.send({FORCE: [10.0], RATE: [17.0]})
+    assert sink.values("bpm") == [17.0]
+
+
 @pytest.mark.parametrize(
     "message",
     [

@@ -13,7 +13,19 @@ from typing import Annotated
 import typer
 
 from biosensor_common.errors import ConfigError, GatewayError
-from biosensor_gateway.cli import doctor, installation, looking, running, secrets, settings, xdf
+from biosensor_gateway.cli import (
+    clocks,
+    doctor,
+    installation,
+    looking,
+    readiness,
+    record,
+    running,
+    secrets,
+    settings,
+    withdrawal,
+    xdf,
+)
 
 EXIT_FAILED, EXIT_USAGE = 1, 2
 
@@ -25,14 +37,19 @@ app = typer.Typer(
 )
 app.command()(running.run)
 app.command()(running.stop)
+app.command()(withdrawal.pause)
+app.command()(withdrawal.resume)
 app.command()(running.demo)
 app.command()(looking.status)
+app.command()(clocks.clocks)
+app.command("wait-ready")(readiness.wait_ready)
 app.command()(looking.scan)
 app.command("test")(looking.test)
 app.command()(doctor.doctor)
 app.command("doctor-probe", hidden=True)(doctor.doctor_probe)
 app.add_typer(settings.app, name="config")
 app.add_typer(secrets.app, name="secrets")
+app.add_typer(record.app, name="record")
 app.add_typer(xdf.app, name="xdf")
 app.add_typer(installation.app, name="installation", hidden=True)
 

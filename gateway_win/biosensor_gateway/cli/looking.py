@@ -51,12 +51,13 @@ def _print_status(current: dict[str, Any]) -> None:
         name = " ".join(
             part for part in (device["participant"], device["sensor"], device["label"]) if part
         )
-        line = f"{name} ({device['unit']}): {device['state']}"
+        state = f"paused ({device['state']})" if device["paused"] else device["state"]
+        line = f"{name} ({device['unit']}): {state}"
         console.print(line + (f" - {device['error']}" if device["error"] else ""), markup=False)
-        table = Table("stream", "pushed", "lost", "refused", box=None)
+        columns = ("pushed", "lost", "refused", "withheld")
+        table = Table("stream", *columns, box=None)
         for source_id, counters in device["streams"].items():
-            figures = (counters["pushed"], counters["lost"], counters["refused"])
-            table.add_row(source_id, *(str(figure) for figure in figures))
+            table.add_row(source_id, *(str(counters[column]) for column in columns))
         console.print(table)
 
 

@@ -95,9 +95,10 @@ async def _run_controlled(agent: Agent, folder: Path) -> None:
             running.cancel()
         return {"process": os.getpid()}
 
+    commands = {"stop": stop, **agent.commands}
     async with AsyncExitStack() as stack:
         try:
-            await stack.enter_async_context(ControlServer(folder, {"stop": stop}))
+            await stack.enter_async_context(ControlServer(folder, commands))
         except ConfigError as error:
             _log.warning(str(error))
         await agent.run()

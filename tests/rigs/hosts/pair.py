@@ -34,7 +34,7 @@ SENSORS = (
 CHUNK_LENGTH = 16
 MATCH_TIMEOUT_S = 60.0
 VIRTUAL_UNIT = "virtual"
-_GATEWAY, _COUNTERS = "gateway", "counters"
+_GATEWAY, _COUNTERS, _EVENTS = "gateway", "counters", "events"
 
 
 class Place(NamedTuple):
@@ -65,7 +65,10 @@ def expected_places(agent_host: str, sensors: Sequence[str] = SENSORS) -> dict[s
         for stream in sensor(identity.sensor).streams
     }
     gateway = DeviceIdentity(_GATEWAY, agent_host)
-    return places | {naming.source_id(gateway, _COUNTERS): Place(_topic(gateway, _COUNTERS), "")}
+    return places | {
+        naming.source_id(gateway, data_name): Place(_topic(gateway, data_name), "")
+        for data_name in (_COUNTERS, _EVENTS)
+    }
 
 
 def _topic(identity: DeviceIdentity, data_name: str) -> str:

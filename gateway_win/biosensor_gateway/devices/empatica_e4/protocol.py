@@ -24,6 +24,8 @@ from biosensor_gateway.devices.empatica_e4.messages import (
 )
 
 MAX_LINE_BYTES = 65536
+MAX_TIME_S = 1e11
+"""No clock reads more."""
 SUBSCRIBED = (Stream.ACC, Stream.BVP, Stream.GSR, Stream.IBI, Stream.TMP, Stream.BAT, Stream.TAG)
 
 _WORDS = {
@@ -173,6 +175,8 @@ def _sample(words: list[str], text: str) -> Message:
         if isinstance(number, Flaw):
             return Malformed(number, text)
         numbers.append(number)
+    if not 0 < numbers[0] < MAX_TIME_S:
+        return Malformed(Flaw.BAD_NUMBER, text)
     return Sample(stream, numbers[0], tuple(numbers[1:]))
 
 

@@ -35,7 +35,7 @@ class VernierEmitter:
         self._numbering = Numbering(lambda: sink.clock_state)
         self._force = self._rate = -1
         self._period_s = 1.0
-        self._last_s = 0.0
+        self._last_s: float | None = None
         self._fit = Fit(self._period_s)
         self._rate_valid = 0.0
         self._quality = (math.nan, math.nan)
@@ -83,9 +83,12 @@ class VernierEmitter:
         if count:
             for placed in self._numbering.place(Arrived(message, count, arrival_s)):
                 self._emit(placed)
-        else:
+        elif self._last_s is not None:
             # Belts send both channels together; should one not, the force keeps the time.
             self._emit_rate(message, self._last_s)
+        else:
+            # Before the first force nothing tells when it was.
+            self._sink.lost("bpm", len(message.samples.get(self._rate, ())))
 
     def _emit(self, placed: Placed) -> None:
         if placed.lost:

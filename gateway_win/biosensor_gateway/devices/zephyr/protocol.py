@@ -43,6 +43,8 @@ ACCELERATION_PERIOD_S = 0.02
 _HEADER = struct.Struct("<BHBBI")
 _HEADER_SIZE = 9
 _MS_PER_DAY = 86_400_000
+# No clock reads more; a later one is a clock that is not set.
+_LAST_YEAR = 2999
 
 
 class Request(IntEnum):
@@ -130,7 +132,7 @@ def unpack_10bit(payload: bytes, count: int) -> tuple[int, ...]:
 
 def _header(payload: bytes) -> Header:
     sequence, year, month, day, ms_of_day = _HEADER.unpack_from(payload)
-    if ms_of_day >= _MS_PER_DAY:
+    if ms_of_day >= _MS_PER_DAY or year > _LAST_YEAR:
         return Header(sequence, None)
     try:
         midnight = dt.datetime(year, month, day)  # noqa: DTZ001 - naive, as the device means it

@@ -1,0 +1,74 @@
+"""What happens to the agent and its devices, as markers in the stream ``gateway/events``.
+
+Each marker is one JSON object in a string, without blanks. Every one has
+
+event
+    One of :class:`EventKind`.
+lsl_time
+    LSL time in seconds at which it happened. The marker's stamp is the same time,
+    but never before the stamp of an earlier marker: what is known late (a gap, by its
+    first missing sample) is stamped behind what was said before.
+
+and those of a device also
+
+sensor, unit, participant, label
+    Which one, as in the settings; the last two where they are set.
+
+Besides these:
+
+=================== =========================================================================
+``agent_started``   ``version``
+``agent_stopped``   Comes when the agent is asked to end; a killed one says nothing.
+``heartbeat``       ``agent_started``: LSL time; ``devices``: state of each by
+                    ``sensor/unit``, as ``biosensor-gateway status`` has it, or ``paused``
+``connected``       ``connection``: its number since the agent's start; ``firmware_version``
+                    where it is known
+``disconnected``    ``reason``: ``lost``, ``silent``, ``absent``, ``garbage``, ``no_reply``,
+                    ``refused``, …, or ``failed`` for a fault of the driver
+``gap_start``       At the newest sample before it, of any stream.
+``gap_end``         At the first sample after it. ``lost``: missing samples by data name;
+                    a stream that is not there has none, or none that can be counted.
+                    ``paused``: true, where the gap ends in a pause
+``clock_reanchored`` ``cause``: ``device_backward``, ``below``, ``far_above``,
+                    ``stayed_above`` or ``device_restarted``; ``seconds`` by which the
+                    mapping jumped, where it is known
+``settings_changed`` ``changes``: before and after, as in
+                    ``{"force.rate_hz":[10.0,20.0],"firmware_version":["1.0","1.1"]}``
+``off_body``        ``channel`` of ``quality`` that says so
+``on_body``         the same; also for the first time that it is known
+``paused``          A participant's withdrawal: nothing is sent from here on. ``kept``: true
+                    where the pause is older than the agent
+``resumed``         ``send_from``: LSL time from which on samples are sent
+=================== =========================================================================
+
+The settings file is read once, at the start. So what changes while the agent runs
+is what devices decide: nominal rates and what a device says of itself, told at the
+connection at which they differ from the one before.
+
+While a device is paused, nothing is said that was measured on the body, nor of gaps,
+because nothing is expected. How many samples were withheld is not said either: the
+number of withheld beats is a heart rate.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum, unique
+
+
+@unique
+class EventKind(StrEnum):
+    """What can happen; see the table above."""
+
+    AGENT_STARTED = "agent_started"
+    AGENT_STOPPED = "agent_stopped"
+    HEARTBEAT = "heartbeat"
+    CONNECTED = "connected"
+    DISCONNECTED = "disconnected"
+    GAP_START = "gap_start"
+    GAP_END = "gap_end"
+    CLOCK_REANCHORED = "clock_reanchored"
+    SETTINGS_CHANGED = "settings_changed"
+    OFF_BODY = "off_body"
+    ON_BODY = "on_body"
+    PAUSED = "paused"
+    RESUMED = "resumed"

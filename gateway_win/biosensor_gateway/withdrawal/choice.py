@@ -1,0 +1,53 @@
+"""Which device a person means."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.spec import DeviceIdentity
+
+
+def device_name(identity: DeviceIdentity) -> str:
+    """Return the name that only this device of an agent has, ``sensor/unit``."""
+    return f"{identity.sensor}/{identity.unit}"
+
+
+def chosen(name: str, devices: Iterable[DeviceIdentity]) -> DeviceIdentity:
+    """Return the device of that name.
+
+    Parameters
+    ----------
+    name
+        Its sensor, label, participant or ``sensor/unit``.
+    devices
+        To choose from.
+
+    Raises
+    ------
+    ConfigError
+        ``NOT_FOUND`` if none has it, ``WRONG_VALUE`` if several have; both list
+        the devices that could be meant.
+    """
+    known = list(devices)
+    matching = [each for each in known if device_name(each) == name]
+    if not matching:
+        matching = [
+            each for each in known if name and name in (each.sensor, each.label, each.participant)
+        ]
+    if len(matching) == 1:
+        return matching[0]
+    if matching:
+        message = f"several devices are called {name!r}; say which one: {_listed(matching)}"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    there = f"there are: {_listed(known)}" if known else "there is none"
+    raise ConfigError(ConfigReason.NOT_FOUND, f"no device is called {name!r}; {there}")
+
+
+def _listed(devices: Iterable[DeviceIdentity]) -> str:
+    return ", ".join(_described(each) for each in devices)
+
+
+def _described(identity: DeviceIdentity) -> str:
+    worn = " ".join(part for part in (identity.participant, identity.label) if part)
+    return device_name(identity) + (f" ({worn})" if worn else "")

@@ -1,0 +1,164 @@
+"""A virtual strap is paused and resumed: what a real inlet gets, against what it measured when."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+
+import numpy as np
+import pylsl
+import pytest
+from numpy.typing import NDArray
+
+from biosensor_common import naming
+from biosensor_gateway import supervisor as supervisor_module
+from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
+from biosensor_gateway.outlets import Counters
+from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.supervisor import State
+from biosensor_gateway.withholding import RESUME_GUARD_S
+from tests.rigs.driver_run import Run, streaming
+from tests.rigs.polling import until
+
+ECG_RATE_HZ = 130.0
+JITTER_S = 0.05
+
+Floats = NDArray[np.float64]
+OpenInlet = Callable[[str], pylsl.StreamInlet]
+
+
+class Stage:
+    """One stream of a strap: what it measured, what the driver emitted, what an inlet gets."""
+
+    def __init__(
+        self, strap: SimulatedPolarH10, run: Run, reader: pylsl.StreamInlet, name: str
+    ) -> None:
+        self.run, self._strap, self._reader, self._name = run, strap, reader, name
+
+    @property
+    def counters(self) -> Counters:
+        return self.run.sink.counters[naming.source_id(self.run.sink.identity, self._name)]
+
+    @property
+    def emitted(self) -> Floats:
+        """Stamps that the driver gave, whether the samples were sent or not."""
+        return np.array(self.run.sink.times[self._name])
+
+    async def received(self) -> Floats:
+        """Stop the flow, and return the stamps of all that came."""
+        self.run.sink.pause()
+        stamps: list[float] = []
+
+        def is_complete() -> bool:
+            stamps.extend(self._reader.pull_chunk(timeout=0.0)[1])
+            return bool(stamps) and stamps[-1] >= self.counters.last_stamp
+
+        await until(is_complete)
+        return np.array(stamps)
+
+    def measured(self, stamps: Floats) -> Floats:
+        """Return when samples were measured in truth, by their stamps, which must be unchanged."""
+        index = np.searchsorted(self.emitted, stamps - 1e-6)
+        np.testing.assert_allclose(self.emitted[index], stamps, rtol=0, atol=1e-6)
+        # The strap's first sample is the first that was emitted; nothing was lost on the way.
+        return self._strap.truth.samples(self._name).times[index]
+
+
+Open = Callable[[str], AbstractAsyncContextManager[tuple[Stage, SimulatedPolarH10]]]
+
+
+@pytest.fixture
+def stage(radio: Radio, inlet: OpenInlet, monkeypatch: pytest.MonkeyPatch) -> Open:
+    monkeypatch.setattr(supervisor_module, "PROBE_INTERVAL_S", 0.05)
+
+    @asynccontextmanager
+    async def opened(name: str) -> AsyncGenerator[tuple[Stage, SimulatedPolarH10]]:
+        wearer = Wearer(seed=5, heart_rate_bpm=100)
+        strap = SimulatedPolarH10(radio.world, radio, wearer=wearer, jitter_s=JITTER_S)
+        with strap:
+            async with streaming(strap) as run:
+                await until(run.sink.has(1, name))
+                source = naming.source_id(run.sink.identity, name)
+                yield Stage(strap, run, await asyncio.to_thread(inlet, source), name), strap
+
+    return opened
+
+
+@pytest.mark.parametrize("name", ["ecg", "acc"])
+async def test_nothing_measured_in_the_pause_is_ever_sent(stage: Open, name: str) -> None:
+    async with stage(name) as (stream, _):
+        sink = stream.run.sink
+        attached_s = pylsl.local_clock()
+        await stream.run.goes_on(3, "hr")
+        before = len(stream.emitted)
+        paused_s = pylsl.local_clock()
+        sink.pause()
+        await stream.run.goes_on(3, "hr")
+        assert (stream.counters.pushed, stream.counters.withheld > 0) == (before, True)
+        resumed_s = pylsl.local_clock()
+        sink.resume()
+        await stream.run.goes_on(4, "hr")
+        emitted = stream.emitted
+        stamps = await stream.received()
+        measured = stream.measured(stamps)
+        assert stream.run.supervisor.connections == 1
+        assert (stream.counters.lost, stream.counters.refused) == (0, 0)
+    assert not ((measured > paused_s) & (measured < resumed_s)).any()
+    # All that was emitted before is there, and all that was measured after.
+    assert set(emitted[:before][emitted[:before] > attached_s + 1]) <= set(stamps)
+    later = emitted[emitted > resumed_s + RESUME_GUARD_S + 0.01]
+    assert len(later) > 100
+    assert set(later) <= set(stamps)
+
+
+async def test_it_stays_paused_over_a_drop_out_and_goes_on_in_the_same_outlets(
+    stage: Open,
+) -> None:
+    async with stage("ecg") as (stream, strap):
+        await stream.run.goes_on(2, "hr")
+        before = stream.counters.pushed
+        in_work_s = pylsl.local_clock() - stream.emitted[-1]
+        stream.run.sink.pause()
+        strap.apply(Fault(FaultKind.DROP, 1.0))
+        await until(lambda: stream.run.supervisor.connections == 2)
+        await stream.run.goes_on(2, "hr")
+        await stream.run.goes_on(100, "ecg")
+        assert stream.counters.pushed == before
+        # What was measured just before the pause did get lost; of the pause nothing did.
+        assert stream.counters.lost <= in_work_s * ECG_RATE_HZ + 2
+        stream.run.sink.resume()
+        resumed_s = pylsl.local_clock()
+        await until(lambda: stream.counters.pushed > before + 200)
+        stamps = await stream.received()
+        assert stream.counters.refused == 0
+    after = stamps[stamps > resumed_s]
+    assert len(after) > 200
+    np.testing.assert_allclose(np.diff(after), 1 / ECG_RATE_HZ, rtol=0.02)
+
+
+async def test_of_a_drop_out_that_outlasts_the_pause_only_the_end_is_lost(
+    stage: Open,
+) -> None:
+    async with stage("ecg") as (stream, strap):
+        await stream.run.goes_on(2, "hr")
+        before = stream.counters.pushed
+        stream.run.sink.pause()
+        strap.apply(Fault(FaultKind.DROP, float("inf")))
+        await until(lambda: stream.run.supervisor.state is State.DISCOVERING)
+        paused_s = pylsl.local_clock()
+        await until(lambda: pylsl.local_clock() > paused_s + 4.0)
+        stream.run.sink.resume()
+        resumed_s = pylsl.local_clock()
+        await until(lambda: pylsl.local_clock() > resumed_s + 3.0)
+        strap.clear(FaultKind.DROP)
+        await until(lambda: stream.counters.pushed > before + 100)
+        stamps = await stream.received()
+        lost = stream.counters.lost
+    first_after = stamps[stamps > resumed_s][0]
+    # Of seven seconds and more, those between the pause and the return.
+    missing_s = first_after - resumed_s - RESUME_GUARD_S
+    assert missing_s > 1.5
+    assert lost / ECG_RATE_HZ == pytest.approx(missing_s, abs=1.0)
