@@ -1,0 +1,187 @@
+"""When the devices of an agent count as ready."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import time
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from biosensor_gateway import health
+from biosensor_gateway.readiness import Readiness, steady_streams, wait_until_ready
+from tests.faults import expectations
+
+if TYPE_CHECKING:
+    from tests.gateway.conftest import Outcome
+
+Report = Callable[[int], list[dict[str, Any]]]
+Run = Callable[..., "Outcome"]
+
+DEADLINE_S = 30.0
+SHORT_S = 3.0
+EVERY_S = 0.1
+ECG, BREATHING, ACC = (f"zephyr-1-{name}" for name in ("ecg", "breathing", "acc"))
+STEADY = (ECG, BREATHING, ACC)
+
+
+def device(sensor: str = "zephyr", **more: object) -> dict[str, Any]:
+    known: dict[str, Any] = {
+        "sensor": sensor,
+        "unit": "1",
+        "participant": "",
+        "label": "",
+        "state": "streaming",
+        "error": None,
+        "clock": None,
+        "streams": {},
+    }
+    return known | more
+
+
+def streams(count: int, *sources: str) -> dict[str, Any]:
+    return {source: {"pushed": count, "waited": 0, "rate_hz": 50.0} for source in sources}
+
+
+@contextmanager
+def reporting(state: Path, report: Report, process: Callable[[int], int] = lambda _: 1):  # noqa: ANN201 - a context
+    """Report as an agent does, but ten times as often; ``report`` gets the report's number."""
+    ended = threading.Event()
+
+    def write() -> None:
+        for number in itertools.count():
+            status = {"written": time.time(), "process": process(number), "devices": report(number)}
+            health.write_status(state, status)
+            if ended.wait(EVERY_S):
+                return
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        writer.join()
+
+
+def missing(outcome: Readiness) -> list[tuple[str, tuple[str, ...], str]]:
+    assert not outcome.ready
+    return [(each.device, each.streams, each.why) for each in outcome.missing]
+
+
+@pytest.mark.parametrize("name", expectations.SENSORS)
+def test_waited_for_is_what_the_fault_suite_knows_to_be_steady(name: str) -> None:
+    absent: dict[str, Any] = {"emotiv_insight-1-gyro": {"pushed": 0, "rate_hz": 0.0}}
+    described = device(name, streams=absent if name == "emotiv_insight" else {})
+    expected = [f"{name}-1-{data}" for data in expectations.steady_streams(name)]
+    assert list(steady_streams(described, frozenset())) == expected
+
+
+def test_ready_is_when_all_counters_advance(state: Path) -> None:
+    with reporting(state, lambda n: [device(streams=streams(n, *STEADY))]):
+        outcome = wait_until_ready(state, DEADLINE_S)
+    assert outcome.ready
+    assert (outcome.devices, outcome.streams, outcome.missing) == (1, 3, ())
+
+
+def test_a_state_alone_is_not_believed(state: Path) -> None:
+    with reporting(state, lambda _: [device(streams=streams(4711, *STEADY))]):
+        outcome = wait_until_ready(state, SHORT_S)
+    why = "connected, but not all of its streams deliver samples"
+    assert missing(outcome) == [("zephyr (1)", STEADY, why)]
+    assert outcome.waited_s >= SHORT_S
+
+
+def test_one_silent_stream_is_enough_and_is_named(state: Path) -> None:
+    silent = streams(0, ACC)
+    with reporting(state, lambda n: [device(streams=streams(n, ECG, BREATHING) | silent)]):
+        outcome = wait_until_ready(state, SHORT_S)
+        assert [streams for _, streams, _ in missing(outcome)] == [(ACC,)]
+        # By data name or source_id, it need not be waited for.
+        assert wait_until_ready(state, DEADLINE_S, ["acc"]).ready
+        assert wait_until_ready(state, DEADLINE_S, [ACC]).ready
+
+
+def test_what_stopped_advancing_is_not_ready(state: Path) -> None:
+    begun = time.monotonic()
+
+    def report(number: int) -> list[dict[str, Any]]:
+        stalled = min(number, 10)
+        return [device(streams=streams(number, ECG, BREATHING) | streams(stalled, ACC)),
+                device(unit="2")]  # fmt: skip
+
+    with reporting(state, report):
+        outcome = wait_until_ready(state, 8.0)
+    assert time.monotonic() - begun >= 8.0
+    assert (("zephyr (1)", (ACC,))) in [each[:2] for each in missing(outcome)]
+
+
+def test_a_device_that_is_away_is_named_with_its_error(state: Path) -> None:
+    away = device(unit="2", participant="p01", label="left", state="discovering",
+                  error="COM7: there is no such port")  # fmt: skip
+    with reporting(state, lambda n: [device(streams=streams(n, *STEADY)), away]):
+        ((name, sources, why),) = missing(wait_until_ready(state, SHORT_S))
+    assert name == "p01 zephyr left (2)"
+    assert sources == tuple(f"p01@zephyr.left-{data}" for data in ("ecg", "breathing", "acc"))
+    assert why == "discovering - COM7: there is no such port"
+
+
+def test_a_connection_that_is_lost_is_not_ready_whatever_was_counted(state: Path) -> None:
+    with reporting(state, lambda n: [device(streams=streams(n, *STEADY), state="connecting")]):
+        ((_, _, why),) = missing(wait_until_ready(state, SHORT_S))
+    assert why == "connecting"
+
+
+def test_a_paused_device_is_not_ready(state: Path) -> None:
+    with reporting(state, lambda _: [device(streams=streams(9, *STEADY), paused=True)]):
+        ((_, _, why),) = missing(wait_until_ready(state, SHORT_S))
+    assert "resume" in why
+
+
+def test_a_strap_is_ready_by_what_waits_for_its_first_receiver(state: Path) -> None:
+    def report(number: int) -> list[dict[str, Any]]:
+        quality = {"pushed": 0, "waited": number, "rate_hz": 0.0}
+        return [device("ble_heart_rate", streams={"ble_heart_rate-1-quality": quality})]
+
+    with reporting(state, report):
+        assert wait_until_ready(state, DEADLINE_S).ready
+
+
+def test_another_agent_s_counts_are_not_compared(state: Path) -> None:
+    """One that is restarted every time begins with a higher count, but never counts on."""
+    with reporting(state, lambda n: [device(streams=streams(n, *STEADY))], process=lambda n: n + 1):
+        assert [each[1] for each in missing(wait_until_ready(state, SHORT_S))] == [STEADY]
+
+
+def test_without_an_agent_it_waits_and_says_so(state: Path) -> None:
+    begun = time.monotonic()
+    ((name, _, why),) = missing(wait_until_ready(state, 1.0))
+    assert (name, time.monotonic() - begun >= 1.0) == ("", True)
+    assert "no agent is running" in why
+
+
+def test_an_agent_without_devices_is_never_ready(state: Path) -> None:
+    with reporting(state, lambda _: []):
+        ((_, _, why),) = missing(wait_until_ready(state, 1.0))
+    assert "no enabled device" in why
+
+
+@pytest.fixture
+def away(state: Path) -> Generator[None]:
+    with reporting(state, lambda _: [device(state="backoff", error="the [device] is busy")]):
+        yield
+
+
+@pytest.mark.usefixtures("away")
+def test_the_command_says_what_is_missing_and_fails(run: Run) -> None:
+    outcome = run("wait-ready", "--timeout", "1")
+    assert (outcome.code, outcome.out) == (1, "")
+    assert outcome.err == (
+        "not ready after 1 s:\n- zephyr (1): backoff - the [device] is busy "
+        f"(no samples of {', '.join(STEADY)})\n"
+    )
+    assert run("wait-ready", "--timeout", "-1").code == 2

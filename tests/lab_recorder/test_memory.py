@@ -1,0 +1,60 @@
+"""What is kept of the recording that was started last."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from biosensor_gateway.lab_recorder.memory import (
+    MEMORY_FILE,
+    Remembered,
+    forget,
+    recall,
+    remember,
+)
+
+RECORDING = Remembered("127.0.0.1", 22345, "/data/a.xdf", 1795279855.5)
+
+
+def test_it_is_kept_until_it_is_over(tmp_path: Path) -> None:
+    folder = tmp_path / "not there yet"
+    assert recall(folder, "127.0.0.1", 22345) is None
+    assert remember(folder, RECORDING) == ""
+    assert recall(folder, "127.0.0.1", 22345) == RECORDING
+    assert [path.name for path in folder.iterdir()] == [MEMORY_FILE]
+    forget(folder)
+    forget(folder)
+    assert recall(folder, "127.0.0.1", 22345) is None
+
+
+@pytest.mark.parametrize(
+    ("host", "port", "is_known"),
+    [
+        ("localhost", 22345, True),
+        ("::1", 22345, True),
+        ("127.0.0.1", 22346, False),
+        ("lab-pc", 22345, False),
+    ],
+)
+def test_it_is_that_of_one_labrecorder(
+    tmp_path: Path, host: str, port: int, is_known: bool
+) -> None:
+    remember(tmp_path, RECORDING)
+    assert (recall(tmp_path, host, port) is not None) is is_known
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"{", b"[]", b"\0", b"\xff", b"[" * 100_000, json.dumps({"host": "127.0.0.1"}).encode()],
+)
+def test_what_is_damaged_is_as_nothing(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / MEMORY_FILE).write_bytes(content)
+    assert recall(tmp_path, "127.0.0.1", 22345) is None
+
+
+def test_where_nothing_can_be_written_it_says_what_that_means(tmp_path: Path) -> None:
+    in_the_way = tmp_path / "state"
+    in_the_way.touch()
+    assert "--file" in remember(in_the_way, RECORDING)
