@@ -1,0 +1,124 @@
+"""Runs the targets one after the other, each in a process of its own."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from tests.fuzz.blind import RUNNING
+from tests.fuzz.contract import CORPUS, RAISED, inputs
+
+FINDS = ("crash-", "timeout-", "oom-", "leak-")
+"""What the names of finds begin with."""
+
+# To start and to replay the corpus, also on a machine that is busy with more than this.
+_GRACE_S = 120.0
+_EXECUTED = re.compile(r"stat::number_of_executed_units: (\d+)")
+_COVERED = re.compile(r"cov: (\d+) ")
+_RAISED = re.compile(f"^{RAISED}(.*)$", re.MULTILINE)
+_LONGEST_REASON = 300
+
+
+class Outcome(NamedTuple):
+    """What became of one target.
+
+    Attributes
+    ----------
+    seconds
+        From start to end of its process.
+    executed
+        Inputs that were tried.
+    covered
+        Places of the code that were reached; None without coverage.
+    find
+        The input that broke the contract, None if there is none.
+    reason
+        Why it is a find, or why the target could not be tried; empty if all is well.
+    """
+
+    name: str
+    seconds: float
+    executed: int
+    covered: int | None
+    find: Path | None
+    reason: str
+
+    @property
+    def is_good(self) -> bool:
+        """Whether nothing was found, and something was tried."""
+        return not self.reason
+
+
+def run(
+    names: Sequence[str],
+    seconds: float,
+    folder: Path,
+    *,
+    corpus: Path = CORPUS,
+    blind: bool = False,
+) -> Iterator[Outcome]:
+    """Fuzz each target for its share of the time that is left; start-up counts.
+
+    Parameters
+    ----------
+    folder
+        Where finds, logs and grown corpora go, a folder for each target.
+    corpus
+        Where the inputs to begin with are, a folder for each target.
+    blind
+        Use hypothesis even where atheris runs.
+    """
+    end = time.time() + seconds
+    for place, name in enumerate(names):
+        share = max(0.0, end - time.time()) / (len(names) - place)
+        # Of a target that is named as a module, the last part counts.
+        known = corpus / name.rpartition(".")[2]
+        yield _try(name, share, folder / name, known, blind=blind)
+
+
+def _try(name: str, seconds: float, finds: Path, corpus: Path, *, blind: bool) -> Outcome:
+    finds.mkdir(parents=True, exist_ok=True)
+    old = set(inputs(finds))
+    begin = time.time()
+    command = [sys.executable, "-m", "tests.fuzz.engine", name, str(finds), str(corpus)]
+    command += ["--until", repr(begin + seconds), *(["--blind"] if blind else [])]
+    log = finds / "log.txt"
+    with log.open("wb") as output:
+        try:
+            code = subprocess.run(
+                command, stdout=output, stderr=output, timeout=seconds + _GRACE_S, check=False
+            ).returncode
+        except subprocess.TimeoutExpired:
+            code = None
+    said = log.read_text(encoding="utf-8", errors="replace")
+    new = [path for path in inputs(finds) if path not in old and path.name.startswith(FINDS)]
+    find = new[0] if new else _left_behind(finds)
+    covered = _COVERED.findall(said)
+    executed = _EXECUTED.findall(said)
+    return Outcome(
+        name,
+        time.time() - begin,
+        int(executed[-1]) if executed else 0,
+        int(covered[-1]) if covered else None,
+        find,
+        "" if code == 0 else _reason(code, said, log),
+    )
+
+
+def _left_behind(finds: Path) -> Path | None:
+    """Keep the input at which a process without coverage hung or died."""
+    running = finds / RUNNING
+    return running.rename(finds / f"timeout-{time.time_ns()}") if running.exists() else None
+
+
+def _reason(code: int | None, said: str, log: Path) -> str:
+    if code is None or "ERROR: libFuzzer: timeout" in said:
+        return "it hangs"
+    raised = _RAISED.findall(said)
+    text = raised[-1] if raised else f"its process ended with exit code {code}; see {log}"
+    return text[:_LONGEST_REASON]

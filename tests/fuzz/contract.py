@@ -1,0 +1,119 @@
+"""What a target is, and how it says that the code under test broke its promise."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+import warnings
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn, cast
+
+import structlog
+
+CORPUS = Path(__file__).parent / "corpus"
+DICTIONARY = Path(__file__).parent / "tokens.dict"
+RAISED = "raised: "
+"""What begins the line that says why an input is a find."""
+NAMES = (
+    "ble_heart_rate",
+    "control_request",
+    "counters",
+    "emotiv_cortex",
+    "empatica_e4",
+    "lsl_config",
+    "lsl_header",
+    "naming",
+    "polar_control",
+    "polar_frames",
+    "settings",
+    "shimmer3",
+    "status",
+    "vernier",
+    "xdf",
+    "zephyr",
+)
+"""Every target: a module of `tests.fuzz.targets`, and a folder of the corpus."""
+
+
+class BrokenContractError(AssertionError):
+    """The code under test returned something that must not be."""
+
+
+class Target(NamedTuple):
+    """A reader under test.
+
+    Attributes
+    ----------
+    name
+    check
+        Takes any bytes and returns. Whatever it raises is a find: it lets through no
+        error but those that the reader's documentation names.
+    """
+
+    name: str
+    check: Callable[[bytes], None]
+
+
+def ensure(holds: bool, promise: str, *facts: object) -> None:
+    """Raise `BrokenContractError` if a promise is broken, with the facts that show it."""
+    if not holds:
+        shown = "; ".join(repr(fact) for fact in facts)
+        raise BrokenContractError(f"{promise}: {shown}" if shown else promise)
+
+
+def load(name: str) -> Target:
+    """Import a target: one of `NAMES`, or any module that has a function ``check``.
+
+    Raises
+    ------
+    ImportError
+        If there is no such module.
+    """
+    module = import_module(name if "." in name else f"tests.fuzz.targets.{name}")
+    return Target(name, cast("Callable[[bytes], None]", module.check))
+
+
+def inputs(folder: Path) -> list[Path]:
+    """Return the files of a corpus, in the order of their names; none if it is not there."""
+    return sorted(path for path in folder.glob("*") if path.is_file())
+
+
+def tokens() -> list[bytes]:
+    """Return the words of the dictionary."""
+    lines = DICTIONARY.read_text(encoding="ascii").splitlines()
+    return [line[1:-1].encode() for line in lines if line.startswith('"')]
+
+
+def telling(check: Callable[[bytes], None]) -> Callable[[bytes], None]:
+    """Have a target say in one line what it raises, however its process then ends."""
+
+    def told(data: bytes) -> None:
+        try:
+            check(data)
+        except Exception as error:
+            raised = "".join(traceback.format_exception_only(error)).splitlines()[0]
+            sys.stderr.write(f"{RAISED}{raised}\n")
+            sys.stderr.flush()
+            raise
+
+    return told
+
+
+@contextmanager
+def strictly() -> Generator[None]:
+    """Make every warning an error and keep the logs silent: of odd inputs they say too much."""
+    before = structlog.get_config()
+    structlog.configure(processors=[_drop])
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            yield
+    finally:
+        structlog.configure(**before)
+
+
+def _drop(logger: object, method: str, event: Mapping[str, Any]) -> NoReturn:
+    raise structlog.DropEvent

@@ -1,0 +1,28 @@
+"""The agent's counters, which the node takes from the network and a recording holds.
+
+They are finite numbers, or refused: by the node with a ValueError, by the reader of
+recordings without one.
+"""
+
+from __future__ import annotations
+
+import math
+
+from builtin_interfaces.msg import Time
+
+from lsl_to_ros.messages import counters_message, read_counters
+from tests.fuzz.contract import ensure
+
+
+def check(data: bytes) -> None:
+    """Read one sample, and make its message."""
+    text = data.decode("utf-8", "replace")
+    try:
+        counters = read_counters(text)
+    except ValueError:
+        return
+    for entry in counters.values():
+        ensure(all(map(math.isfinite, entry.values())), "no counter", entry)
+        ensure(entry.keys() == {"pushed", "lost", "last_stamp"}, "other counters", entry)
+    message = counters_message(text, Time())
+    ensure(len(message.status) == len(counters), "not all are told", counters)

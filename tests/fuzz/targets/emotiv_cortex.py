@@ -1,0 +1,82 @@
+"""Messages of Cortex, one a line as WebSocket text.
+
+`parse`, the decoder and the readers of results raise nothing but the ProtocolError that
+they name; what is text can be written anywhere; a sample's numbers are finite or NaN.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from biosensor_common.errors import ConfigError, ProtocolError
+from biosensor_gateway.devices.emotiv_insight import results
+from biosensor_gateway.devices.emotiv_insight.emitter import EmotivEmitter
+from biosensor_gateway.devices.emotiv_insight.headsets import chosen
+from biosensor_gateway.devices.emotiv_insight.messages import Data, Reply, Warned, parse
+from biosensor_gateway.devices.emotiv_insight.protocol import Decoder, Sample
+from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink
+from tests.fuzz.contract import ensure
+
+_READERS: tuple[Callable[[object], object], ...] = (
+    results.version,
+    results.login,
+    results.access_granted,
+    results.token,
+    results.eula_missing,
+    results.session,
+    results.sessions,
+)
+
+
+def check(data: bytes) -> None:
+    """Read the messages in their order, as of one connection."""
+    decoder = Decoder()
+    emitter = EmotivEmitter(CheckedSink("emotiv_insight"))
+    emitter.connected(128.0, 64.0, headset_stayed=True)
+    for number, line in enumerate(data.decode("utf-8", "replace").split("\n")):
+        message = parse(line)
+        match message:
+            case Data():
+                sample = decoder.decode(message)
+                if isinstance(sample, Sample):
+                    _is_sane(sample)
+                    emitter.take(sample, ARRIVAL_S + number)
+            case Reply():
+                _read(message.result, decoder)
+                if message.error is not None:
+                    _can_be_written(message.error.kind.name + message.error.text)
+            case Warned():
+                for text in (message.event.name, message.text, message.headset, message.session):
+                    _can_be_written(text)
+            case _:
+                pass
+
+
+def _is_sane(sample: Sample) -> None:
+    ensure(math.isfinite(sample.time_s), "a sample has no time", sample)
+    ensure(not any(map(math.isinf, sample.numbers.values())), "it is no number", sample)
+
+
+def _read(result: object, decoder: Decoder) -> None:
+    for read in _READERS:
+        try:
+            read(result)
+        except ProtocolError:
+            continue
+    headsets = results.headsets(result)
+    for headset in headsets:
+        _can_be_written(headset.headset_id + headset.name + headset.firmware)
+    try:
+        chosen(headsets, "")
+    except ConfigError as error:
+        _can_be_written(str(error))
+    subscription = results.subscription(result)
+    decoder.subscribed(subscription.session_id, subscription.layouts)
+
+
+def _can_be_written(text: str) -> None:
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        ensure(False, "a text cannot be written", text, error)

@@ -1,0 +1,55 @@
+"""Lines of the E4 streaming server.
+
+Nothing raises; what waits for its line end is no longer than a line may be; samples are
+finite numbers, as many as the stream has; the messages do not depend on how the bytes
+were cut.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from biosensor_gateway.devices.empatica_e4.emitter import E4Emitter
+from biosensor_gateway.devices.empatica_e4.messages import Event, Message, Sample, Stream
+from biosensor_gateway.devices.empatica_e4.protocol import MAX_LINE_BYTES, E4Protocol
+from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink
+from tests.fuzz.contract import ensure
+from tests.fuzz.streams import same_in_any_split
+
+_VALUES = {Stream.ACC: 3, Stream.TAG: 0}
+
+
+def check(data: bytes) -> None:
+    """Read the bytes, and emit the samples."""
+    messages, _ = same_in_any_split(data, _read)
+    for message in messages:
+        if isinstance(message, Sample):
+            ensure(len(message.values) == _VALUES.get(message.stream, 1), "bad count", message)
+            numbers = (message.time_s, *message.values)
+            ensure(all(map(math.isfinite, numbers)), "it is no number", message)
+        elif isinstance(message, Event):
+            ensure(message.device != "", "an event of no device", message)
+    _emit(messages)
+
+
+def _read(pieces: Sequence[bytes]) -> tuple[list[Message], int]:
+    protocol = E4Protocol()
+    found: list[Message] = []
+    for piece in pieces:
+        found += protocol.feed(piece)
+        ensure(protocol.buffered <= MAX_LINE_BYTES, "too much is held back", protocol.buffered)
+    found += protocol.finish()
+    ensure(protocol.buffered == 0, "bytes are left at the end", protocol.buffered)
+    fed = sum(len(piece) for piece in pieces)
+    ensure(0 <= protocol.dropped_bytes <= fed, "more is dropped than came", protocol.dropped_bytes)
+    return found, protocol.dropped_bytes
+
+
+def _emit(messages: Sequence[Message]) -> None:
+    emitter = E4Emitter(CheckedSink("empatica_e4"))
+    for number, message in enumerate(messages):
+        if isinstance(message, Sample):
+            emitter.take([message], ARRIVAL_S + number)
+        elif isinstance(message, Event):
+            emitter.new_epoch()

@@ -1,0 +1,52 @@
+"""A recording, from its bytes to the report on it.
+
+It is read, or refused with a RecordingError; damages are in the order of the file and
+do not overlap; every sample has a stamp; the report can be printed, also as JSON.
+"""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+
+from biosensor_gateway.xdf.container import RecordingError
+from biosensor_gateway.xdf.judging import judge
+from biosensor_gateway.xdf.printing import as_json, as_text
+from biosensor_gateway.xdf.recording import Recording, read_recording
+from tests.fuzz.contract import ensure
+from tests.fuzz.scratch import written
+
+_PACKED = b"\x1f\x8b"
+_MOST_PACKED = 1024
+
+
+def check(data: bytes) -> None:
+    """Check the recording as ``xdf check`` does."""
+    # A file may hold a thousand times its size when it is unpacked, which is no find.
+    if data.startswith(_PACKED) and len(data) > _MOST_PACKED:
+        return
+    try:
+        recording = read_recording(written("study.xdf", data))
+    except RecordingError as error:
+        ensure(str(error) != "", "a refusal without a reason", error)
+        return
+    _is_sane(recording, len(data))
+    report = judge(recording)
+    ensure("study.xdf" in as_text(report), "the report is of no file")
+    told = json.loads(as_json(report))
+    ensure(len(told["streams"]) == len(recording.streams), "not every stream is told", told)
+    ensure(told["good"] == report.is_good, "two verdicts", told)
+
+
+def _is_sane(recording: Recording, size: int) -> None:
+    for before, after in pairwise(recording.damages):
+        ensure(before.end <= after.start, "damages overlap", before, after)
+    for damage in recording.damages:
+        ensure(damage.start <= damage.end <= recording.size, "damaged beyond its end", damage)
+    for stream in recording.streams:
+        ensure(len(stream.stamps) == stream.sample_count, "not every sample has a stamp")
+        ensure(stream.sample_count <= max(size, recording.size), "more samples than bytes")
+        counts = stream.nan_counts
+        ensure(counts.shape == (stream.header.channel_count,), "other channels", counts)
+        within = bool(((counts >= 0) & (counts <= stream.sample_count)).all())
+        ensure(within, "more NaN than samples", counts)

@@ -1,0 +1,129 @@
+"""Every target notices when the code that it guards is broken, with its corpus alone."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from biosensor_gateway.xdf.container import Damage
+from tests.fuzz.contract import CORPUS, NAMES, inputs, load, strictly
+
+DEVICES = "biosensor_gateway.devices"
+Breaking = Callable[[Any], Any]
+"""Makes a broken one of the sound one."""
+
+
+def forgets_what_it_holds(feed: Any) -> Any:
+    def broken(parser: Any, *arguments: Any) -> Any:
+        parser._buffer.clear()
+        return feed(parser, *arguments)
+
+    return broken
+
+
+def ends_too_late(find_damage: Any) -> Any:
+    def broken(*where: Any) -> Damage:
+        damage: Damage = find_damage(*where)
+        return replace(damage, end=damage.end + 1)
+
+    return broken
+
+
+def always(answer: object) -> Breaking:
+    """Something that says the same whatever it is asked."""
+
+    def broken(*arguments: object) -> object:
+        return answer
+
+    return lambda sound: broken
+
+
+def instead(broken: Callable[..., object]) -> Breaking:
+    return lambda sound: broken
+
+
+def any_byte(data: bytes) -> int | None:
+    return data[0] if data else None
+
+
+def any_number(word: str) -> float:
+    return float(word.replace(",", "."))
+
+
+def any_columns(columns: Sequence[object], values: Sequence[object]) -> object:
+    return zip(columns, values, strict=True)
+
+
+def any_setting(offered: object, wanted: Mapping[object, int]) -> object:
+    return dict(wanted)
+
+
+def any_text(text: str) -> str:
+    return text
+
+
+def any_path(scanner: object, path: object, line: int) -> object:
+    return path
+
+
+def any_status(folder: Path) -> object:
+    return json.loads((folder / "status.json").read_text())
+
+
+# Where, what, and how it is broken.
+FAULTS: dict[str, tuple[str, str, Breaking]] = {
+    "ble_heart_rate": (
+        "tests.fuzz.targets.ble_heart_rate",
+        "parse_battery_level",
+        instead(any_byte),
+    ),
+    "control_request": ("biosensor_gateway.control.ControlServer", "_is_token", always(True)),
+    "counters": ("lsl_to_ros.messages", "_finite", instead(float)),
+    "emotiv_cortex": (f"{DEVICES}.emotiv_insight.protocol", "_labelled", instead(any_columns)),
+    "empatica_e4": (f"{DEVICES}.empatica_e4.protocol", "_number", instead(any_number)),
+    "lsl_config": ("biosensor_gateway.lsl_file.LslFile", "adapt", always(None)),
+    "lsl_header": ("biosensor_common.lsl_header", "_channel_texts", always(((), ()))),
+    "naming": ("biosensor_common.naming", "_escape", instead(any_text)),
+    "polar_control": ("tests.fuzz.targets.polar_control", "choose", instead(any_setting)),
+    "polar_frames": (
+        f"{DEVICES}.polar_h10.protocol.timeline.FrameTimeline",
+        "_follows",
+        always(True),
+    ),
+    "settings": ("biosensor_gateway.toml_lines._Scanner", "_note", instead(any_path)),
+    "shimmer3": (f"{DEVICES}.shimmer3_gsr.protocol.ShimmerProtocol", "feed", forgets_what_it_holds),
+    "status": ("tests.fuzz.targets.status", "read_status", instead(any_status)),
+    "vernier": (
+        f"{DEVICES}.vernier_respiration_belt.packets.PacketParser",
+        "feed",
+        forgets_what_it_holds,
+    ),
+    "xdf": ("biosensor_gateway.xdf.container", "_damage", ends_too_late),
+    "zephyr": (f"{DEVICES}.zephyr.frames.FrameParser", "feed", forgets_what_it_holds),
+}
+
+
+def owner(path: str) -> Any:
+    """Import a module, or a class of one."""
+    try:
+        return importlib.import_module(path)
+    except ImportError:
+        module, _, name = path.rpartition(".")
+        return getattr(importlib.import_module(module), name)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_broken_reader_is_found(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    target = load(name)
+    path, attribute, breaking = FAULTS[name]
+    place = owner(path)
+    monkeypatch.setattr(place, attribute, breaking(getattr(place, attribute)))
+    with strictly(), pytest.raises(Exception):  # noqa: B017 - anything is a find
+        for each in inputs(CORPUS / name):
+            target.check(each.read_bytes())
