@@ -37,6 +37,9 @@ CLOCK_OFFSETS_S = {PC: 86_400, OTHER: 0}
 # What a native agent is held to. These devices delay no packet, so that all of it is what
 # clocks and a busy machine may take; the LSL clock of Windows is further off than that.
 STAMP_LIMIT_S = 0.020
+# Of stamps in ROS time in the median. A busy computer delays some of the packets by which
+# clocks are compared; none may be as far off as the clock of Windows.
+HEADER_LIMIT_S, WORST_HEADER_S = 0.005, 0.1
 # Nothing in a reading of the battery says when it was taken, so it has its time of arrival.
 STAMPED_ON_ARRIVAL = ("shimmer3_gsr", "bat")
 ARRIVAL_LIMIT_S = 1.0
@@ -185,10 +188,12 @@ def test_stamps_in_ros_time_are_the_times_of_measuring(
 ) -> None:
     sent = job.truth[_source(*HEADERS[topic])]
     errors = header_errors(sent, job.observation.topics[topic].stamps / 1e9, job.minute)
-    record_property("worst stamp error in ms", round(1000 * float(np.abs(errors).max()), 2))
+    median, worst = (round(1000 * float(f(np.abs(errors))), 2) for f in (np.median, np.max))
+    record_property("stamp error in ms, median and worst", (median, worst))
     # One may be on either side of the begin, and of the end.
     assert abs(len(errors) - np.count_nonzero(job.minute.holds(sent.times))) <= 2
-    assert np.abs(errors).max() <= STAMP_LIMIT_S
+    assert np.median(np.abs(errors)) <= HEADER_LIMIT_S
+    assert np.abs(errors).max() <= WORST_HEADER_S
 
 
 def test_missing_bluetooth_is_said_once_and_the_other_devices_run(job: MainJob) -> None:
