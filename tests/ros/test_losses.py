@@ -209,3 +209,23 @@ def test_a_stream_that_is_attached_again_counts_what_it_missed() -> None:
     link.push([False] * 7)
     link.settle()
     assert link.account.losses == Losses(device=0, transport=7)
+
+
+def test_what_an_outlet_sends_before_it_is_attached_again_is_lost() -> None:
+    link = Link(0)
+    link.settle()
+    again = anew(link)
+    # The agent has started anew, and sends before the node has seen its outlet.
+    again.push([False] * 3)
+    again.settle()
+    assert again.account.losses == Losses(device=0, transport=3)
+
+
+def test_what_was_sent_before_the_node_was_there_is_told_and_not_lost() -> None:
+    link = Link(7)
+    assert link.account.before is None
+    link.settle()
+    assert (link.account.before, link.account.losses) == (7, Losses(device=0, transport=0))
+    again = anew(link)
+    again.settle()
+    assert again.account.before == 7

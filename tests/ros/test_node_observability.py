@@ -92,6 +92,7 @@ def test_the_status_of_a_stream_says_everything_about_it(ros: Ros, flow: Begin) 
         "rate_nominal": "130.00",
         "received": str(count + 2),
         "lost": "3",
+        "sent_before": "0",
         "unfit": "0",
         "unstamped": "0",
         "chunk_discarded": status["chunk_discarded"],

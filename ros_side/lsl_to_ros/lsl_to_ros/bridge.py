@@ -10,11 +10,11 @@ from typing import Any
 from numpy.typing import NDArray
 
 from biosensor_common.stream_header import StreamHeader
-from lsl_to_ros.blocks import Block, Run, part, split
+from lsl_to_ros.blocks import Block, Run, part, pieces, split
 from lsl_to_ros.gaps import Gap, GapFinder
 from lsl_to_ros.liblsl import local_clock
 from lsl_to_ros.parameters import StreamSettings
-from lsl_to_ros.ports import Port
+from lsl_to_ros.ports import PIECE_SAMPLES, Port
 from lsl_to_ros.stamping import Stamping
 from lsl_to_ros.tally import Tally
 from lsl_to_ros.writers import ChunkWriter, Refuse, Writer
@@ -112,7 +112,16 @@ class Bridge:
         return self.settings.raw and any(writer.port.readers for writer in self.outputs.of_samples)
 
     def receive(self, block: Block) -> None:
-        """Publish samples and the chunks that they fill."""
+        """Publish samples and the chunks that they fill; a backlog not faster than it is read."""
+        if len(block.stamps) <= PIECE_SAMPLES:
+            self._receive(block)
+            return
+        for piece in pieces(block, PIECE_SAMPLES):
+            self._receive(piece)
+            for port in self.outputs.ports:
+                port.await_readers()
+
+    def _receive(self, block: Block) -> None:
         sequence = self.tally.received
         self.tally.received += len(block.stamps)
         if self._is_counted_by_agent:

@@ -3,7 +3,8 @@
 Levels of a stream:
 
 * ERROR: its name is not its own, because two units or two streams claim it.
-* STALE: a regular stream, without a sample for 5 s.
+* STALE: a regular stream, without a sample for 5 s; any stream of a computer with an
+  agent, from which nothing at all has come for 1.5 s.
 * WARN: in the last 10 s samples were lost or did not fit their message, or the
   measured rate is more than 10 % off; the sender's clock is not known, or its
   stamps are not LSL times.
@@ -81,6 +82,8 @@ class StreamFacts:
         Since a report first saw the newest sample.
     attached_s
         How long the node has had this stream.
+    trouble
+        What is wrong with the computer that sends it; empty if nothing is.
     """
 
     topic: TopicName
@@ -94,6 +97,7 @@ class StreamFacts:
     unfit_lately: int
     silent_s: float
     attached_s: float
+    trouble: str = ""
 
 
 def stream_facts(
@@ -103,6 +107,7 @@ def stream_facts(
     correction_s: float | None,
     spread_s: float,
     now_s: float,
+    trouble: str = "",
 ) -> StreamFacts:
     """Look at one stream; *now_s* is this machine's LSL clock."""
     tally: Tally = bridge.tally
@@ -120,6 +125,7 @@ def stream_facts(
         unfit_lately=unfit_lately,
         silent_s=health.silence(tally.received),
         attached_s=monotonic() - health.begun_s,
+        trouble=trouble,
     )
 
 
@@ -141,6 +147,7 @@ def stream_status(facts: StreamFacts) -> DiagnosticStatus:
         "rate_nominal": f"{header.rate:.2f}",
         "received": str(tally.received),
         "lost": str(lost),
+        "sent_before": _count(tally.account.before),
         "unfit": str(tally.unfit),
         "unstamped": str(tally.unstamped),
         "chunk_discarded": str(tally.discarded),
@@ -177,6 +184,8 @@ def judge(facts: StreamFacts) -> tuple[bytes, str]:
         return DiagnosticStatus.ERROR, "two units of one sensor: give each a label in its settings"
     if facts.topic.duplicate:
         return DiagnosticStatus.ERROR, "two streams claim to be this one"
+    if facts.trouble:
+        return DiagnosticStatus.STALE, facts.trouble
     # Not by the samples' age: their stamps may be old, or of another clock, and keep coming.
     is_silent = facts.silent_s > STALE_AFTER_S or not bridge.last_stamp
     if is_regular and is_silent:
@@ -204,6 +213,10 @@ def _warnings(facts: StreamFacts) -> list[tuple[bool, str]]:
 def _has_foreign_clock(facts: StreamFacts) -> bool:
     mean = facts.delays.mean
     return mean is not None and abs(mean) > CLOCK_TOLERANCE_S
+
+
+def _count(value: int | None) -> str:
+    return "" if value is None else str(value)
 
 
 def _seconds(value: float | None) -> str:

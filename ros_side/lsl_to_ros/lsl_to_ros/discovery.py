@@ -19,6 +19,10 @@ RETRY_FAILED_S = 5.0
 FORGET_AFTER_S = 5.0
 # An outlet that is reported for longer after another took its place is alive.
 ALIVE_AFTER_S = FORGET_AFTER_S + 2.0
+# After a cut, TCP sends again after 6.3 s or 12.7 s, with all that it kept; the tries
+# after that are so far apart that a stream which is seen again is not waited for.
+PATIENCE_S = 14.0
+SEEN_AGAIN_S = 4.0
 STOP_TIMEOUT_S = 1.0
 
 
@@ -34,7 +38,8 @@ class Discovery:
 
     An inlet is given up when its stream is lost or comes back under the same
     source_id, never because the resolver stopped seeing it: a cut network heals
-    by itself, with its backlog.
+    by itself, with its backlog. Where it does not within some seconds after the
+    resolver sees the stream again, the stream is attached anew, without it.
     """
 
     def __init__(self, warn: Callable[[str], None], predicate: str = "") -> None:
@@ -49,6 +54,8 @@ class Discovery:
         self._left_out: dict[str, float] = {}
         self._refused: set[str] = set()
         self._warned: set[str] = set()
+        self._unseen: set[str] = set()
+        self._seen_again: dict[str, float] = {}
 
     @property
     def inlets(self) -> list[Inlet]:
@@ -76,6 +83,7 @@ class Discovery:
         """Open inlets for new streams; return those that became ready or ended."""
         gone = self._ended()
         found = {info.uid(): info for info in self._resolver.results()}
+        gone += [inlet for inlet in self._stranded(found) if inlet not in gone]
         for uid, info in found.items():
             self._order.setdefault(uid, next(self._numbers))
             if self._is_new(uid) and not self._is_superseded(info):
@@ -112,6 +120,29 @@ class Discovery:
             elif wait is not None or self._is_served_otherwise(inlet):
                 ended.append(inlet)
         return ended
+
+    def _stranded(self, found: Mapping[str, pylsl.StreamInfo]) -> list[Inlet]:
+        """Return the inlets whose stream is seen again after a cut, and is not heard."""
+        now = monotonic()
+        for inlet in self.inlets:
+            if inlet.uid not in found:
+                self._unseen.add(inlet.uid)
+                self._seen_again.pop(inlet.uid, None)
+            elif inlet.uid in self._unseen:
+                self._unseen.discard(inlet.uid)
+                self._seen_again[inlet.uid] = now
+        silent = [
+            inlet
+            for inlet in self.inlets
+            if now - self._seen_again.get(inlet.uid, now) > SEEN_AGAIN_S
+            and now - inlet.heard_s > PATIENCE_S
+        ]
+        # What is irregular may have nothing to say; it goes with its computer's other streams.
+        hosts = {inlet.core.hostname for inlet in silent if inlet.core.rate > 0 < inlet.heard_s}
+        stranded = [inlet for inlet in silent if inlet.core.hostname in hosts]
+        for inlet in stranded:
+            self._warn(f"{inlet.core}: seen again after a cut, but not heard; it is opened anew")
+        return stranded
 
     def _is_served_otherwise(self, inlet: Inlet) -> bool:
         """Whether the predicate has changed for a stream since it was announced."""
@@ -168,6 +199,9 @@ class Discovery:
         for record in (self._not_before, self._left_out, self._order):
             for uid in record.keys() - known:
                 del record[uid]
+        self._unseen.intersection_update(self._inlets)
+        for uid in self._seen_again.keys() - self._inlets.keys():
+            del self._seen_again[uid]
         self._refused.intersection_update(found)
         self._warned.intersection_update(found)
 

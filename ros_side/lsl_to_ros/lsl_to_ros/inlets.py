@@ -91,6 +91,8 @@ class Inlet:
         Set once the state is ``READY``.
     is_served
         Whether the node's predicate names it; else it only serves the node itself.
+    heard_s
+        Monotonic time at which something came last, 0 before.
     correction
         Seconds to add to a stamp for this machine's LSL clock; None before the
         first measurement.
@@ -103,6 +105,7 @@ class Inlet:
         self.core = read_core(info)
         self.correction: float | None = None
         self.is_served = True
+        self.heard_s = 0.0
         self._corrections: deque[float] = deque(maxlen=CORRECTIONS_KEPT)
         self._full_info: pylsl.StreamInfo | None = None
         self._warn = warn
@@ -298,6 +301,7 @@ class Inlet:
                 self._deliver(block)
 
     def _deliver(self, block: Block) -> None:
+        self.heard_s = time.monotonic()
         if self.core.format is ChannelFormat.STRING:
             block = Block(decoded(block.samples), block.stamps)
         # The receiver's publishers may be destroyed as soon as it is replaced.

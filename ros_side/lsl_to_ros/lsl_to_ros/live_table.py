@@ -21,6 +21,7 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -79,7 +80,9 @@ class LiveTable(Node):
         self.rows: dict[str, Row] = {}
         self.first_sample: float | None = None
         self.create_subscription(DiagnosticArray, "/diagnostics", self._take_facts, 10)
-        self.create_timer(0.5, self._subscribe)
+        # By the node's own clock it would rest for as long as that is set back.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(0.5, self._subscribe, clock=steady)
 
     def _subscribe(self) -> None:
         types = {kind.value: kind for kind in MessageType}

@@ -57,6 +57,7 @@ class LossAccount:
         self._pulled = 0
         self._recent: deque[float] = deque(maxlen=_RECENT)
         self._base: int | None = None
+        self._before: int | None = None
         self._waiting: deque[_Report] = deque(maxlen=_WAITING)
         self._device = self._transport = 0
         # What was lost of outlets that have ended.
@@ -70,6 +71,15 @@ class LossAccount:
             return None
         earlier = self._earlier
         return Losses(earlier.device + self._device, earlier.transport + self._transport)
+
+    @property
+    def before(self) -> int | None:
+        """Samples that the outlet had sent before this node first attached, None while unknown.
+
+        They are not lost: nobody was there. After a node that was there before, they tell
+        how many came between the two.
+        """
+        return self._before
 
     def pulled(self, stamps: Sequence[float]) -> None:
         """Count samples; the stamps are the sender's, as the agent's report has them."""
@@ -100,7 +110,8 @@ class LossAccount:
         with self._lock:
             self._waiting.clear()
             self._recent.clear()
-            self._pulled, self._base = 0, None
+            # What the new outlet sends before it is attached is lost: the node was there.
+            self._pulled, self._base = 0, 0
             transport = self._earlier.transport + self._transport + undelivered
             self._earlier = Losses(self._earlier.device, transport)
             self._transport = 0
@@ -124,7 +135,7 @@ class LossAccount:
             if later == _RECENT:
                 continue
             if self._base is None:
-                self._base = missing
+                self._base = self._before = missing
             self._transport = missing - self._base
             self._take_device(report.lost)
 

@@ -11,6 +11,7 @@ from types import FrameType
 
 import pylsl
 import rclpy
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -27,6 +28,7 @@ from lsl_to_ros.pump import Pump
 from lsl_to_ros.reporting import Reporting
 from lsl_to_ros.ros_time import RosTime
 from lsl_to_ros.routing import Routing
+from lsl_to_ros.senders import Senders
 
 LOOK_PERIOD_S = 0.1
 REPORT_PERIOD_S = 1.0
@@ -52,10 +54,15 @@ class LslToRos(Node):
         self._routing = Routing(self, prefix, self._stream_parameters, self._ros_time, self._log)
         self._discovery = Discovery(warn, predicate)
         self._pump = Pump(lambda: self._discovery.inlets)
-        self._reporting = Reporting(self, self._routing, self._discovery, self._ros_time, warn)
+        self._senders = Senders(warn, self._log.inform)
+        self._reporting = Reporting(
+            self, self._routing, self._discovery, self._senders, self._ros_time, warn
+        )
         self._stream_parameters.on_change(self._apply_parameters)
-        self.create_timer(LOOK_PERIOD_S, self._look)
-        self.create_timer(REPORT_PERIOD_S, self._reporting.report)
+        # By the node's own clock they would rest for as long as that is set back.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(LOOK_PERIOD_S, self._look, clock=steady)
+        self.create_timer(REPORT_PERIOD_S, self._reporting.report, clock=steady)
         self._stopping = threading.Event()
         threading.Thread(target=self._measure_corrections, daemon=True).start()
 
@@ -85,6 +92,8 @@ class LslToRos(Node):
             self._reporting.list_streams()
         self._routing.count_readers()
         self._pump.look()
+        if self._senders.look(self._discovery.inlets):
+            self._reporting.report()
 
     def _measure_corrections(self) -> None:
         """Clock offsets may take a round trip each, so they are measured beside the data's path."""

@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection
 from math import ceil
 from typing import Any, NamedTuple
 
+from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -16,6 +17,10 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 # still be there; measured with 5 % of all packets lost and with a cut of 6 s.
 DEPTH_S = 30.0
 MIN_RATE_HZ, MAX_DEPTH = 10.0, 100_000
+# A backlog may be longer than any queue, so it goes out in pieces that fit into each, and
+# a piece when the subscribers have the one before; one that has stopped is not waited for.
+PIECE_SAMPLES = 250
+TAKEN_WITHIN_S = 0.5
 
 _POLICIES = (
     QoSPolicyKind.HISTORY,
@@ -55,6 +60,16 @@ class Port:
         self.latched = latched
         self.readers = 0
         self.publisher = publisher
+        self._keeps_up = True
+
+    def await_readers(self) -> None:
+        """Wait until the reliable subscribers have all that was published, but not for long.
+
+        Once one of them has not kept up, it is waited for no more until it has.
+        """
+        if self.readers and not self.latched:
+            limit = Duration(seconds=TAKEN_WITHIN_S if self._keeps_up else 0.0)
+            self._keeps_up = self.publisher.wait_for_all_acked(limit)
 
     @property
     def is_wanted(self) -> bool:

@@ -15,6 +15,7 @@ from lsl_to_ros.outputs import HAS_STAMPED_TOPICS
 from lsl_to_ros.ports import make_publisher
 from lsl_to_ros.ros_time import RosTime
 from lsl_to_ros.routing import Route, Routing
+from lsl_to_ros.senders import Senders
 from lsl_to_ros.stream_list import TOPIC, stream_list
 
 _NO_STAMPS = "biosensor_msgs is not installed: there are no _stamped topics; build it with colcon"
@@ -28,12 +29,14 @@ class Reporting:
         node: Node,
         routing: Routing,
         discovery: Discovery,
+        senders: Senders,
         ros_time: RosTime,
         warn: Callable[[str], None],
     ) -> None:
         self._clock = node.get_clock()
         self._routing = routing
         self._discovery = discovery
+        self._senders = senders
         self._ros_time = ros_time
         self._warn = warn
         self._diagnostics = make_publisher(node, "/diagnostics", DiagnosticArray)
@@ -55,7 +58,7 @@ class Reporting:
         array.header.stamp = self._clock.now().to_msg()
         routes = self._routing.routes
         statuses = [self._node_status(len(routes))]
-        statuses += [entry for route in routes if (entry := _stream_status(route)) is not None]
+        statuses += [entry for route in routes if (entry := self._stream_status(route)) is not None]
         bridges = [
             (self._routing.device_name(route), route.bridge)
             for route in routes
@@ -63,6 +66,21 @@ class Reporting:
         ]
         array.status = [*statuses, *device_statuses(bridges)]
         self._diagnostics.publish(array)
+
+    def _stream_status(self, route: Route) -> DiagnosticStatus | None:
+        if route.bridge is None or route.topic is None:
+            return None
+        inlet = route.inlet
+        facts = stream_facts(
+            route.topic,
+            route.bridge,
+            route.health,
+            inlet.correction,
+            inlet.correction_spread,
+            pylsl.local_clock(),
+            self._senders.trouble(inlet.core.hostname),
+        )
+        return stream_status(facts)
 
     def _node_status(self, streams: int) -> DiagnosticStatus:
         values = {
@@ -75,18 +93,3 @@ class Reporting:
         if HAS_STAMPED_TOPICS:
             return status("node", DiagnosticStatus.OK, f"{streams} streams", values)
         return status("node", DiagnosticStatus.WARN, _NO_STAMPS, values)
-
-
-def _stream_status(route: Route) -> DiagnosticStatus | None:
-    if route.bridge is None or route.topic is None:
-        return None
-    inlet = route.inlet
-    facts = stream_facts(
-        route.topic,
-        route.bridge,
-        route.health,
-        inlet.correction,
-        inlet.correction_spread,
-        pylsl.local_clock(),
-    )
-    return stream_status(facts)

@@ -197,6 +197,10 @@ class Routing:
     def _connect(self, route: Route, topic: TopicName) -> None:
         header, inlet = route.header, route.inlet
         tally = self._record(route).tally
+        if tally.received:
+            # What is lost before it is back counts as lost now.
+            lost = tally.lost(can_estimate=can_estimate_losses(header))
+            route.health.recent(max(lost.count, 0), tally.unfit + tally.unstamped)
         self._parameters.declare(header.identity, header.data_name, header.chunk)
         stamping = Stamping(self._time, lambda: inlet.correction)
         refuse = Refusals(header, tally, self._warn)

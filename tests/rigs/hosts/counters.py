@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from tests.rigs.hosts.completeness import Span
 from tests.rigs.hosts.recordings import Recording
 
+_COUNTERS = ("pushed", "lost", "last_stamp")
 
-def canonical(counters: Mapping[str, Mapping[str, float]]) -> str:
-    """Write counters by source_id such that equal ones are equal texts."""
+
+def canonical(counters: Mapping[str, Mapping[str, Any]]) -> str:
+    """Write counters by source_id such that equal ones are equal texts.
+
+    What else an entry may have, as the state of a device's clock, is left out.
+    """
     floats = {
-        source: {key: float(value) for key, value in entry.items()}
-        for source, entry in counters.items()
+        source: {key: float(entry[key]) for key in _COUNTERS} for source, entry in counters.items()
     }
     return json.dumps(floats, sort_keys=True)
 

@@ -72,6 +72,11 @@ class Program:
             raise ProgramError(f"{self._name} ended with exit code {code}\n{self.last_words}")
 
     @property
+    def pid(self) -> int:
+        """Of the program itself: what leads to its computer has become it."""
+        return self._process.pid
+
+    @property
     def log(self) -> str:
         """What it wrote so far."""
         return self._log.read_text(errors="replace")

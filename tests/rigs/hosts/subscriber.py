@@ -151,7 +151,8 @@ class Subscriber:
 
     def _take_diagnostics(self, message: DiagnosticArray) -> None:
         facts = {
-            status.name: {item.key: item.value for item in status.values}
+            status.name: {"level": status.level.hex(), "message": status.message}
+            | {item.key: item.value for item in status.values}
             for status in message.status
         }
         by_topic = {entry["topic"]: entry for entry in facts.values() if "topic" in entry}
