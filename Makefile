@@ -1,6 +1,7 @@
 # make demo [SECONDS=20]   the pair end to end, with a virtual device of every kind
 # make test                checks and tests; needs no root, no ROS, no second step
 # make test-system         what needs root or system packages (tests/system/packages.txt)
+# make faults [LONG=1]     every fault as long as in a lab; LONG: 12 hours of steady streaming
 # make fuzz [SECONDS=60]   every parser, with inputs that nobody thought of
 # make installer           the Windows installer, built under Wine (needs the same packages)
 # make check, make bench, make format, make docs, make lock
@@ -11,7 +12,7 @@ SECONDS :=
 # Each of these fills a small machine; side by side they would disturb each other's clocks.
 ALONE := tests/e2e tests/faults tests/peers tests/ros
 
-.PHONY: demo test test-system fuzz installer check bench format docs lock venv-ros venv-dev venv-peers
+.PHONY: demo test test-system faults fuzz installer check bench format docs lock venv-ros venv-dev venv-peers
 
 demo: venv-ros
 	.venv/bin/biosensor-gateway demo $(if $(SECONDS),--seconds $(SECONDS))
@@ -25,6 +26,9 @@ test: check venv-peers
 
 test-system: venv-dev installer
 	$(RUN) pytest -m system
+
+faults: venv-dev
+	BIOSENSOR_GATEWAY_FAULTS=long $(if $(LONG),BIOSENSOR_GATEWAY_STEADY_S=43200) $(RUN) pytest tests/faults
 
 fuzz: venv-dev
 	$(RUN) tests.fuzz --seconds $(or $(SECONDS),60)

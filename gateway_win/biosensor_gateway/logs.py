@@ -24,6 +24,7 @@ from biosensor_gateway.settings import STATE_VARIABLE, LogSettings
 LOG_FILE_NAME = "biosensor-gateway.log"
 
 _OWN_LOGGER = "biosensor_gateway"
+_log = structlog.get_logger("biosensor_gateway.logs")
 _HANDLER_PREFIX = "biosensor-gateway."
 _MASK = "***"
 _SENSITIVE = r"(?:secret|passw|token|client_?id|api_?key|credential|authorization)"
@@ -113,10 +114,35 @@ def _console_handlers() -> list[logging.Handler]:
     return [handler]
 
 
+class _LogFile(RotatingFileHandler):
+    """A log file that says once when it cannot be written, and is tried again with each record."""
+
+    _is_failing = _has_failed = False
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._has_failed = False
+        super().emit(record)
+        self._is_failing = self._has_failed
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - the base class's name
+        error = sys.exception()
+        if not isinstance(error, OSError):
+            super().handleError(record)
+            return
+        if not self._is_failing:
+            # Before it is logged, because this file is asked to take it, too.
+            self._is_failing = True
+            _log.warning(
+                f"cannot write the log file {self.baseFilename}: {error.strerror or error}; "
+                "streaming goes on without it"
+            )
+        self._has_failed = True
+
+
 def _file_handler(settings: LogSettings, folder: Path) -> logging.Handler:
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        handler = RotatingFileHandler(
+        handler = _LogFile(
             folder / LOG_FILE_NAME,
             maxBytes=settings.max_bytes,
             backupCount=settings.keep_files,

@@ -14,7 +14,7 @@ from lsl_to_ros.blocks import Block, Run, part, pieces, split
 from lsl_to_ros.gaps import Gap, GapFinder
 from lsl_to_ros.liblsl import local_clock
 from lsl_to_ros.parameters import StreamSettings
-from lsl_to_ros.ports import PIECE_SAMPLES, Port
+from lsl_to_ros.ports import Port, piece_samples
 from lsl_to_ros.stamping import Stamping
 from lsl_to_ros.tally import Tally
 from lsl_to_ros.writers import ChunkWriter, Refuse, Writer
@@ -91,6 +91,7 @@ class Bridge:
         self._listen = listen
         self._is_counted_by_agent = not header.foreign
         self._keeps_newest = header.rate == 0 and not header.message_type.is_text
+        self._piece = piece_samples(header.rate)
         self._gaps = GapFinder(header.rate, foreign=header.foreign)
         self._held: deque[Run] = deque(maxlen=HELD_RUNS)
 
@@ -113,10 +114,10 @@ class Bridge:
 
     def receive(self, block: Block) -> None:
         """Publish samples and the chunks that they fill; a backlog not faster than it is read."""
-        if len(block.stamps) <= PIECE_SAMPLES:
+        if len(block.stamps) <= self._piece:
             self._receive(block)
             return
-        for piece in pieces(block, PIECE_SAMPLES):
+        for piece in pieces(block, self._piece):
             self._receive(piece)
             for port in self.outputs.ports:
                 port.await_readers()

@@ -17,9 +17,8 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 # still be there; measured with 5 % of all packets lost and with a cut of 6 s.
 DEPTH_S = 30.0
 MIN_RATE_HZ, MAX_DEPTH = 10.0, 100_000
-# A backlog may be longer than any queue, so it goes out in pieces that fit into each, and
+# A backlog may be longer than any queue, so it goes out in pieces that fill half of one, and
 # a piece when the subscribers have the one before; one that has stopped is not waited for.
-PIECE_SAMPLES = 250
 TAKEN_WITHIN_S = 0.5
 
 _POLICIES = (
@@ -28,6 +27,17 @@ _POLICIES = (
     QoSPolicyKind.RELIABILITY,
     QoSPolicyKind.DURABILITY,
 )
+
+
+def piece_samples(rate: float) -> int:
+    """Return how many samples, of a stream of so many Hz, fill half of its topics' queues."""
+    return queue_depth(rate) // 2
+
+
+def queue_depth(rate: float) -> int:
+    """Return how many messages are kept, of a topic of so many Hz; 0 for an irregular one."""
+    # The rate of another program's stream may be any number.
+    return ceil(min(max(rate, MIN_RATE_HZ) * DEPTH_S, MAX_DEPTH))
 
 
 class TopicTypeError(Exception):
@@ -164,8 +174,7 @@ def make_publisher(
     depth of 1. The overrides are ROS's own, named
     ``qos_overrides.<topic>.publisher.<policy>`` and read when the topic opens.
     """
-    # The rate of another program's stream may be any number.
-    qos = QoSProfile(depth=ceil(min(max(rate, MIN_RATE_HZ) * DEPTH_S, MAX_DEPTH)))
+    qos = QoSProfile(depth=queue_depth(rate))
     if latched:
         qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     return node.create_publisher(

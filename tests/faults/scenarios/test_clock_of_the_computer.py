@@ -1,0 +1,165 @@
+"""The system clock is stepped by an hour, forward and back, under the agent and the node.
+
+Only these two processes see the step: a library in front of theirs answers for the system
+clock. A third program sends samples and knows their true times.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Generator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.faults.agent import AgentProcess
+from tests.faults.recorder import Recorded, Recorder
+from tests.faults.scenarios.figures import Record
+from tests.faults.scenarios.one_computer import ThisMachine
+from tests.faults.scenarios.stepped_clock import SteppedClock
+from tests.rigs.hosts import recordings
+from tests.rigs.hosts.programs import Program, SteeredProgram
+from tests.rigs.hosts.recordings import Recording
+
+# A C compiler is needed.
+pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
+
+FAULT = "system clock stepped by +1 h, then -1 h"
+HOUR_NS = 3600 * 1_000_000_000
+OFFSETS_NS = (0, HOUR_NS, 0)
+# The node measures the clock once a second, a busy one a little later.
+NOTICED_S = 2.0
+STEADY_S = 3.0
+LIMIT_S = 0.002
+DEADLINE_S = 60.0
+SENSOR = "zephyr"
+ECG, ECG_PERIOD_S = "zephyr-virtual-ecg", 0.004
+STAMPED = "/biosensors/empatica_e4/st_temperature"
+
+
+class Phase(NamedTuple):
+    """Between two steps: Unix time at its begin, and what the clock is ahead in it."""
+
+    begin_ns: int
+    offset_ns: int
+
+
+class Stepped(NamedTuple):
+    """What came of it.
+
+    Attributes
+    ----------
+    stamped, true_ns
+        What the subscriber got, and when each numbered sample was sent.
+    ecg, reanchors, lost
+        Of the agent: its samples, and what its status says at the end.
+    """
+
+    phases: list[Phase]
+    stamped: Recording
+    true_ns: NDArray[np.int64]
+    node_log: str
+    ecg: Recorded
+    reanchors: int
+    lost: int
+
+    def errors_s(self, phase: int, begin_s: float) -> NDArray[np.float64]:
+        """Stamp errors of the samples sent in a phase, from some seconds after its begin."""
+        begin_ns = self.phases[phase].begin_ns + round(begin_s * 1e9)
+        ends_ns = [each.begin_ns for each in self.phases[1:]] + [2**62]
+        sent_ns = self.true_ns[self.stamped.rows[:, 0].astype(int)]
+        chosen = (sent_ns >= begin_ns) & (sent_ns < ends_ns[phase])
+        errors_ns = self.stamped.stamps[chosen] - sent_ns[chosen] - self.phases[phase].offset_ns
+        return errors_ns / 1e9
+
+
+@pytest.fixture(scope="module")
+def stepped(tmp_path_factory: pytest.TempPathFactory) -> Generator[Stepped]:
+    folder = tmp_path_factory.mktemp("stepped")
+    here = ThisMachine()
+    with (
+        SteppedClock(folder) as clock,
+        SteeredProgram(here, os.environ, folder, "tests.rigs.hosts.subscriber") as subscriber,
+        SteeredProgram(here, os.environ, folder, "tests.rigs.hosts.sender") as sender,
+        Program(here, {**os.environ, **clock.environment}, folder, "lsl_to_ros.node") as node,
+        AgentProcess(folder, "--simulate", SENSOR, environment=clock.environment) as agent,
+        Recorder({ECG: 1}) as recorder,
+    ):
+        _await_samples(agent, subscriber, recorder)
+        phases = [_step(clock, offset_ns) for offset_ns in OFFSETS_NS]
+        status = agent.status()[SENSOR]
+        yield Stepped(
+            phases,
+            _stamped(subscriber, folder),
+            np.array(sender.ask("sent")),
+            node.log,
+            recorder.recorded(ECG),
+            status["clock"]["reanchors"],
+            sum(each["lost"] for each in status["streams"].values()),
+        )
+
+
+def _await_samples(agent: AgentProcess, subscriber: SteeredProgram, recorder: Recorder) -> None:
+    end = time.monotonic() + DEADLINE_S
+    while not recorder.newest(ECG) or not subscriber.ask("state")["received"].get(STAMPED):
+        assert agent.is_running, agent.console()
+        assert time.monotonic() < end, "nothing flows"
+        time.sleep(0.2)
+
+
+def _step(clock: SteppedClock, offset_ns: int) -> Phase:
+    begin_ns = time.time_ns()
+    clock.set_offset(offset_ns)
+    time.sleep(NOTICED_S + STEADY_S)
+    return Phase(begin_ns, offset_ns)
+
+
+def _stamped(subscriber: SteeredProgram, folder: Path) -> Recording:
+    path = folder / "topics.npz"
+    subscriber.ask("save", path=str(path))
+    return recordings.load(path)[STAMPED]
+
+
+@pytest.mark.parametrize("phase", [1, 2], ids=["forward", "back"])
+def test_the_stamps_follow_the_clock(stepped: Stepped, figures: Record, phase: int) -> None:
+    errors_s = np.abs(stepped.errors_s(phase, NOTICED_S))
+    assert len(errors_s) > STEADY_S
+    what = f"ROS stamp error, steady after the step {'forward' if phase == 1 else 'back'}"
+    figures(FAULT, what, "≤ 2 ms", f"{1000 * errors_s.max():.3f} ms")
+    assert errors_s.max() <= LIMIT_S
+
+
+def test_before_the_step_the_stamps_are_true(stepped: Stepped) -> None:
+    assert np.abs(stepped.errors_s(0, 0.0)).max() <= LIMIT_S
+
+
+def test_the_clock_of_the_node_was_stepped(stepped: Stepped) -> None:
+    """Between step and report the stamps are an hour off, or nothing was stepped."""
+    errors_s = stepped.errors_s(1, 0.0)
+    is_off = np.abs(errors_s) > LIMIT_S
+    np.testing.assert_allclose(errors_s[is_off], -HOUR_NS / 1e9, atol=LIMIT_S)
+    assert is_off.any() or "jumped" in stepped.node_log
+
+
+def test_each_step_is_reported_once(stepped: Stepped, figures: Record) -> None:
+    said = [line for line in stepped.node_log.splitlines() if "the system clock jumped" in line]
+    figures(FAULT, "reports of the node, for two steps", "2", str(len(said)))
+    sizes_s = [float(line.partition("jumped by ")[2].split()[0]) for line in said]
+    np.testing.assert_allclose(sizes_s, [3600.0, -3600.0], atol=LIMIT_S)
+
+
+def test_no_message_is_lost_at_a_step(stepped: Stepped) -> None:
+    assert (np.diff(stepped.stamped.rows[:, 0]) == 1).all()
+
+
+def test_the_lsl_stamps_go_on_evenly(stepped: Stepped, figures: Record) -> None:
+    spacing_s = np.diff(stepped.ecg.times)
+    worst_s = float(np.abs(spacing_s - ECG_PERIOD_S).max())
+    figures(FAULT, "LSL stamps, worst spacing error", "monotone", f"{1000 * worst_s:.3f} ms")
+    assert (spacing_s > 0).all()
+    assert worst_s < ECG_PERIOD_S
+    assert (stepped.reanchors, stepped.lost) == (0, 0)

@@ -1,0 +1,112 @@
+"""Radios that fall silent for two seconds while LabRecorder records.
+
+A reader of the file must not notice more than the gap: pyxdf's defaults draw a straight
+line through the stamps of a regular stream and would smear the gap over all of it, by a
+second at 64 Hz, unless the stream says that it can drop samples.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from biosensor_gateway.simulation.faults import FaultKind
+from tests.faults.agent import AgentProcess
+from tests.faults.expectations import source
+from tests.faults.matching import Places, match
+from tests.faults.recorder import Recorded
+from tests.faults.scenarios.figures import Record
+from tests.faults.scenarios.stage import is_streaming, lab_of, wait_until, write_settings
+from tests.faults.scenarios.xdf import load
+from tests.rigs.lab_client import Samples
+from tests.system.lab_recorder import recording
+
+LIMIT_S = 0.005
+# The twins write when this computer lets them, and what it delays a clock takes for the
+# device's own: after a break the first packets are all that it knows.
+BUSY = 3
+DROP_S = 2.0
+# A clock is as good as it gets from the tenth second on.
+SETTLE_S = 11.0
+BEFORE_S, AFTER_S = 4.0, 6.0
+STREAMS = {
+    4: ("empatica_e4", "st"),
+    64: ("empatica_e4", "bvp"),
+    130: ("polar_h10", "ecg"),
+    250: ("zephyr", "ecg"),
+}
+SENSORS = tuple(dict.fromkeys(name for name, _ in STREAMS.values()))
+FAULT = "2 s radio drop-out, LabRecorder, pyxdf's defaults"
+
+pytestmark = pytest.mark.timeout(240)
+
+
+class Recording(NamedTuple):
+    """One stream as it is in the file, and where each sample is in the device's truth."""
+
+    received: Recorded
+    as_written: Recorded
+    truth: Samples
+    places: Places
+
+    @property
+    def moved_s(self) -> float:
+        """By how much a reader has moved a sample at most."""
+        return float(np.abs(self.received.times - self.as_written.times).max())
+
+    @property
+    def worst_error_s(self) -> float:
+        """How far a sample is from when the device has measured it."""
+        return float(np.abs(self.received.times - self.truth.times[self.places]).max())
+
+    @property
+    def gap_s(self) -> float:
+        return float(np.diff(self.truth.times[self.places]).max())
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Recording]:
+    """What was recorded of the streams, by rate."""
+    folder = tmp_path_factory.mktemp("dropouts")
+    sources = [source(*stream) for stream in STREAMS.values()]
+    with lab_of(SENSORS, folder) as lab:
+        settings = write_settings(folder, lab, {name: name for name in SENSORS})
+        with AgentProcess(folder, *settings, environment=lab.environment) as agent:
+            wait_until(lambda: is_streaming(agent), "streaming devices")
+            time.sleep(SETTLE_S)
+            with recording(folder / "dropout.xdf", sources):
+                time.sleep(BEFORE_S)
+                for name in SENSORS:
+                    lab.apply(name, FaultKind.DROP.value, DROP_S)
+                time.sleep(DROP_S)
+                wait_until(lambda: is_streaming(agent), "devices that stream again")
+                time.sleep(AFTER_S)
+            truths = {name: lab.truth(name) for name in SENSORS}
+    loaded = load(folder / "dropout.xdf")
+    as_written = load(folder / "dropout.xdf", as_written=True)
+    found: dict[int, Recording] = {}
+    for rate, (name, data_name) in STREAMS.items():
+        received, truth = loaded[source(name, data_name)], truths[name][data_name]
+        written = as_written[source(name, data_name)]
+        found[rate] = Recording(received, written, truth, match(received, truth))
+    return found
+
+
+@pytest.mark.parametrize("rate", STREAMS)
+def test_a_gap_moves_no_other_sample(
+    recordings: dict[int, Recording], rate: int, figures: Record
+) -> None:
+    found, (name, data_name) = recordings[rate], STREAMS[rate]
+    figures(
+        FAULT,
+        f"worst stamp error at {rate} Hz ({name}/{data_name})",
+        f"< {1000 * LIMIT_S:g} ms",
+        f"{1000 * found.worst_error_s:.2f} ms, of which pyxdf moved {1000 * found.moved_s:.2f} ms; "
+        f"gap of {found.gap_s:.1f} s",
+    )
+    assert found.gap_s >= DROP_S
+    assert found.moved_s < LIMIT_S
+    assert found.worst_error_s < BUSY * LIMIT_S
