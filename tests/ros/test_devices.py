@@ -44,6 +44,10 @@ class Lab:
         self._bridges.append((device, bridge))
         return self
 
+    def clock(self, **state: float) -> None:
+        """Have the agent tell the clock of the device whose stream was told last."""
+        self._bridges[-1][1].tally.clock = state
+
     def statuses(self) -> dict[str, DiagnosticStatus]:
         statuses = list(device_statuses(self._bridges))
         names = [status.name.removeprefix("lsl_to_ros: device ") for status in statuses]
@@ -65,6 +69,20 @@ def values(status: DiagnosticStatus) -> dict[str, str]:
 
 
 BATTERY = header_of("zephyr", "bat")
+
+
+def test_its_clock_is_what_the_agent_tells_of_it(lab: Lab) -> None:
+    lab.tell("zephyr", header_of("zephyr", "ecg"), 512).clock(
+        offset_s=-1795230819.108032, drift_ppm=3.18, residual_rms_s=0.000271, reanchors=1
+    )
+    status = lab.status()
+    assert status.level == DiagnosticStatus.OK
+    assert values(status) == {
+        "clock/offset_s": "-1795230819.108032",
+        "clock/drift_ppm": "3.18",
+        "clock/residual_rms_s": "0.000271",
+        "clock/reanchors": "1",
+    }
 
 
 def test_a_device_is_described_by_what_its_streams_tell(lab: Lab) -> None:

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from std_msgs.msg import Empty, String
 
+from biosensor_common.device_clock import ClockState
 from biosensor_common.quantities import MessageType
 from biosensor_gateway.outlets import Counters, counters_text
 from lsl_to_ros import messages
@@ -95,6 +96,26 @@ def test_what_the_agent_writes_is_read_again() -> None:
         source_id: {"pushed": its.pushed, "lost": its.lost, "last_stamp": its.last_stamp}
         for source_id, its in written.items()
     }
+
+
+def test_a_device_s_clock_comes_with_the_counters_of_one_of_its_streams() -> None:
+    clock = ClockState(-1795230819.108032, 3.18, 0.000271, 1, 9)
+    text = counters_text({"a": Counters(), "b": Counters()}, {"a": clock})
+    read = messages.read_counters(text)
+    assert messages.clock_of(read["a"]) == {
+        "offset_s": -1795230819.108032,
+        "drift_ppm": 3.18,
+        "residual_rms_s": 0.000271,
+        "reanchors": 1,
+    }
+    assert messages.clock_of(read["b"]) == {}
+
+
+@pytest.mark.parametrize("clock", ["null", "3", '{"offset_s": NaN}'])
+def test_a_clock_that_no_agent_writes_is_a_value_error(clock: str) -> None:
+    text = f'{{"a": {{"pushed": 1, "lost": 0, "last_stamp": 0, "clock": {clock}}}}}'
+    with pytest.raises(ValueError, match=r".+"):
+        messages.read_counters(text)
 
 
 @pytest.mark.parametrize(

@@ -95,7 +95,7 @@ def test_chunk_lengths_may_be_of_every_size() -> None:
         (b"", RecordingReason.NOT_XDF),
         (b"XDF", RecordingReason.NOT_XDF),
         (b"PK\x03\x04 something else", RecordingReason.NOT_XDF),
-        (gzip.compress(b"something else"), RecordingReason.NOT_XDF),
+        (gzip.compress(b"something else", mtime=0), RecordingReason.NOT_XDF),
         (b"\x1f\x8bno gzip at all", RecordingReason.NOT_XDF),
     ],
 )

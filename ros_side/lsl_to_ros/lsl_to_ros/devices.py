@@ -19,7 +19,7 @@ _TOLD = frozenset({ContentType.BATTERY, ContentType.QUALITY, ContentType.RSSI, C
 
 
 def device_statuses(bridges: Iterable[tuple[str, Bridge]]) -> Iterator[DiagnosticStatus]:
-    """Describe each device by battery, contact and signal.
+    """Describe each device by battery, contact, signal, and its clock as the agent tells.
 
     Parameters
     ----------
@@ -33,31 +33,40 @@ def device_statuses(bridges: Iterable[tuple[str, Bridge]]) -> Iterator[Diagnosti
     """
     devices: defaultdict[str, list[Bridge]] = defaultdict(list)
     for name, bridge in bridges:
-        if not bridge.header.foreign and bridge.header.content_type in _TOLD:
+        is_told = bridge.header.content_type in _TOLD or bridge.tally.clock
+        if is_told and not bridge.header.foreign:
             devices[name].append(bridge)
     for name, told in devices.items():
-        values = dict(_values(told))
         level, message = _judge(told)
-        texts = {key: f"{value:g}" for key, value in values.items()}
+        texts = dict(_texts(told))
         yield status(f"device {name}", level, message, texts, told[0].header.identity.unit)
 
 
-def _values(bridges: Iterable[Bridge]) -> Iterator[tuple[str, float]]:
-    """Yield the newest values under their data and channel names."""
+def _texts(bridges: Iterable[Bridge]) -> Iterator[tuple[str, str]]:
+    """Yield the newest values under their data and channel names, and the clock's state."""
     for bridge in bridges:
-        if bridge.newest is not None and not bridge.header.message_type.is_text:
-            for label, value in zip(bridge.header.labels, bridge.newest, strict=True):
-                yield f"{bridge.header.data_name}/{label}", float(value)
+        for key, value in bridge.tally.clock.items():
+            # An offset of years, to the microsecond.
+            yield f"clock/{key}", f"{value:.6f}".rstrip("0").rstrip(".")
+        for label, value in _newest(bridge).items():
+            yield f"{bridge.header.data_name}/{label}", f"{value:g}"
+
+
+def _newest(bridge: Bridge) -> dict[str, float]:
+    """Return what a stream told last of its device, by channel."""
+    header = bridge.header
+    if bridge.newest is None or header.message_type.is_text or header.content_type not in _TOLD:
+        return {}
+    return dict(zip(header.labels, map(float, bridge.newest), strict=True))
 
 
 def _judge(bridges: Iterable[Bridge]) -> tuple[bytes, str]:
     for bridge in bridges:
-        if bridge.newest is None or bridge.header.message_type.is_text:
-            continue
         header = bridge.header
-        for label, unit, value in zip(header.labels, header.units, bridge.newest, strict=True):
+        units = dict(zip(header.labels, header.units, strict=True))
+        for label, value in _newest(bridge).items():
             is_level = header.content_type == ContentType.BATTERY or label == "BatteryPercent"
-            if is_level and unit == Unit.PERCENT and value <= LOW_BATTERY_PERCENT:
+            if is_level and units[label] == Unit.PERCENT and value <= LOW_BATTERY_PERCENT:
                 return DiagnosticStatus.WARN, f"battery at {value:g} %"
             if label in _CONTACT and not math.isnan(value) and value == 0:
                 return DiagnosticStatus.WARN, "not worn"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -24,6 +24,10 @@ from std_msgs.msg import (
 )
 
 from biosensor_common.quantities import MessageType
+
+_CLOCK = "clock_"
+CLOCK_FACTS = ("offset_s", "drift_ppm", "residual_rms_s", "reanchors")
+"""What an agent tells of a device's clock: see `biosensor_common.device_clock.ClockState`."""
 
 CLASSES: dict[MessageType, type[Any]] = {
     MessageType.DIAGNOSTIC_ARRAY: DiagnosticArray,
@@ -86,18 +90,30 @@ def counters_message(text: str, stamp: Time) -> DiagnosticArray:
 def read_counters(text: str) -> dict[str, dict[str, float]]:
     """Read one sample of the agent's counters stream: counters by source_id.
 
+    The entry of one stream of a device has the state of the device's clock as well, under
+    ``clock_`` and the names of `CLOCK_FACTS`.
+
     Raises
     ------
     ValueError
         If it is not what an agent writes.
     """
     try:
-        return {
-            str(source_id): {key: _finite(entry[key]) for key in ("pushed", "lost", "last_stamp")}
-            for source_id, entry in json.loads(text).items()
-        }
+        return {str(source_id): _numbers(entry) for source_id, entry in json.loads(text).items()}
     except (AttributeError, KeyError, OverflowError, RecursionError, TypeError) as error:
         raise ValueError("not the counters of an agent") from error
+
+
+def clock_of(counters: Mapping[str, float]) -> dict[str, float]:
+    """Return the state of a device's clock by `CLOCK_FACTS`, of one entry of the counters."""
+    told = ((key, counters.get(f"{_CLOCK}{key}")) for key in CLOCK_FACTS)
+    return {key: value for key, value in told if value is not None}
+
+
+def _numbers(entry: Any) -> dict[str, float]:  # noqa: ANN401 - whatever JSON holds
+    counters = {key: _finite(entry[key]) for key in ("pushed", "lost", "last_stamp")}
+    clock = entry.get("clock", {})
+    return counters | {f"{_CLOCK}{key}": _finite(clock[key]) for key in CLOCK_FACTS if key in clock}
 
 
 def _finite(number: Any) -> float:  # noqa: ANN401 - whatever JSON holds

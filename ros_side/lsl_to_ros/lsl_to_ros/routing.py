@@ -19,7 +19,6 @@ from lsl_to_ros.bridge import Bridge, Outputs
 from lsl_to_ros.diagnostics import StreamHealth
 from lsl_to_ros.inlets import Inlet
 from lsl_to_ros.limited_log import LimitedLog
-from lsl_to_ros.losses import LossAccount
 from lsl_to_ros.outputs import open_outputs
 from lsl_to_ros.parameters import Parameters, StreamSettings
 from lsl_to_ros.ports import Port, Ports, TopicTypeError
@@ -77,7 +76,7 @@ class Routing:
         self._warn = log.warn
         self._routes: dict[str, Route] = {}
         self._records: dict[tuple[str, str], _Record] = {}
-        self._accounts: dict[str, LossAccount] = {}
+        self._tallies: dict[str, Tally] = {}
         self._seen: set[DeviceIdentity] = set()
         self._newest: list[Route] = []
         self._due: list[Route] = []
@@ -269,7 +268,7 @@ class Routing:
                 self._warn(f"{name}: the stream came back as {_shape_text(shape)}")
             record.uid, record.shape = inlet.uid, shape
         if not header.foreign:
-            self._accounts[inlet.source_id] = record.tally.account
+            self._tallies[inlet.source_id] = record.tally
         return record
 
     def _listener(self, header: StreamHeader) -> Callable[[NDArray[Any]], None] | None:
@@ -283,9 +282,11 @@ class Routing:
         except ValueError:
             return
         for source_id, entry in counters.items():
-            known = self._accounts.get(source_id)
+            known = self._tallies.get(source_id)
             if known is not None:
-                known.reported(int(entry["pushed"]), int(entry["lost"]), entry["last_stamp"])
+                pushed, lost = int(entry["pushed"]), int(entry["lost"])
+                known.account.reported(pushed, lost, entry["last_stamp"])
+                known.clock = messages.clock_of(entry)
 
 
 def _shape_text(shape: tuple[object, ...]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from biosensor_common.stream_header import StreamHeader
@@ -72,6 +72,8 @@ class Tally:
         The agent's count against ours.
     delays
         Since the last report.
+    clock
+        State of the device's clock, by `messages.CLOCK_FACTS`; of one stream of each device.
     """
 
     received: int = 0
@@ -82,6 +84,7 @@ class Tally:
     undelivered: int = 0
     account: LossAccount = field(default_factory=LossAccount)
     delays: Delays = field(default_factory=Delays)
+    clock: Mapping[str, float] = field(default_factory=dict[str, float])
 
     def lost(self, *, can_estimate: bool) -> Lost:
         """By the agent's count, else by an estimate, else unknown."""
