@@ -64,3 +64,30 @@ async def test_a_device_that_bluez_forgets_after_the_scan_is_looked_for_again(
     assert await link.read(SERIAL) == b"0815"
     assert len(attempts) == 2
     await link.close()
+
+
+async def test_a_named_device_that_was_left_connected_is_freed(link: BleLink) -> None:
+    """The first link is that of a program which was killed: nobody closes it."""
+    again = BleLink(choice("1"))
+    await again.open()
+    assert await again.read(SERIAL) == b"0815"
+    assert (await refusal(link.next())).reason is TransportReason.LOST
+    await again.close()
+
+
+@pytest.mark.usefixtures("hurry")
+@pytest.mark.parametrize("device", ["", "2"])
+async def test_no_other_device_is_taken_away(link: BleLink, device: str) -> None:
+    assert (await refusal(BleLink(choice(device)).open())).reason is TransportReason.ABSENT
+    assert await link.read(SERIAL) == b"0815"
+
+
+@pytest.mark.usefixtures("hurry")
+async def test_it_is_taken_once(link: BleLink) -> None:
+    """Whoever connects to it after that has a right to it."""
+    chosen = choice("1")
+    first = BleLink(chosen)
+    await first.open()
+    assert (await refusal(BleLink(chosen).open())).reason is TransportReason.ABSENT
+    assert await first.read(SERIAL) == b"0815"
+    await first.close()

@@ -6,7 +6,10 @@ import asyncio
 import re
 from collections.abc import AsyncIterator, Callable
 
+import structlog
+
 from biosensor_common.errors import ProtocolError, ProtocolReason, TransportError, TransportReason
+from biosensor_gateway.transports import bluez
 from biosensor_gateway.transports.ble_scanner import Sighting, sightings
 from biosensor_gateway.transports.seen import Advertisement
 
@@ -14,6 +17,7 @@ SCAN_S = 10.0
 RIVALS_S = 3.0
 """Devices advertise at least once a second, but radios do not hear every one."""
 
+_log = structlog.get_logger("biosensor_gateway.transports.ble")
 _SEPARATORS = re.compile(r"[\W_]+")
 
 
@@ -49,6 +53,7 @@ class Choice:
         self._kind = kind
         self._device = device
         self._advice = advice
+        self._has_let_go = False
 
     @property
     def what(self) -> str:
@@ -69,6 +74,7 @@ class Choice:
         ProtocolError
             ``REFUSED``: several are in range and none is chosen.
         """
+        await self._let_go_once()
         async with sightings() as heard:
             try:
                 async with asyncio.timeout(SCAN_S):
@@ -77,6 +83,23 @@ class Choice:
                 message = f"{self.what} is not in range; {self._advice}"
                 raise TransportError(TransportReason.ABSENT, message) from error
             return first if self._device else await self._without_rivals(first, heard)
+
+    async def _let_go_once(self) -> None:
+        """Free the chosen device of a connection that an agent which was killed has left.
+
+        BlueZ keeps it, and a device that is connected does not advertise. Later on the
+        connection is one of this agent, and a device that was not named may be somebody's.
+        """
+        if self._has_let_go or not self._device:
+            return
+        self._has_let_go = True
+        for known in await bluez.known_devices():
+            if known.is_connected and self._wants(known.advertisement):
+                _log.warning(
+                    f"{self.what} is still connected to this computer, perhaps by an agent that "
+                    "was killed; it is disconnected first"
+                )
+                await bluez.disconnect(known.path)
 
     async def _without_rivals(self, first: Sighting, heard: AsyncIterator[Sighting]) -> Sighting:
         found = {first.advertisement.address: first}

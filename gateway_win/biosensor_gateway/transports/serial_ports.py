@@ -6,16 +6,14 @@ ports are in the system's language, so nothing is decided by them.
 
 from __future__ import annotations
 
-import asyncio
 import re
 import sys
 from pathlib import Path
-from typing import Any
 
+from biosensor_gateway.transports import bluez
 from biosensor_gateway.transports.seen import SerialPort
 
 SERIAL_PORT_SERVICE = "00001101-0000-1000-8000-00805f9b34fb"
-_DBUS_TIMEOUT_S = 3.0
 # BTHENUM\{00001101-0000-...}_LOCALMFG&0000\7&23456789&0&000666AABBCC_C00000000, and for a port
 # that waits for a caller ...&0&000000000000_00000000
 _WINDOWS_BLUETOOTH = re.compile(r"BTHENUM\\\{00001101-.*&([0-9A-F]{12})_", re.IGNORECASE)
@@ -57,37 +55,11 @@ def _with_remote(port: str, names: dict[str, str]) -> SerialPort:
 
 async def _bluez_names() -> dict[str, str]:
     """Names by address of the paired devices that have a serial service."""
-    from dbus_fast import BusType, DBusError, Message  # noqa: PLC0415 - on Linux only
-    from dbus_fast.aio import MessageBus  # noqa: PLC0415
-
-    question = Message(
-        destination="org.bluez",
-        path="/",
-        interface="org.freedesktop.DBus.ObjectManager",
-        member="GetManagedObjects",
-    )
-    try:
-        async with asyncio.timeout(_DBUS_TIMEOUT_S):
-            bus = await MessageBus(bus_type=BusType.SYSTEM).connect()
-            try:
-                answer = await bus.call(question)
-            finally:
-                bus.disconnect()
-    except (OSError, ValueError, DBusError, TimeoutError, EOFError):
-        # No bus (or nonsense as its address), or no BlueZ: the ports are listed without names.
-        return {}
-    return _paired(answer.body[0]) if answer.signature[:2] == "a{" else {}
-
-
-def _paired(objects: dict[str, Any]) -> dict[str, str]:
-    devices = (each.get("org.bluez.Device1") for each in objects.values())
+    known = ((each.advertisement, each.is_paired) for each in await bluez.known_devices())
     return {
-        device["Address"].value: device["Name"].value
-        for device in devices
-        if device is not None
-        and {"Name", "Paired", "UUIDs"} <= device.keys()
-        and device["Paired"].value
-        and SERIAL_PORT_SERVICE in device["UUIDs"].value
+        device.address: device.name
+        for device, is_paired in known
+        if is_paired and device.name and SERIAL_PORT_SERVICE in device.service_uuids
     }
 
 

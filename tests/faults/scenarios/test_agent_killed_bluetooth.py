@@ -37,7 +37,6 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-@pytest.mark.xfail(reason="a device that is still connected is not found", strict=True)
 def test_a_device_that_was_left_connected_streams_again(tmp_path: Path, figures: Record) -> None:
     with lab_of([STRAP], tmp_path) as lab:
         settings = write_settings(tmp_path, lab, {STRAP: STRAP})

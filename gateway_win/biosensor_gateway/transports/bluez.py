@@ -1,0 +1,87 @@
+"""BlueZ, asked for what bleak does not tell: all devices that this computer knows.
+
+Nothing here raises: on another system, or without BlueZ, there are no devices.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from biosensor_gateway.transports.seen import Advertisement
+
+_SERVICE = "org.bluez"
+_DEVICE = "org.bluez.Device1"
+_TIMEOUT_S = 3.0
+
+
+class KnownDevice(NamedTuple):
+    """A device that is in range, connected, or paired.
+
+    Attributes
+    ----------
+    path
+        BlueZ's name of it.
+    advertisement
+        What it said of itself last.
+    is_connected
+        By whichever program, one that has ended included.
+    is_paired
+    """
+
+    path: str
+    advertisement: Advertisement
+    is_connected: bool
+    is_paired: bool
+
+
+async def known_devices() -> list[KnownDevice]:
+    """List all devices that BlueZ knows."""
+    body = await _call("/", "org.freedesktop.DBus.ObjectManager", "GetManagedObjects", "a{")
+    objects: Mapping[str, Mapping[str, Any]] = body[0] if body else {}
+    return [
+        _known(path, interfaces[_DEVICE])
+        for path, interfaces in objects.items()
+        if "Address" in interfaces.get(_DEVICE, {})
+    ]
+
+
+async def disconnect(path: str) -> None:
+    """End the connection of a device, whoever has made it; it advertises again then."""
+    await _call(path, _DEVICE, "Disconnect", "")
+
+
+def _known(path: str, properties: Mapping[str, Any]) -> KnownDevice:
+    told = {name: variant.value for name, variant in properties.items()}
+    advertisement = Advertisement(
+        told["Address"],
+        told.get("Name", ""),
+        service_uuids=frozenset(told.get("UUIDs", ())),
+        manufacturer_data={
+            company: bytes(data.value) for company, data in told.get("ManufacturerData", {}).items()
+        },
+    )
+    return KnownDevice(path, advertisement, bool(told.get("Connected")), bool(told.get("Paired")))
+
+
+async def _call(path: str, interface: str, member: str, signature: str) -> list[Any]:
+    """Return what BlueZ answers, nothing if it does not or answers something else."""
+    if sys.platform != "linux":
+        return []
+    from dbus_fast import BusType, DBusError, Message  # noqa: PLC0415 - on Linux only
+    from dbus_fast.aio import MessageBus  # noqa: PLC0415
+
+    call = Message(destination=_SERVICE, path=path, interface=interface, member=member)
+    try:
+        async with asyncio.timeout(_TIMEOUT_S):
+            bus = await MessageBus(bus_type=BusType.SYSTEM).connect()
+            try:
+                answer = await bus.call(call)
+            finally:
+                bus.disconnect()
+    except (OSError, ValueError, DBusError, TimeoutError, EOFError):
+        # No bus, nonsense as its address, or no BlueZ.
+        return []
+    return answer.body if answer.signature.startswith(signature) else []
