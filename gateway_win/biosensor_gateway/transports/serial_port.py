@@ -118,6 +118,9 @@ class SerialLink:
         try:
             while not self._traffic.closing:
                 data, arrival = port.read(1), local_clock()
+                if not data and not self._traffic.closing:
+                    # It has no time limit: Windows ends it when the device is pulled out.
+                    raise serial.SerialException("the system has ended the read")
                 try:
                     waiting = port.in_waiting
                     # Not earlier: what comes while this thread waits for its turn would be
