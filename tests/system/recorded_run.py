@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import socket
 import sys
 import time
 from collections.abc import Mapping
@@ -81,7 +82,9 @@ def in_xdf() -> dict[str, str]:
         for topic, stream in declared().items()
     }
     others = {spec.topic: spec.source_id for spec in lsl_sources.SPECS if spec not in NOT_IN_XDF}
-    return devices | others | {lsl_sources.BUTTON_TOPIC: lsl_sources.BUTTON_SOURCE_ID}
+    events = naming.source_id(DeviceIdentity("gateway", socket.gethostname()), "events")
+    agent = {"/biosensors/gateway/events_stamped": events}
+    return devices | others | agent | {lsl_sources.BUTTON_TOPIC: lsl_sources.BUTTON_SOURCE_ID}
 
 
 def record(folder: Path, workspace: Workspace) -> RecordedRun:

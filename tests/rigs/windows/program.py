@@ -17,11 +17,13 @@ from typing import Any, Self
 from biosensor_common.errors import ConfigError
 from biosensor_gateway import health
 from biosensor_gateway.logs import LOG_FILE_NAME
-from installer.wine.prefix import Prefix, windows_path
+from installer.wine.prefix import Prefix, WineError, windows_path
 from tests.rigs.windows.pc import WindowsPc
 
 DEADLINE_S = 60.0
 _POLL_S = 0.05
+# Right after another server of the same Windows has ended, one fails at times.
+_ATTEMPTS = 3
 # The end of its outputs may never come: services that it has started have them, too.
 _LAST_WORDS_S = 5.0
 _UTF8 = {"LC_ALL": "C.UTF-8"}
@@ -40,19 +42,27 @@ def lively(pc: WindowsPc, environment: Mapping[str, str] | None = None) -> Prefi
     """
     variables = {**pc.prefix.environment, **_UTF8, **(environment or {})}
     prefix = replace(pc.prefix, environment=variables)
-    prefix.end()
-    # The first program starts Windows' services, which inherit its outputs and stay, too.
-    for words in (("wineserver", "-p"), ("wine", "cmd", "/c", "exit")):
-        subprocess.run(
-            [*prefix.before, *words],
-            env=prefix.variables,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            check=True,
-            timeout=DEADLINE_S,
-        )
-    return prefix
+    for _ in range(_ATTEMPTS):
+        prefix.end()
+        _run(prefix, "wineserver", "-p")
+        # The first program starts Windows' services, which inherit its outputs and stay, too.
+        if _run(prefix, "wine", "cmd", "/c", "exit") == 0:
+            return prefix
+    raise WineError(f"{prefix.folder}: no program starts")
+
+
+def _run(prefix: Prefix, *words: str) -> int:
+    """Run a command without pipes, because what it starts would keep them open."""
+    ended = subprocess.run(
+        [*prefix.before, *words],
+        env=prefix.variables,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        check=False,
+        timeout=DEADLINE_S,
+    )
+    return ended.returncode
 
 
 def lsl_environment() -> dict[str, str]:
