@@ -14,7 +14,7 @@ from lsl_to_ros.blocks import Block, Run, part, pieces, split
 from lsl_to_ros.gaps import Gap, GapFinder
 from lsl_to_ros.liblsl import local_clock
 from lsl_to_ros.parameters import StreamSettings
-from lsl_to_ros.ports import Port, piece_samples
+from lsl_to_ros.ports import MIN_RATE_HZ, Port, piece_samples
 from lsl_to_ros.stamping import Stamping
 from lsl_to_ros.tally import Tally
 from lsl_to_ros.writers import ChunkWriter, Refuse, Writer
@@ -114,7 +114,8 @@ class Bridge:
 
     def receive(self, block: Block) -> None:
         """Publish samples and the chunks that they fill; a backlog not faster than it is read."""
-        if len(block.stamps) <= self._piece:
+        # Waiting holds up all other streams. Of a slow one no cut leaves more than a queue holds.
+        if self.header.rate < MIN_RATE_HZ or len(block.stamps) <= self._piece:
             self._receive(block)
             return
         for piece in pieces(block, self._piece):
