@@ -8,7 +8,10 @@ import random
 import shutil
 import tempfile
 import uuid
+from collections.abc import Generator
 from pathlib import Path
+
+import pytest
 
 _folder = Path(tempfile.mkdtemp(prefix="biosensor-gateway-tests-"))
 atexit.register(shutil.rmtree, _folder, ignore_errors=True)
@@ -31,3 +34,13 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 os.environ["BIOSENSOR_GATEWAY_STATE"] = str(_folder / "state")
 os.environ["BIOSENSOR_GATEWAY_SETTINGS"] = str(_folder / "settings.toml")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _no_outlet_outlives_its_module() -> Generator[None]:  # pyright: ignore[reportUnusedFunction]
+    """One that does is seen by the tests of the next, and recorded."""
+    from tests.open_outlets import watch_outlets  # noqa: PLC0415 - not before LSL is configured
+
+    with watch_outlets() as outlets:
+        yield
+    assert not outlets.names, "these tests left outlets open"

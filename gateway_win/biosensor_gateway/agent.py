@@ -85,6 +85,7 @@ class Agent:
             for _, sink in self.devices:
                 sink.close()
             await announcer.end()
+            counters.close()
             health.remove_status(self._folder)
 
     def _states(self) -> dict[str, str]:

@@ -174,6 +174,13 @@ class Outlet:
         self._waits = not has_one
         return has_one
 
+    def close(self) -> None:
+        """Destroy the LSL outlet now, whoever still holds this object; it is of no use then.
+
+        The traceback of a task that failed would keep it visible, and be recorded.
+        """
+        del self._outlet
+
     def have_consumers(self) -> bool:
         """Whether anybody receives the stream now."""
         return self._outlet.have_consumers()
@@ -287,6 +294,8 @@ class DeviceOutlets:
 
     def close(self) -> None:
         """Destroy all outlets."""
+        for outlet in self._outlets.values():
+            outlet.close()
         self._outlets.clear()
 
     def release(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Generator, Mapping
 from typing import Any
 
@@ -44,8 +45,10 @@ class NotedAnnouncer(Announcer):
 
 
 @pytest.fixture
-def announcer() -> NotedAnnouncer:
-    return NotedAnnouncer()
+def announcer() -> Generator[NotedAnnouncer]:
+    made = NotedAnnouncer()
+    yield made
+    asyncio.run(made.end())
 
 
 @pytest.fixture

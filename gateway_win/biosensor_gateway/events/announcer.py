@@ -92,8 +92,11 @@ class Announcer:
 
     async def end(self) -> None:
         """Destroy the outlet, when what was announced has been sent."""
-        if self._outlet is not None and self._outlet.have_consumers():
+        if self._outlet is None:
+            return
+        if self._outlet.have_consumers():
             await asyncio.sleep(LINGER_S)
+        self._outlet.close()
         self._outlet = None
 
     @unfailing

@@ -9,6 +9,8 @@ import sys
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.devices.empatica_e4.simulator.client import Client, Hear
 
+_LOOK_EVERY_S = 0.01
+
 
 class Listener:
     """A TCP server whose port stays its own while it is shut.
@@ -32,7 +34,6 @@ class Listener:
         self._hear = hear
         self._socket: socket.socket | None = None
         self._port = 0
-        self._server: asyncio.Server | None = None
         self._serving: asyncio.Task[None] | None = None
         self._is_stalled = False
 
@@ -99,19 +100,23 @@ class Listener:
         self.clients.discard(client)
 
     async def _serve(self, listening: socket.socket) -> None:
-        # In two steps: a server that is cancelled while it starts must be known, to be closed.
-        self._server = await asyncio.get_running_loop().create_server(
-            lambda: Client(self, self._hear), sock=listening, start_serving=False
-        )
-        await self._server.start_serving()
+        # Not by asyncio's server: it loses who is accepted as it closes (`_attach` asserts that
+        # it is open), and so does a `sock_accept` that is cancelled.
+        while True:
+            try:
+                connection, _ = listening.accept()
+            except (BlockingIOError, ConnectionAbortedError):
+                await asyncio.sleep(_LOOK_EVERY_S)
+                continue
+            connection.setblocking(False)
+            await asyncio.get_running_loop().connect_accepted_socket(
+                lambda: Client(self, self._hear), connection
+            )
 
     def _end_serving(self) -> None:
         if self._serving is not None:
             self._serving.cancel()
             self._serving = None
-        if self._server is not None:
-            self._server.close()
-            self._server = None
         if self._socket is not None:
             self._socket.close()
 
