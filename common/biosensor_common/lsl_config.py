@@ -24,6 +24,7 @@ LSL_SESSION = "default"
 _MOST_DIGITS = 9
 # liblsl writes to stderr beside our own log; only what went wrong belongs there.
 _LOG_WARNINGS = -1
+_SEARCH_PAUSES = ("MulticastMinRTT", "UnicastMinRTT")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,11 +39,15 @@ class LslOverrides:
         Hosts to ask directly where multicast does not reach.
     port_range
         Number of ports from 16572 on; without it the user's own, but at least 256.
+    search_pause_s
+        Seconds that a search waits between asking by multicast and asking known peers, and
+        before it asks again; where the user's file says nothing. liblsl's own are 0.5 and 0.75.
     """
 
     session_id: str = ""
     known_peers: tuple[str, ...] = ()
     port_range: int | None = None
+    search_pause_s: float | None = None
 
 
 def config_places(environment: Mapping[str, str], home: Path, folder: Path) -> tuple[Path, ...]:
@@ -88,8 +93,10 @@ def effective_config(user_file: Path | None, overrides: LslOverrides) -> str:
         _set(parser, "lab", "SessionID", overrides.session_id)
     if overrides.known_peers:
         _set(parser, "lab", "KnownPeers", "{" + ", ".join(overrides.known_peers) + "}")
-    if not parser.has_option("log", "level"):
-        _set(parser, "log", "level", str(_LOG_WARNINGS))
+    if overrides.search_pause_s is not None:
+        for key in _SEARCH_PAUSES:
+            _set_default(parser, "tuning", key, str(overrides.search_pause_s))
+    _set_default(parser, "log", "level", str(_LOG_WARNINGS))
     text = io.StringIO()
     parser.write(text)
     return text.getvalue()
@@ -114,6 +121,11 @@ def _own_port_range(parser: configparser.ConfigParser) -> int:
 def whole_number(text: str, default: int) -> int:
     """Read a number of a configuration; the default if it is none, or no C integer."""
     return int(text) if text.isdecimal() and len(text) <= _MOST_DIGITS else default
+
+
+def _set_default(parser: configparser.ConfigParser, section: str, key: str, value: str) -> None:
+    if not parser.has_option(section, key):
+        _set(parser, section, key, value)
 
 
 def _set(parser: configparser.ConfigParser, section: str, key: str, value: str) -> None:

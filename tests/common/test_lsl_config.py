@@ -59,6 +59,13 @@ def test_ours_go_before_the_user_s(tmp_path: Path) -> None:
     assert found["ports"] == {"PortRange": "64"}
 
 
+def test_how_long_a_search_pauses_is_left_to_the_user(tmp_path: Path) -> None:
+    own = "[tuning]\nUnicastMinRTT = 2\n"
+    found = overlaid(own, LslOverrides(search_pause_s=0.1), tmp_path)
+    assert found["tuning"] == {"UnicastMinRTT": "2", "MulticastMinRTT": "0.1"}
+    assert "tuning" not in overlaid("", LslOverrides(), tmp_path)
+
+
 @pytest.mark.parametrize(
     ("own", "effective"), [("512", "512"), ("32", "256"), ("many", "256"), ("-1", "256")]
 )

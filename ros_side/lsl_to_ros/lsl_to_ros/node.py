@@ -33,6 +33,8 @@ from lsl_to_ros.senders import Senders
 LOOK_PERIOD_S = 0.1
 REPORT_PERIOD_S = 1.0
 CORRECTION_PERIOD_S = 1.0
+# Answers that come later count, too. A stream that is new is seen after 0.3 s instead of 0.6 s.
+SEARCH_PAUSE_S = 0.1
 
 
 class LslToRos(Node):
@@ -75,7 +77,8 @@ class LslToRos(Node):
     def _configure_lsl(self) -> None:
         session = node_parameters.declare(self, SESSION_ID)
         peers = node_parameters.declare(self, KNOWN_PEERS)
-        overrides = LslOverrides(session, tuple(peer for peer in peers if peer))
+        known_peers = tuple(peer for peer in peers if peer)
+        overrides = LslOverrides(session, known_peers, search_pause_s=SEARCH_PAUSE_S)
         path = user_config_file(os.environ, Path.home(), Path.cwd())
         pylsl.set_config_content(effective_config(path, overrides))
 
