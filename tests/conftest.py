@@ -8,7 +8,6 @@ import random
 import shutil
 import tempfile
 import uuid
-from collections.abc import Generator
 from pathlib import Path
 
 import pytest
@@ -37,10 +36,9 @@ os.environ["BIOSENSOR_GATEWAY_SETTINGS"] = str(_folder / "settings.toml")
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _no_outlet_outlives_its_module() -> Generator[None]:  # pyright: ignore[reportUnusedFunction]
-    """One that does is seen by the tests of the next, and recorded."""
-    from tests.open_outlets import watch_outlets  # noqa: PLC0415 - not before LSL is configured
+def _no_outlet_is_left_from_before() -> None:  # pyright: ignore[reportUnusedFunction]
+    """A module's tests would see it, and record it."""
+    from tests.open_outlets import open_outlets, watch_outlets  # noqa: PLC0415 - LSL comes later
 
-    with watch_outlets() as outlets:
-        yield
-    assert not outlets.names, "these tests left outlets open"
+    watch_outlets()
+    assert not open_outlets(), "the tests before these left outlets open"

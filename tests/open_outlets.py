@@ -2,42 +2,37 @@
 
 from __future__ import annotations
 
+import gc
 import weakref
-from collections.abc import Generator
-from contextlib import contextmanager
+from functools import cache
 
 import pylsl
-import pytest
+
+_made: list[tuple[weakref.ref[pylsl.StreamOutlet], str]] = []
 
 
-class OpenOutlets:
-    """Those that were made while it watched."""
-
-    def __init__(self) -> None:
-        self._made: list[tuple[weakref.ref[pylsl.StreamOutlet], str]] = []
-
-    def add(self, outlet: pylsl.StreamOutlet, info: pylsl.StreamInfo) -> None:
-        """Note one that was made."""
-        self._made.append((weakref.ref(outlet), info.source_id() or info.name()))
-
-    @property
-    def names(self) -> list[str]:
-        """What is still open, by source_id."""
-        return [name for outlet, name in self._made if outlet() is not None]
-
-
-@contextmanager
-def watch_outlets() -> Generator[OpenOutlets]:
-    """Note the outlets that are made meanwhile."""
-    watched = OpenOutlets()
+@cache
+def watch_outlets() -> None:
+    """Note every outlet that is made from now on."""
     make = pylsl.StreamOutlet.__init__
 
     def noting(
         self: pylsl.StreamOutlet, info: pylsl.StreamInfo, *arguments: int, **named: int
     ) -> None:
         make(self, info, *arguments, **named)
-        watched.add(self, info)
+        _made.append((weakref.ref(self), info.source_id() or info.name()))
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pylsl.StreamOutlet, "__init__", noting)
-        yield watched
+    pylsl.StreamOutlet.__init__ = noting
+
+
+def open_outlets() -> list[str]:
+    """Return what is still open, by source_id."""
+    if _still_open():
+        # What a test put into a cycle, such as an error and what raised it, is no leak.
+        gc.collect()
+    _made[:] = _still_open()
+    return [name for _, name in _made]
+
+
+def _still_open() -> list[tuple[weakref.ref[pylsl.StreamOutlet], str]]:
+    return [one for one in _made if one[0]() is not None]

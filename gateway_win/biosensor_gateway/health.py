@@ -14,6 +14,7 @@ from typing import Any
 
 from pylsl import local_clock
 
+from biosensor_common import naming
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.sink import DeviceSink
 from biosensor_gateway.supervisor import Supervisor
@@ -35,6 +36,7 @@ def snapshot(devices: Iterable[tuple[Supervisor, DeviceSink]]) -> dict[str, Any]
 
 def _device(supervisor: Supervisor, sink: DeviceSink) -> dict[str, Any]:
     identity, clock = sink.identity, asdict(sink.clock_state)
+    silent = {naming.source_id(identity, data_name) for data_name in sink.silent}
     return {
         **asdict(identity),
         "state": supervisor.state.value,
@@ -45,7 +47,11 @@ def _device(supervisor: Supervisor, sink: DeviceSink) -> dict[str, Any]:
         # JSON knows no NaN; before the first packet there is nothing to say.
         "clock": clock if isfinite(clock["offset_s"]) else None,
         "streams": {
-            source: {**asdict(counters), "rate_hz": sink.nominal_rates[source]}
+            source: {
+                **asdict(counters),
+                "rate_hz": sink.nominal_rates[source],
+                "silent": source in silent,
+            }
             for source, counters in sink.counters.items()
         },
     }

@@ -166,7 +166,8 @@ def steady_streams(device: Mapping[str, Any], excluded: frozenset[str]) -> tuple
         if source in excluded or stream.data_name in excluded:
             continue
         # What the device told at its connection counts: some have a stream only in name.
-        rate = open_streams.get(source, {}).get("rate_hz", stream.rate)
+        told = open_streams.get(source, {})
+        rate = 0 if told.get("silent") else told.get("rate_hz", stream.rate)
         if rate != 0 and not stream.message_type.is_text:
             steady.append(source)
         elif stream.data_name == _QUALITY:

@@ -66,11 +66,14 @@ class DeviceSink:
     ----------
     observer
         Is told what happens; None for nobody.
+    silent
+        Data names of the streams that the settings switch off.
     """
 
     def __init__(self, identity: DeviceIdentity) -> None:
         self.identity = identity
         self.observer: SinkObserver | None = None
+        self.silent: frozenset[str] = frozenset()
         self._clock = DeviceClock()
         self._outlets = DeviceOutlets(identity)
         self._stamps: dict[str, MonotonicStamps] = {}

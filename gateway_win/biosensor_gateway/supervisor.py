@@ -112,6 +112,7 @@ class Supervisor:
             driver = self._make_driver()
             self._enter(State.CONNECTING)
             connected = await driver.connect()
+            self._sink.silent = connected.silent
             self._sink.open(connected.info, connected.rates)
             self.connections += 1
             self.last_error = None

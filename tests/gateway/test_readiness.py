@@ -151,6 +151,16 @@ def test_a_strap_is_ready_by_what_waits_for_its_first_receiver(state: Path) -> N
         assert wait_until_ready(state, DEADLINE_S).ready
 
 
+def test_a_stream_that_the_settings_switched_off_is_not_waited_for(state: Path) -> None:
+    def report(number: int) -> list[dict[str, Any]]:
+        silent = {source: each | {"silent": True} for source, each in streams(0, STEADY[0]).items()}
+        return [device(streams=streams(number, *STEADY[1:]) | silent)]
+
+    with reporting(state, report):
+        outcome = wait_until_ready(state, DEADLINE_S)
+    assert (outcome.ready, outcome.streams) == (True, len(STEADY) - 1)
+
+
 def test_another_agent_s_counts_are_not_compared(state: Path) -> None:
     """One that is restarted every time begins with a higher count, but never counts on."""
     with reporting(state, lambda n: [device(streams=streams(n, *STEADY))], process=lambda n: n + 1):

@@ -105,9 +105,11 @@ def driver_of(*links: ScriptedLink) -> PolarH10Driver:
     emitter = PolarEmitter(DeviceSink(DeviceIdentity("polar_h10", "scripted")))
     wanted = [Wanted(Measurement.ECG, {Setting.SAMPLE_RATE: 130})]
     rest = iter(links)
-    return PolarH10Driver(
-        lambda: PolarSession(cast("BleLink", next(rest)), emitter, wanted), emitter
-    )
+
+    def meet() -> PolarSession:
+        return PolarSession(cast("BleLink", next(rest)), emitter, wanted)
+
+    return PolarH10Driver(meet, emitter, frozenset({"acc"}))
 
 
 async def test_a_reply_may_come_in_several_packets() -> None:

@@ -83,6 +83,8 @@ async def test_what_is_not_wanted_is_not_started(sensor: Twins) -> None:
         await until(run.sink.has(2, "hr", "ibi"))
     assert (run.sink.rows["ecg"], run.sink.rows["acc"]) == ([], [])
     assert "ecg" not in h10.truth.data_names
+    async with connected(sensor(), ecg=False) as info:
+        assert (info.silent, set(info.rates)) == ({"ecg"}, {"acc"})
 
 
 async def test_the_strap_may_be_taken_off_and_put_on_again(sensor: Twins) -> None:

@@ -17,10 +17,13 @@ class Connected:
     ----------
     rates
         Nominal rate in Hz by data name, for streams declared ``FROM_DEVICE``.
+    silent
+        Data names of the streams that the settings switch off.
     """
 
     info: DeviceInfo = field(default_factory=DeviceInfo)
     rates: Mapping[str, float] = field(default_factory=dict[str, float])
+    silent: frozenset[str] = frozenset()
 
 
 class Driver(Protocol):

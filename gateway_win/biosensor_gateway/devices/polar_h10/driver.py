@@ -17,10 +17,11 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
+from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices import DriverEntry
 from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.polar_h10.discovery import identify, recognise
-from biosensor_gateway.devices.polar_h10.emitter import PolarEmitter
+from biosensor_gateway.devices.polar_h10.emitter import DATA_NAMES, PolarEmitter
 from biosensor_gateway.devices.polar_h10.measurements import Wanted
 from biosensor_gateway.devices.polar_h10.protocol.control_point import Measurement, Setting
 from biosensor_gateway.devices.polar_h10.session import PolarSession
@@ -70,13 +71,18 @@ class PolarH10Driver:
     meet
         Makes the session; a second time where the device demands to be paired.
     emitter
+    silent
+        Data names of the streams that the settings switch off.
     """
 
     # A heart rate comes every second, every 5 s from an optical sensor.
     silence_limit_s = 15.0
 
-    def __init__(self, meet: Callable[[], PolarSession], emitter: PolarEmitter) -> None:
+    def __init__(
+        self, meet: Callable[[], PolarSession], emitter: PolarEmitter, silent: frozenset[str]
+    ) -> None:
         self._meet = meet
+        self._silent = silent
         self._session = meet()
         self._emitter = emitter
 
@@ -89,7 +95,7 @@ class PolarH10Driver:
                 raise
             _log.info("pairing, because the device does not answer unpaired", cause=str(error))
         else:
-            return Connected(info, self._emitter.rates)
+            return self._connected(info)
         # The attempt may have cost the connection, and BlueZ has tried to pair by itself.
         await self._session.close()
         self._session = self._meet()
@@ -97,7 +103,7 @@ class PolarH10Driver:
             info = await self._session.open(pair=True)
         except GatewayError as error:
             raise _pairing_failure(error, self._session) from error
-        return Connected(info, self._emitter.rates)
+        return self._connected(info)
 
     async def stream(self) -> None:
         """Emit what came while connecting, then all that comes; see the protocol class."""
@@ -106,6 +112,9 @@ class PolarH10Driver:
     async def close(self) -> None:
         """Stop all measurements, without waiting for the replies, and disconnect."""
         await self._session.close()
+
+    def _connected(self, info: DeviceInfo) -> Connected:
+        return Connected(info, self._emitter.rates, self._silent)
 
 
 def _pairing_failure(error: GatewayError, session: PolarSession) -> GatewayError:
@@ -138,11 +147,12 @@ def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], PolarH10Dr
     emitter = PolarEmitter(sink)
     choice = Choice(identify, "Polar H10", settings.device, _ADVICE)
     wanted = _wanted(settings)
+    silent = frozenset(DATA_NAMES.values()) - {DATA_NAMES[each.measurement] for each in wanted}
 
     def meet() -> PolarSession:
         return PolarSession(BleLink(choice, pair_first=settings.pair), emitter, wanted)
 
-    return lambda: PolarH10Driver(meet, emitter)
+    return lambda: PolarH10Driver(meet, emitter, silent)
 
 
 DRIVER = DriverEntry(PolarH10Settings, _make, recognise=recognise)
