@@ -15,12 +15,13 @@ from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway import health
 from biosensor_gateway.control import Command
+from biosensor_gateway.counters import Counters, counters_text
 from biosensor_gateway.devices import driver
 from biosensor_gateway.events import EventKind
 from biosensor_gateway.events.announcer import Announcer
 from biosensor_gateway.events.device import DeviceEvents
 from biosensor_gateway.keep_awake import KeepAwake, system_inhibitor
-from biosensor_gateway.outlets import Counters, Outlet, configure_lsl, counters_text
+from biosensor_gateway.outlets import Outlet, configure_lsl
 from biosensor_gateway.settings import DeviceSettings, GatewaySettings, LslSettings
 from biosensor_gateway.sink import DeviceSink
 from biosensor_gateway.supervisor import State, Supervisor

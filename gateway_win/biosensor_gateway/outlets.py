@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,12 +17,12 @@ import pylsl
 from numpy.typing import ArrayLike, NDArray
 
 from biosensor_common import naming
-from biosensor_common.device_clock import ClockState
 from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
 from biosensor_common.lsl_header import describe
 from biosensor_common.quantities import ChannelFormat, ContentType
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, StreamSpec
+from biosensor_gateway.counters import Counters
 
 # A stamp further off is not on the LSL clock at all (unix time, device time).
 MAX_STAMP_ERROR_S = 30.0
@@ -57,34 +56,6 @@ def configure_lsl(overrides: LslOverrides) -> Path | None:
     path = user_config_file(os.environ, Path.home(), Path.cwd())
     pylsl.set_config_content(effective_config(path, overrides))
     return path
-
-
-@dataclass(slots=True)
-class Counters:
-    """What happened to one stream's samples on their way into LSL.
-
-    Attributes
-    ----------
-    pushed
-        Samples handed to LSL.
-    lost
-        Samples that the device measured and that never reached the agent.
-    refused
-        Samples that failed the check of range, shape or stamp.
-    last_stamp
-        LSL time of the newest sample, 0 before the first.
-    withheld
-        Samples that reached the agent and were not sent, because of a pause.
-    waited
-        Samples that came before the first receiver; the newest of them are pushed to it.
-    """
-
-    pushed: int = 0
-    lost: int = 0
-    refused: int = 0
-    last_stamp: float = 0.0
-    withheld: int = 0
-    waited: int = field(default=0, compare=False)
 
 
 class Outlet:
@@ -321,40 +292,3 @@ class DeviceOutlets:
         """Nominal rates in Hz by source_id, 0 of irregular streams."""
         outlets = self._outlets.values()
         return {each.source_id: each.nominal_rate for each in outlets}
-
-
-def counters_text(
-    counters: Mapping[str, Counters], clocks: Mapping[str, ClockState] | None = None
-) -> str:
-    """Sample of the ``counters`` stream: JSON, by source_id.
-
-    A device's clock is in the entry of one of its streams, if it has one.
-
-    The node compares ``pushed`` with what it pulled up to ``last_stamp``. What a pause
-    withholds is not told: the number of beats in a second is a heart rate.
-    """
-    return json.dumps(
-        {
-            source_id: {
-                "pushed": c.pushed,
-                "lost": c.lost,
-                "last_stamp": c.last_stamp,
-                **_clock_entry((clocks or {}).get(source_id)),
-            }
-            for source_id, c in counters.items()
-        },
-        separators=(",", ":"),
-    )
-
-
-def _clock_entry(clock: ClockState | None) -> dict[str, dict[str, float]]:
-    if clock is None or not math.isfinite(clock.offset_s):
-        return {}
-    return {
-        "clock": {
-            "offset_s": round(clock.offset_s, 6),
-            "drift_ppm": round(clock.drift_ppm, 2),
-            "residual_rms_s": round(clock.residual_rms_s, 6),
-            "reanchors": clock.reanchors,
-        }
-    }

@@ -15,7 +15,8 @@ from pylsl import local_clock
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.device_clock import ClockState, DeviceClock
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.outlets import MAX_STAMP_ERROR_S, Counters, DeviceOutlets
+from biosensor_gateway.counters import Counters
+from biosensor_gateway.outlets import MAX_STAMP_ERROR_S, DeviceOutlets
 from biosensor_gateway.withholding import Withholding
 
 DEVICE_RESTARTED = "device_restarted"

@@ -20,9 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 from biosensor_common.sensors.empatica_e4 import SENSOR
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway import supervisor as supervisor_module
+from biosensor_gateway.counters import Counters
 from biosensor_gateway.devices.empatica_e4 import driver as driver_module
 from biosensor_gateway.devices.empatica_e4.driver import DRIVER, E4Settings
-from biosensor_gateway.outlets import Counters
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.sink import DeviceSink

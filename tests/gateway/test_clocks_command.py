@@ -20,7 +20,7 @@ import pytest
 from biosensor_common.device_clock import ClockState, DeviceClock
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway import health
-from biosensor_gateway.outlets import Counters, counters_text
+from biosensor_gateway.counters import Counters, counters_text
 from biosensor_gateway.sink import DeviceSink
 from biosensor_gateway.xdf.counted import parse_readings
 

@@ -10,7 +10,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.outlets import Counters
+from biosensor_gateway.counters import Counters
 from biosensor_gateway.sink import DeviceSink
 
 ECG_PERIOD_S = 0.004

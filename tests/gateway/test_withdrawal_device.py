@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from biosensor_common import naming
 from biosensor_gateway import supervisor as supervisor_module
+from biosensor_gateway.counters import Counters
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
-from biosensor_gateway.outlets import Counters
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.wearer import Wearer

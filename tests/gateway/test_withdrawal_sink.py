@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway import outlets as outlets_module
-from biosensor_gateway.outlets import Counters
+from biosensor_gateway.counters import Counters
 from biosensor_gateway.sink import DeviceSink
 from biosensor_gateway.withholding import RESUME_GUARD_S, Withholding
 

@@ -17,7 +17,8 @@ from biosensor_common.quantities import MessageType
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_common.stream_header import StreamHeader
-from biosensor_gateway.outlets import Counters, Outlet, counters_text
+from biosensor_gateway.counters import Counters, counters_text
+from biosensor_gateway.outlets import Outlet
 from lsl_to_ros import diagnostics, rates
 from lsl_to_ros.blocks import Block
 from lsl_to_ros.bridge import Bridge, Outputs

@@ -12,7 +12,7 @@ from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float32
 
 from biosensor_common.quantities import MessageType
-from biosensor_gateway.outlets import Counters, counters_text
+from biosensor_gateway.counters import Counters, counters_text
 from lsl_to_ros import bridge as bridge_module
 from lsl_to_ros.blocks import Block
 from lsl_to_ros.bridge import Bridge, Outputs

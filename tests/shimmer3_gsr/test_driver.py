@@ -20,11 +20,11 @@ from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_common.sensors.shimmer3_gsr import SENSOR
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway import supervisor as supervisor_module
+from biosensor_gateway.counters import Counters
 from biosensor_gateway.devices.shimmer3_gsr import conversation, stopping
 from biosensor_gateway.devices.shimmer3_gsr import driver as module
 from biosensor_gateway.devices.shimmer3_gsr.driver import DRIVER, ShimmerSettings
 from biosensor_gateway.devices.shimmer3_gsr.simulator import SimulatedShimmer3
-from biosensor_gateway.outlets import Counters
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.sink import DeviceSink

@@ -19,7 +19,8 @@ import pytest
 
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.outlets import Counters, Outlet, counters_text
+from biosensor_gateway.counters import Counters, counters_text
+from biosensor_gateway.outlets import Outlet
 from biosensor_gateway.xdf.findings import Level
 from biosensor_gateway.xdf.judging import judge
 from biosensor_gateway.xdf.printing import as_json, as_text

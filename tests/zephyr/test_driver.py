@@ -21,6 +21,7 @@ from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_common.sensors.zephyr import SENSOR
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway import supervisor as supervisor_module
+from biosensor_gateway.counters import Counters
 from biosensor_gateway.devices.zephyr import driver as module
 from biosensor_gateway.devices.zephyr.driver import DRIVER, ZephyrDriver, ZephyrSettings
 from biosensor_gateway.devices.zephyr.emitter import ZephyrEmitter
@@ -32,7 +33,6 @@ from biosensor_gateway.devices.zephyr.simulator.sources import (
     SyntheticSource,
 )
 from biosensor_gateway.devices.zephyr.simulator.wire import Packet
-from biosensor_gateway.outlets import Counters
 from biosensor_gateway.sink import DeviceSink
 from biosensor_gateway.supervisor import State, Supervisor
 

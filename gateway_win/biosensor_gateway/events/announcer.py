@@ -15,9 +15,10 @@ import structlog
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.counters import Counters
 from biosensor_gateway.events import EventKind
 from biosensor_gateway.events.unfailing import unfailing
-from biosensor_gateway.outlets import Counters, Outlet
+from biosensor_gateway.outlets import Outlet
 
 TICK_S = 0.25
 LINGER_S = 0.25

@@ -1,0 +1,75 @@
+"""What is counted of each stream on its way into LSL, and how the others are told."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from biosensor_common.device_clock import ClockState
+
+
+@dataclass(slots=True)
+class Counters:
+    """What happened to one stream's samples on their way into LSL.
+
+    Attributes
+    ----------
+    pushed
+        Samples handed to LSL.
+    lost
+        Samples that the device measured and that never reached the agent.
+    refused
+        Samples that failed the check of range, shape or stamp.
+    last_stamp
+        LSL time of the newest sample, 0 before the first.
+    withheld
+        Samples that reached the agent and were not sent, because of a pause.
+    waited
+        Samples that came before the first receiver; the newest of them are pushed to it.
+    """
+
+    pushed: int = 0
+    lost: int = 0
+    refused: int = 0
+    last_stamp: float = 0.0
+    withheld: int = 0
+    waited: int = field(default=0, compare=False)
+
+
+def counters_text(
+    counters: Mapping[str, Counters], clocks: Mapping[str, ClockState] | None = None
+) -> str:
+    """Sample of the ``counters`` stream: JSON, by source_id.
+
+    A device's clock is in the entry of one of its streams, if it has one.
+
+    The node compares ``pushed`` with what it pulled up to ``last_stamp``. What a pause
+    withholds is not told: the number of beats in a second is a heart rate.
+    """
+    return json.dumps(
+        {
+            source_id: {
+                "pushed": c.pushed,
+                "lost": c.lost,
+                "last_stamp": c.last_stamp,
+                **_clock_entry((clocks or {}).get(source_id)),
+            }
+            for source_id, c in counters.items()
+        },
+        separators=(",", ":"),
+    )
+
+
+def _clock_entry(clock: ClockState | None) -> dict[str, dict[str, float]]:
+    if clock is None or not math.isfinite(clock.offset_s):
+        return {}
+    return {
+        "clock": {
+            "offset_s": round(clock.offset_s, 6),
+            "drift_ppm": round(clock.drift_ppm, 2),
+            "residual_rms_s": round(clock.residual_rms_s, 6),
+            "reanchors": clock.reanchors,
+        }
+    }
