@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Self
 
 from installer.layout import PROGRAM, WORK
-from installer.wine.prefix import Prefix
+from installer.wine.prefix import Prefix, WineError
 
 NAME = "Biosensor Gateway"
 UNINSTALL_KEY = rf"HKLM\Software\Microsoft\Windows\CurrentVersion\Uninstall\{PROGRAM}"
@@ -24,6 +24,7 @@ _ORDINARY = {
     "BIOSENSOR_GATEWAY_STATE": "",
     "LC_ALL": "C.UTF-8",
 }
+_ATTEMPTS = 3
 _SETTING = re.compile(r"^    (?P<name>.+?)    (?P<kind>REG_\w+)    (?P<value>.*)$", re.MULTILINE)
 
 
@@ -53,6 +54,7 @@ class WindowsPc:
         made = WORK / "prefix"
         # Nothing writes into the files of Windows itself, so that they can be shared.
         shutil.copytree(made, self.prefix.folder, symlinks=True, copy_function=_link_or_copy)
+        self._switch_on()
         return self
 
     def __exit__(
@@ -63,6 +65,16 @@ class WindowsPc:
     ) -> None:
         self.prefix.end()
         shutil.rmtree(self.prefix.folder, ignore_errors=True)
+
+    def _switch_on(self) -> None:
+        # Right after the server of another Windows has ended, the first program fails at times.
+        for _ in range(_ATTEMPTS):
+            if self.prefix.attempt("cmd", "/c", "exit").returncode == 0:
+                self.prefix.settle()
+                return
+            self.prefix.end()
+        shutil.rmtree(self.prefix.folder, ignore_errors=True)
+        raise WineError(f"{self.prefix.folder}: no program starts")
 
     # ---- what is on its disk -----------------------------------------------------------
 
