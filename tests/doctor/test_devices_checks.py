@@ -19,7 +19,7 @@ import pytest
 from keyring.backends import fail
 
 from biosensor_common.doctor.finding import Level
-from biosensor_gateway.devices.emotiv_insight.simulator import SimulatedCortex
+from biosensor_gateway.devices.emotiv_insight.simulator import Licence, SimulatedCortex
 from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.doctor import device_kinds
@@ -197,6 +197,63 @@ def test_secrets_of_services(
     found = examine(context, "services")
     assert only(found, "client secret").level is Level.OK
     assert "hush-hush" not in str(found)
+
+
+# ---- licences --------------------------------------------------------------------------
+
+
+@pytest.fixture
+def cortex(world: World, monkeypatch: pytest.MonkeyPatch) -> Generator[SimulatedCortex]:
+    with SimulatedCortex(world) as service:
+        for variable, secret in service.environment.items():
+            monkeypatch.setenv(variable, secret)
+        yield service
+
+
+@pytest.mark.parametrize(
+    ("licence", "streams"),
+    [
+        (Licence.EEG | Licence.METRICS, []),
+        (Licence.METRICS, ["eeg_status"]),
+        (Licence.EEG, ["met comes"]),
+        (Licence.NONE, ["eeg_status", "met comes"]),
+    ],
+)
+def test_what_a_licence_does_not_cover_is_named(
+    examine: Examine,
+    configured: Configured,
+    cortex: SimulatedCortex,
+    licence: Licence,
+    streams: list[str],
+) -> None:
+    cortex.license(licence)
+    # Two headsets of one account: it is asked once.
+    table = CORTEX.format(cortex.settings["url"], cortex.settings["ca_file"])
+    found = examine(configured(table + table.replace('"1"', '"2"')), "licences")
+    missed = above_ok(found)
+    assert [each.level for each in missed] == [Level.WARNING] * len(streams)
+    assert all(stream in each.what for each, stream in zip(missed, streams, strict=True))
+    assert len(found) == max(1, len(streams))
+
+
+def test_who_is_not_logged_in_is_an_error_and_who_cannot_be_asked_a_note(
+    examine: Examine, configured: Configured, cortex: SimulatedCortex, free_port: int
+) -> None:
+    url, ca_file = cortex.settings["url"], cortex.settings["ca_file"]
+    cortex.log_out()
+    (found,) = examine(configured(CORTEX.format(url, ca_file)), "licences")
+    assert (found.level, "log in there" in found.what) == (Level.ERROR, True)
+    away = configured(CORTEX.format(f"wss://localhost:{free_port}", ca_file))
+    (found,) = examine(away, "licences")
+    assert (found.level, "--only services" in found.fix) == (Level.NOTE, True)
+
+
+def test_without_secrets_or_a_licensed_sensor_nothing_is_asked(
+    examine: Examine, configured: Configured, free_port: int
+) -> None:
+    table = CORTEX.format(f"wss://localhost:{free_port}", "")
+    assert examine(configured(table), "licences") == []
+    assert examine(configured(POLAR), "licences") == []
 
 
 def test_labrecorder_s_remote_control(examine: Examine, context: Context, free_port: int) -> None:

@@ -14,7 +14,8 @@ from biosensor_common.doctor.runner import run_checks
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
 from biosensor_gateway.doctor.context import LAB_RECORDER_PORT, read_context
 from biosensor_gateway.doctor.table import CHECKS
-from biosensor_gateway.settings import settings_path, state_folder
+from biosensor_gateway.logs import configure_logs
+from biosensor_gateway.settings import LogSettings, settings_path, state_folder
 
 _NAMES = ", ".join(check.name for check in CHECKS)
 
@@ -44,6 +45,7 @@ def doctor(
     ] = LAB_RECORDER_PORT,
 ) -> None:
     """Say what is wrong on this computer and how to mend it; exit code 1 if there are errors."""
+    configure_logs(LogSettings(level="error"), None)
     context = read_context(
         settings or settings_path(), state_folder(), lab_recorder_port=lab_recorder_port
     )

@@ -47,6 +47,9 @@ class DriverEntry(NamedTuple):
         Raises a GatewayError if the service does not answer.
     secrets
         What the vendor's service asks for.
+    unlicensed
+        Asks the vendor's service what the user's licence does not cover, a clause each; None
+        where nothing needs a licence. Raises a GatewayError if there is no answer.
     """
 
     settings: type[DeviceSettings]
@@ -54,6 +57,7 @@ class DriverEntry(NamedTuple):
     recognise: Callable[[Advertisement | SerialPort], Found | None] | None = None
     find: Callable[[Sequence[DeviceSettings]], Awaitable[Sequence[Found]]] | None = None
     secrets: tuple[SecretName, ...] = ()
+    unlicensed: Callable[[DeviceSettings], Awaitable[Sequence[str]]] | None = None
 
 
 def driver_names() -> tuple[str, ...]:

@@ -21,6 +21,7 @@ OWN_CHECKS = (
     _own("bluetooth", Category.DEVICES, "the Bluetooth adapter", limit_s=14.0),
     _own("serial", Category.DEVICES, "serial ports of the settings"),
     _own("services", Category.DEVICES, "vendors' services, their secrets, LabRecorder"),
+    _own("licences", Category.DEVICES, "licences of the vendors' services", limit_s=14.0),
     _own("power", Category.COMPUTER, "sleep, battery, power saving of Bluetooth"),
 )
 

@@ -25,6 +25,7 @@ from biosensor_gateway.devices.emotiv_insight.emitter import (
 )
 from biosensor_gateway.devices.emotiv_insight.failures import ENDINGS, ending, gateway_error
 from biosensor_gateway.devices.emotiv_insight.headsets import known_headsets, reach
+from biosensor_gateway.devices.emotiv_insight.licence import unlicensed
 from biosensor_gateway.devices.emotiv_insight.messages import Fault
 from biosensor_gateway.devices.emotiv_insight.protocol import Decoder
 from biosensor_gateway.devices.emotiv_insight.results import Headset, Subscription
@@ -213,4 +214,6 @@ def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], EmotivInsi
     return lambda: EmotivInsightDriver(settings, sink, emitter, account)
 
 
-DRIVER = DriverEntry(EmotivInsightSettings, _make, find=find, secrets=SECRETS)
+DRIVER = DriverEntry(
+    EmotivInsightSettings, _make, find=find, secrets=SECRETS, unlicensed=unlicensed
+)

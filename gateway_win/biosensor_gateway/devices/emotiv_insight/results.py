@@ -31,6 +31,21 @@ class Login:
 
 
 @dataclass(frozen=True, slots=True)
+class Licence:
+    """What the user's licence covers.
+
+    Attributes
+    ----------
+    scopes
+        ``eeg`` for raw EEG, ``pm`` for performance metrics at their full rate.
+    expired
+    """
+
+    scopes: frozenset[str] = frozenset()
+    expired: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class Headset:
     """A headset that Cortex knows.
 
@@ -124,6 +139,13 @@ def token(result: object) -> str:
         ``GARBAGE``.
     """
     return _required(object_of(result).get("cortexToken"), "a token")
+
+
+def licence(result: object) -> Licence:
+    """Read ``getLicenseInfo``; what it does not say is not covered."""
+    fields = object_of(object_of(result).get("license"))
+    scopes = frozenset(text_of(each) for each in list_of(fields.get("scopes")))
+    return Licence(scopes, expired=fields.get("expired") is True)
 
 
 def eula_missing(result: object) -> bool:
