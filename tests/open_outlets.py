@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import gc
+import sys
 import weakref
 from functools import cache
 
 import pylsl
 
+_OF_THE_LAST_FAILURE = ("last_type", "last_value", "last_traceback", "last_exc")
 _made: list[tuple[weakref.ref[pylsl.StreamOutlet], str]] = []
 
 
@@ -28,7 +30,11 @@ def watch_outlets() -> None:
 def open_outlets() -> list[str]:
     """Return what is still open, by source_id."""
     if _still_open():
-        # What a test put into a cycle, such as an error and what raised it, is no leak.
+        # What a test put into a cycle, such as an error and what raised it, is no leak; nor
+        # is what pytest keeps of a failed one, for a debugger.
+        for name in _OF_THE_LAST_FAILURE:
+            if hasattr(sys, name):
+                delattr(sys, name)
         gc.collect()
     _made[:] = _still_open()
     return [name for _, name in _made]

@@ -1,34 +1,133 @@
-"""Fast DDS gets our profiles unless the user has some."""
+"""Fast DDS is configured unless the user has done it, and uses no shared memory."""
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
-from lsl_to_ros.fastdds import IN_FOLDER, VARIABLES, use_our_profiles
+from lsl_to_ros import fastdds
+
+FAST_DDS = "rmw_fastrtps_cpp"
+LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+TIMEOUT_S = 60.0
+
+# A participant like the node's; it says what shared memory it has.
+PARTICIPANT = """
+import json, os, pathlib, rclpy
+from lsl_to_ros import fastdds
+if os.environ.get("CONFIGURE"):
+    assert fastdds.configure(os.environ, pathlib.Path("/"), "rmw_fastrtps_cpp")
+rclpy.init(args=[])
+node = rclpy.create_node("participant")
+maps = pathlib.Path("/proc/self/maps").read_text().splitlines()
+print(json.dumps(sorted({line.split()[-1] for line in maps if "/dev/shm/fast" in line})))
+"""
 
 
-def test_without_profiles_of_the_user_ours_are_named_and_there(tmp_path: Path) -> None:
-    environment: dict[str, str] = {}
-    assert use_our_profiles(environment, tmp_path)
-    (path,) = set(environment.values())
-    assert set(environment) == set(VARIABLES)
-    periods = ElementTree.parse(path).getroot().findall(".//{*}heartbeatPeriod")
-    assert [period.findtext("{*}nanosec") for period in periods] == ["50000000"]
+def configured(tmp_path: Path, **variables: str) -> dict[str, str]:
+    """Return the environment as it is set for Fast DDS."""
+    environment = dict(variables)
+    assert fastdds.configure(environment, tmp_path, FAST_DDS)
+    return environment
 
 
-@pytest.mark.parametrize("name", VARIABLES)
+def profiles(environment: dict[str, str]) -> ElementTree.Element:
+    (path,) = {environment.pop(name) for name in fastdds.PROFILES}
+    return ElementTree.parse(path).getroot()
+
+
+@pytest.mark.parametrize("range_", ["", "SUBNET", "LOCALHOST"])
+def test_what_is_lost_is_sent_again_after_50_ms(tmp_path: Path, range_: str) -> None:
+    root = profiles(configured(tmp_path, ROS_AUTOMATIC_DISCOVERY_RANGE=range_))
+    (period,) = root.findall(".//{*}data_writer[@is_default_profile='true']//{*}heartbeatPeriod")
+    assert (period.findtext("{*}sec"), period.findtext("{*}nanosec")) == ("0", "50000000")
+
+
+@pytest.mark.parametrize("range_", ["", "SUBNET", "LOCALHOST"])
+def test_the_node_says_every_half_second_that_it_is_there(tmp_path: Path, range_: str) -> None:
+    root = profiles(configured(tmp_path, ROS_AUTOMATIC_DISCOVERY_RANGE=range_))
+    (period,) = root.findall(".//{*}participant[@is_default_profile='true']//{*}leaseAnnouncement")
+    assert (period.findtext("{*}sec"), period.findtext("{*}nanosec")) == ("0", "500000000")
+
+
+def test_everything_goes_over_udp(tmp_path: Path) -> None:
+    environment = configured(tmp_path, ROS_DOMAIN_ID="7")
+    assert profiles(environment).find(".//{*}userTransports") is None
+    assert environment == {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", "ROS_DOMAIN_ID": "7"}
+
+
+def test_on_this_machine_alone_it_does_too_and_peers_stay(tmp_path: Path) -> None:
+    environment = configured(tmp_path, **LOCAL, ROS_STATIC_PEERS="192.0.2.1")
+    root = profiles(environment)
+    assert [one.text for one in root.iterfind(".//{*}transport_descriptor/{*}type")] == ["UDPv4"]
+    assert root.findtext(".//{*}useBuiltinTransports") == "false"
+    assert root.findtext(".//{*}initialPeersList//{*}address") == "127.0.0.1"
+    assert environment["ROS_STATIC_PEERS"] == "192.0.2.1"
+    assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
+
+
+def test_the_old_variable_for_this_machine_comes_first_and_knows_no_peers(tmp_path: Path) -> None:
+    variables = {"ROS_LOCALHOST_ONLY": "1", "ROS_STATIC_PEERS": "192.0.2.1"}
+    new = configured(tmp_path, **variables, ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET")
+    assert new == configured(tmp_path, **LOCAL)
+
+
+def test_transports_that_the_user_chose_stay(tmp_path: Path) -> None:
+    variables = {**LOCAL, "FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}
+    environment = configured(tmp_path, **variables)
+    assert profiles(environment).find(".//{*}userTransports") is None
+    assert environment == variables
+
+
+@pytest.mark.parametrize("name", fastdds.PROFILES)
 def test_a_file_that_the_user_names_stays(tmp_path: Path, name: str) -> None:
-    environment = {name: "mine.xml"}
-    assert not use_our_profiles(environment, tmp_path)
-    assert environment == {name: "mine.xml"}
+    environment = {name: "mine.xml", **LOCAL}
+    assert not fastdds.configure(environment, tmp_path, FAST_DDS)
+    assert environment == {name: "mine.xml", **LOCAL}
 
 
-@pytest.mark.parametrize("name", IN_FOLDER)
+@pytest.mark.parametrize("name", fastdds.IN_FOLDER)
 def test_a_file_in_the_working_folder_stays(tmp_path: Path, name: str) -> None:
     (tmp_path / name).touch()
-    environment: dict[str, str] = {}
-    assert not use_our_profiles(environment, tmp_path)
-    assert environment == {}
+    environment = dict(LOCAL)
+    assert not fastdds.configure(environment, tmp_path, FAST_DDS)
+    assert environment == LOCAL
+
+
+def test_another_middleware_is_left_alone(tmp_path: Path) -> None:
+    environment = dict(LOCAL)
+    assert not fastdds.configure(environment, tmp_path, "rmw_cyclonedds_cpp")
+    assert environment == LOCAL
+
+
+def shared_memory(*before: str, **variables: str) -> list[str]:
+    """Return the files of shared memory that a participant has."""
+    environment = {**os.environ, **variables}
+    command = [*before, sys.executable, "-c", PARTICIPANT]
+    done = subprocess.run(
+        command, env=environment, check=True, timeout=TIMEOUT_S, stdout=subprocess.PIPE
+    )
+    return json.loads(done.stdout)
+
+
+@pytest.mark.parametrize("variable", ["ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"])
+def test_fast_dds_does_as_it_is_told(variable: str) -> None:
+    local = {variable: LOCAL.get(variable, "1")}
+    assert not shared_memory(CONFIGURE="1", **local)
+    # Of its own accord it has shared memory, by which this test would notice if it still had.
+    assert shared_memory(**local)
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("range_", ["SUBNET", "SYSTEM_DEFAULT"])
+def test_with_multicast_it_does_as_it_is_told_too(range_: str) -> None:
+    # In a network of its own, for it calls into all that it has.
+    alone = ("unshare", "--net", "sh", "-c", 'ip link set lo up && exec "$@"', "sh")
+    assert not shared_memory(*alone, CONFIGURE="1", ROS_AUTOMATIC_DISCOVERY_RANGE=range_)
+    assert shared_memory(*alone, ROS_AUTOMATIC_DISCOVERY_RANGE=range_)

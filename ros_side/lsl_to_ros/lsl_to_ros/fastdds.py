@@ -1,4 +1,8 @@
-"""Fast DDS, ROS's usual middleware, set for a network that loses packets."""
+"""Fast DDS, ROS's usual middleware, set for lossy networks and for programs that crash.
+
+Lost messages are sent again after 50 ms (decision 23), and messages go over UDP on one
+machine, too, never through shared memory (decision 28).
+"""
 
 from __future__ import annotations
 
@@ -7,30 +11,57 @@ from importlib.resources import files
 from pathlib import Path
 
 # Fast DDS 2 reads the first, Fast DDS 3 the second.
-VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 IN_FOLDER = ("DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.xml")
+TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
+RANGE, PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
+LOCALHOST_ONLY = "ROS_LOCALHOST_ONLY"
+"""The predecessor of the range, which comes first where it is 1, and knows no peers."""
 
 
-def use_our_profiles(environment: MutableMapping[str, str], folder: Path) -> bool:
-    """Let Fast DDS repeat lost packets after 50 ms, unless the user has profiles.
+def configure(environment: MutableMapping[str, str], folder: Path, middleware: str) -> bool:
+    """Set Fast DDS for this process, unless the user has profiles.
 
-    It has to be called before ROS starts; other middlewares take no notice.
+    It has to be called before ROS starts.
 
     Parameters
     ----------
     environment
-        Where Fast DDS looks for the name of its file.
+        What Fast DDS and ROS read.
     folder
-        The working folder, where it looks otherwise.
+        The working folder, where Fast DDS looks for profiles that no variable names.
+    middleware
+        ROS's name of it; only that of Fast DDS begins with ``rmw_fastrtps``.
 
     Returns
     -------
     bool
-        Whether our profiles will be used.
+        Whether anything was set.
     """
-    has_own = any(environment.get(name) for name in VARIABLES)
-    if has_own or any((folder / name).is_file() for name in IN_FOLDER):
+    has_own = any(environment.get(name) for name in PROFILES)
+    if not middleware.startswith("rmw_fastrtps") or has_own or _has_profiles(folder):
         return False
-    path = str(files("lsl_to_ros").joinpath("fastdds_profiles.xml"))
-    environment.update(dict.fromkeys(VARIABLES, path))
+    profiles = "fastdds_profiles.xml"
+    if not environment.get(TRANSPORTS):
+        environment[TRANSPORTS] = "UDPv4"
+        if _is_local(environment):
+            # There ROS sets the transports itself, with shared memory. So it is told of a
+            # subnet, and the profiles say what it would have: no multicast, and this machine.
+            environment[RANGE] = "SUBNET"
+            profiles = "fastdds_localhost.xml"
+    path = str(files("lsl_to_ros").joinpath(profiles))
+    environment.update(dict.fromkeys(PROFILES, path))
     return True
+
+
+def _has_profiles(folder: Path) -> bool:
+    return any((folder / name).is_file() for name in IN_FOLDER)
+
+
+def _is_local(environment: MutableMapping[str, str]) -> bool:
+    """Whether ROS is to stay on this machine; said by the range alone from then on."""
+    if environment.get(LOCALHOST_ONLY) == "1":
+        for name in (LOCALHOST_ONLY, PEERS):
+            environment.pop(name, None)
+        return True
+    return environment.get(RANGE) == "LOCALHOST"

@@ -15,12 +15,12 @@ from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import get_rmw_implementation_identifier
 
 from biosensor_common.errors import ConfigError
 from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
-from lsl_to_ros import node_parameters
+from lsl_to_ros import fastdds, node_parameters
 from lsl_to_ros.discovery import Discovery
-from lsl_to_ros.fastdds import use_our_profiles
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.node_parameters import KNOWN_PEERS, SESSION_ID, STREAM_PREDICATE, TOPIC_PREFIX
 from lsl_to_ros.parameters import Parameters
@@ -109,7 +109,7 @@ class LslToRos(Node):
 
 def main() -> None:
     """Run the node until SIGINT or SIGTERM; exit code 0, or 2 for unusable settings."""
-    use_our_profiles(os.environ, Path.cwd())
+    fastdds.configure(os.environ, Path.cwd(), get_rmw_implementation_identifier())
     # Our own handlers: rclpy's end spin by an exception that ros2 run shows as a failure.
     rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     stopping = threading.Event()

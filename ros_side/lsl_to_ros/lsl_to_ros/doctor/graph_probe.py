@@ -18,13 +18,14 @@ from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Any, cast
+from typing import Any
 
 import rclpy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import get_rmw_implementation_identifier
 
 from biosensor_common.doctor.serving import Request, answer, serve
-from lsl_to_ros.fastdds import use_our_profiles
+from lsl_to_ros import fastdds
 
 PREFIX = "_biosensor_doctor_"
 """Of the names of these nodes; ROS's tools do not list what begins with an underscore."""
@@ -69,7 +70,7 @@ def _look(request: Request) -> None:
             {
                 "found": found_s is not None,
                 "seconds": found_s,
-                "middleware": cast("Any", rclpy).get_rmw_implementation_identifier(),
+                "middleware": get_rmw_implementation_identifier(),
                 "nodes": [each for each in nodes if not each.startswith(f"/{PREFIX}")],
             }
         )
@@ -78,7 +79,7 @@ def _look(request: Request) -> None:
 @contextmanager
 def _node(name: str) -> Generator[Any]:
     # As the node itself starts, so that what holds for it holds here.
-    use_our_profiles(os.environ, Path.cwd())
+    fastdds.configure(os.environ, Path.cwd(), get_rmw_implementation_identifier())
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = rclpy.create_node(name)
