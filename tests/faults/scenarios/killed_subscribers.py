@@ -62,9 +62,11 @@ def subscribe(topic: str) -> Subscriber:
 def _listen(topic: str, say: int) -> None:
     rclpy.init(args=[])
     node = rclpy.create_node(f"subscriber_{os.getpid()}")
-    node.create_subscription(
-        Float32MultiArray, topic, lambda _: os.write(say, b"."), QoSProfile(depth=1000)
-    )
+
+    def take(_: Float32MultiArray) -> None:
+        os.write(say, b".")
+
+    node.create_subscription(Float32MultiArray, topic, take, QoSProfile(depth=1000))
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     while True:
