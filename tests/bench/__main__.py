@@ -13,6 +13,7 @@ from biosensor_gateway.settings import LogSettings
 from tests.bench import (
     agent_figures,
     chunks,
+    churn,
     clock_accuracy,
     hundred,
     idle,
@@ -35,6 +36,7 @@ MEASUREMENTS: dict[str, Callable[[Effort], Measurement]] = {
     "hundred": hundred.measure,
     "publish": publish.measure,
     "restart": restart.measure,
+    "churn": churn.measure,
     "agent": agent_figures.measure_agent,
     "decoders": agent_figures.measure_decoders,
     "clock": clock_accuracy.measure,

@@ -1,12 +1,7 @@
-"""Whether the node grows while streams come and go.
-
-``python -m tests.bench.churn [--minutes 10] [--json FILE]``
-"""
+"""Whether the node grows while streams come and go."""
 
 from __future__ import annotations
 
-import argparse
-import math
 import statistics
 import sys
 import tempfile
@@ -17,9 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.bench import machine, report, slope
+from tests.bench import slope
+from tests.bench.effort import Effort
 from tests.bench.figures import Figure, Measurement, Target
-from tests.bench.processes import BenchError, Process, Processes
+from tests.bench.processes import Process, Processes
 from tests.bench.ros_receiver import Wish
 from tests.bench.samples import stream_names, topic_of
 
@@ -29,7 +25,6 @@ ROTATION = 2 * STREAMS
 _WARM_UP_SHARE = 0.3
 # The newest stream is received by then, and the next step is not near.
 _LOOK_AFTER_S = 0.8 * PERIOD_S
-_LEAST_ROTATIONS = 8
 # Rotations whose median stands for the beginning, and for the end.
 _ENDS = 3
 _NO_GROWTH = Target(0)
@@ -45,8 +40,8 @@ class State:
     descriptors: int
 
 
-def measure(minutes: float) -> Measurement:
-    """Watch the node for so long.
+def measure(effort: Effort) -> Measurement:
+    """Watch the node.
 
     Of the streams, one is read sample by sample, one by chunks, one both ways, one not
     at all.
@@ -55,13 +50,7 @@ def measure(minutes: float) -> Measurement:
     ------
     BenchError
         If a process failed.
-    ValueError
-        If the time is too short for a slope.
     """
-    rotations = round(60 * minutes / PERIOD_S / ROTATION)
-    if rotations < _LEAST_ROTATIONS:
-        least = math.ceil(_LEAST_ROTATIONS * ROTATION * PERIOD_S / 60)
-        raise ValueError(f"{minutes:g} minutes are too short for a slope, give {least} or more")
     names = stream_names(STREAMS)
     raw = [topic_of(name) for name in (names[0], names[2])]
     chunks = [f"{topic_of(name)}_chunk" for name in (names[1], names[2])]
@@ -70,7 +59,7 @@ def measure(minutes: float) -> Measurement:
         wishes = Wish(raw, 0, f"{name}/raw.npy"), Wish(chunks, 0, f"{name}/chunks.npy", chunks=True)
         receivers = [processes.start(*wish.as_arguments()) for wish in wishes]
         outlets = processes.start("tests.bench.churn_outlets", str(STREAMS), str(PERIOD_S))
-        states = _watch(node, outlets, rotations)
+        states = _watch(node, outlets, effort.rotations)
         for receiver in receivers:
             # Else the node would have been watched without readers.
             receiver.expect("connected")
@@ -119,24 +108,3 @@ def _measurement(states: Sequence[State]) -> Measurement:
 def _growth(title: str, counts: Sequence[int]) -> Figure:
     begin, end = statistics.median(counts[:_ENDS]), statistics.median(counts[-_ENDS:])
     return Figure(f"more {title}", end - begin, "", _NO_GROWTH, f"from {begin:g} to {end:g}")
-
-
-def main() -> None:
-    """Measure, print and write; exit code 1 if a process failed, never for a missed target."""
-    arguments = argparse.ArgumentParser(prog="tests.bench.churn", description=__doc__)
-    arguments.add_argument("--minutes", type=float, default=10.0)
-    arguments.add_argument("--json", type=Path, default=Path("build/churn.json"), metavar="FILE")
-    options = arguments.parse_args()
-    load, begin_s = machine.load(), time.monotonic()
-    try:
-        measurement = measure(options.minutes)
-    except (BenchError, ValueError) as error:
-        raise SystemExit(str(error)) from error
-    loads, seconds = (load, machine.load()), time.monotonic() - begin_s
-    run = report.Run(machine.facts(), loads, seconds, {"churn": measurement})
-    report.show(run)
-    report.write(run, options.json)
-
-
-if __name__ == "__main__":
-    main()

@@ -19,6 +19,8 @@ class Effort:
         Time for what starts up to come to rest.
     restarts
         Of the node, and of the outlet in each way.
+    rotations
+        In each of them all streams have come and gone once, in 16 s.
     published
         Chunks that are published.
     taped_s, passes
@@ -34,6 +36,7 @@ class Effort:
     idle_s: float
     settle_s: float
     restarts: int
+    rotations: int
     published: int
     agent_s: float
     taped_s: float
@@ -49,6 +52,8 @@ FULL = Effort(
     idle_s=10.0,
     settle_s=2.0,
     restarts=3,
+    # In ten minutes.
+    rotations=38,
     published=200,
     agent_s=30.0,
     taped_s=5.0,
@@ -63,6 +68,8 @@ QUICK = Effort(
     idle_s=2.0,
     settle_s=0.5,
     restarts=1,
+    # Fewer make no slope.
+    rotations=8,
     published=50,
     agent_s=4.0,
     taped_s=1.0,
