@@ -1,6 +1,6 @@
 """Programs that subscribe to the node crash, one after the other; those that follow hear it.
 
-With Fast DDS's shared memory about one in a hundred kept those from hearing anything that
+With Fast DDS's shared memory about one in two hundred kept those from hearing anything that
 were started after it, for as long as the node ran (decision 28).
 """
 
