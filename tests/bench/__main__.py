@@ -15,6 +15,7 @@ from tests.bench import (
     chunks,
     churn,
     clock_accuracy,
+    doors,
     hundred,
     idle,
     machine,
@@ -40,6 +41,7 @@ MEASUREMENTS: dict[str, Callable[[Effort], Measurement]] = {
     "agent": agent_figures.measure_agent,
     "decoders": agent_figures.measure_decoders,
     "clock": clock_accuracy.measure,
+    "doors": doors.measure,
 }
 
 

@@ -7,15 +7,16 @@ import shlex
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 
 import pytest
-import typer
 from typer.core import TyperGroup
 
 from biosensor_common.registry import sensor, sensor_names
 from biosensor_gateway import settings_file
 from biosensor_gateway.cli.app import app
+from biosensor_gateway.cli.deferred import Deferred
 from biosensor_gateway.devices import settings_models
 
 ROOT = Path(__file__).parents[2]
@@ -83,13 +84,13 @@ def _makefile() -> str:
 
 
 def _cli_fault(arguments: list[str]) -> str:
-    command = typer.main.get_command(app)
+    command: Any = app()
     while arguments and isinstance(command, TyperGroup):
         name, *arguments = arguments
         found = command.commands.get(name)
         if found is None:
             return f"no such command: {name}"
-        command = found
+        command = found.load() if isinstance(found, Deferred) else found
     known = {option for parameter in command.params for option in parameter.opts}
     unknown = [word for word in arguments if word.startswith("-") and word not in known]
     return f"no such options: {unknown}" if unknown else ""

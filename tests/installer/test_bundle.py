@@ -12,6 +12,7 @@ import pytest
 from cyclonedx.schema import SchemaVersion
 from cyclonedx.validation.json import JsonStrictValidator
 
+from biosensor_gateway.cli.table import COMMANDS
 from installer.bundle.archive import read_archive
 from installer.bundle.forbidden import refuse_forbidden
 from installer.bundle.sbom import FILE_NAME, LICENCE_TEXT, MODULE
@@ -79,6 +80,12 @@ def test_every_module_of_the_program_is_in_it(bundle: Path, bom: Entry) -> None:
     held = {*archive.scripts, *archive.modules}
     assert len(held) > 1000
     assert held <= set(properties(bom, MODULE))
+
+
+def test_every_command_is_in_the_program(bundle: Path) -> None:
+    # They are imported by name, which PyInstaller does not see.
+    modules = {command.place.partition(":")[0] for command in COMMANDS}
+    assert modules <= set(read_archive(bundle / f"{PROGRAM}.exe").modules)
 
 
 def test_every_component_has_its_licence_and_the_text_of_it(bundle: Path, bom: Entry) -> None:

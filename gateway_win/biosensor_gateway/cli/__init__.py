@@ -5,8 +5,6 @@ from __future__ import annotations
 import io
 import sys
 
-from biosensor_gateway.ending import end_quietly_until_running
-
 __all__ = ["main"]
 
 
@@ -14,7 +12,9 @@ def main() -> None:
     """Run the command line; see `biosensor_gateway.cli.app`."""
     _say_anything()
     if sys.argv[1:2] == ["run"]:
-        # The commands take a second to import, and a service may be stopped as it starts.
+        from biosensor_gateway.ending import end_quietly_until_running  # noqa: PLC0415 - asyncio
+
+        # What it needs takes a second to import, and a service may be stopped as it starts.
         end_quietly_until_running()
     from biosensor_gateway.cli import app  # noqa: PLC0415 - only now
 

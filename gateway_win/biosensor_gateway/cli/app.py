@@ -7,57 +7,35 @@ the settings are wrong.
 from __future__ import annotations
 
 import sys
-from importlib.metadata import version
 from typing import Annotated
 
 import typer
+from typer.core import TyperGroup
 
 from biosensor_common.errors import ConfigError, GatewayError
-from biosensor_gateway.cli import (
-    clocks,
-    doctor,
-    installation,
-    looking,
-    readiness,
-    record,
-    running,
-    secrets,
-    settings,
-    withdrawal,
-    xdf,
-)
+from biosensor_gateway.cli.table import COMMANDS
 
 EXIT_FAILED, EXIT_USAGE = 1, 2
 
-app = typer.Typer(
+_root = typer.Typer(
     help="Wearable biosensors as Lab Streaming Layer outlets.",
     no_args_is_help=True,
     add_completion=False,
-    pretty_exceptions_enable=False,
 )
-app.command()(running.run)
-app.command()(running.stop)
-app.command()(withdrawal.pause)
-app.command()(withdrawal.resume)
-app.command()(running.demo)
-app.command()(looking.status)
-app.command()(clocks.clocks)
-app.command("wait-ready")(readiness.wait_ready)
-app.command()(looking.scan)
-app.command("test")(looking.test)
-app.command()(doctor.doctor)
-app.command("doctor-probe", hidden=True)(doctor.doctor_probe)
-app.add_typer(settings.app, name="config")
-app.add_typer(secrets.app, name="secrets")
-app.add_typer(record.app, name="record")
-app.add_typer(xdf.app, name="xdf")
-app.add_typer(installation.app, name="installation", hidden=True)
+
+
+def app() -> TyperGroup:
+    """Return the group of all commands."""
+    group = typer.main.get_group(_root)
+    for command in COMMANDS:
+        group.add_command(command)
+    return group
 
 
 def main() -> None:
     """Run the command line; every expected failure is one sentence on stderr."""
     try:
-        app()
+        app()()
     except ConfigError as error:
         _fail(error, EXIT_USAGE)
     except GatewayError as error:
@@ -71,12 +49,14 @@ def _fail(error: GatewayError, code: int) -> None:
 
 def _print_version(wanted: bool) -> None:
     if wanted:
+        from importlib.metadata import version  # noqa: PLC0415 - takes longer than all the rest
+
         typer.echo(f"biosensor-gateway {version('biosensor-gateway')}")
         raise typer.Exit
 
 
-@app.callback()
-def _root(
+@_root.callback()
+def _options(
     _version: Annotated[
         bool,
         typer.Option(

@@ -1,0 +1,80 @@
+"""Which commands there are, and what the list of them says.
+
+A new one is a module here and a line below; what the line says of it is the beginning of
+its docstring.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+from biosensor_gateway.cli.deferred import Deferred
+
+
+def _command(name: str, place: str, first_lines: str, *, hidden: bool = False) -> Deferred:
+    return Deferred(name, f"biosensor_gateway.cli.{place}", first_lines, hidden=hidden)
+
+
+_hidden = partial(_command, hidden=True)
+
+COMMANDS = (
+    _command(
+        "run",
+        "running:run",
+        "Stream all devices of the settings until Ctrl-C, or until it is told to stop.",
+    ),
+    _command(
+        "stop",
+        "running:stop",
+        "End the running agent; exit code 1 if none runs or it does not end in time.",
+    ),
+    _command(
+        "pause",
+        "withdrawal:pause",
+        "Send nothing of a device from now on, also after a restart, until it is resumed.",
+    ),
+    _command(
+        "resume",
+        "withdrawal:resume",
+        "Send again what a paused device measures from now on.",
+    ),
+    _command("demo", "running:demo", "Show all virtual devices on their way to ROS topics."),
+    _command(
+        "status", "looking:status", "Show what the running agent does; exit code 1 if none runs."
+    ),
+    _command(
+        "clocks",
+        "clocks:clocks",
+        "Show how the devices' clocks are mapped to LSL's; exit code 1 if no agent runs.",
+    ),
+    _command(
+        "wait-ready",
+        "readiness:wait_ready",
+        "Wait until all devices of the agent deliver samples; exit code 1 if they do not in time.",
+    ),
+    _command(
+        "scan",
+        "looking:scan",
+        "List the devices in reach, each with the lines that add it to the settings.",
+    ),
+    _command(
+        "test",
+        "looking:test",
+        "Connect to one device, show what it sends and what is wrong; nothing is streamed.",
+    ),
+    _command(
+        "doctor",
+        "doctor:doctor",
+        "Say what is wrong on this computer and how to mend it; exit code 1 if there are errors.",
+    ),
+    _hidden(
+        "doctor-probe",
+        "doctor:doctor_probe",
+        "Be the other program of a check; used by doctor itself.",
+    ),
+    _command("config", "settings:app", "The settings file."),
+    _command("secrets", "secrets:app", "Secrets in the keyring of the system."),
+    _command("record", "record:app", "Start and stop recordings of LabRecorder."),
+    _command("xdf", "xdf:app", "Recordings of LabRecorder (XDF files)."),
+    _hidden("installation", "installation:app", "Used by the Windows installer."),
+)

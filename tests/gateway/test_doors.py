@@ -1,0 +1,74 @@
+"""The doors of the program: what is imported before it is known what is wanted."""
+
+from __future__ import annotations
+
+import inspect
+import subprocess
+import sys
+
+import pytest
+
+from biosensor_gateway.cli.app import app
+from biosensor_gateway.cli.deferred import Deferred
+from biosensor_gateway.cli.table import COMMANDS
+
+# What takes a tenth of a second and more, each or with what it brings.
+HEAVY = {
+    "asyncio",
+    "bleak",
+    "keyring",
+    "numpy",
+    "psutil",
+    "pydantic",
+    "pylsl",
+    "serial",
+    "structlog",
+    "tomlkit",
+    "websockets",
+}
+OURS = {
+    "biosensor_gateway",
+    "biosensor_gateway.cli",
+    "biosensor_gateway.cli.app",
+    "biosensor_gateway.cli.deferred",
+    "biosensor_gateway.cli.table",
+}
+LOADED_AT_THE_END = """
+import atexit, sys
+atexit.register(lambda: sys.stderr.write(" ".join(sys.modules)))
+from biosensor_gateway.cli import main
+main()
+"""
+
+each_command = pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.name)
+
+
+def loaded(*arguments: str) -> set[str]:
+    """Modules that a run of the program has imported."""
+    ended = subprocess.run(
+        [sys.executable, "-c", LOADED_AT_THE_END, *arguments],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
+    )
+    return set(ended.stderr.split())
+
+
+@pytest.mark.parametrize(("option", "more"), [("--version", {"rich"}), ("--help", set[str]())])
+def test_the_first_look_imports_no_command(option: str, more: set[str]) -> None:
+    modules = loaded(option)
+    assert "typer" in modules
+    assert not (HEAVY | more) & modules
+    assert {name for name in modules if name.startswith("biosensor_gateway")} <= OURS
+
+
+@each_command
+def test_the_list_says_what_the_command_says_of_itself(command: Deferred) -> None:
+    text = inspect.cleandoc(command.load().help or "")
+    assert command.help == " ".join(text.partition("\n\n")[0].split())
+
+
+def test_the_program_has_the_commands_of_the_table() -> None:
+    assert list(app().commands.values()) == list(COMMANDS)
+    assert len({command.name for command in COMMANDS}) == len(COMMANDS)
