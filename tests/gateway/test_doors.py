@@ -31,6 +31,7 @@ OURS = {
     "biosensor_gateway.cli",
     "biosensor_gateway.cli.app",
     "biosensor_gateway.cli.deferred",
+    "biosensor_gateway.cli.quick_help",
     "biosensor_gateway.cli.table",
 }
 LOADED_AT_THE_END = """
@@ -55,7 +56,9 @@ def loaded(*arguments: str) -> set[str]:
     return set(ended.stderr.split())
 
 
-@pytest.mark.parametrize(("option", "more"), [("--version", {"rich"}), ("--help", set[str]())])
+@pytest.mark.parametrize(
+    ("option", "more"), [("--version", {"rich"}), ("--help", {"pygments", "rich.markdown"})]
+)
 def test_the_first_look_imports_no_command(option: str, more: set[str]) -> None:
     modules = loaded(option)
     assert "typer" in modules

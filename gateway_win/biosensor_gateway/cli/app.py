@@ -13,11 +13,13 @@ import typer
 from typer.core import TyperGroup
 
 from biosensor_common.errors import ConfigError, GatewayError
+from biosensor_gateway.cli.quick_help import QuickGroup
 from biosensor_gateway.cli.table import COMMANDS
 
 EXIT_FAILED, EXIT_USAGE = 1, 2
 
 _root = typer.Typer(
+    cls=QuickGroup,
     help="Wearable biosensors as Lab Streaming Layer outlets.",
     no_args_is_help=True,
     add_completion=False,
