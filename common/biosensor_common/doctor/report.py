@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from biosensor_common.doctor.check import Category
 from biosensor_common.doctor.finding import Finding, Level
 from biosensor_common.doctor.runner import Report
+from biosensor_common.terminal import wrapped
 
 FORMAT_VERSION = 1
 
@@ -45,9 +46,10 @@ def as_json(report: Report) -> str:
     return json.dumps(content, indent=2)
 
 
-def as_text(report: Report, encoding: str = "utf-8") -> str:
-    """Return the report as lines that a console of that encoding can show."""
-    text = "\n".join([*_lines(report), _summary(report)])
+def as_text(report: Report, encoding: str = "utf-8", width: int | None = None) -> str:
+    """Return the report as lines that a console of that encoding, and width, can show."""
+    lines = [*_lines(report), _summary(report)]
+    text = "\n".join(wrapped(line, width, hang=len(_INDENT)) for line in lines)
     return text.encode(encoding, "replace").decode(encoding)
 
 

@@ -9,16 +9,18 @@ from collections.abc import Mapping
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console, Group
+from rich.console import Group
 from rich.live import Live
 from rich.table import Table
 
 from biosensor_common.errors import ConfigError, TransportError, TransportReason
 from biosensor_gateway import health
 from biosensor_gateway.cli.options import JsonOption
+from biosensor_gateway.cli.screen import console, table_of_names
 from biosensor_gateway.settings import state_folder
 
 _EVERY_S = 1.0
+_HEADINGS = ("device", "offset s", "drift ppm", "RMS ms", "jumps", "age s")
 
 
 def clocks(
@@ -41,7 +43,8 @@ def clocks(
         elif watch:
             _watch()
         else:
-            Console().print(_table(_status()))
+            terminal = console()
+            terminal.print(_table(_status(), terminal.width))
 
 
 def _status() -> dict[str, Any]:
@@ -64,7 +67,7 @@ def _print_json(*, watch: bool) -> None:
 def _watch() -> None:
     with Live(Group(), auto_refresh=False) as live:
         while True:
-            live.update(_table(_status()), refresh=True)
+            live.update(_table(_status(), live.console.width), refresh=True)
             time.sleep(_EVERY_S)
 
 
@@ -95,23 +98,19 @@ def _entry(device: Mapping[str, Any], lsl_time: float | None) -> dict[str, Any]:
     return {**{name: device[name] for name in names}, "clock": clock}
 
 
-def _table(status: Mapping[str, Any]) -> Table:
-    table = Table("device", box=None)
-    for column in ("offset s", "drift ppm", "RMS ms", "jumps", "age s"):
-        # Half a figure is worse than a line that is too long.
-        table.add_column(column, justify="right", no_wrap=True, min_width=len(column))
+def _table(status: Mapping[str, Any], width: int) -> Table:
+    rows: list[tuple[str, ...]] = []
     for entry in report(status)["clocks"]:
         parts = (entry["participant"], entry["sensor"], entry["label"], f"({entry['unit']})")
         name = " ".join(part for part in parts if part)
         state = "" if entry["state"] == "streaming" else f", {entry['state']}"
-        # Square brackets in a label are no markup.
-        table.add_row(f"{name}{state}".replace("[", "\\["), *_figures(entry["clock"]))
-    return table
+        rows.append((f"{name}{state}", *_figures(entry["clock"])))
+    return table_of_names(_HEADINGS, rows, width)
 
 
 def _figures(clock: Mapping[str, Any] | None) -> tuple[str, ...]:
     if clock is None:
-        return ("none",)
+        return ("none", "", "", "", "")
     age = clock["age_s"]
     return (
         f"{clock['offset_s']:.6f}",

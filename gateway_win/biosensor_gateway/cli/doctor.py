@@ -11,6 +11,7 @@ from biosensor_common.doctor import probe
 from biosensor_common.doctor.check import Check
 from biosensor_common.doctor.report import as_json, as_text
 from biosensor_common.doctor.runner import run_checks
+from biosensor_common.terminal import columns
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
 from biosensor_gateway.doctor.context import LAB_RECORDER_PORT, read_context
 from biosensor_gateway.doctor.table import CHECKS
@@ -50,7 +51,8 @@ def doctor(
         settings or settings_path(), state_folder(), lab_recorder_port=lab_recorder_port
     )
     report = run_checks(_checks(only or []), context)
-    typer.echo(as_json(report) if as_json_ else as_text(report, sys.stdout.encoding or "ascii"))
+    text = as_text(report, sys.stdout.encoding or "ascii", columns(sys.stdout))
+    typer.echo(as_json(report) if as_json_ else text)
     if not report.is_good:
         raise typer.Exit(1)
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from biosensor_common.errors import (
@@ -19,9 +19,12 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
+from biosensor_common.quantities import Unit
+from biosensor_common.registry import sensor as spec
 from biosensor_gateway import health, settings_file, trial
 from biosensor_gateway import scan as search
 from biosensor_gateway.cli.options import JsonOption, SettingsOption, SimulateOption
+from biosensor_gateway.cli.screen import console, say, table_of_names
 from biosensor_gateway.devices import settings_models
 from biosensor_gateway.logs import configure_logs
 from biosensor_gateway.settings import (
@@ -46,19 +49,20 @@ def status(as_json: JsonOption = False) -> None:
 
 
 def _print_status(current: dict[str, Any]) -> None:
-    console = Console()
+    terminal = console()
     for device in current["devices"]:
         name = " ".join(
             part for part in (device["participant"], device["sensor"], device["label"]) if part
         )
         state = f"paused ({device['state']})" if device["paused"] else device["state"]
         line = f"{name} ({device['unit']}): {state}"
-        console.print(line + (f" - {device['error']}" if device["error"] else ""), markup=False)
+        say(line + (f" - {device['error']}" if device["error"] else ""))
         columns = ("pushed", "lost", "refused", "withheld")
-        table = Table("stream", *columns, box=None)
-        for source_id, counters in device["streams"].items():
-            table.add_row(source_id, *(str(counters[column]) for column in columns))
-        console.print(table)
+        rows = [
+            (source_id, *(str(counters[column]) for column in columns))
+            for source_id, counters in device["streams"].items()
+        ]
+        terminal.print(table_of_names(("stream", *columns), rows, terminal.width))
 
 
 def scan(
@@ -79,13 +83,15 @@ def scan(
 
 def _print_sections(sections: list[search.Section]) -> None:
     for section in sections:
-        typer.echo(f"{section.title}: {section.problem or _counted(len(section.found))}")
+        say(f"{section.title}: {section.problem or _counted(len(section.found))}")
         for found in section.found:
             signal = "" if found.rssi_dbm is None else f", {found.rssi_dbm} dBm"
-            typer.echo(f"\n  {found.name}{signal}\n")
+            typer.echo()
+            say(f"  {found.name}{signal}", hang=4)
+            typer.echo()
             typer.echo("\n".join(f"    {line}" for line in search.toml_lines(found).splitlines()))
         if section.others:
-            typer.echo(f"  not known to any driver: {', '.join(section.others)}")
+            say(f"  not known to any driver: {', '.join(section.others)}", hang=4)
         typer.echo()
 
 
@@ -109,31 +115,47 @@ def test(
     if as_json:
         typer.echo(json.dumps(trial.as_json(outcome), indent=2))
     else:
-        _print_trial(outcome)
+        _print_trial(outcome, sensor)
     if outcome.problems:
         raise typer.Exit(1)
 
 
-def _print_trial(outcome: trial.Trial) -> None:
+def _print_trial(outcome: trial.Trial, sensor: str) -> None:
     info = outcome.info
     if info is not None:
         details = (info.manufacturer, info.model, info.serial_number, info.firmware_version)
-        typer.echo(f"connected: {' '.join(each for each in details if each) or 'no details'}")
-        table = Table("stream", "samples", "Hz", "nominal", "last", box=None)
-        for name, noted in outcome.streams.items():
-            rate = "" if noted.measured_hz is None else f"{noted.measured_hz:.1f}"
-            nominal = f"{noted.nominal_hz:g}" if noted.nominal_hz else "irregular"
-            table.add_row(name, str(noted.samples), rate, nominal, _short(noted.last))
-        Console().print(table)
+        say(f"connected: {' '.join(each for each in details if each) or 'no details'}")
+        console().print(_trial_table(outcome, sensor))
     for problem in outcome.problems:
-        typer.echo(f"! {problem}")
+        say(f"! {problem}")
     if not outcome.problems:
         typer.echo("no problem found")
 
 
-def _short(values: tuple[float | str, ...]) -> str:
+def _trial_table(outcome: trial.Trial, sensor: str) -> Table:
+    table = Table(box=None)
+    table.add_column("stream", no_wrap=True)
+    for heading in ("samples", "Hz", "nominal Hz"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("last")
+    for name, noted in outcome.streams.items():
+        rate = "" if noted.measured_hz is None else f"{noted.measured_hz:.1f}"
+        nominal = f"{noted.nominal_hz:g}" if noted.nominal_hz else "irregular"
+        channels = spec(sensor).stream(name).channels
+        units = ["" if each.unit is Unit.NONE else each.unit.value for each in channels]
+        last = escape(_short(noted.last, units))
+        table.add_row(name, str(noted.samples), rate, nominal, last)
+    return table
+
+
+def _short(values: tuple[float | str, ...], units: Sequence[str]) -> str:
+    """Return the first values with their units; a unit that all share stands once."""
     shown = [value if isinstance(value, str) else f"{value:.3g}" for value in values[:6]]
-    return " ".join(shown) + (" ..." if len(values) > len(shown) else "")
+    more = " ..." if len(values) > len(shown) else ""
+    if len(set(units)) == 1:
+        return f"{' '.join(shown)}{more} {units[0]}".rstrip()
+    both = zip(shown, units, strict=False)
+    return ", ".join(f"{value} {unit}".rstrip() for value, unit in both) + more
 
 
 @contextmanager

@@ -27,6 +27,8 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from biosensor_common.quantities import MessageType
+from biosensor_common.terminal import columns
+from lsl_to_ros.fitting import fitted, widths
 from lsl_to_ros.messages import CLASSES
 from lsl_to_ros.rates import RateMeter
 
@@ -125,13 +127,14 @@ def _shown(message: Any, unit: str) -> str:  # noqa: ANN401 - any message
     return f"{shown} {'...' if len(data) > 3 else unit}"
 
 
-def render(rows: Sequence[Row]) -> str:
-    """Format the table, a line a topic."""
+def render(rows: Sequence[Row], width: int | None = None) -> str:
+    """Format the table, a line a topic; a width is that of the terminal to fit in."""
     cells = [_HEADINGS, *(row.cells() for row in sorted(rows, key=lambda row: row.topic))]
-    widths = [max(len(line[column]) for line in cells) for column in range(len(_HEADINGS))]
+    lines = fitted(cells, width)
+    sizes = widths(lines)
     return "\n".join(
-        "  ".join(text.ljust(width) for text, width in zip(line, widths, strict=True)).rstrip()
-        for line in cells
+        "  ".join(text.ljust(size) for text, size in zip(line, sizes, strict=True)).rstrip()
+        for line in lines
     )
 
 
@@ -183,7 +186,7 @@ def _spin(node: LiveTable, seconds: float | None, stopping: threading.Event) -> 
         if now - shown >= REFRESH_S:
             shown = now
             # Rendered in any case: the rates are measured from one look to the next.
-            table = render(list(node.rows.values()))
+            table = render(list(node.rows.values()), columns(sys.stdout))
             if sys.stdout.isatty():
                 sys.stdout.write(f"{_CLEAR}{table}\n")
                 sys.stdout.flush()
@@ -197,7 +200,7 @@ def _end(first_sample: float | None, started: float, seconds: float | None) -> f
 
 
 def _conclude(node: LiveTable, seconds: float | None, expected: dict[str, str]) -> int:
-    sys.stdout.write(render(list(node.rows.values())) + "\n")
+    sys.stdout.write(render(list(node.rows.values()), columns(sys.stdout)) + "\n")
     if node.first_sample is None:
         sys.stdout.write(f"nothing received within {FIRST_SAMPLE_TIMEOUT_S:.0f} s\n")
         return 1

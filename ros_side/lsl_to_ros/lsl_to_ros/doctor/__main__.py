@@ -8,6 +8,7 @@ import sys
 from biosensor_common.doctor.context import Context
 from biosensor_common.doctor.report import as_json, as_text
 from biosensor_common.doctor.runner import run_checks
+from biosensor_common.terminal import columns
 from lsl_to_ros.doctor.guide import GUIDE
 from lsl_to_ros.doctor.table import CHECKS
 
@@ -21,7 +22,8 @@ def main() -> int:
     given = parser.parse_args()
     chosen = [check for check in CHECKS if not given.only or check.name in given.only]
     report = run_checks(chosen, Context(guide=GUIDE))
-    text = as_json(report) if given.json else as_text(report, sys.stdout.encoding or "ascii")
+    shown = as_text(report, sys.stdout.encoding or "ascii", columns(sys.stdout))
+    text = as_json(report) if given.json else shown
     sys.stdout.write(text + "\n")
     return 0 if report.is_good else 1
 

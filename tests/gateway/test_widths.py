@@ -1,0 +1,120 @@
+"""What people read fits a terminal of 80 columns, and says all of it."""
+
+from __future__ import annotations
+
+import io
+from contextlib import redirect_stdout
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from biosensor_common.naming import source_id
+from biosensor_common.registry import sensor, sensor_names
+from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_common.terminal import wrapped
+from biosensor_gateway.cli import clocks, looking
+from biosensor_gateway.trial import StreamTrial, Trial
+
+WIDTH = 80
+UNIT = "E621E1F8-C36C-495A-93FC-0C247A3E6E5F"
+REASON = "COM17: the port is in use by another program; close the program that has it open"
+FIGURES = {"pushed": 123456789, "lost": 98765, "refused": 43210, "withheld": 1234567}
+CLOCK = {
+    "offset_s": -1763806000.123456,
+    "drift_ppm": -123.4,
+    "residual_rms_s": 0.012345,
+    "reanchors": 12345,
+    "newest_s": 4711.0,
+}
+
+
+def device(name: str) -> dict[str, Any]:
+    identity = DeviceIdentity(name, UNIT, "participant-0123", "left upper arm")
+    return {
+        "sensor": name,
+        "unit": UNIT,
+        "participant": identity.participant,
+        "label": identity.label,
+        "state": "discovering",
+        "paused": True,
+        "error": REASON,
+        "clock": CLOCK,
+        "streams": {source_id(identity, each.data_name): FIGURES for each in sensor(name).streams},
+    }
+
+
+STATUS: dict[str, Any] = {
+    "written": 1.0,
+    "process": 1,
+    "lsl_time": 4712.0,
+    "devices": [device(name) for name in sensor_names()],
+}
+
+
+@pytest.fixture(autouse=True)
+def terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
+    """A terminal of 80 columns."""
+    shown = io.StringIO()
+    monkeypatch.setattr(shown, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    monkeypatch.setenv("TERM", "dumb")
+    monkeypatch.setattr(looking, "console", lambda: Console(width=WIDTH, file=shown))
+    return shown
+
+
+def fits(shown: str) -> str:
+    assert shown
+    assert not [line for line in shown.splitlines() if len(line.rstrip()) > WIDTH]
+    return shown
+
+
+def test_status(terminal: io.StringIO) -> None:
+    with redirect_stdout(terminal):
+        looking._print_status(STATUS)  # pyright: ignore[reportPrivateUsage]
+    shown = fits(terminal.getvalue())
+    words = shown.split()
+    for each in STATUS["devices"]:
+        assert each["sensor"] in words
+    assert words.count(f"({UNIT}):") == len(STATUS["devices"])
+    streams = sum(len(each["streams"]) for each in STATUS["devices"])
+    for figure in FIGURES.values():
+        assert words.count(str(figure)) == streams
+    assert " ".join(REASON.split()) in " ".join(words)
+
+
+def test_clocks(terminal: io.StringIO) -> None:
+    table = clocks._table(STATUS, WIDTH)  # pyright: ignore[reportPrivateUsage]
+    Console(width=WIDTH, file=terminal).print(table)
+    words = fits(terminal.getvalue()).split()
+    assert {name for name in sensor_names() if len(name) < 20} <= set(words)
+    for figure in ("-1763806000.123456", "-123.4", "12.345", "12345", "1.00"):
+        assert words.count(figure) == len(STATUS["devices"])
+
+
+@pytest.mark.parametrize("name", sensor_names())
+def test_trial(terminal: io.StringIO, name: str) -> None:
+    streams = {
+        each.data_name: StreamTrial(123456, 1.0, 700.0, (-1.23456e-5,) * len(each.channels), 256)
+        for each in sensor(name).streams
+    }
+    info = DeviceInfo(manufacturer="Manufacturer of it", model="Model 12", serial_number=UNIT)
+    trial = Trial(info, streams, [REASON])
+    with redirect_stdout(terminal):
+        looking._print_trial(trial, name)  # pyright: ignore[reportPrivateUsage]
+    words = fits(terminal.getvalue()).split()
+    assert set(streams) <= set(words)
+    assert UNIT in words
+    units = {
+        unit.value for each in sensor(name).streams for unit in (c.unit for c in each.channels)
+    }
+    shown = {word.rstrip(",") for word in words}
+    assert units - {"none"} <= shown
+
+
+def test_a_line_ends_between_words() -> None:
+    path = "/dev/serial/by-id/usb-FTDI_FT232R_USB_UART_with_a_name_longer_than_the_whole_line_is"
+    lines = wrapped(f"            fix: open {path} and {REASON}", WIDTH, hang=12).splitlines()
+    assert path in [line.strip() for line in lines]
+    assert all(len(line) <= WIDTH for line in lines if path not in line)
+    assert " ".join(" ".join(lines).split()) == f"fix: open {path} and {REASON}"
