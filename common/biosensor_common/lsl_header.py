@@ -8,11 +8,17 @@ stream belongs without having heard of the sensor before::
       <version>1</version> <sensor>zephyr</sensor> <unit>BHT012345</unit>
       <participant/> <label/> <data_name>ecg</data_name> <category>raw</category>
       <message_type>std_msgs/msg/Float32</message_type> <chunk>ecg</chunk>
+      <is_state>false</is_state>
     </biosensor>
+
+A channel whose meaning agent or node act on has a ``<role>`` beside its label and
+unit. Both ``<role>`` and ``<is_state>`` are optional: headers of 0.1.0 have neither,
+and readers of 0.1.0 ignore them.
 
 What is read comes from the network and is not trusted: it is limited in size,
 names are checked, and a block that does not fit the stream that carries it is
-refused as a whole. Elements that version 1 does not know are ignored.
+refused as a whole. Elements that version 1 does not know are ignored, and so are
+roles that this reader does not know, or that come in another unit.
 """
 
 from __future__ import annotations
@@ -23,7 +29,14 @@ from typing import TypeVar
 
 from biosensor_common import naming
 from biosensor_common.errors import SpecError, SpecReason
-from biosensor_common.quantities import Category, ChannelFormat, ContentType, MessageType
+from biosensor_common.header_0_1_0 import inferred_roles, inferred_state
+from biosensor_common.header_channels import Channels, Roles, fitting, read_channels
+from biosensor_common.quantities import (
+    Category,
+    ChannelFormat,
+    ContentType,
+    MessageType,
+)
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, StreamSpec, is_data_name
 from biosensor_common.stream_header import (
     MAX_FIELD_CHARACTERS,
@@ -49,13 +62,15 @@ def describe(stream: StreamSpec, identity: DeviceIdentity, info: DeviceInfo) -> 
     for channel in stream.channels:
         node = ET.SubElement(channels, "channel")
         kind = _CHANNEL_TYPES.get(stream.content_type, stream.content_type.value)
-        _append(node, label=channel.label, unit=channel.unit.value, type=kind)
+        _append(node, label=channel.label, unit=str(channel.unit), type=kind)
+        if channel.role is not None:
+            _append(node, role=channel.role.value)
         if channel.scale is not None:
             scale = channel.scale
             _append(
                 ET.SubElement(node, "nominal_scale"),
                 factor=repr(scale.factor),
-                unit=scale.unit.value,
+                unit=str(scale.unit),
                 zero=repr(scale.zero),
             )
     _append(
@@ -81,6 +96,7 @@ def describe(stream: StreamSpec, identity: DeviceIdentity, info: DeviceInfo) -> 
         category=stream.category.value,
         message_type=stream.message_type.value,
         chunk=stream.chunk,
+        is_state=str(stream.is_state).lower(),
     )
     return desc
 
@@ -105,10 +121,11 @@ def read_header(xml: str) -> StreamHeader:
     core = _core(root)
     blocks = root.findall("desc/biosensor")
     if not blocks:
-        return foreign_header(core, *_channel_texts(root, core))
+        channels = read_channels(root, core.channel_count)
+        return foreign_header(core, channels.labels, channels.units)
     if len(blocks) > 1:
         raise SpecError(SpecReason.MALFORMED, f"{core}: more than one <biosensor> block")
-    return _own(core, blocks[0], *_channel_texts(root, core))
+    return _own(core, blocks[0], read_channels(root, core.channel_count))
 
 
 _CORE_FIELDS = (
@@ -160,20 +177,7 @@ def _parse(xml: str) -> ET.Element:
         raise SpecError(SpecReason.MALFORMED, message) from error
 
 
-def _channel_texts(root: ET.Element, core: CoreFields) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Labels and units; blank where the description has another number of channels."""
-    nodes = root.findall("desc/channels/channel")
-    if len(nodes) != core.channel_count:
-        blank = ("",) * core.channel_count
-        return blank, blank
-    labels = tuple((node.findtext("label") or "")[:MAX_FIELD_CHARACTERS] for node in nodes)
-    units = tuple((node.findtext("unit") or "")[:MAX_FIELD_CHARACTERS] for node in nodes)
-    return labels, units
-
-
-def _own(
-    core: CoreFields, block: ET.Element, labels: tuple[str, ...], units: tuple[str, ...]
-) -> StreamHeader:
+def _own(core: CoreFields, block: ET.Element, channels: Channels) -> StreamHeader:
     version = _field(core, block, "version")
     if version != VERSION:
         message = f"{core}: <biosensor> version {version!r} is newer than this node; update it"
@@ -185,20 +189,40 @@ def _own(
         label=_field(core, block, "label"),
     )
     data_name = _field(core, block, "data_name")
+    roles, is_state = _meaning(core, block, channels)
     header = StreamHeader(
         identity=identity,
         data_name=data_name,
         category=_member(core, Category, _field(core, block, "category")),
         content_type=core.content_type,
-        labels=labels,
-        units=units,
+        labels=channels.labels,
+        units=channels.units,
+        roles=roles,
         rate=core.rate,
         format=core.format,
         message_type=_member(core, MessageType, _field(core, block, "message_type")),
         chunk=_field(core, block, "chunk"),
+        is_state=is_state,
     )
     _check(core, header)
     return header
+
+
+def _meaning(core: CoreFields, block: ET.Element, channels: Channels) -> tuple[Roles, bool]:
+    """Return the channels' roles and whether the stream is a state: as said, else inferred."""
+    says_state = block.find("is_state") is not None
+    if says_state or channels.says_roles:
+        return channels.roles, says_state and _truth(core, block, "is_state")
+    roles = inferred_roles(core.content_type, channels.labels)
+    return fitting(roles, channels.units), inferred_state(core.content_type, core.rate)
+
+
+def _truth(core: CoreFields, block: ET.Element, name: str) -> bool:
+    text = _field(core, block, name)
+    if text not in ("true", "false"):
+        message = f"{core}: <{name}> is {text!r} instead of 'true' or 'false'"
+        raise SpecError(SpecReason.INVALID, message)
+    return text == "true"
 
 
 def _field(core: CoreFields, block: ET.Element, name: str) -> str:
@@ -234,6 +258,7 @@ def _check(core: CoreFields, header: StreamHeader) -> None:
         (core.channel_count > 1 and not message_type.is_array, f"messages {message_type}"),
         (_is_too_narrow(message_type, header.format), f"messages {message_type}"),
         (bool(header.chunk) and (is_text or core.rate == 0), "chunks"),
+        (header.is_state and core.rate > 0, "to be a state"),
     ):
         if lie:
             message = f"{core}: its <biosensor> block claims {claim}, which does not fit the stream"

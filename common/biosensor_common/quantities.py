@@ -7,7 +7,10 @@ from enum import StrEnum, unique
 
 @unique
 class Unit(StrEnum):
-    """Units as they are written into ``channels/channel/unit``."""
+    """Units of our own declarations, as they are written into ``channels/channel/unit``.
+
+    A sensor of another package may have units of its own; see :class:`.ChannelSpec`.
+    """
 
     ARBITRARY = "a.u."
     BEATS_PER_MINUTE = "bpm"
@@ -30,6 +33,70 @@ class Unit(StrEnum):
     NONE = "none"
     PERCENT = "percent"
     SECONDS = "s"
+
+
+@unique
+class ChannelRole(StrEnum):
+    """What a channel means to those who act on its values, whatever its label is.
+
+    The role fixes the unit, see `unit`. Most channels have none: nobody but the
+    person who reads the recording needs to know.
+    """
+
+    CONTACT = "contact"
+    """1 while the sensor is where it belongs on the body, 0 off it, NaN unknown."""
+    STATE_OF_CHARGE = "state_of_charge"
+    """Of the battery."""
+    SIGNAL_STRENGTH = "signal_strength"
+    """Of the radio, as the receiver measures it."""
+    ORIENTATION_W = "orientation_w"
+    """The scalar part of a unit quaternion."""
+    ORIENTATION_X = "orientation_x"
+    ORIENTATION_Y = "orientation_y"
+    ORIENTATION_Z = "orientation_z"
+    ACCELERATION_X = "acceleration_x"
+    ACCELERATION_Y = "acceleration_y"
+    ACCELERATION_Z = "acceleration_z"
+    MAGNETIC_FIELD_X = "magnetic_field_x"
+    MAGNETIC_FIELD_Y = "magnetic_field_y"
+    MAGNETIC_FIELD_Z = "magnetic_field_z"
+
+    @property
+    def unit(self) -> Unit:
+        """The unit of every channel of this role."""
+        return _ROLE_UNITS[self]
+
+
+ORIENTATION = (
+    ChannelRole.ORIENTATION_W,
+    ChannelRole.ORIENTATION_X,
+    ChannelRole.ORIENTATION_Y,
+    ChannelRole.ORIENTATION_Z,
+)
+ACCELERATION = (
+    ChannelRole.ACCELERATION_X,
+    ChannelRole.ACCELERATION_Y,
+    ChannelRole.ACCELERATION_Z,
+)
+MAGNETIC_FIELD = (
+    ChannelRole.MAGNETIC_FIELD_X,
+    ChannelRole.MAGNETIC_FIELD_Y,
+    ChannelRole.MAGNETIC_FIELD_Z,
+)
+
+_ROLE_UNITS: dict[ChannelRole, Unit] = {
+    ChannelRole.CONTACT: Unit.BOOLEAN,
+    ChannelRole.STATE_OF_CHARGE: Unit.PERCENT,
+    ChannelRole.SIGNAL_STRENGTH: Unit.DBM,
+    **dict.fromkeys(ORIENTATION, Unit.NONE),
+    **dict.fromkeys(ACCELERATION, Unit.G),
+    **dict.fromkeys(MAGNETIC_FIELD, Unit.MICROTESLA),
+}
+
+ROLES_OF_DEVICE = frozenset(
+    {ChannelRole.CONTACT, ChannelRole.STATE_OF_CHARGE, ChannelRole.SIGNAL_STRENGTH}
+)
+"""Roles of channels that tell of the device, not of the person."""
 
 
 @unique
@@ -58,6 +125,12 @@ class ContentType(StrEnum):
     RSSI = "RSSI"
     STATUS = "Status"
     TEMPERATURE = "Temperature"
+
+
+TYPES_OF_DEVICE = frozenset(
+    {ContentType.BATTERY, ContentType.QUALITY, ContentType.RSSI, ContentType.STATUS}
+)
+"""Types of streams that tell of the device, not of the person."""
 
 
 @unique

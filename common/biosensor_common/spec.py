@@ -8,12 +8,23 @@ LabRecorder, pyxdf, MNE-LSL and rclpy accept a stream.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
 
 from biosensor_common.errors import SpecError, SpecReason
-from biosensor_common.quantities import Category, ChannelFormat, ContentType, MessageType, Unit
+from biosensor_common.quantities import (
+    Category,
+    ChannelFormat,
+    ChannelRole,
+    ContentType,
+    MessageType,
+)
 
+MAX_UNIT_CHARACTERS = 32
+
+# What every XML reader, terminal and ROS tool shows as it is.
+_UNIT = re.compile(r"[!#-%(-;=?-~]+(?: [!#-%(-;=?-~]+)*")
 _NAME = re.compile(r"[a-z](?:_?[a-z0-9])*")
 _RESERVED_SUFFIXES = ("_chunk", "_stamped")
 
@@ -36,7 +47,7 @@ class NominalScale:
     """How counts relate to a physical unit: ``(counts - zero) * factor``, approximately."""
 
     factor: float
-    unit: Unit
+    unit: str
     zero: float = 0.0
 
 
@@ -44,12 +55,38 @@ class NominalScale:
 class ChannelSpec:
     """One channel of a stream.
 
-    ``scale`` is set where ``unit`` is counts and a datasheet names a factor.
+    Attributes
+    ----------
+    unit
+        A :class:`.Unit`, or what a sensor of another package measures in.
+    scale
+        Set where ``unit`` is counts and a datasheet names a factor.
+    role
+        What the values mean to agent and node; None where neither acts on them.
+
+    Raises
+    ------
+    SpecError
+        ``INVALID``, with the channel and the rule that it breaks.
     """
 
     label: str
-    unit: Unit
+    unit: str
     scale: NominalScale | None = None
+    role: ChannelRole | None = None
+
+    def __post_init__(self) -> None:
+        units = [self.unit] if self.scale is None else [self.unit, self.scale.unit]
+        for unit in units:
+            if len(unit) > MAX_UNIT_CHARACTERS or _UNIT.fullmatch(unit) is None:
+                rule = (
+                    f"its unit {unit[: 2 * MAX_UNIT_CHARACTERS]!r} is not 1 to "
+                    f"{MAX_UNIT_CHARACTERS} characters of ASCII without quotes, <, > and &"
+                )
+                raise SpecError(SpecReason.INVALID, f"channel {self.label!r}: {rule}")
+        if self.role is not None and self.unit != self.role.unit:
+            rule = f"what has the role {self.role} is in {self.role.unit}, not in {self.unit}"
+            raise SpecError(SpecReason.INVALID, f"channel {self.label!r}: {rule}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +105,8 @@ class StreamSpec:
     contract
         The row is in the original framework's tables: topic name and message
         type never change.
+    is_state
+        Each sample holds until the next one, so whoever comes later wants the last.
 
     Raises
     ------
@@ -84,6 +123,7 @@ class StreamSpec:
     message_type: MessageType
     chunk: str = ""
     contract: bool = False
+    is_state: bool = False
 
     def __post_init__(self) -> None:
         for broken, rule in self._rules():
@@ -93,11 +133,14 @@ class StreamSpec:
     def _rules(self) -> list[tuple[bool, str]]:
         is_text = self.format is ChannelFormat.STRING
         labels = [channel.label for channel in self.channels]
+        roles = [channel.role for channel in self.channels if channel.role is not None]
         return [
             (not is_data_name(self.data_name), "its name is not a lower-case ROS name"),
             (not self.channels, "it has no channel"),
             (len(set(labels)) != len(labels) or "" in labels, "labels are empty or repeated"),
             (not "".join(labels).isascii(), "labels must be ASCII"),
+            (len(set(roles)) != len(roles), "two channels have the same role"),
+            (self.is_state and self.is_regular, "a state has no rate"),
             (
                 not (self.is_from_device or self._rate_is_valid()),
                 "its rate is negative or infinite",
@@ -168,6 +211,13 @@ class SensorSpec:
             if stream.data_name == data_name:
                 return stream
         raise KeyError(data_name)
+
+    def channels_of(self, role: ChannelRole) -> Iterator[tuple[str, int, str]]:
+        """Yield data name, column and label of each channel that has a role."""
+        for stream in self.streams:
+            for column, channel in enumerate(stream.channels):
+                if channel.role is role:
+                    yield stream.data_name, column, channel.label
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from biosensor_common import naming
-from biosensor_common.quantities import Category, ChannelFormat, MessageType
+from biosensor_common.quantities import Category, ChannelFormat, ChannelRole, MessageType
 from biosensor_common.spec import DeviceIdentity
 
 MAX_FIELD_CHARACTERS = 128
@@ -38,10 +38,14 @@ class StreamHeader:
     ----------
     labels, units
         One a channel, in channel order; empty text where a foreign stream says nothing.
+    roles
+        One a channel, each in the unit of its role; None for most, and in a foreign stream.
     rate
         Nominal rate in Hz, 0 if irregular.
     chunk
         Data name of the chunk topic, empty if there is none.
+    is_state
+        Each sample holds until the next one; never of a regular or foreign stream.
     """
 
     identity: DeviceIdentity
@@ -50,10 +54,12 @@ class StreamHeader:
     content_type: str
     labels: tuple[str, ...]
     units: tuple[str, ...]
+    roles: tuple[ChannelRole | None, ...]
     rate: float
     format: ChannelFormat
     message_type: MessageType
     chunk: str
+    is_state: bool = False
     foreign: bool = False
 
 
@@ -86,6 +92,7 @@ def foreign_header(
         content_type=core.content_type,
         labels=labels or blank,
         units=units or blank,
+        roles=(None,) * core.channel_count,
         rate=core.rate,
         format=core.format,
         message_type=_GENERIC.get(core.format, MessageType.FLOAT32_MULTI_ARRAY),

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import partial
 
-from biosensor_common.quantities import Category, ChannelFormat, ContentType, MessageType, Unit
+from biosensor_common.quantities import (
+    Category,
+    ChannelFormat,
+    ChannelRole,
+    ContentType,
+    MessageType,
+    Unit,
+)
 from biosensor_common.spec import IRREGULAR, ChannelSpec, FromDevice, StreamSpec
 
 
-def channels(unit: Unit, *labels: str) -> tuple[ChannelSpec, ...]:
-    """Channels that share one unit, in wire order."""
-    return tuple(ChannelSpec(label, unit) for label in labels)
+def channels(unit: str, *labels: str, roles: Iterable[ChannelRole] = ()) -> tuple[ChannelSpec, ...]:
+    """Channels that share one unit, in wire order; with *roles*, one of each."""
+    each = tuple(roles) or (None,) * len(labels)
+    return tuple(
+        ChannelSpec(label, unit, role=role) for label, role in zip(labels, each, strict=True)
+    )
 
 
 def row(
@@ -24,6 +35,7 @@ def row(
     message_type: MessageType | None = None,
     chunk: str = "",
     contract: bool = False,
+    is_state: bool = False,
 ) -> StreamSpec:
     """Build one stream; ``Float32`` for one channel and an array for several, if not said."""
     if message_type is None:
@@ -39,8 +51,21 @@ def row(
         message_type=message_type,
         chunk=chunk,
         contract=contract,
+        is_state=is_state,
     )
 
 
 raw = partial(row, category=Category.RAW)
 hardware = partial(row, category=Category.HARDWARE)
+
+
+def battery(*, contract: bool = False) -> StreamSpec:
+    """Build the stream of a device's battery."""
+    level = channels(Unit.PERCENT, "level", roles=[ChannelRole.STATE_OF_CHARGE])
+    return hardware("bat", ContentType.BATTERY, level, contract=contract, is_state=True)
+
+
+def signal_strength() -> StreamSpec:
+    """Build the stream of how well a device's radio is received."""
+    signal = channels(Unit.DBM, "signal", roles=[ChannelRole.SIGNAL_STRENGTH])
+    return hardware("rssi", ContentType.RSSI, signal, is_state=True)

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from biosensor_common import naming
 from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
 from biosensor_common.lsl_header import describe
-from biosensor_common.quantities import ChannelFormat, ContentType
+from biosensor_common.quantities import TYPES_OF_DEVICE, ChannelFormat
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, StreamSpec
 from biosensor_gateway.counters import Counters
@@ -30,11 +30,6 @@ MAX_STAMP_ERROR_S = 30.0
 # How long receivers take to find a new stream and to attach to it.
 ATTACH_TIME_S = 5.0
 MAX_WAITING = 256
-
-# What a device says once or rarely, and what holds until it says otherwise.
-_STATES = frozenset(
-    {ContentType.BATTERY, ContentType.QUALITY, ContentType.RSSI, ContentType.STATUS}
-)
 
 _DTYPES: dict[ChannelFormat, np.dtype[Any]] = {
     ChannelFormat.FLOAT32: np.dtype(np.float32),
@@ -85,7 +80,9 @@ class Outlet:
         )
         _append(lsl_info.desc(), describe(stream, identity, info))
         self._outlet = pylsl.StreamOutlet(lsl_info)
-        self._waits = stream.content_type in _STATES and not stream.is_regular
+        # What a device says once or rarely, and what holds until it says otherwise.
+        tells_state = stream.is_state or stream.content_type in TYPES_OF_DEVICE
+        self._waits = tells_state and not stream.is_regular
         self._ready_s = pylsl.local_clock() + ATTACH_TIME_S
         self._waiting: deque[tuple[NDArray[Any], float]] = deque(maxlen=MAX_WAITING)
 

@@ -16,6 +16,7 @@ from typing import Any
 
 from biosensor_common import naming
 from biosensor_common.errors import ConfigError
+from biosensor_common.quantities import ContentType
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway import health
@@ -23,7 +24,6 @@ from biosensor_gateway import health
 FRESH_S = 5.0
 """Samples of a belt after a loss, and values of an E4, come in lumps of seconds."""
 _POLL_S = 0.25
-_QUALITY = "quality"
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +170,7 @@ def steady_streams(device: Mapping[str, Any], excluded: frozenset[str]) -> tuple
         rate = 0 if told.get("silent") else told.get("rate_hz", stream.rate)
         if rate != 0 and not stream.message_type.is_text:
             steady.append(source)
-        elif stream.data_name == _QUALITY:
+        elif stream.content_type is ContentType.QUALITY:
             quality.append(source)
     return tuple(steady or quality)
 

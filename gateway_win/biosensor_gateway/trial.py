@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.quantities import ChannelRole
 from biosensor_common.registry import sensor
-from biosensor_common.spec import IRREGULAR, ChannelSpec, DeviceIdentity, DeviceInfo
+from biosensor_common.spec import IRREGULAR, DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices import driver
 from biosensor_gateway.settings import DeviceSettings
 from biosensor_gateway.sink import DeviceSink
@@ -22,8 +23,6 @@ from biosensor_gateway.supervisor import State, Supervisor
 CONNECT_TIMEOUT_S = 60.0
 RATE_TOLERANCE = 0.1
 _POLL_S = 0.05
-# Channels of quality that tell whether somebody wears the sensor.
-_WEAR = ("worn", "contact", "electrodes")
 
 
 @dataclass(slots=True)
@@ -164,9 +163,9 @@ def _judgement(trial: Trial, sensor_name: str) -> list[str]:
     return [
         *(text for name, each in trial.streams.items() if (text := _judge(name, each))),
         *(
-            f"{channel.label} is 0: the sensor does not seem to be on the body"
-            for channel, value in _quality(trial, sensor_name)
-            if channel.label in _WEAR and value == 0
+            f"{label} is 0: the sensor does not seem to be on the body"
+            for data_name, column, label in sensor(sensor_name).channels_of(ChannelRole.CONTACT)
+            if (last := trial.streams[data_name].last) and last[column] == 0
         ),
     ]
 
@@ -181,13 +180,6 @@ def _judge(name: str, noted: StreamTrial) -> str:
     if rate is not None and abs(rate - noted.nominal_hz) > RATE_TOLERANCE * noted.nominal_hz:
         return f"{name}: {rate:.1f} samples a second instead of {noted.nominal_hz:g}"
     return ""
-
-
-def _quality(trial: Trial, sensor_name: str) -> list[tuple[ChannelSpec, float | str]]:
-    noted = trial.streams.get("quality")
-    if noted is None or not noted.last:
-        return []
-    return list(zip(sensor(sensor_name).stream("quality").channels, noted.last, strict=True))
 
 
 def chosen_device(

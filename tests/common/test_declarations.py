@@ -10,7 +10,7 @@ import pytest
 from biosensor_common import naming
 from biosensor_common.quantities import Category, ChannelFormat, ContentType, MessageType, Unit
 from biosensor_common.registry import sensor, sensor_names
-from biosensor_common.spec import FROM_DEVICE, DeviceIdentity, SensorSpec, StreamSpec
+from biosensor_common.spec import FROM_DEVICE, ChannelSpec, DeviceIdentity, SensorSpec, StreamSpec
 
 GOLDEN = Path(__file__).parent / "golden" / "streams.json"
 SENSORS = [sensor(name) for name in sensor_names()]
@@ -32,13 +32,19 @@ def row(spec: SensorSpec, stream: StreamSpec) -> dict[str, Any]:
         "data_name": stream.data_name,
         "category": stream.category.value,
         "lsl_type": stream.content_type.value,
-        "channels": [[channel.label, channel.unit.value] for channel in stream.channels],
+        "channels": [channel_row(channel) for channel in stream.channels],
         "rate": stream.rate.value if stream.rate is FROM_DEVICE else stream.rate,
         "format": stream.format.value,
         "message_type": stream.message_type.value,
         "chunk_topic": f"{stream.chunk}_chunk" if stream.chunk else None,
         "contract": stream.contract,
+        **({"is_state": True} if stream.is_state else {}),
     }
+
+
+def channel_row(channel: ChannelSpec) -> list[str]:
+    role = [] if channel.role is None else [channel.role.value]
+    return [channel.label, channel.unit, *role]
 
 
 def golden_rows() -> list[dict[str, Any]]:
@@ -70,6 +76,11 @@ def test_every_channel_has_a_label_and_numbers_have_a_unit(stream: StreamSpec) -
         assert channel.label.isprintable()
         assert channel.label.strip()
         assert (channel.unit is Unit.NONE) == (is_text or is_quaternion)
+
+
+@pytest.mark.parametrize("stream", STREAMS)
+def test_our_own_units_are_of_the_closed_set(stream: StreamSpec) -> None:
+    assert all(isinstance(channel.unit, Unit) for channel in stream.channels)
 
 
 @pytest.mark.parametrize("stream", STREAMS)

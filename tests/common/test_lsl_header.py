@@ -17,45 +17,15 @@ from biosensor_common import naming
 from biosensor_common.errors import SpecError, SpecReason
 from biosensor_common.lsl_header import MAX_XML_CHARACTERS, describe, read_header
 from biosensor_common.quantities import ChannelFormat, MessageType
-from biosensor_common.registry import sensor, sensor_names
-from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, StreamSpec
+from biosensor_common.registry import sensor
+from biosensor_common.spec import DeviceIdentity, DeviceInfo, StreamSpec
 from biosensor_common.stream_header import MAX_FIELD_CHARACTERS
 from biosensor_gateway.outlets import Outlet
+from tests.rigs.headers import declared_streams, lsl_xml
 
 INFO = DeviceInfo("maker", "model", "serial <1> & 'so' on", "1.2")
 IDENTITY = DeviceIdentity("zephyr", "BH1", participant="p01", label="left")
 DEADLINE_S = 30.0
-
-
-def declared_streams() -> list[tuple[str, StreamSpec]]:
-    streams = [(name, stream) for name in sensor_names() for stream in sensor(name).streams]
-    return [
-        (name, replace(stream, rate=10.0) if isinstance(stream.rate, FromDevice) else stream)
-        for name, stream in streams
-    ]
-
-
-def append(parent: pylsl.XMLElement, element: ET.Element) -> None:
-    for child in element:
-        if len(child):
-            append(parent.append_child(child.tag), child)
-        else:
-            parent.append_child_value(child.tag, child.text or "")
-
-
-def lsl_xml(stream: StreamSpec, identity: DeviceIdentity, desc: ET.Element) -> str:
-    """Return a stream's description as pylsl writes it."""
-    assert not isinstance(stream.rate, FromDevice)
-    info = pylsl.StreamInfo(
-        naming.lsl_name(identity, stream.data_name),
-        stream.content_type.value,
-        len(stream.channels),
-        stream.rate,
-        stream.format.value,
-        naming.source_id(identity, stream.data_name),
-    )
-    append(info.desc(), desc)
-    return info.as_xml()
 
 
 def own_xml() -> str:
@@ -99,6 +69,8 @@ def test_a_declaration_arrives_as_it_was_written(
     assert header.content_type == stream.content_type
     assert header.labels == stream.labels
     assert header.units == tuple(channel.unit for channel in stream.channels)
+    assert header.roles == tuple(channel.role for channel in stream.channels)
+    assert header.is_state == stream.is_state
     assert header.rate == pytest.approx(stream.rate)
     assert header.format == stream.format
     assert header.message_type == stream.message_type

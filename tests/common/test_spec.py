@@ -4,11 +4,19 @@ from typing import Any
 import pytest
 
 from biosensor_common.errors import SpecError, SpecReason
-from biosensor_common.quantities import Category, ChannelFormat, ContentType, MessageType, Unit
+from biosensor_common.quantities import (
+    Category,
+    ChannelFormat,
+    ChannelRole,
+    ContentType,
+    MessageType,
+    Unit,
+)
 from biosensor_common.spec import (
     FROM_DEVICE,
     IRREGULAR,
     ChannelSpec,
+    NominalScale,
     SensorSpec,
     StreamSpec,
     is_data_name,
@@ -66,6 +74,61 @@ def test_empty_or_repeated_labels_are_refused(labels: tuple[str, ...]) -> None:
     changes = {"channels": channels(Unit.G, *labels)}
     message = refused(ECG, **changes, message_type=MessageType.FLOAT32_MULTI_ARRAY)
     assert "empty or repeated" in message
+
+
+@pytest.mark.parametrize("unit", ["mmHg", "m/s^2", "l/min", "%", "1/64 g", "x" * 32])
+def test_another_package_may_measure_in_a_unit_of_its_own(unit: str) -> None:
+    (channel,) = channels(unit, "value")
+    assert channel.unit == unit
+    (scaled,) = channels(Unit.COUNTS, "value")
+    assert replace(scaled, scale=NominalScale(0.5, unit)).scale is not None
+
+
+@pytest.mark.parametrize(
+    "unit",
+    [
+        "",
+        " ",
+        " g",
+        "g ",
+        "m  s",
+        "\u00b5S",
+        "a<b",
+        "a>b",
+        "a&b",
+        '"',
+        "'",
+        "g\n",
+        "g\x00",
+        "x" * 33,
+    ],
+)
+def test_a_unit_that_a_reader_would_stumble_over_is_refused(unit: str) -> None:
+    for make in (
+        lambda: channels(unit, "value"),
+        lambda: ChannelSpec("value", Unit.COUNTS, NominalScale(0.5, unit)),
+    ):
+        with pytest.raises(SpecError) as caught:
+            make()
+        assert caught.value.reason is SpecReason.INVALID
+        assert "'value': its unit" in str(caught.value)
+        assert "\n" not in str(caught.value)
+        assert len(str(caught.value)) < 250
+
+
+def test_what_has_a_role_is_in_its_unit_and_the_only_one() -> None:
+    for role in ChannelRole:
+        assert channels(role.unit, "value", roles=[role])[0].role is role
+    with pytest.raises(SpecError, match="'value': what has the role contact is in boolean, not"):
+        channels(Unit.PERCENT, "value", roles=[ChannelRole.CONTACT])
+    twice = channels(Unit.BOOLEAN, "a", "b", roles=[ChannelRole.CONTACT] * 2)
+    assert "same role" in refused(ECG, channels=twice, message_type=MessageType.FLOAT32_MULTI_ARRAY)
+
+
+@pytest.mark.parametrize("rate", [130, FROM_DEVICE])
+def test_a_stream_with_a_rate_is_no_state(rate: Any) -> None:
+    assert "a state has no rate" in refused(ECG, rate=rate, is_state=True)
+    assert replace(EVENTS, is_state=True).is_state
 
 
 def test_labels_beyond_ascii_are_refused() -> None:

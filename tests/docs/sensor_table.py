@@ -104,7 +104,7 @@ def _by_unit(stream: StreamSpec) -> Iterator[tuple[str, list[str]]]:
         labels.append(channel.label)
         following = stream.channels[index + 1 :]
         if not following or following[0].unit != channel.unit:
-            yield channel.unit.value, labels
+            yield channel.unit, labels
             labels = []
 
 

@@ -9,8 +9,10 @@ from typing import Any
 import pylsl
 import pytest
 
+from biosensor_common.quantities import ChannelRole, ContentType, Unit
 from biosensor_common.registry import sensor, sensor_names
-from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
+from biosensor_common.table import channels, raw
 from biosensor_gateway.events import EventKind
 from biosensor_gateway.events.announcer import Announcer
 from biosensor_gateway.events.device import DeviceEvents
@@ -21,6 +23,7 @@ from biosensor_gateway.withholding import RESUME_GUARD_S
 
 DEVICE_S = 8.2e8
 H10 = "polar_h10"
+CONTACT = ChannelRole.CONTACT
 
 
 class NotedAnnouncer(Announcer):
@@ -291,6 +294,15 @@ def test_channels_that_tell_wear_are_those_of_the_declarations() -> None:
         "ble_heart_rate": "contact",
         "gateway": "",
     }
+
+
+def test_contact_is_followed_wherever_a_sensor_of_another_package_tells_it() -> None:
+    skin = (*channels("mmHg", "pressure"), *channels(Unit.BOOLEAN, "on", roles=[CONTACT]))
+    stream = raw("cuff", ContentType.STATUS, skin, 10.0)
+    watch = WearWatch(SensorSpec("another", "Another", "", "", (stream,)))
+    assert watch.channel == "on"
+    assert list(watch.changes("quality", [[0.0, 0.0]], [1.0])) == []
+    assert list(watch.changes("cuff", [[0.0, 1.0]], [2.0])) == [(True, 2.0)]
 
 
 def test_an_unknown_wear_is_no_change() -> None:

@@ -32,11 +32,13 @@ def header_of(
         category=stream.category,
         content_type=stream.content_type.value,
         labels=stream.labels,
-        units=tuple(channel.unit.value for channel in stream.channels),
+        units=tuple(str(channel.unit) for channel in stream.channels),
+        roles=tuple(channel.role for channel in stream.channels),
         rate=DEVICE_RATE_HZ if isinstance(stream.rate, FromDevice) else stream.rate,
         format=stream.format,
         message_type=stream.message_type,
         chunk=stream.chunk,
+        is_state=stream.is_state,
     )
     return replace(header, **changes)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from biosensor_common.quantities import ChannelFormat, ContentType, MessageType
+from biosensor_common.quantities import ChannelFormat, ChannelRole, ContentType, MessageType
 from biosensor_common.registry import sensor, sensor_names
 from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros.blocks import Block
@@ -179,6 +179,28 @@ def test_no_other_channel_of_a_declared_stream_is_a_warning_at_zero(
         lab.tell(sensor_name, header, *sample)
     for status in lab.statuses().values():
         assert status.level == DiagnosticStatus.OK
+
+
+def test_a_sensor_that_this_version_has_never_heard_of_is_judged_by_its_roles(lab: Lab) -> None:
+    told = (None, ChannelRole.CONTACT, ChannelRole.STATE_OF_CHARGE, ChannelRole.SIGNAL_STRENGTH)
+    patch = replace(
+        header_of("zephyr", "quality"),
+        content_type="Patch",
+        data_name="patch",
+        labels=("pressure", "on", "full", "received"),
+        units=("mmHg", "boolean", "percent", "dBm"),
+        roles=told,
+    )
+    status = lab.tell("well", patch, 0, 1, 80, 0).tell("off", patch, 1, 0, 80, 0).statuses()
+    assert values(status["well"]) == {"patch/on": "1", "patch/full": "80", "patch/received": "0"}
+    assert (status["well"].level, status["off"].message) == (DiagnosticStatus.OK, "not worn")
+    assert "battery at 3 %" in lab.tell("low", patch, 1, 1, 3, 0).statuses()["low"].message
+
+
+def test_a_name_alone_means_nothing(lab: Lab) -> None:
+    quality = header_of("zephyr", "quality")
+    nothing = replace(quality, roles=(None,) * len(quality.roles))
+    assert lab.tell("zephyr", nothing, 0, 0, 0, 0, 0, 0).status().level == DiagnosticStatus.OK
 
 
 def test_a_stream_that_has_not_said_anything_yet_tells_nothing(lab: Lab) -> None:

@@ -12,8 +12,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import BatteryState
 from std_msgs.msg import Float32, Float32MultiArray
 
+from biosensor_common.quantities import ContentType
 from biosensor_common.registry import sensor
-from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_common.spec import DeviceIdentity, DeviceInfo, StreamSpec
+from biosensor_common.table import channels, hardware
 from biosensor_gateway import outlets
 from biosensor_gateway.outlets import Outlet
 
@@ -32,8 +34,16 @@ def attached_first(monkeypatch: pytest.MonkeyPatch, node: RunningNode) -> None:
 
 def push(ros: Ros, sensor_name: str, data_name: str, *samples: list[float]) -> tuple[Outlet, str]:
     """Let the node receive samples that nobody reads; return the outlet and its topic."""
+    return push_on(ros, sensor(sensor_name).stream(data_name), sensor_name, *samples)
+
+
+def push_on(
+    ros: Ros, stream: StreamSpec, sensor_name: str, *samples: list[float]
+) -> tuple[Outlet, str]:
+    """The same on any stream."""
+    data_name = stream.data_name
     identity = DeviceIdentity(sensor_name, "BH1", participant=f"latched_{data_name}")
-    outlet = Outlet(sensor(sensor_name).stream(data_name), identity, DeviceInfo())
+    outlet = Outlet(stream, identity, DeviceInfo())
     topic = f"/latched_{data_name}/biosensors/{sensor_name}/{data_name}"
     ros.attached(topic)
     now = pylsl.local_clock()
@@ -81,6 +91,14 @@ def test_a_late_subscriber_gets_the_last_state_of_the_battery(ros: Ros) -> None:
     ros.report()
     assert [message.percentage for message in late] == [pytest.approx(0.55)]
     assert math.isnan(late[0].voltage)
+
+
+def test_a_state_of_a_sensor_that_nobody_has_heard_of_is_kept(ros: Ros) -> None:
+    mode = hardware("mode", ContentType.STATUS, channels("mmHg", "limit"), is_state=True)
+    _outlet, topic = push_on(ros, mode, "never_heard_of", [99.0], [55.0])
+    late = ros.listen(Float32, topic, LATCHED)
+    ros.until(lambda: bool(late), "the last value")
+    assert [message.data for message in late] == [55.0]
 
 
 def test_what_changes_often_is_not_kept(ros: Ros) -> None:

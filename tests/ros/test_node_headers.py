@@ -69,6 +69,8 @@ LIES: list[tuple[str, Tamper, str]] = [
     ("other_sensor", set_field("sensor", "polar_h10"), "another source_id"),
     ("bad_data_name", set_field("data_name", "../../x"), "lower-case ROS names"),
     ("bad_chunk", set_field("chunk", "a/b"), "lower-case ROS names"),
+    ("no_truth", set_field("is_state", "perhaps"), "instead of 'true' or 'false'"),
+    ("regular_state", set_field("is_state", "true"), "to be a state"),
     ("long_field", set_field("unit", "u" * 129), "longer than"),
     ("huge", pad, "characters, more than"),
     ("not_xml", break_xml, "not well-formed"),
@@ -171,9 +173,18 @@ def test_a_description_of_another_shape_is_refused_alone(ros: Ros, node: Running
         assert status["unit_of_measurement"] == ("counts" if topic == own[0] else "")
 
 
+def set_unknown(desc: ET.Element) -> None:
+    """Use a unit of one's own, and a role of a later version."""
+    channel, unit = desc.find("channels/channel"), desc.find("channels/channel/unit")
+    assert channel is not None
+    assert unit is not None
+    unit.text = "mmHg"
+    ET.SubElement(channel, "role").text = "blood_pressure"
+
+
 def test_a_truthful_description_is_taken_at_its_word(ros: Ros, node: RunningNode) -> None:
     # A sensor that neither this node nor the gateway has ever heard of.
-    outlet = lying("truth", leave_alone, sensor_name="never_heard_of")
+    outlet = lying("truth", set_unknown, sensor_name="never_heard_of")
     topic = "/biosensors/never_heard_of/ecg"
     heard = ros.listen(Float32, topic)
     ros.attached(topic, readers=1)
@@ -181,6 +192,9 @@ def test_a_truthful_description_is_taken_at_its_word(ros: Ros, node: RunningNode
     ros.until(lambda: bool(heard), "a sample")
     assert heard[0].data == 1.5
     assert node.count("[WARN]", "truth") == 0
+    status = ros.status(topic)
+    assert status is not None
+    assert status["unit_of_measurement"] == "mmHg"
 
 
 def test_a_description_of_just_the_permitted_size_is_read(ros: Ros) -> None:

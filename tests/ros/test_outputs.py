@@ -23,7 +23,7 @@ from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_hea
 from lsl_to_ros.blocks import Run
 from lsl_to_ros.bridge import Outputs
 from lsl_to_ros.messages import CLASSES
-from lsl_to_ros.outputs import HAS_STAMPED_TOPICS, is_latched, open_outputs
+from lsl_to_ros.outputs import HAS_STAMPED_TOPICS, open_outputs
 from lsl_to_ros.ports import Port, Ports
 from lsl_to_ros.tally import Lost
 from lsl_to_ros.twins import TWINS
@@ -130,7 +130,7 @@ def test_the_topics_of_another_programs_stream(
     found.pop(f"{header.data_name}_stamped", None)
     # What it measures is not known well enough to say it in a message of sensor_msgs.
     assert found == {}
-    assert not is_latched(header)
+    assert not any(port.latched for port in outputs.ports)
 
 
 def hear(ros: Ros, port: Port, kind: type[Any]) -> list[Any]:

@@ -11,7 +11,13 @@ import pytest
 from sensor_msgs.msg import BatteryState, Imu, MagneticField, Temperature
 from std_msgs.msg import Header
 
-from biosensor_common.quantities import ChannelFormat, ContentType, Unit
+from biosensor_common.quantities import (
+    ACCELERATION,
+    ORIENTATION,
+    ChannelFormat,
+    ContentType,
+    Unit,
+)
 from biosensor_common.registry import sensor, sensor_names
 from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros.blocks import Run
@@ -88,15 +94,14 @@ def test_every_expected_twin_is_of_a_declared_stream() -> None:
     [
         replace(SKIN, units=(Unit.MILLIVOLTS,)),
         replace(SKIN, content_type=ContentType.ACTIVITY.value),
-        replace(BATTERY, units=(Unit.MILLIVOLTS,)),
-        replace(BATTERY, content_type=ContentType.QUALITY.value),
-        replace(DEVICE, content_type=ContentType.QUALITY.value),
-        replace(DEVICE, units=(*DEVICE.units[:-1], Unit.INDEX.value)),
-        replace(MOTION, content_type=ContentType.ACCELEROMETER.value),
-        replace(MOTION, units=(Unit.NONE.value,) * 10),
-        replace(MOTION, labels=tuple("abcdefghij")),
+        # What is called so, but does not say that it is.
+        replace(BATTERY, roles=(None,)),
+        replace(DEVICE, roles=(None,) * 9),
+        replace(MOTION, roles=(None,) * 10),
+        # Components are missing.
+        replace(MOTION, roles=(None, *MOTION.roles[1:-1], None)),
     ],
-    ids=lambda header: f"{header.content_type}-{header.units[-1]}-{header.labels[-1]}",
+    ids=lambda header: f"{header.content_type}-{header.units[0]}-{header.roles[-2:]}",
 )
 def test_what_only_looks_alike_has_no_twin(header: StreamHeader) -> None:
     assert twins_of(header) == {}
@@ -105,10 +110,12 @@ def test_what_only_looks_alike_has_no_twin(header: StreamHeader) -> None:
 def test_a_sensor_that_this_version_has_never_heard_of_has_them_too() -> None:
     core = replace(SKIN, identity=replace(SKIN.identity, sensor="new_patch"), data_name="core")
     assert set(twins_of(core)) == {"core_temperature"}
-    labels = ("ACCX", "ACCY", "ACCZ", "Q3", "Q2", "Q1", "Q0")
-    units = ("g",) * 3 + ("none",) * 4
-    motion = replace(MOTION, data_name="head", labels=labels, units=units)
+    roles = (*ACCELERATION, *ORIENTATION[::-1])
+    units = tuple(role.unit for role in roles)
+    motion = replace(MOTION, data_name="head", labels=tuple("abcdefg"), units=units, roles=roles)
     assert set(twins_of(motion)) == {"head_imu"}
+    charge = replace(BATTERY, data_name="accumulator", labels=("full",), content_type="Power")
+    assert set(twins_of(charge)) == {"accumulator_state"}
 
 
 def test_orientation_and_acceleration_are_in_si_units(ros: Ros) -> None:
@@ -139,8 +146,8 @@ def test_an_orientation_that_was_not_measured_is_said_to_be_missing(ros: Ros, mi
     assert message.linear_acceleration.z == G
 
 
-def test_the_channels_of_motion_are_found_by_their_labels(ros: Ros) -> None:
-    turned = replace(MOTION, labels=MOTION.labels[::-1], units=MOTION.units[::-1])
+def test_the_channels_of_motion_are_found_by_their_roles(ros: Ros) -> None:
+    turned = replace(MOTION, roles=MOTION.roles[::-1], units=MOTION.units[::-1])
     sample = [float(number) for number in range(10)]
     (imu,) = Wire(ros, turned, Imu).send(sample[::-1])
     assert quaternion(imu) == (1.0, 2.0, 3.0, 0.0)

@@ -1,8 +1,8 @@
 """Any strap that offers the Bluetooth Heart Rate Service."""
 
-from biosensor_common.quantities import ContentType, MessageType, Unit
+from biosensor_common.quantities import ChannelRole, ContentType, MessageType, Unit
 from biosensor_common.spec import SensorSpec
-from biosensor_common.table import channels, hardware, raw
+from biosensor_common.table import battery, channels, hardware, raw, signal_strength
 
 SENSOR = SensorSpec(
     name="ble_heart_rate",
@@ -13,9 +13,10 @@ SENSOR = SensorSpec(
     streams=(
         raw("hr", ContentType.HR, channels(Unit.BEATS_PER_MINUTE, "HR")),
         raw("ibi", ContentType.RR, channels(Unit.SECONDS, "RR")),
-        hardware("bat", ContentType.BATTERY, channels(Unit.PERCENT, "level")),
-        hardware("rssi", ContentType.RSSI, channels(Unit.DBM, "signal")),
-        hardware("quality", ContentType.QUALITY, channels(Unit.BOOLEAN, "contact"),
+        battery(),
+        signal_strength(),
+        hardware("quality", ContentType.QUALITY,
+            channels(Unit.BOOLEAN, "contact", roles=[ChannelRole.CONTACT]),
                  message_type=MessageType.FLOAT32_MULTI_ARRAY),
     ),
 )  # fmt: skip

@@ -1,6 +1,13 @@
 """Emotiv Insight headset, by way of the Cortex service."""
 
-from biosensor_common.quantities import ContentType, Unit
+from biosensor_common.quantities import (
+    ACCELERATION,
+    MAGNETIC_FIELD,
+    ORIENTATION,
+    ChannelRole,
+    ContentType,
+    Unit,
+)
 from biosensor_common.spec import FROM_DEVICE, SensorSpec
 from biosensor_common.table import channels, hardware, raw
 
@@ -16,14 +23,15 @@ _METRICS = channels(
     "focus", "attention",
 )  # fmt: skip
 _MOTION = (
-    *channels(Unit.NONE, "Q0", "Q1", "Q2", "Q3"),
-    *channels(Unit.G, "ACCX", "ACCY", "ACCZ"),
-    *channels(Unit.MICROTESLA, "MAGX", "MAGY", "MAGZ"),
+    *channels(Unit.NONE, "Q0", "Q1", "Q2", "Q3", roles=ORIENTATION),
+    *channels(Unit.G, "ACCX", "ACCY", "ACCZ", roles=ACCELERATION),
+    *channels(Unit.MICROTESLA, "MAGX", "MAGY", "MAGZ", roles=MAGNETIC_FIELD),
 )
 # Battery and Signal are grades: 0 to 4, and 0 to 1 or 0 to 2 by the version of Cortex.
 _DEVICE = (
     *channels(Unit.INDEX, "Battery", "Signal", *_ELECTRODES),
-    *channels(Unit.PERCENT, "OVERALL", "BatteryPercent"),
+    *channels(Unit.PERCENT, "OVERALL"),
+    *channels(Unit.PERCENT, "BatteryPercent", roles=[ChannelRole.STATE_OF_CHARGE]),
 )
 _EEG_STATUS = (
     *channels(Unit.INDEX, "COUNTER"),
@@ -43,7 +51,7 @@ SENSOR = SensorSpec(
         raw("pow", ContentType.EEG_BANDPOWER, _BAND_POWER, 8, chunk="pow", contract=True),
         raw("met", ContentType.PERFORMANCE_METRICS, _METRICS, contract=True),
         hardware("mot", ContentType.MOCAP, _MOTION, FROM_DEVICE, contract=True),
-        hardware("dev", ContentType.STATUS, _DEVICE, contract=True),
+        hardware("dev", ContentType.STATUS, _DEVICE, is_state=True, contract=True),
         hardware("eeg_status", ContentType.STATUS, _EEG_STATUS, 128),
         # Only older firmware sends it, in a unit that the vendor does not document.
         hardware("gyro", ContentType.MOCAP, channels(Unit.ARBITRARY, *"XYZ"), FROM_DEVICE),

@@ -1,11 +1,11 @@
 """Empatica E4 wristband, by way of the E4 streaming server."""
 
-from biosensor_common.quantities import ChannelFormat, ContentType, MessageType, Unit
+from biosensor_common.quantities import ChannelFormat, ChannelRole, ContentType, MessageType, Unit
 from biosensor_common.spec import SensorSpec
-from biosensor_common.table import channels, hardware, raw
+from biosensor_common.table import battery, channels, hardware, raw
 
 _QUALITY = (
-    *channels(Unit.BOOLEAN, "worn"),
+    *channels(Unit.BOOLEAN, "worn", roles=[ChannelRole.CONTACT]),
     *channels(Unit.FRACTION, "loss"),
 )
 
@@ -24,7 +24,7 @@ SENSOR = SensorSpec(
         raw("hr", ContentType.HR, channels(Unit.BEATS_PER_MINUTE, "HR"), contract=True),
         raw("ibi", ContentType.RR, channels(Unit.SECONDS, "IBI"), contract=True),
         hardware("acc", ContentType.ACCELEROMETER, channels(Unit.G, *"XYZ"), 32, contract=True),
-        hardware("bat", ContentType.BATTERY, channels(Unit.PERCENT, "level"), contract=True),
+        battery(contract=True),
         hardware("tag", ContentType.MARKERS, channels(Unit.NONE, "event"), contract=True,
                  channel_format=ChannelFormat.STRING, message_type=MessageType.EMPTY),
         hardware("quality", ContentType.QUALITY, _QUALITY),

@@ -1,11 +1,11 @@
 """Shimmer3 GSR+ unit with the optical pulse probe."""
 
-from biosensor_common.quantities import ContentType, Unit
+from biosensor_common.quantities import ChannelRole, ContentType, Unit
 from biosensor_common.spec import SensorSpec
-from biosensor_common.table import channels, hardware, raw
+from biosensor_common.table import battery, channels, hardware, raw
 
 _QUALITY = (
-    *channels(Unit.BOOLEAN, "electrodes"),
+    *channels(Unit.BOOLEAN, "electrodes", roles=[ChannelRole.CONTACT]),
     *channels(Unit.INDEX, "gsr_range"),
     *channels(Unit.BOOLEAN, "pulse_found"),
 )
@@ -21,7 +21,7 @@ SENSOR = SensorSpec(
         raw("ppg", ContentType.PPG, channels(Unit.MILLIVOLTS, "PPG"), 128, chunk="ppg",
             contract=True),
         raw("hr", ContentType.HR, channels(Unit.BEATS_PER_MINUTE, "HR")),
-        hardware("bat", ContentType.BATTERY, channels(Unit.PERCENT, "level")),
+        battery(),
         hardware("quality", ContentType.QUALITY, _QUALITY),
     ),
 )  # fmt: skip

@@ -2,7 +2,7 @@
 
 from biosensor_common.quantities import ContentType, Unit
 from biosensor_common.spec import FROM_DEVICE, SensorSpec
-from biosensor_common.table import channels, hardware, raw
+from biosensor_common.table import battery, channels, hardware, raw, signal_strength
 
 # tension: -1 loose, 0 good, 1 tight.
 _QUALITY = (
@@ -20,8 +20,8 @@ SENSOR = SensorSpec(
             FROM_DEVICE, chunk="bpm", contract=True),
         raw("force", ContentType.RESPIRATION, channels(Unit.NEWTONS, "force"),
             FROM_DEVICE, chunk="force", contract=True),
-        hardware("bat", ContentType.BATTERY, channels(Unit.PERCENT, "level")),
-        hardware("rssi", ContentType.RSSI, channels(Unit.DBM, "signal")),
+        battery(),
+        signal_strength(),
         hardware("quality", ContentType.QUALITY, _QUALITY),
     ),
 )  # fmt: skip

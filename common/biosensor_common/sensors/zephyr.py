@@ -1,13 +1,13 @@
 """Zephyr BioHarness 3 (BioModule)."""
 
-from biosensor_common.quantities import ChannelFormat, ContentType, MessageType, Unit
+from biosensor_common.quantities import ChannelFormat, ChannelRole, ContentType, MessageType, Unit
 from biosensor_common.spec import ChannelSpec, NominalScale, SensorSpec
-from biosensor_common.table import channels, hardware, raw
+from biosensor_common.table import battery, channels, hardware, raw, signal_strength
 
 # Datasheet value; peers use up to 0.025 mV per count, so it is only nominal.
 _ECG = ChannelSpec("ECG", Unit.COUNTS, NominalScale(0.013405, Unit.MILLIVOLTS, zero=512))
 _QUALITY = (
-    *channels(Unit.BOOLEAN, "worn"),
+    *channels(Unit.BOOLEAN, "worn", roles=[ChannelRole.CONTACT]),
     *channels(Unit.PERCENT, "hr_confidence"),
     *channels(Unit.BOOLEAN, "hr_unreliable", "br_unreliable", "hrv_unreliable"),
     *channels(Unit.INDEX, "link_quality"),
@@ -34,8 +34,8 @@ SENSOR = SensorSpec(
         raw("posture", ContentType.POSTURE, channels(Unit.DEGREES, "angle")),
         raw("activity", ContentType.ACTIVITY, channels(Unit.G, "VMU")),
         raw("st", ContentType.TEMPERATURE, channels(Unit.CELSIUS, "skin")),
-        hardware("bat", ContentType.BATTERY, channels(Unit.PERCENT, "level")),
-        hardware("rssi", ContentType.RSSI, channels(Unit.DBM, "signal")),
+        battery(),
+        signal_strength(),
         hardware("quality", ContentType.QUALITY, _QUALITY),
     ),
 )  # fmt: skip

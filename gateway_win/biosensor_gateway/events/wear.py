@@ -1,4 +1,4 @@
-"""Whether somebody wears a sensor, as far as its ``quality`` stream says."""
+"""Whether somebody wears a sensor, as far as one of its channels says."""
 
 from __future__ import annotations
 
@@ -7,31 +7,22 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from biosensor_common.quantities import ChannelRole
 from biosensor_common.spec import SensorSpec
-
-DATA_NAME = "quality"
-CHANNELS = ("worn", "contact", "electrodes")
-"""Channels that tell it: 1 on the body, 0 off it, NaN unknown."""
 
 
 class WearWatch:
-    """Follows one device's ``quality``.
+    """Follows the first channel of one device that has the role of contact.
 
     Attributes
     ----------
     channel
-        Which one tells, empty for a sensor that does not.
+        Its label, empty for a sensor that has none.
     """
 
     def __init__(self, spec: SensorSpec) -> None:
-        labels = [
-            channel.label
-            for stream in spec.streams
-            if stream.data_name == DATA_NAME
-            for channel in stream.channels
-        ]
-        self.channel = next((label for label in labels if label in CHANNELS), "")
-        self._index = labels.index(self.channel) if self.channel else 0
+        first = next(spec.channels_of(ChannelRole.CONTACT), ("", 0, ""))
+        self._data_name, self._index, self.channel = first
         self._is_on: bool | None = None
 
     def forget(self) -> None:
@@ -50,7 +41,7 @@ class WearWatch:
         samples : array_like, shape (n_samples, n_channels) or (n_samples,)
         stamps : sequence of float, length n_samples
         """
-        if not self.channel or data_name != DATA_NAME:
+        if data_name != self._data_name:
             return
         values = np.asarray(samples, np.float64).reshape(len(stamps), -1)[:, self._index]
         for value, stamp in zip(values.tolist(), stamps, strict=True):

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from biosensor_common.quantities import ContentType, Unit
+from biosensor_common.quantities import ROLES_OF_DEVICE, TYPES_OF_DEVICE, ChannelRole
+from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros.bridge import Bridge
 from lsl_to_ros.diagnostics import status
 
 LOW_BATTERY_PERCENT = 10.0
-# Channels that are 1 while the sensor is where it should be.
-_CONTACT = frozenset({"contact", "worn", "electrodes"})
-_TOLD = frozenset({ContentType.BATTERY, ContentType.QUALITY, ContentType.RSSI, ContentType.STATUS})
 
 
 def device_statuses(bridges: Iterable[tuple[str, Bridge]]) -> Iterator[DiagnosticStatus]:
@@ -33,8 +30,7 @@ def device_statuses(bridges: Iterable[tuple[str, Bridge]]) -> Iterator[Diagnosti
     """
     devices: defaultdict[str, list[Bridge]] = defaultdict(list)
     for name, bridge in bridges:
-        is_told = bridge.header.content_type in _TOLD or bridge.tally.clock
-        if is_told and not bridge.header.foreign:
+        if not bridge.header.foreign and (_told(bridge.header) or bridge.tally.clock):
             devices[name].append(bridge)
     for name, told in devices.items():
         level, message = _judge(told)
@@ -48,26 +44,32 @@ def _texts(bridges: Iterable[Bridge]) -> Iterator[tuple[str, str]]:
         for key, value in bridge.tally.clock.items():
             # An offset of years, to the microsecond.
             yield f"clock/{key}", f"{value:.6f}".rstrip("0").rstrip(".")
-        for label, value in _newest(bridge).items():
-            yield f"{bridge.header.data_name}/{label}", f"{value:g}"
+        data_name = bridge.header.data_name
+        for column, value in _newest(bridge):
+            yield f"{data_name}/{bridge.header.labels[column]}", f"{value:g}"
 
 
-def _newest(bridge: Bridge) -> dict[str, float]:
-    """Return what a stream told last of its device, by channel."""
-    header = bridge.header
-    if bridge.newest is None or header.message_type.is_text or header.content_type not in _TOLD:
-        return {}
-    return dict(zip(header.labels, map(float, bridge.newest), strict=True))
+def _told(header: StreamHeader) -> list[int]:
+    """Return the columns that tell of the device: all of some types of stream."""
+    if header.content_type in TYPES_OF_DEVICE:
+        return list(range(len(header.roles)))
+    return [column for column, role in enumerate(header.roles) if role in ROLES_OF_DEVICE]
+
+
+def _newest(bridge: Bridge) -> Iterator[tuple[int, float]]:
+    """Yield what a stream told last of its device, with its column."""
+    if bridge.newest is not None and not bridge.header.message_type.is_text:
+        for column in _told(bridge.header):
+            yield column, float(bridge.newest[column])
 
 
 def _judge(bridges: Iterable[Bridge]) -> tuple[bytes, str]:
     for bridge in bridges:
-        header = bridge.header
-        units = dict(zip(header.labels, header.units, strict=True))
-        for label, value in _newest(bridge).items():
-            is_level = header.content_type == ContentType.BATTERY or label == "BatteryPercent"
-            if is_level and units[label] == Unit.PERCENT and value <= LOW_BATTERY_PERCENT:
+        for column, value in _newest(bridge):
+            role = bridge.header.roles[column]
+            if role is ChannelRole.STATE_OF_CHARGE and value <= LOW_BATTERY_PERCENT:
                 return DiagnosticStatus.WARN, f"battery at {value:g} %"
-            if label in _CONTACT and not math.isnan(value) and value == 0:
+            # NaN, unknown, is neither.
+            if role is ChannelRole.CONTACT and value == 0:
                 return DiagnosticStatus.WARN, "not worn"
     return DiagnosticStatus.OK, "as its streams tell"

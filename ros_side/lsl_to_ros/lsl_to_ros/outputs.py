@@ -7,7 +7,6 @@ from importlib import import_module
 from types import ModuleType
 
 from biosensor_common.quantities import MessageType
-from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros import messages
 from lsl_to_ros.blocks import Run
 from lsl_to_ros.bridge import Outputs
@@ -27,9 +26,6 @@ def _stamped() -> ModuleType | None:
 _STAMPED = _stamped()
 HAS_STAMPED_TOPICS = _STAMPED is not None
 """Whether the package ``biosensor_msgs`` has been built and can be imported."""
-
-# A late subscriber of these sees the last value at once.
-LATCHED = frozenset({"bat", "rssi", "dev"})
 
 
 class CountersWriter(Writer):
@@ -55,9 +51,10 @@ def open_outputs(ports: Ports, context: StreamContext, used: Collection[Port] = 
         If one of the topics is among the *used* ones and has another type.
     """
     header, topic = context.header, context.topic
-    latched = is_latched(header)
 
     def opened(name: str, kind: type) -> Port:
+        # A late subscriber of a state sees the last value at once.
+        latched = header.is_state
         return ports.open(f"{topic.base}/{name}", kind, header.rate, latched=latched, used=used)
 
     raw = opened(topic.data, messages.CLASSES[header.message_type])
@@ -82,11 +79,6 @@ def open_outputs(ports: Ports, context: StreamContext, used: Collection[Port] = 
         port = opened(f"{data}_chunk", messages.CLASSES[kind])
         outputs.chunk = ChunkWriter(port, kind, len(header.labels))
     return outputs
-
-
-def is_latched(header: StreamHeader) -> bool:
-    """Whether its topics keep their last message for later subscribers."""
-    return header.data_name in LATCHED and not header.foreign
 
 
 def _raw_writer(port: Port, context: StreamContext) -> Writer:

@@ -1,6 +1,6 @@
 """Topics of ``sensor_msgs`` beside our own, for streams that have such a message.
 
-What a stream measures is read from its header, so a new sensor gets them too.
+What a channel means is read from its role in the header, so a new sensor gets them too.
 Values are in SI units as the messages demand. A covariance that is unknown is all
 zeros, and one whose first element is -1 says that the quantity itself is missing:
 that is the messages' own convention.
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,7 +18,14 @@ from geometry_msgs.msg import Quaternion, Vector3
 from sensor_msgs.msg import BatteryState, Imu, MagneticField, Temperature
 from std_msgs.msg import Header
 
-from biosensor_common.quantities import ContentType, Unit
+from biosensor_common.quantities import (
+    ACCELERATION,
+    MAGNETIC_FIELD,
+    ORIENTATION,
+    ChannelRole,
+    ContentType,
+    Unit,
+)
 from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros.blocks import Run
 from lsl_to_ros.ports import Port
@@ -46,7 +53,8 @@ class TwinWriter(Writer):
     def __init__(self, port: Port, header: StreamHeader, frame_id: str, stamping: Stamping) -> None:
         super().__init__(port)
         self._stream = header
-        self._columns = {label: column for column, label in enumerate(header.labels)}
+        roles = enumerate(header.roles)
+        self._columns = {role: column for column, role in roles if role is not None}
         self._frame_id = frame_id
         self._stamping = stamping
 
@@ -65,9 +73,8 @@ class TwinWriter(Writer):
             header = Header(stamp=self._stamping.to_time(float(stamp)), frame_id=self._frame_id)
             self.port.publish(self.build(header, sample.astype(np.float64).tolist()))
 
-    def _vector(self, sample: Sequence[float], labels: Sequence[str], scale: float) -> Vector3:
-        x, y, z = (scale * sample[self._columns[label]] for label in labels)
-        return Vector3(x=x, y=y, z=z)
+    def _values(self, sample: Sequence[float], roles: Iterable[ChannelRole]) -> list[float]:
+        return [sample[self._columns[role]] for role in roles]
 
 
 class TemperatureWriter(TwinWriter):
@@ -87,26 +94,21 @@ class TemperatureWriter(TwinWriter):
 
 
 class BatteryStateWriter(TwinWriter):
-    """``bat_state``, from a stream of the battery or from a status with ``BatteryPercent``."""
+    """``<data>_state`` of a stream of the charge alone; ``bat_state`` of one among others."""
 
     message_class = BatteryState
-    _STATUS_LABEL = "BatteryPercent"
-
-    def __init__(self, port: Port, header: StreamHeader, frame_id: str, stamping: Stamping) -> None:
-        super().__init__(port, header, frame_id, stamping)
-        self._column = self._columns.get(self._STATUS_LABEL, 0)
+    _AMONG_OTHERS = "bat_state"
 
     @classmethod
     def topic_of(cls, header: StreamHeader) -> str:
         """See :meth:`TwinWriter.topic_of`."""
-        if header.content_type == ContentType.BATTERY and header.units == (Unit.PERCENT,):
-            return f"{header.data_name}_state"
-        channels = zip(header.labels, header.units, strict=True)
-        is_status = header.content_type == ContentType.STATUS
-        return "bat_state" if is_status and (cls._STATUS_LABEL, Unit.PERCENT) in channels else ""
+        if ChannelRole.STATE_OF_CHARGE not in header.roles:
+            return ""
+        return f"{header.data_name}_state" if len(header.roles) == 1 else cls._AMONG_OTHERS
 
     def build(self, header: Header, sample: Sequence[float]) -> BatteryState:
         """Make a message: the charge as a fraction, NaN for all that is not measured."""
+        (percent,) = self._values(sample, [ChannelRole.STATE_OF_CHARGE])
         return BatteryState(
             header=header,
             voltage=math.nan,
@@ -115,7 +117,7 @@ class BatteryStateWriter(TwinWriter):
             charge=math.nan,
             capacity=math.nan,
             design_capacity=math.nan,
-            percentage=_float32(sample[self._column] / 100),
+            percentage=_float32(percent / 100),
             power_supply_status=BatteryState.POWER_SUPPLY_STATUS_UNKNOWN,
             power_supply_health=BatteryState.POWER_SUPPLY_HEALTH_UNKNOWN,
             power_supply_technology=BatteryState.POWER_SUPPLY_TECHNOLOGY_UNKNOWN,
@@ -128,36 +130,31 @@ class BatteryStateWriter(TwinWriter):
 class ImuWriter(TwinWriter):
     """``<data>_imu``: orientation and acceleration of a motion sensor.
 
-    The orientation's scalar part is Q0. Nothing says which way the device's world
-    frame points, so neither is turned: see the sensor's page.
+    Nothing says which way the device's world frame points, so neither is turned: see
+    the sensor's page.
     """
 
     message_class = Imu
-    _QUATERNION = ("Q1", "Q2", "Q3", "Q0")
-    _ACCELERATION = ("ACCX", "ACCY", "ACCZ")
 
     @classmethod
     def topic_of(cls, header: StreamHeader) -> str:
         """See :meth:`TwinWriter.topic_of`."""
-        has_it = {*cls._QUATERNION, *cls._ACCELERATION} <= set(header.labels)
-        is_it = has_it and header.content_type == ContentType.MOCAP and Unit.G in header.units
-        return f"{header.data_name}_imu" if is_it else ""
+        has_it = {*ORIENTATION, *ACCELERATION} <= set(header.roles)
+        return f"{header.data_name}_imu" if has_it else ""
 
     def build(self, header: Header, sample: Sequence[float]) -> Imu:
         """Make a message; acceleration in m/s², no angular velocity."""
-        x, y, z, w = (sample[self._columns[label]] for label in self._QUATERNION)
+        w, x, y, z = self._values(sample, ORIENTATION)
         is_known = not math.isnan(x + y + z + w)
         orientation = Quaternion(x=x, y=y, z=z, w=w) if is_known else Quaternion()
-        acceleration = self._vector(sample, self._ACCELERATION, STANDARD_GRAVITY)
-        has_acceleration = not any(
-            math.isnan(sample[self._columns[label]]) for label in self._ACCELERATION
-        )
+        in_g = self._values(sample, ACCELERATION)
+        has_acceleration = not any(map(math.isnan, in_g))
         return Imu(
             header=header,
             orientation=orientation,
             orientation_covariance=_UNKNOWN if is_known else _MISSING,
             angular_velocity_covariance=_MISSING,
-            linear_acceleration=acceleration if has_acceleration else Vector3(),
+            linear_acceleration=_vector(in_g, STANDARD_GRAVITY) if has_acceleration else Vector3(),
             linear_acceleration_covariance=_UNKNOWN if has_acceleration else _MISSING,
         )
 
@@ -166,20 +163,17 @@ class MagneticFieldWriter(TwinWriter):
     """``<data>_mag``."""
 
     message_class = MagneticField
-    _FIELD = ("MAGX", "MAGY", "MAGZ")
 
     @classmethod
     def topic_of(cls, header: StreamHeader) -> str:
         """See :meth:`TwinWriter.topic_of`."""
-        has_it = set(cls._FIELD) <= set(header.labels) and Unit.MICROTESLA in header.units
-        is_it = has_it and header.content_type == ContentType.MOCAP
-        return f"{header.data_name}_mag" if is_it else ""
+        return f"{header.data_name}_mag" if set(MAGNETIC_FIELD) <= set(header.roles) else ""
 
     def build(self, header: Header, sample: Sequence[float]) -> MagneticField:
         """Make a message in tesla."""
         return MagneticField(
             header=header,
-            magnetic_field=self._vector(sample, self._FIELD, 1e-6),
+            magnetic_field=_vector(self._values(sample, MAGNETIC_FIELD), 1e-6),
             magnetic_field_covariance=_UNKNOWN,
         )
 
@@ -190,6 +184,11 @@ TWINS: tuple[type[TwinWriter], ...] = (
     ImuWriter,
     MagneticFieldWriter,
 )
+
+
+def _vector(values: Sequence[float], scale: float) -> Vector3:
+    x, y, z = (scale * value for value in values)
+    return Vector3(x=x, y=y, z=z)
 
 
 def _float32(value: float) -> float:

@@ -36,12 +36,18 @@ def check(data: bytes) -> None:
 
 def _fits(header: StreamHeader) -> None:
     count = len(header.labels)
-    ensure(0 < count <= MAX_CHANNELS and len(header.units) == count, "bad channels", header)
+    counts = {count, len(header.units), len(header.roles)}
+    ensure(0 < count <= MAX_CHANNELS and len(counts) == 1, "bad channels", header)
+    roles = zip(header.roles, header.units, strict=True)
+    ensure(all(role is None or role.unit == unit for role, unit in roles), "bad role", header)
+    ensure(not (header.is_state and header.rate), "a state with a rate", header)
     ensure(math.isfinite(header.rate) and header.rate >= 0, "bad rate", header)
     texts = (*header.labels, *header.units)
     ensure(max(map(len, texts)) <= MAX_FIELD_CHARACTERS, "a text is too long", header)
     is_text = header.format is ChannelFormat.STRING
     ensure(is_text == header.message_type.is_text, "another message type", header)
-    if not header.foreign:
+    if header.foreign:
+        ensure(not any(header.roles) and not header.is_state, "a foreign meaning", header)
+    else:
         names = (header.identity.sensor, header.data_name, header.chunk or "ok")
         ensure(all(map(is_data_name, names)), "a name is no ROS name", header)

@@ -13,7 +13,6 @@ from typing import NamedTuple, Protocol, Self
 from biosensor_common import naming
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity
-from lsl_to_ros.outputs import LATCHED
 from tests.rigs.hosts import recordings
 from tests.rigs.hosts.completeness import Span, fault, is_current
 from tests.rigs.hosts.counters import lost_by_devices
@@ -42,6 +41,7 @@ class Place(NamedTuple):
 
     topic: str
     chunks: str
+    is_state: bool = False
 
 
 class Places(NamedTuple):
@@ -60,6 +60,7 @@ def expected_places(agent_host: str, sensors: Sequence[str] = SENSORS) -> dict[s
         naming.source_id(identity, stream.data_name): Place(
             _topic(identity, stream.data_name),
             f"{_topic(identity, stream.chunk)}_chunk" if stream.chunk else "",
+            stream.is_state,
         )
         for identity in identities
         for stream in sensor(identity.sensor).streams
@@ -73,10 +74,6 @@ def expected_places(agent_host: str, sensors: Sequence[str] = SENSORS) -> dict[s
 
 def _topic(identity: DeviceIdentity, data_name: str) -> str:
     return f"/{naming.topic(identity, data_name)}"
-
-
-def _is_state(place: Place) -> bool:
-    return place.topic.rpartition("/")[2] in LATCHED
 
 
 class Observation(NamedTuple):
@@ -120,7 +117,7 @@ class Observation(NamedTuple):
         A latched topic keeps one message, so of a state only the newest counts. On a busy
         machine a virtual device may lose samples; no chunk spans such a gap.
         """
-        states = {s: place for s, place in places.items() if _is_state(place)}
+        states = {s: place for s, place in places.items() if place.is_state}
         broken = lost_by_devices(self.counters, required)
         others = {
             source: place._replace(chunks="") if source in broken else place

@@ -1,0 +1,138 @@
+"""Every error that a caller can do something about.
+
+::
+
+    GatewayError
+    ├── TransportError   the bytes do not flow: port, radio, socket
+    ├── ProtocolError    the bytes flow, but the device does not keep to its protocol
+    ├── SpecError        a declaration or a stream's LSL description is wrong
+    ├── ConfigError      the user's settings are wrong
+    └── CredentialError  a secret is missing or was refused
+
+Callers decide by class and ``reason``, never by the text. The text is one
+sentence for a person: what, where, what to do.
+"""
+
+from __future__ import annotations
+
+from enum import Enum, unique
+from typing import Generic, TypeVar
+
+
+@unique
+class TransportReason(Enum):
+    """Why bytes do not flow."""
+
+    ABSENT = "absent"
+    """Nothing is there yet: no such port, connection refused, no advertisement."""
+    BUSY = "busy"
+    """Another program holds it."""
+    DENIED = "denied"
+    """The operating system refuses access."""
+    LOST = "lost"
+    """It was there and went away."""
+    SILENT = "silent"
+    """The link stands but no byte arrives."""
+    UNAVAILABLE = "unavailable"
+    """This machine lacks the radio or service."""
+
+
+@unique
+class ProtocolReason(Enum):
+    """How a device breaks its protocol."""
+
+    GARBAGE = "garbage"
+    """Bytes arrive, but none of them make a valid packet."""
+    NO_REPLY = "no_reply"
+    """A command was not answered."""
+    REFUSED = "refused"
+    """The device refused a command."""
+    UNSUPPORTED = "unsupported"
+    """The device is of a kind or version that the driver does not know."""
+
+
+@unique
+class SpecReason(Enum):
+    """What is wrong with a declaration or a description."""
+
+    INVALID = "invalid"
+    """A field has a value that the rules forbid."""
+    UNKNOWN_SENSOR = "unknown_sensor"
+    MALFORMED = "malformed"
+    """Not well-formed XML, or a field is missing or repeated."""
+    TOO_LARGE = "too_large"
+    """Over the size limit."""
+    UNKNOWN_VERSION = "unknown_version"
+    CONTRADICTORY = "contradictory"
+    """The description does not fit the stream that carries it."""
+
+
+@unique
+class ConfigReason(Enum):
+    """What is wrong with the settings."""
+
+    NOT_FOUND = "not_found"
+    UNREADABLE = "unreadable"
+    MALFORMED = "malformed"
+    UNKNOWN_KEY = "unknown_key"
+    WRONG_VALUE = "wrong_value"
+    EXISTS = "exists"
+    """A file is in the way and would be overwritten."""
+    IN_USE = "in_use"
+    """Another agent works with the same state folder."""
+
+
+@unique
+class CredentialReason(Enum):
+    """What is wrong with a secret."""
+
+    MISSING = "missing"
+    REJECTED = "rejected"
+
+
+_ReasonT = TypeVar("_ReasonT", bound=Enum)
+
+
+class GatewayError(Exception):
+    """Base of every error of this project; ``reason`` says what to decide on."""
+
+    def __init__(self, reason: Enum, message: str) -> None:
+        super().__init__(message)
+        self._reason = reason
+
+    @property
+    def reason(self) -> Enum:
+        """What went wrong, as one of the class's reasons."""
+        return self._reason
+
+
+class _ReasonedError(GatewayError, Generic[_ReasonT]):
+    """Narrows ``reason`` to one enum, for the type checker."""
+
+    def __init__(self, reason: _ReasonT, message: str) -> None:
+        super().__init__(reason, message)
+        self._narrowed = reason
+
+    @property
+    def reason(self) -> _ReasonT:
+        return self._narrowed
+
+
+class TransportError(_ReasonedError[TransportReason]):
+    """The bytes do not flow."""
+
+
+class ProtocolError(_ReasonedError[ProtocolReason]):
+    """The device does not keep to its protocol."""
+
+
+class SpecError(_ReasonedError[SpecReason]):
+    """A declaration or an LSL description is wrong."""
+
+
+class ConfigError(_ReasonedError[ConfigReason]):
+    """The user's settings are wrong."""
+
+
+class CredentialError(_ReasonedError[CredentialReason]):
+    """A secret is missing or was refused."""

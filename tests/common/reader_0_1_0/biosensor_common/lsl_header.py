@@ -1,0 +1,248 @@
+"""A stream's declaration as LSL description XML, written by the agent and read by the node.
+
+Beside the XDF fields that LabRecorder users, MNE-LSL and EEGLAB read, the
+description carries one versioned block, from which any node knows where the
+stream belongs without having heard of the sensor before::
+
+    <biosensor>
+      <version>1</version> <sensor>zephyr</sensor> <unit>BHT012345</unit>
+      <participant/> <label/> <data_name>ecg</data_name> <category>raw</category>
+      <message_type>std_msgs/msg/Float32</message_type> <chunk>ecg</chunk>
+    </biosensor>
+
+What is read comes from the network and is not trusted: it is limited in size,
+names are checked, and a block that does not fit the stream that carries it is
+refused as a whole. Elements that version 1 does not know are ignored.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from typing import TypeVar
+
+from biosensor_common import naming
+from biosensor_common.errors import SpecError, SpecReason
+from biosensor_common.quantities import Category, ChannelFormat, ContentType, MessageType
+from biosensor_common.spec import DeviceIdentity, DeviceInfo, StreamSpec, is_data_name
+from biosensor_common.stream_header import (
+    MAX_FIELD_CHARACTERS,
+    CoreFields,
+    StreamHeader,
+    foreign_header,
+)
+
+VERSION = "1"
+MAX_XML_CHARACTERS = 1_000_000
+MAX_CHANNELS = 4096
+
+_E = TypeVar("_E", Category, MessageType)
+
+# Channel types by the XDF wiki's words where they differ from the stream's type.
+_CHANNEL_TYPES = {ContentType.RESPIRATION: "RESP", ContentType.TEMPERATURE: "TEMPERATURE"}
+
+
+def describe(stream: StreamSpec, identity: DeviceIdentity, info: DeviceInfo) -> ET.Element:
+    """Build the ``desc`` element of a stream."""
+    desc = ET.Element("desc")
+    channels = ET.SubElement(desc, "channels")
+    for channel in stream.channels:
+        node = ET.SubElement(channels, "channel")
+        kind = _CHANNEL_TYPES.get(stream.content_type, stream.content_type.value)
+        _append(node, label=channel.label, unit=channel.unit.value, type=kind)
+        if channel.scale is not None:
+            scale = channel.scale
+            _append(
+                ET.SubElement(node, "nominal_scale"),
+                factor=repr(scale.factor),
+                unit=scale.unit.value,
+                zero=repr(scale.zero),
+            )
+    _append(
+        ET.SubElement(desc, "acquisition"),
+        manufacturer=info.manufacturer,
+        model=info.model,
+        serial_number=info.serial_number,
+        firmware_version=info.firmware_version,
+    )
+    synchronization = ET.SubElement(desc, "synchronization")
+    _append(synchronization, offset_mean="0")
+    if stream.is_regular:
+        # Without it pyxdf smears a drop-out of less than 500 samples over the recording.
+        _append(synchronization, can_drop_samples="true")
+    _append(
+        ET.SubElement(desc, "biosensor"),
+        version=VERSION,
+        sensor=identity.sensor,
+        unit=identity.unit,
+        participant=identity.participant,
+        label=identity.label,
+        data_name=stream.data_name,
+        category=stream.category.value,
+        message_type=stream.message_type.value,
+        chunk=stream.chunk,
+    )
+    return desc
+
+
+def _append(parent: ET.Element, **fields: str) -> None:
+    for name, text in fields.items():
+        ET.SubElement(parent, name).text = text
+
+
+def read_header(xml: str) -> StreamHeader:
+    """Read the full description of a stream, as ``pylsl.StreamInfo.as_xml`` gives it.
+
+    A stream without a block gets the generic mapping of :func:`.foreign_header`.
+
+    Raises
+    ------
+    SpecError
+        ``TOO_LARGE``, ``MALFORMED``, ``UNKNOWN_VERSION``, ``INVALID`` or
+        ``CONTRADICTORY``; the stream can still be mapped by :func:`.foreign_header`.
+    """
+    root = _parse(xml)
+    core = _core(root)
+    blocks = root.findall("desc/biosensor")
+    if not blocks:
+        return foreign_header(core, *_channel_texts(root, core))
+    if len(blocks) > 1:
+        raise SpecError(SpecReason.MALFORMED, f"{core}: more than one <biosensor> block")
+    return _own(core, blocks[0], *_channel_texts(root, core))
+
+
+_CORE_FIELDS = (
+    "name",
+    "type",
+    "source_id",
+    "hostname",
+    "channel_count",
+    "nominal_srate",
+    "channel_format",
+)
+
+
+def _core(root: ET.Element) -> CoreFields:
+    text = {field: root.findtext(field) or "" for field in _CORE_FIELDS}
+    stream = f"LSL stream {text['name'][:MAX_FIELD_CHARACTERS]!r}"
+    try:
+        count, rate = int(text["channel_count"]), float(text["nominal_srate"])
+        channel_format = ChannelFormat(text["channel_format"])
+    except ValueError as error:
+        message = f"{stream}: its core fields cannot be read ({error})"
+        raise SpecError(SpecReason.MALFORMED, message) from error
+    if not 0 < count <= MAX_CHANNELS or not 0 <= rate < math.inf:
+        message = f"{stream}: {count} channels at {rate} Hz are not usable"
+        raise SpecError(SpecReason.INVALID, message)
+    return CoreFields(
+        name=text["name"],
+        content_type=text["type"],
+        source_id=text["source_id"],
+        hostname=text["hostname"],
+        channel_count=count,
+        rate=rate,
+        format=channel_format,
+    )
+
+
+def _parse(xml: str) -> ET.Element:
+    if len(xml) > MAX_XML_CHARACTERS:
+        message = f"an LSL description has {len(xml)} characters, more than {MAX_XML_CHARACTERS}"
+        raise SpecError(SpecReason.TOO_LARGE, message)
+    if "<!" in xml.replace("<!--", ""):
+        # Document types and entities have no place here and are how XML parsers are attacked.
+        raise SpecError(SpecReason.MALFORMED, "an LSL description contains a document type")
+    try:
+        return ET.fromstring(xml)  # noqa: S314 - no document type, limited in size
+    except (ET.ParseError, ValueError) as error:
+        # ValueError: a lone surrogate, which has no UTF-8 form.
+        message = f"an LSL description is not well-formed XML ({error})"
+        raise SpecError(SpecReason.MALFORMED, message) from error
+
+
+def _channel_texts(root: ET.Element, core: CoreFields) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Labels and units; blank where the description has another number of channels."""
+    nodes = root.findall("desc/channels/channel")
+    if len(nodes) != core.channel_count:
+        blank = ("",) * core.channel_count
+        return blank, blank
+    labels = tuple((node.findtext("label") or "")[:MAX_FIELD_CHARACTERS] for node in nodes)
+    units = tuple((node.findtext("unit") or "")[:MAX_FIELD_CHARACTERS] for node in nodes)
+    return labels, units
+
+
+def _own(
+    core: CoreFields, block: ET.Element, labels: tuple[str, ...], units: tuple[str, ...]
+) -> StreamHeader:
+    version = _field(core, block, "version")
+    if version != VERSION:
+        message = f"{core}: <biosensor> version {version!r} is newer than this node; update it"
+        raise SpecError(SpecReason.UNKNOWN_VERSION, message)
+    identity = DeviceIdentity(
+        sensor=_field(core, block, "sensor"),
+        unit=_field(core, block, "unit"),
+        participant=_field(core, block, "participant"),
+        label=_field(core, block, "label"),
+    )
+    data_name = _field(core, block, "data_name")
+    header = StreamHeader(
+        identity=identity,
+        data_name=data_name,
+        category=_member(core, Category, _field(core, block, "category")),
+        content_type=core.content_type,
+        labels=labels,
+        units=units,
+        rate=core.rate,
+        format=core.format,
+        message_type=_member(core, MessageType, _field(core, block, "message_type")),
+        chunk=_field(core, block, "chunk"),
+    )
+    _check(core, header)
+    return header
+
+
+def _field(core: CoreFields, block: ET.Element, name: str) -> str:
+    found = block.findall(name)
+    if len(found) != 1:
+        message = f"{core}: <biosensor> has {len(found)} elements <{name}> instead of one"
+        raise SpecError(SpecReason.MALFORMED, message)
+    text = found[0].text or ""
+    if len(text) > MAX_FIELD_CHARACTERS:
+        message = f"{core}: <{name}> is longer than {MAX_FIELD_CHARACTERS} characters"
+        raise SpecError(SpecReason.TOO_LARGE, message)
+    return text
+
+
+def _member(core: CoreFields, kind: type[_E], text: str) -> _E:
+    try:
+        return kind(text)
+    except ValueError as error:
+        message = f"{core}: {text!r} is no known {kind.__name__}"
+        raise SpecError(SpecReason.INVALID, message) from error
+
+
+def _check(core: CoreFields, header: StreamHeader) -> None:
+    """Refuse a block with bad names, or one that claims what its stream is not."""
+    identity, message_type = header.identity, header.message_type
+    names = (identity.sensor, header.data_name, header.chunk or "ok")
+    if not all(is_data_name(name) for name in names):
+        raise SpecError(SpecReason.INVALID, f"{core}: {names} are not all lower-case ROS names")
+    is_text = header.format is ChannelFormat.STRING
+    for lie, claim in (
+        (core.source_id != naming.source_id(identity, header.data_name), "another source_id"),
+        (is_text != message_type.is_text, f"messages {message_type}"),
+        (core.channel_count > 1 and not message_type.is_array, f"messages {message_type}"),
+        (_is_too_narrow(message_type, header.format), f"messages {message_type}"),
+        (bool(header.chunk) and (is_text or core.rate == 0), "chunks"),
+    ):
+        if lie:
+            message = f"{core}: its <biosensor> block claims {claim}, which does not fit the stream"
+            raise SpecError(SpecReason.CONTRADICTORY, message)
+
+
+def _is_too_narrow(message_type: MessageType, channel_format: ChannelFormat) -> bool:
+    """Whether an array of integers would have to hold fractions, or larger integers."""
+    if message_type is MessageType.INT64_MULTI_ARRAY:
+        return channel_format.is_float
+    is_int32 = message_type is MessageType.INT32_MULTI_ARRAY
+    return is_int32 and (channel_format.is_float or channel_format is ChannelFormat.INT64)

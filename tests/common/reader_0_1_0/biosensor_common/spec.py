@@ -1,0 +1,205 @@
+"""What a sensor emits: frozen, validated records.
+
+A sensor is declared once, in ``sensors/<sensor>.py``; agent, node, tests and
+README all read that declaration. The rules checked here are those under which
+LabRecorder, pyxdf, MNE-LSL and rclpy accept a stream.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import Enum
+
+from biosensor_common.errors import SpecError, SpecReason
+from biosensor_common.quantities import Category, ChannelFormat, ContentType, MessageType, Unit
+
+_NAME = re.compile(r"[a-z](?:_?[a-z0-9])*")
+_RESERVED_SUFFIXES = ("_chunk", "_stamped")
+
+
+class FromDevice(Enum):
+    """The type of :data:`FROM_DEVICE`."""
+
+    FROM_DEVICE = "from_device"
+
+
+FROM_DEVICE = FromDevice.FROM_DEVICE
+"""The nominal rate is known only once the device is connected."""
+
+IRREGULAR = 0.0
+"""The nominal rate of events and of values that come when they change."""
+
+
+@dataclass(frozen=True, slots=True)
+class NominalScale:
+    """How counts relate to a physical unit: ``(counts - zero) * factor``, approximately."""
+
+    factor: float
+    unit: Unit
+    zero: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelSpec:
+    """One channel of a stream.
+
+    ``scale`` is set where ``unit`` is counts and a datasheet names a factor.
+    """
+
+    label: str
+    unit: Unit
+    scale: NominalScale | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StreamSpec:
+    """One LSL stream and the ROS topics that it fills.
+
+    Attributes
+    ----------
+    data_name
+        Last part of the topic, e.g. ``ecg``.
+    rate
+        Nominal rate in Hz; ``IRREGULAR`` (0) or ``FROM_DEVICE``.
+    chunk
+        Data name of the chunk topic (``<chunk>_chunk``) and of the parameters
+        that set it; empty where the stream has no chunks.
+    contract
+        The row is in the original framework's tables: topic name and message
+        type never change.
+
+    Raises
+    ------
+    SpecError
+        ``INVALID``, with the stream and the rule that it breaks.
+    """
+
+    data_name: str
+    category: Category
+    content_type: ContentType
+    channels: tuple[ChannelSpec, ...]
+    rate: float | FromDevice
+    format: ChannelFormat
+    message_type: MessageType
+    chunk: str = ""
+    contract: bool = False
+
+    def __post_init__(self) -> None:
+        for broken, rule in self._rules():
+            if broken:
+                raise SpecError(SpecReason.INVALID, f"stream {self.data_name!r}: {rule}")
+
+    def _rules(self) -> list[tuple[bool, str]]:
+        is_text = self.format is ChannelFormat.STRING
+        labels = [channel.label for channel in self.channels]
+        return [
+            (not is_data_name(self.data_name), "its name is not a lower-case ROS name"),
+            (not self.channels, "it has no channel"),
+            (len(set(labels)) != len(labels) or "" in labels, "labels are empty or repeated"),
+            (not "".join(labels).isascii(), "labels must be ASCII"),
+            (
+                not (self.is_from_device or self._rate_is_valid()),
+                "its rate is negative or infinite",
+            ),
+            (self.format is ChannelFormat.INT64, "LabRecorder drops int64 streams"),
+            (is_text != self.message_type.is_text, "format and message type do not fit"),
+            (
+                len(labels) > 1 and not self.message_type.is_array,
+                f"{self.message_type} holds one channel",
+            ),
+            (bool(self.chunk) and not is_data_name(self.chunk), "its chunk name is not a ROS name"),
+            (bool(self.chunk) and is_text, "text has no chunks"),
+            (bool(self.chunk) and self.rate == IRREGULAR, "an irregular stream has no chunks"),
+        ]
+
+    def _rate_is_valid(self) -> bool:
+        return not isinstance(self.rate, FromDevice) and 0 <= self.rate < float("inf")
+
+    @property
+    def is_from_device(self) -> bool:
+        """Whether the rate is known only once the device is connected."""
+        return self.rate is FROM_DEVICE
+
+    @property
+    def is_regular(self) -> bool:
+        """Whether samples are equidistant."""
+        return self.rate != IRREGULAR
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Channel labels in channel order."""
+        return tuple(channel.label for channel in self.channels)
+
+
+@dataclass(frozen=True, slots=True)
+class SensorSpec:
+    """All streams of one kind of sensor.
+
+    Raises
+    ------
+    SpecError
+        ``INVALID``, if the name is not a ROS name or two streams share a topic.
+    """
+
+    name: str
+    title: str
+    manufacturer: str
+    model: str
+    streams: tuple[StreamSpec, ...]
+
+    def __post_init__(self) -> None:
+        if not is_data_name(self.name):
+            raise SpecError(SpecReason.INVALID, f"sensor {self.name!r}: not a lower-case ROS name")
+        topics = [stream.data_name for stream in self.streams]
+        topics += [f"{stream.chunk}_chunk" for stream in self.streams if stream.chunk]
+        if len(set(topics)) != len(topics):
+            raise SpecError(SpecReason.INVALID, f"sensor {self.name!r}: two streams share a topic")
+
+    def stream(self, data_name: str) -> StreamSpec:
+        """Return the stream of that name.
+
+        Raises
+        ------
+        KeyError
+            If the sensor has no such stream.
+        """
+        for stream in self.streams:
+            if stream.data_name == data_name:
+                return stream
+        raise KeyError(data_name)
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceIdentity:
+    """Which device of a kind, and on whom.
+
+    Attributes
+    ----------
+    unit
+        The device itself: serial number, else port or address.
+    participant
+        Pseudonym of the person who wears it (``p01``), or empty.
+    label
+        Tells two devices of a kind on one person apart (``left``), or empty.
+    """
+
+    sensor: str
+    unit: str
+    participant: str = ""
+    label: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceInfo:
+    """What the device says of itself, for ``desc/acquisition``; empty where unknown."""
+
+    manufacturer: str = ""
+    model: str = ""
+    serial_number: str = ""
+    firmware_version: str = ""
+
+
+def is_data_name(text: str) -> bool:
+    """Whether *text* is a lower-case ROS token that ends in no reserved suffix."""
+    return _NAME.fullmatch(text) is not None and not text.endswith(_RESERVED_SUFFIXES)

@@ -1,0 +1,94 @@
+"""What is known of one LSL stream, ours or somebody else's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from biosensor_common import naming
+from biosensor_common.quantities import Category, ChannelFormat, MessageType
+from biosensor_common.spec import DeviceIdentity
+
+MAX_FIELD_CHARACTERS = 128
+
+
+@dataclass(frozen=True, slots=True)
+class CoreFields:
+    """The fields that every LSL stream has, with or without a description."""
+
+    name: str
+    content_type: str
+    source_id: str
+    hostname: str
+    channel_count: int
+    rate: float
+    format: ChannelFormat
+
+    def __str__(self) -> str:
+        return f"LSL stream {self.name[:MAX_FIELD_CHARACTERS]!r}"
+
+
+@dataclass(frozen=True, slots=True)
+class StreamHeader:
+    """What the node knows of one stream.
+
+    Units and content type are free text here: a sensor that this version has
+    never heard of brings its own. Message types are a closed set.
+
+    Attributes
+    ----------
+    labels, units
+        One a channel, in channel order; empty text where a foreign stream says nothing.
+    rate
+        Nominal rate in Hz, 0 if irregular.
+    chunk
+        Data name of the chunk topic, empty if there is none.
+    """
+
+    identity: DeviceIdentity
+    data_name: str
+    category: Category
+    content_type: str
+    labels: tuple[str, ...]
+    units: tuple[str, ...]
+    rate: float
+    format: ChannelFormat
+    message_type: MessageType
+    chunk: str
+    foreign: bool = False
+
+
+_GENERIC = {
+    ChannelFormat.STRING: MessageType.STRING,
+    ChannelFormat.DOUBLE64: MessageType.FLOAT64_MULTI_ARRAY,
+    ChannelFormat.INT64: MessageType.INT64_MULTI_ARRAY,
+    ChannelFormat.INT32: MessageType.INT32_MULTI_ARRAY,
+    ChannelFormat.INT16: MessageType.INT32_MULTI_ARRAY,
+    ChannelFormat.INT8: MessageType.INT32_MULTI_ARRAY,
+}
+
+
+def foreign_header(
+    core: CoreFields, labels: tuple[str, ...] = (), units: tuple[str, ...] = ()
+) -> StreamHeader:
+    """Map a stream that is not ours: sensor from its name, data name from its type.
+
+    No precision is lost: the array type follows the channel format.
+    """
+    blank = ("",) * core.channel_count
+    identity, data_name = naming.foreign_identity(
+        core.name, core.content_type, core.source_id, core.hostname
+    )
+    has_chunks = core.rate > 0 and core.format is not ChannelFormat.STRING
+    return StreamHeader(
+        identity=identity,
+        data_name=data_name,
+        category=Category.RAW,
+        content_type=core.content_type,
+        labels=labels or blank,
+        units=units or blank,
+        rate=core.rate,
+        format=core.format,
+        message_type=_GENERIC.get(core.format, MessageType.FLOAT32_MULTI_ARRAY),
+        chunk=data_name if has_chunks else "",
+        foreign=True,
+    )
