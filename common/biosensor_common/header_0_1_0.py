@@ -21,7 +21,7 @@ _OF_TYPE = {
     ContentType.BATTERY: ChannelRole.STATE_OF_CHARGE,
     ContentType.RSSI: ChannelRole.SIGNAL_STRENGTH,
 }
-_OF_LABEL = {
+_OF_LABEL: dict[ContentType, dict[str, ChannelRole]] = {
     ContentType.QUALITY: dict.fromkeys(("contact", "electrodes", "worn"), ChannelRole.CONTACT),
     ContentType.STATUS: {"BatteryPercent": ChannelRole.STATE_OF_CHARGE},
     ContentType.MOCAP: dict(

@@ -69,7 +69,7 @@ LIES: list[tuple[str, Tamper, str]] = [
     ("other_sensor", set_field("sensor", "polar_h10"), "another source_id"),
     ("bad_data_name", set_field("data_name", "../../x"), "lower-case ROS names"),
     ("bad_chunk", set_field("chunk", "a/b"), "lower-case ROS names"),
-    ("no_truth", set_field("is_state", "perhaps"), "instead of 'true' or 'false'"),
+    ("undecided", set_field("is_state", "perhaps"), "instead of 'true' or 'false'"),
     ("regular_state", set_field("is_state", "true"), "to be a state"),
     ("long_field", set_field("unit", "u" * 129), "longer than"),
     ("huge", pad, "characters, more than"),
