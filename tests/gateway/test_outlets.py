@@ -307,3 +307,10 @@ def test_what_is_no_state_does_not_wait(unit: str) -> None:
     outlet = outlet_of(unit, "hr")
     outlet.push([70], now(0.0))
     assert outlet.counters.pushed == 1
+
+
+def test_a_declared_state_waits_whatever_its_type(unit: str) -> None:
+    stream = replace(SENSOR.stream("posture"), is_state=True)
+    outlet = Outlet(stream, DeviceIdentity("zephyr", unit), INFO)
+    outlet.push([70.0], now(0.0))
+    assert (outlet.counters.pushed, outlet.counters.waited) == (0, 1)
