@@ -142,7 +142,7 @@ def _trial_table(outcome: trial.Trial, sensor: str) -> Table:
         rate = "" if noted.measured_hz is None else f"{noted.measured_hz:.1f}"
         nominal = f"{noted.nominal_hz:g}" if noted.nominal_hz else "irregular"
         channels = spec(sensor).stream(name).channels
-        units = ["" if each.unit is Unit.NONE else each.unit.value for each in channels]
+        units = ["" if each.unit == Unit.NONE else each.unit for each in channels]
         last = escape(_short(noted.last, units))
         table.add_row(name, str(noted.samples), rate, nominal, last)
     return table
