@@ -4,17 +4,24 @@
 # make faults [LONG=1]     every fault as long as in a lab; LONG: 12 hours of steady streaming
 # make fuzz [SECONDS=60]   every parser, with inputs that nobody thought of
 # make installer           the Windows installer, built under Wine (needs the same packages)
-# make check, make bench, make format, make docs, make lock
+# make docs                what documents show of the code: tables of sensors, topics, decisions
+# make docs-site           the documents as a site, in build/site
+# make pictures            the picture of the demo, from a real run
+# make check, make bench, make format, make lock
 SHELL := /bin/sh
 PYTHON_FILES := common gateway_win installer ros_side tests typings
 RUN := .venv/bin/python -m
 # What fails is run once more, by itself, and named: decision 27.
 GATE := $(RUN) tests.gate
 SECONDS :=
+# Not --quiet, which would silence the warnings that strict mode counts. The theme tells of MkDocs 2.0;
+# the lock has 1.6.
+DOCS_SITE := NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
 # Each of these fills a small machine; side by side they would disturb each other's clocks.
 ALONE := tests/e2e tests/faults tests/peers tests/ros
 
-.PHONY: demo test test-system faults fuzz installer check bench format docs lock venv-ros venv-dev venv-peers
+.PHONY: demo test test-system faults fuzz installer check bench format docs docs-site pictures lock venv-ros venv-dev
+.PHONY: venv-peers
 
 demo: venv-ros
 	.venv/bin/biosensor-gateway demo $(if $(SECONDS),--seconds $(SECONDS))
@@ -43,6 +50,7 @@ check: venv-dev
 	$(RUN) ruff format --check $(PYTHON_FILES)
 	.venv/bin/pyright
 	.venv/bin/lint-imports
+	$(DOCS_SITE)
 
 bench: venv-dev
 	$(RUN) tests.bench
@@ -52,7 +60,13 @@ format: venv-dev
 	$(RUN) ruff format $(PYTHON_FILES)
 
 docs: venv-dev
-	.venv/bin/python tests/docs/sensor_table.py README.md
+	$(RUN) tests.docs.generate
+
+docs-site: venv-dev
+	$(DOCS_SITE)
+
+pictures: venv-dev
+	$(RUN) tests.docs.demo_picture docs/pictures/demo.svg
 
 lock: venv-dev
 	requirements/compile.sh

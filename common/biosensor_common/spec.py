@@ -1,7 +1,7 @@
 """What a sensor emits: frozen, validated records.
 
 A sensor is declared once, in ``sensors/<sensor>.py``; agent, node, tests and
-README all read that declaration. The rules checked here are those under which
+documents all read that declaration. The rules checked here are those under which
 LabRecorder, pyxdf, MNE-LSL and rclpy accept a stream.
 """
 

@@ -1,25 +1,21 @@
-"""The README's table of sensors and topics, made from the declarations.
-
-``python tests/docs/sensor_table.py README.md`` writes it, ``--check`` only says
-whether it is up to date.
-"""
+"""Tables of sensors and topics in Markdown, made from the declarations."""
 
 from __future__ import annotations
 
-import argparse
-import re
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 
+from biosensor_common.quantities import ContentType
 from biosensor_common.registry import sensor, sensor_names
 from biosensor_common.spec import FromDevice, SensorSpec, StreamSpec
 from biosensor_gateway.devices import driver_names
 
-BEGIN, END = "<!-- sensors:begin -->", "<!-- sensors:end -->"
 CONTRACT, OURS = "●", "○"
 # More channels than this are shown by the first and the last.
 _SHOWN_CHANNELS = 10
+# What tells of the device and not of its wearer; the short table leaves it out.
+_HOUSEKEEPING = frozenset(
+    {ContentType.BATTERY, ContentType.QUALITY, ContentType.RSSI, ContentType.STATUS}
+)
 
 _COLUMNS = (
     "",
@@ -30,38 +26,58 @@ _COLUMNS = (
     "Chunk topic",
     "LSL type, format",
 )
-_BETWEEN = re.compile(f"(?<={re.escape(BEGIN)}\n).*?(?={re.escape(END)})", re.DOTALL)
 
 
-def updated(text: str) -> str:
-    """Return a document with the present table between its markers.
-
-    Raises
-    ------
-    ValueError
-        If the document does not have the two markers once, in order.
-    """
-    if text.count(BEGIN) != 1 or text.count(END) != 1 or not _BETWEEN.search(text):
-        raise ValueError(f"the lines {BEGIN} and {END} must be there once each, in this order")
-    # A function, because backslashes in a replacement string would be escapes.
-    return _BETWEEN.sub(lambda _: table(), text)
+def sensors() -> str:
+    """Return a row for each sensor: its page and its signals."""
+    specs = [spec for spec in _in_order() if _rank(spec) == 0]
+    rows = [
+        (f"[{spec.title}](docs/sensors/{spec.name}.md)", f"`{spec.name}`", _signals(spec))
+        for spec in specs
+    ]
+    return f"\n{table(('Sensor', 'Name', 'Signals, as LSL types'), rows)}\n\n"
 
 
-def table() -> str:
-    """Return all sensors as Markdown: those with a driver first, the agent itself last."""
-    sections = sorted((sensor(name) for name in sensor_names()), key=_rank)
-    return "".join(f"\n{_section(spec)}\n" for spec in sections) + "\n"
+def topics() -> str:
+    """Return all topics: a table for each sensor with a driver first, the agent's own last."""
+    return "".join(f"\n{_section(spec)}\n" for spec in _in_order()) + "\n"
+
+
+def table(columns: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    """Return a table in Markdown."""
+    ruler = "|".join("---" for _ in columns)
+    return "\n".join([_line(columns), f"|{ruler}|", *map(_line, rows)])
+
+
+def _line(cells: tuple[str, ...]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _in_order() -> list[SensorSpec]:
+    return sorted((sensor(name) for name in sensor_names()), key=_rank)
 
 
 def _rank(spec: SensorSpec) -> int:
     return 2 if spec.name == "gateway" else int(spec.name not in driver_names())
 
 
+def _signals(spec: SensorSpec) -> str:
+    signals = [stream for stream in spec.streams if stream.content_type not in _HOUSEKEEPING]
+    # Continuous ones first: who looks for a sensor looks for these.
+    signals.sort(key=lambda stream: not stream.is_regular)
+    # A headset has two streams of one type.
+    return ", ".join(dict.fromkeys(_signal(stream) for stream in signals))
+
+
+def _signal(stream: StreamSpec) -> str:
+    rate = f" {_rate(stream)} Hz" if stream.is_regular and not stream.is_from_device else ""
+    return f"{stream.content_type}{rate}"
+
+
 def _section(spec: SensorSpec) -> str:
     source = ("driver", "no driver", "the agent itself")[_rank(spec)]
-    ruler = "|".join("---" for _ in _COLUMNS)
-    rows = "\n".join(_line(_cells(spec, stream)) for stream in spec.streams)
-    return f"**{spec.title}**: `{spec.name}` ({source})\n\n{_line(_COLUMNS)}\n|{ruler}|\n{rows}"
+    rows = [_cells(spec, stream) for stream in spec.streams]
+    return f"## {spec.title}\n\n`{spec.name}` ({source})\n\n{table(_COLUMNS, rows)}"
 
 
 def _cells(spec: SensorSpec, stream: StreamSpec) -> tuple[str, ...]:
@@ -71,13 +87,9 @@ def _cells(spec: SensorSpec, stream: StreamSpec) -> tuple[str, ...]:
         stream.message_type.rpartition("/")[2],
         _channels(stream),
         _rate(stream),
-        f"`{spec.name}/{stream.chunk}_chunk`" if stream.chunk else "",
+        f"`…/{stream.chunk}_chunk`" if stream.chunk else "",
         f"{stream.content_type}, {stream.format}",
     )
-
-
-def _line(cells: tuple[str, ...]) -> str:
-    return f"| {' | '.join(cells)} |"
 
 
 def _rate(stream: StreamSpec) -> str:
@@ -106,21 +118,3 @@ def _by_unit(stream: StreamSpec) -> Iterator[tuple[str, list[str]]]:
         if not following or following[0].unit != channel.unit:
             yield channel.unit, labels
             labels = []
-
-
-def main() -> None:
-    """Write the table, or with ``--check`` exit with 1 if it is out of date."""
-    parser = argparse.ArgumentParser(description="Update the table of sensors in a document.")
-    parser.add_argument("document", type=Path)
-    parser.add_argument("--check", action="store_true", help="write nothing")
-    options = parser.parse_args()
-    before = options.document.read_text(encoding="utf-8")
-    after = updated(before)
-    if options.check and after != before:
-        sys.exit(f"{options.document}: the table of sensors is out of date; run: make docs")
-    if not options.check:
-        options.document.write_text(after, encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()

@@ -20,12 +20,12 @@ from biosensor_gateway.cli.deferred import Deferred
 from biosensor_gateway.devices import settings_models
 
 ROOT = Path(__file__).parents[2]
-README = ROOT / "README.md"
-DECISIONS = sorted((ROOT / "docs" / "decisions").glob("*.md"))
+DECISIONS = sorted((ROOT / "docs" / "decisions").glob("[0-9]*.md"))
 DOCUMENTS = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
     *sorted((ROOT / "docs").glob("*.md")),
     *sorted((ROOT / "docs" / "sensors").glob("*.md")),
+    ROOT / "docs" / "decisions" / "README.md",
     *DECISIONS,
 ]
 
@@ -119,7 +119,8 @@ def test_every_command_exists(document: Path) -> None:
 
 
 def test_commands_are_found_at_all() -> None:
-    found = {words[0] for words in _commands(README.read_text(encoding="utf-8")) if words}
+    texts = [document.read_text(encoding="utf-8") for document in DOCUMENTS]
+    found = {words[0] for text in texts for words in _commands(text) if words}
     assert {"make", "biosensor-gateway", "ros2", "pip"} <= found
 
 

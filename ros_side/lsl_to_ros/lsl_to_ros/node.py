@@ -39,7 +39,7 @@ SEARCH_PAUSE_S = 0.2
 
 
 class LslToRos(Node):
-    """One node for all streams; see the project's README for topics and parameters."""
+    """One node for all streams; see the project's docs/ros-reference.md."""
 
     def __init__(self) -> None:
         super().__init__(

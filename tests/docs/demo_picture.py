@@ -1,0 +1,105 @@
+"""Draw what the demo shows at its end, from a real run, as an SVG.
+
+``python -m tests.docs.demo_picture docs/pictures/demo.svg`` (``make pictures``).
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import subprocess
+import sys
+from io import StringIO
+from pathlib import Path
+
+from rich.console import Console
+from rich.text import Text
+
+SECONDS = 20
+COLUMNS = 100
+_COMMAND = "biosensor-gateway demo --seconds"
+# What tells of the device or comes beside another topic; the picture has no room for it.
+_LEFT_OUT = re.compile(r"\S+(?:_chunk|/(?:bat|rssi|quality|dev|eeg_status|acc|posture|activity))\b")
+_AGENT = "/biosensors/gateway/"
+_NOTE = "..."
+
+# rich's own template asks another host for its fonts.
+_TEMPLATE = """\
+<svg viewBox="0 0 {width} {height}" xmlns="http://www.w3.org/2000/svg" role="img">
+<style>
+.{unique_id}-matrix {{ font-family: "DejaVu Sans Mono", Menlo, Consolas, monospace; \
+font-size: {char_height}px; line-height: {line_height}px; font-variant-east-asian: full-width }}
+.{unique_id}-title {{ font-family: system-ui, "Segoe UI", sans-serif; font-size: 18px }}
+{styles}
+</style>
+<defs><clipPath id="{unique_id}-clip-terminal">\
+<rect x="0" y="0" width="{terminal_width}" height="{terminal_height}"/></clipPath>{lines}</defs>
+{chrome}
+<g transform="translate({terminal_x}, {terminal_y})" clip-path="url(#{unique_id}-clip-terminal)">
+{backgrounds}
+<g class="{unique_id}-matrix">
+{matrix}
+</g></g></svg>
+"""
+
+
+def shown(printed: str) -> list[str]:
+    """Choose the lines of the picture from what the demo printed.
+
+    Raises
+    ------
+    ValueError
+        If there is no table: the demo has failed.
+    """
+    lines = printed.splitlines()
+    starts = [index for index, line in enumerate(lines) if line.startswith("topic ")]
+    if not starts:
+        raise ValueError("the demo printed no table")
+    heading, *rest = lines[starts[-1] :]
+    rows = [line for line in rest if line.startswith("/") and not _is_reason(line)]
+    reasons = [line for line in rest if _is_reason(line)]
+    chosen = [row for row in rows if not _LEFT_OUT.match(row) and not row.startswith(_AGENT)]
+    more = f"{_NOTE} and {len(rows) - len(chosen)} more topics"
+    return [heading, *chosen, more, *reasons]
+
+
+def _is_reason(line: str) -> bool:
+    return bool(re.match(r"/\S+: ", line))
+
+
+def drawn(lines: list[str], title: str) -> str:
+    """Return an SVG of a terminal with these lines; what is wider than it is cut."""
+    # What rich knows of the present terminal must not change the picture.
+    console = Console(
+        record=True,
+        width=COLUMNS,
+        file=StringIO(),
+        force_terminal=True,
+    )
+    for index, line in enumerate(lines):
+        style = "bold" if not index else "dim" if _is_reason(line) or line.startswith(_NOTE) else ""
+        text = Text(line, style=style)
+        text.highlight_regex(r"^/\S+", "cyan")
+        console.print(text, no_wrap=True, overflow="ellipsis", crop=True)
+    return console.export_svg(title=title, code_format=_TEMPLATE, unique_id="demo")
+
+
+def main() -> None:
+    """Run the demo and write the picture."""
+    parser = argparse.ArgumentParser(description="Draw the demo from a real run.")
+    parser.add_argument("picture", type=Path)
+    options = parser.parse_args()
+    program = Path(sys.executable).with_name("biosensor-gateway")
+    result = subprocess.run(
+        [program, "demo", "--seconds", str(SECONDS)],
+        stdout=subprocess.PIPE,
+        env={**os.environ, "COLUMNS": str(COLUMNS)},
+        text=True,
+        check=True,
+    )
+    options.picture.write_text(drawn(shown(result.stdout), f"{_COMMAND} {SECONDS}"), "utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,96 @@
+"""The parts of the documents that are made from the code, between their markers.
+
+``python -m tests.docs.generate`` writes them all (``make docs``), ``--check`` only says which
+are out of date.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.docs import sensor_table
+
+ROOT = Path(__file__).parents[2]
+DECISIONS = ROOT / "docs" / "decisions"
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What stands between ``<!-- NAME:begin -->`` and ``<!-- NAME:end -->`` of a document.
+
+    Attributes
+    ----------
+    document
+        Path below the root of the repository.
+    name
+    make
+        Returns the present text.
+    """
+
+    document: str
+    name: str
+    make: Callable[[], str]
+
+
+def decisions() -> str:
+    """Return the list of all decisions, each with its title."""
+    rows = [_decision(path) for path in sorted(DECISIONS.glob("[0-9]*.md"))]
+    return f"\n{sensor_table.table(('', 'Decision'), rows)}\n\n"
+
+
+def _decision(path: Path) -> tuple[str, str]:
+    heading = path.read_text(encoding="utf-8").partition("\n")[0]
+    number, _, title = heading.removeprefix("# ").partition(". ")
+    return number, f"[{title}]({path.name})"
+
+
+PARTS = (
+    Part("README.md", "sensors", sensor_table.sensors),
+    Part("docs/topics.md", "topics", sensor_table.topics),
+    Part("docs/decisions/README.md", "decisions", decisions),
+)
+
+
+def updated(text: str, part: Part) -> str:
+    """Return a document with the present text of one part.
+
+    Raises
+    ------
+    ValueError
+        If the document does not have the two markers once, in order.
+    """
+    begin, end = f"<!-- {part.name}:begin -->", f"<!-- {part.name}:end -->"
+    between = re.compile(f"(?<={re.escape(begin)}\n).*?(?={re.escape(end)})", re.DOTALL)
+    if text.count(begin) != 1 or text.count(end) != 1 or not between.search(text):
+        raise ValueError(f"the lines {begin} and {end} must be there once each, in this order")
+    # A function, because backslashes in a replacement string would be escapes.
+    return between.sub(lambda _: part.make(), text)
+
+
+def main() -> None:
+    """Write all parts, or with ``--check`` exit with 1 if one is out of date."""
+    parser = argparse.ArgumentParser(description="Update what documents show of the code.")
+    parser.add_argument("--check", action="store_true", help="write nothing")
+    parser.add_argument("--root", type=Path, default=ROOT, help="folder of the documents")
+    options = parser.parse_args()
+    stale: list[str] = []
+    for part in PARTS:
+        document: Path = options.root / part.document
+        before = document.read_text(encoding="utf-8")
+        after = updated(before, part)
+        if after == before:
+            continue
+        stale.append(part.document)
+        if not options.check:
+            document.write_text(after, encoding="utf-8")
+    if options.check and stale:
+        sys.exit(f"out of date: {', '.join(stale)}; run: make docs")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,63 @@
+"""What the documents show of the code is what the code says."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.docs.generate import PARTS, ROOT, Part, updated
+
+README = ROOT / "README.md"
+REFERENCE = ROOT / "docs" / "ros-reference.md"
+MAX_README_LINES = 150
+
+
+def _generate(*options: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "tests.docs.generate", *options]
+    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+
+
+def test_everything_that_is_generated_is_up_to_date() -> None:
+    stale = [
+        part.document
+        for part in PARTS
+        if updated(text := (ROOT / part.document).read_text(encoding="utf-8"), part) != text
+    ]
+    assert not stale, f"run: make docs ({stale})"
+
+
+def test_a_table_that_was_edited_is_found_and_mended(tmp_path: Path) -> None:
+    for part in PARTS:
+        (tmp_path / part.document).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / part.document, tmp_path / part.document)
+    edited = tmp_path / "docs" / "topics.md"
+    right = edited.read_text(encoding="utf-8")
+    edited.write_text(right.replace("| `zephyr/hr` | UInt8", "| `zephyr/hr` | UInt16"), "utf-8")
+
+    check = _generate("--check", "--root", str(tmp_path))
+    assert check.returncode == 1
+    assert "docs/topics.md; run: make docs" in check.stderr
+    assert _generate("--root", str(tmp_path)).returncode == 0
+    assert edited.read_text(encoding="utf-8") == right
+
+
+@pytest.mark.parametrize("part", PARTS, ids=lambda part: part.name)
+def test_a_document_without_markers_is_refused(part: Part) -> None:
+    with pytest.raises(ValueError, match="must be there once each"):
+        updated("no markers\n", part)
+
+
+def test_the_readme_is_a_page() -> None:
+    assert len(README.read_text(encoding="utf-8").splitlines()) <= MAX_README_LINES
+
+
+def test_the_reference_names_every_parameter_with_its_default() -> None:
+    parameters = pytest.importorskip("lsl_to_ros.parameters")
+    text = REFERENCE.read_text(encoding="utf-8")
+    for name, value in parameters.DEFAULTS.items():
+        assert f"| `{name}` | `{str(value).lower()}` |" in text
+    assert f"1 to {parameters.LENGTH_RANGE[-1]}" in text
