@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.docs import sensor_table
+from tests.docs import fault_picture, sensor_table
 
 ROOT = Path(__file__).parents[2]
 DECISIONS = ROOT / "docs" / "decisions"
@@ -22,6 +22,8 @@ DECISIONS = ROOT / "docs" / "decisions"
 @dataclass(frozen=True, slots=True)
 class Part:
     """What stands between ``<!-- NAME:begin -->`` and ``<!-- NAME:end -->`` of a document.
+
+    Without a name it is the whole file.
 
     Attributes
     ----------
@@ -53,6 +55,7 @@ PARTS = (
     Part("README.md", "sensors", sensor_table.sensors),
     Part("docs/topics.md", "topics", sensor_table.topics),
     Part("docs/decisions/README.md", "decisions", decisions),
+    Part("docs/pictures/faults.svg", "", fault_picture.picture),
 )
 
 
@@ -64,6 +67,8 @@ def updated(text: str, part: Part) -> str:
     ValueError
         If the document does not have the two markers once, in order.
     """
+    if not part.name:
+        return part.make()
     begin, end = f"<!-- {part.name}:begin -->", f"<!-- {part.name}:end -->"
     between = re.compile(f"(?<={re.escape(begin)}\n).*?(?={re.escape(end)})", re.DOTALL)
     if text.count(begin) != 1 or text.count(end) != 1 or not between.search(text):
@@ -81,7 +86,7 @@ def main() -> None:
     stale: list[str] = []
     for part in PARTS:
         document: Path = options.root / part.document
-        before = document.read_text(encoding="utf-8")
+        before = document.read_text(encoding="utf-8") if document.exists() else ""
         after = updated(before, part)
         if after == before:
             continue

@@ -45,7 +45,7 @@ def test_a_table_that_was_edited_is_found_and_mended(tmp_path: Path) -> None:
     assert edited.read_text(encoding="utf-8") == right
 
 
-@pytest.mark.parametrize("part", PARTS, ids=lambda part: part.name)
+@pytest.mark.parametrize("part", [part for part in PARTS if part.name], ids=lambda part: part.name)
 def test_a_document_without_markers_is_refused(part: Part) -> None:
     with pytest.raises(ValueError, match="must be there once each"):
         updated("no markers\n", part)
