@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -77,12 +77,12 @@ def updated(text: str, part: Part) -> str:
     return between.sub(lambda _: part.make(), text)
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Write all parts, or with ``--check`` exit with 1 if one is out of date."""
     parser = argparse.ArgumentParser(description="Update what documents show of the code.")
     parser.add_argument("--check", action="store_true", help="write nothing")
     parser.add_argument("--root", type=Path, default=ROOT, help="folder of the documents")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     stale: list[str] = []
     for part in PARTS:
         document: Path = options.root / part.document
