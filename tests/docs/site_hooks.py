@@ -2,7 +2,7 @@
 
 The documents are written for a reader of the repository, whose links lead from file to
 file. On the site, README.md is the start page, and what is no page is found in the
-repository, if its address is known (``repo_url``).
+repository, if its address is known (``extra.repository``).
 """
 
 from __future__ import annotations
@@ -43,6 +43,14 @@ _EXTERNAL_RESOURCE = re.compile(
 _log = get_plugin_logger("documents")
 
 
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Link to the repository at the foot of each page, if its address is known."""
+    if config.extra["repository"]:
+        link = {"icon": "fontawesome/brands/git-alt", "link": config.extra["repository"]}
+        config.extra["social"] = [{**link, "name": "The repository"}]
+    return config
+
+
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the documents at the root."""
     for document, page in ROOT_PAGES.items():
@@ -52,7 +60,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Lead every link where its file went; of a bad one warn, which strict mode makes fatal."""
-    text, problems = relinked(markdown, page.file.src_uri, config.repo_url or "")
+    text, problems = relinked(markdown, page.file.src_uri, config.extra["repository"])
     for problem in problems:
         _log.warning("%s: %s", page.file.src_uri, problem)
     return text
