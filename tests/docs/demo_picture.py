@@ -6,10 +6,14 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import os
+import pty
 import re
 import subprocess
 import sys
+import termios
+from collections.abc import Sequence
 from io import StringIO
 from pathlib import Path
 
@@ -17,7 +21,7 @@ from rich.console import Console
 from rich.text import Text
 
 SECONDS = 20
-COLUMNS = 100
+LINES, COLUMNS = 100, 100
 _COMMAND = "biosensor-gateway demo --seconds"
 # What tells of the device or comes beside another topic; the picture has no room for it.
 _LEFT_OUT = re.compile(r"\S+(?:_chunk|/(?:bat|rssi|quality|dev|eeg_status|acc|posture|activity))\b")
@@ -44,7 +48,39 @@ font-size: {char_height}px; line-height: {line_height}px; font-variant-east-asia
 """
 
 
-def shown(printed: str) -> list[str]:
+def printed(command: Sequence[str]) -> str:
+    """Return what a program prints in a terminal of the picture's width.
+
+    Raises
+    ------
+    subprocess.CalledProcessError
+        If it fails.
+    """
+    ours, its = pty.openpty()
+    # Without it a table would be as wide as it likes.
+    termios.tcsetwinsize(its, (LINES, COLUMNS))
+    # Left in the environment, this would go before the terminal's own size.
+    environment = {name: value for name, value in os.environ.items() if name != "COLUMNS"}
+    with subprocess.Popen(command, stdin=its, stdout=its, env=environment) as program:
+        os.close(its)
+        pieces = list(iter(lambda: _read(ours), b""))
+    os.close(ours)
+    if program.returncode:
+        raise subprocess.CalledProcessError(program.returncode, command)
+    return b"".join(pieces).decode()
+
+
+def _read(terminal: int) -> bytes:
+    """Return what comes next; nothing once everybody has closed the other end."""
+    try:
+        return os.read(terminal, 1 << 16)
+    except OSError as error:
+        if error.errno != errno.EIO:
+            raise
+        return b""
+
+
+def shown(text: str) -> list[str]:
     """Choose the lines of the picture from what the demo printed.
 
     Raises
@@ -52,7 +88,7 @@ def shown(printed: str) -> list[str]:
     ValueError
         If there is no table: the demo has failed.
     """
-    lines = printed.splitlines()
+    lines = text.splitlines()
     starts = [index for index, line in enumerate(lines) if line.startswith("topic ")]
     if not starts:
         raise ValueError("the demo printed no table")
@@ -91,14 +127,8 @@ def main() -> None:
     parser.add_argument("picture", type=Path)
     options = parser.parse_args()
     program = Path(sys.executable).with_name("biosensor-gateway")
-    result = subprocess.run(
-        [program, "demo", "--seconds", str(SECONDS)],
-        stdout=subprocess.PIPE,
-        env={**os.environ, "COLUMNS": str(COLUMNS)},
-        text=True,
-        check=True,
-    )
-    options.picture.write_text(drawn(shown(result.stdout), f"{_COMMAND} {SECONDS}"), "utf-8")
+    text = printed([str(program), "demo", "--seconds", str(SECONDS)])
+    options.picture.write_text(drawn(shown(text), f"{_COMMAND} {SECONDS}"), "utf-8")
 
 
 if __name__ == "__main__":

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
 from tests.docs import fault_picture
-from tests.docs.demo_picture import COLUMNS, drawn, shown
+from tests.docs.demo_picture import COLUMNS, drawn, printed, shown
 
 PICTURES = sorted((Path(__file__).parents[2] / "docs" / "pictures").glob("*.svg"))
 SVG = "{http://www.w3.org/2000/svg}"
@@ -31,6 +33,16 @@ def test_the_demo_is_shown_without_what_is_beside_it() -> None:
     assert heart_rate.startswith("/biosensors/zephyr/hr ")
     assert "3 more topics" in more
     assert reason.endswith("nobody presses the button")
+
+
+def test_a_program_prints_into_a_terminal_of_the_pictures_width() -> None:
+    code = "import os, sys; print(sys.stdout.isatty(), os.get_terminal_size().columns)"
+    assert printed([sys.executable, "-c", code]).split() == ["True", str(COLUMNS)]
+
+
+def test_a_program_that_fails_is_not_drawn() -> None:
+    with pytest.raises(subprocess.CalledProcessError):
+        printed([sys.executable, "-c", "raise SystemExit(1)"])
 
 
 def test_a_demo_that_failed_is_not_drawn() -> None:
