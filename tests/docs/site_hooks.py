@@ -11,6 +11,7 @@ import os.path
 import posixpath
 import re
 from pathlib import Path
+from typing import Any, cast
 from urllib.parse import urlsplit
 
 from mkdocs.config.defaults import MkDocsConfig
@@ -45,10 +46,16 @@ _log = get_plugin_logger("documents")
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Link to the repository at the foot of each page, if its address is known."""
-    if config.extra["repository"]:
-        link = {"icon": "fontawesome/brands/git-alt", "link": config.extra["repository"]}
-        config.extra["social"] = [{**link, "name": "The repository"}]
+    extra = _extra(config)
+    if extra["repository"]:
+        link = {"icon": "fontawesome/brands/git-alt", "link": extra["repository"]}
+        extra["social"] = [{**link, "name": "The repository"}]
     return config
+
+
+def _extra(config: MkDocsConfig) -> dict[str, Any]:
+    # MkDocs does not say of which types its own dictionary is.
+    return cast("dict[str, Any]", config.extra)
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -60,7 +67,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Lead every link where its file went; of a bad one warn, which strict mode makes fatal."""
-    text, problems = relinked(markdown, page.file.src_uri, config.extra["repository"])
+    text, problems = relinked(markdown, page.file.src_uri, _extra(config)["repository"])
     for problem in problems:
         _log.warning("%s: %s", page.file.src_uri, problem)
     return text
