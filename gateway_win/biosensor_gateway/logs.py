@@ -1,17 +1,18 @@
 """Logging: sentences on the console, JSON lines in a rotating file, no secrets in either.
 
 The gateway's modules log through ``structlog.stdlib.get_logger(__name__)``,
-libraries through :mod:`logging`; both arrive at the same two outputs.
+libraries through :mod:`logging`; both arrive at the same two outputs. Whoever logs
+waits for neither of them: see `biosensor_gateway.log_outputs`.
 """
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import re
 import sys
-from collections.abc import Mapping
-from logging.handlers import RotatingFileHandler
+from collections.abc import Generator, Mapping
 from pathlib import Path
 from typing import cast
 
@@ -19,13 +20,14 @@ import structlog
 from structlog.typing import EventDict, Processor, WrappedLogger
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.relay import LAST_LINES_S, STDERR, STDOUT, console, relayed
+from biosensor_gateway.log_outputs import QueuedHandler, console_handler, file_handler
 from biosensor_gateway.settings import STATE_VARIABLE, LogSettings
 
 LOG_FILE_NAME = "biosensor-gateway.log"
 
 _OWN_LOGGER = "biosensor_gateway"
-_log = structlog.get_logger("biosensor_gateway.logs")
-_HANDLER_PREFIX = "biosensor-gateway."
+_CONSOLE, _FILE = "biosensor-gateway.console", "biosensor-gateway.file"
 _MASK = "***"
 _SENSITIVE = r"(?:secret|passw|token|client_?id|api_?key|credential|authorization)"
 _SENSITIVE_KEY = re.compile(_SENSITIVE, re.IGNORECASE)
@@ -67,11 +69,12 @@ def configure_logs(settings: LogSettings, folder: Path | None, *, verbose: bool 
         ``UNREADABLE`` if the file cannot be written. The logging that was set
         up before stays, so the caller can go on with ``folder=None``.
     """
-    file_handlers = [_file_handler(settings, folder)] if folder else []
+    file = _file_handler(settings, folder) if folder else None
     _remove_own_handlers()
     root = logging.getLogger()
-    for handler in [*_console_handlers(), *file_handlers]:
-        root.addHandler(handler)
+    for handler in (_console_handler(), file):
+        if handler is not None:
+            root.addHandler(handler)
     level = logging.DEBUG if verbose else logging.getLevelNamesMapping()[settings.level.upper()]
     root.setLevel(max(level, logging.INFO))
     logging.getLogger(_OWN_LOGGER).setLevel(level)
@@ -87,74 +90,61 @@ def configure_logs(settings: LogSettings, folder: Path | None, *, verbose: bool 
     )
 
 
+def flush_logs(limit_s: float = LAST_LINES_S) -> bool:
+    """Wait until all that was logged is written, for each output at most so long."""
+    flushed = [handler.outflow.flush(limit_s) for handler in _own_handlers()]
+    return all(flushed)
+
+
+@contextlib.contextmanager
+def console_relayed() -> Generator[None]:
+    """Let nothing in this process wait for the console, whoever writes to it and how.
+
+    To be used after `configure_logs`. At the end the console gets the last lines, for
+    `LAST_LINES_S` at most, and the logging is over.
+    """
+    outflows = [each.outflow for each in _own_handlers() if each.get_name() == _CONSOLE]
+    stdout = console(STDOUT, "console")
+    with relayed([(STDOUT, stdout), *((STDERR, outflow) for outflow in outflows)]):
+        yield
+    _remove_own_handlers()
+
+
+def _own_handlers() -> list[QueuedHandler]:
+    return [each for each in logging.getLogger().handlers if isinstance(each, QueuedHandler)]
+
+
 def _remove_own_handlers() -> None:
-    root = logging.getLogger()
-    for handler in root.handlers[:]:
-        if (handler.get_name() or "").startswith(_HANDLER_PREFIX):
-            root.removeHandler(handler)
-            handler.close()
+    for handler in _own_handlers():
+        logging.getLogger().removeHandler(handler)
+        handler.close()
 
 
-def _console_handlers() -> list[logging.Handler]:
-    # A program without a console window on Windows has no stderr, whatever the type says.
-    stream = cast("object", sys.stderr)
-    if stream is None:
-        return []
-    handler = logging.StreamHandler(sys.stderr)
-    handler.set_name(f"{_HANDLER_PREFIX}console")
-    renderer = structlog.dev.ConsoleRenderer(
-        colors=sys.stderr.isatty() and not os.environ.get("NO_COLOR"),
-        sort_keys=False,
-        repr_native_str=True,
-        exception_formatter=structlog.dev.plain_traceback,
-    )
-    handler.setFormatter(
-        _formatter(_exception_in_short, _mask_secrets, _event_on_one_line, renderer)
-    )
-    return [handler]
-
-
-class _LogFile(RotatingFileHandler):
-    """A log file that says once when it cannot be written, and is tried again with each record."""
-
-    _is_failing = _has_failed = False
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self._has_failed = False
-        super().emit(record)
-        self._is_failing = self._has_failed
-
-    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - the base class's name
-        error = sys.exception()
-        if not isinstance(error, OSError):
-            super().handleError(record)
-            return
-        if not self._is_failing:
-            # Before it is logged, because this file is asked to take it, too.
-            self._is_failing = True
-            _log.warning(
-                f"cannot write the log file {self.baseFilename}: {error.strerror or error}; "
-                "streaming goes on without it"
-            )
-        self._has_failed = True
-
-
-def _file_handler(settings: LogSettings, folder: Path) -> logging.Handler:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        handler = _LogFile(
-            folder / LOG_FILE_NAME,
-            maxBytes=settings.max_bytes,
-            backupCount=settings.keep_files,
-            encoding="utf-8",
+def _console_handler() -> QueuedHandler | None:
+    handler = console_handler(_CONSOLE)
+    if handler is not None:
+        renderer = structlog.dev.ConsoleRenderer(
+            colors=sys.stderr.isatty() and not os.environ.get("NO_COLOR"),
+            sort_keys=False,
+            repr_native_str=True,
+            exception_formatter=structlog.dev.plain_traceback,
         )
+        handler.setFormatter(
+            _formatter(_exception_in_short, _mask_secrets, _event_on_one_line, renderer)
+        )
+    return handler
+
+
+def _file_handler(settings: LogSettings, folder: Path) -> QueuedHandler:
+    path = folder / LOG_FILE_NAME
+    try:
+        handler = file_handler(_FILE, path, settings.max_bytes, settings.keep_files)
     except OSError as error:
         message = (
             f"cannot write the log file in {folder}: {error.strerror or error}; let "
             f"{STATE_VARIABLE} name a folder that can be written"
         )
         raise ConfigError(ConfigReason.UNREADABLE, message) from error
-    handler.set_name(f"{_HANDLER_PREFIX}file")
     renderer = structlog.processors.JSONRenderer()
     handler.setFormatter(_formatter(structlog.processors.format_exc_info, _mask_secrets, renderer))
     return handler

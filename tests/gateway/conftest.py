@@ -21,6 +21,7 @@ import pytest
 import structlog
 
 from biosensor_gateway import cli
+from biosensor_gateway.logs import flush_logs
 from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.world import World
@@ -192,6 +193,7 @@ def run(
         monkeypatch.setattr(sys, "argv", ["biosensor-gateway", *arguments])
         with pytest.raises(SystemExit) as ended:
             cli.main()
+        assert flush_logs(DEADLINE_S)
         out, err = capsys.readouterr()
         assert "Traceback" not in out + err
         return Outcome(int(ended.value.code or 0), out, err)

@@ -12,11 +12,13 @@ from typing import Any
 
 import pytest
 import structlog
+from _pytest.capture import CaptureResult
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.logs import LOG_FILE_NAME, configure_logs
+from biosensor_gateway.logs import LOG_FILE_NAME, configure_logs, flush_logs
 from biosensor_gateway.settings import LogSettings
 
+DEADLINE_S = 30.0
 LOG = structlog.stdlib.get_logger("biosensor_gateway.test")
 LIBRARY = logging.getLogger("some_library.part")
 
@@ -41,8 +43,14 @@ def fail_with(text: str) -> None:
 
 
 def records(folder: Path) -> list[dict[str, Any]]:
+    assert flush_logs(DEADLINE_S)
     lines = (folder / LOG_FILE_NAME).read_text(encoding="utf-8").splitlines()
     return [json.loads(line) for line in lines]
+
+
+def captured(capsys: pytest.CaptureFixture[str]) -> CaptureResult[str]:
+    assert flush_logs(DEADLINE_S)
+    return capsys.readouterr()
 
 
 def test_an_event_arrives_at_both_outputs(
@@ -60,12 +68,12 @@ def test_an_event_arrives_at_both_outputs(
         "unit": "C0FFEE",
         "rate": 130.0,
     }
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert "device connected" in captured.err
-    assert "unit='C0FFEE'" in captured.err
-    assert captured.err.count("\n") == 1
-    assert "\x1b" not in captured.err
+    console = captured(capsys)
+    assert console.out == ""
+    assert "device connected" in console.err
+    assert "unit='C0FFEE'" in console.err
+    assert console.err.count("\n") == 1
+    assert "\x1b" not in console.err
 
 
 @pytest.mark.parametrize(("no_color", "coloured"), [("", True), ("1", False)])
@@ -79,7 +87,7 @@ def test_a_terminal_gets_colours(
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     configure_logs(LogSettings(), None)
     LOG.info("seen")
-    assert ("\x1b[" in capsys.readouterr().err) is coloured
+    assert ("\x1b[" in captured(capsys).err) is coloured
 
 
 def test_a_library_goes_the_same_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -90,7 +98,7 @@ def test_a_library_goes_the_same_way(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert record["event"] == "scan took 3 s"
     assert (record["level"], record["logger"]) == ("warning", "some_library.part")
     assert record["device"] == "strap"
-    assert "scan took 3 s" in capsys.readouterr().err
+    assert "scan took 3 s" in captured(capsys).err
 
 
 @pytest.mark.parametrize(
@@ -139,8 +147,9 @@ def test_secrets_are_masked_in_both_outputs(
         fail_with("password='hidden' for visible")
     except RuntimeError:
         LOG.exception("failed")
+    console = captured(capsys).err
     content = (tmp_path / LOG_FILE_NAME).read_text(encoding="utf-8")
-    for output in (content, capsys.readouterr().err):
+    for output in (content, console):
         assert "hidden" not in output
         assert output.count("visible") >= 4
         assert "7}" in output
@@ -155,7 +164,7 @@ def test_an_exception_is_one_line_on_the_console_and_whole_in_the_file(
             fail_with("broken\nin two")
         except RuntimeError:
             logger.exception("it failed")
-    console = capsys.readouterr().err
+    console = captured(capsys).err
     assert console.count("\n") == 2
     assert console.count("RuntimeError: broken\\nin two") == 2
     assert "Traceback" not in console
@@ -171,7 +180,7 @@ def test_a_name_from_outside_cannot_command_the_terminal(
     configure_logs(LogSettings(), None)
     LOG.info("found", name="strap\x1b[2J")
     LOG.info("found strap\x1b[2J\nerror: faked", name="strap\nerror: faked")
-    console = capsys.readouterr().err
+    console = captured(capsys).err
     assert "\x1b" not in console
     assert console.count("\n") == 2
     assert console.count("\\x1b[2J") == 2
@@ -197,7 +206,7 @@ def test_a_second_call_replaces_the_first(
     LOG.info("two")
     assert [record["event"] for record in records(first)] == ["one"]
     assert [record["event"] for record in records(second)] == ["two"]
-    assert capsys.readouterr().err.count("two") == 1
+    assert captured(capsys).err.count("two") == 1
     # A file left open would be a ResourceWarning here, which is an error.
     gc.collect()
 
@@ -219,7 +228,7 @@ def test_a_folder_that_cannot_be_written_leaves_the_logging_as_it_was(
         configure_logs(LogSettings(), tmp_path / "file")
     assert caught.value.reason is ConfigReason.UNREADABLE
     LOG.info("still here")
-    assert capsys.readouterr().err.count("still here") == 1
+    assert captured(capsys).err.count("still here") == 1
 
 
 def test_without_a_console_the_file_is_written(

@@ -22,7 +22,7 @@ from biosensor_gateway.cli.options import FaultOption, SettingsOption, SimulateO
 from biosensor_gateway.control import ControlServer
 from biosensor_gateway.devices import settings_models
 from biosensor_gateway.ending import until_signalled
-from biosensor_gateway.logs import configure_logs
+from biosensor_gateway.logs import configure_logs, console_relayed
 from biosensor_gateway.settings import GatewaySettings, settings_path, state_folder
 from biosensor_gateway.single_instance import single_instance, wait_until_free
 
@@ -75,13 +75,14 @@ def _run_agent(loaded: GatewaySettings, unguarded: ConfigError | None, *, verbos
         # Recording goes on without a log file; it does not go on unsaid.
         configure_logs(loaded.log, None, verbose=verbose)
         _log.warning(str(error))
-    if unguarded is not None:
-        _log.warning(str(unguarded))
-    if not any(device.enabled for device in loaded.devices):
-        _log.warning("no device is enabled in the settings; nothing will be streamed")
-    agent = Agent(loaded, folder)
-    controlled = partial(_run_controlled, agent, folder)
-    asyncio.run(until_signalled(agent.run if unguarded else controlled))
+    with console_relayed():
+        if unguarded is not None:
+            _log.warning(str(unguarded))
+        if not any(device.enabled for device in loaded.devices):
+            _log.warning("no device is enabled in the settings; nothing will be streamed")
+        agent = Agent(loaded, folder)
+        controlled = partial(_run_controlled, agent, folder)
+        asyncio.run(until_signalled(agent.run if unguarded else controlled))
 
 
 async def _run_controlled(agent: Agent, folder: Path) -> None:
