@@ -109,6 +109,11 @@ def relayed(relays: Sequence[tuple[int, Outflow | None]]) -> Generator[None]:
                 outflow.close(max(0.0, deadline - time.monotonic()))
 
 
+def console_relayed() -> contextlib.AbstractContextManager[None]:
+    """Let nothing in this process wait for the console while the context lasts."""
+    return relayed([(each, console(each, "console")) for each in (STDOUT, STDERR)])
+
+
 def _never_wait(pipe: int) -> None:
     if sys.platform == "linux":
         import fcntl  # noqa: PLC0415 - exists there only

@@ -24,7 +24,7 @@ from biosensor_gateway.devices.emotiv_insight import cortex as cortex_client
 from biosensor_gateway.devices.emotiv_insight.driver import DRIVER
 from biosensor_gateway.devices.emotiv_insight.requests import request_text
 from biosensor_gateway.devices.emotiv_insight.simulator import SimulatedCortex, Timing
-from biosensor_gateway.logs import LOG_FILE_NAME, configure_logs
+from biosensor_gateway.logs import LOG_FILE_NAME, configure_logs, flush_logs
 from biosensor_gateway.settings import LogSettings
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
@@ -256,6 +256,7 @@ async def test_a_crash_shows_no_secret(
     await eventually(lambda: "nobody expects this" in log.read_text())
     task.cancel()
     await asyncio.wait({task})
+    assert flush_logs(30.0)
     captured = capsys.readouterr()
     assert "nobody expects this" in captured.err
     assert leaks("\n".join([log.read_text(), captured.out, captured.err])) == []

@@ -19,6 +19,7 @@ from rclpy.utilities import get_rmw_implementation_identifier
 
 from biosensor_common.errors import ConfigError
 from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
+from biosensor_common.relay import console_relayed
 from lsl_to_ros import fastdds, node_parameters
 from lsl_to_ros.discovery import Discovery
 from lsl_to_ros.limited_log import LimitedLog
@@ -110,6 +111,15 @@ class LslToRos(Node):
 
 def main() -> None:
     """Run the node until SIGINT or SIGTERM; exit code 0, or 2 for unusable settings."""
+    if sys.stderr.isatty():
+        # rcutils asks at each line whether it writes to a terminal, and will find a pipe.
+        os.environ.setdefault("RCUTILS_COLORIZED_OUTPUT", "1")
+    # rclpy holds the GIL while it logs, so a held console would stop every thread.
+    with console_relayed():
+        _run()
+
+
+def _run() -> None:
     fastdds.configure(os.environ, Path.cwd(), get_rmw_implementation_identifier())
     # Our own handlers: rclpy's end spin by an exception that ros2 run shows as a failure.
     rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
