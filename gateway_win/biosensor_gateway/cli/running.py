@@ -23,6 +23,7 @@ from biosensor_gateway.control import ControlServer
 from biosensor_gateway.devices import settings_models
 from biosensor_gateway.ending import until_signalled
 from biosensor_gateway.logs import configure_logs, console_relayed
+from biosensor_gateway.quick_edit import quick_edit_off
 from biosensor_gateway.settings import GatewaySettings, settings_path, state_folder
 from biosensor_gateway.single_instance import single_instance, wait_until_free
 
@@ -75,7 +76,7 @@ def _run_agent(loaded: GatewaySettings, unguarded: ConfigError | None, *, verbos
         # Recording goes on without a log file; it does not go on unsaid.
         configure_logs(loaded.log, None, verbose=verbose)
         _log.warning(str(error))
-    with console_relayed():
+    with quick_edit_off(), console_relayed():
         if unguarded is not None:
             _log.warning(str(unguarded))
         if not any(device.enabled for device in loaded.devices):

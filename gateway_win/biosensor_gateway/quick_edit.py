@@ -1,0 +1,64 @@
+"""Switches QuickEdit off: a click into a Windows console would hold all that is written to it.
+
+Sources: Microsoft's documentation of ``GetConsoleMode`` and ``SetConsoleMode``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Generator
+
+ENABLE_QUICK_EDIT_MODE, ENABLE_EXTENDED_FLAGS = 0x0040, 0x0080
+
+
+def without_quick_edit(mode: int) -> int:
+    """Return a console's mode with QuickEdit off; the other flags stay as they are."""
+    return mode & ~ENABLE_QUICK_EDIT_MODE | ENABLE_EXTENDED_FLAGS
+
+
+@contextlib.contextmanager
+def quick_edit_off() -> Generator[None]:
+    """Have no QuickEdit for a while; does nothing on other systems or without a console.
+
+    The mode belongs to the console, which other programs may use afterwards, so it is put
+    back. A program that is killed leaves QuickEdit off.
+    """
+    with contextlib.ExitStack() as stack:
+        if sys.platform == "win32":
+            # Whoever redirects stdin has a console that can be clicked into all the same.
+            with contextlib.suppress(OSError):
+                console = os.open("CONIN$", os.O_RDWR)
+                stack.callback(os.close, console)
+                before = _mode(console)
+                _set_mode(console, without_quick_edit(before))
+                stack.callback(_put_back, console, before)
+        yield
+
+
+if sys.platform == "win32":
+    import ctypes
+    import msvcrt
+    from ctypes import wintypes
+
+    _kernel = ctypes.WinDLL("kernel32", use_last_error=True)
+    _kernel.GetConsoleMode.argtypes = [wintypes.HANDLE, ctypes.POINTER(wintypes.DWORD)]
+    _kernel.GetConsoleMode.restype = wintypes.BOOL
+    _kernel.SetConsoleMode.argtypes = [wintypes.HANDLE, wintypes.DWORD]
+    _kernel.SetConsoleMode.restype = wintypes.BOOL
+
+    def _mode(console: int) -> int:
+        mode = wintypes.DWORD()
+        if not _kernel.GetConsoleMode(msvcrt.get_osfhandle(console), ctypes.byref(mode)):
+            raise ctypes.WinError(ctypes.get_last_error())
+        return mode.value
+
+    def _set_mode(console: int, mode: int) -> None:
+        if not _kernel.SetConsoleMode(msvcrt.get_osfhandle(console), mode):
+            raise ctypes.WinError(ctypes.get_last_error())
+
+    def _put_back(console: int, mode: int) -> None:
+        # EXTENDED_FLAGS alone lets Windows heed the flag of QuickEdit.
+        with contextlib.suppress(OSError):
+            _set_mode(console, mode | ENABLE_EXTENDED_FLAGS)
