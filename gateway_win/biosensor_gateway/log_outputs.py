@@ -102,17 +102,21 @@ def file_handler(name: str, path: Path, max_bytes: int, keep_files: int) -> Queu
 
 def _open_in_time(file: _LogFile) -> None:
     failures: list[OSError] = []
+    given_up = threading.Event()
 
     def open_() -> None:
         try:
             file.open()
         except OSError as error:
             failures.append(error)
+        if given_up.is_set():
+            file.end()
 
-    thread = threading.Thread(target=open_, name="log file", daemon=True)
+    thread = threading.Thread(target=open_, name="opens the log file", daemon=True)
     thread.start()
     thread.join(OPENED_WITHIN_S)
     if thread.is_alive():
+        given_up.set()
         raise TimeoutError(f"it does not open within {OPENED_WITHIN_S:g} s")
     for failure in failures:
         raise failure
