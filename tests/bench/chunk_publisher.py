@@ -14,6 +14,7 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Float32MultiArray
 
 from biosensor_common.quantities import MessageType
+from lsl_to_ros.pacing import Pace, Pacer
 from lsl_to_ros.ports import Port, Ports
 from lsl_to_ros.writers import ChunkWriter
 from tests.bench.child import Orders, say
@@ -64,7 +65,10 @@ def _timed_us(call: Callable[[], None]) -> float:
 
 def publish(topic: str, floor_topic: str) -> None:
     """Publish one of each until the parent orders COUNT; say the times of so many as JSON."""
-    orders, ports = Orders(), Ports(rclpy.create_node("bench_publisher"))
+    orders, ports = (
+        Orders(),
+        Ports(rclpy.create_node("bench_publisher"), Pacer(Pace(), print)),
+    )
     publisher = Publisher(*(ports.open(each, Float32MultiArray) for each in (topic, floor_topic)))
     order = None
     while order is None and not orders.closed.is_set():

@@ -11,10 +11,17 @@ import pytest
 from rcl_interfaces.srv import GetParameters
 
 # The fields of a ParameterValue by its type's number.
-FIELDS = {1: "bool_value", 2: "integer_value", 4: "string_value", 9: "string_array_value"}
+FIELDS = {
+    1: "bool_value",
+    2: "integer_value",
+    3: "double_value",
+    4: "string_value",
+    9: "string_array_value",
+}
 PARAMS_FILE = Path(__file__).parents[2] / "ros_side" / "lsl_to_ros" / "config" / "params.yaml"
 IN_USE: dict[str, Any] = {
     "topic_prefix": "biosensors",
+    "burst_pacing": 0.5,
     "Sensor_Enable": True,
     "Chunk_Enable": True,
     "Chunk_Length": 128,

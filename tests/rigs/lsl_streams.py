@@ -85,6 +85,7 @@ class Collector:
 
     def __init__(self, *, wants_each_sample: bool = False) -> None:
         self.wants_each_sample = wants_each_sample
+        self.is_full = False
         self.blocks: list[Block] = []
         self.ends: list[int] = []
         self.clocks = 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
+import pytest
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -13,6 +14,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, FromDevice
 from biosensor_common.stream_header import StreamHeader
+from lsl_to_ros.pacing import Pace, Pacer
 from lsl_to_ros.ports import Port
 from lsl_to_ros.ros_time import RosTime
 from lsl_to_ros.stamping import Stamping
@@ -75,7 +77,8 @@ class RecordedPort(Port):
     ) -> None:
         self._publisher = _Publisher(f"/{topic}")
         self._kind = kind
-        super().__init__(topic, kind, cast("Publisher", self._publisher), latched=latched)
+        pacer = Pacer(Pace(), pytest.fail)
+        super().__init__(topic, kind, cast("Publisher", self._publisher), pacer, latched=latched)
         self.set_readers(readers)
 
     def set_readers(self, readers: int) -> None:

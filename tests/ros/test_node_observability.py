@@ -97,6 +97,8 @@ def test_the_status_of_a_stream_says_everything_about_it(ros: Ros, flow: Begin) 
         "unfit": "0",
         "unstamped": "0",
         "chunk_discarded": status["chunk_discarded"],
+        "waiting": "0",
+        "unsent": "0",
         "subscribers": "1",
     }
     assert measured["rate_measured"] == pytest.approx(130.0, rel=0.05)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.usefixtures("node")
 
 LENGTH = 4
-BOOL, INTEGER, STRING, STRINGS = 1, 2, 4, 9
+BOOL, INTEGER, DOUBLE, STRING, STRINGS = 1, 2, 3, 4, 9
 # Type, whether it is read at the start only, and a word of its description.
 MEANINGS = {
     "Sensor_Enable": (BOOL, False, "publish anything"),
@@ -28,6 +28,7 @@ MEANINGS = {
     "Chunk_Length": (INTEGER, False, "samples in one chunk"),
     "topic_prefix": (STRING, False, "first part of every topic"),
     "stream_predicate": (STRING, False, "LSL query"),
+    "burst_pacing": (DOUBLE, False, "in a millisecond"),
     "session_id": (STRING, True, "LSL session"),
     "known_peers": (STRINGS, True, "hosts"),
 }
@@ -192,6 +193,8 @@ def test_what_every_parameter_means_can_be_asked(ros: Ros) -> None:
         assert word in descriptor.description
     (limits,) = described["Chunk_Length"].integer_range
     assert (limits.from_value, limits.to_value, limits.step) == (1, 100_000, 1)
+    (limits,) = described["burst_pacing"].floating_point_range
+    assert (limits.from_value, limits.to_value, limits.step) == (0.0, 1000.0, 0.0)
 
 
 def test_a_key_of_a_sensor_can_be_set_before_and_is_described_once_it_is_there(ros: Ros) -> None:

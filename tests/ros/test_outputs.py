@@ -24,6 +24,7 @@ from lsl_to_ros.blocks import Run
 from lsl_to_ros.bridge import Outputs
 from lsl_to_ros.messages import CLASSES
 from lsl_to_ros.outputs import HAS_STAMPED_TOPICS, open_outputs
+from lsl_to_ros.pacing import Pace, Pacer
 from lsl_to_ros.ports import Port, Ports
 from lsl_to_ros.tally import Lost
 from lsl_to_ros.twins import TWINS
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture
 def ports(ros: Ros) -> Iterator[Ports]:
-    ports = Ports(ros.node)
+    ports = Ports(ros.node, Pacer(Pace(), pytest.fail))
     yield ports
     ports.close(lambda _: True)
 

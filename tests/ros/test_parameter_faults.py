@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from itertools import count
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from std_msgs.msg import Float32
 
 from lsl_to_ros import node_parameters
 from lsl_to_ros.node_parameters import (
+    BURST_PACING,
     KNOWN_PEERS,
     MAX_DEPTH,
     MAX_PREFIX_CHARACTERS,
@@ -29,7 +31,7 @@ from lsl_to_ros.ports import make_publisher
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros
 
-NAMES = (TOPIC_PREFIX, STREAM_PREDICATE, SESSION_ID, KNOWN_PEERS)
+NAMES = (TOPIC_PREFIX, STREAM_PREDICATE, BURST_PACING, SESSION_ID, KNOWN_PEERS)
 QOS = "qos_overrides./lab/biosensors/zephyr/ecg.publisher."
 
 GOOD: list[tuple[str, Any]] = [
@@ -39,6 +41,9 @@ GOOD: list[tuple[str, Any]] = [
     (TOPIC_PREFIX, "a" * MAX_PREFIX_CHARACTERS),
     (STREAM_PREDICATE, ""),
     (STREAM_PREDICATE, "type='EEG' or starts-with(name,'p01')"),
+    (BURST_PACING, 0.0),
+    (BURST_PACING, 1000.0),
+    (BURST_PACING, 2),
     (SESSION_ID, ""),
     (SESSION_ID, "lab 3"),
     (KNOWN_PEERS, []),
@@ -84,6 +89,7 @@ BAD: list[tuple[str, Any]] = [
     *[(STREAM_PREDICATE, value) for value in ("type=", "'", "foo(", "a\0b", 7, ["type='EEG'"])],
     *[(SESSION_ID, value) for value in (42, True, 1.5, ["a"])],
     *[(KNOWN_PEERS, value) for value in ("robot.local", 3, True, 1.5, [1, 2], ["a", 2], b"ab")],
+    *[(BURST_PACING, value) for value in (-0.1, 1000.1, math.nan, math.inf, True, "1", [0.5])],
     *[(QOS + "depth", value) for value in (0, -1, True, 10.0, "10", [10], MAX_DEPTH + 1, 2**40)],
     *[(QOS + "history", value) for value in ("keep", "", 1, ["keep_last"], "reliable")],
     *[(QOS + "reliability", value) for value in ("RELIABLE", "keep_all", False)],

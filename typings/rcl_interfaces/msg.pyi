@@ -4,6 +4,11 @@ from typing import Any
 class IntegerRange:
     def __init__(self, *, from_value: int = ..., to_value: int = ..., step: int = ...) -> None: ...
 
+class FloatingPointRange:
+    def __init__(
+        self, *, from_value: float = ..., to_value: float = ..., step: float = ...
+    ) -> None: ...
+
 class ParameterDescriptor:
     description: str
     def __init__(
@@ -14,6 +19,7 @@ class ParameterDescriptor:
         description: str = ...,
         read_only: bool = ...,
         dynamic_typing: bool = ...,
+        floating_point_range: Sequence[FloatingPointRange] = ...,
         integer_range: Sequence[IntegerRange] = ...,
     ) -> None: ...
 
@@ -23,6 +29,7 @@ class ParameterType:
     PARAMETER_STRING: int
     PARAMETER_BOOL: int
     PARAMETER_INTEGER: int
+    PARAMETER_DOUBLE: int
 
 class Parameter:
     name: str

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -50,13 +49,6 @@ def joined(first: Block, second: Block) -> Block:
         np.concatenate((first.samples, second.samples)),
         np.concatenate((first.stamps, second.stamps)),
     )
-
-
-def pieces(block: Block, length: int) -> Iterator[Block]:
-    """Cut a block into such of so many samples; the last may be shorter."""
-    for start in range(0, len(block.stamps), length):
-        end = start + length
-        yield Block(block.samples[start:end], block.stamps[start:end])
 
 
 def part(block: Block, start: int, end: int, sequence: int) -> Run:

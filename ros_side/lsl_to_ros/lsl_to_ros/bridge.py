@@ -10,11 +10,11 @@ from typing import Any
 from numpy.typing import NDArray
 
 from biosensor_common.stream_header import StreamHeader
-from lsl_to_ros.blocks import Block, Run, part, pieces, split
+from lsl_to_ros.blocks import Block, Run, part, split
 from lsl_to_ros.gaps import Gap, GapFinder
 from lsl_to_ros.liblsl import local_clock
 from lsl_to_ros.parameters import StreamSettings
-from lsl_to_ros.ports import MIN_RATE_HZ, Port, piece_samples
+from lsl_to_ros.ports import Port
 from lsl_to_ros.stamping import Stamping
 from lsl_to_ros.tally import Tally
 from lsl_to_ros.writers import ChunkWriter, Refuse, Writer
@@ -91,7 +91,6 @@ class Bridge:
         self._listen = listen
         self._is_counted_by_agent = not header.foreign
         self._keeps_newest = header.rate == 0 and not header.message_type.is_text
-        self._piece = piece_samples(header.rate)
         self._gaps = GapFinder(header.rate, foreign=header.foreign)
         self._held: deque[Run] = deque(maxlen=HELD_RUNS)
 
@@ -106,24 +105,24 @@ class Bridge:
         return sum(port.readers for port in self.outputs.ports)
 
     @property
+    def waiting(self) -> int:
+        """Messages of its topics that are paced and have not gone out yet."""
+        return sum(port.lane.waiting for port in self.outputs.ports)
+
+    @property
     def wants_each_sample(self) -> bool:
         """Whether somebody reads single samples; else they can be drained in batches."""
         if self._listen is not None:
             return True
         return self.settings.raw and any(writer.port.readers for writer in self.outputs.of_samples)
 
-    def receive(self, block: Block) -> None:
-        """Publish samples and the chunks that they fill; a backlog not faster than it is read."""
-        # Waiting holds up all other streams. Of a slow one no cut leaves more than a queue holds.
-        if self.header.rate < MIN_RATE_HZ or len(block.stamps) <= self._piece:
-            self._receive(block)
-            return
-        for piece in pieces(block, self._piece):
-            self._receive(piece)
-            for port in self.outputs.ports:
-                port.await_readers()
+    @property
+    def is_full(self) -> bool:
+        """Whether so much waits to be published that LSL should keep the rest."""
+        return any(port.lane.is_full for port in self.outputs.ports)
 
-    def _receive(self, block: Block) -> None:
+    def receive(self, block: Block) -> None:
+        """Publish samples and the chunks that they fill."""
         sequence = self.tally.received
         self.tally.received += len(block.stamps)
         if self._is_counted_by_agent:

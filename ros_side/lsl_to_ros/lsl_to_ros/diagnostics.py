@@ -151,6 +151,8 @@ def stream_status(facts: StreamFacts) -> DiagnosticStatus:
         "unfit": str(tally.unfit),
         "unstamped": str(tally.unstamped),
         "chunk_discarded": str(tally.discarded),
+        "waiting": str(bridge.waiting),
+        "unsent": str(sum(port.lane.unsent for port in bridge.outputs.ports)),
         "age_s": f"{facts.age_s:.3f}" if bridge.last_stamp else "",
         "latency_mean_s": _seconds(facts.delays.mean),
         "latency_max_s": _seconds(facts.delays.longest if facts.delays.count else None),

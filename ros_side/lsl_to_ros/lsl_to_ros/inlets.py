@@ -30,6 +30,8 @@ CORRECTIONS_KEPT = 10
 # How long a blocked pull keeps its thread from noticing that it should end.
 PULL_TIMEOUT_S = 0.2
 LAST_ENTRY_S = 0.01
+# A receiver that is full is looked at again after so long.
+ROOM_S = 0.01
 BATCH_SAMPLES = 1024
 
 
@@ -54,6 +56,11 @@ class Receiver(Protocol):
     @property
     def wants_each_sample(self) -> bool:
         """Whether samples are wanted at once rather than in batches."""
+        ...
+
+    @property
+    def is_full(self) -> bool:
+        """Whether it still has so much to do that samples should stay in LSL's buffer."""
         ...
 
     def receive(self, block: Block) -> None:
@@ -197,7 +204,7 @@ class Inlet:
         Thread
             What closes it, which waits for a reader and for liblsl's own threads.
         """
-        self.drain()
+        self._without_waiting(lambda lsl: self._drain(lsl, to_the_end=True))
         self._is_stopped.set()
         self._end_delivery(0)
         thread = threading.Thread(target=self._close, daemon=True, name="close an inlet")
@@ -277,8 +284,13 @@ class Inlet:
             finally:
                 self._pulling.release()
 
-    def _drain(self, lsl: pylsl.StreamInlet) -> None:
-        while not self._is_stopped.is_set():
+    @property
+    def _has_room(self) -> bool:
+        receiver = self._receiver
+        return receiver is None or not receiver.is_full
+
+    def _drain(self, lsl: pylsl.StreamInlet, *, to_the_end: bool = False) -> None:
+        while not self._is_stopped.is_set() and (self._has_room or to_the_end):
             # At least one is asked for, because only a pull finds out about a loss.
             wanted = min(max(samples_available(lsl), 1), BATCH_SAMPLES)
             block = pull_one(lsl, 0.0) if wanted == 1 else pull(lsl, wanted)
@@ -289,6 +301,9 @@ class Inlet:
 
     def _follow(self, lsl: pylsl.StreamInlet, is_to_go_on: Callable[[], bool]) -> None:
         while not self._is_stopped.is_set() and is_to_go_on():
+            if not self._has_room:
+                time.sleep(ROOM_S)
+                continue
             block = pull_one(lsl, PULL_TIMEOUT_S)
             if block is None:
                 continue

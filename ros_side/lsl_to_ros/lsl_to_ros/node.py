@@ -23,7 +23,14 @@ from biosensor_common.relay import console_relayed
 from lsl_to_ros import fastdds, node_parameters
 from lsl_to_ros.discovery import Discovery
 from lsl_to_ros.limited_log import LimitedLog
-from lsl_to_ros.node_parameters import KNOWN_PEERS, SESSION_ID, STREAM_PREDICATE, TOPIC_PREFIX
+from lsl_to_ros.node_parameters import (
+    BURST_PACING,
+    KNOWN_PEERS,
+    SESSION_ID,
+    STREAM_PREDICATE,
+    TOPIC_PREFIX,
+)
+from lsl_to_ros.pacing import Pace, Pacer
 from lsl_to_ros.parameters import Parameters
 from lsl_to_ros.pump import Pump
 from lsl_to_ros.reporting import Reporting
@@ -55,7 +62,10 @@ class LslToRos(Node):
         prefix = node_parameters.declare(self, TOPIC_PREFIX)
         predicate = node_parameters.declare(self, STREAM_PREDICATE)
         warn = self._log.warn
-        self._routing = Routing(self, prefix, self._stream_parameters, self._ros_time, self._log)
+        self._pacer = Pacer(Pace(node_parameters.declare(self, BURST_PACING)), warn)
+        self._routing = Routing(
+            self, prefix, self._stream_parameters, self._ros_time, self._log, self._pacer
+        )
         self._discovery = Discovery(warn, predicate)
         self._pump = Pump(lambda: self._discovery.inlets)
         self._senders = Senders(warn, self._log.inform)
@@ -69,12 +79,14 @@ class LslToRos(Node):
         self.create_timer(REPORT_PERIOD_S, self._reporting.report, clock=steady)
         self._stopping = threading.Event()
         threading.Thread(target=self._measure_corrections, daemon=True).start()
+        self._pacer.start()
 
     def stop(self) -> None:
-        """Close every inlet."""
+        """Close every inlet, and publish what has come."""
         self._stopping.set()
         self._pump.stop()
         self._discovery.stop()
+        self._pacer.stop()
 
     def _configure_lsl(self) -> None:
         session = node_parameters.declare(self, SESSION_ID)
@@ -85,6 +97,7 @@ class LslToRos(Node):
         pylsl.set_config_content(effective_config(path, overrides))
 
     def _apply_parameters(self) -> None:
+        self._pacer.pace.per_ms = self.get_parameter(BURST_PACING).value
         self._routing.apply_settings()
         self._discovery.set_predicate(self.get_parameter(STREAM_PREDICATE).value)
         self._routing.set_prefix(self.get_parameter(TOPIC_PREFIX).value)

@@ -13,13 +13,12 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
+from lsl_to_ros.pacing import Lane, Pacer
+
 # On a network that loses packets, or is away for some seconds, what is sent again must
 # still be there; measured with 5 % of all packets lost and with a cut of 6 s.
 DEPTH_S = 30.0
 MIN_RATE_HZ, MAX_DEPTH = 10.0, 100_000
-# A backlog may be longer than any queue, so it goes out in pieces that fill half of one, and
-# a piece when the subscribers have the one before; one that has stopped is not waited for.
-TAKEN_WITHIN_S = 0.5
 
 _POLICIES = (
     QoSPolicyKind.HISTORY,
@@ -29,8 +28,8 @@ _POLICIES = (
 )
 
 
-def piece_samples(rate: float) -> int:
-    """Return how many samples, of a stream of so many Hz, fill half of its topics' queues."""
+def piece_messages(rate: float) -> int:
+    """Return how many messages, of a topic of so many Hz, fill half of its queue."""
     return queue_depth(rate) // 2
 
 
@@ -60,26 +59,32 @@ class Port:
         Subscribers at the last count.
     latched
         Whether a later subscriber gets the last message, so that each is published.
+    lane
+        Through which messages go out.
     """
 
-    def __init__(self, topic: str, kind: type[Any], publisher: Publisher, *, latched: bool) -> None:
-        self.publish = publisher.publish
+    def __init__(
+        self,
+        topic: str,
+        kind: type[Any],
+        publisher: Publisher,
+        pacer: Pacer,
+        rate: float = 0.0,
+        *,
+        latched: bool,
+    ) -> None:
         self.topic = topic
         self.name = publisher.topic_name
         self.type_name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
         self.latched = latched
         self.readers = 0
         self.publisher = publisher
-        self._keeps_up = True
+        piece = piece_messages(rate)
+        self.lane = Lane(publisher.publish, self._is_taken, pacer, rate=rate, piece=piece)
 
-    def await_readers(self) -> None:
-        """Wait until the reliable subscribers have all that was published, but not for long.
-
-        Once one of them has not kept up, it is waited for no more until it has.
-        """
-        if self.readers and not self.latched:
-            limit = Duration(seconds=TAKEN_WITHIN_S if self._keeps_up else 0.0)
-            self._keeps_up = self.publisher.wait_for_all_acked(limit)
+    def publish(self, *messages: Any) -> None:  # noqa: ANN401 - whatever the topic carries
+        """Publish messages, or their bytes, in their order; of many at once most wait a little."""
+        self.lane.send(messages)
 
     @property
     def is_wanted(self) -> bool:
@@ -89,6 +94,12 @@ class Port:
     def count_readers(self) -> None:
         """Ask ROS for the number of matched subscribers."""
         self.readers = self.publisher.get_subscription_count()
+
+    def _is_taken(self) -> bool:
+        """Whether the reliable subscribers have all that was published."""
+        if self.latched or not self.readers:
+            return True
+        return self.publisher.wait_for_all_acked(Duration(seconds=0.0))
 
 
 class _Key(NamedTuple):
@@ -102,8 +113,9 @@ class Ports:
     Its subscribers then need not match anew when the stream returns.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, pacer: Pacer) -> None:
         self._node = node
+        self._pacer = pacer
         self._open: dict[_Key, Port] = {}
 
     def open(
@@ -141,7 +153,7 @@ class Ports:
                 # rclpy has no common class for what it refuses, such as a name too long.
                 reason = str(error).splitlines()[0]
                 raise TopicTypeError(f"ROS refuses the topic {topic[:200]} ({reason})") from error
-            port = Port(topic, kind, publisher, latched=latched)
+            port = Port(topic, kind, publisher, self._pacer, rate, latched=latched)
         # Put at the end again: the order is that of the last use.
         self._open[key] = port
         return port
@@ -155,7 +167,9 @@ class Ports:
         """Close the topics of which *is_to_close* says so; return their names."""
         keys = [key for key, port in self._open.items() if is_to_close(port)]
         for key in keys:
-            self._node.destroy_publisher(self._open.pop(key).publisher)
+            port = self._open.pop(key)
+            port.lane.flush()
+            self._node.destroy_publisher(port.publisher)
         return [key.topic for key in keys]
 
     def close_oldest(self, used: Collection[Port], spare: int) -> None:

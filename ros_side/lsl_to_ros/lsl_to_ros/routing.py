@@ -20,6 +20,7 @@ from lsl_to_ros.diagnostics import StreamHealth
 from lsl_to_ros.inlets import Inlet
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.outputs import open_outputs
+from lsl_to_ros.pacing import Pacer
 from lsl_to_ros.parameters import Parameters, StreamSettings
 from lsl_to_ros.ports import Port, Ports, TopicTypeError
 from lsl_to_ros.ros_time import RosTime
@@ -67,8 +68,9 @@ class Routing:
         parameters: Parameters,
         ros_time: RosTime,
         log: LimitedLog,
+        pacer: Pacer,
     ) -> None:
-        self._ports = Ports(node)
+        self._ports = Ports(node, pacer)
         self._prefix = prefix
         self._parameters = parameters
         self._time = ros_time

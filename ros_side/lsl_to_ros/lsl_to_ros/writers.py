@@ -73,9 +73,7 @@ class NumberWriter(Writer):
         samples = run.samples
         if self._limits is not None:
             samples = self._fitting(samples, *self._limits)
-        publish = self.port.publish
-        for message in self._encode(samples):
-            publish(message)
+        self.port.publish(*self._encode(samples))
 
     def _fitting(self, samples: NDArray[Any], low: int, high: int) -> NDArray[Any]:
         fits = ((samples >= low) & (samples <= high)).all(axis=1)
