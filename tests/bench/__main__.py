@@ -12,6 +12,7 @@ from biosensor_gateway.logs import configure_logs
 from biosensor_gateway.settings import LogSettings
 from tests.bench import (
     agent_figures,
+    bursts,
     chunks,
     churn,
     clock_accuracy,
@@ -35,6 +36,7 @@ MEASUREMENTS: dict[str, Callable[[Effort], Measurement]] = {
     "chunks": chunks.measure,
     "idle": idle.measure,
     "hundred": hundred.measure,
+    "bursts": bursts.measure,
     "publish": publish.measure,
     "restart": restart.measure,
     "churn": churn.measure,

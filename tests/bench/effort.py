@@ -13,7 +13,7 @@ class Effort:
     ----------
     rounds
         Of each measurement that is compared with a floor.
-    one_s, sixteen_s, chunks_s, idle_s, agent_s
+    one_s, sixteen_s, chunks_s, idle_s, bursts_s, agent_s
         What one round takes without its preparation.
     settle_s
         Time for what starts up to come to rest.
@@ -35,6 +35,7 @@ class Effort:
     chunks_s: float
     idle_s: float
     settle_s: float
+    bursts_s: float
     restarts: int
     rotations: int
     published: int
@@ -51,6 +52,7 @@ FULL = Effort(
     chunks_s=15.0,
     idle_s=10.0,
     settle_s=2.0,
+    bursts_s=60.0,
     restarts=3,
     # In ten minutes.
     rotations=38,
@@ -67,6 +69,7 @@ QUICK = Effort(
     chunks_s=3.0,
     idle_s=2.0,
     settle_s=0.5,
+    bursts_s=5.0,
     restarts=1,
     # Fewer make no slope.
     rotations=8,

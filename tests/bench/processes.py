@@ -140,6 +140,10 @@ class Process:
         self._process.send_signal(signal.SIGINT)
         self.wait()
 
+    def pause(self) -> None:
+        """Send SIGSTOP."""
+        self._process.send_signal(signal.SIGSTOP)
+
     def kill(self) -> None:
         """Send SIGKILL, and see it dead."""
         self._process.kill()

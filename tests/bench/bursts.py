@@ -1,0 +1,139 @@
+"""What subscribers with short queues get of every virtual device; most send in bursts."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from biosensor_common.registry import sensor
+from tests.bench.agent_load import SENSORS
+from tests.bench.effort import Effort
+from tests.bench.figures import Figure, Measurement, Target
+from tests.bench.processes import BenchError, CpuMeter, Process, Processes
+
+_LOST = Target(0)
+_STARTED_S, _SETTLED_S = 15.0, 3.0
+
+
+class Queue(NamedTuple):
+    """How a subscriber subscribes."""
+
+    depth: int
+    reliability: str
+
+
+class Place(NamedTuple):
+    """Where it runs.
+
+    Attributes
+    ----------
+    pace
+        The node's ``burst_pacing``.
+    is_busy
+        Whether programs besides take half of each core.
+    """
+
+    pace: str = "0.5"
+    is_busy: bool = False
+
+
+_QUEUES = (Queue(5, "best_effort"), Queue(5, "reliable"), Queue(10, "reliable"))
+_QUIET, _BUSY, _AT_ONCE = Place(), Place(is_busy=True), Place(pace="0.0")
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """What one subscriber got.
+
+    Attributes
+    ----------
+    missing
+        Samples that the node got and the subscriber did not, by topic.
+    cpu_percent
+        Of one core, for the subscriber.
+    """
+
+    queue: Queue
+    place: Place
+    received: int
+    missing: dict[str, int]
+    cpu_percent: float
+
+
+def measure(effort: Effort) -> Measurement:
+    """Measure each queue, on a quiet and on a half-busy machine, and one without pacing."""
+    plan = [(queue, place) for place in (_QUIET, _BUSY) for queue in _QUEUES]
+    plan.append((_QUEUES[-1], _AT_ONCE))
+    legs = [_leg(queue, place, effort.bursts_s) for queue, place in plan]
+    title = f"every topic of {len(SENSORS)} devices in one rclpy node, samples lost"
+    return Measurement(title, [_figure(leg) for leg in legs], {"legs": [asdict(x) for x in legs]})
+
+
+def _figure(leg: Leg) -> Figure:
+    where = {_QUIET: "", _BUSY: ", half busy", _AT_ONCE: ", without pacing"}[leg.place]
+    title = f"depth {leg.queue.depth}, {leg.queue.reliability}{where}"
+    target = None if leg.place == _AT_ONCE else _LOST
+    note = f"of {leg.received}, CPU {leg.cpu_percent:.0f} %"
+    return Figure(title, sum(leg.missing.values()), "", target, note)
+
+
+def _topics() -> list[str]:
+    """Return topic and type of every stream, in turn."""
+    streams = [(name, stream) for name in SENSORS for stream in sensor(name).streams]
+    return [
+        word
+        for name, stream in streams
+        for word in (f"/biosensors/{name}/{stream.data_name}", stream.message_type.value)
+    ]
+
+
+def _leg(queue: Queue, place: Place, seconds: float) -> Leg:
+    with tempfile.TemporaryDirectory() as name, Processes(Path(name)) as processes:
+        processes.environment["BIOSENSOR_GATEWAY_STATE"] = str(Path(name, "state"))
+        processes.start("lsl_to_ros.node", "--ros-args", "-p", f"burst_pacing:={place.pace}")
+        command = ("tests.rigs.tutorial_subscriber", str(queue.depth), queue.reliability)
+        # It is there before the first sample, so that it can have all.
+        subscriber = processes.start(*command, *_topics())
+        watcher = processes.start("tests.bench.received")
+        time.sleep(_SETTLED_S)
+        agent = processes.start("biosensor_gateway.cli", "run", "--simulate", "all")
+        for _ in range((os.cpu_count() or 1) if place.is_busy else 0):
+            processes.start("tests.bench.bursts")
+        time.sleep(_STARTED_S)
+        meter = CpuMeter(subscriber)
+        time.sleep(seconds)
+        cpu_percent = meter.percent()
+        agent.pause()
+        time.sleep(_SETTLED_S)
+        received, heard = _ask(watcher), _ask(subscriber)
+    if not received:
+        raise BenchError("nothing came from the virtual devices")
+    known = {
+        topic: count - len(heard[topic]) for topic, count in received.items() if topic in heard
+    }
+    missing = {topic: lost for topic, lost in known.items() if lost}
+    total = sum(received[topic] for topic in known)
+    return Leg(queue, place, total, missing, cpu_percent)
+
+
+def _ask(process: Process) -> dict[str, Any]:
+    process.tell("now")
+    return json.loads(process.line())
+
+
+def _be_half_busy() -> None:
+    """Take half of a core, in slices of 10 ms, until killed."""
+    while True:
+        end_s = time.perf_counter() + 0.01
+        while time.perf_counter() < end_s:
+            pass
+        time.sleep(0.01)
+
+
+if __name__ == "__main__":
+    _be_half_busy()
