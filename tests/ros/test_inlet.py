@@ -169,3 +169,38 @@ def test_each_sample_goes_to_one_of_several_receivers(open_inlet: Open) -> None:
     for receiver, start, end in zip(receivers, starts, [*starts[1:], source.pushed], strict=True):
         receiver.assert_all(start, end)
     assert receivers[-1].ends == []
+
+
+def test_a_receiver_that_is_full_leaves_samples_with_lsl(
+    open_inlet: Open, lsl_inlets: list[pylsl.StreamInlet]
+) -> None:
+    source = Source()
+    inlet, receiver = open_inlet(source.find()), Collector(wants_each_sample=True)
+    (lsl,) = lsl_inlets
+    receiver.is_full = True
+    inlet.deliver_to(receiver)
+    follower = threading.Thread(target=inlet.follow, args=(lambda: not receiver.count,))
+    follower.start()
+    source.push(3)
+    wait_until(lambda: samples_available(lsl) == 3, "all samples in the inlet")
+    inlet.drain()
+    inlet.peek()
+    assert receiver.count == 0
+    receiver.is_full = False
+    wait_until(lambda: receiver.count == 3, "all samples")
+    follower.join(DEADLINE_S)
+    receiver.assert_all(0, 3)
+
+
+def test_at_the_end_a_full_receiver_gets_the_rest(
+    open_inlet: Open, lsl_inlets: list[pylsl.StreamInlet]
+) -> None:
+    source = Source()
+    inlet, receiver = open_inlet(source.find()), Collector()
+    (lsl,) = lsl_inlets
+    receiver.is_full = True
+    inlet.deliver_to(receiver)
+    source.push(BATCH_SAMPLES + 1)
+    wait_until(lambda: samples_available(lsl) == BATCH_SAMPLES + 1, "all samples in the inlet")
+    inlet.stop()
+    receiver.assert_all(0, BATCH_SAMPLES + 1)
