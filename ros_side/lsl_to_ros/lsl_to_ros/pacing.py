@@ -126,7 +126,7 @@ class Lane:
             was_idle = not self._messages
             if was_idle:
                 self._unchecked = 0
-            self._look(USUAL_S)
+                self._look(USUAL_S)
             try:
                 for message in messages:
                     if self._messages or not self._is_next():
@@ -162,12 +162,12 @@ class Lane:
         self._turn_s = max(self._turn_s, self._now_s - (at_once - 1) * self._interval_s)
 
     def _is_next(self) -> bool:
-        return self._turn_s <= self._now_s and not self._is_held()
+        if self._turn_s > self._now_s:
+            return False
+        return self._unchecked < self._piece or not self._is_held()
 
     def _is_held(self) -> bool:
         """Whether the subscribers must have what has gone out before more does."""
-        if self._unchecked < self._piece:
-            return False
         if self._held_until_s is None:
             self._held_until_s = self._now_s + (TAKEN_WITHIN_S if self._keeps_up else 0.0)
         is_taken = self._is_taken()
