@@ -24,7 +24,7 @@ from biosensor_gateway.keep_awake import KeepAwake, system_inhibitor
 from biosensor_gateway.outlets import Outlet, configure_lsl
 from biosensor_gateway.settings import DeviceSettings, GatewaySettings, LslSettings
 from biosensor_gateway.sink import DeviceSink
-from biosensor_gateway.supervisor import State, Supervisor
+from biosensor_gateway.supervisor import Supervisor
 from biosensor_gateway.withdrawal.choice import device_name
 from biosensor_gateway.withdrawal.desk import WithdrawalDesk
 
@@ -109,7 +109,7 @@ class Agent:
                 merged |= sink.counters
             outlet.push_text(counters_text(merged, self._clocks()), pylsl.local_clock())
             self._write_status()
-            self._awake.hold(any(each.state is State.STREAMING for each, _ in self.devices))
+            self._awake.hold(any(each.is_connected for each, _ in self.devices))
             # After a computer's sleep the missed reports are not made up for.
             due = max(due + REPORT_INTERVAL_S, loop.time())
             await asyncio.sleep(max(0.0, due - loop.time()))

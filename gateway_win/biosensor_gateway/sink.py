@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, Protocol
@@ -14,9 +13,11 @@ from pylsl import local_clock
 
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.device_clock import ClockState, DeviceClock
-from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_common.registry import sensor
+from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice
 from biosensor_gateway.counters import Counters
 from biosensor_gateway.outlets import MAX_STAMP_ERROR_S, DeviceOutlets
+from biosensor_gateway.silence import Silence, StreamWatch
 from biosensor_gateway.withholding import Withholding
 
 DEVICE_RESTARTED = "device_restarted"
@@ -48,6 +49,14 @@ class SinkObserver(Protocol):
         """Note that the device's clock is mapped anew; None if how far it jumped is unknown."""
         ...
 
+    def fell_silent(self, silence: Silence) -> None:
+        """Note streams that are due and do not come, and what is done about it."""
+        ...
+
+    def came_back(self, streams: frozenset[str]) -> None:
+        """Note that silent streams are heard again."""
+        ...
+
     def paused(self) -> None:
         """Note that nothing is sent from now on."""
         ...
@@ -69,10 +78,13 @@ class DeviceSink:
         Is told what happens; None for nobody.
     silent
         Data names of the streams that the settings switch off.
+    watch
+        Knows which streams are due and do not come.
     """
 
     def __init__(self, identity: DeviceIdentity) -> None:
         self.identity = identity
+        self.watch = StreamWatch()
         self.observer: SinkObserver | None = None
         self.silent: frozenset[str] = frozenset()
         self._clock = DeviceClock()
@@ -83,7 +95,6 @@ class DeviceSink:
         self._newest: dict[str, float] = {}
         self._steps: dict[str, tuple[float, float]] = {}
         self._info = DeviceInfo()
-        self._last_heard = -math.inf
         self.dropped_bytes = 0
 
     @property
@@ -101,15 +112,15 @@ class DeviceSink:
         """Nominal rates in Hz of all streams by source_id, 0 of irregular ones."""
         return self._outlets.rates
 
-    @property
-    def silence_s(self) -> float:
-        """Seconds since the device last said something that made sense."""
-        return local_clock() - self._last_heard
+    def rates_with(self, told: Mapping[str, float]) -> dict[str, float]:
+        """Return the nominal rates in Hz of all streams by data name, some told by the device."""
+        streams = sensor(self.identity.sensor).streams
+        rates = {each.data_name: told.get(each.data_name, each.rate) for each in streams}
+        return {name: rate for name, rate in rates.items() if not isinstance(rate, FromDevice)}
 
     def open(self, info: DeviceInfo, rates: Mapping[str, float]) -> None:
         """Create the outlets, at the first connection; see :meth:`DeviceOutlets.open`."""
         rebuilt = self._outlets.open(info, rates)
-        self.heard()
         if self.observer is not None:
             changes = {f"{name}.rate_hz": rate for name, rate in rebuilt.items()}
             self.observer.connected(info, {**changes, **_differences(self._info, info)})
@@ -143,9 +154,22 @@ class DeviceSink:
             if self.observer is not None:
                 self.observer.resumed(self._withholding.send_from)
 
-    def heard(self) -> None:
-        """Note that the device said something valid; the watchdog starts anew."""
-        self._last_heard = local_clock()
+    def heard(self, *data_names: str) -> None:
+        """Note that the device said something valid; see :meth:`StreamWatch.heard`.
+
+        Samples are noted by themselves, so only what comes without a value has to be told.
+        """
+        self.watch.heard(*data_names)
+
+    def tell_silent(self, silence: Silence) -> None:
+        """Tell the observer of streams that are due and do not come."""
+        if self.observer is not None:
+            self.observer.fell_silent(silence)
+
+    def tell_came_back(self, streams: frozenset[str]) -> None:
+        """Tell the observer of streams that had fallen silent."""
+        if self.observer is not None:
+            self.observer.came_back(streams)
 
     def observe(self, device_s: float, arrival_s: float) -> None:
         """Take in the device time of a packet's last sample and its LSL time of arrival."""
@@ -192,6 +216,8 @@ class DeviceSink:
         lsl_times : sequence of float, length n_samples
             LSL clock at each sample, as near as can be told, in seconds.
         """
+        if len(lsl_times):
+            self.heard(data_name)
         samples, stamps = self._sendable(data_name, samples, lsl_times)
         if len(lsl_times) and not len(stamps):
             return
@@ -213,6 +239,7 @@ class DeviceSink:
 
     def emit_text(self, data_name: str, text: str, device_s: float) -> None:
         """Push one string sample measured at a time of the device's clock."""
+        self.heard(data_name)
         _, stamps = self._sendable(data_name, [0.0], [self._clock.to_lsl(device_s)])
         for stamp in self._guarded(data_name, stamps):
             self._outlets[data_name].push_text(text, stamp)

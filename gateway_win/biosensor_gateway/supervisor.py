@@ -12,6 +12,9 @@
                                      |
                                      +--waited--> CONNECTING
 
+    STREAMING --data that are due do not come--> ENABLING --they come--> STREAMING
+    ENABLING --they do not--> DISCOVERING, or STREAMING with a reason where others flow
+
 Every state goes to STOPPED when asked to stop. What is absent is probed every
 two seconds, so that a device that is switched on is streaming soon; what
 answers and refuses is left alone for longer and longer.
@@ -29,7 +32,9 @@ from typing import cast
 import structlog
 
 from biosensor_common.errors import GatewayError, TransportError, TransportReason
-from biosensor_gateway.devices.driver import Driver
+from biosensor_gateway.devices.driver import Connected, Driver
+from biosensor_gateway.reviving import Reviver
+from biosensor_gateway.silence import limits
 from biosensor_gateway.sink import DeviceSink
 
 PROBE_INTERVAL_S = 1.5
@@ -51,6 +56,8 @@ class State(Enum):
     DISCOVERING = "discovering"
     CONNECTING = "connecting"
     STREAMING = "streaming"
+    ENABLING = "enabling"
+    """Connected; silent streams have been enabled again and are waited for."""
     BACKOFF = "backoff"
     STOPPED = "stopped"
 
@@ -90,6 +97,11 @@ class Supervisor:
         self.connections = 0
         self.last_error: str | None = None
 
+    @property
+    def is_connected(self) -> bool:
+        """Whether the device is connected, and whatever comes from it is passed on."""
+        return self.state in (State.STREAMING, State.ENABLING)
+
     def nudge(self) -> None:
         """Try again now: the device has just been seen."""
         self._nudge.set()
@@ -114,8 +126,10 @@ class Supervisor:
             connected = await driver.connect()
             self._sink.silent = connected.silent
             self._sink.open(connected.info, connected.rates)
+            self._expect(connected, driver.silence_limit_s)
             self.connections += 1
-            self.last_error = None
+            if not self._sink.watch.absent:
+                self.last_error = None
             started = time.monotonic()
             self._enter(State.STREAMING)
             return self._dropped(await self._stream(driver))
@@ -136,7 +150,7 @@ class Supervisor:
         """Stream until the driver or the watchdog gives up; return why."""
         tasks = [
             asyncio.create_task(driver.stream()),
-            asyncio.create_task(self._watch(driver.silence_limit_s)),
+            asyncio.create_task(Reviver(driver, self._sink, self._note_silence).run()),
         ]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -154,11 +168,18 @@ class Supervisor:
         self.on_drop(_word(error))
         return error
 
-    async def _watch(self, limit_s: float) -> None:
-        while (left := limit_s - self._sink.silence_s) > 0:  # noqa: ASYNC110 - not an event: its absence
-            await asyncio.sleep(left)
-        message = f"nothing from the device for {limit_s:.0f} s; the connection is started anew"
-        raise TransportError(TransportReason.SILENT, message)
+    def _expect(self, connected: Connected, device_limit_s: float) -> None:
+        rates = self._sink.rates_with(connected.rates)
+        limits_s = limits(rates, connected.due, connected.patience_s)
+        for data_name in connected.silent | connected.refused:
+            limits_s.pop(data_name, None)
+        self._sink.watch.expect(limits_s, device_limit_s)
+
+    def _note_silence(self, text: str | None, may_help: bool) -> None:
+        self.last_error = text
+        state = State.ENABLING if may_help else State.STREAMING
+        if state is not self.state:
+            self._enter(state)
 
     async def _close(self, driver: Driver) -> None:
         deadline = time.monotonic() + CLOSE_TIMEOUT_S

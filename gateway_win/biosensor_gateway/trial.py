@@ -85,18 +85,19 @@ class _TrialSink(DeviceSink):
             rate = rates.get(stream.data_name, stream.rate)
             noted = self.trial.streams.setdefault(stream.data_name, StreamTrial())
             noted.nominal_hz = rate if isinstance(rate, float | int) else IRREGULAR
-        self.heard()
 
     def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
         rows = np.atleast_1d(np.asarray(samples, np.float64))
         if not len(lsl_times):
             return
+        self.heard(data_name)
         self._note(data_name, len(lsl_times), lsl_times)
         last = np.atleast_1d(rows[-1])
         self.trial.streams[data_name].last = tuple(float(value) for value in last)
 
     def emit_text(self, data_name: str, text: str, device_s: float) -> None:
         del device_s
+        self.heard(data_name)
         self.trial.streams[data_name].samples += 1
         self.trial.streams[data_name].last = (text,)
 

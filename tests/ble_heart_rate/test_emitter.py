@@ -27,7 +27,8 @@ class NotedSink(DeviceSink):
         self.times: dict[str, list[float]] = {}
         self.heard_count = 0
 
-    def heard(self) -> None:
+    def heard(self, *data_names: str) -> None:
+        del data_names
         self.heard_count += 1
 
     def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:

@@ -23,7 +23,7 @@ from websockets.exceptions import ConnectionClosed
 from biosensor_common.sensors.emotiv_insight import SENSOR
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway import supervisor as supervisor_module
-from biosensor_gateway.devices.emotiv_insight import account, driver, headsets, silence
+from biosensor_gateway.devices.emotiv_insight import account, driver, headsets
 from biosensor_gateway.devices.emotiv_insight.driver import DRIVER
 from biosensor_gateway.devices.emotiv_insight.settings import EmotivInsightSettings
 from biosensor_gateway.sink import DeviceSink
@@ -311,9 +311,7 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
         (account, "RETRY_HEADSET_S", 0.05),
         (headsets, "ASK_EVERY_S", 0.1),
         (headsets, "SCAN_PATIENCE_S", 2.0),
-        (silence, "STALLED_AFTER_S", 0.5),
-        (silence, "OVERDUE_AFTER_S", 1.5),
-        (driver, "CHECK_EVERY_S", 0.05),
+        (driver, "PATIENCE_S", 1.5),
     ):
         monkeypatch.setattr(module, name, seconds)
 

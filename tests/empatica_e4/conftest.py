@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from biosensor_common.sensors.empatica_e4 import SENSOR
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway import silence as silence_module
 from biosensor_gateway import supervisor as supervisor_module
 from biosensor_gateway.counters import Counters
 from biosensor_gateway.devices.empatica_e4 import driver as driver_module
@@ -240,8 +241,9 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
         (supervisor_module, "PROBE_INTERVAL_S", 0.1),
         (supervisor_module, "BACKOFF_FIRST_S", 0.1),
         (supervisor_module, "BACKOFF_CAP_S", 0.2),
-        (driver_module, "SILENCE_S", 0.7),
-        (driver_module, "DATA_SILENCE_S", 2.5),
+        (driver_module, "PATIENCE_S", 1.0),
+        # Skin conductance comes six samples at a time.
+        (silence_module, "PATIENCE_SAMPLES", 10),
         (driver_module, "LIST_TIMEOUT_S", 1.5),
         (driver_module, "RADIO_GRACE_S", 2.0),
     ):

@@ -132,7 +132,7 @@ async def test_a_server_that_answers_without_data_is_left_too(
             await run.until_more()
             # Another program ends the radio link, of which nobody is told.
             await asyncio.to_thread(end_radio_link, line_client, server)
-            await run.until(lambda: "no data from wristband" in run.error)
+            await run.until(lambda: "no data of" in run.error and "connecting anew" in run.error)
             await run.until(run.has_reconnected)
             await run.until_more()
 

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
@@ -67,6 +68,14 @@ class AgentProcess:
     @property
     def is_running(self) -> bool:
         return self._process.poll() is None
+
+    def sleep(self, seconds: float) -> None:
+        """Stop it for so long; it gets no time, and the system goes on buffering for it."""
+        self._process.send_signal(signal.SIGSTOP)
+        try:
+            time.sleep(seconds)
+        finally:
+            self._process.send_signal(signal.SIGCONT)
 
     def console(self) -> str:
         return (self._folder / "console.txt").read_text(errors="replace")

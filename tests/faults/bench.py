@@ -22,7 +22,9 @@ from tests.faults.expectations import (
     TOGETHER,
     VALUES,
     WEAR,
+    AgentFault,
     Channel,
+    Kind,
     numeric_streams,
     regular_streams,
     source,
@@ -30,6 +32,7 @@ from tests.faults.expectations import (
 )
 from tests.faults.matching import NEAR_S, UnknownSampleError
 from tests.faults.recorder import Floats, Recorder
+from tests.faults.scenarios.length import is_long
 from tests.faults.table import FaultTable, Row
 from tests.rigs.lab_client import LabProcess, Samples
 
@@ -38,6 +41,8 @@ DEADLINE_S = 90.0
 HOLD_S = 3.0
 """A fault that lasts goes on for so long after everybody has noticed it."""
 _POLL_S = 0.1
+SLEEP_S, LONG_SLEEP_S = 15.0, 60.0
+"""A BioHarness gives a host up that is silent for 10 s."""
 
 _ItemT = TypeVar("_ItemT")
 
@@ -60,7 +65,7 @@ class Bench:
         self.agent = agent
         self.recorder = recorder
         self._table = table
-        self._episodes: dict[FaultKind, Episode] = {}
+        self._episodes: dict[Kind, Episode] = {}
         self._stock: dict[str, Stock] = {}
 
     def wait_for_streams(self) -> None:
@@ -69,26 +74,28 @@ class Bench:
         silent = _wait(SENSORS, lambda name: self._streams_since(name, begin_s))
         assert not silent, f"no samples of {silent}: {self.agent.console()}"
 
-    def episode(self, kind: FaultKind) -> Episode:
+    def episode(self, kind: Kind) -> Episode:
         """Return what a fault did; it is made at the first call."""
         if kind not in self._episodes:
-            kinds = TOGETHER if kind in TOGETHER else (kind,)
+            kinds: tuple[Kind, ...] = TOGETHER if kind in TOGETHER else (kind,)
             self._episodes |= dict.fromkeys(kinds, self._run(kinds))
         return self._episodes[kind]
 
-    def _run(self, kinds: tuple[FaultKind, ...]) -> Episode:
+    def _run(self, kinds: tuple[Kind, ...]) -> Episode:
         if not self._stock:
             self._stock = {name: Stock(local_clock(), self._status(name)) for name in SENSORS}
         self.wait_for_streams()
         logged = len(self.agent.log())
         episode = Episode(kinds, local_clock(), dict(self._stock))
-        for kind, name in episode.cells:
-            self.lab.apply(name, kind.value, VALUES.get(kind, inf))
-            episode.end_s[kind, name] = local_clock()
+        self._begin(episode)
 
         def is_noticed(cell: Cell) -> bool:
             episode.log = self.agent.log()[logged:]
-            return self._is_noticed(episode, *cell)
+            noticed = self._is_noticed(episode, *cell)
+            if noticed and cell[0] is FaultKind.FORGET:
+                # What came before was on its way when the device forgot.
+                episode.end_s[cell] = local_clock()
+            return noticed
 
         episode.seen = set(episode.cells) - set(_wait(episode.cells, is_noticed))
         time.sleep(HOLD_S)
@@ -101,10 +108,19 @@ class Bench:
         self._report(episode)
         return episode
 
+    def _begin(self, episode: Episode) -> None:
+        if AgentFault.ASLEEP in episode.kinds:
+            self.agent.sleep(LONG_SLEEP_S if is_long() else SLEEP_S)
+            _wait(SENSORS, lambda name: name in self.agent.status())
+        for kind, name in episode.cells:
+            if isinstance(kind, FaultKind):
+                self.lab.apply(name, kind.value, VALUES.get(kind, inf))
+            episode.end_s[kind, name] = local_clock()
+
     def _end(self, episode: Episode) -> None:
         for kind, name in episode.cells:
             # A device that answers late has to be got going all the same.
-            if kind not in AT_ONCE and kind is not FaultKind.LATE:
+            if isinstance(kind, FaultKind) and kind not in AT_ONCE | {FaultKind.LATE}:
                 episode.end_s[kind, name] = local_clock()
                 self.lab.clear(name, kind.value)
 
@@ -112,7 +128,9 @@ class Bench:
         def recovers(cell: Cell) -> bool:
             recovered_s = self._recovered(*cell, episode.end_s[cell])
             if recovered_s is not None:
-                episode.recovered_s[cell] = recovered_s - episode.end_s[cell]
+                is_forgetful = cell[0] is FaultKind.FORGET
+                begin_s = episode.begin_s if is_forgetful else episode.end_s[cell]
+                episode.recovered_s[cell] = recovered_s - begin_s
             return recovered_s is not None
 
         _wait(episode.cells, recovers)
@@ -134,7 +152,7 @@ class Bench:
         is_new = max(counters["last_stamp"] for counters in newest) > recovered_s
         return is_new and episode.is_balanced(name)
 
-    def _is_noticed(self, episode: Episode, kind: FaultKind, name: str) -> bool:
+    def _is_noticed(self, episode: Episode, kind: Kind, name: str) -> bool:
         status = self._status(name)
         match kind:
             case FaultKind.GARBAGE:
@@ -150,12 +168,13 @@ class Bench:
                 clock = status["clock"]
                 # The seconds of a fast device are too short.
                 return clock is None or clock["drift_ppm"] < -VALUES[kind] / 2
-            case FaultKind.REFUSE:
-                return any("refuse" in record["event"] for record in episode.warnings(name))
+            case AgentFault.ASLEEP:
+                return status["state"] == "streaming" and status["error"] is None
             case _:
-                return bool(episode.warnings(name))
+                word = "refuse" if kind is FaultKind.REFUSE else ""
+                return any(word in record["event"] for record in episode.warnings(name))
 
-    def _recovered(self, kind: FaultKind, name: str, end_s: float) -> float | None:
+    def _recovered(self, kind: Kind, name: str, end_s: float) -> float | None:
         """When the first sample came that shows it; None as long as something is missing."""
         if kind is FaultKind.OFF_BODY:
             wear = WEAR[name]

@@ -6,13 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from biosensor_gateway.simulation.faults import FaultKind
-from tests.faults.expectations import CELLS, Gap, gap_of, regular_streams, source, tolerance
+from tests.faults.expectations import CELLS, Gap, Kind, gap_of, regular_streams, source, tolerance
 from tests.faults.matching import Places, UnknownSampleError, match, missing, unread
 from tests.faults.recorder import Recorded
 from tests.rigs.lab_client import Samples
 
-Cell = tuple[FaultKind, str]
+Cell = tuple[Kind, str]
 
 
 class Stock(NamedTuple):
@@ -66,7 +65,7 @@ class Episode:
         By sensor and data name, from ``before`` on.
     """
 
-    kinds: tuple[FaultKind, ...]
+    kinds: tuple[Kind, ...]
     begin_s: float
     before: Mapping[str, Stock]
     after: dict[str, Stock] = field(default_factory=dict[str, Stock])

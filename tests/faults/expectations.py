@@ -11,6 +11,17 @@ from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.simulation.faults import FaultKind
 
+
+class AgentFault(Enum):
+    """What happens to the agent, and so to all devices at once."""
+
+    ASLEEP = "asleep"
+    """It does not run for a while, as on a computer that sleeps or is starved."""
+
+
+Kind = FaultKind | AgentFault
+KINDS: tuple[Kind, ...] = (*FaultKind, *AgentFault)
+
 SENSORS = (
     "empatica_e4",
     "emotiv_insight",
@@ -22,16 +33,16 @@ SENSORS = (
 )
 # A strap without a control point takes no commands that it could refuse or answer late.
 _IMPOSSIBLE = frozenset({(FaultKind.REFUSE, "ble_heart_rate"), (FaultKind.LATE, "ble_heart_rate")})
-CELLS = tuple(
-    (kind, name) for kind in FaultKind for name in SENSORS if (kind, name) not in _IMPOSSIBLE
-)
+CELLS = tuple((kind, name) for kind in KINDS for name in SENSORS if (kind, name) not in _IMPOSSIBLE)
 BREAKS = frozenset(
     {FaultKind.DROP, FaultKind.STALL, FaultKind.REFUSE, FaultKind.LATE, FaultKind.RESTART}
 )
 """The connection ends with these, and has to be made anew."""
-AT_ONCE = frozenset({FaultKind.GARBAGE, FaultKind.LOW_BATTERY, FaultKind.DRIFT})
+MAY_BREAK = BREAKS | {AgentFault.ASLEEP}
+"""The connection may end with these."""
+AT_ONCE = frozenset({FaultKind.GARBAGE, FaultKind.LOW_BATTERY, FaultKind.DRIFT, FaultKind.FORGET})
 """There is no end to wait for."""
-TOGETHER = (FaultKind.OFF_BODY, FaultKind.LOW_BATTERY, FaultKind.DRIFT)
+TOGETHER: tuple[Kind, ...] = (FaultKind.OFF_BODY, FaultKind.LOW_BATTERY, FaultKind.DRIFT)
 """They break nothing and each shows elsewhere, so they share the minute that some take:
 belt and Shimmer are asked for their battery once a minute."""
 VALUES = MappingProxyType(
@@ -96,7 +107,7 @@ class Gap(Enum):
     """It stopped at some moment in the gap."""
 
 
-_GAPS = MappingProxyType(
+_GAPS: MappingProxyType[tuple[Kind, str], Gap] = MappingProxyType(
     {
         # Its radio link stayed: it stops only when the host closes the port, in silence.
         (FaultKind.STALL, "shimmer3_gsr"): Gap.UNKNOWN,
@@ -104,12 +115,14 @@ _GAPS = MappingProxyType(
         **{(kind, "shimmer3_gsr"): Gap.STOPPED for kind in BREAKS - {FaultKind.STALL}},
         # Cortex lets go of the headset, the strap is switched off: neither measures.
         (FaultKind.RESTART, "emotiv_insight"): Gap.STOPPED,
+        # It answers and sends nothing: whether it measures, nobody knows.
+        (FaultKind.FORGET, "shimmer3_gsr"): Gap.UNKNOWN,
         (FaultKind.RESTART, "polar_h10"): Gap.STOPPED,
     }
 )
 
 
-def gap_of(kind: FaultKind, name: str) -> Gap:
+def gap_of(kind: Kind, name: str) -> Gap:
     """What a fault makes of a device's measuring."""
     return _GAPS.get((kind, name), Gap.MEASURED)
 
@@ -118,7 +131,7 @@ _PACKETS = MappingProxyType({"ecg": 63, "breathing": 18, "acc": 20})
 _WRISTBAND = MappingProxyType({"bvp": 4, "acc": 2, "gsr": 6, "st": 6})
 
 
-def tolerance(kind: FaultKind, name: str, data_name: str) -> int:
+def tolerance(kind: Kind, name: str, data_name: str) -> int:
     """By how many samples the count of those that are lost may be wrong.
 
     A wristband's loss is a time, told to 0.05 s, and some of its samples come six at a
@@ -130,7 +143,7 @@ def tolerance(kind: FaultKind, name: str, data_name: str) -> int:
     """
     if name == "empatica_e4":
         return _WRISTBAND[data_name]
-    if kind not in BREAKS:
+    if kind not in MAY_BREAK | {FaultKind.FORGET}:
         return 0
     if name == "zephyr":
         return _PACKETS[data_name] if kind is FaultKind.RESTART else 0

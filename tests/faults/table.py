@@ -10,7 +10,8 @@ NAME = "fault-table"
 LEGEND = (
     "Seconds from the end of a fault to the first new sample of a stream that never pauses. "
     "Late answers: from the break that comes with them. Off-body: until the device says that it "
-    "is worn again. What has no end (garbage, low battery, drift) is counted from its begin. "
+    "is worn again. Forgets: from when it forgot what was switched on. Asleep: from when the "
+    "agent ran again. What has no end (garbage, low battery, drift) is counted from its begin. "
     "Blank: the device cannot have it."
 )
 FAILED = "never"

@@ -105,17 +105,21 @@ def test_counters_outlive_a_connection(sink: DeviceSink) -> None:
     assert counters(sink, "ecg").lost == 63
 
 
-def test_silence_is_counted_from_what_was_last_heard(
-    unit: str, until: Callable[[Callable[[], bool]], None]
-) -> None:
-    sink = DeviceSink(DeviceIdentity("gateway", unit))
-    assert sink.silence_s == math.inf
-    sink.open(DeviceInfo(), {})
-    assert 0 <= sink.silence_s < math.inf
-    until(lambda: sink.silence_s > 0.1)
-    before = pylsl.local_clock()
-    sink.heard()
-    assert sink.silence_s <= pylsl.local_clock() - before
+def test_samples_are_signs_of_life_of_their_streams(unit: str) -> None:
+    sink = DeviceSink(DeviceIdentity("polar_h10", unit))
+    sink.open(DeviceInfo(), {"ecg": 130.0, "acc": 50.0})
+    assert sink.rates_with({"acc": 25.0})["acc"] == 25.0
+    sink.watch.expect({"ecg": 0.0, "acc": 0.0, "hr": 0.0})
+    judged = sink.watch.judge(can_enable=True)
+    assert judged is not None
+    assert sink.watch.absent == {"ecg", "acc", "hr"}
+    sink.emit_at("ecg", [[1.0]], [pylsl.local_clock()])
+    sink.heard("hr")
+    assert sink.watch.take_came_back() == {"ecg", "hr"}
+    # Also what is withheld or refused has come.
+    sink.pause()
+    sink.emit_at("acc", [[1.0]], [pylsl.local_clock()])
+    assert not sink.watch.absent
     sink.close()
 
 

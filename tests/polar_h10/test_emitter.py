@@ -39,7 +39,8 @@ class NotedSink(DeviceSink):
         self.heard_count = 0
         self.clock_restarts = 0
 
-    def heard(self) -> None:
+    def heard(self, *data_names: str) -> None:
+        del data_names
         self.heard_count += 1
 
     def restart_clock(self) -> None:

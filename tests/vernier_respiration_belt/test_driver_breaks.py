@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from structlog.testing import capture_logs
 
+from biosensor_gateway import silence as silence_module
 from biosensor_gateway.devices.vernier_respiration_belt import driver as driver_module
 from biosensor_gateway.devices.vernier_respiration_belt.simulator import SimulatedBelt
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import Command
@@ -70,7 +71,7 @@ async def test_a_belt_that_falls_silent_is_started_anew(
             await run.goes_on(5, "force")
             assert run.supervisor.connections == 1
         assert_true(run.sink, belt)
-    assert any("started anew" in log["event"] for log in logs)
+    assert any("enabling again" in log["event"] for log in logs)
 
 
 @pytest.mark.usefixtures("hasty")
@@ -78,12 +79,12 @@ async def test_a_belt_that_stays_silent_is_connected_anew(
     radio: Radio, commands: list[Command], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     measure_for_a_while(monkeypatch, 0.5, 0.0)
-    monkeypatch.setattr(driver_module, "PATIENCE_PERIODS", 5)
+    monkeypatch.setattr(silence_module, "PATIENCE_SAMPLES", 5)
     monkeypatch.setattr(driver_module, "PATIENCE_S", 0.5)
     with SimulatedBelt(radio.world, radio) as belt:
         async with streaming(belt) as run:
             await until(lambda: run.supervisor.last_error)
-            assert "measures nothing" in str(run.supervisor.last_error)
+            assert "no data of bpm, force" in str(run.supervisor.last_error)
             await until(lambda: commands.count(Command.START) == 3)
             await run.goes_on(5, "force")
             assert State.BACKOFF not in run.states

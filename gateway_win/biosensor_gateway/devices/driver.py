@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from biosensor_common.spec import DeviceInfo
+from biosensor_gateway.silence import PATIENCE_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,11 +20,21 @@ class Connected:
         Nominal rate in Hz by data name, for streams declared ``FROM_DEVICE``.
     silent
         Data names of the streams that the settings switch off.
+    refused
+        Data names of the streams that this device does not send, or not to us.
+    due
+        Longest absence in seconds of streams that come all the time without a rate.
+    patience_s
+        How long a regular stream may be absent, 20 samples at least. Streams that are silent
+        for longer are enabled again, then the connection is made anew.
     """
 
     info: DeviceInfo = field(default_factory=DeviceInfo)
     rates: Mapping[str, float] = field(default_factory=dict[str, float])
     silent: frozenset[str] = frozenset()
+    refused: frozenset[str] = frozenset()
+    due: Mapping[str, float] = field(default_factory=dict[str, float])
+    patience_s: float = PATIENCE_S
 
 
 class Driver(Protocol):
@@ -62,4 +73,26 @@ class Driver(Protocol):
 
     async def close(self) -> None:
         """Stop the device without waiting for it, and close the link; never raises."""
+        ...
+
+
+@runtime_checkable
+class EnablesAgain(Protocol):
+    """What a driver may offer besides; without it, silent streams cost the connection."""
+
+    async def enable_again(self, streams: frozenset[str]) -> None:
+        """Ask the device once more for streams of which nothing comes; `stream` goes on.
+
+        Whether it has helped, the streams themselves tell.
+
+        Parameters
+        ----------
+        streams
+            Data names; what they share with others may be started anew with them.
+
+        Raises
+        ------
+        TransportError, ProtocolError
+            It cannot help; the connection has to be made anew.
+        """
         ...

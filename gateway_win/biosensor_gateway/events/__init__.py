@@ -32,6 +32,12 @@ Besides these:
 ``clock_reanchored`` ``cause``: ``device_backward``, ``below``, ``far_above``,
                     ``stayed_above`` or ``device_restarted``; ``seconds`` by which the
                     mapping jumped, where it is known
+``streams_silent``  ``streams``: data names of streams that are due and do not come, while the
+                    device is connected; ``seconds`` since their last data, without those in
+                    which the agent did not run; ``remedy``: ``enabling again``,
+                    ``connecting anew``, or ``none`` where both have not helped and other
+                    streams flow
+``streams_back``    ``streams``: those of them that come again
 ``settings_changed`` ``changes``: before and after, as in
                     ``{"force.rate_hz":[10.0,20.0],"firmware_version":["1.0","1.1"]}``
 ``off_body``        ``channel`` of ``quality`` that says so
@@ -67,6 +73,8 @@ class EventKind(StrEnum):
     GAP_START = "gap_start"
     GAP_END = "gap_end"
     CLOCK_REANCHORED = "clock_reanchored"
+    STREAMS_SILENT = "streams_silent"
+    STREAMS_BACK = "streams_back"
     SETTINGS_CHANGED = "settings_changed"
     OFF_BODY = "off_body"
     ON_BODY = "on_body"

@@ -14,6 +14,7 @@ from biosensor_gateway.events.announcer import Announcer
 from biosensor_gateway.events.gaps import Gap, GapWatch
 from biosensor_gateway.events.unfailing import unfailing
 from biosensor_gateway.events.wear import WearWatch
+from biosensor_gateway.silence import Silence
 from biosensor_gateway.sink import DeviceSink
 
 
@@ -88,6 +89,21 @@ class DeviceEvents:
         if size_s is not None:
             facts["seconds"] = round(size_s, 6)
         self._say(EventKind.CLOCK_REANCHORED, facts=facts)
+
+    @unfailing
+    def fell_silent(self, silence: Silence) -> None:
+        """Announce streams that do not come, and what is done about it."""
+        facts = {
+            "streams": sorted(silence.streams),
+            "seconds": round(silence.seconds, 1),
+            "remedy": silence.remedy.value,
+        }
+        self._say(EventKind.STREAMS_SILENT, facts=facts)
+
+    @unfailing
+    def came_back(self, streams: frozenset[str]) -> None:
+        """Announce that they come again."""
+        self._say(EventKind.STREAMS_BACK, facts={"streams": sorted(streams)})
 
     @unfailing
     def paused(self) -> None:

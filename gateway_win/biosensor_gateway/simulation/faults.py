@@ -29,6 +29,8 @@ class FaultKind(Enum):
     """The device breaks the link, then refuses every command for so long [s]."""
     LATE = "late"
     """The device breaks the link, then for 30 s answers every command so late [s]."""
+    FORGET = "forget"
+    """It stays connected and forgets what was switched on: only what keeps it alive still comes."""
     RESTART = "restart"
     """The device or its server ends and starts anew after so long [s]; all modes are lost."""
     LOW_BATTERY = "low_battery"
@@ -41,6 +43,7 @@ class FaultKind(Enum):
 
 _UNITS = {
     FaultKind.GARBAGE: "",
+    FaultKind.FORGET: "",
     FaultKind.LOW_BATTERY: "%",
     FaultKind.DRIFT: "ppm",
 }

@@ -182,6 +182,12 @@ class Peripheral:
         """Whether the host wants notifications or indications of this."""
         return self._subscription(characteristic) != _Bits.DEFAULT
 
+    def forget_subscription(self, characteristic: Characteristic[bytes]) -> None:
+        """Take it that the connected host has never subscribed to this."""
+        if self._device and self._connection:
+            subscribers = self._device.gatt_server.subscribers.get(self._connection, {})
+            subscribers.pop(characteristic.handle, None)
+
     async def notify(self, characteristic: Characteristic[bytes], value: bytes) -> bool:
         """Send a notification, or an indication and wait until it is confirmed.
 

@@ -14,7 +14,7 @@ from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.world import World
 
 LATE_LASTS_S = 30.0
-_AT_ONCE = frozenset({FaultKind.LOW_BATTERY, FaultKind.DRIFT, FaultKind.GARBAGE})
+_AT_ONCE = frozenset({FaultKind.LOW_BATTERY, FaultKind.DRIFT, FaultKind.GARBAGE, FaultKind.FORGET})
 
 
 class Twin(ABC):

@@ -14,7 +14,7 @@ from biosensor_gateway.devices import DriverEntry
 from biosensor_gateway.devices.ble_heart_rate.discovery import identify, identify_any, recognise
 from biosensor_gateway.devices.ble_heart_rate.emitter import StrapEmitter
 from biosensor_gateway.devices.ble_heart_rate.protocol import HEART_RATE_MEASUREMENT
-from biosensor_gateway.devices.ble_heart_rate.strap import Strap
+from biosensor_gateway.devices.ble_heart_rate.strap import DUE, Strap
 from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.settings import DeviceSettings
 from biosensor_gateway.sink import DeviceSink
@@ -40,7 +40,7 @@ class HeartRateStrapSettings(DeviceSettings):
 class HeartRateStrapDriver:
     """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
 
-    # A strap measures once a second; a few stop while they are not worn.
+    # A few stop while they are not worn.
     silence_limit_s = 15.0
 
     def __init__(self, link: BleLink, emitter: StrapEmitter) -> None:
@@ -56,7 +56,12 @@ class HeartRateStrapDriver:
         if not self._link.has(HEART_RATE_MEASUREMENT):
             message = f"{self._link.what} measures no heart rate; choose another `device`"
             raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
-        return Connected(await self._strap.start())
+        return Connected(await self._strap.start(), due=DUE)
+
+    async def enable_again(self, streams: frozenset[str]) -> None:
+        """Subscribe to the heart rate once more."""
+        del streams
+        await self._strap.subscribe_again()
 
     async def stream(self) -> None:
         """Emit what the strap sends, which the link has kept so far."""

@@ -52,12 +52,15 @@ class StrapEmitter:
         if measured is None:
             self._sink.dropped_bytes += len(data)
             return
-        self._sink.heard()
+        self._sink.heard("hr")
         if measured.bpm:
             self._sink.emit_at("hr", [measured.bpm], [arrival_s])
         self._intervals(measured, arrival_s)
-        in_contact = float(self._in_contact(measured, arrival_s))
-        self._sink.emit_at("quality", [[in_contact]], [arrival_s])
+        in_contact = self._in_contact(measured, arrival_s)
+        if not in_contact:
+            # Some stop measuring while nobody wears them.
+            self._sink.watch.excuse(("hr",))
+        self._sink.emit_at("quality", [[float(in_contact)]], [arrival_s])
 
     def battery(self, data: bytes, arrival_s: float) -> None:
         """Emit ``bat`` from a Battery Level."""

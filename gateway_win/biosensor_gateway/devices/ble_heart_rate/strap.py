@@ -23,6 +23,8 @@ from biosensor_gateway.devices.ble_heart_rate.protocol import (
 from biosensor_gateway.transports.ble import BleLink, Notification
 
 BATTERY_PERIOD_S = 300.0
+DUE = {"hr": 7.5}
+"""A strap measures once a second, an optical sensor every 5 s."""
 
 
 class Strap:
@@ -88,6 +90,12 @@ class Strap:
         while "read" in properties:
             await asyncio.sleep(BATTERY_PERIOD_S)
             await self._read_battery()
+
+    async def subscribe_again(self) -> None:
+        """Unsubscribe from the heart rate and subscribe; raises as :meth:`start` does."""
+        if self._link.has(HEART_RATE_MEASUREMENT):
+            await self._link.unsubscribe(HEART_RATE_MEASUREMENT)
+            await self._link.subscribe(HEART_RATE_MEASUREMENT)
 
     async def stop(self) -> None:
         """Unsubscribe; raises as :meth:`start` does."""

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import structlog
 
-from biosensor_common.errors import GatewayError, TransportError, TransportReason
+from biosensor_common.errors import TransportError, TransportReason
 from biosensor_common.spec import IRREGULAR, DeviceInfo
 from biosensor_gateway.devices import DriverEntry
 from biosensor_gateway.devices.driver import Connected
@@ -17,7 +17,6 @@ from biosensor_gateway.devices.emotiv_insight.account import SECRETS, Account
 from biosensor_gateway.devices.emotiv_insight.cortex import ArrivedData, CortexClient, CortexError
 from biosensor_gateway.devices.emotiv_insight.discovery import find
 from biosensor_gateway.devices.emotiv_insight.emitter import (
-    CLOCK_STREAMS,
     EEG_RATE_HZ,
     GYROSCOPE,
     MOTION_RATE_HZ,
@@ -31,14 +30,16 @@ from biosensor_gateway.devices.emotiv_insight.protocol import Decoder
 from biosensor_gateway.devices.emotiv_insight.results import Headset, Subscription
 from biosensor_gateway.devices.emotiv_insight.session import Session, open_session
 from biosensor_gateway.devices.emotiv_insight.settings import EmotivInsightSettings
-from biosensor_gateway.devices.emotiv_insight.silence import SilenceWatch
 from biosensor_gateway.settings import DeviceSettings
 from biosensor_gateway.sink import DeviceSink
 from biosensor_gateway.transports.websocket import WebSocketLink
 
-CHECK_EVERY_S = 0.25
+PATIENCE_S = 10.0
 WHY_TIMEOUT_S = 2.0
-_WATCHED = CLOCK_STREAMS
+STREAMS = {"eeg": ("eeg", "eeg_status"), "mot": ("mot", "gyro"), "pow": ("pow",), "dev": ("dev",)}
+"""By which streams one knows that a subscription delivers; metrics come when Cortex has them."""
+DUE = {"dev": 15.0}
+"""Battery and contact come twice a second."""
 
 _log = structlog.get_logger("biosensor_gateway.emotiv_insight")
 
@@ -46,7 +47,6 @@ _log = structlog.get_logger("biosensor_gateway.emotiv_insight")
 class EmotivInsightDriver:
     """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
 
-    # For sessions with neither EEG nor motion: battery and contact come twice a second.
     silence_limit_s = 15.0
 
     def __init__(
@@ -65,8 +65,6 @@ class EmotivInsightDriver:
         self._decoder = Decoder()
         self._headset = Headset("")
         self._session: Session | None = None
-        self._silence = SilenceWatch((), 0.0)
-        self._asked_again: set[str] = set()
 
     async def connect(self) -> Connected:
         """Sign in, find the headset, make a session and subscribe; see the protocol class."""
@@ -82,10 +80,29 @@ class EmotivInsightDriver:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._pass_on())
                 tasks.create_task(self._heed_warnings())
-                tasks.create_task(self._watch_silence())
         except ExceptionGroup as group:
             # When the link ends, more than one of them may have been told.
             raise group.exceptions[0] from None
+
+    async def enable_again(self, streams: frozenset[str]) -> None:
+        """Ask Cortex why nothing comes, and subscribe once more; see the protocol class."""
+        if self._session is None:
+            raise RuntimeError("a driver streams after it has connected")
+        silent = [each for each, names in STREAMS.items() if not streams.isdisjoint(names)]
+        try:
+            known = await known_headsets(self._client, WHY_TIMEOUT_S)
+            self._require_connected(known)
+            subscription = await self._session.subscribe(silent)
+        except CortexError as error:
+            raise gateway_error(error) from error
+        self._take_layouts(self._session, subscription)
+
+    def _require_connected(self, known: Sequence[Headset]) -> None:
+        own = [each for each in known if each.headset_id == self._headset.headset_id]
+        if not any(each.is_connected for each in own):
+            reason = "Cortex has lost the headset; is it on, charged and near?"
+            message = f"{self._headset.headset_id}: {reason}"
+            raise TransportError(TransportReason.SILENT, message)
 
     async def close(self) -> None:
         """Close the session and the connection, without waiting for any reply."""
@@ -106,8 +123,6 @@ class EmotivInsightDriver:
         eeg_rate = headset.eeg_rate_hz if headset.eeg_rate_hz > 0 else EEG_RATE_HZ
         motion_rate = headset.motion_rate_hz if headset.motion_rate_hz > 0 else MOTION_RATE_HZ
         self._emitter.connected(eeg_rate, motion_rate, headset_stayed=stayed)
-        watched = _WATCHED & subscription.layouts.keys()
-        self._silence = SilenceWatch(watched, asyncio.get_running_loop().time())
         _log.info(
             "Cortex streams",
             unit=self._sink.identity.unit,
@@ -125,6 +140,9 @@ class EmotivInsightDriver:
                 "mot": motion_rate,
                 "gyro": motion_rate if _has_gyroscope(subscription) else IRREGULAR,
             },
+            refused=_not_delivered(subscription),
+            due=DUE,
+            patience_s=PATIENCE_S,
         )
 
     def _take_layouts(self, session: Session, subscription: Subscription) -> None:
@@ -149,7 +167,6 @@ class EmotivInsightDriver:
             self._client.note(sample)
             return
         self._sink.heard()
-        self._silence.heard(sample.stream, asyncio.get_running_loop().time())
         self._emitter.take(sample, arrived.arrival)
 
     def _count_dropped(self) -> None:
@@ -163,40 +180,11 @@ class EmotivInsightDriver:
             if error is not None:
                 raise error
 
-    async def _watch_silence(self) -> None:
-        loop = asyncio.get_running_loop()
-        while self._silence.streams:
-            await asyncio.sleep(CHECK_EVERY_S)
-            names = {"unit": self._sink.identity.unit}
-            for stream, stalled in self._silence.changes(loop.time()).items():
-                _log.info("a stream stalls" if stalled else "it goes on", **names, data=stream)
-            overdue = self._silence.overdue(loop.time())
-            if overdue == self._silence.streams:
-                raise await self._silent()
-            await self._ask_again(overdue - self._asked_again)
 
-    async def _silent(self) -> TransportError:
-        """Ask Cortex why nothing comes."""
-        reason = "Cortex sends no samples"
-        try:
-            known = await known_headsets(self._client, WHY_TIMEOUT_S)
-        except GatewayError as error:
-            reason = str(error)
-        else:
-            own = [each for each in known if each.headset_id == self._headset.headset_id]
-            if not any(each.is_connected for each in own):
-                reason = "Cortex has lost the headset; is it on, charged and near?"
-        return TransportError(TransportReason.SILENT, f"{self._headset.headset_id}: {reason}")
-
-    async def _ask_again(self, streams: frozenset[str]) -> None:
-        """Subscribe once more to what alone has stopped; the others must not suffer for it."""
-        self._asked_again |= streams
-        if streams and self._session is not None:
-            try:
-                subscription = await self._session.subscribe(sorted(streams))
-            except CortexError as error:
-                raise gateway_error(error) from error
-            self._take_layouts(self._session, subscription)
+def _not_delivered(subscription: Subscription) -> frozenset[str]:
+    """Return the streams for which the licence or the headset does not do."""
+    missing = STREAMS.keys() - subscription.layouts.keys()
+    return frozenset(name for stream in missing for name in STREAMS[stream])
 
 
 def _has_gyroscope(subscription: Subscription) -> bool:

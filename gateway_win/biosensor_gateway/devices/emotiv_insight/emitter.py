@@ -113,6 +113,9 @@ class EmotivEmitter:
             case "dev":
                 values = [_status(sample, label) for label in self._labels["dev"]]
                 self._emit_known("dev", values, sample.time_s)
+                if sample.numbers.get("OVERALL") == 0:
+                    # Nobody wears it: nothing may be left to compute powers from.
+                    self._sink.watch.excuse(("pow",))
             case _:
                 pass
         if lost:

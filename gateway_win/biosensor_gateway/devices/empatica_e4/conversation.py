@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
 
 from biosensor_common.errors import (
     ProtocolError,
@@ -74,17 +73,6 @@ class Conversation:
             ``LOST``.
         """
         return self._early.pop(0) if self._early else await self._read()
-
-    async def probe(self, take: Callable[[list[Message], float], object], timeout_s: float) -> bool:
-        """Ask for the device list and hand on whatever comes; False if nothing does."""
-        self._link.write(request("device_list"))
-        try:
-            async with asyncio.timeout(timeout_s):
-                messages, arrival = await self.receive()
-        except TimeoutError:
-            return False
-        take(messages, arrival)
-        return True
 
     def take_dropped_bytes(self) -> int:
         """Return how many bytes were dropped since the last call."""

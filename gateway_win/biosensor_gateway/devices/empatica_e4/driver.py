@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from contextlib import suppress
 
 import structlog
 from pydantic import Field
@@ -19,22 +20,22 @@ from biosensor_gateway.devices import DriverEntry
 from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.empatica_e4.conversation import Conversation
 from biosensor_gateway.devices.empatica_e4.discovery import DEFAULT_HOST, DEFAULT_PORT, find
-from biosensor_gateway.devices.empatica_e4.emitter import E4Emitter
+from biosensor_gateway.devices.empatica_e4.emitter import DATA_NAMES, E4Emitter
 from biosensor_gateway.devices.empatica_e4.messages import (
     Event,
     Malformed,
     Message,
     RadioEvent,
     Sample,
+    Stream,
     Wristband,
 )
 from biosensor_gateway.devices.empatica_e4.protocol import SUBSCRIBED
 from biosensor_gateway.settings import DeviceSettings
 from biosensor_gateway.sink import DeviceSink
 
-SILENCE_S = 3.0
-"""Without a line for so long, the server is asked whether it is still there."""
-DATA_SILENCE_S = 10.0
+PATIENCE_S = 5.0
+LOOK_S = 0.5
 RADIO_GRACE_S = 30.0
 LIST_TIMEOUT_S, BIND_TIMEOUT_S, RADIO_TIMEOUT_S = 3.0, 5.0, 30.0
 DISCOVERABLE_MINUTES = "208"
@@ -66,7 +67,7 @@ class E4Settings(DeviceSettings):
 class E4Driver:
     """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
 
-    # The driver has its own watchdogs; a wristband out of reach is silent for longer.
+    # A wristband out of reach is silent for longer than its streams may be.
     silence_limit_s = RADIO_GRACE_S + 10.0
 
     def __init__(self, settings: E4Settings, sink: DeviceSink, emitter: E4Emitter) -> None:
@@ -76,7 +77,7 @@ class E4Driver:
         self._emitter = emitter
         self._talk = Conversation(settings.host, settings.port)
         self._device = ""
-        self._data_at = 0.0
+        self._unsubscribed: set[Stream] = set()
         self._radio_lost_at: float | None = None
 
     async def connect(self) -> Connected:
@@ -85,22 +86,26 @@ class E4Driver:
         self._device = (await self._listed() or await self._discovered()).device
         await self._bind()
         await self._talk.ask("pause", "ON", timeout_s=LIST_TIMEOUT_S)
-        await self._subscribe()
+        refused = await self._subscribe(SUBSCRIBED)
         await self._talk.ask("pause", "OFF", timeout_s=LIST_TIMEOUT_S)
         self._emitter.new_epoch()
-        return Connected(DeviceInfo(serial_number=self._device.upper()))
+        info = DeviceInfo(serial_number=self._device.upper())
+        names = frozenset(DATA_NAMES[each] for each in refused if each in DATA_NAMES)
+        return Connected(info, refused=names, patience_s=PATIENCE_S)
 
     async def stream(self) -> None:
-        """Pass on samples; the watchdog asks the server when nothing comes."""
-        self._data_at = asyncio.get_running_loop().time()
+        """Pass on samples, and subscribe again to what `enable_again` names."""
         while True:
-            try:
-                async with asyncio.timeout(SILENCE_S):
-                    messages, arrival = await self._talk.receive()
-            except TimeoutError:
-                await self._probe()
-                continue
-            self._take(messages, arrival)
+            with suppress(TimeoutError):
+                async with asyncio.timeout(LOOK_S):
+                    self._take(*await self._talk.receive())
+            self._require_radio()
+            if self._unsubscribed:
+                await self._subscribe_again()
+
+    async def enable_again(self, streams: frozenset[str]) -> None:
+        """Have `stream`, which alone can read replies, subscribe to silent streams again."""
+        self._unsubscribed |= {each for each in SUBSCRIBED if DATA_NAMES.get(each) in streams}
 
     async def close(self) -> None:
         """Unbind, which makes the server close the connection, and close."""
@@ -149,19 +154,39 @@ class E4Driver:
             message = f"{self._where}: wristband {self._device} is refused ({reply.reason})"
             raise TransportError(TransportReason.ABSENT, message)
 
-    async def _subscribe(self) -> None:
-        refused: list[str] = []
-        for stream in SUBSCRIBED:
+    async def _subscribe(self, streams: Collection[Stream]) -> list[Stream]:
+        """Subscribe to streams one by one; return those that are refused.
+
+        Raises
+        ------
+        ProtocolError
+            ``REFUSED`` if all are; ``NO_REPLY``.
+        """
+        refused: list[Stream] = []
+        for stream in streams:
             reply = await self._talk.ask(
                 "device_subscribe", stream.value, "ON", timeout_s=LIST_TIMEOUT_S
             )
             if not reply.accepted:
-                refused.append(stream.value)
-        if len(refused) == len(SUBSCRIBED):
+                refused.append(stream)
+        if len(refused) == len(streams):
             message = f"{self._where}: every stream of {self._device} is refused; restart it"
             raise ProtocolError(ProtocolReason.REFUSED, message)
         if refused:
-            _log.warning("the server refuses streams", where=self._where, streams=refused)
+            names = [stream.value for stream in refused]
+            _log.warning("the server refuses streams", where=self._where, streams=names)
+        return refused
+
+    async def _subscribe_again(self) -> None:
+        streams, self._unsubscribed = self._unsubscribed, set()
+        try:
+            await self._subscribe([each for each in SUBSCRIBED if each in streams])
+        except ProtocolError as error:
+            says = "says nothing any more"
+            if error.reason is not ProtocolReason.NO_REPLY:
+                says = f"gives no data of wristband {self._device}; is it still on?"
+            message = f"{self._where}: it {says}; the connection is started anew"
+            raise TransportError(TransportReason.SILENT, message) from error
 
     def _take(self, messages: list[Message], arrival: float) -> None:
         """Act on what came, in its order: an event divides the samples around it."""
@@ -180,7 +205,6 @@ class E4Driver:
 
     def _pass_on(self, samples: list[Sample], arrival: float) -> None:
         if samples:
-            self._data_at = asyncio.get_running_loop().time()
             self._radio_lost_at = None
             self._sink.heard()
             self._emitter.take(samples, arrival)
@@ -193,34 +217,19 @@ class E4Driver:
         if event is RadioEvent.LOST:
             self._radio_lost_at = asyncio.get_running_loop().time()
             _log.warning("the wristband is out of reach of its dongle", device=self._device)
+            self._sink.watch.excuse(DATA_NAMES.values())
         else:
             _log.info("the wristband is back", device=self._device)
         # Samples of the old link that are still on their way keep the old mapping.
         if event is RadioEvent.RESTORED:
             self._emitter.new_epoch()
 
-    async def _probe(self) -> None:
-        """Find out why nothing comes.
-
-        Raises
-        ------
-        TransportError
-            ``LOST`` or ``SILENT``, when waiting has no sense any more.
-        """
-        loop = asyncio.get_running_loop()
-        if self._radio_lost_at is not None:
-            if loop.time() - self._radio_lost_at > RADIO_GRACE_S:
-                message = f"wristband {self._device} stays out of reach; bring it to the dongle"
-                raise TransportError(TransportReason.LOST, message)
-            return
-        # The answer is looked for among data, which may begin again before it.
-        answered = await self._talk.probe(self._take, LIST_TIMEOUT_S)
-        if not answered:
-            message = f"{self._where}: it says nothing any more; the connection is started anew"
-            raise TransportError(TransportReason.SILENT, message)
-        if loop.time() - self._data_at > DATA_SILENCE_S:
-            message = f"{self._where}: no data from wristband {self._device}; is it still on?"
-            raise TransportError(TransportReason.SILENT, message)
+    def _require_radio(self) -> None:
+        """Raise ``LOST`` when waiting for the wristband has no sense any more."""
+        now = asyncio.get_running_loop().time()
+        if self._radio_lost_at is not None and now - self._radio_lost_at > RADIO_GRACE_S:
+            message = f"wristband {self._device} stays out of reach; bring it to the dongle"
+            raise TransportError(TransportReason.LOST, message)
 
 
 def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], E4Driver]:

@@ -15,7 +15,7 @@ from biosensor_gateway.sink import DeviceSink
 ACC_COUNTS_PER_G = 64.0
 RATES_HZ = {Stream.BVP: 64.0, Stream.ACC: 32.0, Stream.GSR: 4.0, Stream.TMP: 4.0}
 
-_DATA_NAMES = {
+DATA_NAMES = {
     Stream.ACC: "acc",
     Stream.BVP: "bvp",
     Stream.GSR: "gsr",
@@ -107,7 +107,7 @@ class E4Emitter:
         elif stream is Stream.GSR:
             # Exactly 0 is what open electrodes give.
             values = [(conductance or math.nan,) for (conductance,) in values]
-        self._sink.emit(_DATA_NAMES[stream], values, times)
+        self._sink.emit(DATA_NAMES[stream], values, times)
         if stream is Stream.GSR:
             self._follow_wear(values, times)
 
@@ -138,7 +138,7 @@ class E4Emitter:
             self._owed[stream] += lost_s * rate_hz
             whole = math.floor(self._owed[stream] + 0.5)
             self._owed[stream] -= whole
-            self._sink.lost(_DATA_NAMES[stream], whole)
+            self._sink.lost(DATA_NAMES[stream], whole)
         identity = self._sink.identity
         _log.warning(
             "samples lost on the radio, estimated from their number",

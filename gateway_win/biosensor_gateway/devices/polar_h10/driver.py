@@ -31,6 +31,7 @@ from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
 
 ECG_RATE_HZ = 130
+PATIENCE_S = 5.0
 _ADVICE = "put it on with wet electrodes, and close the apps that use it"
 
 _log = structlog.get_logger("biosensor_gateway.polar_h10")
@@ -113,8 +114,20 @@ class PolarH10Driver:
         """Stop all measurements, without waiting for the replies, and disconnect."""
         await self._session.close()
 
+    async def enable_again(self, streams: frozenset[str]) -> None:
+        """Start silent measurements anew, and subscribe to the heart rate once more."""
+        self._session.enable_again(streams)
+
     def _connected(self, info: DeviceInfo) -> Connected:
-        return Connected(info, self._emitter.rates, self._silent)
+        refused = frozenset(DATA_NAMES.values()) - self._session.running
+        return Connected(
+            info,
+            self._emitter.rates,
+            self._silent,
+            refused=refused,
+            due=self._session.due,
+            patience_s=PATIENCE_S,
+        )
 
 
 def _pairing_failure(error: GatewayError, session: PolarSession) -> GatewayError:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -28,9 +27,6 @@ from biosensor_gateway.devices.polar_h10.protocol.control_point import (
     parse_settings,
 )
 
-RESTART_AFTER_S = 5.0
-GIVE_UP_AFTER_S = 15.0
-
 _log = structlog.get_logger("biosensor_gateway.polar_h10")
 
 
@@ -54,13 +50,6 @@ class Wanted:
 class _Running:
     wanted: Wanted
     settings: Mapping[Setting, int]
-    heard_s: float
-    tried_s: float
-
-    @property
-    def is_regular(self) -> bool:
-        """Whether its frames come all the time, and not when something happens."""
-        return bool(self.wanted.settings)
 
 
 class Measurements:
@@ -98,28 +87,20 @@ class Measurements:
             raise ProtocolError(ProtocolReason.REFUSED, f"{message}; take it off for a minute")
         _log.warning(message)
 
-    def heard(self, measurement: int | None) -> bool:
-        """Note that a frame arrived; return whether it is of a measurement that we started."""
-        running = self._running.get(measurement) if measurement is not None else None
-        if running is not None:
-            running.heard_s = time.monotonic()
-        return running is not None
+    def runs(self, measurement: int | None) -> bool:
+        """Whether a measurement is one that we started."""
+        return measurement in self._running
 
-    async def restart_silent(self) -> None:
-        """Stop and start measurements from which nothing comes; to be called all the time.
+    async def restart(self, measurements: Collection[int]) -> None:
+        """Stop measurements from which nothing comes, and start them.
 
         Raises
         ------
         TransportError
-            ``SILENT``, when that has not helped; ``LOST``.
+            ``LOST``.
         """
-        now = time.monotonic()
-        for each in [each for each in self._running.values() if each.is_regular]:
-            if now - each.heard_s >= GIVE_UP_AFTER_S:
-                message = f"{self._what}: connected, but no data for {GIVE_UP_AFTER_S:.0f} s"
-                raise TransportError(TransportReason.SILENT, f"{message}; connecting anew")
-            if now - max(each.heard_s, each.tried_s) >= RESTART_AFTER_S:
-                each.tried_s = now
+        for measurement, each in list(self._running.items()):
+            if measurement in measurements:
                 await self._restart(each)
 
     async def stop(self) -> None:
@@ -136,8 +117,7 @@ class Measurements:
             if reply.status != Status.SUCCESS:
                 return _refusal(wanted, reply)
             settings = choose(parse_settings(reply.parameters), wanted.settings)
-        now = time.monotonic()
-        started = _Running(wanted, settings, heard_s=now, tried_s=now)
+        started = _Running(wanted, settings)
         reply = await self._set_going(started)
         if reply.status != Status.SUCCESS:
             return _refusal(wanted, reply)
@@ -145,8 +125,6 @@ class Measurements:
         return ""
 
     async def _restart(self, each: _Running) -> None:
-        name = each.wanted.measurement.name.lower()
-        _log.warning("no data; the measurement is started anew", device=self._what, name=name)
         try:
             await self._control.request(control_point.stop(each.wanted.measurement))
             await self._set_going(each)

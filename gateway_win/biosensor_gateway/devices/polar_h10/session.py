@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 
 import structlog
@@ -18,9 +18,9 @@ from biosensor_common.errors import (
 )
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.ble_heart_rate.protocol import HEART_RATE_MEASUREMENT
-from biosensor_gateway.devices.ble_heart_rate.strap import Strap
+from biosensor_gateway.devices.ble_heart_rate.strap import DUE, Strap
 from biosensor_gateway.devices.polar_h10.control import ControlPoint
-from biosensor_gateway.devices.polar_h10.emitter import PolarEmitter
+from biosensor_gateway.devices.polar_h10.emitter import DATA_NAMES, PolarEmitter
 from biosensor_gateway.devices.polar_h10.measurements import Measurements, Wanted
 from biosensor_gateway.devices.polar_h10.protocol.control_point import (
     CONTROL_POINT,
@@ -33,7 +33,7 @@ from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.ble_errors import AttError
 from biosensor_gateway.transports.seen import Advertisement
 
-WATCH_PERIOD_S = 1.0
+WATCH_PERIOD_S = 0.5
 GOODBYE_LIMIT_S = 0.45
 
 _NOT_PAIRED = frozenset({0x05, 0x0F})
@@ -64,6 +64,7 @@ class PolarSession:
         self._measurements = Measurements(link.what, self._control, emitter)
         self._seen: tuple[Advertisement, float] | None = None
         self._early: list[Notification] | None = []
+        self._silent: frozenset[str] = frozenset()
 
     async def open(self, *, pair: bool = False) -> DeviceInfo:
         """Connect, start everything, and return what the device says of itself.
@@ -130,6 +131,20 @@ class PolarSession:
             tasks.create_task(self._strap.watch_battery())
             tasks.create_task(self._read_forever())
 
+    @property
+    def running(self) -> frozenset[str]:
+        """Data names of the measurements that were started and come at a rate."""
+        return frozenset(name for each, name in DATA_NAMES.items() if self._measurements.runs(each))
+
+    @property
+    def due(self) -> Mapping[str, float]:
+        """Longest absences of what comes all the time without a rate."""
+        return DUE if self._link.has(HEART_RATE_MEASUREMENT) else {}
+
+    def enable_again(self, streams: frozenset[str]) -> None:
+        """Have `stream` start anew what is behind streams that are silent."""
+        self._silent |= streams
+
     async def close(self) -> None:
         """Stop everything, for a moment, and disconnect; never raises.
 
@@ -156,19 +171,24 @@ class PolarSession:
 
     async def _read_forever(self) -> None:
         while True:
-            try:
+            with suppress(TimeoutError):
                 async with asyncio.timeout(WATCH_PERIOD_S):
-                    notification = await self._link.next()
-            except TimeoutError:
-                pass
-            else:
-                self._take(notification)
-            await self._measurements.restart_silent()
+                    self._take(await self._link.next())
+            # Only the reader can wait for replies.
+            if self._silent:
+                silent, self._silent = self._silent, frozenset()
+                await self._restart(silent)
+
+    async def _restart(self, silent: frozenset[str]) -> None:
+        names = {name: measurement for measurement, name in DATA_NAMES.items()}
+        await self._measurements.restart({names[each] for each in silent & names.keys()})
+        if not silent <= names.keys():
+            await self._strap.subscribe_again()
 
     def _take(self, notification: Notification) -> None:
         if notification.uuid == DATA:
             measurement = measurement_of(notification.data)
-            if not self._measurements.heard(measurement) and measurement in _MEASUREMENTS:
+            if not self._measurements.runs(measurement) and measurement in _MEASUREMENTS:
                 # Started by a host before us, with settings that nobody knows.
                 return
         if self._early is None:

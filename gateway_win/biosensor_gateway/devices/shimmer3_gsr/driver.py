@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable, Sequence
 from typing import Literal
 
@@ -19,7 +18,7 @@ from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.shimmer3_gsr import commands
 from biosensor_gateway.devices.shimmer3_gsr.conversation import Conversation
 from biosensor_gateway.devices.shimmer3_gsr.discovery import recognise
-from biosensor_gateway.devices.shimmer3_gsr.emitter import WAVEFORMS, ShimmerEmitter
+from biosensor_gateway.devices.shimmer3_gsr.emitter import WAVEFORMS, Measurement, ShimmerEmitter
 from biosensor_gateway.devices.shimmer3_gsr.messages import (
     BatteryReading,
     Hardware,
@@ -36,7 +35,6 @@ from biosensor_gateway.transports.byte_links import byte_link
 BATTERY_PERIOD_S = 60.0
 """The firmware itself looks once a minute."""
 PATIENCE_S = 2.0
-PATIENCE_SAMPLES = 20
 
 _log = structlog.get_logger("biosensor_gateway.shimmer3_gsr")
 
@@ -66,7 +64,7 @@ class ShimmerSettings(DeviceSettings):
 class ShimmerDriver:
     """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
 
-    # Its own watchdog asks the device after 2 s.
+    # Silent streams are noticed long before.
     silence_limit_s = 10.0
 
     def __init__(
@@ -79,7 +77,7 @@ class ShimmerDriver:
         self._emitter = emitter
         self._early: list[Stamped] | None = []
         self._dropped_bytes = 0
-        self._packet_at_s = 0.0
+        self._measurement: Measurement | None = None
         self._is_docked: bool | None = None
         self._kind: Kind | None = None
 
@@ -90,6 +88,7 @@ class ShimmerDriver:
             self._emitter.kept_measuring_until(streamed_until_s)
         self._kind = await identify(self._talk, self._port)
         measurement = await set_up(self._talk, self._kind, self._wanted, self._port)
+        self._measurement = measurement
         self._emitter.started(measurement)
         await self._talk.start_streaming(measurement.layout, measurement.divisor)
         rates = {
@@ -97,17 +96,31 @@ class ShimmerDriver:
             for name in WAVEFORMS
             if measurement.rate_hz != SENSOR.stream(name).rate
         }
-        return Connected(DeviceInfo(firmware_version=str(self._kind.firmware)), rates)
+        info = DeviceInfo(firmware_version=str(self._kind.firmware))
+        return Connected(info, rates, patience_s=PATIENCE_S)
 
     async def stream(self) -> None:
         """Emit what came while connecting, then all that comes."""
         early, self._early = self._early or [], None
-        self._packet_at_s = time.monotonic()
         self._hear(early)
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._talk.ended())
-            tasks.create_task(self._watch())
             tasks.create_task(self._ask_for_the_battery())
+
+    async def enable_again(self, streams: frozenset[str]) -> None:
+        """Start a device again that answers and sends no data; see the protocol class."""
+        del streams
+        assert self._measurement is not None
+        is_there = await self._is_there()
+        if not self._sink.watch.is_waiting:
+            return  # data came before the answer
+        # As far as one knows it went on measuring.
+        self._emitter.kept_measuring_until(local_clock())
+        if not is_there:
+            message = f"{self._port}: the device has fallen silent; it is started anew"
+            raise TransportError(TransportReason.SILENT, message)
+        self._emitter.started(self._measurement)
+        await self._talk.start_streaming(self._measurement.layout, self._measurement.divisor)
 
     async def close(self) -> None:
         """Stop the device, without waiting for its answer."""
@@ -133,7 +146,6 @@ class ShimmerDriver:
                     pass
         if packets:
             self._sink.heard()
-            self._packet_at_s = time.monotonic()
             self._emitter.take(packets)
 
     def _note(self, status: Status) -> None:
@@ -141,22 +153,6 @@ class ShimmerDriver:
         if is_docked != self._is_docked:
             self._is_docked = is_docked
             _log.info("docked" if is_docked else "not docked", port=self._port)
-
-    async def _watch(self) -> None:
-        """End the connection when no data come; raises ``SILENT``."""
-        patience_s = max(PATIENCE_S, PATIENCE_SAMPLES * self._wanted.divisor / commands.TICKS_PER_S)
-        while True:
-            left_s = self._packet_at_s + patience_s - time.monotonic()
-            if left_s > 0:
-                await asyncio.sleep(left_s)
-                continue
-            before_s = self._packet_at_s
-            answers = await self._is_there()
-            if self._packet_at_s == before_s:
-                self._emitter.kept_measuring_until(local_clock())
-                says = "answers but sends no data" if answers else "has fallen silent"
-                message = f"{self._port}: the device {says}; it is started anew"
-                raise TransportError(TransportReason.SILENT, message)
 
     async def _is_there(self) -> bool:
         assert self._kind is not None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable
 from contextlib import suppress
 
@@ -37,7 +36,6 @@ from biosensor_gateway.devices.vernier_respiration_belt.discovery import (
     recognise,
 )
 from biosensor_gateway.devices.vernier_respiration_belt.emitter import VernierEmitter
-from biosensor_gateway.devices.vernier_respiration_belt.messages import Measurement
 from biosensor_gateway.settings import DeviceSettings
 from biosensor_gateway.sink import DeviceSink
 from biosensor_gateway.transports.ble import BleLink
@@ -48,7 +46,6 @@ RESTART_LIMIT_S = 2.0
 GOODBYE_LIMIT_S = 0.4
 STATUS_PERIOD_S = 60.0
 PATIENCE_S = 2.0
-PATIENCE_PERIODS = 20
 
 _log = structlog.get_logger("biosensor_gateway.vernier")
 
@@ -73,7 +70,7 @@ class VernierSettings(DeviceSettings):
 class VernierDriver:
     """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
 
-    # Never the first to act: the driver watches the measurements itself.
+    # Silent streams are noticed long before; its status is asked for once a minute.
     silence_limit_s = 60.0
 
     def __init__(
@@ -87,8 +84,6 @@ class VernierDriver:
         self._status: tuple[replies.Status | None, float] = (None, 0.0)
         self._conversation: Conversation | None = None
         self._channels: BeltChannels | None = None
-        self._measured_s = 0.0
-        self._restarted = False
 
     async def connect(self) -> Connected:
         """Find the belt, learn what it is and start it; see the protocol class."""
@@ -106,20 +101,33 @@ class VernierDriver:
         self._channels = channels
         await self._start(belt, channels)
         rate = 1e6 / self._period_us
-        return Connected(_device_info(identity), {"force": rate, "bpm": rate})
+        rates = {"force": rate, "bpm": rate}
+        return Connected(_device_info(identity), rates, patience_s=PATIENCE_S)
 
     async def stream(self) -> None:
         """Emit what is known since connecting, then all that comes."""
-        belt, channels = self._conversation, self._channels
-        if belt is None or channels is None:
+        belt = self._conversation
+        if belt is None:
             raise RuntimeError("a driver streams after it has connected")
         self._emitter.take_rssi(*self._rssi)
         self._take_status(*self._status)
-        self._measured_s = time.monotonic()
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._pass_on(belt))
             tasks.create_task(self._ask_status(belt))
-            tasks.create_task(self._watch(belt, channels))
+
+    async def enable_again(self, streams: frozenset[str]) -> None:
+        """Stop the belt and start it; see the protocol class."""
+        del streams
+        belt, channels = self._conversation, self._channels
+        if belt is None or channels is None:
+            raise RuntimeError("a driver streams after it has connected")
+        self._emitter.ended()
+        try:
+            await belt.ask(protocol.STOP, RESTART_LIMIT_S)
+            await self._start(belt, channels, RESTART_LIMIT_S)
+        except ProtocolError as error:
+            message = f"{self._link.what} is connected but measures nothing; press its button"
+            raise TransportError(TransportReason.SILENT, message) from error
 
     async def close(self) -> None:
         """Stop the belt without waiting for its replies, and disconnect."""
@@ -152,9 +160,6 @@ class VernierDriver:
         while True:
             message, arrival_s = await belt.next()
             self._sink.heard()
-            if isinstance(message, Measurement):
-                self._measured_s = time.monotonic()
-                self._restarted = False
             self._emitter.take(message, arrival_s)
 
     async def _ask_status(self, belt: Conversation) -> None:
@@ -171,33 +176,6 @@ class VernierDriver:
     def _take_status(self, status: replies.Status | None, arrival_s: float) -> None:
         if status is not None:
             self._emitter.take_status(status, arrival_s)
-
-    async def _watch(self, belt: Conversation, channels: BeltChannels) -> None:
-        """Start the belt anew when its measurements stay away; give up the second time."""
-        patience_s = max(PATIENCE_S, PATIENCE_PERIODS * self._period_us / 1e6)
-        while True:
-            left_s = patience_s - (time.monotonic() - self._measured_s)
-            if left_s > 0:
-                await asyncio.sleep(left_s)
-            elif self._restarted:
-                raise self._silent()
-            else:
-                await self._restart(belt, channels)
-
-    async def _restart(self, belt: Conversation, channels: BeltChannels) -> None:
-        _log.warning("the belt sends no measurements; it is started anew", **self._names())
-        self._emitter.ended()
-        try:
-            await belt.ask(protocol.STOP, RESTART_LIMIT_S)
-            await self._start(belt, channels, RESTART_LIMIT_S)
-        except ProtocolError as error:
-            raise self._silent() from error
-        self._measured_s = time.monotonic()
-        self._restarted = True
-
-    def _silent(self) -> TransportError:
-        message = f"{self._link.what} is connected but measures nothing; press its button"
-        return TransportError(TransportReason.SILENT, message)
 
     def _names(self) -> dict[str, str]:
         return {"sensor": self._sink.identity.sensor, "unit": self._sink.identity.unit}

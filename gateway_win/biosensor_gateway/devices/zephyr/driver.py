@@ -13,7 +13,7 @@ from biosensor_gateway.devices import DriverEntry
 from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.zephyr.discovery import recognise
 from biosensor_gateway.devices.zephyr.emitter import ZephyrEmitter
-from biosensor_gateway.devices.zephyr.messages import Message, Reply, Summary
+from biosensor_gateway.devices.zephyr.messages import Message, Reply, RrIntervals, Summary
 from biosensor_gateway.devices.zephyr.protocol import LIFESIGN, Request, ZephyrProtocol, enable
 from biosensor_gateway.settings import DeviceSettings
 from biosensor_gateway.sink import DeviceSink
@@ -27,6 +27,18 @@ PACKETS = (
     Request.ACCELERATION,
     Request.SUMMARY,
 )
+STREAMS = {
+    Request.ECG: ("ecg",),
+    Request.BREATHING: ("breathing",),
+    Request.RR: ("ibi",),
+    Request.ACCELERATION: ("acc",),
+    Request.SUMMARY: ("quality",),
+    Request.GENERAL: ("quality",),
+}
+"""By which streams one knows that a packet comes; it may hold others, too."""
+DUE = {"ibi": 5.0, "quality": 10.0}
+"""Their packets come once a second, with or without a value; old firmware has to be asked for
+general data first."""
 REPLY_TIMEOUT_S = 2.0
 ATTEMPTS = 3
 LIFESIGN_PERIOD_S = 2.0
@@ -77,7 +89,13 @@ class ZephyrDriver:
             raise ProtocolError(ProtocolReason.REFUSED, message)
         if refused:
             _log.warning("the device refuses packets", port=self._port, packets=_names(refused))
-        return Connected()
+        streams = {name for packet in refused for name in STREAMS[packet]}
+        return Connected(refused=frozenset(streams), due=DUE)
+
+    async def enable_again(self, streams: frozenset[str]) -> None:
+        """Enable the packets of streams that are silent; the reader passes over the replies."""
+        for packet in [each for each in self._enabled if not streams.isdisjoint(STREAMS[each])]:
+            self._link.write(enable(packet, on=True))
 
     async def stream(self) -> None:
         """Emit what came while connecting, then all that comes."""
@@ -152,7 +170,7 @@ class ZephyrDriver:
                 self._take(message, arrival)
 
     def _take(self, message: Message, arrival: float) -> None:
-        self._sink.heard()
+        self._sink.heard(*(("ibi",) if isinstance(message, RrIntervals) else ()))
         self._summary_seen = self._summary_seen or isinstance(message, Summary)
         self._emitter.take(message, arrival)
 

@@ -35,6 +35,7 @@ STRAP_FAULTS = frozenset(
         FaultKind.DROP,
         FaultKind.STALL,
         FaultKind.GARBAGE,
+        FaultKind.FORGET,
         FaultKind.RESTART,
         FaultKind.LOW_BATTERY,
         FaultKind.OFF_BODY,
@@ -148,6 +149,8 @@ class Strap:
                 self.peripheral.stalled = True
             case FaultKind.GARBAGE:
                 self.run(self._send_garbage(round(fault.value)))
+            case FaultKind.FORGET:
+                self.peripheral.forget_subscription(self._heart_rate.measurement)
             case FaultKind.LOW_BATTERY:
                 self.run(self._set_battery(round(fault.value)))
             case FaultKind.OFF_BODY:

@@ -19,6 +19,8 @@ def begin(service: Service, fault: Fault) -> None:
             service.refuse()
         case FaultKind.LATE:
             service.delay(fault.value)
+        case FaultKind.FORGET:
+            service.sessions.forget_subscriptions()
         case FaultKind.RESTART:
             service.go_down()
         case FaultKind.LOW_BATTERY:

@@ -121,6 +121,11 @@ class Sessions:
                 if subscriber is client:
                     del session.subscribers[stream]
 
+    def forget_subscriptions(self) -> None:
+        """Send nobody any stream until it subscribes again; all sessions stay."""
+        for session in self:
+            session.subscribers.clear()
+
     def forget(self) -> None:
         """Know no session any more."""
         self._sessions.clear()

@@ -20,6 +20,8 @@ def begin(server: Server, wristband: Wristband, fault: Fault) -> None:
             server.refuse()
         case FaultKind.LATE:
             server.answer_late(fault.value)
+        case FaultKind.FORGET:
+            server.forget_subscriptions()
         case FaultKind.RESTART:
             server.go_down()
         case FaultKind.LOW_BATTERY:

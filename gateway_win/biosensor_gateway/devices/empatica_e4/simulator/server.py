@@ -129,6 +129,11 @@ class Server:
         self.manners.late_s = seconds
         self.listener.reset_all()
 
+    def forget_subscriptions(self) -> None:
+        """Send no client any stream until it subscribes again; all stay bound."""
+        for client in self.listener.clients:
+            client.subscriptions.clear()
+
     def jump_clock(self, seconds: float) -> None:
         """Set the PC's clock, and the stamps with it."""
         self._clock.jump(seconds)

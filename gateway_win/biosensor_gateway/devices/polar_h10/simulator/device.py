@@ -129,6 +129,10 @@ class SimulatedPolarH10(Twin):
         if self._pmd is not None:
             self.world.await_(self._pmd.stop(measurements))
 
+    def forget_heart_rate(self) -> None:
+        """Have the device take it that nobody has subscribed to its heart rate."""
+        self.world.call(lambda: self._strap.begin(Fault(FaultKind.FORGET, 0.0)))
+
     async def _start(self) -> None:
         await self._strap.start()
 
@@ -136,6 +140,10 @@ class SimulatedPolarH10(Twin):
         await self._strap.stop()
 
     def _begin(self, fault: Fault) -> None:
+        if fault.kind is FaultKind.FORGET and self._pmd is not None:
+            # Its heart rate goes on.
+            self._pmd.forget()
+            return
         if fault.kind in PMD_FAULTS:
             self._strap.break_link()
         else:

@@ -62,7 +62,7 @@ class PmdService:
         )
         strap.services.append(Service(pmd.SERVICE_UUID, [self._control_point, self._data]))
         strap.on_power_on.append(self._begin_streams)
-        strap.on_power_off.append(self._forget)
+        strap.on_power_off.append(self.forget)
         strap.peripheral.on_disconnected.append(self._lose_host)
 
     async def stop(self, measurements: Iterable[Measurement]) -> None:
@@ -82,6 +82,11 @@ class PmdService:
                 self._strap.run(self._send_garbage(round(fault.value)))
             case _:
                 pass
+
+    def forget(self) -> None:
+        """Stop all measurements without a word."""
+        self._control.running.clear()
+        self._end_streams()
 
     def end(self, kind: FaultKind) -> None:
         """End one of `PMD_FAULTS`."""
@@ -152,8 +157,4 @@ class PmdService:
         for task in self._answers:
             task.cancel()
         if not self._quirks.keeps_streaming:
-            self._forget()
-
-    def _forget(self) -> None:
-        self._control.running.clear()
-        self._end_streams()
+            self.forget()

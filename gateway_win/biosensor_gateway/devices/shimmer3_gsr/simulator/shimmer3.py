@@ -176,6 +176,9 @@ class SimulatedShimmer3(Twin):
             case FaultKind.LATE:
                 self._conversation.answer_delay_s = fault.value
                 self._break_link()
+            case FaultKind.FORGET:
+                self._interpreter.sensing = False
+                self._follow_sensing()
             case FaultKind.LOW_BATTERY:
                 self._battery_percent = fault.value
             case FaultKind.OFF_BODY:
@@ -234,6 +237,9 @@ class SimulatedShimmer3(Twin):
         if opcode is Opcode.GET_BATTERY and answered:
             percent = battery.percent_of(self.battery_counts())
             self.truth.sent("bat", [local_clock()], [[percent]])
+        self._follow_sensing()
+
+    def _follow_sensing(self) -> None:
         if self._interpreter.sensing == self._streams:
             return
         self._streams = self._interpreter.sensing

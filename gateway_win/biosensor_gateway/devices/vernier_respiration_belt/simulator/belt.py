@@ -142,6 +142,9 @@ class SimulatedBelt(Twin):
             case FaultKind.LATE:
                 self._answer_delay_s = fault.value
                 self._break_link()
+            case FaultKind.FORGET:
+                self._firmware.mask = 0
+                self._stop_measuring()
             case FaultKind.RESTART:
                 self._power.hold_off(fault.kind)
             case FaultKind.LOW_BATTERY:

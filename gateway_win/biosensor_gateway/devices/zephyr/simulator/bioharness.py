@@ -199,6 +199,10 @@ class SimulatedBioHarness:
         """End a `stall`; what was measured meanwhile is missing."""
         self._set_stalled(False)
 
+    def forget_enables(self) -> None:
+        """Send lifesigns only, until the host enables packets again."""
+        self.carry_out(self._device.session.forget_enables)
+
     def garbage(self, count: int) -> None:
         """Send so many random bytes between two frames."""
         self.carry_out(lambda: self._device.send_garbage(count))

@@ -93,6 +93,10 @@ class Session:
         """Tell whether the host has been silent for too long."""
         return self._drop_at() <= now
 
+    def forget_enables(self) -> None:
+        """Take it that the host has enabled nothing; the connection stays."""
+        self._enabled = frozenset()
+
     def forget(self) -> None:
         """End the connection: nothing is enabled, nothing is owed."""
         self.__post_init__()

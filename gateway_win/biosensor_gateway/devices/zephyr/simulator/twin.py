@@ -115,6 +115,7 @@ class SimulatedZephyr(Twin):
             FaultKind.RESTART: device.drop_link,
             FaultKind.STALL: device.stall,
             FaultKind.GARBAGE: lambda: device.garbage(int(value)),
+            FaultKind.FORGET: device.forget_enables,
             FaultKind.REFUSE: self._refuse,
             FaultKind.LATE: lambda: self._answer_late(value),
             FaultKind.LOW_BATTERY: lambda: device.battery(round(value)),

@@ -1,0 +1,253 @@
+"""Judges which streams of a connected device are silent, and what to do about it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from enum import Enum, unique
+
+PATIENCE_S = 5.0
+"""How long data that are due may be absent, unless a driver says otherwise."""
+PATIENCE_SAMPLES = 20
+LARGEST_STEP_S = 1.0
+"""A longer time between two looks at the clock means that the agent did not run."""
+RETRY_S = 60.0
+"""What neither enabling nor a new connection brought back is enabled again so often."""
+
+
+@unique
+class Remedy(Enum):
+    """What to do about silent streams, in this order."""
+
+    ENABLE = "enabling again"
+    RECONNECT = "connecting anew"
+    NONE = "none"
+    """Both were tried; the other streams must not suffer any longer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Silence:
+    """Streams that are due and do not come.
+
+    Attributes
+    ----------
+    streams
+        Data names.
+    seconds
+        Since the last data of the one that is silent for longest, while the agent ran.
+    remedy
+    attempts
+        New connections that did not help.
+    """
+
+    streams: frozenset[str]
+    seconds: float
+    remedy: Remedy
+    attempts: int = 0
+
+
+@dataclass(slots=True)
+class _Stream:
+    limit_s: float
+    heard_s: float
+    waited_from_s: float
+    is_enabled_again: bool = False
+    is_excused: bool = False
+
+
+def limits(
+    rates: Mapping[str, float], due: Mapping[str, float], patience_s: float
+) -> dict[str, float]:
+    """Return how long data of each stream may be absent.
+
+    Parameters
+    ----------
+    rates
+        Nominal rates in Hz by data name; irregular ones (0) are passed over.
+    due
+        Longest absences in seconds of streams that come all the time without a rate.
+    patience_s
+        Least of the limits of regular streams.
+    """
+    regular = {
+        name: max(patience_s, PATIENCE_SAMPLES / rate) for name, rate in rates.items() if rate > 0
+    }
+    return regular | dict(due)
+
+
+class StreamWatch:
+    """Follows the streams of one device, over all its connections.
+
+    Time passes only while the agent runs: after a sleep of the computer, or of a starved
+    agent, what waits in buffers has as long to come as it ever had.
+
+    Parameters
+    ----------
+    clock
+        Monotonic seconds.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._read_s = clock()
+        self._now_s = 0.0
+        self._streams: dict[str, _Stream] = {}
+        self._limit_s = math.inf
+        self._device_s = -math.inf
+        self._attempts: dict[str, int] = {}
+        self._came_back: set[str] = set()
+
+    @property
+    def device_silence_s(self) -> float:
+        """Seconds since the device last said something that made sense."""
+        return self._now() - self._device_s
+
+    @property
+    def is_device_silent(self) -> bool:
+        """Whether the device has said nothing at all for too long."""
+        return self.device_silence_s >= self._limit_s
+
+    @property
+    def absent(self) -> frozenset[str]:
+        """Streams that fell silent and have not come back, whatever was done."""
+        return frozenset(self._attempts)
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether a stream was enabled again and may still come."""
+        return any(each.is_enabled_again for each in self._streams.values())
+
+    def expect(self, limits_s: Mapping[str, float], device_limit_s: float = math.inf) -> None:
+        """Begin with a new connection.
+
+        Parameters
+        ----------
+        limits_s
+            How long data of each stream that is due may be absent.
+        device_limit_s
+            How long the device may say nothing at all.
+        """
+        now = self._now()
+        self._streams = {name: _Stream(limit, now, now) for name, limit in limits_s.items()}
+        self._limit_s = device_limit_s
+        self._device_s = now
+        # What is not due any more is not missed.
+        for name in self._attempts.keys() - self._streams.keys():
+            del self._attempts[name]
+
+    def heard(self, *names: str) -> None:
+        """Note that the device said something valid: about these streams, or in general.
+
+        A stream counts also when what came has no value, as without contact.
+        """
+        now = self._device_s = self._now()
+        for name in names:
+            stream = self._streams.get(name)
+            if stream is None:
+                continue
+            stream.heard_s = stream.waited_from_s = now
+            stream.is_enabled_again = stream.is_excused = False
+            if self._attempts.pop(name, None) is not None:
+                self._came_back.add(name)
+
+    def excuse(self, names: Iterable[str]) -> None:
+        """Expect nothing of these streams until they are heard again: there is a reason."""
+        for name in names:
+            if name in self._streams:
+                self._streams[name].is_excused = True
+                self._streams[name].is_enabled_again = False
+
+    def enabled_again(self, names: Iterable[str]) -> None:
+        """Note that a driver is done with what `judge` asked for.
+
+        What was heard meanwhile may have come before, and have been held back.
+        """
+        now = self._now()
+        for name in names:
+            if name in self._streams:
+                self._streams[name].is_enabled_again = True
+                self._streams[name].waited_from_s = now
+                self._attempts.setdefault(name, 0)
+                self._came_back.discard(name)
+
+    def wait_anew(self) -> None:
+        """Give every stream its full time again."""
+        now = self._now()
+        for stream in self._streams.values():
+            stream.waited_from_s = now
+
+    def take_came_back(self) -> frozenset[str]:
+        """Return streams that had fallen silent and have been heard since the last call."""
+        came_back = frozenset(self._came_back)
+        self._came_back.clear()
+        return came_back
+
+    def judge(self, *, can_enable: bool) -> Silence | None:
+        """Return what is silent and what to do now; None if there is nothing to do.
+
+        To be called several times a second. It is expected to be done: the next judgement
+        comes when it has not helped.
+
+        Parameters
+        ----------
+        can_enable
+            Whether the driver can enable single streams again.
+        """
+        self._now()
+        overdue = self._overdue()
+        if not overdue:
+            return None
+        if can_enable and not all(each.is_enabled_again for each in overdue.values()):
+            # What has stopped together is taken together, also where more patience is due.
+            together = self._overdue(0.5)
+            return self._enable(
+                {name: each for name, each in together.items() if not each.is_enabled_again}
+            )
+        if self._may_reconnect(overdue):
+            waited_for = {name: e for name, e in self._streams.items() if e.is_enabled_again}
+            return self._reconnect(overdue | waited_for)
+        return self._leave(overdue)
+
+    def _overdue(self, share: float = 1.0) -> dict[str, _Stream]:
+        return {
+            name: each
+            for name, each in self._streams.items()
+            if not each.is_excused and self._now_s - each.waited_from_s >= share * each.limit_s
+        }
+
+    def _enable(self, overdue: Mapping[str, _Stream]) -> Silence:
+        silence = self._silence(overdue, Remedy.ENABLE)
+        self.enabled_again(overdue)
+        return silence
+
+    def _may_reconnect(self, overdue: Iterable[str]) -> bool:
+        """Whether a new connection is untried, or costs nothing because nothing comes."""
+        others = {name for name, each in self._streams.items() if not each.is_excused}
+        others -= self._attempts.keys() | set(overdue)
+        return not others or any(not self._attempts.get(name) for name in overdue)
+
+    def _reconnect(self, overdue: Mapping[str, _Stream]) -> Silence:
+        silence = self._silence(overdue, Remedy.RECONNECT)
+        for name in overdue:
+            self._attempts[name] = self._attempts.get(name, 0) + 1
+        return silence
+
+    def _leave(self, overdue: Mapping[str, _Stream]) -> Silence:
+        silence = self._silence(overdue, Remedy.NONE)
+        for each in overdue.values():
+            each.is_enabled_again = False
+            each.waited_from_s = self._now_s + RETRY_S
+        return silence
+
+    def _silence(self, overdue: Mapping[str, _Stream], remedy: Remedy) -> Silence:
+        seconds = max(self._now_s - each.heard_s for each in overdue.values())
+        attempts = max(self._attempts.get(name, 0) for name in overdue)
+        return Silence(frozenset(overdue), seconds, remedy, attempts)
+
+    def _now(self) -> float:
+        read_s = self._clock()
+        self._now_s += min(read_s - self._read_s, LARGEST_STEP_S)
+        self._read_s = read_s
+        return self._now_s

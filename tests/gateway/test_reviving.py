@@ -1,0 +1,277 @@
+"""What is done about silent streams, where it shows, and that it ends."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator
+from typing import Any
+
+import pylsl
+import pytest
+from structlog.testing import capture_logs
+
+from biosensor_common.errors import ProtocolError, ProtocolReason
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway import health, reviving
+from biosensor_gateway import silence as silence_module
+from biosensor_gateway import supervisor as supervisor_module
+from biosensor_gateway.devices.driver import Connected
+from biosensor_gateway.events.announcer import Announcer
+from biosensor_gateway.events.device import DeviceEvents
+from biosensor_gateway.silence import Remedy, Silence
+from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.supervisor import State, Supervisor
+
+LIMIT_S = 0.2
+LONG_S = 3600.0
+
+Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
+
+
+class Sender:
+    """A driver that sends what its test wants, many times a second."""
+
+    silence_limit_s = LONG_S
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+
+    async def connect(self) -> Connected:
+        # The waveforms are not due: this test would have to wait for them.
+        due = {"hr": LIMIT_S, "ibi": LIMIT_S}
+        return Connected(rates={"acc": 50.0}, refused=frozenset({"ecg", "acc"}), due=due)
+
+    async def stream(self) -> None:
+        while True:
+            for data_name in self.bench.sends:
+                self.bench.sink.emit_at(data_name, [1.0], [pylsl.local_clock()])
+            self.bench.sink.heard()
+            await asyncio.sleep(LIMIT_S / 10)
+
+    async def close(self) -> None:
+        self.bench.sends |= self.bench.sends_after_new_connection
+
+
+class Reviver(Sender):
+    """One that can be asked again."""
+
+    async def enable_again(self, streams: frozenset[str]) -> None:
+        self.bench.asked.append(set(streams))
+        if self.bench.refusal is not None:
+            raise self.bench.refusal
+        self.bench.sends |= streams & self.bench.can_be_enabled
+
+
+class NotedSink(DeviceSink):
+    """Notes what is told of silences besides telling it."""
+
+    def __init__(self, unit: str) -> None:
+        super().__init__(DeviceIdentity("polar_h10", unit))
+        self.told: list[tuple[Remedy, set[str]]] = []
+
+    def tell_silent(self, silence: Silence) -> None:
+        super().tell_silent(silence)
+        self.told.append((silence.remedy, set(silence.streams)))
+
+
+class Bench:
+    """A supervised driver, and what it shall do."""
+
+    def __init__(self, unit: str, kind: type[Sender]) -> None:
+        self.sends = {"hr", "ibi"}
+        self.can_be_enabled: set[str] = set()
+        self.sends_after_new_connection: set[str] = set()
+        self.refusal: ProtocolError | None = None
+        self.asked: list[set[str]] = []
+        self.states: list[State] = []
+        self.sink = NotedSink(unit)
+        self.announcer = Announcer(0.0, dict)
+        self.supervisor = Supervisor(lambda: kind(self), self.sink, self.states.append)
+        self.supervisor.on_drop = DeviceEvents(self.sink, self.announcer).dropped
+        self.task = asyncio.create_task(self.supervisor.run())
+
+    @property
+    def reason(self) -> str:
+        return self.supervisor.last_error or ""
+
+    def status(self) -> dict[str, Any]:
+        (device,) = health.snapshot([(self.supervisor, self.sink)])["devices"]
+        return device
+
+    async def end(self) -> None:
+        self.task.cancel()
+        await asyncio.wait({self.task}, timeout=20)
+        self.sink.close()
+        await self.announcer.end()
+
+
+Start = Callable[[type[Sender]], Awaitable[Bench]]
+
+
+@pytest.fixture
+async def start(
+    unit: str, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
+) -> AsyncGenerator[Start]:
+    monkeypatch.setattr(supervisor_module, "PROBE_INTERVAL_S", 0.01)
+    monkeypatch.setattr(reviving, "TICK_S", 0.01)
+    monkeypatch.setattr(silence_module, "RETRY_S", LONG_S)
+    benches: list[Bench] = []
+
+    async def begin(kind: type[Sender]) -> Bench:
+        benches.append(Bench(unit, kind))
+        await eventually(lambda: benches[-1].supervisor.state is State.STREAMING)
+        return benches[-1]
+
+    yield begin
+    for bench in benches:
+        await bench.end()
+
+
+@pytest.fixture
+def announced(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[dict[str, Any]]]:
+    """Return what comes into the stream of events about silences."""
+    noted: list[dict[str, Any]] = []
+    announce = Announcer.announce
+
+    def note(self: Announcer, kind: Any, facts: Any, at: float | None = None) -> None:
+        announce(self, kind, facts, at)
+        if kind.value.startswith("streams_"):
+            # What is no JSON would have been left out.
+            noted.append({"event": kind.value, **json.loads(json.dumps(facts))})
+
+    monkeypatch.setattr(Announcer, "announce", note)
+    yield noted
+
+
+async def test_what_falls_silent_is_enabled_again_and_said_until_it_comes(
+    start: Start, eventually: Eventually, announced: list[dict[str, Any]]
+) -> None:
+    bench = await start(Reviver)
+    reasons: list[dict[str, Any]] = []
+    with capture_logs() as logs:
+        bench.can_be_enabled = {"ibi"}
+        bench.sends = {"hr"}
+        bench.sink.observer = _Noting(bench, reasons)
+        await eventually(lambda: bench.states[-2:] == [State.ENABLING, State.STREAMING])
+    assert bench.asked == [{"ibi"}]
+    assert bench.supervisor.connections == 1
+    assert bench.status()["error"] is None
+    assert [(each["state"], "no data of ibi" in each["error"]) for each in reasons[-1:]] == [
+        ("enabling", True)
+    ]
+    said = [entry["event"] for entry in logs if "data" in entry["event"]]
+    assert said == ["connected, but no data of ibi for 0 s; enabling again", "data come again"]
+    assert [(each["event"], each["streams"]) for each in announced] == [
+        ("streams_silent", ["ibi"]),
+        ("streams_back", ["ibi"]),
+    ]
+    assert announced[0]["remedy"] == "enabling again"
+
+
+class _Noting:
+    """Passes everything on, and looks at the status while something is silent."""
+
+    def __init__(self, bench: Bench, seen: list[dict[str, Any]]) -> None:
+        self._observer = bench.sink.observer
+        self._bench = bench
+        self._seen = seen
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._observer, name)
+
+    def came_back(self, streams: frozenset[str]) -> None:
+        self._seen.append(self._bench.status())
+        assert self._observer is not None
+        self._observer.came_back(streams)
+
+
+async def test_what_cannot_be_enabled_costs_one_connection_and_leaves_a_reason(
+    start: Start, eventually: Eventually, announced: list[dict[str, Any]]
+) -> None:
+    bench = await start(Reviver)
+    with capture_logs() as logs:
+        bench.sends = {"hr"}
+        await eventually(lambda: (Remedy.NONE, {"ibi"}) in bench.sink.told)
+        await eventually(lambda: bench.supervisor.state is State.STREAMING)
+    assert [remedy for remedy, _ in bench.sink.told] == [
+        Remedy.ENABLE,
+        Remedy.RECONNECT,
+        Remedy.ENABLE,
+        Remedy.NONE,
+    ]
+    assert bench.supervisor.connections == 2
+    reason = bench.status()["error"]
+    assert "no data of ibi" in reason
+    assert "switch the device off and on" in reason
+    assert any(entry["event"] == reason for entry in logs)
+    assert [each["remedy"] for each in announced] == [
+        "enabling again",
+        "connecting anew",
+        "enabling again",
+        "none",
+    ]
+    # It comes back by itself, and nothing is wrong any more.
+    bench.sends = {"hr", "ibi"}
+    await eventually(lambda: bench.status()["error"] is None)
+    assert announced[-1]["event"] == "streams_back"
+
+
+async def test_a_driver_without_the_hook_is_connected_anew(
+    start: Start, eventually: Eventually
+) -> None:
+    bench = await start(Sender)
+    bench.sends_after_new_connection = {"hr", "ibi"}
+    bench.sends = set()
+    await eventually(lambda: bench.supervisor.connections == 2)
+    assert bench.sink.told == [(Remedy.RECONNECT, {"hr", "ibi"})]
+    await eventually(lambda: bench.status()["error"] is None)
+
+
+async def test_the_reason_outlives_connections_that_bring_nothing(
+    start: Start, eventually: Eventually
+) -> None:
+    bench = await start(Reviver)
+    bench.sends = set()
+    await eventually(lambda: bench.supervisor.connections == 3)
+    for _ in range(20):
+        assert "no data of hr, ibi" in bench.reason
+        await asyncio.sleep(LIMIT_S / 20)
+
+
+async def test_a_device_that_refuses_to_be_enabled_is_connected_anew(
+    start: Start, eventually: Eventually
+) -> None:
+    bench = await start(Reviver)
+    bench.refusal = ProtocolError(ProtocolReason.NO_REPLY, "the device does not answer")
+    bench.sends_after_new_connection = {"hr", "ibi"}
+    bench.sends = set()
+    with capture_logs() as logs:
+        await eventually(lambda: bench.supervisor.connections == 2)
+    assert State.BACKOFF not in bench.states
+    assert any(
+        entry["event"] == "the device does not answer" and entry["reason"] == "silent"
+        for entry in logs
+    )
+
+
+async def test_what_cannot_be_read_is_part_of_the_reason(
+    start: Start, eventually: Eventually
+) -> None:
+    bench = await start(Reviver)
+    bench.sends = set()
+    bench.sink.dropped_bytes += 812
+    await eventually(lambda: "812 bytes came that cannot be read" in bench.reason)
+
+
+async def test_nobody_misses_what_a_pause_would_withhold(
+    start: Start, eventually: Eventually
+) -> None:
+    bench = await start(Reviver)
+    bench.sink.pause()
+    bench.sends = set()
+    for _ in range(30):
+        await asyncio.sleep(LIMIT_S / 10)
+    assert bench.sink.told == []
+    bench.sink.resume()
+    await eventually(lambda: bench.sink.told[:1] == [(Remedy.ENABLE, {"hr", "ibi"})])
