@@ -22,8 +22,10 @@ READING_LIMIT_S = 1e11
 BACKWARD_LIMIT_S = 2.5
 """Interleaved packet kinds may lag up to 2 s behind each other; beyond, the clock stepped."""
 BELOW_LIMIT_S = 1.0
-FAR_ABOVE_LIMIT_S = 10.0
-"""Longer than any stall that the drivers' watchdogs let pass."""
+LONGEST_DELAY_S = 90.0
+"""What waited for an agent that did not run for a minute, as on a computer that slept, is late
+and no jump; links rarely outlive more."""
+FAR_ABOVE_LIMIT_S = LONGEST_DELAY_S
 STAYED_ABOVE_LIMIT_S = 0.5
 STAYED_ABOVE_FOR_S = 5.0
 STAYED_ABOVE_OBSERVATIONS = 10

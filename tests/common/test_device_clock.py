@@ -11,7 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_common.device_clock import DeviceClock, Reanchor, ReanchorReason
+from biosensor_common.device_clock import (
+    LONGEST_DELAY_S,
+    DeviceClock,
+    Reanchor,
+    ReanchorReason,
+)
 
 OFFSET_S = 5_000.0
 RATE_HZ = 10
@@ -101,14 +106,15 @@ def test_a_step_of_the_device_clock_reanchors_once(step: float, reason: Reanchor
 
 
 def test_a_delay_beyond_any_stall_reanchors_at_once() -> None:
+    late_s = LONGEST_DELAY_S + 0.5
     clock = settled()
 
-    jump = clock.observe(60.0, 60.0 + OFFSET_S + 10.5)
+    jump = clock.observe(60.0, 60.0 + OFFSET_S + late_s)
 
     assert jump is not None
     assert jump.reason is ReanchorReason.FAR_ABOVE
-    assert jump.size_s == pytest.approx(10.5, abs=0.01)
-    assert clock.to_lsl(60.0) == 60.0 + OFFSET_S + 10.5
+    assert jump.size_s == pytest.approx(late_s, abs=0.01)
+    assert clock.to_lsl(60.0) == 60.0 + OFFSET_S + late_s
 
 
 def test_the_drift_survives_a_step() -> None:

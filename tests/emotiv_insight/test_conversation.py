@@ -226,9 +226,14 @@ async def test_token_expired(
         # EEG alone stops, so the driver asks for it again; that needs a token.
         while cortex.count("subscribe") < 3:
             values = [number % 64, 0, *[0.5] * 10]
-            await cortex.say(cortex.data("mot", values, start + 1 + number / 64))
+            time_s = start + 1 + number / 64
+            await cortex.say(
+                cortex.data("mot", values, time_s), cortex.data("pow", [0.1] * 25, time_s)
+            )
             await asyncio.sleep(1 / 64)
             number += 1
+        # What comes of a stream that stays away is tested elsewhere.
+        run.sink.watch.expect({})
         await eventually(run.sink.has("mot", number))
         await stream_a_second(cortex, run, eventually)
         assert cortex.opened == run.states.count(State.STREAMING) == 1
@@ -276,15 +281,14 @@ async def test_headset_off_virtual(
     with capture_logs() as logs:
         async with running() as run:
             await stream_a_second(cortex, run, eventually)
-            await eventually(lambda: bool(logged(logs, "a stream stalls")))
-            assert run.supervisor.state is State.STREAMING
             cortex.headsets = []
             await eventually(lambda: "Cortex has lost the headset" in run.error)
             await eventually(lambda: "controlDevice" in cortex.methods)
             cortex.headsets = [cortex.headset()]
             await eventually(lambda: run.states.count(State.STREAMING) == 2)
             await stream_a_second(cortex, run, eventually)
-    assert {entry["data"] for entry in logged(logs, "a stream stalls")} == {"eeg", "mot"}
+    (said, *_) = logged(logs, "enabling again")
+    assert {"eeg", "mot"} <= set(said["event"].replace(",", "").split())
 
 
 async def test_scan_loop(cortex: ScriptedCortex, running: Running, eventually: Eventually) -> None:

@@ -241,7 +241,7 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
         (supervisor_module, "PROBE_INTERVAL_S", 0.1),
         (supervisor_module, "BACKOFF_FIRST_S", 0.1),
         (supervisor_module, "BACKOFF_CAP_S", 0.2),
-        (driver_module, "PATIENCE_S", 1.0),
+        (driver_module, "PATIENCE_S", 2.5),
         # Skin conductance comes six samples at a time.
         (silence_module, "PATIENCE_SAMPLES", 10),
         (driver_module, "LIST_TIMEOUT_S", 1.5),

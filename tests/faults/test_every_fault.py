@@ -22,6 +22,7 @@ from tests.faults.expectations import (
     OF_THE_AGENT,
     SENSORS,
     WEAR,
+    AgentFault,
     Kind,
     numeric_streams,
     regular_streams,
@@ -30,6 +31,8 @@ from tests.faults.expectations import (
 
 LONGEST_SENTENCE = 250
 STAMP_LIMIT_S = 0.020
+BACKLOG_STAMP_LIMIT_S = 0.5
+"""A sleep takes 15 s: who stamps what is late by its arrival is wrong by that."""
 SETTLED_S = 2.0
 
 pytestmark = [
@@ -107,6 +110,18 @@ def test_without_contact_there_is_no_value(bench: Bench, name: str) -> None:
         assert np.isnan(values.values).all(), data_name
         assert bool(len(values.times)) == (data_name in regular_streams(name)), data_name
         assert (received.values != 0).all(), data_name
+
+
+@EVERY_SENSOR
+def test_what_waited_for_an_agent_that_slept_is_stamped_as_measured(
+    bench: Bench, name: str
+) -> None:
+    episode = bench.episode(AgentFault.ASLEEP)
+    for data_name in regular_streams(name):
+        places = episode.matched(name, data_name)
+        measured_s = episode.truth[name, data_name].times[places]
+        errors_s = episode.received[name, data_name].times - measured_s
+        assert np.abs(errors_s).max() <= BACKLOG_STAMP_LIMIT_S, data_name
 
 
 @EVERY_SENSOR

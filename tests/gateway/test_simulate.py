@@ -31,7 +31,12 @@ Run = Callable[..., "Outcome"]
 Until = Callable[[Callable[[], bool]], None]
 StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
 
-_UNITS = {FaultKind.GARBAGE: "", FaultKind.LOW_BATTERY: "%", FaultKind.DRIFT: "ppm"}
+_UNITS = {
+    FaultKind.GARBAGE: "",
+    FaultKind.FORGET: "",
+    FaultKind.LOW_BATTERY: "%",
+    FaultKind.DRIFT: "ppm",
+}
 SHORT_S = 0.05
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
+from biosensor_common.device_clock import LONGEST_DELAY_S
+
 _SET_FORWARD_S = 0.25
 """A sample that comes so much earlier than any before it is stamped by another clock."""
-_SET_BACK_S = 10.0
-"""Longest delay of a sample: the watchdog ends a connection that is silent for longer."""
 _DELAY_LEAK = 1e-3
 """How fast the least delay is forgotten [s/s]: far faster than any crystal drifts."""
 _MAX_BRIDGED_S = 86_400.0
@@ -107,7 +107,7 @@ class SampleCount:
 
     def _is_clock_set(self, delay_s: float) -> bool:
         later_s = delay_s - self._least_delay_s
-        return later_s < -_SET_FORWARD_S or later_s > _SET_BACK_S
+        return later_s < -_SET_FORWARD_S or later_s > LONGEST_DELAY_S
 
     def _periods(self, seconds: float) -> int:
         return round(seconds * self.rate_hz) if seconds <= _MAX_BRIDGED_S else 0

@@ -78,6 +78,7 @@ class E4Driver:
         self._talk = Conversation(settings.host, settings.port)
         self._device = ""
         self._unsubscribed: set[Stream] = set()
+        self._has_asked = asyncio.Event()
         self._radio_lost_at: float | None = None
 
     async def connect(self) -> Connected:
@@ -102,10 +103,13 @@ class E4Driver:
             self._require_radio()
             if self._unsubscribed:
                 await self._subscribe_again()
+                self._has_asked.set()
 
     async def enable_again(self, streams: frozenset[str]) -> None:
         """Have `stream`, which alone can read replies, subscribe to silent streams again."""
         self._unsubscribed |= {each for each in SUBSCRIBED if DATA_NAMES.get(each) in streams}
+        self._has_asked.clear()
+        await self._has_asked.wait()
 
     async def close(self) -> None:
         """Unbind, which makes the server close the connection, and close."""

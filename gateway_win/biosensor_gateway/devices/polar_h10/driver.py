@@ -116,7 +116,7 @@ class PolarH10Driver:
 
     async def enable_again(self, streams: frozenset[str]) -> None:
         """Start silent measurements anew, and subscribe to the heart rate once more."""
-        self._session.enable_again(streams)
+        await self._session.enable_again(streams)
 
     def _connected(self, info: DeviceInfo) -> Connected:
         refused = frozenset(DATA_NAMES.values()) - self._session.running

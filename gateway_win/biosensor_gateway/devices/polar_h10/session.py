@@ -65,6 +65,7 @@ class PolarSession:
         self._seen: tuple[Advertisement, float] | None = None
         self._early: list[Notification] | None = []
         self._silent: frozenset[str] = frozenset()
+        self._has_restarted = asyncio.Event()
 
     async def open(self, *, pair: bool = False) -> DeviceInfo:
         """Connect, start everything, and return what the device says of itself.
@@ -141,9 +142,11 @@ class PolarSession:
         """Longest absences of what comes all the time without a rate."""
         return DUE if self._link.has(HEART_RATE_MEASUREMENT) else {}
 
-    def enable_again(self, streams: frozenset[str]) -> None:
+    async def enable_again(self, streams: frozenset[str]) -> None:
         """Have `stream` start anew what is behind streams that are silent."""
         self._silent |= streams
+        self._has_restarted.clear()
+        await self._has_restarted.wait()
 
     async def close(self) -> None:
         """Stop everything, for a moment, and disconnect; never raises.
@@ -178,6 +181,7 @@ class PolarSession:
             if self._silent:
                 silent, self._silent = self._silent, frozenset()
                 await self._restart(silent)
+                self._has_restarted.set()
 
     async def _restart(self, silent: frozenset[str]) -> None:
         names = {name: measurement for measurement, name in DATA_NAMES.items()}

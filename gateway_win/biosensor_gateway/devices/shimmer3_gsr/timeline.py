@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from biosensor_common.device_clock import LONGEST_DELAY_S
 from biosensor_gateway.devices.shimmer3_gsr.commands import TICKS_PER_S
 from biosensor_gateway.devices.shimmer3_gsr.protocol import TICK_MODULUS
 
-CLOCKS_AGREE_S = 10.0
-"""Longest delay of a packet: the watchdog ends a connection that is silent for longer."""
 SURVIVED_AGREE_S = 1.0
 """A counter that a new connection finds this near to where it should be was not restarted.
 One that was restarted is that near by chance in one case of 256."""
@@ -76,7 +75,7 @@ class TickTimeline:
         step += round((expected - step) / TICK_MODULUS) * TICK_MODULUS
         if step == 0 and not self._is_new_connection:
             return None
-        agree_s = SURVIVED_AGREE_S if self._is_new_connection else CLOCKS_AGREE_S
+        agree_s = SURVIVED_AGREE_S if self._is_new_connection else LONGEST_DELAY_S
         restarted = step <= 0 or abs(step - expected) > agree_s * TICKS_PER_S
         if restarted:
             # Time goes on, so that no sample seems older than those before it.

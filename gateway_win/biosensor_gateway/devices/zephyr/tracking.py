@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from biosensor_common.clocks import SampleTimeline, lost_packets
+from biosensor_common.device_clock import LONGEST_DELAY_S
 from biosensor_gateway.devices.zephyr.messages import Header, RrIntervals
 
 _SEQUENCE_MODULUS = 256
 # In bad contact the device reports intervals from 24 to 12 498 ms.
 _RR_RANGE_MS = range(250, 1501)
 _MAX_BRIDGED_S = 86_400.0
-_CLOCKS_AGREE_S = 10.0
-"""Longest delay of a packet: the watchdog ends a connection that is silent for longer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +99,7 @@ class PacketTrack:
             return 0
         missing_s = stamp_s - self._next_s
         pause_s = arrival_s - self._arrival_s - self._duration_s
-        if abs(missing_s - pause_s) > _CLOCKS_AGREE_S:
+        if abs(missing_s - pause_s) > LONGEST_DELAY_S:
             # The device's clock was set meanwhile; only the host's knows how long it took.
             missing_s = pause_s
         if missing_s > _MAX_BRIDGED_S:

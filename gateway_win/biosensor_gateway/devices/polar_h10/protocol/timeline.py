@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from biosensor_common.device_clock import LONGEST_DELAY_S
+
 _NS = 1_000_000_000
 RATE_TOLERANCE = 0.1
 """Nominal rates hold to 2 % only; what is lost is lost in whole frames."""
-CLOCKS_AGREE_S = 10.0
-"""The device was switched off, or its clock set, if it and the host disagree more on a pause."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +100,6 @@ class FrameTimeline:
             return 0
         last_ns, last_arrival_s = self._last
         span_ns = timestamp_ns - last_ns
-        if abs(span_ns / _NS - (arrival_s - last_arrival_s)) > CLOCKS_AGREE_S:
+        if abs(span_ns / _NS - (arrival_s - last_arrival_s)) > LONGEST_DELAY_S:
             return 0
         return max(0, round(span_ns / self._period_ns) - count)
