@@ -10,6 +10,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from biosensor_gateway.devices.polar_h10 import driver as driver_module
+from biosensor_gateway.devices.polar_h10 import session as session_module
 from biosensor_gateway.devices.polar_h10.driver import PolarH10Driver
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
@@ -129,3 +130,20 @@ async def test_garbage_is_counted_and_never_emitted(sensor: Twins) -> None:
         lost = run.sink.lost_count("ecg")
     assert_only_gaps(h10, run.sink)
     assert lost == 0
+
+
+async def test_a_heart_rate_that_stops_alone_is_subscribed_to_again(
+    sensor: Twins, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(session_module, "DUE", {"hr": 2.0})
+    h10 = sensor()
+    async with streaming(h10) as run:
+        await until(run.sink.has(2, "hr"))
+        h10.forget_heart_rate()
+        await until(lambda: State.ENABLING in run.states)
+        assert "no data of hr" in str(run.supervisor.last_error)
+        await run.goes_on(2, "hr")
+        await until(lambda: run.supervisor.last_error is None)
+        assert run.supervisor.connections == 1
+        assert run.sink.lost_count("ecg") == 0
+    assert_only_gaps(h10, run.sink)
