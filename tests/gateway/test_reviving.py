@@ -69,10 +69,15 @@ class NotedSink(DeviceSink):
     def __init__(self, unit: str) -> None:
         super().__init__(DeviceIdentity("polar_h10", unit))
         self.told: list[tuple[Remedy, set[str]]] = []
+        self.on_back: Callable[[], None] = lambda: None
 
     def tell_silent(self, silence: Silence) -> None:
         super().tell_silent(silence)
         self.told.append((silence.remedy, set(silence.streams)))
+
+    def tell_came_back(self, streams: frozenset[str]) -> None:
+        self.on_back()
+        super().tell_came_back(streams)
 
 
 class Bench:
@@ -152,7 +157,7 @@ async def test_what_falls_silent_is_enabled_again_and_said_until_it_comes(
     with capture_logs() as logs:
         bench.can_be_enabled = {"ibi"}
         bench.sends = {"hr"}
-        bench.sink.observer = _Noting(bench, reasons)
+        bench.sink.on_back = lambda: reasons.append(bench.status())
         await eventually(lambda: bench.states[-2:] == [State.ENABLING, State.STREAMING])
     assert bench.asked == [{"ibi"}]
     assert bench.supervisor.connections == 1
@@ -167,23 +172,6 @@ async def test_what_falls_silent_is_enabled_again_and_said_until_it_comes(
         ("streams_back", ["ibi"]),
     ]
     assert announced[0]["remedy"] == "enabling again"
-
-
-class _Noting:
-    """Passes everything on, and looks at the status while something is silent."""
-
-    def __init__(self, bench: Bench, seen: list[dict[str, Any]]) -> None:
-        self._observer = bench.sink.observer
-        self._bench = bench
-        self._seen = seen
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._observer, name)
-
-    def came_back(self, streams: frozenset[str]) -> None:
-        self._seen.append(self._bench.status())
-        assert self._observer is not None
-        self._observer.came_back(streams)
 
 
 async def test_what_cannot_be_enabled_costs_one_connection_and_leaves_a_reason(
