@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+pytest_plugins = ["tests.time_spent.plugin"]
+
 _folder = Path(tempfile.mkdtemp(prefix="biosensor-gateway-tests-"))
 atexit.register(shutil.rmtree, _folder, ignore_errors=True)
 

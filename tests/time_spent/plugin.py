@@ -1,0 +1,126 @@
+"""A plugin of pytest that says at the end of each run where its time went.
+
+Processors and seconds are those of the process that ran the test and of the programs that
+it started and that have ended; a program counts where it ends.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.time_spent.account import FAILS_ABOVE, ORDINARY, SYSTEM, Account, Budget, Folder
+
+SLOWEST = 30
+SHORTEST_S = 0.5
+BUDGET = Path("tests/budget.toml")
+_OPTION = "--hold-budget"
+_BUSY, _FOLDER = "time_spent_busy_s", "time_spent_folder"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        _OPTION,
+        action="store_true",
+        help=f"fail if a folder takes over {FAILS_ABOVE:g} times its budget in {BUDGET}",
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(TimeSpent(config), "time-spent")
+
+
+class TimeSpent:
+    """Measures where tests run, adds up where the run is reported."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._root = config.rootpath
+        self._holds = bool(config.getoption(_OPTION))
+        self._account = Account()
+        self._budget = Budget.read(config.rootpath / BUDGET)
+        self._busy_s = 0.0
+
+    def pytest_runtest_logstart(self) -> None:
+        self._busy_s = _busy_s()
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(
+        self, item: pytest.Item
+    ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+        report = yield
+        before, self._busy_s = self._busy_s, _busy_s()
+        folder = _folder(self._root, item)
+        # A worker's reports take these along to where they are added up.
+        vars(report).update(
+            {_BUSY: self._busy_s - before, _FOLDER: (folder.name, folder.part)},
+        )
+        return report
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        noted: dict[str, Any] = vars(report)
+        if _FOLDER in noted:
+            folder = Folder(*noted[_FOLDER])
+            self._account.add(report.nodeid, folder, report.duration, noted[_BUSY])
+
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        if self._fails() and session.exitstatus == pytest.ExitCode.OK:
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+        folders = self._account.folders()
+        if not folders:
+            return
+        load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
+        terminalreporter.section("time spent")
+        terminalreporter.write_line(
+            f"{os.cpu_count()} processors, load {load:.1f} at the end; "
+            "'busy' is the number of processors at work while the tests ran"
+        )
+        terminalreporter.write_line(f"{'folder':<28}{'tests':>7}{'s':>9}{'busy':>7}{'budget':>9}")
+        for folder, spent in folders.items():
+            seconds = self._budget.of(folder)
+            allowed = "-" if seconds is None else f"{seconds:.0f}"
+            terminalreporter.write_line(
+                f"{folder!s:<28}{spent.tests:>7}{spent.seconds:>9.1f}{spent.busy:>7.2f}{allowed:>9}"
+            )
+        self._say_slowest(terminalreporter)
+        self._say_exceeded(terminalreporter)
+
+    def _say_slowest(self, terminalreporter: pytest.TerminalReporter) -> None:
+        slowest = [each for each in self._account.slowest(SLOWEST) if each[1].seconds > SHORTEST_S]
+        if slowest:
+            terminalreporter.write_line(f"the {len(slowest)} slowest (seconds, busy):")
+        for test, spent in slowest:
+            terminalreporter.write_line(f"{spent.seconds:>8.1f}{spent.busy:>6.2f}  {test}")
+
+    def _say_exceeded(self, terminalreporter: pytest.TerminalReporter) -> None:
+        folders = self._account.folders()
+        for folder, seconds in self._budget.exceeded(folders).items():
+            terminalreporter.write_line(
+                f"OVER BUDGET: {folder} took {folders[folder].seconds:.0f} s of {seconds:.0f} s: "
+                f"shorten its tests, or give it more in {BUDGET} and say there why.",
+                red=True,
+                bold=True,
+            )
+        if self._fails():
+            terminalreporter.write_line(
+                f"FAILED: over {FAILS_ABOVE:g} times its budget is no busy machine.", red=True
+            )
+
+    def _fails(self) -> bool:
+        return self._holds and bool(self._budget.exceeded(self._account.folders(), FAILS_ABOVE))
+
+
+def _busy_s() -> float:
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
+
+
+def _folder(root: Path, item: pytest.Item) -> Folder:
+    part = ORDINARY if item.get_closest_marker("system") is None else SYSTEM
+    folders = item.path.parent.relative_to(root).parts
+    return Folder(folders[1] if len(folders) > 1 else item.path.parent.name, part)
