@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import atexit
 import os
-import random
 import shutil
 import tempfile
 import uuid
@@ -12,12 +11,16 @@ from pathlib import Path
 
 import pytest
 
+from tests.slots import lsl_ports, take_slot
+
 pytest_plugins = ["tests.time_spent.plugin"]
 
 _folder = Path(tempfile.mkdtemp(prefix="biosensor-gateway-tests-"))
 atexit.register(shutil.rmtree, _folder, ignore_errors=True)
 
 SESSION = f"test-{uuid.uuid4().hex}"
+_slot = take_slot()
+_discovery_port, _first_port = lsl_ports(_slot)
 
 # liblsl reads its configuration at its first call, so this must come before any test
 # module is imported. Child processes inherit it. ResolveScope keeps it on this machine.
@@ -25,11 +28,11 @@ _lsl_config = _folder / "lsl_api.cfg"
 _lsl_config.write_text(
     f"[lab]\nSessionID = {SESSION}\nKnownPeers = {{127.0.0.1}}\n"
     "[multicast]\nResolveScope = machine\n"
-    "[ports]\nPortRange = 256\n"
+    f"[ports]\nMulticastPort = {_discovery_port}\nBasePort = {_first_port}\nPortRange = 256\n"
     "[log]\nlevel = -2\n"
 )
 os.environ["LSLAPICFG"] = str(_lsl_config)
-os.environ["ROS_DOMAIN_ID"] = str(random.randint(1, 100))
+os.environ["ROS_DOMAIN_ID"] = str(_slot)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 # Jazzy's messages do not check their fields otherwise.
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
