@@ -16,6 +16,7 @@ from typing import Any, Protocol
 import pytest
 import rclpy
 from rcl_interfaces.srv import SetParameters
+from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
@@ -102,9 +103,11 @@ class Listener:
     """Subscribes in this process; one thread receives."""
 
     def __init__(self) -> None:
-        rclpy.init(args=None, signal_handler_options=SignalHandlerOptions.NO)
-        self.node = rclpy.create_node("listener")
-        self._executor = SingleThreadedExecutor()
+        # Of its own: tests of other folders may run in this process, too.
+        self._context = Context()
+        rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self.node = rclpy.create_node("listener", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._spin, daemon=True)
@@ -135,7 +138,7 @@ class Listener:
         self._thread.join()
         self._executor.shutdown()
         self.node.destroy_node()
-        rclpy.shutdown()
+        rclpy.shutdown(context=self._context)
 
 
 @pytest.fixture
