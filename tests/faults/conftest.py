@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator
+from typing import Any
 
 import pytest
 
@@ -21,6 +22,20 @@ _TABLE = pytest.StashKey[FaultTable]()
 
 def pytest_configure(config: pytest.Config) -> None:
     config.stash[_TABLE] = FaultTable()
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Send what a worker has to the process that prints, where there are workers."""
+    output: dict[str, Any] | None = getattr(session.config, "workeroutput", None)
+    if output is not None:
+        output[NAME] = session.config.stash[_TABLE].rows()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any, error: object) -> None:
+    """Take what a worker of pytest-xdist has sent; one that crashed has sent nothing."""
+    del error
+    node.config.stash[_TABLE].take(getattr(node, "workeroutput", {}).get(NAME, []))
 
 
 def pytest_terminal_summary(

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 NAME = "fault-table"
 LEGEND = (
@@ -39,6 +41,15 @@ class FaultTable:
     def add(self, row: Row) -> None:
         self._rows[row.sensor, row.fault] = row
 
+    def rows(self) -> list[dict[str, Any]]:
+        """All rows, as JSON can say them."""
+        return [asdict(row) for row in self._rows.values()]
+
+    def take(self, rows: Iterable[dict[str, Any]]) -> None:
+        """Add what another table's :meth:`rows` said."""
+        for row in rows:
+            self.add(Row(**row))
+
     def markdown(self) -> str:
         """A table with one line a sensor."""
         sensors = list(dict.fromkeys(sensor for sensor, _ in self._rows))
@@ -56,8 +67,8 @@ class FaultTable:
         folder.mkdir(parents=True, exist_ok=True)
         text = f"{LEGEND}\n\n{self.markdown()}\n"
         (folder / f"{NAME}.md").write_text(text, encoding="utf-8")
-        rows = [asdict(row) for row in self._rows.values()]
-        (folder / f"{NAME}.json").write_text(json.dumps(rows, indent=1), encoding="utf-8")
+        text = json.dumps(self.rows(), indent=1)
+        (folder / f"{NAME}.json").write_text(text, encoding="utf-8")
 
     def _cell(self, sensor: str, fault: str) -> str:
         row = self._rows.get((sensor, fault))
