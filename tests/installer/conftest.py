@@ -7,6 +7,7 @@ from collections.abc import Generator
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 
 from installer.layout import WORK, setup_file
 from installer.stages import Build
@@ -25,7 +26,9 @@ def setup() -> Path:
     given = os.environ.get(SETUP_VARIABLE)
     if given:
         return Path(given)
-    Build(WORK).bring_up_to_date(PACKAGE)
+    WORK.mkdir(parents=True, exist_ok=True)
+    with FileLock(WORK / "tests.lock"):
+        Build(WORK).bring_up_to_date(PACKAGE)
     return setup_file()
 
 

@@ -20,7 +20,7 @@ import pytest
 
 from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity
-from tests.faults.expectations import OF_THE_AGENT, regular_streams
+from tests.faults.expectations import OF_THE_AGENT, regular_streams, steady_streams
 from tests.rigs.hosts import counters
 from tests.rigs.hosts.lan import Lan
 from tests.rigs.hosts.pair import VIRTUAL_UNIT
@@ -54,6 +54,13 @@ HEADERS = {
 Report = Callable[[str, object], None]
 
 
+def _source(name: str, data_name: str) -> str:
+    return naming.source_id(DeviceIdentity(name, VIRTUAL_UNIT), data_name)
+
+
+STEADY = [_source(name, data_name) for name in SENSORS for data_name in steady_streams(name)]
+
+
 @pytest.fixture(scope="module")
 def lsl_config(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Isolated by the namespaces; the session only tells that the settings take effect."""
@@ -77,11 +84,7 @@ def job(
     }
     folder = tmp_path_factory.mktemp("main-job")
     with Lan({name: CLOCK_OFFSETS_S[name] for name in dict.fromkeys((PC, other))}) as lan:
-        return main_job.run(installed, lan, lsl_config, environment, other, folder)
-
-
-def _source(name: str, data_name: str) -> str:
-    return naming.source_id(DeviceIdentity(name, VIRTUAL_UNIT), data_name)
+        return main_job.run(installed, lan, lsl_config, environment, other, folder, STEADY)
 
 
 def _of_the_devices(job: MainJob) -> Mapping[str, Arrivals]:

@@ -13,10 +13,13 @@ that runs the installed node, and reads a topic whose messages colcon has built:
 
 from __future__ import annotations
 
+import os
+import shutil
 from collections.abc import Callable, Generator
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 
 from tests.system.programs import Program
 from tests.system.toolchain import BUILD_TIMEOUT_S, BuildToolMissingError, Toolchain
@@ -33,16 +36,37 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(scope="session")
 def toolchain(tmp_path_factory: pytest.TempPathFactory) -> Toolchain:
     """ROS and colcon from the locks, without this project."""
+    place = _shared(tmp_path_factory) / "toolchain"
     try:
-        return Toolchain.install(tmp_path_factory.mktemp("toolchain") / "venv")
+        _make_once(place, lambda: Toolchain.install(place / "venv"))
     except BuildToolMissingError as error:
         raise pytest.fail.Exception(str(error), pytrace=False) from None
+    return Toolchain(place / "venv")
 
 
 @pytest.fixture(scope="session")
 def workspace(toolchain: Toolchain, tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     """All ROS packages of this repository, built by a plain ``colcon build``."""
-    return Workspace.build(tmp_path_factory.mktemp("workspace"), toolchain)
+    place = _shared(tmp_path_factory) / "workspace"
+    _make_once(place, lambda: Workspace.build(place / "repository", toolchain))
+    return Workspace(place / "repository", toolchain, linked=False)
+
+
+def _shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of this run, which the workers of pytest-xdist have in common."""
+    own = tmp_path_factory.getbasetemp()
+    return own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+
+
+def _make_once(place: Path, make: Callable[[], object]) -> None:
+    """Let the first worker that needs something make it, and the others wait."""
+    made = place / "made"
+    with FileLock(f"{place}.lock"):
+        if not made.exists():
+            shutil.rmtree(place, ignore_errors=True)
+            place.mkdir()
+            make()
+            made.touch()
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -33,8 +33,10 @@ PC = "pc"
 SECONDS = 60.0
 # The first chunk holds samples of the four seconds before it.
 LEAD_S = MARGIN_S + 4.0
-# A wristband's heart rate comes six seconds after the beat; a busy machine has a backlog.
-LATEST_S = 20.0
+# A wristband's heart rate comes six seconds after the beat.
+LATEST_S = 7.0
+# A busy machine has a backlog.
+BACKLOG_LIMIT_S = 120.0
 DEADLINE_S = 30.0
 _COM_PORTS = {"shimmer3_gsr": 5, "zephyr": 6}
 
@@ -75,6 +77,7 @@ def run(
     environment: Mapping[str, str],
     other_host: str,
     folder: Path,
+    steady: Collection[str],
 ) -> MainJob:
     """Let the installed program stream all devices for a minute, and watch what comes of it.
 
@@ -88,6 +91,8 @@ def run(
         Where node, subscriber and LabRecorder run; may be `PC`.
     folder
         For recordings and logs.
+    steady
+        By source_id the streams that never pause; they tell when all of the minute has come.
     """
     places = Places(agent=PC, node=other_host, subscriber=other_host, receiver=PC)
     with ExitStack() as stack:
@@ -111,7 +116,8 @@ def run(
         minute = Span(begin, begin + SECONDS)
         _sleep_until(begin + SECONDS / 2)
         status, figures = _answer(agent, "status"), _answer(agent, "status", "--json")
-        _sleep_until(minute.end + LATEST_S + MARGIN_S)
+        _await_all(pair, devices, steady, minute.end + LATEST_S)
+        time.sleep(MARGIN_S)
         observation = pair.observe()
         clocks = [Clocks(**each.ask("clocks")) for each in (devices, recorder)]
         recorder.ask("stop")
@@ -141,6 +147,27 @@ def _answer(agent: InstalledAgent, *arguments: str) -> str:
         if time.monotonic() > deadline:
             raise TimeoutError(f"{' '.join(arguments)}: {ended.stdout}\n{agent.last_words}")
     return ended.stdout
+
+
+def _await_all(pair: Pair, devices: SteeredProgram, steady: Collection[str], time_s: float) -> None:
+    """Wait until streams have come up to a Unix time, and what was sent before them, too."""
+    _sleep_until(time_s)
+    deadline = time.monotonic() + BACKLOG_LIMIT_S
+    while behind := _behind(pair, devices, steady, time_s):
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"still behind, in seconds: {behind}")
+        time.sleep(1.0)
+
+
+def _behind(
+    pair: Pair, devices: SteeredProgram, steady: Collection[str], time_s: float
+) -> dict[str, float]:
+    """Seconds that streams still lack of a Unix time, by source_id."""
+    clocks = Clocks(**devices.ask("clocks"))
+    unix_minus_stamp_s = clocks.unix_minus_lsl - clocks.windows_minus_lsl
+    streams = pair.observe().streams
+    newest = {s: float(streams[s].stamps[-1]) + unix_minus_stamp_s for s in steady}
+    return {s: round(time_s - came_s, 1) for s, came_s in newest.items() if came_s < time_s}
 
 
 def _sleep_until(time_s: float) -> None:
