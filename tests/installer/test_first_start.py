@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import pytest
 
 from installer.layout import PROGRAM, version
+from tests.rigs.stopwatch import Stopwatch
 from tests.rigs.windows.pc import WindowsPc
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
@@ -15,7 +15,7 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
 LIMIT_S = 5.0
 """A requirement on the program."""
 FRESH_PCS = 3
-"""A computer that is busy with other things takes longer; it is not asked for ever."""
+"""What Wine does in its first second differs; it is not asked for ever."""
 
 
 def test_it_answers_within_5_s(setup: Path, disk: Path, record_property: object) -> None:
@@ -24,9 +24,9 @@ def test_it_answers_within_5_s(setup: Path, disk: Path, record_property: object)
     while len(taken) < FRESH_PCS and min(taken, default=LIMIT_S + 1) > LIMIT_S:
         with WindowsPc(disk) as pc:
             assert pc.install(setup).returncode == 0
-            began = time.perf_counter()
+            watch = Stopwatch()
             ended = pc.gateway("--version")
-            taken.append(time.perf_counter() - began)
+            taken.append(watch.free_s())
             assert ended.stdout.strip() == f"{PROGRAM} {version()}"
     record_property("first_answer_s", taken)
     assert min(taken) <= LIMIT_S

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from itertools import pairwise
 from statistics import median
@@ -13,6 +12,8 @@ import pytest
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from std_msgs.msg import Float32MultiArray, String
+
+from tests.rigs.stopwatch import Stopwatch
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Flow, Ros
@@ -88,10 +89,10 @@ def test_a_subscriber_is_seen_within_a_second_when_it_comes_and_when_it_goes(
     left: list[bool] = []
     for _ in range(2):
         for topic in topics:
-            begun = time.monotonic()
+            watch = Stopwatch()
             heard = ros.listen(Float32MultiArray, topic)
             ros.until(lambda heard=heard: bool(heard), f"a sample on {topic}")
-            comings.append(time.monotonic() - begun)
+            comings.append(watch.free_s())
         ros.stop_listening()
         ros.spin(SEEN_S)
         ros.report()
