@@ -17,24 +17,38 @@ SECONDS :=
 # Not --quiet, which would silence the warnings that strict mode counts. The theme tells of MkDocs 2.0;
 # the lock has 1.6.
 DOCS_SITE := NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
-# Each of these fills a small machine; side by side they would disturb each other's clocks.
-ALONE := tests/e2e tests/faults tests/peers tests/ros
+# Most of their time tests wait for devices that stream in real time, so that several workers
+# fit on two cores; each has an LSL session and a ROS domain of its own. The longest files come
+# first, as tests/budget.toml has them, else the last of them would run alone for minutes.
+SIDE_BY_SIDE := --dist loadfile --no-loadscope-reorder --hold-budget
+# These run many programs each, and more at a time would be late by their own load.
+MANY_PROGRAMS := tests/e2e tests/faults tests/faults/scenarios tests/peers tests/ros
 
-.PHONY: demo test test-system faults fuzz installer check bench format docs docs-site pictures lock venv-ros venv-dev
-.PHONY: venv-peers
+.PHONY: demo test test-system tests system-tests tests-alone faults fuzz installer check bench format docs docs-site
+.PHONY: pictures lock venv-ros venv-dev venv-peers
 
 demo: venv-ros
 	.venv/bin/biosensor-gateway demo $(if $(SECONDS),--seconds $(SECONDS))
 
-test: check venv-peers
-	$(GATE) -m "not system" -n 3 --dist loadfile $(ALONE:%=--ignore=%)
-	$(GATE) -m "not system" $(ALONE)
+test: check tests
+	$(GATE) -m "alone and not system"
 	@echo
 	@echo "Not run here, only by 'make test-system' (needs root and system packages):"
 	@$(RUN) pytest -m system --collect-only -qq | sed 's/^/  /'
 
-test-system: venv-dev installer
-	$(GATE) -m system
+test-system: system-tests
+	$(GATE) -m "alone and system"
+
+# The parts of the two, as .ci/run takes them.
+tests: venv-peers
+	$(GATE) -m "not system and not alone" $(SIDE_BY_SIDE) -n 4 $(MANY_PROGRAMS:%=--ignore=%)
+	$(GATE) -m "not system and not alone" $(SIDE_BY_SIDE) -n 2 $(MANY_PROGRAMS)
+
+system-tests: venv-dev installer
+	$(GATE) -m "system and not alone" $(SIDE_BY_SIDE) -n 2 tests tests/faults tests/faults/scenarios
+
+tests-alone: venv-dev
+	$(GATE) -m alone
 
 faults: venv-dev
 	BIOSENSOR_GATEWAY_FAULTS=long $(if $(LONG),BIOSENSOR_GATEWAY_STEADY_S=43200) $(RUN) pytest tests/faults

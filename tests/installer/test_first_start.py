@@ -10,7 +10,7 @@ from installer.layout import PROGRAM, version
 from tests.rigs.stopwatch import Stopwatch
 from tests.rigs.windows.pc import WindowsPc
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(900)]
 
 LIMIT_S = 5.0
 """A requirement on the program."""

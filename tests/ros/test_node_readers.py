@@ -76,6 +76,7 @@ def test_who_comes_later_gets_what_is_measured_later(ros: Ros) -> None:
     assert [list(chunk.data) for chunk in chunks] == [[8.0, 9.0, 10.0, 11.0]]
 
 
+@pytest.mark.alone
 def test_a_subscriber_is_seen_within_a_second_when_it_comes_and_when_it_goes(
     ros: Ros, flow: Begin
 ) -> None:

@@ -120,6 +120,7 @@ IDS: dict[str, list[tuple[str, float]]] = {
 }
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("case", IDS)
 def test_a_killed_program_flows_again_within_two_seconds_of_its_return(
     ros: Ros, start_node: Start, run: Callable[..., Program], case: str
@@ -150,6 +151,7 @@ def test_a_killed_program_flows_again_within_two_seconds_of_its_return(
     )
 
 
+@pytest.mark.alone
 def test_a_killed_node_publishes_again_within_two_seconds_of_its_start(
     ros: Ros, start_node: Start, run: Callable[..., Program]
 ) -> None:

@@ -139,6 +139,7 @@ def test_a_program_that_starts_with_a_new_source_id_keeps_its_topic(ros: Ros) ->
         ros.until(lambda: topic not in ros.present(), "its end")
 
 
+@pytest.mark.alone
 def test_what_a_killed_program_sent_flows_again_two_seconds_after_it_is_back(
     ros: Ros, node: RunningNode, start_program: Callable[[], Program]
 ) -> None:

@@ -10,6 +10,7 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 import pylsl
+import pytest
 from std_msgs.msg import Float32MultiArray
 
 from tests.rigs.stopwatch import Stopwatch
@@ -29,6 +30,7 @@ def opened(node: RunningNode, name: str) -> float:
     return float(found[1])
 
 
+@pytest.mark.alone
 def test_a_killed_node_that_was_started_anew_has_its_topics_in_two_seconds(
     ros: Ros, start_node: Callable[..., RunningNode], flow: Callable[..., Flow]
 ) -> None:

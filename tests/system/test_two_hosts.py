@@ -208,6 +208,7 @@ def _delay(observation: Observation, span: Span) -> str:
     return f"p50 {1000 * p50:.0f} ms, p99 {1000 * p99:.0f} ms, max {1000 * late.max():.0f} ms"
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize(
     ("sender_host", "limit_s"), [("robot", 0.0002), ("agent-pc", 0.001)], ids=["one", "two"]
 )

