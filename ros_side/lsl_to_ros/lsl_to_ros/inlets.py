@@ -29,7 +29,7 @@ CORRECTION_TIMEOUT_S = 0.05
 CORRECTIONS_KEPT = 10
 # How long a blocked pull keeps its thread from noticing that it should end.
 PULL_TIMEOUT_S = 0.2
-LAST_ENTRY_S = 0.01
+LAST_ENTRY_S = 0.1
 # A receiver that is full is looked at again after so long.
 ROOM_S = 0.01
 BATCH_SAMPLES = 1024
@@ -39,12 +39,14 @@ BATCH_SAMPLES = 1024
 class InletState(Enum):
     """Life of an inlet.
 
-    A lost or failed one is tried again; a refused one is not, for liblsl cannot read
-    its announcement or speak its protocol.
+    One that ends is lost as soon as it is counted what LSL dropped. A lost or failed one is
+    tried again; a refused one is not, for liblsl cannot read its announcement or speak its
+    protocol.
     """
 
     OPENING = "opening"
     READY = "ready"
+    ENDING = "ending"
     LOST = "lost"
     FAILED = "failed"
     REFUSED = "refused"
@@ -261,21 +263,29 @@ class Inlet:
     def _guarded(self, work: Callable[[pylsl.StreamInlet], None]) -> None:
         """Do something with liblsl's inlet; the state says how it ended."""
         lsl = self._lsl
-        if lsl is None or self.state in (InletState.LOST, InletState.FAILED):
+        if lsl is None or self.state in (InletState.ENDING, InletState.LOST, InletState.FAILED):
             return
         try:
             work(lsl)
         except (util.LostError, util.TimeoutError):
-            # The last entry of a lost stream's queue is no sample: it wakes who waits. liblsl
-            # puts it there a moment after it has called the stream lost.
-            time.sleep(LAST_ENTRY_S)
-            self._end_delivery(max(0, lsl.flush() - 1))
-            self.state = InletState.LOST
+            self.state = InletState.ENDING
+            count = threading.Thread(
+                target=self._count_undelivered, args=(lsl,), daemon=True, name="count what is lost"
+            )
+            count.start()
         except Exception as error:  # noqa: BLE001 - else the stream would end unsaid
             if not self._is_stopped.is_set():
                 self._warn(f"{self.core}: reading it failed, it is opened anew ({error!r})")
             self._end_delivery(lsl.flush())
             self.state = InletState.FAILED
+
+    def _count_undelivered(self, lsl: pylsl.StreamInlet) -> None:
+        # The last entry of a lost stream's queue is no sample: it wakes who waits. A thread of
+        # liblsl puts it there after it has called the stream lost, on a busy machine some time
+        # after. Nothing tells when it is there, and other streams must not wait for it.
+        time.sleep(LAST_ENTRY_S)
+        self._end_delivery(max(0, lsl.flush() - 1))
+        self.state = InletState.LOST
 
     def _without_waiting(self, work: Callable[[pylsl.StreamInlet], None]) -> None:
         if self._receiver is not None and self._pulling.acquire(blocking=False):
