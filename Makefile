@@ -21,6 +21,8 @@ DOCS_SITE := NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
 # fit on two cores; each has an LSL session and a ROS domain of its own. The longest files come
 # first, as tests/budget.toml has them, else the last of them would run alone for minutes.
 SIDE_BY_SIDE := --dist loadfile --no-loadscope-reorder --hold-budget
+# The files of the few tests with a marker; to look through all of them takes a while.
+MARKED = $(shell grep -rl --include='test_*.py' 'pytest.mark.$(1)' tests | sort)
 # These run many programs each, and more at a time would be late by their own load.
 MANY_PROGRAMS := tests/e2e tests/faults tests/faults/scenarios tests/peers tests/ros
 
@@ -31,13 +33,13 @@ demo: venv-ros
 	.venv/bin/biosensor-gateway demo $(if $(SECONDS),--seconds $(SECONDS))
 
 test: check tests
-	$(GATE) -m "alone and not system"
+	$(GATE) -m "alone and not system" $(call MARKED,alone)
 	@echo
 	@echo "Not run here, only by 'make test-system' (needs root and system packages):"
-	@$(RUN) pytest -m system --collect-only -qq | sed 's/^/  /'
+	@$(RUN) pytest -m system --collect-only -qq $(call MARKED,system) | sed 's/^/  /'
 
 test-system: system-tests
-	$(GATE) -m "alone and system"
+	$(GATE) -m "alone and system" $(call MARKED,alone)
 
 # The parts of the two, as .ci/run takes them.
 tests: venv-peers
@@ -45,10 +47,10 @@ tests: venv-peers
 	$(GATE) -m "not system and not alone" $(SIDE_BY_SIDE) -n 2 $(MANY_PROGRAMS)
 
 system-tests: venv-dev installer
-	$(GATE) -m "system and not alone" $(SIDE_BY_SIDE) -n 2 tests tests/faults tests/faults/scenarios
+	$(GATE) -m "system and not alone" $(SIDE_BY_SIDE) -n 2 $(call MARKED,system)
 
 tests-alone: venv-dev
-	$(GATE) -m alone
+	$(GATE) -m alone $(call MARKED,alone)
 
 faults: venv-dev
 	BIOSENSOR_GATEWAY_FAULTS=long $(if $(LONG),BIOSENSOR_GATEWAY_STEADY_S=43200) $(RUN) pytest tests/faults

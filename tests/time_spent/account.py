@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -77,24 +78,26 @@ class Budget:
     ----------
     seconds
         By folder; one that is not there may take any time.
+    longest
+        Files of tests that take minutes, as paths; a run begins with them.
     """
 
-    def __init__(self, seconds: dict[Folder, float]) -> None:
+    def __init__(self, seconds: dict[Folder, float], longest: Sequence[str] = ()) -> None:
         self._seconds = seconds
+        self.longest = tuple(longest)
 
     @classmethod
     def read(cls, path: Path) -> Budget:
         """Read a file with the tables ``test`` and ``system``; without it, nothing is limited."""
         if not path.exists():
             return cls({})
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-        return cls(
-            {
-                Folder(name, part): float(seconds)
-                for part, table in tables.items()
-                for name, seconds in table.items()
-            }
-        )
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        seconds = {
+            Folder(name, part): float(limit)
+            for part in (ORDINARY, SYSTEM)
+            for name, limit in content.get(part, {}).items()
+        }
+        return cls(seconds, content.get("longest", ()))
 
     @property
     def folders(self) -> set[Folder]:

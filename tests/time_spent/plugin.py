@@ -44,6 +44,15 @@ class TimeSpent:
         self._budget = Budget.read(config.rootpath / BUDGET)
         self._busy_s = 0.0
 
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        """Begin with what takes longest: else one worker does that at last, and alone."""
+        rank = {file: place for place, file in enumerate(self._budget.longest)}
+
+        def place(item: pytest.Item) -> int:
+            return rank.get(item.path.relative_to(self._root).as_posix(), len(rank))
+
+        items.sort(key=place)
+
     def pytest_runtest_logstart(self) -> None:
         self._busy_s = _busy_s()
 

@@ -115,3 +115,10 @@ def test_parts_of_a_test_and_tests_of_a_folder_add_up() -> None:
     assert [test for test, _ in account.slowest(2)] == ["c", "a"]
     assert Budget({BUSY: 5.0, WAITING: 7.0}).exceeded(folders) == {BUSY: 5.0}
     assert not Budget({BUSY: 5.0}).exceeded(folders, 2.0)
+
+
+def test_the_budget_names_all_folders_and_files_that_are_there() -> None:
+    tests, budget = ROOT / "tests", Budget.read(ROOT / BUDGET)
+    having_tests = {path.relative_to(tests).parts[0] for path in tests.rglob("test_*.py")}
+    assert {folder.name for folder in budget.folders} == having_tests
+    assert [file for file in budget.longest if not (ROOT / file).is_file()] == []
