@@ -154,8 +154,8 @@ def test_one_missing_message_would_be_noticed(crossing: Crossing) -> None:
     several = {
         topic
         for place in crossing.expected.values()
-        for topic in place
-        if topic and len(np.unique(observation.topics[topic].between(*minute).arrivals)) > 2
+        for topic in place.topics
+        if len(np.unique(observation.topics[topic].between(*minute).arrivals)) > 2
     }
     assert len(several) > len(crossing.expected) / 2
     assert set(faults) >= several

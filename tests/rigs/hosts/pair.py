@@ -43,6 +43,11 @@ class Place(NamedTuple):
     chunks: str
     is_state: bool = False
 
+    @property
+    def topics(self) -> list[str]:
+        """Those that it has."""
+        return [topic for topic in (self.topic, self.chunks) if topic]
+
 
 class Places(NamedTuple):
     """On which computer each program runs; the receiver is the LSL reference."""
@@ -252,7 +257,7 @@ class Pair:
         matched, facts = set(state["matched"]), state["diagnostics"]
         missing: list[str] = []
         for source, place in self.expected.items():
-            topics = [topic for topic in place if topic]
+            topics = place.topics
             readers = int(facts.get(place.topic, {}).get("subscribers", 0))
             if source not in received or readers < len(topics) or not matched.issuperset(topics):
                 missing.append(source)
