@@ -106,7 +106,7 @@ def test_trial(terminal: io.StringIO, name: str) -> None:
     assert set(streams) <= set(words)
     assert UNIT in words
     channels = [channel for each in sensor(name).streams for channel in each.channels[:6]]
-    units = {channel.unit.value for channel in channels}
+    units = {channel.unit for channel in channels}
     shown = {word.rstrip(",") for word in words}
     assert units - {"none"} <= shown
 

@@ -73,7 +73,7 @@ def read_series(topic: str, field: str) -> Series:
     return Series(topic, channel)
 
 
-def unit(series: Series) -> Unit:
+def unit(series: Series) -> str:
     stream = declared_topics()[series.topic].stream
     return stream.channels[series.channel or 0].unit
 
