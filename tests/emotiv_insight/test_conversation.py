@@ -226,10 +226,7 @@ async def test_token_expired(
         # EEG alone stops, so the driver asks for it again; that needs a token.
         while cortex.count("subscribe") < 3:
             values = [number % 64, 0, *[0.5] * 10]
-            time_s = start + 1 + number / 64
-            await cortex.say(
-                cortex.data("mot", values, time_s), cortex.data("pow", [0.1] * 25, time_s)
-            )
+            await cortex.say(cortex.data("mot", values, start + 1 + number / 64))
             await asyncio.sleep(1 / 64)
             number += 1
         # What comes of a stream that stays away is tested elsewhere.
