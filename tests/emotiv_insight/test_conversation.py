@@ -41,7 +41,7 @@ async def stream_a_second(
     cortex: ScriptedCortex, run: Run, eventually: Eventually, rows: int = 128
 ) -> float:
     """Send a second of EEG and wait for it; return when it began, in unix seconds."""
-    await eventually(run.is_streaming)
+    await eventually(lambda: run.supervisor.is_connected)
     start = time.time() - 1
     already = len(run.sink.rows["eeg"])
     await cortex.say(*(cortex.eeg(number, start) for number in range(rows)))
@@ -233,7 +233,7 @@ async def test_token_expired(
         run.sink.watch.expect({})
         await eventually(run.sink.has("mot", number))
         await stream_a_second(cortex, run, eventually)
-        assert cortex.opened == run.states.count(State.STREAMING) == 1
+        assert cortex.opened == run.supervisor.connections == 1
     tokens = [each.params["cortexToken"] for each in cortex.requests if each.method == "subscribe"]
     assert tokens == ["planted.token.one", "planted.token.one", "planted.token.two"]
     assert cortex.count("authorize") == 2
