@@ -13,15 +13,15 @@ Levels of a stream:
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from time import monotonic
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from biosensor_common.naming import TopicName
 from lsl_to_ros.bridge import Bridge
-from lsl_to_ros.rates import RATE_WINDOW_S, RateMeter
+from lsl_to_ros.rates import RATE_WINDOW_S
+from lsl_to_ros.stream_health import StreamHealth
 from lsl_to_ros.tally import Delays, Tally, can_estimate_losses
 
 # A regular stream is stale after so long without a sample.
@@ -33,32 +33,6 @@ CLOCK_TOLERANCE_S = 30.0
 CLOCK_PATIENCE_S = 10.0
 
 PREFIX = "lsl_to_ros: "
-
-
-@dataclass(slots=True)
-class StreamHealth:
-    """What the reports of one stream remember from one to the next."""
-
-    meter: RateMeter = field(default_factory=RateMeter)
-    begun_s: float = field(default_factory=monotonic)
-    troubles: deque[tuple[float, int, int]] = field(default_factory=deque[tuple[float, int, int]])
-    received: int = 0
-    heard_s: float = field(default_factory=monotonic)
-
-    def silence(self, received: int) -> float:
-        """Take in the count of samples; return for how many seconds it has stood still."""
-        now = monotonic()
-        if received != self.received:
-            self.received, self.heard_s = received, now
-        return now - self.heard_s
-
-    def recent(self, lost: int, unfit: int) -> tuple[int, int]:
-        """Take in the present counts; return how much they grew in the last 10 s."""
-        now = monotonic()
-        self.troubles.append((now, lost, unfit))
-        while now - self.troubles[0][0] > RATE_WINDOW_S:
-            self.troubles.popleft()
-        return lost - self.troubles[0][1], unfit - self.troubles[0][2]
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,6 @@ from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros import messages
 from lsl_to_ros.bridge import Bridge, Outputs
-from lsl_to_ros.diagnostics import StreamHealth
 from lsl_to_ros.inlets import Inlet
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.outputs import open_outputs
@@ -25,6 +24,7 @@ from lsl_to_ros.parameters import Parameters, StreamSettings
 from lsl_to_ros.ports import Port, Ports, TopicTypeError
 from lsl_to_ros.ros_time import RosTime
 from lsl_to_ros.stamping import Stamping
+from lsl_to_ros.stream_health import StreamHealth
 from lsl_to_ros.tally import Refusals, Tally, can_estimate_losses
 from lsl_to_ros.writers import StreamContext
 

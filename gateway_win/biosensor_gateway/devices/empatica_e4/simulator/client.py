@@ -6,10 +6,7 @@ import asyncio
 import socket
 import struct
 from collections.abc import Callable
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from biosensor_gateway.devices.empatica_e4.simulator.listener import Listener
+from typing import Protocol
 
 _ROOM_BYTES = 1 << 20
 _REQUEST_BYTES = 4096
@@ -18,13 +15,25 @@ _RESET_AT_CLOSE = struct.pack("ii", 1, 0)
 Hear = Callable[["Client", str], None]
 
 
+class Door(Protocol):
+    """Who knows the clients of a port, and decides who is one."""
+
+    def let_in(self, client: Client) -> bool:
+        """Take a client; False if there is no entry now."""
+        ...
+
+    def let_go(self, client: Client) -> None:
+        """Forget a client whose connection has ended."""
+        ...
+
+
 class Client(asyncio.Protocol):
     """A client, with what it is bound and subscribed to.
 
     Parameters
     ----------
-    listener
-        Knows its clients, and whether they are let in.
+    door
+        Is told that it came and went.
     hear
         Gets each request, a line without its end.
 
@@ -37,11 +46,11 @@ class Client(asyncio.Protocol):
     is_paused
     """
 
-    def __init__(self, listener: Listener, hear: Hear) -> None:
+    def __init__(self, door: Door, hear: Hear) -> None:
         self.bound_to = ""
         self.subscriptions: set[str] = set()
         self.is_paused = False
-        self._listener = listener
+        self._door = door
         self._hear = hear
         self._transport: asyncio.Transport | None = None
         self._unfinished = b""
@@ -77,7 +86,7 @@ class Client(asyncio.Protocol):
         """Become one of the listener's clients, unless it has closed meanwhile."""
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
-        if not self._listener.let_in(self):
+        if not self._door.let_in(self):
             self.reset()
 
     def data_received(self, data: bytes) -> None:
@@ -93,7 +102,7 @@ class Client(asyncio.Protocol):
         del exc
         self._transport = None
         self._ended.set()
-        self._listener.let_go(self)
+        self._door.let_go(self)
 
     def write(self, data: bytes) -> None:
         """Send, if anything can be sent."""
