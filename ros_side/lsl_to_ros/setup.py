@@ -34,7 +34,7 @@ setup(
     entry_points={
         "console_scripts": ["lsl_to_ros = lsl_to_ros.node:main"],
         # Read by ``ros2 doctor`` where ros2doctor is installed; nothing needs it.
-        "ros2doctor.checks": ["BiosensorCheck = lsl_to_ros.ros2_doctor:BiosensorCheck"],
-        "ros2doctor.report": ["BiosensorReport = lsl_to_ros.ros2_doctor:BiosensorReport"],
+        "ros2doctor.checks": ["BiosensorCheck = lsl_to_ros.doctor.ros2_doctor:BiosensorCheck"],
+        "ros2doctor.report": ["BiosensorReport = lsl_to_ros.doctor.ros2_doctor:BiosensorReport"],
     },
 )

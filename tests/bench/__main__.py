@@ -8,8 +8,8 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from biosensor_gateway.logs import configure_logs
-from biosensor_gateway.settings import LogSettings
+from biosensor_gateway.settings.models import LogSettings
+from biosensor_gateway.system.logs import configure_logs
 from tests.bench import (
     agent_figures,
     bursts,

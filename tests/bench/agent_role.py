@@ -12,13 +12,13 @@ from pathlib import Path
 from numpy.typing import ArrayLike
 from pylsl import local_clock
 
-from biosensor_gateway.agent import Agent
+from biosensor_gateway.agent.agent import Agent
+from biosensor_gateway.agent.supervisor import State
 from biosensor_gateway.devices import settings_models
-from biosensor_gateway.logs import configure_logs
-from biosensor_gateway.settings import LogSettings, state_folder
-from biosensor_gateway.settings_file import load_settings
-from biosensor_gateway.sink import DeviceSink
-from biosensor_gateway.supervisor import State
+from biosensor_gateway.settings.file import load_settings
+from biosensor_gateway.settings.models import LogSettings, state_folder
+from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.system.logs import configure_logs
 
 _POLL_S = 0.1
 

@@ -14,9 +14,9 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Float32MultiArray
 
 from biosensor_common.quantities import MessageType
-from lsl_to_ros.pacing import Pace, Pacer
-from lsl_to_ros.ports import Port, Ports
-from lsl_to_ros.writers import ChunkWriter
+from lsl_to_ros.topics.pacing import Pace, Pacer
+from lsl_to_ros.topics.publishers import Port, Ports
+from lsl_to_ros.topics.writers import ChunkWriter
 from tests.bench.child import Orders, say
 from tests.bench.samples import CHANNELS, FILLER, values_of
 

@@ -16,42 +16,42 @@ from importlib import import_module
 from typing import Any
 from unittest.mock import patch
 
-from biosensor_gateway import trial
-from biosensor_gateway.simulate import simulated_settings
+from biosensor_gateway.demo.virtual_devices import simulated_settings
+from biosensor_gateway.doctor import device_test
 
 _PACKAGE = "biosensor_gateway.devices"
 
 # Functions by the module that calls them; classes with their methods, and with the
 # attributes that are set from outside.
 _FUNCTIONS: dict[str, Sequence[tuple[str, str]]] = {
-    "emotiv_insight": [("emotiv_insight.cortex", "parse")],
+    "emotiv_insight": [("emotiv_insight.driver.cortex", "parse")],
     "polar_h10": [
-        ("polar_h10.emitter", "parse_frame"),
-        ("ble_heart_rate.emitter", "parse_measurement"),
+        ("polar_h10.driver.emitter", "parse_frame"),
+        ("ble_heart_rate.driver.emitter", "parse_measurement"),
     ],
-    "ble_heart_rate": [("ble_heart_rate.emitter", "parse_measurement")],
+    "ble_heart_rate": [("ble_heart_rate.driver.emitter", "parse_measurement")],
 }
 _CLASSES: dict[str, tuple[str, str, frozenset[str], frozenset[str]]] = {
-    "empatica_e4": ("empatica_e4.protocol", "E4Protocol", frozenset({"feed"}), frozenset()),
+    "empatica_e4": ("empatica_e4.driver.protocol", "E4Protocol", frozenset({"feed"}), frozenset()),
     "emotiv_insight": (
-        "emotiv_insight.protocol",
+        "emotiv_insight.driver.protocol",
         "Decoder",
         frozenset({"subscribed", "decode"}),
         frozenset(),
     ),
     "shimmer3_gsr": (
-        "shimmer3_gsr.protocol",
+        "shimmer3_gsr.driver.protocol",
         "ShimmerProtocol",
         frozenset({"feed", "settle", "give_up", "expect_data"}),
         frozenset({"crc", "form"}),
     ),
     "vernier_respiration_belt": (
-        "vernier_respiration_belt.protocol",
+        "vernier_respiration_belt.driver.protocol",
         "VernierProtocol",
         frozenset({"feed"}),
         frozenset(),
     ),
-    "zephyr": ("zephyr.protocol", "ZephyrProtocol", frozenset({"feed"}), frozenset()),
+    "zephyr": ("zephyr.driver.protocol", "ZephyrProtocol", frozenset({"feed"}), frozenset()),
 }
 SENSORS = tuple(dict.fromkeys((*_CLASSES, *_FUNCTIONS)))
 
@@ -100,7 +100,7 @@ def measure(passes: int, taped_s: float) -> list[DecoderSpeed]:
 def _measure(sensor: str, passes: int, taped_s: float) -> DecoderSpeed:
     tape = _Tape()
     with _taping(sensor, tape), simulated_settings([sensor]) as settings:
-        outcome = asyncio.run(trial.try_device(settings.devices[0], taped_s))
+        outcome = asyncio.run(device_test.try_device(settings.devices[0], taped_s))
     assert outcome.info is not None, outcome.problems
     multiples = [taped_s / tape.play() for _ in range(passes)]
     return DecoderSpeed(sensor, taped_s, max(multiples), statistics.median(multiples))

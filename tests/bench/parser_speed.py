@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from importlib.resources import files
 from itertools import pairwise
 
-from biosensor_gateway.devices.zephyr.frames import MessageId
-from biosensor_gateway.devices.zephyr.messages import Waveform
-from biosensor_gateway.devices.zephyr.protocol import ZephyrProtocol
+from biosensor_gateway.devices.zephyr.driver.frames import MessageId
+from biosensor_gateway.devices.zephyr.driver.messages import Waveform
+from biosensor_gateway.devices.zephyr.driver.protocol import ZephyrProtocol
 from biosensor_gateway.devices.zephyr.simulator.recording import (
     RECORDING_150_S,
     RECORDING_WITH_GAP,

@@ -6,7 +6,7 @@ from collections.abc import Generator
 
 import pytest
 
-from biosensor_gateway import supervisor as supervisor_module
+from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.devices.ble_heart_rate.simulator import SimulatedHeartRateStrap
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.wearer import Wearer

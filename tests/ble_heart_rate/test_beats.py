@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from biosensor_gateway.devices.ble_heart_rate.beats import (
+from biosensor_gateway.devices.ble_heart_rate.driver.beats import (
     NARROW_S,
     REANCHOR_S,
     BeatClock,

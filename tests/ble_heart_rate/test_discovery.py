@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from biosensor_gateway.devices.ble_heart_rate.discovery import identify, identify_any, recognise
-from biosensor_gateway.devices.ble_heart_rate.driver import HeartRateStrapSettings
-from biosensor_gateway.transports.seen import Advertisement, SerialPort
+from biosensor_gateway.devices.ble_heart_rate.driver.discovery import (
+    identify,
+    identify_any,
+    recognise,
+)
+from biosensor_gateway.devices.ble_heart_rate.driver.driver import HeartRateStrapSettings
+from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 ADDRESS = "C8:25:00:00:00:01"
 HEART_RATE = frozenset({"0000180d-0000-1000-8000-00805f9b34fb"})

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from biosensor_gateway import supervisor as supervisor_module
-from biosensor_gateway.devices.ble_heart_rate import driver as driver_module
-from biosensor_gateway.devices.ble_heart_rate import strap as strap_module
-from biosensor_gateway.devices.ble_heart_rate.driver import DRIVER, HeartRateStrapDriver
+from biosensor_gateway.agent import supervisor as supervisor_module
+from biosensor_gateway.agent.supervisor import State
+from biosensor_gateway.devices.ble_heart_rate.driver import driver as driver_module
+from biosensor_gateway.devices.ble_heart_rate.driver import strap as strap_module
+from biosensor_gateway.devices.ble_heart_rate.driver.driver import DRIVER, HeartRateStrapDriver
 from biosensor_gateway.devices.ble_heart_rate.simulator import SimulatedHeartRateStrap
-from biosensor_gateway.settings import DeviceSettings
+from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.supervisor import State
 from biosensor_gateway.transports import ble_choice
 from tests.rigs.driver_run import NotedSink, connected, streaming
 from tests.rigs.polling import until

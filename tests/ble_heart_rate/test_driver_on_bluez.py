@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from biosensor_gateway.devices.ble_heart_rate.driver import HeartRateStrapDriver
+from biosensor_gateway.agent.supervisor import State
+from biosensor_gateway.devices.ble_heart_rate.driver.driver import HeartRateStrapDriver
 from biosensor_gateway.devices.ble_heart_rate.simulator import SimulatedHeartRateStrap
-from biosensor_gateway.supervisor import State
 from tests.rigs.bluetooth import ON_BLUEZ
 from tests.rigs.driver_run import streaming
 from tests.rigs.polling import until

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from biosensor_common.sensors.ble_heart_rate import SENSOR
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.devices.ble_heart_rate.emitter import StrapEmitter
-from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
+from biosensor_gateway.streaming.sink import DeviceSink
 
 ARRIVAL_S = 5_000.0
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.ble_heart_rate.protocol import (
+from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
     HeartRateMeasurement,
     parse_battery_level,
     parse_measurement,

@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from biosensor_common.device_clock import DeviceClock
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.devices.zephyr.emitter import ZephyrEmitter
-from biosensor_gateway.devices.zephyr.protocol import ZephyrProtocol
+from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
+from biosensor_gateway.devices.zephyr.driver.protocol import ZephyrProtocol
 from biosensor_gateway.devices.zephyr.simulator.recording import RECORDING_150_S, read_timing
-from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.streaming.sink import DeviceSink
 
 SETTLED_S = 10.0
 

@@ -20,7 +20,7 @@ from biosensor_common.quantities import ChannelFormat, MessageType
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, StreamSpec
 from biosensor_common.stream_header import MAX_FIELD_CHARACTERS
-from biosensor_gateway.outlets import Outlet
+from biosensor_gateway.streaming.outlets import Outlet
 from tests.rigs.headers import declared_streams, lsl_xml
 
 INFO = DeviceInfo("maker", "model", "serial <1> & 'so' on", "1.2")

@@ -14,10 +14,10 @@ import pytest
 from typer.core import TyperGroup
 
 from biosensor_common.registry import sensor, sensor_names
-from biosensor_gateway import settings_file
 from biosensor_gateway.cli.app import app
 from biosensor_gateway.cli.deferred import Deferred
 from biosensor_gateway.devices import settings_models
+from biosensor_gateway.settings import file as settings_file
 
 ROOT = Path(__file__).parents[2]
 DECISIONS = sorted((ROOT / "docs" / "decisions").glob("[0-9]*.md"))

@@ -48,7 +48,7 @@ def test_the_readme_is_a_page() -> None:
 
 
 def test_the_reference_names_every_parameter_with_its_default() -> None:
-    parameters = pytest.importorskip("lsl_to_ros.parameters")
+    parameters = pytest.importorskip("lsl_to_ros.parameters.streams")
     text = REFERENCE.read_text(encoding="utf-8")
     for name, value in parameters.DEFAULTS.items():
         assert f"| `{name}` | `{str(value).lower()}` |" in text

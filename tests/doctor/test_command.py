@@ -67,7 +67,7 @@ def test_the_text_is_ascii_marked(run: Run) -> None:
 
 def test_the_agent_does_not_load_it() -> None:
     code = (
-        "import sys, biosensor_gateway.agent; "
+        "import sys, biosensor_gateway.agent.agent; "
         "print([each for each in sys.modules if '.doctor' in each or each == 'psutil'])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -21,7 +21,7 @@ from biosensor_common.doctor.check import Category, Check, Examine
 from biosensor_common.doctor.context import Context
 from biosensor_common.doctor.finding import Finding, error, note, ok, warning
 from biosensor_common.doctor.table import COMMON_CHECKS
-from lsl_to_ros import ros2_doctor
+from lsl_to_ros.doctor import ros2_doctor
 from lsl_to_ros.doctor.table import CHECKS, ROS_CHECKS
 from tests.doctor.made_checks import made
 

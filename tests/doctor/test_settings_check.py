@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from biosensor_common.doctor.finding import Level
-from biosensor_gateway import health
+from biosensor_gateway.agent import status_file
 from biosensor_gateway.doctor.context import Context, read_context
 from tests.doctor.conftest import POLAR, above_ok, only
 
@@ -88,12 +88,12 @@ def test_a_running_agent_is_shown(
         agent = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
     try:
         deadline = time.monotonic() + DEADLINE_S
-        while not (context.state_folder / health.STATUS_FILE).exists():
+        while not (context.state_folder / status_file.STATUS_FILE).exists():
             assert time.monotonic() < deadline
             time.sleep(0.05)
         assert only(examine(context, "settings"), f"an agent runs (process {agent.pid})")
         agent.send_signal(signal.SIGSTOP)
-        (context.state_folder / health.STATUS_FILE).write_text("{}")
+        (context.state_folder / status_file.STATUS_FILE).write_text("{}")
         stuck = only(examine(context, "settings"), "does not report")
         assert stuck.level is Level.WARNING
     finally:

@@ -14,7 +14,7 @@ from biosensor_common.doctor import stream_rules
 from biosensor_common.doctor.checks import streams
 from biosensor_common.doctor.finding import Finding, Level
 from biosensor_common.doctor.seen_stream import SeenStream
-from biosensor_gateway import health
+from biosensor_gateway.agent import status_file
 from biosensor_gateway.doctor.context import Context
 from tests.doctor.conftest import above_ok, only
 from tests.doctor.outlets import Offered
@@ -95,7 +95,7 @@ def test_what_the_agent_offers_and_nobody_sees(
 ) -> None:
     del session
     device: dict[str, Any] = {"sensor": "zephyr", "streams": {"zephyr-1-ecg": {}}}
-    health.write_status(
+    status_file.write_status(
         context.state_folder, {"written": time.time() + 60, "process": 1, "devices": [device]}
     )
     found = only(examine(context, "streams"), "zephyr-1-ecg")

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from biosensor_common.naming import source_id
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, StreamSpec
-from lsl_to_ros.messages import CLASSES
+from lsl_to_ros.topics.messages import CLASSES
 from tests.rigs.lab_client import LabProcess, Samples, settings_toml
 
 JITTER_S = 0.03

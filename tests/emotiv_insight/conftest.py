@@ -22,12 +22,12 @@ from websockets.exceptions import ConnectionClosed
 
 from biosensor_common.sensors.emotiv_insight import SENSOR
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway import supervisor as supervisor_module
-from biosensor_gateway.devices.emotiv_insight import account, driver, headsets
-from biosensor_gateway.devices.emotiv_insight.driver import DRIVER
-from biosensor_gateway.devices.emotiv_insight.settings import EmotivInsightSettings
-from biosensor_gateway.sink import DeviceSink
-from biosensor_gateway.supervisor import State, Supervisor
+from biosensor_gateway.agent import supervisor as supervisor_module
+from biosensor_gateway.agent.supervisor import State, Supervisor
+from biosensor_gateway.devices.emotiv_insight.driver import account, driver, headsets
+from biosensor_gateway.devices.emotiv_insight.driver.driver import DRIVER
+from biosensor_gateway.devices.emotiv_insight.driver.settings import EmotivInsightSettings
+from biosensor_gateway.streaming.sink import DeviceSink
 
 DEADLINE_S = 30.0
 HEADSET_ID = "INSIGHT-12341234"

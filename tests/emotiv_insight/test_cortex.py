@@ -18,10 +18,10 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
-from biosensor_gateway.devices.emotiv_insight import cortex as module
-from biosensor_gateway.devices.emotiv_insight.codes import ErrorKind, Event
-from biosensor_gateway.devices.emotiv_insight.cortex import CortexClient, CortexError
-from biosensor_gateway.devices.emotiv_insight.messages import FaultCode
+from biosensor_gateway.devices.emotiv_insight.driver import cortex as module
+from biosensor_gateway.devices.emotiv_insight.driver.codes import ErrorKind, Event
+from biosensor_gateway.devices.emotiv_insight.driver.cortex import CortexClient, CortexError
+from biosensor_gateway.devices.emotiv_insight.driver.messages import FaultCode
 from biosensor_gateway.transports.websocket import ReceivedText
 
 SECRET = "planted-secret"

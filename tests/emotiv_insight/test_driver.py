@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from structlog.testing import capture_logs
 
+from biosensor_gateway.agent.supervisor import State
 from biosensor_gateway.devices.emotiv_insight.simulator import (
     EPOC_X,
     INSIGHT_1_GYRO,
@@ -23,7 +24,6 @@ from biosensor_gateway.devices.emotiv_insight.simulator import (
 )
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
-from biosensor_gateway.supervisor import State
 
 if TYPE_CHECKING:
     from tests.emotiv_insight.conftest import Run

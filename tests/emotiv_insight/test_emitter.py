@@ -11,8 +11,8 @@ import pytest
 from structlog.testing import capture_logs
 
 from biosensor_common.spec import DeviceInfo
-from biosensor_gateway.devices.emotiv_insight.emitter import EmotivEmitter
-from biosensor_gateway.devices.emotiv_insight.protocol import Sample
+from biosensor_gateway.devices.emotiv_insight.driver.emitter import EmotivEmitter
+from biosensor_gateway.devices.emotiv_insight.driver.protocol import Sample
 
 if TYPE_CHECKING:
     from tests.emotiv_insight.conftest import NotedSink

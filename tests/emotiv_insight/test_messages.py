@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.emotiv_insight import results
-from biosensor_gateway.devices.emotiv_insight.codes import Event
-from biosensor_gateway.devices.emotiv_insight.messages import (
+from biosensor_gateway.devices.emotiv_insight.driver import results
+from biosensor_gateway.devices.emotiv_insight.driver.codes import Event
+from biosensor_gateway.devices.emotiv_insight.driver.messages import (
     STREAMS,
     Data,
     Fault,
@@ -22,7 +22,7 @@ from biosensor_gateway.devices.emotiv_insight.messages import (
     Warned,
     parse,
 )
-from biosensor_gateway.devices.emotiv_insight.protocol import Decoder, Sample, layout
+from biosensor_gateway.devices.emotiv_insight.driver.protocol import Decoder, Sample, layout
 
 FILE = Path(__file__).parent / "vectors" / "emotiv_cortex.json"
 VECTORS: list[dict[str, Any]] = json.loads(FILE.read_text(encoding="utf-8"))["vectors"]

@@ -24,12 +24,12 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
-from biosensor_gateway.devices.emotiv_insight import discovery
-from biosensor_gateway.devices.emotiv_insight.discovery import find
-from biosensor_gateway.devices.emotiv_insight.driver import DRIVER
-from biosensor_gateway.logs import LOG_FILE_NAME, configure_logs
-from biosensor_gateway.settings import LogSettings
-from biosensor_gateway.supervisor import State
+from biosensor_gateway.agent.supervisor import State
+from biosensor_gateway.devices.emotiv_insight.driver import discovery
+from biosensor_gateway.devices.emotiv_insight.driver.discovery import find
+from biosensor_gateway.devices.emotiv_insight.driver.driver import DRIVER
+from biosensor_gateway.settings.models import LogSettings
+from biosensor_gateway.system.logs import LOG_FILE_NAME, configure_logs
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -7,14 +7,14 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from biosensor_gateway.devices.emotiv_insight.driver import DRIVER
-from biosensor_gateway.devices.emotiv_insight.settings import (
+from biosensor_gateway.devices.emotiv_insight.driver.driver import DRIVER
+from biosensor_gateway.devices.emotiv_insight.driver.settings import (
     DEFAULT_URL,
     EmotivInsightSettings,
     is_loopback,
 )
-from biosensor_gateway.settings import DeviceSettings
-from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.streaming.sink import DeviceSink
 
 
 def settings(**fields: Any) -> EmotivInsightSettings:

@@ -19,15 +19,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from biosensor_common.sensors.empatica_e4 import SENSOR
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway import silence as silence_module
-from biosensor_gateway import supervisor as supervisor_module
-from biosensor_gateway.counters import Counters
-from biosensor_gateway.devices.empatica_e4 import driver as driver_module
-from biosensor_gateway.devices.empatica_e4.driver import DRIVER, E4Settings
+from biosensor_gateway.agent import supervisor as supervisor_module
+from biosensor_gateway.agent.supervisor import State, Supervisor
+from biosensor_gateway.devices.empatica_e4.driver import driver as driver_module
+from biosensor_gateway.devices.empatica_e4.driver.driver import DRIVER, E4Settings
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.world import World
-from biosensor_gateway.sink import DeviceSink
-from biosensor_gateway.supervisor import State, Supervisor
+from biosensor_gateway.streaming import silence as silence_module
+from biosensor_gateway.streaming.counters import Counters
+from biosensor_gateway.streaming.sink import DeviceSink
 
 DEADLINE_S = 40.0
 REGULAR = ("bvp", "acc", "gsr", "st")

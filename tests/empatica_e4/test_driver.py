@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from structlog.testing import capture_logs
 
+from biosensor_gateway.agent.supervisor import State
 from biosensor_gateway.devices.discovery import Found
-from biosensor_gateway.devices.empatica_e4.driver import DRIVER, E4Settings
+from biosensor_gateway.devices.empatica_e4.driver.driver import DRIVER, E4Settings
 from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
-from biosensor_gateway.supervisor import State
 
 ID, OTHER = "9ff167", "cc34cd"
 SAME_CONNECTION = "You've tried to connect to the device from the same connection"

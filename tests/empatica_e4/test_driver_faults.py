@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from structlog.testing import capture_logs
 
+from biosensor_gateway.agent.supervisor import State
 from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
-from biosensor_gateway.supervisor import State
 
 ID = "9ff167"
 FOREVER = float("inf")

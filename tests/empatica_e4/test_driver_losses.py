@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from structlog.testing import capture_logs
 
-from biosensor_gateway.devices.empatica_e4 import emitter as emitter_module
-from biosensor_gateway.devices.empatica_e4 import loss as loss_module
+from biosensor_gateway.devices.empatica_e4.driver import emitter as emitter_module
+from biosensor_gateway.devices.empatica_e4.driver import loss as loss_module
 from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World

@@ -12,10 +12,10 @@ from structlog.testing import capture_logs
 
 from biosensor_common.sensors.empatica_e4 import SENSOR
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.devices.empatica_e4.emitter import E4Emitter
-from biosensor_gateway.devices.empatica_e4.loss import WINDOW_S
-from biosensor_gateway.devices.empatica_e4.messages import Sample, Stream
-from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.devices.empatica_e4.driver.emitter import E4Emitter
+from biosensor_gateway.devices.empatica_e4.driver.loss import WINDOW_S
+from biosensor_gateway.devices.empatica_e4.driver.messages import Sample, Stream
+from biosensor_gateway.streaming.sink import DeviceSink
 
 UNIX_S = 1_680_442_024.0
 ARRIVAL_S = 5_000.0

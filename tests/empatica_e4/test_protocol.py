@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.empatica_e4.messages import (
+from biosensor_gateway.devices.empatica_e4.driver.messages import (
     Event,
     Flaw,
     Malformed,
@@ -19,7 +19,11 @@ from biosensor_gateway.devices.empatica_e4.messages import (
     Reply,
     Sample,
 )
-from biosensor_gateway.devices.empatica_e4.protocol import MAX_LINE_BYTES, E4Protocol, request
+from biosensor_gateway.devices.empatica_e4.driver.protocol import (
+    MAX_LINE_BYTES,
+    E4Protocol,
+    request,
+)
 
 VECTORS: list[dict[str, Any]] = json.loads(
     (Path(__file__).parent / "vectors/empatica_e4.json").read_text(encoding="utf-8")

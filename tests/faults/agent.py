@@ -14,8 +14,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from biosensor_common.errors import ConfigError
-from biosensor_gateway import health
-from biosensor_gateway.logs import LOG_FILE_NAME
+from biosensor_gateway.agent import status_file
+from biosensor_gateway.system.logs import LOG_FILE_NAME
 
 _STOP_LIMIT_S = 30.0
 
@@ -84,7 +84,7 @@ class AgentProcess:
         """What the agent says of itself, by sensor; empty before it has said anything."""
         assert self.is_running, self.console()
         try:
-            status = health.read_status(self._folder)
+            status = status_file.read_status(self._folder)
         except ConfigError:
             return {}
         assert status["process"] == self.pid

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.streaming.sink import DeviceSink
 from tests.fuzz.contract import ensure
 
 ARRIVAL_S = 5_000.0

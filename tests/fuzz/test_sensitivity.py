@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from biosensor_gateway.xdf.container import Damage
+from biosensor_gateway.recording.xdf.container import Damage
 from tests.fuzz.contract import CORPUS, NAMES, inputs, load, strictly
 
 DEVICES = "biosensor_gateway.devices"
@@ -83,29 +83,37 @@ FAULTS: dict[str, tuple[str, str, Breaking]] = {
         "parse_battery_level",
         instead(any_byte),
     ),
-    "control_request": ("biosensor_gateway.control.ControlServer", "_is_token", always(True)),
-    "counters": ("lsl_to_ros.messages", "_finite", instead(float)),
-    "emotiv_cortex": (f"{DEVICES}.emotiv_insight.protocol", "_labelled", instead(any_columns)),
-    "empatica_e4": (f"{DEVICES}.empatica_e4.protocol", "_number", instead(any_number)),
-    "lsl_config": ("biosensor_gateway.lsl_file.LslFile", "adapt", always(None)),
+    "control_request": ("biosensor_gateway.agent.control.ControlServer", "_is_token", always(True)),
+    "counters": ("lsl_to_ros.topics.messages", "_finite", instead(float)),
+    "emotiv_cortex": (
+        f"{DEVICES}.emotiv_insight.driver.protocol",
+        "_labelled",
+        instead(any_columns),
+    ),
+    "empatica_e4": (f"{DEVICES}.empatica_e4.driver.protocol", "_number", instead(any_number)),
+    "lsl_config": ("biosensor_gateway.recording.lsl_api_cfg.LslFile", "adapt", always(None)),
     "lsl_header": ("biosensor_common.lsl_header", "_channel_texts", always(((), ()))),
     "naming": ("biosensor_common.naming", "_escape", instead(any_text)),
     "polar_control": ("tests.fuzz.targets.polar_control", "choose", instead(any_setting)),
     "polar_frames": (
-        f"{DEVICES}.polar_h10.protocol.timeline.FrameTimeline",
+        f"{DEVICES}.polar_h10.driver.protocol.timeline.FrameTimeline",
         "_follows",
         always(True),
     ),
-    "settings": ("biosensor_gateway.toml_lines._Scanner", "_note", instead(any_path)),
-    "shimmer3": (f"{DEVICES}.shimmer3_gsr.protocol.ShimmerProtocol", "feed", forgets_what_it_holds),
-    "status": ("tests.fuzz.targets.status", "read_status", instead(any_status)),
-    "vernier": (
-        f"{DEVICES}.vernier_respiration_belt.packets.PacketParser",
+    "settings": ("biosensor_gateway.settings.toml_lines._Scanner", "_note", instead(any_path)),
+    "shimmer3": (
+        f"{DEVICES}.shimmer3_gsr.driver.protocol.ShimmerProtocol",
         "feed",
         forgets_what_it_holds,
     ),
-    "xdf": ("biosensor_gateway.xdf.container", "_damage", ends_too_late),
-    "zephyr": (f"{DEVICES}.zephyr.frames.FrameParser", "feed", forgets_what_it_holds),
+    "status": ("tests.fuzz.targets.status", "read_status", instead(any_status)),
+    "vernier": (
+        f"{DEVICES}.vernier_respiration_belt.driver.packets.PacketParser",
+        "feed",
+        forgets_what_it_holds,
+    ),
+    "xdf": ("biosensor_gateway.recording.xdf.container", "_damage", ends_too_late),
+    "zephyr": (f"{DEVICES}.zephyr.driver.frames.FrameParser", "feed", forgets_what_it_holds),
 }
 
 

@@ -13,7 +13,7 @@ from biosensor_common.naming import lsl_name, source_id
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, StreamSpec
 from biosensor_gateway.devices import settings_models
-from biosensor_gateway.settings_template import template
+from biosensor_gateway.settings.template import template
 from tests.xdf import xdf_file
 
 Seeds = Iterator[tuple[str, bytes]]

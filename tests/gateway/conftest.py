@@ -21,10 +21,10 @@ import pytest
 import structlog
 
 from biosensor_gateway import cli
-from biosensor_gateway.logs import flush_logs
 from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.world import World
+from biosensor_gateway.system.logs import flush_logs
 
 DEADLINE_S = 30.0
 _POLL_S = 0.01

@@ -21,7 +21,7 @@ import sys
 import time
 from pathlib import Path
 
-from biosensor_gateway.ending import end_quietly_until_running, until_signalled
+from biosensor_gateway.system.shutdown import end_quietly_until_running, until_signalled
 
 RECORD = Path(sys.argv[1])
 CLOSING_S = float(sys.argv[2]) if len(sys.argv) > 2 else 0.0
@@ -39,7 +39,7 @@ def wait_for_window() -> None:
     if sys.platform == "win32":
         import ctypes  # noqa: PLC0415 - Windows only
 
-        from biosensor_gateway.windows_ending import WINDOW_CLASS  # noqa: PLC0415 - the same
+        from biosensor_gateway.system.windows_shutdown import WINDOW_CLASS  # noqa: PLC0415 - the same
 
         while not ctypes.windll.user32.FindWindowW(WINDOW_CLASS, None):
             time.sleep(0.01)

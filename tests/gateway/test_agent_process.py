@@ -22,14 +22,14 @@ import pytest
 from biosensor_common import naming
 from biosensor_common.errors import ConfigError
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway import agent as agent_module
-from biosensor_gateway import health
-from biosensor_gateway.agent import Agent
+from biosensor_gateway.agent import agent as agent_module
+from biosensor_gateway.agent import status_file
+from biosensor_gateway.agent.agent import Agent
+from biosensor_gateway.agent.supervisor import State, Supervisor
 from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
-from biosensor_gateway.settings import GatewaySettings
-from biosensor_gateway.sink import DeviceSink
-from biosensor_gateway.supervisor import State, Supervisor
+from biosensor_gateway.settings.models import GatewaySettings
+from biosensor_gateway.streaming.sink import DeviceSink
 
 ENDED_WITHIN_S = 15.0
 OPENING_TAKES_A_MINUTE = """
@@ -49,7 +49,7 @@ BOTH_SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM]
 def device_of(folder: Path) -> dict[str, Any]:
     """Return the only device of a running agent's status; empty while there is none."""
     try:
-        devices = health.read_status(folder)["devices"]
+        devices = status_file.read_status(folder)["devices"]
     except ConfigError:
         return {}
     return devices[0] if devices else {}
@@ -191,7 +191,7 @@ def test_status_follows_a_virtual_device_from_start_to_kill(
         process.wait()
     # Nobody was left to remove the file; its age tells.
     until(lambda: device_of(tmp_path) == {})
-    assert (tmp_path / health.STATUS_FILE).exists()
+    assert (tmp_path / status_file.STATUS_FILE).exists()
     assert status(tmp_path).returncode == 1
 
 

@@ -16,7 +16,7 @@ import pytest
 import serial
 
 from biosensor_common.errors import ConfigError
-from biosensor_gateway import health
+from biosensor_gateway.agent import status_file
 from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
 
 # What a serial line of 115200 baud carries in a twentieth of a second.
@@ -35,7 +35,7 @@ class Lab(NamedTuple):
 
     def device(self, unit: str) -> dict[str, Any]:
         with contextlib.suppress(ConfigError):
-            for device in health.read_status(self.folder)["devices"]:
+            for device in status_file.read_status(self.folder)["devices"]:
                 if device["unit"] == unit:
                     return device
         return {}

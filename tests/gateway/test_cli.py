@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from biosensor_gateway import health, simulate
+from biosensor_gateway.agent import status_file
+from biosensor_gateway.demo import virtual_devices as simulate
 
 if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome
@@ -53,7 +54,7 @@ def one_sentence(outcome: Outcome, code: int) -> str:
 
 def write_status(state: Path, *devices: dict[str, Any], age_s: float = 0.0) -> None:
     written = {"written": time.time() - age_s, "process": 1, "devices": list(devices)}
-    health.write_status(state, written)
+    status_file.write_status(state, written)
 
 
 def test_the_version_is_the_distribution_s(run: Run) -> None:
@@ -191,7 +192,7 @@ def test_status_of_an_agent_that_is_gone_fails(run: Run, state: Path) -> None:
 
 def test_a_damaged_status_file_fails(run: Run, state: Path) -> None:
     state.mkdir()
-    (state / health.STATUS_FILE).write_text("{")
+    (state / status_file.STATUS_FILE).write_text("{")
     assert str(state) in one_sentence(run("status"), 1)
 
 

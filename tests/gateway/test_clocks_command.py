@@ -19,10 +19,10 @@ import pytest
 
 from biosensor_common.device_clock import ClockState, DeviceClock
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway import health
-from biosensor_gateway.counters import Counters, counters_text
-from biosensor_gateway.sink import DeviceSink
-from biosensor_gateway.xdf.counted import parse_readings
+from biosensor_gateway.agent import status_file
+from biosensor_gateway.recording.xdf.counted import parse_readings
+from biosensor_gateway.streaming.counters import Counters, counters_text
+from biosensor_gateway.streaming.sink import DeviceSink
 
 if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome
@@ -53,7 +53,7 @@ DEVICE: dict[str, Any] = {
 
 def write_status(state: Path, *devices: dict[str, Any], **more: object) -> None:
     written = {"written": time.time(), "process": 1, "lsl_time": 1000.0, "devices": list(devices)}
-    health.write_status(state, written | more)
+    status_file.write_status(state, written | more)
 
 
 def test_without_an_agent_it_fails(run: Run) -> None:
@@ -139,7 +139,7 @@ def test_the_status_has_the_time_to_which_the_ages_belong(unit: str) -> None:
     sink.open(DeviceInfo(), {})
     now = pylsl.local_clock()
     sink.observe(5.0, now)
-    taken = health.snapshot([])
+    taken = status_file.snapshot([])
     assert taken["lsl_time"] - sink.clock_state.newest_s == pytest.approx(0.0, abs=DEADLINE_S)
     assert sink.clock_state.newest_s == pytest.approx(now)
     rates = {source.rpartition("-")[2]: rate for source, rate in sink.nominal_rates.items()}
@@ -170,7 +170,7 @@ def test_the_counters_carry_the_clock_once_a_device() -> None:
 
 
 def test_readers_of_the_counters_are_not_disturbed_by_it() -> None:
-    from lsl_to_ros.messages import read_counters  # noqa: PLC0415 - brings ROS along
+    from lsl_to_ros.topics.messages import read_counters  # noqa: PLC0415 - brings ROS along
 
     text = counters_text({"a-1-x": Counters(5, 4, 3, 2.5)}, {"a-1-x": STATE})
     (entry,) = read_counters(text).values()

@@ -24,9 +24,9 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
-from biosensor_gateway import control
-from biosensor_gateway.control import CONTROL_FILE, ControlServer, ask
-from biosensor_gateway.single_instance import LOCK_FILE, single_instance
+from biosensor_gateway.agent import control
+from biosensor_gateway.agent.control import CONTROL_FILE, ControlServer, ask
+from biosensor_gateway.agent.single_instance import LOCK_FILE, single_instance
 
 DEADLINE_S = 30.0
 NO_AGENT = "no agent is running; start one with: biosensor-gateway run"

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_gateway.ending import until_signalled
+from biosensor_gateway.system.shutdown import until_signalled
 
 DEADLINE_S = 30.0
 PROGRAM = Path(__file__).with_name("ending_program.py")

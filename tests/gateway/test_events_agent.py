@@ -17,7 +17,7 @@ from pylsl.util import LostError
 
 from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway import health
+from biosensor_gateway.agent import status_file
 
 DEADLINE_S = 30.0
 SOURCE = naming.source_id(DeviceIdentity("gateway", socket.gethostname()), "events")
@@ -31,7 +31,7 @@ StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
 
 def lost_by_status(folder: Path) -> dict[str, int]:
     """Return the lost samples of the only device by data name, of those that lost any."""
-    streams = health.read_status(folder)["devices"][0]["streams"]
+    streams = status_file.read_status(folder)["devices"][0]["streams"]
     lost = {source.rpartition("-")[2]: counted["lost"] for source, counted in streams.items()}
     return {name: count for name, count in lost.items() if count}
 

@@ -13,13 +13,13 @@ from biosensor_common.quantities import ChannelRole, ContentType, Unit
 from biosensor_common.registry import sensor, sensor_names
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
 from biosensor_common.table import channels, raw
-from biosensor_gateway.events import EventKind
-from biosensor_gateway.events.announcer import Announcer
-from biosensor_gateway.events.device import DeviceEvents
-from biosensor_gateway.events.gaps import SETTLE_S, Gap, GapWatch
-from biosensor_gateway.events.wear import WearWatch
-from biosensor_gateway.sink import DeviceSink
-from biosensor_gateway.withholding import RESUME_GUARD_S
+from biosensor_gateway.streaming.events import EventKind
+from biosensor_gateway.streaming.events.announcer import Announcer
+from biosensor_gateway.streaming.events.contact import WearWatch
+from biosensor_gateway.streaming.events.device import DeviceEvents
+from biosensor_gateway.streaming.events.gaps import SETTLE_S, Gap, GapWatch
+from biosensor_gateway.streaming.pause_gate import RESUME_GUARD_S
+from biosensor_gateway.streaming.sink import DeviceSink
 
 DEVICE_S = 8.2e8
 H10 = "polar_h10"

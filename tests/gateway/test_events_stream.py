@@ -20,13 +20,13 @@ from structlog.testing import capture_logs
 from biosensor_common import naming
 from biosensor_common.errors import ConfigError
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.events import EventKind
-from biosensor_gateway.events import announcer as announcer_module
-from biosensor_gateway.events.announcer import Announcer
-from biosensor_gateway.events.device import DeviceEvents
-from biosensor_gateway.events.unfailing import unfailing
-from biosensor_gateway.settings_file import load_settings
-from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.settings.file import load_settings
+from biosensor_gateway.streaming.events import EventKind
+from biosensor_gateway.streaming.events import announcer as announcer_module
+from biosensor_gateway.streaming.events.announcer import Announcer
+from biosensor_gateway.streaming.events.device import DeviceEvents
+from biosensor_gateway.streaming.events.log_errors import unfailing
+from biosensor_gateway.streaming.sink import DeviceSink
 
 SOURCE = naming.source_id(DeviceIdentity("gateway", socket.gethostname()), "events")
 STATES = {"zephyr/1": "streaming"}

@@ -12,10 +12,10 @@ import pytest
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway import health
+from biosensor_gateway.agent import status_file
+from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected
-from biosensor_gateway.sink import DeviceSink
-from biosensor_gateway.supervisor import Supervisor
+from biosensor_gateway.streaming.sink import DeviceSink
 
 
 class NoDriver:
@@ -37,16 +37,16 @@ def status(age_s: float = 0.0, **more: object) -> dict[str, object]:
 
 def refusal(folder: Path) -> ConfigError:
     with pytest.raises(ConfigError) as caught:
-        health.read_status(folder)
+        status_file.read_status(folder)
     return caught.value
 
 
 def test_what_was_written_is_read(tmp_path: Path) -> None:
     folder = tmp_path / "not" / "there" / "yet"
     written = status(devices=[{"sensor": "zephyr"}])
-    health.write_status(folder, written)
-    assert health.read_status(folder) == written
-    assert [path.name for path in folder.iterdir()] == [health.STATUS_FILE]
+    status_file.write_status(folder, written)
+    assert status_file.read_status(folder) == written
+    assert [path.name for path in folder.iterdir()] == [status_file.STATUS_FILE]
 
 
 def test_no_file_means_no_agent(tmp_path: Path) -> None:
@@ -56,7 +56,7 @@ def test_no_file_means_no_agent(tmp_path: Path) -> None:
 
 
 def test_an_old_file_means_no_agent(tmp_path: Path) -> None:
-    health.write_status(tmp_path, status(age_s=60))
+    status_file.write_status(tmp_path, status(age_s=60))
     error = refusal(tmp_path)
     assert error.reason is ConfigReason.NOT_FOUND
     assert "60 s ago" in str(error)
@@ -66,40 +66,40 @@ def test_an_old_file_means_no_agent(tmp_path: Path) -> None:
     "text", ["", "{", "[]", "{}", '{"written": "now"}', '{"written": null}', "\xff\xfe"]
 )
 def test_a_damaged_file_is_said_to_be_damaged(tmp_path: Path, text: str) -> None:
-    (tmp_path / health.STATUS_FILE).write_text(text, encoding="latin-1")
+    (tmp_path / status_file.STATUS_FILE).write_text(text, encoding="latin-1")
     error = refusal(tmp_path)
     assert error.reason is ConfigReason.UNREADABLE
     assert str(tmp_path) in str(error)
 
 
 def test_removing_says_that_the_agent_has_ended(tmp_path: Path) -> None:
-    health.write_status(tmp_path, status())
-    health.remove_status(tmp_path)
-    health.remove_status(tmp_path)
+    status_file.write_status(tmp_path, status())
+    status_file.remove_status(tmp_path)
+    status_file.remove_status(tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_removing_never_fails(tmp_path: Path) -> None:
     in_the_way = tmp_path / "state"
     in_the_way.touch()
-    health.remove_status(in_the_way)
+    status_file.remove_status(in_the_way)
     with pytest.raises(OSError, match="state"):
-        health.write_status(in_the_way, status())
+        status_file.write_status(in_the_way, status())
 
 
 def test_a_reader_never_sees_half_a_file(tmp_path: Path) -> None:
-    health.write_status(tmp_path, status(devices=["x" * 500_000]))
+    status_file.write_status(tmp_path, status(devices=["x" * 500_000]))
     ended = threading.Event()
 
     def write() -> None:
         while not ended.is_set():
-            health.write_status(tmp_path, status(devices=["x" * 500_000]))
+            status_file.write_status(tmp_path, status(devices=["x" * 500_000]))
 
     writer = threading.Thread(target=write)
     writer.start()
     try:
         for _ in range(50):
-            assert len(health.read_status(tmp_path)["devices"][0]) == 500_000
+            assert len(status_file.read_status(tmp_path)["devices"][0]) == 500_000
     finally:
         ended.set()
         writer.join()
@@ -108,14 +108,14 @@ def test_a_reader_never_sees_half_a_file(tmp_path: Path) -> None:
 def test_a_snapshot_holds_every_device_and_stream_and_is_json(unit: str) -> None:
     sink = DeviceSink(DeviceIdentity("gateway", unit, "p01", "left"))
     supervisor = Supervisor(NoDriver, sink)
-    before = health.snapshot([(supervisor, sink)])["devices"][0]
+    before = status_file.snapshot([(supervisor, sink)])["devices"][0]
     assert (before["state"], before["connections"]) == ("discovering", 0)
     assert (before["clock"], before["streams"]) == (None, {})
     sink.open(DeviceInfo(), {})
     sink.observe(1.0, 2.0)
     sink.dropped_bytes = 9
     sink.lost("events", 4)
-    taken = health.snapshot([(supervisor, sink)])
+    taken = status_file.snapshot([(supervisor, sink)])
     (device,) = json.loads(json.dumps(taken, allow_nan=False))["devices"]
     assert {key: device[key] for key in ("sensor", "unit", "participant", "label")} == {
         "sensor": "gateway", "unit": unit, "participant": "p01", "label": "left"

@@ -16,11 +16,11 @@ import pytest
 from biosensor_common import naming
 from biosensor_common.errors import ConfigError
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway import control, health
-from biosensor_gateway.control import CONTROL_FILE
+from biosensor_gateway.agent import control, status_file
+from biosensor_gateway.agent.control import CONTROL_FILE
 from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
 from biosensor_gateway.devices.zephyr.simulator.wire import Packet
-from biosensor_gateway.logs import LOG_FILE_NAME
+from biosensor_gateway.system.logs import LOG_FILE_NAME
 from tests.rigs.held_console import HeldConsole
 
 DEADLINE_S = 30.0
@@ -61,7 +61,7 @@ def ask(folder: Path, command: str, unit: str) -> dict[str, Any]:
 
 def pushed(folder: Path) -> int:
     try:
-        devices = health.read_status(folder)["devices"]
+        devices = status_file.read_status(folder)["devices"]
     except ConfigError:
         return 0
     return sum(stream["pushed"] for each in devices for stream in each["streams"].values())

@@ -18,9 +18,9 @@ import pytest
 import structlog
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway import log_outputs
-from biosensor_gateway.logs import LOG_FILE_NAME, configure_logs
-from biosensor_gateway.settings import LogSettings
+from biosensor_gateway.settings.models import LogSettings
+from biosensor_gateway.system import log_outputs
+from biosensor_gateway.system.logs import LOG_FILE_NAME, configure_logs
 
 DEADLINE_S = 30.0
 LINES, PADDING = 4000, "x" * 400
@@ -32,9 +32,9 @@ PROGRAM = """
 import sys, time
 from pathlib import Path
 import structlog
-from biosensor_gateway.log_outputs import HELD_AFTER_S
-from biosensor_gateway.logs import configure_logs
-from biosensor_gateway.settings import LogSettings
+from biosensor_gateway.system.log_outputs import HELD_AFTER_S
+from biosensor_gateway.system.logs import configure_logs
+from biosensor_gateway.settings.models import LogSettings
 
 configure_logs(LogSettings(), Path(sys.argv[1]))
 log = structlog.stdlib.get_logger("biosensor_gateway.test")

@@ -6,7 +6,7 @@ from typing import Any
 
 from structlog.testing import capture_logs
 
-from biosensor_gateway.keep_awake import GRACE_S, RETRY_S, KeepAwake
+from biosensor_gateway.system.keep_awake import GRACE_S, RETRY_S, KeepAwake
 
 KEPT = "the computer is kept from sleeping while a device streams"
 LET_GO = "the computer may go to sleep again"

@@ -19,8 +19,8 @@ import pytest
 from structlog.testing import capture_logs
 
 from biosensor_common.errors import ConfigError
-from biosensor_gateway import health
-from biosensor_gateway.keep_awake import Inhibitor, KeepAwake, system_inhibitor
+from biosensor_gateway.agent import status_file
+from biosensor_gateway.system.keep_awake import Inhibitor, KeepAwake, system_inhibitor
 
 Until = Callable[[Callable[[], bool]], None]
 StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
@@ -194,7 +194,7 @@ def test_a_container_without_a_system_bus_has_nobody_to_ask(
     programs: Programs, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.delenv("DBUS_SYSTEM_BUS_ADDRESS")
-    monkeypatch.setattr("biosensor_gateway.keep_awake._BUS_SOCKET", tmp_path / "bus")
+    monkeypatch.setattr("biosensor_gateway.system.keep_awake._BUS_SOCKET", tmp_path / "bus")
     assert system_inhibitor("linux") is None
     (tmp_path / "bus").touch()
     assert system_inhibitor("linux") is not None
@@ -202,7 +202,7 @@ def test_a_container_without_a_system_bus_has_nobody_to_ask(
 
 
 HOLDS = """
-from biosensor_gateway.keep_awake import KeepAwake, system_inhibitor
+from biosensor_gateway.system.keep_awake import KeepAwake, system_inhibitor
 import sys, time
 awake = KeepAwake(system_inhibitor(sys.argv[1]))
 while True:
@@ -229,7 +229,7 @@ def test_the_program_ends_with_a_process_that_is_killed(
 def device_state(folder: Path) -> tuple[str, float]:
     """State of the only device of a running agent, and when the agent reported it."""
     try:
-        status = health.read_status(folder)
+        status = status_file.read_status(folder)
     except ConfigError:
         return "", 0.0
     return status["devices"][0]["state"], status["written"]

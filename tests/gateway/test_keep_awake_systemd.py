@@ -16,7 +16,7 @@ from dbus_fast.constants import MessageType
 from dbus_fast.message import Message
 from structlog.testing import capture_logs
 
-from biosensor_gateway.keep_awake import KeepAwake, system_inhibitor
+from biosensor_gateway.system.keep_awake import KeepAwake, system_inhibitor
 from tests.rigs.bluez.private_bus import PrivateBus
 
 pytestmark = pytest.mark.skipif(

@@ -15,8 +15,8 @@ import structlog
 from _pytest.capture import CaptureResult
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.logs import LOG_FILE_NAME, configure_logs, flush_logs
-from biosensor_gateway.settings import LogSettings
+from biosensor_gateway.settings.models import LogSettings
+from biosensor_gateway.system.logs import LOG_FILE_NAME, configure_logs, flush_logs
 
 DEADLINE_S = 30.0
 LOG = structlog.stdlib.get_logger("biosensor_gateway.test")

@@ -20,16 +20,16 @@ from rich.console import Console
 from rich.traceback import Traceback
 
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.devices.emotiv_insight import cortex as cortex_client
-from biosensor_gateway.devices.emotiv_insight.driver import DRIVER
-from biosensor_gateway.devices.emotiv_insight.requests import request_text
+from biosensor_gateway.agent.supervisor import Supervisor
+from biosensor_gateway.devices.emotiv_insight.driver import cortex as cortex_client
+from biosensor_gateway.devices.emotiv_insight.driver.driver import DRIVER
+from biosensor_gateway.devices.emotiv_insight.driver.requests import request_text
 from biosensor_gateway.devices.emotiv_insight.simulator import SimulatedCortex, Timing
-from biosensor_gateway.logs import LOG_FILE_NAME, configure_logs, flush_logs
-from biosensor_gateway.settings import LogSettings
+from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
-from biosensor_gateway.sink import DeviceSink
-from biosensor_gateway.supervisor import Supervisor
+from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.system.logs import LOG_FILE_NAME, configure_logs, flush_logs
 from tests.rigs import file_keyring
 
 CLIENT_ID, CLIENT_SECRET = "planted-id-3c80f1", "planted-secret-77ab02"

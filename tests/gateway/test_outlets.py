@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 from biosensor_common.registry import sensor
 from biosensor_common.sensors.zephyr import SENSOR
 from biosensor_common.spec import FROM_DEVICE, DeviceIdentity, DeviceInfo, StreamSpec
-from biosensor_gateway import outlets as module
-from biosensor_gateway.counters import Counters, counters_text
-from biosensor_gateway.outlets import DeviceOutlets, Outlet
+from biosensor_gateway.streaming import outlets as module
+from biosensor_gateway.streaming.counters import Counters, counters_text
+from biosensor_gateway.streaming.outlets import DeviceOutlets, Outlet
 
 FORMATS = {
     "float32": pylsl.cf_float32,

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from biosensor_gateway.quick_edit import (
+from biosensor_gateway.system.quick_edit import (
     ENABLE_EXTENDED_FLAGS,
     ENABLE_QUICK_EDIT_MODE,
     quick_edit_off,

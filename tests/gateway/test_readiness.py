@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from biosensor_gateway import health
-from biosensor_gateway.readiness import Readiness, steady_streams, wait_until_ready
+from biosensor_gateway.agent import status_file
+from biosensor_gateway.agent.readiness import Readiness, steady_streams, wait_until_ready
 from tests.faults import expectations
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def reporting(state: Path, report: Report, process: Callable[[int], int] = lambd
     def write() -> None:
         for number in itertools.count():
             status = {"written": time.time(), "process": process(number), "devices": report(number)}
-            health.write_status(state, status)
+            status_file.write_status(state, status)
             if ended.wait(EVERY_S):
                 return
 

@@ -12,7 +12,7 @@ from contextlib import AbstractContextManager
 from os import environ
 from pathlib import Path
 
-from biosensor_gateway import health
+from biosensor_gateway.agent import status_file
 
 StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
 
@@ -40,7 +40,7 @@ def test_it_waits_for_an_agent_that_is_yet_to_start(cli_process: StartCli, tmp_p
         readiness = json.loads(out)
         streams = {
             source: counters
-            for device in health.read_status(tmp_path)["devices"]
+            for device in status_file.read_status(tmp_path)["devices"]
             for source, counters in device["streams"].items()
         }
         agent.send_signal(signal.SIGINT)

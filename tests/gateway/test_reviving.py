@@ -13,15 +13,15 @@ from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway import health, reviving
-from biosensor_gateway import silence as silence_module
-from biosensor_gateway import supervisor as supervisor_module
+from biosensor_gateway.agent import reviving, status_file
+from biosensor_gateway.agent import supervisor as supervisor_module
+from biosensor_gateway.agent.supervisor import State, Supervisor
 from biosensor_gateway.devices.driver import Connected
-from biosensor_gateway.events.announcer import Announcer
-from biosensor_gateway.events.device import DeviceEvents
-from biosensor_gateway.silence import Remedy, Silence
-from biosensor_gateway.sink import DeviceSink
-from biosensor_gateway.supervisor import State, Supervisor
+from biosensor_gateway.streaming import silence as silence_module
+from biosensor_gateway.streaming.events.announcer import Announcer
+from biosensor_gateway.streaming.events.device import DeviceEvents
+from biosensor_gateway.streaming.silence import Remedy, Silence
+from biosensor_gateway.streaming.sink import DeviceSink
 
 LIMIT_S = 0.2
 LONG_S = 3600.0
@@ -101,7 +101,7 @@ class Bench:
         return self.supervisor.last_error or ""
 
     def status(self) -> dict[str, Any]:
-        (device,) = health.snapshot([(self.supervisor, self.sink)])["devices"]
+        (device,) = status_file.snapshot([(self.supervisor, self.sink)])["devices"]
         return device
 
     async def end(self) -> None:

@@ -18,11 +18,11 @@ import keyring
 import pytest
 from keyring.backends import fail
 
-from biosensor_gateway import scan as search
 from biosensor_gateway.devices import settings_models
 from biosensor_gateway.devices.emotiv_insight.simulator import SimulatedCortex, Timing
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
-from biosensor_gateway.settings_file import load_settings
+from biosensor_gateway.doctor import scan as search
+from biosensor_gateway.settings.file import load_settings
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.world import World
@@ -234,7 +234,8 @@ def test_an_agent_connects_to_all_that_was_found(
 
 
 LISTENING = """
-from biosensor_gateway import cli, scan
+from biosensor_gateway import cli
+from biosensor_gateway.doctor import scan
 
 listen = scan.scan_bluetooth
 

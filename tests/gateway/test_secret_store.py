@@ -12,7 +12,7 @@ from keyring.backends import fail
 from keyring.errors import KeyringLocked, PasswordDeleteError, PasswordSetError
 
 from biosensor_common.errors import CredentialError, CredentialReason
-from biosensor_gateway.secret_store import (
+from biosensor_gateway.settings.secrets import (
     SERVICE,
     Secret,
     SecretName,

@@ -14,7 +14,7 @@ from serial.tools import list_ports
 
 from biosensor_gateway.devices import driver
 from biosensor_gateway.transports import serial_ports as ports
-from biosensor_gateway.transports.seen import SerialPort
+from biosensor_gateway.transports.nearby import SerialPort
 from tests.rigs.bluez.objects import ObjectTree
 from tests.rigs.bluez.private_bus import PrivateBus
 

@@ -11,11 +11,11 @@ import pytest
 from pydantic import Field, ValidationError
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.settings import (
+from biosensor_gateway.settings.file import load_settings
+from biosensor_gateway.settings.models import (
     DeviceSettings,
     GatewaySettings,
 )
-from biosensor_gateway.settings_file import load_settings
 
 
 class StrapSettings(DeviceSettings):

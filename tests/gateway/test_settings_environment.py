@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.settings import (
+from biosensor_gateway.settings.file import load_settings
+from biosensor_gateway.settings.models import (
     DeviceSettings,
     GatewaySettings,
     LslSettings,
     settings_path,
     state_folder,
 )
-from biosensor_gateway.settings_file import load_settings
 
 MODELS = {"strap": DeviceSettings}
 DEVICE = '[[device]]\nsensor = "strap"\nunit = "A"\n'

@@ -11,15 +11,15 @@ import pytest
 from pydantic import Field
 
 from biosensor_common.errors import ConfigError, ConfigReason, SpecError
-from biosensor_gateway.settings import (
+from biosensor_gateway.settings.file import load_settings
+from biosensor_gateway.settings.models import (
     DeviceSettings,
     EventSettings,
     GatewaySettings,
     LslSettings,
     PowerSettings,
 )
-from biosensor_gateway.settings_file import load_settings
-from biosensor_gateway.settings_template import template, write_template
+from biosensor_gateway.settings.template import template, write_template
 
 
 class StrapSettings(DeviceSettings):

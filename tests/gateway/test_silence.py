@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from biosensor_gateway.silence import (
+from biosensor_gateway.streaming.silence import (
     LARGEST_STEP_S,
     PATIENCE_S,
     RETRY_S,

@@ -17,12 +17,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway import health
-from biosensor_gateway.logs import LOG_FILE_NAME
+from biosensor_gateway.agent import status_file
 from biosensor_gateway.simulation import twin as twin_module
 from biosensor_gateway.simulation.faults import Fault, FaultKind, ScheduledFault, parse_fault
 from biosensor_gateway.simulation.twin import Twin
 from biosensor_gateway.simulation.world import World
+from biosensor_gateway.system.logs import LOG_FILE_NAME
 
 if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome
@@ -266,7 +266,7 @@ def test_a_virtual_device_that_is_dropped_streams_again(
 ) -> None:
     def polar() -> dict[str, Any]:
         with contextlib.suppress(ConfigError):
-            (device,) = health.read_status(tmp_path)["devices"]
+            (device,) = status_file.read_status(tmp_path)["devices"]
             return device
         return {}
 

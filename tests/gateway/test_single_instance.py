@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.single_instance import (
+from biosensor_gateway.agent.single_instance import (
     LOCK_FILE,
     is_held,
     single_instance,
@@ -25,7 +25,7 @@ DEADLINE_S = 30.0
 HOLDER = """
 import sys
 from pathlib import Path
-from biosensor_gateway.single_instance import single_instance
+from biosensor_gateway.agent.single_instance import single_instance
 
 with single_instance(Path(sys.argv[1])):
     print("held", flush=True)
@@ -38,7 +38,7 @@ CONTENDER = """
 import os, sys, time
 from pathlib import Path
 from biosensor_common.errors import ConfigError
-from biosensor_gateway import single_instance as module
+from biosensor_gateway.agent import single_instance as module
 
 module._POLL_S = 0.0005
 folder, wanted = Path(sys.argv[1]), int(sys.argv[2])
@@ -57,7 +57,7 @@ while taken < wanted:
 ONLOOKER = """
 import sys
 from pathlib import Path
-from biosensor_gateway.single_instance import is_held
+from biosensor_gateway.agent.single_instance import is_held
 
 print("looking", flush=True)
 while True:

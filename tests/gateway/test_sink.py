@@ -10,8 +10,8 @@ import pytest
 from structlog.testing import capture_logs
 
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.counters import Counters
-from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.streaming.counters import Counters
+from biosensor_gateway.streaming.sink import DeviceSink
 
 ECG_PERIOD_S = 0.004
 DEVICE_S = 8.2e8

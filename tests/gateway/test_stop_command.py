@@ -17,10 +17,10 @@ from typing import Any
 import pytest
 
 from biosensor_common.errors import ConfigError
-from biosensor_gateway import health
-from biosensor_gateway.control import CONTROL_FILE, TIME_LIMIT_S
-from biosensor_gateway.logs import LOG_FILE_NAME
-from biosensor_gateway.single_instance import LOCK_FILE, is_held
+from biosensor_gateway.agent import status_file
+from biosensor_gateway.agent.control import CONTROL_FILE, TIME_LIMIT_S
+from biosensor_gateway.agent.single_instance import LOCK_FILE, is_held
+from biosensor_gateway.system.logs import LOG_FILE_NAME
 
 DEADLINE_S = 30.0
 NO_AGENT = "biosensor-gateway: no agent is running; start one with: biosensor-gateway run\n"
@@ -29,14 +29,14 @@ RUN = ("run", "--simulate", "zephyr")
 # An agent that takes its time to close, as one with many devices out of reach.
 CLOSING_TAKES_A_MINUTE = """
 import time
-from biosensor_gateway import health
-health.remove_status = lambda folder: time.sleep(60)
+from biosensor_gateway.agent import status_file
+status_file.remove_status = lambda folder: time.sleep(60)
 """
 
 # An agent that takes its time to come up, and says when it has begun.
 STARTING_TAKES_A_WHILE = """
 import time
-from biosensor_gateway import simulate
+from biosensor_gateway.demo import virtual_devices as simulate
 start = simulate.simulated_settings
 
 def slowly(*arguments):
@@ -68,7 +68,7 @@ def stop(folder: Path, *options: str) -> tuple[int, str, str]:
 def pushed(folder: Path) -> int:
     """How many samples the agent has sent; 0 while there is none."""
     try:
-        devices: list[dict[str, Any]] = health.read_status(folder)["devices"]
+        devices: list[dict[str, Any]] = status_file.read_status(folder)["devices"]
     except ConfigError:
         return 0
     return sum(counters["pushed"] for device in devices for counters in device["streams"].values())
@@ -136,7 +136,7 @@ def test_a_second_agent_is_refused_and_the_first_goes_on(
         assert (tmp_path / LOG_FILE_NAME).read_text() == log
         before = pushed(tmp_path)
         until(lambda: pushed(tmp_path) > before)
-        assert health.read_status(tmp_path)["process"] == agent.pid
+        assert status_file.read_status(tmp_path)["process"] == agent.pid
         assert stop(tmp_path)[0] == 0
         assert agent.wait(DEADLINE_S) == 0
 
@@ -244,7 +244,7 @@ def test_nothing_hostile_disturbs_a_running_agent(
         assert f"within {TIME_LIMIT_S:g} s" in replies[-3]["problem"]
         before = pushed(tmp_path)
         until(lambda: pushed(tmp_path) > before)
-        (device,) = health.read_status(tmp_path)["devices"]
+        (device,) = status_file.read_status(tmp_path)["devices"]
         assert (device["state"], device["connections"]) == ("streaming", 1)
         assert all(counters["lost"] == 0 for counters in device["streams"].values())
         assert stop(tmp_path) == (0, "the agent has ended\n", "")

@@ -18,10 +18,10 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway import supervisor as module
+from biosensor_gateway.agent import supervisor as module
+from biosensor_gateway.agent.supervisor import State, Supervisor
 from biosensor_gateway.devices.driver import Connected
-from biosensor_gateway.sink import DeviceSink
-from biosensor_gateway.supervisor import State, Supervisor
+from biosensor_gateway.streaming.sink import DeviceSink
 
 DISCOVERING, CONNECTING, STREAMING = State.DISCOVERING, State.CONNECTING, State.STREAMING
 BACKOFF, STOPPED = State.BACKOFF, State.STOPPED

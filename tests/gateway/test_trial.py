@@ -15,18 +15,18 @@ from typing import TYPE_CHECKING, Any
 import pylsl
 import pytest
 
-from biosensor_gateway import trial
 from biosensor_gateway.devices import DriverEntry
 from biosensor_gateway.devices.driver import Connected, Driver
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
-from biosensor_gateway.devices.zephyr.driver import ZephyrSettings
+from biosensor_gateway.devices.zephyr.driver.driver import ZephyrSettings
 from biosensor_gateway.devices.zephyr.simulator import SimulatedZephyr
-from biosensor_gateway.settings import DeviceSettings
+from biosensor_gateway.doctor import device_test
+from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.twin import Twin
 from biosensor_gateway.simulation.world import World
-from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports import ble_choice
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def test_a_sound_device_has_no_problem_and_streams_nothing(run: Run) -> None:
         assert stream.keys() == {"samples", "nominal_hz", "measured_hz", "last"}
     ecg = told["streams"]["ecg"]
     assert ecg["nominal_hz"] == 250
-    assert ecg["measured_hz"] == pytest.approx(250, rel=trial.RATE_TOLERANCE)
+    assert ecg["measured_hz"] == pytest.approx(250, rel=device_test.RATE_TOLERANCE)
     assert ecg["samples"] > 500
     assert [len(told["streams"][name]["last"]) for name in ("ecg", "acc")] == [1, 3]
     assert [info.name() for info in heard.results()] == []
@@ -148,7 +148,7 @@ def test_a_device_that_refuses_is_not_waited_for(
 def test_a_device_that_never_answers_is_given_up(
     run: Run, world: World, radio: Radio, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(trial, "CONNECT_TIMEOUT_S", 1.5)
+    monkeypatch.setattr(device_test, "CONNECT_TIMEOUT_S", 1.5)
     with SimulatedPolarH10(world, radio) as strap:
         strap.apply(Fault(FaultKind.LATE, 25.0))
         assert problems(run("test", "polar_h10")) == ["no connection within 1.5 s"]
@@ -205,7 +205,7 @@ def acting(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
             return lambda: Made(act, sink)
 
         entry = DriverEntry(ZephyrSettings, make)
-        monkeypatch.setattr(trial, "driver", {"zephyr": entry}.__getitem__)
+        monkeypatch.setattr(device_test, "driver", {"zephyr": entry}.__getitem__)
 
     return replace
 
@@ -272,15 +272,16 @@ def test_of_several_the_one_that_is_named_is_tried(
 
 
 STREAMING = """
-from biosensor_gateway import cli, trial
+from biosensor_gateway import cli
+from biosensor_gateway.doctor import device_test
 
-open_really = trial._TrialSink.open
+open_really = device_test._TrialSink.open
 
 def told(self, info, rates):
     open_really(self, info, rates)
     print("connected", flush=True)
 
-trial._TrialSink.open = told
+device_test._TrialSink.open = told
 cli.main()
 """
 

@@ -14,7 +14,7 @@ from biosensor_common.registry import sensor, sensor_names
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_common.terminal import wrapped
 from biosensor_gateway.cli import clocks, looking
-from biosensor_gateway.trial import StreamTrial, Trial
+from biosensor_gateway.doctor.device_test import StreamTrial, Trial
 
 WIDTH = 80
 UNIT = "E621E1F8-C36C-495A-93FC-0C247A3E6E5F"

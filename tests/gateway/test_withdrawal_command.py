@@ -15,10 +15,10 @@ import pylsl
 import pytest
 
 from biosensor_common.errors import ConfigError
-from biosensor_gateway import health
+from biosensor_gateway.agent import status_file
+from biosensor_gateway.agent.pauses.store import PAUSED_FILE
 from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
-from biosensor_gateway.logs import LOG_FILE_NAME
-from biosensor_gateway.withdrawal.store import PAUSED_FILE
+from biosensor_gateway.system.logs import LOG_FILE_NAME
 
 NO_AGENT = "biosensor-gateway: no agent is running; start one with: biosensor-gateway run\n"
 DEADLINE_S = 30.0
@@ -42,7 +42,7 @@ def command(folder: Path, *arguments: str) -> tuple[int, str, str]:
 def device(folder: Path) -> dict[str, Any]:
     """Return the first device of the agent's status; empty while there is none."""
     try:
-        return health.read_status(folder)["devices"][0]
+        return status_file.read_status(folder)["devices"][0]
     except ConfigError:
         return {}
 
@@ -134,7 +134,7 @@ def test_who_has_withdrawn_is_not_streamed_by_the_next_agent(
         assert command(tmp_path, "pause", "p01")[0] == 0
         first.send_signal(end)
         first.wait()
-    (tmp_path / health.STATUS_FILE).unlink(missing_ok=True)
+    (tmp_path / status_file.STATUS_FILE).unlink(missing_ok=True)
     with cli_process(tmp_path, *run) as second:
         until(lambda: counted(tmp_path, "withheld") > 500)
         assert (counted(tmp_path, "pushed"), counted(tmp_path, "lost")) == (0, 0)
@@ -178,7 +178,7 @@ def test_names_that_are_none_or_several_are_refused_in_one_sentence(
         assert not device(tmp_path)["paused"]
         # One that was never connected can be paused as well.
         assert command(tmp_path, "pause", "zephyr/other")[0] == 0
-        until(lambda: health.read_status(tmp_path)["devices"][1]["paused"])
+        until(lambda: status_file.read_status(tmp_path)["devices"][1]["paused"])
         agent.send_signal(signal.SIGINT)
         assert agent.wait(DEADLINE_S) == 0
 

@@ -12,14 +12,14 @@ import pytest
 from numpy.typing import NDArray
 
 from biosensor_common import naming
-from biosensor_gateway import supervisor as supervisor_module
-from biosensor_gateway.counters import Counters
+from biosensor_gateway.agent import supervisor as supervisor_module
+from biosensor_gateway.agent.supervisor import State
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.wearer import Wearer
-from biosensor_gateway.supervisor import State
-from biosensor_gateway.withholding import RESUME_GUARD_S
+from biosensor_gateway.streaming.counters import Counters
+from biosensor_gateway.streaming.pause_gate import RESUME_GUARD_S
 from tests.rigs.driver_run import Run, streaming
 from tests.rigs.polling import until
 

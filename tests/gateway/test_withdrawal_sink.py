@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway import outlets as outlets_module
-from biosensor_gateway.counters import Counters
-from biosensor_gateway.sink import DeviceSink
-from biosensor_gateway.withholding import RESUME_GUARD_S, Withholding
+from biosensor_gateway.streaming import outlets as outlets_module
+from biosensor_gateway.streaming.counters import Counters
+from biosensor_gateway.streaming.pause_gate import RESUME_GUARD_S, Withholding
+from biosensor_gateway.streaming.sink import DeviceSink
 
 OpenInlet = Callable[[str], pylsl.StreamInlet]
 Until = Callable[[Callable[[], bool]], None]

@@ -13,11 +13,11 @@ from structlog.testing import capture_logs
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.sink import DeviceSink
-from biosensor_gateway.withdrawal import store
-from biosensor_gateway.withdrawal.choice import chosen, device_name
-from biosensor_gateway.withdrawal.desk import WithdrawalDesk
-from biosensor_gateway.withdrawal.store import PAUSED_FILE, Pause
+from biosensor_gateway.agent.pauses import store
+from biosensor_gateway.agent.pauses.commands import WithdrawalDesk
+from biosensor_gateway.agent.pauses.selection import chosen, device_name
+from biosensor_gateway.agent.pauses.store import PAUSED_FILE, Pause
+from biosensor_gateway.streaming.sink import DeviceSink
 
 SINCE = datetime(2026, 3, 29, 9, 30, 15, tzinfo=timezone(timedelta(hours=2)))
 H10 = "polar_h10"

@@ -14,9 +14,9 @@ import pytest
 from packaging.specifiers import SpecifierSet
 from ruamel.yaml import YAML
 
-from biosensor_gateway import settings
 from biosensor_gateway.devices import driver_names, settings_models
-from biosensor_gateway.settings_template import template
+from biosensor_gateway.settings import models as settings
+from biosensor_gateway.settings.template import template
 from installer import layout
 from installer.wine.recipe import STAGES
 

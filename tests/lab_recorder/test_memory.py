@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_gateway.lab_recorder.memory import (
+from biosensor_gateway.recording.labrecorder.memory import (
     MEMORY_FILE,
     Remembered,
     forget,

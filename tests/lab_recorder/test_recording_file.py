@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_gateway.lab_recorder.file_name import Target
-from biosensor_gateway.lab_recorder.recording_file import (
+from biosensor_gateway.recording.labrecorder.file_name import Target
+from biosensor_gateway.recording.labrecorder.recording_file import (
     glance,
     grows,
     sizes,

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_gateway.lab_recorder.errors import LabRecorderError, LabRecorderReason
-from biosensor_gateway.lab_recorder.remote import RemoteControl
+from biosensor_gateway.recording.labrecorder.errors import LabRecorderError, LabRecorderReason
+from biosensor_gateway.recording.labrecorder.remote import RemoteControl
 from tests.lab_recorder.remote_control import LabRecorderPeer
 
 LOCAL = "127.0.0.1"

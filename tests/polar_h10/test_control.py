@@ -17,24 +17,24 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.devices.polar_h10 import control as control_module
-from biosensor_gateway.devices.polar_h10.control import ControlPoint
-from biosensor_gateway.devices.polar_h10.driver import PolarH10Driver
-from biosensor_gateway.devices.polar_h10.emitter import PolarEmitter
-from biosensor_gateway.devices.polar_h10.measurements import Wanted
-from biosensor_gateway.devices.polar_h10.protocol.control_point import (
+from biosensor_gateway.devices.polar_h10.driver import control as control_module
+from biosensor_gateway.devices.polar_h10.driver.control import ControlPoint
+from biosensor_gateway.devices.polar_h10.driver.driver import PolarH10Driver
+from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
+from biosensor_gateway.devices.polar_h10.driver.measurements import Wanted
+from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     CONTROL_POINT,
     Measurement,
     Setting,
     get_settings,
     parse_settings,
 )
-from biosensor_gateway.devices.polar_h10.protocol.frames import DATA
-from biosensor_gateway.devices.polar_h10.session import PolarSession
-from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.devices.polar_h10.driver.protocol.frames import DATA
+from biosensor_gateway.devices.polar_h10.driver.session import PolarSession
+from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.ble_errors import AttError
-from biosensor_gateway.transports.seen import Advertisement
+from biosensor_gateway.transports.nearby import Advertisement
 
 ASK = get_settings(Measurement.ACCELERATION)
 RATES = "f0010200 00 00 04 1900 3200 6400 c800"

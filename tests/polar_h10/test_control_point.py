@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.polar_h10.protocol.control_point import (
+from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     Measurement,
     Reply,
     Setting,

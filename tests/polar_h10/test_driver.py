@@ -13,15 +13,15 @@ from structlog.testing import capture_logs
 
 from biosensor_common.errors import GatewayError
 from biosensor_common.sensors.polar_h10 import SENSOR
-from biosensor_gateway.devices.polar_h10 import session as session_module
-from biosensor_gateway.devices.polar_h10.driver import DRIVER
+from biosensor_gateway.agent.supervisor import State
+from biosensor_gateway.devices.polar_h10.driver import session as session_module
+from biosensor_gateway.devices.polar_h10.driver.driver import DRIVER
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.polar_h10.simulator.products import VERITY_SENSE
 from biosensor_gateway.devices.polar_h10.simulator.quirks import Firmware, Quirks
-from biosensor_gateway.settings import DeviceSettings
+from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.supervisor import State
 from tests.rigs.driver_run import NotedSink, connected, streaming
 from tests.rigs.polar_h10 import assert_once_and_in_order, assert_only_gaps
 from tests.rigs.polling import until

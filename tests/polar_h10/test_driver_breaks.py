@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from structlog.testing import capture_logs
 
-from biosensor_gateway.devices.polar_h10 import driver as driver_module
-from biosensor_gateway.devices.polar_h10 import session as session_module
-from biosensor_gateway.devices.polar_h10.driver import PolarH10Driver
+from biosensor_gateway.agent.supervisor import State
+from biosensor_gateway.devices.polar_h10.driver import driver as driver_module
+from biosensor_gateway.devices.polar_h10.driver import session as session_module
+from biosensor_gateway.devices.polar_h10.driver.driver import PolarH10Driver
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
 from biosensor_gateway.devices.polar_h10.simulator.quirks import Quirks
 from biosensor_gateway.simulation.faults import Fault, FaultKind
-from biosensor_gateway.supervisor import State
 from biosensor_gateway.transports import ble
 from tests.rigs.driver_run import Run, streaming
 from tests.rigs.polar_h10 import assert_only_gaps

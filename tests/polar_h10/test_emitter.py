@@ -14,9 +14,9 @@ from structlog.testing import capture_logs
 
 from biosensor_common.sensors.polar_h10 import SENSOR
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.devices.polar_h10.emitter import PolarEmitter
-from biosensor_gateway.devices.polar_h10.protocol.control_point import Measurement
-from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
+from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement
+from biosensor_gateway.streaming.sink import DeviceSink
 
 START_NS = 599_616_000_000_000_000
 START_S = START_NS / 1e9

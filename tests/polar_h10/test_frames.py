@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.polar_h10.protocol.compression import expand
-from biosensor_gateway.devices.polar_h10.protocol.control_point import Measurement
-from biosensor_gateway.devices.polar_h10.protocol.frames import (
+from biosensor_gateway.devices.polar_h10.driver.protocol.compression import expand
+from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement
+from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     Acceleration,
     Ecg,
     Header,

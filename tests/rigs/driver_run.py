@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike
 
 from biosensor_common.registry import sensor as declared_sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.counters import Counters
+from biosensor_gateway.agent.supervisor import State, Supervisor
 from biosensor_gateway.devices import driver as driver_of
 from biosensor_gateway.devices.driver import Connected, Driver
 from biosensor_gateway.simulation.twin import Twin
-from biosensor_gateway.sink import DeviceSink
-from biosensor_gateway.supervisor import State, Supervisor
+from biosensor_gateway.streaming.counters import Counters
+from biosensor_gateway.streaming.sink import DeviceSink
 from tests.rigs.polling import until
 
 

@@ -14,8 +14,8 @@ import numpy as np
 import pylsl
 import pytest
 
-from lsl_to_ros.blocks import Block
-from lsl_to_ros.inlets import Inlet, InletState
+from lsl_to_ros.lsl.blocks import Block
+from lsl_to_ros.lsl.inlets import Inlet, InletState
 
 DEADLINE_S = 30.0
 

@@ -10,7 +10,7 @@ import pytest
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.transports.ble_choice import Choice
-from biosensor_gateway.transports.seen import Advertisement
+from biosensor_gateway.transports.nearby import Advertisement
 from tests.rigs.probe import Probe
 
 DEADLINE_S = 20.0

@@ -14,10 +14,10 @@ from rclpy.serialization import deserialize_message, serialize_message
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, FromDevice
 from biosensor_common.stream_header import StreamHeader
-from lsl_to_ros.pacing import Pace, Pacer
-from lsl_to_ros.ports import Port
-from lsl_to_ros.ros_time import RosTime
-from lsl_to_ros.stamping import Stamping
+from lsl_to_ros.accounts.ros_time import RosTime
+from lsl_to_ros.accounts.stamping import Stamping
+from lsl_to_ros.topics.pacing import Pace, Pacer
+from lsl_to_ros.topics.publishers import Port
 
 DEVICE_RATE_HZ = 10.0
 """Of the declared streams whose rate only the device knows."""

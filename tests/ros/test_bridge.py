@@ -16,13 +16,13 @@ from std_msgs.msg import Float32, Float32MultiArray, UInt8
 
 from biosensor_common.quantities import ChannelFormat, MessageType
 from biosensor_common.stream_header import StreamHeader
-from lsl_to_ros.blocks import Block
-from lsl_to_ros.bridge import Bridge, Outputs
-from lsl_to_ros.gaps import FOREIGN_JITTER_S
-from lsl_to_ros.messages import CLASSES
-from lsl_to_ros.parameters import StreamSettings
-from lsl_to_ros.tally import Refusals, Tally
-from lsl_to_ros.writers import ChunkWriter, NumberWriter
+from lsl_to_ros.accounts.gaps import FOREIGN_JITTER_S
+from lsl_to_ros.accounts.tally import Refusals, Tally
+from lsl_to_ros.lsl.blocks import Block
+from lsl_to_ros.parameters.streams import StreamSettings
+from lsl_to_ros.topics.bridge import Bridge, Outputs
+from lsl_to_ros.topics.messages import CLASSES
+from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter
 from tests.rigs.recorded_topics import Clocks, RecordedPort, header_of
 
 if TYPE_CHECKING:

@@ -13,11 +13,11 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from biosensor_common.quantities import ChannelFormat, ChannelRole, ContentType, MessageType
 from biosensor_common.registry import sensor, sensor_names
 from biosensor_common.stream_header import StreamHeader
-from lsl_to_ros.blocks import Block
-from lsl_to_ros.bridge import Bridge, Outputs
-from lsl_to_ros.devices import LOW_BATTERY_PERCENT, device_statuses
-from lsl_to_ros.parameters import StreamSettings
-from lsl_to_ros.tally import Refusals, Tally
+from lsl_to_ros.accounts.tally import Refusals, Tally
+from lsl_to_ros.lsl.blocks import Block
+from lsl_to_ros.parameters.streams import StreamSettings
+from lsl_to_ros.reports.devices import LOW_BATTERY_PERCENT, device_statuses
+from lsl_to_ros.topics.bridge import Bridge, Outputs
 from tests.rigs.recorded_topics import Clocks, header_of
 
 if TYPE_CHECKING:

@@ -17,16 +17,17 @@ from biosensor_common.quantities import MessageType
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_common.stream_header import StreamHeader
-from biosensor_gateway.counters import Counters, counters_text
-from biosensor_gateway.outlets import Outlet
-from lsl_to_ros import diagnostics, rates
-from lsl_to_ros.blocks import Block
-from lsl_to_ros.bridge import Bridge, Outputs
-from lsl_to_ros.diagnostics import STALE_AFTER_S, StreamHealth, stream_facts, stream_status
-from lsl_to_ros.parameters import StreamSettings
-from lsl_to_ros.rates import RATE_WINDOW_S
-from lsl_to_ros.tally import Refusals, Tally
-from lsl_to_ros.writers import ChunkWriter, NumberWriter
+from biosensor_gateway.streaming.counters import Counters, counters_text
+from biosensor_gateway.streaming.outlets import Outlet
+from lsl_to_ros.accounts import rates
+from lsl_to_ros.accounts.rates import RATE_WINDOW_S
+from lsl_to_ros.accounts.tally import Refusals, Tally
+from lsl_to_ros.lsl.blocks import Block
+from lsl_to_ros.parameters.streams import StreamSettings
+from lsl_to_ros.reports import diagnostics
+from lsl_to_ros.reports.diagnostics import STALE_AFTER_S, StreamHealth, stream_facts, stream_status
+from lsl_to_ros.topics.bridge import Bridge, Outputs
+from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter
 from tests.rigs.recorded_topics import Clocks, RecordedPort, header_of
 
 if TYPE_CHECKING:

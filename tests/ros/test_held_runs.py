@@ -12,15 +12,15 @@ from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float32
 
 from biosensor_common.quantities import MessageType
-from biosensor_gateway.counters import Counters, counters_text
-from lsl_to_ros import bridge as bridge_module
-from lsl_to_ros.blocks import Block
-from lsl_to_ros.bridge import Bridge, Outputs
-from lsl_to_ros.outputs import CountersWriter
-from lsl_to_ros.parameters import StreamSettings
-from lsl_to_ros.tally import Refusals, Tally
-from lsl_to_ros.twins import TemperatureWriter
-from lsl_to_ros.writers import NumberWriter
+from biosensor_gateway.streaming.counters import Counters, counters_text
+from lsl_to_ros.accounts.tally import Refusals, Tally
+from lsl_to_ros.lsl.blocks import Block
+from lsl_to_ros.parameters.streams import StreamSettings
+from lsl_to_ros.topics import bridge as bridge_module
+from lsl_to_ros.topics.bridge import Bridge, Outputs
+from lsl_to_ros.topics.outputs import CountersWriter
+from lsl_to_ros.topics.standard_messages import TemperatureWriter
+from lsl_to_ros.topics.writers import NumberWriter
 from tests.rigs.recorded_topics import Clocks, RecordedPort, header_of
 
 if TYPE_CHECKING:

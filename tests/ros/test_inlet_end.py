@@ -9,9 +9,9 @@ import pylsl
 import pytest
 from pylsl import util
 
-from lsl_to_ros.blocks import Block
-from lsl_to_ros.inlets import Inlet, InletState
-from lsl_to_ros.liblsl import samples_available
+from lsl_to_ros.lsl.blocks import Block
+from lsl_to_ros.lsl.inlets import Inlet, InletState
+from lsl_to_ros.lsl.liblsl import samples_available
 from tests.rigs.lsl_streams import (
     DEADLINE_S,
     Collector,

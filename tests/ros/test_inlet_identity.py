@@ -10,9 +10,9 @@ import pytest
 from biosensor_common.errors import SpecError, SpecReason
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.outlets import Outlet
-from lsl_to_ros.announcements import MAX_RATE_HZ, read_core
-from lsl_to_ros.inlets import Inlet, InletState
+from biosensor_gateway.streaming.outlets import Outlet
+from lsl_to_ros.lsl.announcements import MAX_RATE_HZ, read_core
+from lsl_to_ros.lsl.inlets import Inlet, InletState
 from tests.rigs.lsl_streams import DEADLINE_S, Open, Source, inlets
 
 

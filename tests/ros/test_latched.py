@@ -16,8 +16,8 @@ from biosensor_common.quantities import ContentType
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, StreamSpec
 from biosensor_common.table import channels, hardware
-from biosensor_gateway import outlets
-from biosensor_gateway.outlets import Outlet
+from biosensor_gateway.streaming import outlets
+from biosensor_gateway.streaming.outlets import Outlet
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode

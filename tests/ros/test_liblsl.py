@@ -7,7 +7,7 @@ import time
 import pylsl
 import pytest
 
-from lsl_to_ros import liblsl
+from lsl_to_ros.lsl import liblsl
 
 READABLE = [
     "type='EEG'",

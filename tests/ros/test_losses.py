@@ -8,7 +8,7 @@ from typing import NamedTuple
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lsl_to_ros.losses import LossAccount, Losses
+from lsl_to_ros.accounts.losses import LossAccount, Losses
 
 
 class Push(NamedTuple):

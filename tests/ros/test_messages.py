@@ -15,8 +15,8 @@ from std_msgs.msg import Empty, String
 
 from biosensor_common.device_clock import ClockState
 from biosensor_common.quantities import MessageType
-from biosensor_gateway.counters import Counters, counters_text
-from lsl_to_ros import messages
+from biosensor_gateway.streaming.counters import Counters, counters_text
+from lsl_to_ros.topics import messages
 
 any_text = st.text(st.characters(exclude_categories=["Cs"]))
 

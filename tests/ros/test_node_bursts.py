@@ -15,7 +15,7 @@ import pytest
 
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.outlets import Outlet
+from biosensor_gateway.streaming.outlets import Outlet
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode

@@ -16,7 +16,7 @@ from biosensor_common import naming
 from biosensor_common.lsl_header import MAX_XML_CHARACTERS, describe
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.outlets import Outlet
+from biosensor_gateway.streaming.outlets import Outlet
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode

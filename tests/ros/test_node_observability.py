@@ -15,8 +15,8 @@ from std_msgs.msg import Float32
 
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.counters import Counters, counters_text
-from biosensor_gateway.outlets import Outlet
+from biosensor_gateway.streaming.counters import Counters, counters_text
+from biosensor_gateway.streaming.outlets import Outlet
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Flow, Ros, RunningNode, Status

@@ -19,7 +19,7 @@ from std_msgs.msg import Float32MultiArray
 
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.outlets import Outlet
+from biosensor_gateway.streaming.outlets import Outlet
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Flow, Ros, RunningNode

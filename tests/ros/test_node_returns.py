@@ -17,7 +17,7 @@ from std_msgs.msg import Float32, Float32MultiArray
 
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.outlets import Outlet
+from biosensor_gateway.streaming.outlets import Outlet
 from tests.rigs.stopwatch import Stopwatch
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from sensor_msgs.msg import BatteryState, Imu, MagneticField, Temperature
 
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice
-from biosensor_gateway.outlets import Outlet
+from biosensor_gateway.streaming.outlets import Outlet
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros

@@ -20,15 +20,15 @@ from biosensor_common.naming import TopicName
 from biosensor_common.quantities import ChannelFormat, MessageType
 from biosensor_common.registry import sensor, sensor_names
 from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
-from lsl_to_ros.blocks import Run
-from lsl_to_ros.bridge import Outputs
-from lsl_to_ros.messages import CLASSES
-from lsl_to_ros.outputs import HAS_STAMPED_TOPICS, open_outputs
-from lsl_to_ros.pacing import Pace, Pacer
-from lsl_to_ros.ports import Port, Ports
-from lsl_to_ros.tally import Lost
-from lsl_to_ros.twins import TWINS
-from lsl_to_ros.writers import ChunkWriter, NumberWriter, StreamContext
+from lsl_to_ros.accounts.tally import Lost
+from lsl_to_ros.lsl.blocks import Run
+from lsl_to_ros.topics.bridge import Outputs
+from lsl_to_ros.topics.messages import CLASSES
+from lsl_to_ros.topics.outputs import HAS_STAMPED_TOPICS, open_outputs
+from lsl_to_ros.topics.pacing import Pace, Pacer
+from lsl_to_ros.topics.publishers import Port, Ports
+from lsl_to_ros.topics.standard_messages import TWINS
+from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter, StreamContext
 from tests.rigs.recorded_topics import Clocks, header_of
 
 if TYPE_CHECKING:

@@ -13,7 +13,15 @@ from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float32, String
 
-from lsl_to_ros.pacing import AT_ONCE, MOST_WAITING, TAKEN_WITHIN_S, TICK_S, Lane, Pace, Pacer
+from lsl_to_ros.topics.pacing import (
+    AT_ONCE,
+    MOST_WAITING,
+    TAKEN_WITHIN_S,
+    TICK_S,
+    Lane,
+    Pace,
+    Pacer,
+)
 
 PER_MS, BURST = 0.5, 73
 

@@ -15,8 +15,8 @@ from rclpy.parameter import Parameter
 from rclpy.validate_full_topic_name import validate_full_topic_name
 from std_msgs.msg import Float32
 
-from lsl_to_ros import node_parameters
-from lsl_to_ros.node_parameters import (
+from lsl_to_ros.parameters import node as node_parameters
+from lsl_to_ros.parameters.node import (
     BURST_PACING,
     KNOWN_PEERS,
     MAX_DEPTH,
@@ -25,8 +25,8 @@ from lsl_to_ros.node_parameters import (
     STREAM_PREDICATE,
     TOPIC_PREFIX,
 )
-from lsl_to_ros.parameters import Parameters
-from lsl_to_ros.ports import make_publisher
+from lsl_to_ros.parameters.streams import Parameters
+from lsl_to_ros.topics.publishers import make_publisher
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros

@@ -11,7 +11,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from biosensor_common.spec import DeviceIdentity
-from lsl_to_ros.parameters import Parameters, StreamSettings, prefixes
+from lsl_to_ros.parameters.streams import Parameters, StreamSettings, prefixes
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros

@@ -20,8 +20,8 @@ from biosensor_common.quantities import (
 )
 from biosensor_common.registry import sensor, sensor_names
 from biosensor_common.stream_header import StreamHeader
-from lsl_to_ros.blocks import Run
-from lsl_to_ros.twins import TWINS, TwinWriter
+from lsl_to_ros.lsl.blocks import Run
+from lsl_to_ros.topics.standard_messages import TWINS, TwinWriter
 from tests.rigs.recorded_topics import Clocks, RecordedPort, header_of
 
 if TYPE_CHECKING:

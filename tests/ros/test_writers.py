@@ -17,9 +17,9 @@ from std_msgs.msg import (
 )
 
 from biosensor_common.quantities import MessageType
-from lsl_to_ros.blocks import Run
-from lsl_to_ros.messages import CLASSES
-from lsl_to_ros.writers import ChunkWriter, NumberWriter, TextWriter
+from lsl_to_ros.lsl.blocks import Run
+from lsl_to_ros.topics.messages import CLASSES
+from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter, TextWriter
 from tests.rigs.recorded_topics import RecordedPort
 
 Refused = list[tuple[int, str]]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from biosensor_gateway.devices.discovery import Found
-from biosensor_gateway.devices.shimmer3_gsr.discovery import recognise
-from biosensor_gateway.devices.shimmer3_gsr.driver import DRIVER, ShimmerSettings
-from biosensor_gateway.transports.seen import Advertisement, SerialPort
+from biosensor_gateway.devices.shimmer3_gsr.driver.discovery import recognise
+from biosensor_gateway.devices.shimmer3_gsr.driver.driver import DRIVER, ShimmerSettings
+from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 
 @pytest.mark.parametrize("name", ["Shimmer3-9A3F", "Shimmer3-9a3f"])

@@ -19,16 +19,16 @@ from structlog.testing import capture_logs
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_common.sensors.shimmer3_gsr import SENSOR
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway import supervisor as supervisor_module
-from biosensor_gateway.counters import Counters
-from biosensor_gateway.devices.shimmer3_gsr import conversation, stopping
-from biosensor_gateway.devices.shimmer3_gsr import driver as module
-from biosensor_gateway.devices.shimmer3_gsr.driver import DRIVER, ShimmerSettings
+from biosensor_gateway.agent import supervisor as supervisor_module
+from biosensor_gateway.agent.supervisor import State, Supervisor
+from biosensor_gateway.devices.shimmer3_gsr.driver import conversation, stopping
+from biosensor_gateway.devices.shimmer3_gsr.driver import driver as module
+from biosensor_gateway.devices.shimmer3_gsr.driver.driver import DRIVER, ShimmerSettings
 from biosensor_gateway.devices.shimmer3_gsr.simulator import SimulatedShimmer3
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
-from biosensor_gateway.sink import DeviceSink
-from biosensor_gateway.supervisor import State, Supervisor
+from biosensor_gateway.streaming.counters import Counters
+from biosensor_gateway.streaming.sink import DeviceSink
 
 DEADLINE_S = 30.0
 WAVEFORMS = ("gsr", "ppg")

@@ -12,10 +12,10 @@ from structlog.testing import capture_logs
 
 from biosensor_common.sensors.shimmer3_gsr import SENSOR
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.devices.shimmer3_gsr.channels import Layout
-from biosensor_gateway.devices.shimmer3_gsr.emitter import Measurement, ShimmerEmitter
-from biosensor_gateway.devices.shimmer3_gsr.messages import BatteryReading, Charging, Packet
-from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.devices.shimmer3_gsr.driver.channels import Layout
+from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import Measurement, ShimmerEmitter
+from biosensor_gateway.devices.shimmer3_gsr.driver.messages import BatteryReading, Charging, Packet
+from biosensor_gateway.streaming.sink import DeviceSink
 
 DIVISOR = 256
 RATE_HZ = 128.0

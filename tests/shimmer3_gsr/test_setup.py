@@ -9,11 +9,11 @@ import pytest
 from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_gateway.devices.shimmer3_gsr import commands
-from biosensor_gateway.devices.shimmer3_gsr.conversation import Conversation
-from biosensor_gateway.devices.shimmer3_gsr.crc import CrcMode
-from biosensor_gateway.devices.shimmer3_gsr.emitter import Measurement
-from biosensor_gateway.devices.shimmer3_gsr.messages import (
+from biosensor_gateway.devices.shimmer3_gsr.driver import commands
+from biosensor_gateway.devices.shimmer3_gsr.driver.conversation import Conversation
+from biosensor_gateway.devices.shimmer3_gsr.driver.crc import CrcMode
+from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import Measurement
+from biosensor_gateway.devices.shimmer3_gsr.driver.messages import (
     BatteryReading,
     DaughterCard,
     Firmware,
@@ -23,8 +23,8 @@ from biosensor_gateway.devices.shimmer3_gsr.messages import (
     Status,
     StatusFlag,
 )
-from biosensor_gateway.devices.shimmer3_gsr.replies import ReplyForm
-from biosensor_gateway.devices.shimmer3_gsr.setup import Kind, Wanted, identify, set_up
+from biosensor_gateway.devices.shimmer3_gsr.driver.replies import ReplyForm
+from biosensor_gateway.devices.shimmer3_gsr.driver.setup import Kind, Wanted, identify, set_up
 
 WANTED = Wanted(256, 4)
 RIGHT: dict[str, int] = {"mask": commands.GSR_AND_PPG, "range": 4, "power": 1, "divisor": 256}

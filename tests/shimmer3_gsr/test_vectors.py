@@ -9,19 +9,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from biosensor_gateway.devices.shimmer3_gsr import commands
-from biosensor_gateway.devices.shimmer3_gsr.battery import battery_volts, charge_percent, percent
-from biosensor_gateway.devices.shimmer3_gsr.channels import Channel, Layout
-from biosensor_gateway.devices.shimmer3_gsr.commands import TICKS_PER_S
-from biosensor_gateway.devices.shimmer3_gsr.crc import CrcMode, crc16
-from biosensor_gateway.devices.shimmer3_gsr.gsr import (
+from biosensor_gateway.devices.shimmer3_gsr.driver import commands
+from biosensor_gateway.devices.shimmer3_gsr.driver.battery import (
+    battery_volts,
+    charge_percent,
+    percent,
+)
+from biosensor_gateway.devices.shimmer3_gsr.driver.channels import Channel, Layout
+from biosensor_gateway.devices.shimmer3_gsr.driver.commands import TICKS_PER_S
+from biosensor_gateway.devices.shimmer3_gsr.driver.crc import CrcMode, crc16
+from biosensor_gateway.devices.shimmer3_gsr.driver.gsr import (
     LARGEST_OPEN_ADC,
     clamped_kohm,
     conductance_us,
     gsr_ranges,
     millivolts,
 )
-from biosensor_gateway.devices.shimmer3_gsr.messages import (
+from biosensor_gateway.devices.shimmer3_gsr.driver.messages import (
     BatteryReading,
     Charging,
     ExpansionPower,
@@ -31,9 +35,9 @@ from biosensor_gateway.devices.shimmer3_gsr.messages import (
     Nack,
     Packet,
 )
-from biosensor_gateway.devices.shimmer3_gsr.protocol import ShimmerProtocol
-from biosensor_gateway.devices.shimmer3_gsr.replies import ReplyForm, decode_reply
-from biosensor_gateway.devices.shimmer3_gsr.timeline import TickTimeline
+from biosensor_gateway.devices.shimmer3_gsr.driver.protocol import ShimmerProtocol
+from biosensor_gateway.devices.shimmer3_gsr.driver.replies import ReplyForm, decode_reply
+from biosensor_gateway.devices.shimmer3_gsr.driver.timeline import TickTimeline
 
 Vector = dict[str, Any]
 VECTORS: list[Vector] = json.loads(

@@ -17,7 +17,7 @@ import pylsl
 from biosensor_common import naming
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.outlets import Outlet
+from biosensor_gateway.streaming.outlets import Outlet
 from tests.system.lsl_time import NS_PER_S
 from tests.system.tracks import Track
 

@@ -20,7 +20,7 @@ import pytest
 import pyxdf
 
 from biosensor_common.lsl_config import home_config_file
-from biosensor_gateway.settings import SETTINGS_VARIABLE
+from biosensor_gateway.settings.models import SETTINGS_VARIABLE
 from tests.rigs.hosts.lan import NETWORK, Host, Lan
 from tests.rigs.hosts.programs import Program
 from tests.rigs.lab_recorder import PROGRAM
@@ -62,7 +62,7 @@ _RESOLVE = """
 import time
 import pylsl
 from biosensor_common.lsl_config import LslOverrides
-from biosensor_gateway.outlets import configure_lsl
+from biosensor_gateway.streaming.outlets import configure_lsl
 
 print(configure_lsl(LslOverrides()))
 resolver = pylsl.ContinuousResolver(prop="type", value="Test", forget_after=60)

@@ -13,7 +13,7 @@ import pytest
 
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.outlets import Outlet
+from biosensor_gateway.streaming.outlets import Outlet
 from tests.system.lsl_time import NS_PER_S, system_minus_lsl_ns
 from tests.system.programs import Program
 from tests.system.stamped_messages import Sample

@@ -6,7 +6,7 @@ from collections.abc import Generator
 
 import pytest
 
-from biosensor_gateway import supervisor as supervisor_module
+from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.devices.vernier_respiration_belt.simulator import SimulatedBelt
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.firmware import BeltFirmware
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import Command

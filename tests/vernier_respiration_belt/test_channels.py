@@ -7,11 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_gateway.devices.vernier_respiration_belt.channels import (
+from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import (
     BeltChannels,
     choose_channels,
 )
-from biosensor_gateway.devices.vernier_respiration_belt.replies import Channel
+from biosensor_gateway.devices.vernier_respiration_belt.driver.replies import Channel
 
 
 def channel(

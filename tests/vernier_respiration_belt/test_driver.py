@@ -9,14 +9,14 @@ import pytest
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_common.spec import DeviceInfo
-from biosensor_gateway.devices.vernier_respiration_belt import driver as driver_module
-from biosensor_gateway.devices.vernier_respiration_belt.driver import DRIVER, VernierSettings
+from biosensor_gateway.agent.supervisor import State
+from biosensor_gateway.devices.vernier_respiration_belt.driver import driver as driver_module
+from biosensor_gateway.devices.vernier_respiration_belt.driver.driver import DRIVER, VernierSettings
 from biosensor_gateway.devices.vernier_respiration_belt.simulator import SimulatedBelt
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import Command
-from biosensor_gateway.settings import DeviceSettings
+from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.supervisor import State
 from biosensor_gateway.transports import ble_choice
 from tests.rigs.driver_run import NotedSink, connected, streaming
 from tests.rigs.polling import until

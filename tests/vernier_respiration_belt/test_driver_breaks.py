@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from structlog.testing import capture_logs
 
-from biosensor_gateway import silence as silence_module
-from biosensor_gateway.devices.vernier_respiration_belt import driver as driver_module
+from biosensor_gateway.agent.supervisor import State
+from biosensor_gateway.devices.vernier_respiration_belt.driver import driver as driver_module
 from biosensor_gateway.devices.vernier_respiration_belt.simulator import SimulatedBelt
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import Command
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.supervisor import State
+from biosensor_gateway.streaming import silence as silence_module
 from tests.rigs.driver_run import streaming
 from tests.rigs.polling import until
 from tests.rigs.vernier_respiration_belt import assert_true

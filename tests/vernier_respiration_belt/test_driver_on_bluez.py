@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 from structlog.testing import capture_logs
 
+from biosensor_gateway.agent.supervisor import State
 from biosensor_gateway.devices.vernier_respiration_belt.simulator import SimulatedBelt
-from biosensor_gateway.supervisor import State
 from tests.rigs.bluetooth import ON_BLUEZ
 from tests.rigs.driver_run import streaming
 from tests.rigs.polling import until

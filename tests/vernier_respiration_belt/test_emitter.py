@@ -12,17 +12,17 @@ from structlog.testing import capture_logs
 
 from biosensor_common.sensors.vernier_respiration_belt import SENSOR
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.devices.vernier_respiration_belt.channels import BeltChannels
-from biosensor_gateway.devices.vernier_respiration_belt.emitter import VernierEmitter
-from biosensor_gateway.devices.vernier_respiration_belt.messages import (
+from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import BeltChannels
+from biosensor_gateway.devices.vernier_respiration_belt.driver.emitter import VernierEmitter
+from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import (
     Measurement,
     MeasurementKind,
     Notice,
     Reply,
     Unknown,
 )
-from biosensor_gateway.devices.vernier_respiration_belt.replies import Channel, Status
-from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.devices.vernier_respiration_belt.driver.replies import Channel, Status
+from biosensor_gateway.streaming.sink import DeviceSink
 
 NAN = math.nan
 PERIOD_S = 0.1

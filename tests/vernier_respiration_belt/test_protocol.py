@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.vernier_respiration_belt import protocol, replies
-from biosensor_gateway.devices.vernier_respiration_belt.messages import (
+from biosensor_gateway.devices.vernier_respiration_belt.driver import protocol, replies
+from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import (
     Measurement,
     MeasurementKind,
     Message,
@@ -22,13 +22,13 @@ from biosensor_gateway.devices.vernier_respiration_belt.messages import (
     Reply,
     Unknown,
 )
-from biosensor_gateway.devices.vernier_respiration_belt.packets import (
+from biosensor_gateway.devices.vernier_respiration_belt.driver.packets import (
     Head,
     PacketParser,
     encode,
     fragments,
 )
-from biosensor_gateway.devices.vernier_respiration_belt.protocol import VernierProtocol
+from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import VernierProtocol
 
 
 class _Vector(NamedTuple):

@@ -8,11 +8,11 @@ from typing import Any, cast
 
 import pyxdf
 
-from biosensor_gateway.xdf.expectation import ExpectedStream
-from biosensor_gateway.xdf.findings import Level
-from biosensor_gateway.xdf.judging import judge
-from biosensor_gateway.xdf.recording import Recording, read_recording
-from biosensor_gateway.xdf.report import Measured, Report
+from biosensor_gateway.recording.xdf.expectation import ExpectedStream
+from biosensor_gateway.recording.xdf.findings import Level
+from biosensor_gateway.recording.xdf.judging import judge
+from biosensor_gateway.recording.xdf.recording import Recording, read_recording
+from biosensor_gateway.recording.xdf.report import Measured, Report
 
 
 def read(content: bytes, name: str = "study.xdf") -> Recording:

@@ -12,9 +12,9 @@ from biosensor_common.lsl_header import describe
 from biosensor_common.naming import lsl_name, source_id
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.counters import Counters, counters_text
-from biosensor_gateway.xdf.counted import Counted, Reading, compare, parse_readings
-from biosensor_gateway.xdf.findings import Level
+from biosensor_gateway.recording.xdf.counted import Counted, Reading, compare, parse_readings
+from biosensor_gateway.recording.xdf.findings import Level
+from biosensor_gateway.streaming.counters import Counters, counters_text
 from tests.xdf import xdf_file as x
 from tests.xdf.checking import check, codes, text_of
 

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from biosensor_gateway.xdf.findings import Level
-from biosensor_gateway.xdf.judging import judge
-from biosensor_gateway.xdf.printing import as_json, as_text
-from biosensor_gateway.xdf.recording import read_recording
+from biosensor_gateway.recording.xdf.findings import Level
+from biosensor_gateway.recording.xdf.judging import judge
+from biosensor_gateway.recording.xdf.printing import as_json, as_text
+from biosensor_gateway.recording.xdf.recording import read_recording
 from tests.xdf import xdf_file as x
 from tests.xdf.checking import check, codes, load_by_pyxdf, read, text_of
 

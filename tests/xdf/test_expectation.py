@@ -6,10 +6,10 @@ import pytest
 
 from biosensor_common.registry import sensor, sensor_names
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.outlets import Outlet
-from biosensor_gateway.settings import DeviceSettings
-from biosensor_gateway.xdf.expectation import by_devices, by_name
-from biosensor_gateway.xdf.findings import Level
+from biosensor_gateway.recording.xdf.expectation import by_devices, by_name
+from biosensor_gateway.recording.xdf.findings import Level
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.streaming.outlets import Outlet
 from tests.xdf import xdf_file as x
 from tests.xdf.checking import check, codes
 

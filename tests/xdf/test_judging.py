@@ -9,7 +9,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from biosensor_gateway.xdf.findings import Level
+from biosensor_gateway.recording.xdf.findings import Level
 from tests.xdf import xdf_file as x
 from tests.xdf.checking import check, codes, only, text_of
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from biosensor_gateway.xdf.container import RecordingError, RecordingReason
-from biosensor_gateway.xdf.recording import read_recording
+from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
+from biosensor_gateway.recording.xdf.recording import read_recording
 from tests.xdf import xdf_file as x
 from tests.xdf.checking import load_by_pyxdf, read
 

@@ -18,13 +18,13 @@ import pytest
 
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.counters import Counters, counters_text
-from biosensor_gateway.outlets import Outlet
-from biosensor_gateway.xdf.findings import Level
-from biosensor_gateway.xdf.judging import judge
-from biosensor_gateway.xdf.printing import as_json, as_text
-from biosensor_gateway.xdf.recording import read_recording
-from biosensor_gateway.xdf.report import Measured, Report
+from biosensor_gateway.recording.xdf.findings import Level
+from biosensor_gateway.recording.xdf.judging import judge
+from biosensor_gateway.recording.xdf.printing import as_json, as_text
+from biosensor_gateway.recording.xdf.recording import read_recording
+from biosensor_gateway.recording.xdf.report import Measured, Report
+from biosensor_gateway.streaming.counters import Counters, counters_text
+from biosensor_gateway.streaming.outlets import Outlet
 from tests.rigs.lab_recorder import EVERYTHING, PROGRAM, LabRecorder
 from tests.xdf.checking import codes, load_by_pyxdf, text_of
 from tests.xdf.xdf_file import chunk_ends

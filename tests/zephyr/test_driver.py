@@ -20,11 +20,11 @@ from structlog.testing import capture_logs
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_common.sensors.zephyr import SENSOR
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway import supervisor as supervisor_module
-from biosensor_gateway.counters import Counters
-from biosensor_gateway.devices.zephyr import driver as module
-from biosensor_gateway.devices.zephyr.driver import DRIVER, ZephyrDriver, ZephyrSettings
-from biosensor_gateway.devices.zephyr.emitter import ZephyrEmitter
+from biosensor_gateway.agent import supervisor as supervisor_module
+from biosensor_gateway.agent.supervisor import State, Supervisor
+from biosensor_gateway.devices.zephyr.driver import driver as module
+from biosensor_gateway.devices.zephyr.driver.driver import DRIVER, ZephyrDriver, ZephyrSettings
+from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
 from biosensor_gateway.devices.zephyr.simulator import wire
 from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
 from biosensor_gateway.devices.zephyr.simulator.sources import (
@@ -33,8 +33,8 @@ from biosensor_gateway.devices.zephyr.simulator.sources import (
     SyntheticSource,
 )
 from biosensor_gateway.devices.zephyr.simulator.wire import Packet
-from biosensor_gateway.sink import DeviceSink
-from biosensor_gateway.supervisor import State, Supervisor
+from biosensor_gateway.streaming.counters import Counters
+from biosensor_gateway.streaming.sink import DeviceSink
 
 DEADLINE_S = 30.0
 WAVEFORMS = {"ecg": Packet.ECG, "breathing": Packet.BREATHING, "acc": Packet.ACCELERATION}

@@ -15,10 +15,10 @@ from structlog.testing import capture_logs
 
 from biosensor_common.sensors.zephyr import SENSOR
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.devices.zephyr.emitter import ZephyrEmitter
-from biosensor_gateway.devices.zephyr.fields import Number
-from biosensor_gateway.devices.zephyr.frames import MessageId
-from biosensor_gateway.devices.zephyr.messages import (
+from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
+from biosensor_gateway.devices.zephyr.driver.fields import Number
+from biosensor_gateway.devices.zephyr.driver.frames import MessageId
+from biosensor_gateway.devices.zephyr.driver.messages import (
     Acceleration,
     Event,
     General,
@@ -32,7 +32,7 @@ from biosensor_gateway.devices.zephyr.messages import (
     Unknown,
     Waveform,
 )
-from biosensor_gateway.sink import DeviceSink
+from biosensor_gateway.streaming.sink import DeviceSink
 
 NOON = dt.datetime(2026, 1, 30, 12)  # noqa: DTZ001 - naive, as the device means it
 NOON_S = (NOON - dt.datetime(2000, 1, 1)).total_seconds()  # noqa: DTZ001 - the device's epoch

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.zephyr.frames import (
+from biosensor_gateway.devices.zephyr.driver.frames import (
     Frame,
     FrameParser,
     MessageId,
@@ -22,8 +22,14 @@ from biosensor_gateway.devices.zephyr.frames import (
     crc8,
     request,
 )
-from biosensor_gateway.devices.zephyr.messages import Lifesign, Message, Reply, RrIntervals, Unknown
-from biosensor_gateway.devices.zephyr.protocol import LIFESIGN, ZephyrProtocol
+from biosensor_gateway.devices.zephyr.driver.messages import (
+    Lifesign,
+    Message,
+    Reply,
+    RrIntervals,
+    Unknown,
+)
+from biosensor_gateway.devices.zephyr.driver.protocol import LIFESIGN, ZephyrProtocol
 
 _WHOLE = "zephyr_bh3_2012-09-26_150s.dat"
 _WITH_GAP = "zephyr_bh3_2012-04-06_with_gap.dat"

@@ -17,9 +17,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.zephyr import fields, messages, protocol
-from biosensor_gateway.devices.zephyr.frames import Frame, FrameParser, MessageId, request
-from biosensor_gateway.devices.zephyr.protocol import LIFESIGN, Request, ZephyrProtocol, enable
+from biosensor_gateway.devices.zephyr.driver import fields, messages, protocol
+from biosensor_gateway.devices.zephyr.driver.frames import Frame, FrameParser, MessageId, request
+from biosensor_gateway.devices.zephyr.driver.protocol import (
+    LIFESIGN,
+    Request,
+    ZephyrProtocol,
+    enable,
+)
 
 _150S, _WITH_GAP = "zephyr_bh3_2012-09-26_150s.dat", "zephyr_bh3_2012-04-06_with_gap.dat"
 _HEADER = bytes.fromhex("01ea07011f18572605")

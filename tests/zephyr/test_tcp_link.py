@@ -10,12 +10,12 @@ import pytest
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.devices.zephyr.driver import DRIVER, ZephyrSettings
+from biosensor_gateway.agent.supervisor import Supervisor
+from biosensor_gateway.devices.zephyr.driver.driver import DRIVER, ZephyrSettings
 from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
 from biosensor_gateway.devices.zephyr.simulator.sources import SyntheticSource
 from biosensor_gateway.simulation.tcp_link import TcpHostLink
-from biosensor_gateway.sink import DeviceSink
-from biosensor_gateway.supervisor import Supervisor
+from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.tcp_link import TcpLink
 
 DEADLINE_S = 30.0

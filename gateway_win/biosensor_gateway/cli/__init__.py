@@ -12,7 +12,7 @@ def main() -> None:
     """Run the command line; see `biosensor_gateway.cli.app`."""
     _say_anything()
     if sys.argv[1:2] == ["run"]:
-        from biosensor_gateway.ending import end_quietly_until_running  # noqa: PLC0415 - asyncio
+        from biosensor_gateway.system.shutdown import end_quietly_until_running  # noqa: PLC0415 - asyncio
 
         # What it needs takes a second to import, and a service may be stopped as it starts.
         end_quietly_until_running()

@@ -14,10 +14,10 @@ from rich.live import Live
 from rich.table import Table
 
 from biosensor_common.errors import ConfigError, TransportError, TransportReason
-from biosensor_gateway import health
+from biosensor_gateway.agent import status_file
 from biosensor_gateway.cli.options import JsonOption
 from biosensor_gateway.cli.screen import console, table_of_names
-from biosensor_gateway.settings import state_folder
+from biosensor_gateway.settings.models import state_folder
 
 _EVERY_S = 1.0
 _HEADINGS = ("device", "offset s", "drift ppm", "RMS ms", "jumps", "age s")
@@ -49,7 +49,7 @@ def clocks(
 
 def _status() -> dict[str, Any]:
     try:
-        return health.read_status(state_folder())
+        return status_file.read_status(state_folder())
     except ConfigError as error:
         # The command was right: there is no agent.
         raise TransportError(TransportReason.ABSENT, str(error)) from error

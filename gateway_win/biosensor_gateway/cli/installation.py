@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
-from biosensor_gateway import windows_path
+from biosensor_gateway.system import windows_path
 
 app = typer.Typer(help="Used by the Windows installer.", no_args_is_help=True)
 

@@ -21,24 +21,26 @@ from biosensor_common.errors import (
 )
 from biosensor_common.quantities import Unit
 from biosensor_common.registry import sensor as spec
-from biosensor_gateway import health, settings_file, trial
-from biosensor_gateway import scan as search
+from biosensor_gateway.agent import status_file
 from biosensor_gateway.cli.options import JsonOption, SettingsOption, SimulateOption
 from biosensor_gateway.cli.screen import console, say, table_of_names
 from biosensor_gateway.devices import settings_models
-from biosensor_gateway.logs import configure_logs
-from biosensor_gateway.settings import (
+from biosensor_gateway.doctor import device_test
+from biosensor_gateway.doctor import scan as search
+from biosensor_gateway.settings import file as settings_file
+from biosensor_gateway.settings.models import (
     DeviceSettings,
     LogSettings,
     settings_path,
     state_folder,
 )
+from biosensor_gateway.system.logs import configure_logs
 
 
 def status(as_json: JsonOption = False) -> None:
     """Show what the running agent does; exit code 1 if none runs."""
     try:
-        current = health.read_status(state_folder())
+        current = status_file.read_status(state_folder())
     except ConfigError as error:
         # The command was right: there is no agent.
         raise TransportError(TransportReason.ABSENT, str(error)) from error
@@ -110,17 +112,17 @@ def test(
     """Connect to one device, show what it sends and what is wrong; nothing is streamed."""
     configure_logs(LogSettings(level="error"), None)
     with _devices(settings, sensor if simulate else "") as configured:
-        device = trial.chosen_device(sensor, unit, configured)
-        outcome = asyncio.run(trial.try_device(device, seconds))
+        device = device_test.chosen_device(sensor, unit, configured)
+        outcome = asyncio.run(device_test.try_device(device, seconds))
     if as_json:
-        typer.echo(json.dumps(trial.as_json(outcome), indent=2))
+        typer.echo(json.dumps(device_test.as_json(outcome), indent=2))
     else:
         _print_trial(outcome, sensor)
     if outcome.problems:
         raise typer.Exit(1)
 
 
-def _print_trial(outcome: trial.Trial, sensor: str) -> None:
+def _print_trial(outcome: device_test.Trial, sensor: str) -> None:
     info = outcome.info
     if info is not None:
         details = (info.manufacturer, info.model, info.serial_number, info.firmware_version)
@@ -132,7 +134,7 @@ def _print_trial(outcome: trial.Trial, sensor: str) -> None:
         typer.echo("no problem found")
 
 
-def _trial_table(outcome: trial.Trial, sensor: str) -> Table:
+def _trial_table(outcome: device_test.Trial, sensor: str) -> Table:
     table = Table(box=None)
     table.add_column("stream", no_wrap=True)
     for heading in ("samples", "Hz", "nominal Hz"):
@@ -162,7 +164,7 @@ def _short(values: tuple[float | str, ...], units: Sequence[str]) -> str:
 def _devices(settings: Path | None, simulate: str) -> Generator[tuple[DeviceSettings, ...]]:
     """Yield the devices of the settings, or virtual ones while the context lasts."""
     if simulate:
-        from biosensor_gateway.simulate import simulated_settings  # noqa: PLC0415 - only on request
+        from biosensor_gateway.demo.virtual_devices import simulated_settings  # noqa: PLC0415 - only on request
 
         with simulated_settings(simulate.split(",")) as loaded:
             yield loaded.devices

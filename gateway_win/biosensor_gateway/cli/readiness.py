@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
+from biosensor_gateway.agent.readiness import Readiness, wait_until_ready
 from biosensor_gateway.cli.options import JsonOption
-from biosensor_gateway.readiness import Readiness, wait_until_ready
-from biosensor_gateway.settings import state_folder
+from biosensor_gateway.settings.models import state_folder
 
 TIMEOUT_S = 60.0
 

@@ -13,18 +13,18 @@ from typing import Annotated
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway import settings_file
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
 from biosensor_gateway.devices import settings_models
-from biosensor_gateway.lab_recorder.file_name import MAX_RUN, BidsLabels, Place
-from biosensor_gateway.lab_recorder.remote import DEFAULT_PORT, RemoteControl
-from biosensor_gateway.lab_recorder.situation import Situation, situation
-from biosensor_gateway.lab_recorder.starting import GROWTH_S, Order, Started
-from biosensor_gateway.lab_recorder.starting import start as start_recording
-from biosensor_gateway.lab_recorder.stopping import Stopped
-from biosensor_gateway.lab_recorder.stopping import stop as stop_recording
-from biosensor_gateway.lab_recorder.streams import Presence, expected_devices, look
-from biosensor_gateway.settings import GatewaySettings, settings_path, state_folder
+from biosensor_gateway.recording.labrecorder.file_name import MAX_RUN, BidsLabels, Place
+from biosensor_gateway.recording.labrecorder.remote import DEFAULT_PORT, RemoteControl
+from biosensor_gateway.recording.labrecorder.situation import Situation, situation
+from biosensor_gateway.recording.labrecorder.starting import GROWTH_S, Order, Started
+from biosensor_gateway.recording.labrecorder.starting import start as start_recording
+from biosensor_gateway.recording.labrecorder.stopping import Stopped
+from biosensor_gateway.recording.labrecorder.stopping import stop as stop_recording
+from biosensor_gateway.recording.labrecorder.streams import Presence, expected_devices, look
+from biosensor_gateway.settings import file as settings_file
+from biosensor_gateway.settings.models import GatewaySettings, settings_path, state_folder
 
 app = typer.Typer(help="Start and stop recordings of LabRecorder.", no_args_is_help=True)
 

@@ -15,17 +15,18 @@ import structlog
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
-from biosensor_gateway import control, settings_file
-from biosensor_gateway import demo as demonstration
-from biosensor_gateway.agent import Agent
+from biosensor_gateway.agent import control
+from biosensor_gateway.agent.agent import Agent
+from biosensor_gateway.agent.control import ControlServer
+from biosensor_gateway.agent.single_instance import single_instance, wait_until_free
 from biosensor_gateway.cli.options import FaultOption, SettingsOption, SimulateOption
-from biosensor_gateway.control import ControlServer
+from biosensor_gateway.demo import demonstration
 from biosensor_gateway.devices import settings_models
-from biosensor_gateway.ending import until_signalled
-from biosensor_gateway.logs import configure_logs, console_relayed
-from biosensor_gateway.quick_edit import quick_edit_off
-from biosensor_gateway.settings import GatewaySettings, settings_path, state_folder
-from biosensor_gateway.single_instance import single_instance, wait_until_free
+from biosensor_gateway.settings import file as settings_file
+from biosensor_gateway.settings.models import GatewaySettings, settings_path, state_folder
+from biosensor_gateway.system.logs import configure_logs, console_relayed
+from biosensor_gateway.system.quick_edit import quick_edit_off
+from biosensor_gateway.system.shutdown import until_signalled
 
 _ASK_AGAIN_S = 0.2
 
@@ -52,7 +53,7 @@ def _settings_file(path: Path | None) -> AbstractContextManager[GatewaySettings]
 
 
 def _virtual_devices(names: str, faults: Iterable[str]) -> AbstractContextManager[GatewaySettings]:
-    from biosensor_gateway.simulate import simulated_settings  # noqa: PLC0415 - only on request
+    from biosensor_gateway.demo.virtual_devices import simulated_settings  # noqa: PLC0415 - only on request
 
     return simulated_settings(names.split(","), faults)
 

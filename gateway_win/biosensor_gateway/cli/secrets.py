@@ -7,9 +7,9 @@ from typing import Annotated
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason, CredentialError
-from biosensor_gateway import secret_store
 from biosensor_gateway.devices import driver, driver_names
-from biosensor_gateway.secret_store import SecretName
+from biosensor_gateway.settings import secrets as secret_store
+from biosensor_gateway.settings.secrets import SecretName
 
 app = typer.Typer(help="Secrets in the keyring of the system.", no_args_is_help=True)
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import typer
 
-from biosensor_gateway import settings_file, settings_template
 from biosensor_gateway.cli import editor, lsl_file
 from biosensor_gateway.cli.options import SettingsOption
 from biosensor_gateway.devices import settings_models
-from biosensor_gateway.settings import settings_path
+from biosensor_gateway.settings import file as settings_file
+from biosensor_gateway.settings import template as settings_template
+from biosensor_gateway.settings.models import settings_path
 
 app = typer.Typer(help="The settings file.", no_args_is_help=True)
 app.command("lsl")(lsl_file.write_lsl_file)

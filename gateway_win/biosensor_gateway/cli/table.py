@@ -30,12 +30,12 @@ COMMANDS = (
     ),
     _command(
         "pause",
-        "withdrawal:pause",
+        "pauses:pause",
         "Send nothing of a device from now on, also after a restart, until it is resumed.",
     ),
     _command(
         "resume",
-        "withdrawal:resume",
+        "pauses:resume",
         "Send again what a paused device measures from now on.",
     ),
     _command("demo", "running:demo", "Show all virtual devices on their way to ROS topics."),

@@ -8,15 +8,15 @@ from typing import Annotated
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway import settings_file
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
 from biosensor_gateway.devices import settings_models
-from biosensor_gateway.settings import settings_path
-from biosensor_gateway.xdf.container import RecordingError
-from biosensor_gateway.xdf.expectation import ExpectedStream, by_devices, by_name
-from biosensor_gateway.xdf.judging import judge
-from biosensor_gateway.xdf.printing import as_json, as_text
-from biosensor_gateway.xdf.recording import read_recording
+from biosensor_gateway.recording.xdf.container import RecordingError
+from biosensor_gateway.recording.xdf.expectation import ExpectedStream, by_devices, by_name
+from biosensor_gateway.recording.xdf.judging import judge
+from biosensor_gateway.recording.xdf.printing import as_json, as_text
+from biosensor_gateway.recording.xdf.recording import read_recording
+from biosensor_gateway.settings import file as settings_file
+from biosensor_gateway.settings.models import settings_path
 
 app = typer.Typer(help="Recordings of LabRecorder (XDF files).", no_args_is_help=True)
 

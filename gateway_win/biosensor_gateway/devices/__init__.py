@@ -10,10 +10,10 @@ from typing import NamedTuple, cast
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import Driver
-from biosensor_gateway.secret_store import SecretName
-from biosensor_gateway.settings import DeviceSettings
-from biosensor_gateway.sink import DeviceSink
-from biosensor_gateway.transports.seen import Advertisement, SerialPort
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.settings.secrets import SecretName
+from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 ENTRY_POINT_GROUP = "biosensor_gateway.drivers"
 
@@ -26,7 +26,7 @@ _SENSORS = (
     "zephyr",
     "ble_heart_rate",
 )
-_MODULES = {name: f"biosensor_gateway.devices.{name}.driver" for name in _SENSORS}
+_MODULES = {name: f"biosensor_gateway.devices.{name}.driver.driver" for name in _SENSORS}
 
 
 class DriverEntry(NamedTuple):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 from biosensor_common.spec import DeviceInfo
-from biosensor_gateway.silence import PATIENCE_S
+from biosensor_gateway.streaming.silence import PATIENCE_S
 
 
 @dataclass(frozen=True, slots=True)

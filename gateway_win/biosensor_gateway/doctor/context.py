@@ -13,7 +13,7 @@ from biosensor_common.errors import ConfigError, SpecError
 from biosensor_common.lsl_config import LslOverrides
 from biosensor_common.registry import sensor
 from biosensor_gateway.doctor.guide import GUIDE
-from biosensor_gateway.settings import DeviceSettings, GatewaySettings, LslSettings
+from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings, LslSettings
 
 LAB_RECORDER_PORT = 22345
 
@@ -54,7 +54,7 @@ class Context(common.Context):
     @property
     def streams_to_open(self) -> int:
         """The streams of the devices and the one of the agent itself; 0 if it runs already."""
-        from biosensor_gateway.single_instance import is_held  # noqa: PLC0415
+        from biosensor_gateway.agent.single_instance import is_held  # noqa: PLC0415
 
         if not self.enabled or is_held(self.state_folder):
             return 0
@@ -63,10 +63,10 @@ class Context(common.Context):
     @property
     def offered(self) -> frozenset[str]:
         """The source_ids of the streams that the running agent says it has open."""
-        from biosensor_gateway import health  # noqa: PLC0415 - brings pylsl
+        from biosensor_gateway.agent import status_file  # noqa: PLC0415 - brings pylsl
 
         try:
-            status = health.read_status(self.state_folder)
+            status = status_file.read_status(self.state_folder)
         except ConfigError:
             return frozenset()
         return frozenset(source for device in status["devices"] for source in device["streams"])
@@ -80,7 +80,7 @@ def read_context(
     try:
         # The drivers, which the models come from, bring all their libraries.
         from biosensor_gateway.devices import settings_models  # noqa: PLC0415
-        from biosensor_gateway.settings_file import load_settings  # noqa: PLC0415
+        from biosensor_gateway.settings.file import load_settings  # noqa: PLC0415
 
         loaded = load_settings(settings_path, settings_models())
     except Exception as problem:  # noqa: BLE001 - a driver that cannot be imported, too

@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 
 from biosensor_common.errors import SpecError
 from biosensor_common.registry import sensor
-from biosensor_gateway.settings import DeviceSettings
+from biosensor_gateway.settings.models import DeviceSettings
 
 _SOCKET = "socket://"
 

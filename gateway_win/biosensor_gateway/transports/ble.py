@@ -24,7 +24,7 @@ from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_errors import AttError, connect_error, is_forgotten
 from biosensor_gateway.transports.ble_scanner import Sighting, forget
 from biosensor_gateway.transports.deadlines import in_background, within
-from biosensor_gateway.transports.seen import Advertisement
+from biosensor_gateway.transports.nearby import Advertisement
 
 CONNECT_LIMIT_S = 20.0
 REQUEST_LIMIT_S = 5.0

@@ -11,7 +11,7 @@ import structlog
 from biosensor_common.errors import ProtocolError, ProtocolReason, TransportError, TransportReason
 from biosensor_gateway.transports import bluez
 from biosensor_gateway.transports.ble_scanner import Sighting, sightings
-from biosensor_gateway.transports.seen import Advertisement
+from biosensor_gateway.transports.nearby import Advertisement
 
 SCAN_S = 10.0
 RIVALS_S = 3.0

@@ -16,7 +16,7 @@ from bleak.backends.scanner import AdvertisementData
 
 from biosensor_gateway.transports.ble_errors import scan_error
 from biosensor_gateway.transports.deadlines import in_background, within
-from biosensor_gateway.transports.seen import Advertisement
+from biosensor_gateway.transports.nearby import Advertisement
 
 START_LIMIT_S = 10.0
 STOP_LIMIT_S = 2.0

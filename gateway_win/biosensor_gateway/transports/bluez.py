@@ -10,7 +10,7 @@ import sys
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from biosensor_gateway.transports.seen import Advertisement
+from biosensor_gateway.transports.nearby import Advertisement
 
 _SERVICE = "org.bluez"
 _DEVICE = "org.bluez.Device1"

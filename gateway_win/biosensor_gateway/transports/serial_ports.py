@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from biosensor_gateway.transports import bluez
-from biosensor_gateway.transports.seen import SerialPort
+from biosensor_gateway.transports.nearby import SerialPort
 
 SERIAL_PORT_SERVICE = "00001101-0000-1000-8000-00805f9b34fb"
 # BTHENUM\{00001101-0000-...}_LOCALMFG&0000\7&23456789&0&000666AABBCC_C00000000, and for a port

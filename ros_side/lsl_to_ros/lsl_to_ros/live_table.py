@@ -28,9 +28,9 @@ from rclpy.signals import SignalHandlerOptions
 
 from biosensor_common.quantities import MessageType
 from biosensor_common.terminal import columns
+from lsl_to_ros.accounts.rates import RateMeter
 from lsl_to_ros.fitting import fitted, widths
-from lsl_to_ros.messages import CLASSES
-from lsl_to_ros.rates import RateMeter
+from lsl_to_ros.topics.messages import CLASSES
 
 FIRST_SAMPLE_TIMEOUT_S = 30.0
 REFRESH_S = 1.0

@@ -20,23 +20,24 @@ from rclpy.utilities import get_rmw_implementation_identifier
 from biosensor_common.errors import ConfigError
 from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
 from biosensor_common.relay import console_relayed
-from lsl_to_ros import fastdds, node_parameters
-from lsl_to_ros.discovery import Discovery
+from lsl_to_ros import fastdds
+from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.limited_log import LimitedLog
-from lsl_to_ros.node_parameters import (
+from lsl_to_ros.lsl.discovery import Discovery
+from lsl_to_ros.lsl.hosts import Senders
+from lsl_to_ros.lsl.readers import Pump
+from lsl_to_ros.parameters import node as node_parameters
+from lsl_to_ros.parameters.node import (
     BURST_PACING,
     KNOWN_PEERS,
     SESSION_ID,
     STREAM_PREDICATE,
     TOPIC_PREFIX,
 )
-from lsl_to_ros.pacing import Pace, Pacer
-from lsl_to_ros.parameters import Parameters
-from lsl_to_ros.pump import Pump
-from lsl_to_ros.reporting import Reporting
-from lsl_to_ros.ros_time import RosTime
+from lsl_to_ros.parameters.streams import Parameters
+from lsl_to_ros.reports.reporting import Reporting
 from lsl_to_ros.routing import Routing
-from lsl_to_ros.senders import Senders
+from lsl_to_ros.topics.pacing import Pace, Pacer
 
 LOOK_PERIOD_S = 0.1
 REPORT_PERIOD_S = 1.0

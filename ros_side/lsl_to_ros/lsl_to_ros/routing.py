@@ -14,19 +14,19 @@ from biosensor_common.naming import TopicName, resolve_topics
 from biosensor_common.quantities import MessageType
 from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import StreamHeader
-from lsl_to_ros import messages
-from lsl_to_ros.bridge import Bridge, Outputs
-from lsl_to_ros.inlets import Inlet
+from lsl_to_ros.accounts.health import StreamHealth
+from lsl_to_ros.accounts.ros_time import RosTime
+from lsl_to_ros.accounts.stamping import Stamping
+from lsl_to_ros.accounts.tally import Refusals, Tally, can_estimate_losses
 from lsl_to_ros.limited_log import LimitedLog
-from lsl_to_ros.outputs import open_outputs
-from lsl_to_ros.pacing import Pacer
-from lsl_to_ros.parameters import Parameters, StreamSettings
-from lsl_to_ros.ports import Port, Ports, TopicTypeError
-from lsl_to_ros.ros_time import RosTime
-from lsl_to_ros.stamping import Stamping
-from lsl_to_ros.stream_health import StreamHealth
-from lsl_to_ros.tally import Refusals, Tally, can_estimate_losses
-from lsl_to_ros.writers import StreamContext
+from lsl_to_ros.lsl.inlets import Inlet
+from lsl_to_ros.parameters.streams import Parameters, StreamSettings
+from lsl_to_ros.topics import messages
+from lsl_to_ros.topics.bridge import Bridge, Outputs
+from lsl_to_ros.topics.outputs import open_outputs
+from lsl_to_ros.topics.pacing import Pacer
+from lsl_to_ros.topics.publishers import Port, Ports, TopicTypeError
+from lsl_to_ros.topics.writers import StreamContext
 
 # So many topics of streams that are away stay open for their subscribers.
 ABSENT_TOPICS = 1000

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from biosensor_common.registry import sensor
-from biosensor_gateway.logs import LOG_FILE_NAME
+from biosensor_gateway.system.logs import LOG_FILE_NAME
 from tests.faults.agent import AgentProcess
 from tests.faults.expectations import numeric_streams, source
 from tests.rigs.lab_client import LabProcess, settings_toml

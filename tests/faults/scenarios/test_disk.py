@@ -12,7 +12,7 @@ import pylsl
 import pytest
 
 from biosensor_common.errors import ConfigError
-from biosensor_gateway import health
+from biosensor_gateway.agent import status_file
 from tests.faults.agent import AgentProcess
 from tests.faults.expectations import regular_streams, source, steady_streams
 from tests.faults.recorder import Recorder
@@ -88,7 +88,8 @@ def is_reported(folder: Path) -> Callable[[], bool]:
 
     def holds() -> bool:
         with suppress(ConfigError):
-            return time.time() - health.read_status(folder)["written"] < health.STALE_AFTER_S / 2
+            written = status_file.read_status(folder)["written"]
+            return time.time() - written < status_file.STALE_AFTER_S / 2
         return False
 
     return holds

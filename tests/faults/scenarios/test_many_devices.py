@@ -15,7 +15,7 @@ import pytest
 from biosensor_common.naming import source_id
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway import health
+from biosensor_gateway.agent import status_file
 from tests.bench.processes import Processes
 from tests.faults.scenarios.figures import Record
 from tests.faults.scenarios.ledger import TruthLedger
@@ -67,7 +67,7 @@ def truth_of(lab: LabProcess) -> dict[str, Samples]:
 
 
 def counters_of(state: Path) -> dict[str, dict[str, Any]]:
-    devices = health.read_status(state)["devices"]
+    devices = status_file.read_status(state)["devices"]
     return {key: counters for device in devices for key, counters in device["streams"].items()}
 
 

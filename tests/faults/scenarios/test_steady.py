@@ -19,7 +19,7 @@ import numpy as np
 import pylsl
 import pytest
 
-from biosensor_gateway import health
+from biosensor_gateway.agent import status_file
 from tests.bench.processes import Process
 from tests.bench.slope import fit
 from tests.faults.expectations import OF_THE_AGENT, SENSORS, numeric_streams, source, steady_streams
@@ -101,7 +101,7 @@ class Books:
 
     def counters(self) -> Mapping[str, Mapping[str, Any]]:
         """What the agent says of each stream."""
-        devices = health.read_status(self._state)["devices"]
+        devices = status_file.read_status(self._state)["devices"]
         return {key: value for device in devices for key, value in device["streams"].items()}
 
     def truths(self) -> Truths:

@@ -6,9 +6,9 @@ never after their packet; a battery level is a percentage; texts can be printed.
 
 from __future__ import annotations
 
-from biosensor_gateway.devices.ble_heart_rate.beats import BeatClock
-from biosensor_gateway.devices.ble_heart_rate.emitter import StrapEmitter
-from biosensor_gateway.devices.ble_heart_rate.protocol import (
+from biosensor_gateway.devices.ble_heart_rate.driver.beats import BeatClock
+from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
+from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
     parse_battery_level,
     parse_measurement,
     parse_text,

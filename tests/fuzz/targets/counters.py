@@ -10,7 +10,7 @@ import math
 
 from builtin_interfaces.msg import Time
 
-from lsl_to_ros.messages import CLOCK_FACTS, counters_message, read_counters
+from lsl_to_ros.topics.messages import CLOCK_FACTS, counters_message, read_counters
 from tests.fuzz.contract import ensure
 
 _CLOCK = {f"clock_{fact}" for fact in CLOCK_FACTS}

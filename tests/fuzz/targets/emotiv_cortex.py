@@ -10,11 +10,11 @@ import math
 from collections.abc import Callable
 
 from biosensor_common.errors import ConfigError, ProtocolError
-from biosensor_gateway.devices.emotiv_insight import results
-from biosensor_gateway.devices.emotiv_insight.emitter import EmotivEmitter
-from biosensor_gateway.devices.emotiv_insight.headsets import chosen
-from biosensor_gateway.devices.emotiv_insight.messages import Data, Reply, Warned, parse
-from biosensor_gateway.devices.emotiv_insight.protocol import Decoder, Sample
+from biosensor_gateway.devices.emotiv_insight.driver import results
+from biosensor_gateway.devices.emotiv_insight.driver.emitter import EmotivEmitter
+from biosensor_gateway.devices.emotiv_insight.driver.headsets import chosen
+from biosensor_gateway.devices.emotiv_insight.driver.messages import Data, Reply, Warned, parse
+from biosensor_gateway.devices.emotiv_insight.driver.protocol import Decoder, Sample
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink
 from tests.fuzz.contract import ensure
 

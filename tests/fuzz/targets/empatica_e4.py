@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from biosensor_gateway.devices.empatica_e4.emitter import E4Emitter
-from biosensor_gateway.devices.empatica_e4.messages import Event, Message, Sample, Stream
-from biosensor_gateway.devices.empatica_e4.protocol import MAX_LINE_BYTES, E4Protocol
+from biosensor_gateway.devices.empatica_e4.driver.emitter import E4Emitter
+from biosensor_gateway.devices.empatica_e4.driver.messages import Event, Message, Sample, Stream
+from biosensor_gateway.devices.empatica_e4.driver.protocol import MAX_LINE_BYTES, E4Protocol
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink
 from tests.fuzz.contract import ensure
 from tests.fuzz.streams import same_in_any_split

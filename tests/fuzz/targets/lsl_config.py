@@ -9,7 +9,7 @@ from __future__ import annotations
 from biosensor_common.doctor import lsl_text
 from biosensor_common.errors import ConfigError
 from biosensor_common.lsl_config import LslOverrides, effective_config
-from biosensor_gateway.lsl_file import LabRecorderSettings, LslFile, Ports, changes
+from biosensor_gateway.recording.lsl_api_cfg import LabRecorderSettings, LslFile, Ports, changes
 from tests.fuzz.contract import ensure
 from tests.fuzz.scratch import written
 

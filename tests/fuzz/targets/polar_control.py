@@ -5,7 +5,7 @@ Nothing raises; a start command names one value of each setting, of those offere
 
 from __future__ import annotations
 
-from biosensor_gateway.devices.polar_h10.protocol.control_point import (
+from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     Measurement,
     Reply,
     Setting,

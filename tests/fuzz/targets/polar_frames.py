@@ -6,9 +6,9 @@ times are in order.
 
 from __future__ import annotations
 
-from biosensor_gateway.devices.polar_h10.emitter import PolarEmitter
-from biosensor_gateway.devices.polar_h10.protocol.control_point import Measurement
-from biosensor_gateway.devices.polar_h10.protocol.frames import (
+from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
+from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement
+from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     Acceleration,
     Ecg,
     Ppg,
@@ -16,7 +16,7 @@ from biosensor_gateway.devices.polar_h10.protocol.frames import (
     Rejected,
     parse_frame,
 )
-from biosensor_gateway.devices.polar_h10.protocol.timeline import FrameTimeline
+from biosensor_gateway.devices.polar_h10.driver.protocol.timeline import FrameTimeline
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink
 from tests.fuzz.contract import ensure
 from tests.fuzz.streams import counted_pieces

@@ -8,18 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from biosensor_gateway.devices.shimmer3_gsr.battery import charge_percent
-from biosensor_gateway.devices.shimmer3_gsr.channels import Layout
-from biosensor_gateway.devices.shimmer3_gsr.crc import CrcMode, checksum
-from biosensor_gateway.devices.shimmer3_gsr.emitter import Measurement, ShimmerEmitter
-from biosensor_gateway.devices.shimmer3_gsr.messages import (
+from biosensor_gateway.devices.shimmer3_gsr.driver.battery import charge_percent
+from biosensor_gateway.devices.shimmer3_gsr.driver.channels import Layout
+from biosensor_gateway.devices.shimmer3_gsr.driver.crc import CrcMode, checksum
+from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import Measurement, ShimmerEmitter
+from biosensor_gateway.devices.shimmer3_gsr.driver.messages import (
     BatteryReading,
     Inquiry,
     Message,
     Packet,
 )
-from biosensor_gateway.devices.shimmer3_gsr.protocol import TICK_MODULUS, ShimmerProtocol
-from biosensor_gateway.devices.shimmer3_gsr.replies import ReplyForm
+from biosensor_gateway.devices.shimmer3_gsr.driver.protocol import TICK_MODULUS, ShimmerProtocol
+from biosensor_gateway.devices.shimmer3_gsr.driver.replies import ReplyForm
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink
 from tests.fuzz.contract import ensure
 from tests.fuzz.streams import same_in_any_split

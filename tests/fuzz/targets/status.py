@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 from biosensor_common.errors import ConfigError
-from biosensor_gateway.health import STATUS_FILE, read_status
+from biosensor_gateway.agent.status_file import STATUS_FILE, read_status
 from tests.fuzz.contract import ensure
 from tests.fuzz.scratch import folder, written
 

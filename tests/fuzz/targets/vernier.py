@@ -10,24 +10,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from biosensor_common.errors import ProtocolError
-from biosensor_gateway.devices.vernier_respiration_belt import replies
-from biosensor_gateway.devices.vernier_respiration_belt.channels import (
+from biosensor_gateway.devices.vernier_respiration_belt.driver import replies
+from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import (
     BeltChannels,
     choose_channels,
 )
-from biosensor_gateway.devices.vernier_respiration_belt.emitter import VernierEmitter
-from biosensor_gateway.devices.vernier_respiration_belt.messages import (
+from biosensor_gateway.devices.vernier_respiration_belt.driver.emitter import VernierEmitter
+from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import (
     Measurement,
     Message,
     Reply,
 )
-from biosensor_gateway.devices.vernier_respiration_belt.packets import (
+from biosensor_gateway.devices.vernier_respiration_belt.driver.packets import (
     HEADER_SIZE,
     Head,
     PacketParser,
 )
-from biosensor_gateway.devices.vernier_respiration_belt.protocol import VernierProtocol
-from biosensor_gateway.devices.vernier_respiration_belt.replies import Channel
+from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import VernierProtocol
+from biosensor_gateway.devices.vernier_respiration_belt.driver.replies import Channel
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink
 from tests.fuzz.contract import ensure
 from tests.fuzz.streams import same_in_any_split

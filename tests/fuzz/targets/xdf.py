@@ -9,10 +9,10 @@ from __future__ import annotations
 import json
 from itertools import pairwise
 
-from biosensor_gateway.xdf.container import RecordingError
-from biosensor_gateway.xdf.judging import judge
-from biosensor_gateway.xdf.printing import as_json, as_text
-from biosensor_gateway.xdf.recording import Recording, read_recording
+from biosensor_gateway.recording.xdf.container import RecordingError
+from biosensor_gateway.recording.xdf.judging import judge
+from biosensor_gateway.recording.xdf.printing import as_json, as_text
+from biosensor_gateway.recording.xdf.recording import Recording, read_recording
 from tests.fuzz.contract import ensure
 from tests.fuzz.scratch import written
 

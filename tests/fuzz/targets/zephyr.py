@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from biosensor_gateway.devices.zephyr.emitter import ZephyrEmitter
-from biosensor_gateway.devices.zephyr.frames import MAX_PAYLOAD, STX, FrameParser, crc8
-from biosensor_gateway.devices.zephyr.messages import Message
-from biosensor_gateway.devices.zephyr.protocol import ZephyrProtocol
+from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
+from biosensor_gateway.devices.zephyr.driver.frames import MAX_PAYLOAD, STX, FrameParser, crc8
+from biosensor_gateway.devices.zephyr.driver.messages import Message
+from biosensor_gateway.devices.zephyr.driver.protocol import ZephyrProtocol
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink
 from tests.fuzz.contract import ensure
 from tests.fuzz.streams import same_in_any_split

@@ -17,7 +17,7 @@ import pylsl
 from biosensor_common.lsl_config import LslOverrides
 from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.outlets import Outlet, configure_lsl
+from biosensor_gateway.streaming.outlets import Outlet, configure_lsl
 from tests.rigs.hosts.dialogue import Dialogue
 
 SENSOR, DATA = "empatica_e4", "st"

@@ -13,7 +13,7 @@ import numpy as np
 
 from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.logs import LOG_FILE_NAME
+from biosensor_gateway.system.logs import LOG_FILE_NAME
 from installer.wine.prefix import windows_path
 from tests.rigs.hosts.completeness import MARGIN_S, Span
 from tests.rigs.hosts.lan import Lan

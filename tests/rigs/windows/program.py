@@ -15,8 +15,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from biosensor_common.errors import ConfigError
-from biosensor_gateway import health
-from biosensor_gateway.logs import LOG_FILE_NAME
+from biosensor_gateway.agent import status_file
+from biosensor_gateway.system.logs import LOG_FILE_NAME
 from installer.wine.prefix import Prefix, WineError, windows_path
 from tests.rigs.windows.pc import WindowsPc
 
@@ -143,7 +143,7 @@ class RunningProgram:
         """What it says of itself; empty before it has said anything."""
         assert self.is_running, self.said()
         try:
-            return health.read_status(self._folder)
+            return status_file.read_status(self._folder)
         except ConfigError:
             return {}
 

@@ -9,15 +9,15 @@ from typing import NamedTuple
 
 from biosensor_common.sensors.zephyr import SENSOR
 from biosensor_common.spec import StreamSpec
-from biosensor_gateway.devices.zephyr.frames import MessageId
-from biosensor_gateway.devices.zephyr.messages import (
+from biosensor_gateway.devices.zephyr.driver.frames import MessageId
+from biosensor_gateway.devices.zephyr.driver.messages import (
     Acceleration,
     Message,
     RrIntervals,
     Summary,
     Waveform,
 )
-from biosensor_gateway.devices.zephyr.protocol import ZephyrProtocol
+from biosensor_gateway.devices.zephyr.driver.protocol import ZephyrProtocol
 
 RECORDING = "zephyr_bh3_2012-09-26_150s"
 

@@ -10,11 +10,11 @@ from biosensor_common.doctor.finding import Finding, error, note, ok, warning
 from biosensor_common.errors import CredentialError, GatewayError
 from biosensor_common.registry import sensor
 from biosensor_gateway.doctor.context import Context
-from biosensor_gateway.settings import DeviceSettings
+from biosensor_gateway.settings.models import DeviceSettings
 
 if TYPE_CHECKING:
     from biosensor_gateway.devices import DriverEntry
-    from biosensor_gateway.secret_store import SecretName
+    from biosensor_gateway.settings.secrets import SecretName
 
 ANSWER_S = 10.0
 
@@ -72,7 +72,7 @@ async def _unlicensed(entry: DriverEntry, device: DeviceSettings) -> Sequence[st
 
 def _are_there(secrets: Sequence[SecretName]) -> bool:
     """Whether all secrets can be found; the check of the services says which cannot."""
-    from biosensor_gateway.secret_store import find_secret  # noqa: PLC0415 - slow to import
+    from biosensor_gateway.settings.secrets import find_secret  # noqa: PLC0415 - slow to import
 
     try:
         for secret in secrets:

@@ -61,7 +61,7 @@ def _secrets(context: Context) -> Iterator[Finding]:
     if not sensors:
         return
     from biosensor_gateway.devices import driver  # noqa: PLC0415 - brings all drivers' libraries
-    from biosensor_gateway.secret_store import find_secret  # noqa: PLC0415
+    from biosensor_gateway.settings.secrets import find_secret  # noqa: PLC0415
 
     for sensor in sensors:
         for secret in driver(sensor).secrets:

@@ -85,13 +85,13 @@ def _state_folder(folder: Path) -> Finding:
 
 
 def _agent(folder: Path) -> Finding:
-    from biosensor_gateway import health  # noqa: PLC0415 - brings pylsl
-    from biosensor_gateway.single_instance import is_held  # noqa: PLC0415
+    from biosensor_gateway.agent import status_file  # noqa: PLC0415 - brings pylsl
+    from biosensor_gateway.agent.single_instance import is_held  # noqa: PLC0415
 
     if not is_held(folder):
         return ok("no agent runs at the moment")
     try:
-        status = health.read_status(folder)
+        status = status_file.read_status(folder)
     except ConfigError as problem:
         return warning(
             f"an agent runs, but does not report: {problem}",

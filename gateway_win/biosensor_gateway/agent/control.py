@@ -1,0 +1,279 @@
+"""The control channel: commands of the same user to the running agent.
+
+The agent listens on the loopback address at a free port. Port and a random
+token are in ``control.json`` in its state folder, which only its user can
+read. A client sends one line of JSON and gets one back::
+
+    {"token": "5f…", "command": "stop", "arguments": {}}
+    {"ok": true, "answer": {"process": 4711}}
+    {"ok": false, "problem": "one sentence"}
+
+Whatever else arrives is refused with a sentence and costs the agent nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hmac
+import json
+import os
+import secrets
+import socket
+from collections.abc import Awaitable, Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, cast
+
+import structlog
+
+from biosensor_common.errors import (
+    ConfigError,
+    ConfigReason,
+    GatewayError,
+    ProtocolError,
+    ProtocolReason,
+    TransportError,
+    TransportReason,
+)
+from biosensor_gateway.agent.single_instance import is_held
+
+CONTROL_FILE = "control.json"
+REQUEST_LIMIT = 4096
+"""Bytes of a request, without its line end."""
+TIME_LIMIT_S = 5.0
+"""For a request to arrive, for a command, and for the client to take the reply."""
+MAX_CONNECTIONS = 16
+
+_HOST = "127.0.0.1"
+_REPLY_LIMIT = 65536
+_DISCARDED_BLOCK, _DISCARDED_BLOCKS = 65536, 256
+_LAST_WORDS_S = 0.5
+
+Command = Callable[[Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
+"""Does one thing with the arguments that it is given, and answers what goes into JSON.
+
+A `GatewayError` is told to the client as it is.
+"""
+
+_log = structlog.stdlib.get_logger(__name__)
+
+
+class ControlServer:
+    """Listens for commands while the context lasts.
+
+    Parameters
+    ----------
+    folder
+        The state folder, held by this process.
+    commands
+        What can be asked for, by name.
+
+    Raises
+    ------
+    ConfigError
+        ``UNREADABLE`` on entering, if there is no port or the file cannot be
+        written; the agent can run without.
+    """
+
+    def __init__(self, folder: Path, commands: Mapping[str, Command]) -> None:
+        self._path = folder / CONTROL_FILE
+        self._commands = commands
+        self._token = secrets.token_hex(32)
+        self._connections: set[asyncio.Task[None]] = set()
+
+    async def __aenter__(self) -> Self:
+        try:
+            self._server = await asyncio.start_server(
+                self._connected, _HOST, 0, limit=REQUEST_LIMIT
+            )
+            try:
+                port: int = self._server.sockets[0].getsockname()[1]
+                _write_private(self._path, {"port": port, "token": self._token})
+            except BaseException:
+                self._server.close()
+                raise
+        except OSError as error:
+            message = f"{self._path}: {error.strerror or error}; `stop` will not work"
+            raise ConfigError(ConfigReason.UNREADABLE, message) from error
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        with contextlib.suppress(OSError):
+            self._path.unlink()
+        self._server.close()
+        if not self._connections:
+            return
+        # Who asked the agent to end is to hear that it will.
+        _, late = await asyncio.wait(self._connections, timeout=_LAST_WORDS_S)
+        for connection in late:
+            connection.cancel()
+        await asyncio.gather(*late, return_exceptions=True)
+
+    def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if len(self._connections) >= MAX_CONNECTIONS:
+            writer.write(_refusal("too many connections at once; try again"))
+            writer.close()
+            return
+        connection = asyncio.create_task(self._converse(reader, writer))
+        self._connections.add(connection)
+        connection.add_done_callback(self._connections.discard)
+
+    async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            writer.write(await self._reply(reader))
+            async with asyncio.timeout(TIME_LIMIT_S):
+                await writer.drain()
+                writer.write_eof()
+                # Closing on unread input would reset the connection, and lose the reply.
+                for _ in range(_DISCARDED_BLOCKS):
+                    if not await reader.read(_DISCARDED_BLOCK):
+                        break
+        except (OSError, TimeoutError):
+            # The client went away, or does not read; it is its own loss.
+            pass
+        finally:
+            writer.transport.abort()
+
+    async def _reply(self, reader: asyncio.StreamReader) -> bytes:
+        try:
+            name, arguments = self._checked(await _request(reader))
+            return await self._outcome(name, arguments)
+        except _RefusedError as refused:
+            return _refusal(str(refused))
+
+    def _checked(self, request: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
+        if not self._is_token(request.get("token")):
+            raise _RefusedError(f"wrong token; the right one is in {self._path}")
+        name, arguments = request.get("command"), request.get("arguments", {})
+        if not isinstance(name, str) or name not in self._commands:
+            raise _RefusedError(f"unknown command; known are: {', '.join(self._commands)}")
+        if not isinstance(arguments, dict):
+            raise _RefusedError("the arguments are not a JSON object")
+        return name, cast("dict[str, Any]", arguments)
+
+    def _is_token(self, given: object) -> bool:
+        # JSON can hold halves of surrogate pairs, which strict UTF-8 cannot.
+        text = given.encode(errors="replace") if isinstance(given, str) else b""
+        return hmac.compare_digest(text, self._token.encode())
+
+    async def _outcome(self, name: str, arguments: Mapping[str, Any]) -> bytes:
+        _log.info("a command came", command=name)
+        try:
+            async with asyncio.timeout(TIME_LIMIT_S):
+                answer = await self._commands[name](arguments)
+            return _line({"ok": True, "answer": dict(answer)})
+        except TimeoutError:
+            raise _RefusedError(f"{name} took longer than {TIME_LIMIT_S:g} s") from None
+        except GatewayError as error:
+            raise _RefusedError(str(error)) from error
+        except Exception as error:
+            _log.exception("a command failed", command=name)
+            raise _RefusedError(f"{name} failed; the agent's log says why") from error
+
+
+class _RefusedError(Exception):
+    """A request that is not carried out; its text is the sentence for the client."""
+
+
+async def _request(reader: asyncio.StreamReader) -> Mapping[str, Any]:
+    try:
+        async with asyncio.timeout(TIME_LIMIT_S):
+            line = await reader.readuntil(b"\n")
+    except TimeoutError:
+        raise _RefusedError(f"no whole line came within {TIME_LIMIT_S:g} s") from None
+    except asyncio.LimitOverrunError:
+        raise _RefusedError(f"the line is longer than {REQUEST_LIMIT} bytes") from None
+    except asyncio.IncompleteReadError:
+        raise _RefusedError("the line has no end") from None
+    request = _object(line)
+    if request is None:
+        raise _RefusedError("the line is not a JSON object")
+    return request
+
+
+def ask(
+    folder: Path,
+    command: str,
+    arguments: Mapping[str, Any] | None = None,
+    time_limit_s: float = TIME_LIMIT_S,
+) -> dict[str, Any]:
+    """Have the running agent do something, and return its answer.
+
+    Parameters
+    ----------
+    folder
+        Its state folder.
+    command, arguments
+        What to do, and how.
+    time_limit_s
+        How long each step of the conversation may take.
+
+    Raises
+    ------
+    TransportError
+        ``ABSENT`` if no agent runs, whatever a killed one has left;
+        ``SILENT`` if one runs and does not answer.
+    ProtocolError
+        ``REFUSED``, with the sentence of the agent.
+    """
+    if not is_held(folder):
+        message = "no agent is running; start one with: biosensor-gateway run"
+        raise TransportError(TransportReason.ABSENT, message)
+    try:
+        place = json.loads((folder / CONTROL_FILE).read_text(encoding="utf-8"))
+        request = {"token": place["token"], "command": command, "arguments": arguments or {}}
+        reply = _object(_exchange(int(place["port"]), _line(request), time_limit_s))
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
+        reply = None
+    if reply is None or (reply.get("ok") is True and not isinstance(reply.get("answer"), dict)):
+        message = (
+            f"the agent with the state folder {folder} does not answer: it is starting, ending "
+            "or stuck; try again"
+        )
+        raise TransportError(TransportReason.SILENT, message)
+    if reply.get("ok") is not True:
+        problem = f"the agent refused {command}: {reply.get('problem')}"
+        raise ProtocolError(ProtocolReason.REFUSED, problem)
+    return reply["answer"]
+
+
+def _exchange(port: int, request: bytes, time_limit_s: float) -> bytes:
+    with (
+        socket.create_connection((_HOST, port), time_limit_s) as connection,
+        connection.makefile("rb") as replies,
+    ):
+        connection.sendall(request)
+        return replies.readline(_REPLY_LIMIT)
+
+
+def _refusal(sentence: str) -> bytes:
+    return _line({"ok": False, "problem": sentence})
+
+
+def _line(message: Mapping[str, Any]) -> bytes:
+    return json.dumps(message).encode() + b"\n"
+
+
+def _object(line: bytes) -> dict[str, Any] | None:
+    try:
+        message: object = json.loads(line.decode())
+    except (ValueError, RecursionError):
+        return None
+    return cast("dict[str, Any]", message) if isinstance(message, dict) else None
+
+
+def _write_private(path: Path, content: Mapping[str, Any]) -> None:
+    """Replace a file in one step; on POSIX, only its user can read it at any time."""
+    temporary = path.with_suffix(".new")
+    # Of an agent that was killed here; the lock on the folder keeps others away.
+    temporary.unlink(missing_ok=True)
+    handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        json.dump(content, file)
+    temporary.replace(path)

@@ -1,0 +1,106 @@
+"""Pauses and resumes the devices of a running agent, and remembers it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import structlog
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.agent.control import Command
+from biosensor_gateway.agent.pauses import store
+from biosensor_gateway.agent.pauses.selection import chosen, device_name
+from biosensor_gateway.agent.pauses.store import Pause
+from biosensor_gateway.streaming.sink import DeviceSink
+
+_log = structlog.get_logger("biosensor_gateway.withdrawal")
+
+
+class WithdrawalDesk:
+    """The devices of an agent, and who of them is paused.
+
+    Those that were paused before the agent was started are paused from the beginning.
+
+    Parameters
+    ----------
+    folder
+        The state folder.
+    sinks
+        Of all devices.
+
+    Raises
+    ------
+    ConfigError
+        ``UNREADABLE`` if what is kept of earlier pauses cannot be understood.
+    """
+
+    def __init__(self, folder: Path, sinks: Sequence[DeviceSink]) -> None:
+        self._folder = folder
+        self._sinks = {sink.identity: sink for sink in sinks}
+        self._writing = asyncio.Lock()
+        self._pauses = store.load(folder)
+        for pause in self._pauses:
+            self._take_over(pause)
+
+    @property
+    def commands(self) -> dict[str, Command]:
+        """What the control channel offers; the argument ``device`` names one."""
+        return {"pause": self._pause, "resume": self._resume}
+
+    def _take_over(self, pause: Pause) -> None:
+        for identity, sink in self._sinks.items():
+            if pause.holds_for(identity) and not sink.is_paused:
+                sink.pause()
+                _log.warning(
+                    "the device is paused, and nothing of it is sent until it is resumed",
+                    sensor=identity.sensor,
+                    unit=identity.unit,
+                    since=pause.since.isoformat(timespec="seconds"),
+                    resume_with=f"biosensor-gateway resume {device_name(identity)}",
+                )
+
+    async def _pause(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        sink = self._sink(arguments)
+        changed = not sink.is_paused
+        sink.pause()
+        if changed:
+            self._pauses.append(Pause(sink.identity, datetime.now().astimezone()))
+        return await self._outcome(sink, changed=changed)
+
+    async def _resume(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        sink = self._sink(arguments)
+        changed = sink.is_paused
+        sink.resume()
+        self._pauses = [each for each in self._pauses if not each.holds_for(sink.identity)]
+        return await self._outcome(sink, changed=changed)
+
+    def _sink(self, arguments: Mapping[str, Any]) -> DeviceSink:
+        name = arguments.get("device")
+        if not isinstance(name, str):
+            raise ConfigError(ConfigReason.WRONG_VALUE, "the argument 'device' is not a text")
+        return self._sinks[chosen(name, self._sinks)]
+
+    async def _outcome(self, sink: DeviceSink, *, changed: bool) -> Mapping[str, Any]:
+        """Write down what holds now, also if nothing changed: it may have failed before."""
+        identity = sink.identity
+        names = {"sensor": identity.sensor, "unit": identity.unit}
+        if changed:
+            _log.warning("paused" if sink.is_paused else "resumed", **names)
+        problem = await self._written()
+        if problem is not None:
+            _log.error("the state of pauses is not kept", **names, problem=problem)
+        return {"device": device_name(identity), "changed": changed, "problem": problem}
+
+    async def _written(self) -> str | None:
+        """Write the file beside the loop, which streams on; return why it could not be."""
+        async with self._writing:
+            try:
+                await asyncio.to_thread(store.save, self._folder, tuple(self._pauses))
+            except OSError as error:
+                path = self._folder / store.PAUSED_FILE
+                return f"cannot write {path}: {error.strerror or error}"
+        return None

@@ -1,0 +1,190 @@
+"""Whether all devices of the running agent deliver samples.
+
+A connected device may be silent, and a state may be old: a device counts as ready when
+the agent's own counters advance. Streams that come at a rate are waited for; events and
+values that come when they come cannot be. A device without a stream at a rate is judged
+by the one that tells its quality, which such a device sends once a second.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from biosensor_common import naming
+from biosensor_common.errors import ConfigError
+from biosensor_common.quantities import ContentType
+from biosensor_common.registry import sensor
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.agent import status_file
+
+FRESH_S = 5.0
+"""Samples of a belt after a loss, and values of an E4, come in lumps of seconds."""
+_POLL_S = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Missing:
+    """What is not ready.
+
+    Attributes
+    ----------
+    device
+        As in the settings; empty if there is no agent.
+    streams
+        The source_ids that are waited for.
+    why
+        What is known of the reason.
+    """
+
+    device: str
+    streams: tuple[str, ...]
+    why: str
+
+    @property
+    def sentence(self) -> str:
+        """The same for a person."""
+        if not self.device:
+            return self.why
+        named = f" (no samples of {', '.join(self.streams)})" if self.streams else ""
+        return f"{self.device}: {self.why}{named}"
+
+
+@dataclass(frozen=True, slots=True)
+class Readiness:
+    """Outcome of a wait.
+
+    Attributes
+    ----------
+    devices
+        Number of enabled devices.
+    streams
+        Number of streams that were waited for.
+    """
+
+    ready: bool
+    waited_s: float
+    devices: int
+    streams: int
+    missing: tuple[Missing, ...]
+
+
+@dataclass(slots=True)
+class _Watch:
+    """How the counters of one agent advance from report to report."""
+
+    process: int = 0
+    written: float = 0.0
+    counts: dict[str, int] = field(default_factory=dict[str, int])
+    advanced: dict[str, float] = field(default_factory=dict[str, float])
+
+    def take(self, status: Mapping[str, Any]) -> None:
+        if status["process"] != self.process:
+            # Another agent counts anew.
+            self.process, self.counts, self.advanced = status["process"], {}, {}
+        self.written = status["written"]
+        for device in status["devices"]:
+            for source, counters in device["streams"].items():
+                count = counters["pushed"] + counters.get("waited", 0)
+                if count > self.counts.get(source, count):
+                    self.advanced[source] = self.written
+                self.counts[source] = count
+
+    def delivers(self, source: str) -> bool:
+        return self.written - self.advanced.get(source, -FRESH_S) < FRESH_S
+
+
+def wait_until_ready(folder: Path, timeout_s: float, without: Iterable[str] = ()) -> Readiness:
+    """Wait until every enabled device of the running agent delivers on its steady streams.
+
+    Parameters
+    ----------
+    folder
+        The agent's state folder; the agent may still be starting.
+    timeout_s
+        How long to wait.
+    without
+        Streams not to wait for, by source_id or data name.
+
+    Returns
+    -------
+    Readiness
+        With what is missing, if it took too long.
+
+    Raises
+    ------
+    SpecError
+        If a sensor's declaration cannot be loaded.
+    """
+    begun, excluded, watch = time.monotonic(), frozenset(without), _Watch()
+    while True:
+        devices, streams, missing = _judge(folder, watch, excluded)
+        waited_s = time.monotonic() - begun
+        if not missing or waited_s >= timeout_s:
+            return Readiness(not missing, waited_s, devices, streams, missing)
+        time.sleep(_POLL_S)
+
+
+def _judge(
+    folder: Path, watch: _Watch, excluded: frozenset[str]
+) -> tuple[int, int, tuple[Missing, ...]]:
+    try:
+        status = status_file.read_status(folder)
+    except ConfigError as error:
+        return 0, 0, (Missing("", (), str(error)),)
+    watch.take(status)
+    devices = status["devices"]
+    if not devices:
+        return 0, 0, (Missing("", (), "the agent has no enabled device, so there is no stream"),)
+    awaited = [(device, steady_streams(device, excluded)) for device in devices]
+    missing = (_missing(device, streams, watch) for device, streams in awaited)
+    count = sum(len(streams) for _, streams in awaited)
+    return len(devices), count, tuple(each for each in missing if each is not None)
+
+
+def steady_streams(device: Mapping[str, Any], excluded: frozenset[str]) -> tuple[str, ...]:
+    """Return the source_ids of the streams by which a device shows that it streams.
+
+    Parameters
+    ----------
+    device
+        As the agent's status has it. Before its first connection its streams are
+        those of the declaration.
+    excluded
+        Source_ids and data names to leave out.
+    """
+    names = (device["sensor"], device["unit"], device["participant"], device["label"])
+    identity = DeviceIdentity(*names)
+    open_streams: Mapping[str, Mapping[str, Any]] = device["streams"]
+    steady: list[str] = []
+    quality: list[str] = []
+    for stream in sensor(identity.sensor).streams:
+        source = naming.source_id(identity, stream.data_name)
+        if source in excluded or stream.data_name in excluded:
+            continue
+        # What the device told at its connection counts: some have a stream only in name.
+        told = open_streams.get(source, {})
+        rate = 0 if told.get("silent") else told.get("rate_hz", stream.rate)
+        if rate != 0 and not stream.message_type.is_text:
+            steady.append(source)
+        elif stream.content_type is ContentType.QUALITY:
+            quality.append(source)
+    return tuple(steady or quality)
+
+
+def _missing(device: Mapping[str, Any], streams: tuple[str, ...], watch: _Watch) -> Missing | None:
+    silent = tuple(source for source in streams if not watch.delivers(source))
+    is_streaming = device["state"] == "streaming"
+    if is_streaming and not silent:
+        return None
+    parts = (device["participant"], device["sensor"], device["label"])
+    name = " ".join(part for part in parts if part) + f" ({device['unit']})"
+    if not is_streaming:
+        why = f"{device['state']} - {device['error']}" if device["error"] else device["state"]
+        return Missing(name, streams if not device["streams"] else silent, why)
+    if device.get("paused"):
+        return Missing(name, silent, "paused; take it up again with: biosensor-gateway resume")
+    return Missing(name, silent, "connected, but not all of its streams deliver samples")

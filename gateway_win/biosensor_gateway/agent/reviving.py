@@ -1,0 +1,121 @@
+"""Acts on silent streams: enables them again, gives the connection up, or says why not."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+import structlog
+
+from biosensor_common.errors import ProtocolError, TransportError, TransportReason
+from biosensor_gateway.devices.driver import Driver, EnablesAgain
+from biosensor_gateway.streaming.silence import Remedy, Silence
+from biosensor_gateway.streaming.sink import DeviceSink
+
+TICK_S = 0.25
+
+_ADVICE = "switch the device off and on"
+
+_log = structlog.get_logger("biosensor_gateway.supervisor")
+
+
+class Reviver:
+    """Looks after the streams of one connection.
+
+    Parameters
+    ----------
+    driver
+        May implement :class:`~biosensor_gateway.devices.driver.EnablesAgain`.
+    sink
+        Knows what is silent.
+    on_change
+        Called with what is wrong, None when nothing is any more; and with whether
+        something is being done about it that may still help.
+    """
+
+    def __init__(
+        self, driver: Driver, sink: DeviceSink, on_change: Callable[[str | None, bool], None]
+    ) -> None:
+        self._driver = driver
+        self._sink = sink
+        self._watch = sink.watch
+        self._on_change = on_change
+        self._limit_s = driver.silence_limit_s
+        self._names = {"sensor": sink.identity.sensor, "unit": sink.identity.unit}
+        self._dropped_bytes = sink.dropped_bytes
+        self._told: str | None = None
+
+    async def run(self) -> None:
+        """Look after them until cancelled.
+
+        Raises
+        ------
+        TransportError
+            ``SILENT``: a new connection is needed.
+        """
+        while True:
+            await asyncio.sleep(min(TICK_S, self._limit_s))
+            self._welcome(self._watch.take_came_back())
+            if self._watch.is_device_silent:
+                message = f"nothing from the device for {self._limit_s:.0f} s"
+                raise TransportError(
+                    TransportReason.SILENT, f"{message}; the connection is started anew"
+                )
+            if self._sink.is_paused:
+                # Nobody misses what would be withheld.
+                self._watch.wait_anew()
+                continue
+            silence = self._watch.judge(can_enable=isinstance(self._driver, EnablesAgain))
+            if silence is not None:
+                await self._act(silence)
+
+    def _welcome(self, came_back: frozenset[str]) -> None:
+        if came_back:
+            self._sink.tell_came_back(came_back)
+            _log.info("data come again", **self._names, streams=sorted(came_back))
+            self._dropped_bytes = self._sink.dropped_bytes
+        if came_back and not self._watch.absent:
+            self._told = None
+            self._on_change(None, False)
+
+    async def _act(self, silence: Silence) -> None:
+        self._sink.tell_silent(silence)
+        text = self._sentence(silence)
+        if silence.remedy is Remedy.RECONNECT:
+            raise TransportError(TransportReason.SILENT, text)
+        # A stream that stays away is tried again and again; it is said once.
+        if silence.attempts == 0 or silence.remedy is Remedy.NONE:
+            self._say(text)
+        self._on_change(self._told or text, silence.remedy is Remedy.ENABLE)
+        if silence.remedy is Remedy.ENABLE:
+            await self._enable(silence)
+
+    async def _enable(self, silence: Silence) -> None:
+        assert isinstance(self._driver, EnablesAgain)
+        try:
+            await self._driver.enable_again(silence.streams)
+        except ProtocolError as error:
+            raise TransportError(TransportReason.SILENT, str(error)) from error
+        self._watch.enabled_again(silence.streams)
+
+    def _say(self, text: str) -> None:
+        # The seconds differ each time.
+        if self._told is None or _kind(text) != _kind(self._told):
+            _log.warning(text, **self._names, reason=TransportReason.SILENT.value)
+            self._told = text
+
+    def _sentence(self, silence: Silence) -> str:
+        streams = ", ".join(sorted(silence.streams))
+        what = f"connected, but no data of {streams} for {silence.seconds:.0f} s"
+        unreadable = self._sink.dropped_bytes - self._dropped_bytes
+        if unreadable:
+            what += f" ({unreadable} bytes came that cannot be read)"
+        if silence.remedy is Remedy.ENABLE:
+            return f"{what}; enabling again"
+        if silence.remedy is Remedy.RECONNECT:
+            return f"{what}; connecting anew" + (f"; {_ADVICE}" if silence.attempts else "")
+        return f"{what}, whatever the agent does; {_ADVICE}"
+
+
+def _kind(text: str) -> str:
+    return "".join(letter for letter in text if not letter.isdigit())

@@ -1,0 +1,1 @@
+"""The pair end to end with virtual devices."""

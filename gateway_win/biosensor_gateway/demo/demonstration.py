@@ -1,0 +1,124 @@
+"""The pair end to end without hardware: virtual devices of every kind become topics.
+
+Agent, node and table are processes of their own, as they are in a lab. The BioHarness
+plays bytes that were recorded from a real one.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+
+from biosensor_common.errors import TransportError, TransportReason
+from biosensor_gateway.demo.expectation import SENSORS, expected_topics
+from biosensor_gateway.settings.models import STATE_VARIABLE
+
+# Short enough that the slowest chunk, of the wristband's 4 Hz, fills in eight seconds.
+CHUNK_LENGTH = 32
+STOP_TIMEOUT_S = 10.0
+_POLL_S = 0.2
+
+
+def run(seconds: float | None) -> int:
+    """Run the demo; see the command line's help.
+
+    Parameters
+    ----------
+    seconds
+        Counted from the first sample; None runs until Ctrl-C.
+
+    Returns
+    -------
+    int
+        0 if every topic that the virtual devices can fill received data, else 1.
+
+    Raises
+    ------
+    TransportError
+        ``UNAVAILABLE``, if this installation lacks rclpy.
+    """
+    if find_spec("rclpy") is None:
+        message = "the demo needs rclpy: pip install 'biosensor-gateway[ros]' (Linux x86-64)"
+        raise TransportError(TransportReason.UNAVAILABLE, message)
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="biosensor-demo-")))
+        expected = folder / "expected.json"
+        expected.write_text(json.dumps(expected_topics(seconds, CHUNK_LENGTH)), encoding="utf-8")
+        servers = {
+            name: stack.enter_context(_process(name, command, folder))
+            for name, command in _SERVERS.items()
+        }
+        options = ["--expect", str(expected)]
+        if seconds is not None:
+            options += ["--seconds", str(seconds)]
+        table = subprocess.Popen(  # noqa: S603 - our own program
+            [sys.executable, "-m", "lsl_to_ros.live_table", *options], env=_environment(folder)
+        )
+        return _wait(table, servers, folder)
+
+
+_SERVERS: dict[str, Sequence[str]] = {
+    "agent": ("biosensor_gateway.cli", "run", "--simulate", ",".join(SENSORS.values())),
+    "node": ("lsl_to_ros.node", "--ros-args", "-p", f"Chunk_Length:={CHUNK_LENGTH}"),
+}
+
+
+@contextmanager
+def _process(name: str, command: Sequence[str], folder: Path) -> Generator[subprocess.Popen[bytes]]:
+    with (folder / f"{name}.log").open("wb") as log:
+        process = subprocess.Popen(  # noqa: S603 - our own programs
+            [sys.executable, "-m", *command],
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            env=_environment(folder),
+        )
+        try:
+            yield process
+        finally:
+            _stop(process)
+
+
+def _environment(folder: Path) -> Mapping[str, str]:
+    # A try-out stays on this machine unless the user says otherwise, and beside the user's
+    # own agent, whose state folder is taken.
+    local = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    return {**local, **os.environ, STATE_VARIABLE: str(folder / "state")}
+
+
+def _wait(
+    table: subprocess.Popen[bytes], servers: Mapping[str, subprocess.Popen[bytes]], folder: Path
+) -> int:
+    try:
+        while table.poll() is None:
+            for name, process in servers.items():
+                if process.poll() is not None:
+                    log = (folder / f"{name}.log").read_text(encoding="utf-8", errors="replace")
+                    sys.stderr.write(f"{log}\nthe {name} ended unexpectedly; see above\n")
+                    return 1
+            time.sleep(_POLL_S)
+    except KeyboardInterrupt:
+        # The table got the same Ctrl-C and prints its summary.
+        table.wait(STOP_TIMEOUT_S)
+    finally:
+        _stop(table)
+    return table.returncode
+
+
+def _stop(process: subprocess.Popen[bytes]) -> None:
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(STOP_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()

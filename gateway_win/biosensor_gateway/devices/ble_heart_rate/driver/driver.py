@@ -1,0 +1,101 @@
+"""The conversation with a heart-rate strap of any make."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+
+from pydantic import Field
+from pylsl import local_clock
+
+from biosensor_common.errors import GatewayError, ProtocolError, ProtocolReason
+from biosensor_gateway.devices import DriverEntry
+from biosensor_gateway.devices.ble_heart_rate.driver.discovery import (
+    identify,
+    identify_any,
+    recognise,
+)
+from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
+from biosensor_gateway.devices.ble_heart_rate.driver.protocol import HEART_RATE_MEASUREMENT
+from biosensor_gateway.devices.ble_heart_rate.driver.strap import DUE, Strap
+from biosensor_gateway.devices.driver import Connected
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.transports.ble import BleLink
+from biosensor_gateway.transports.ble_choice import Choice
+from biosensor_gateway.transports.nearby import Advertisement
+
+GOODBYE_LIMIT_S = 0.4
+_ADVICE = "put it on with wet electrodes, and end its connection to phones and watches"
+
+
+class HeartRateStrapSettings(DeviceSettings):
+    """Settings of one heart-rate strap."""
+
+    device: str = Field(
+        default="",
+        max_length=64,
+        description="Bluetooth address or name of the strap; empty takes the only one in range.",
+        examples=["C0:FF:EE:12:34:56"],
+    )
+
+
+class HeartRateStrapDriver:
+    """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
+
+    # A few stop while they are not worn.
+    silence_limit_s = 15.0
+
+    def __init__(self, link: BleLink, emitter: StrapEmitter) -> None:
+        self._link = link
+        self._emitter = emitter
+        self._strap = Strap(link, emitter)
+        self._seen: tuple[Advertisement, float] | None = None
+
+    async def connect(self) -> Connected:
+        """Connect and subscribe; see the protocol class."""
+        self._seen = await self._link.open(), local_clock()
+        self._emitter.reconnected()
+        if not self._link.has(HEART_RATE_MEASUREMENT):
+            message = f"{self._link.what} measures no heart rate; choose another `device`"
+            raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
+        return Connected(await self._strap.start(), due=DUE)
+
+    async def enable_again(self, streams: frozenset[str]) -> None:
+        """Subscribe to the heart rate once more."""
+        del streams
+        await self._strap.subscribe_again()
+
+    async def stream(self) -> None:
+        """Emit what the strap sends, which the link has kept so far."""
+        if self._seen is not None:
+            advertisement, seen_s = self._seen
+            self._emitter.signal_strength(advertisement.rssi_dbm, seen_s)
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._strap.watch_battery())
+            tasks.create_task(self._read_forever())
+
+    async def close(self) -> None:
+        """Unsubscribe, for a moment, and disconnect."""
+        with suppress(GatewayError, TimeoutError):
+            async with asyncio.timeout(GOODBYE_LIMIT_S):
+                await self._strap.stop()
+        await self._link.close()
+
+    async def _read_forever(self) -> None:
+        while True:
+            self._strap.take(await self._link.next())
+
+
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], HeartRateStrapDriver]:
+    """Share emitter and choice of the device between all connections."""
+    if not isinstance(settings, HeartRateStrapSettings):
+        raise TypeError(f"not the settings of a heart-rate strap: {type(settings).__name__}")
+    emitter = StrapEmitter(sink)
+    kind = identify_any if settings.device else identify
+    choice = Choice(kind, "heart-rate strap", settings.device, _ADVICE)
+    return lambda: HeartRateStrapDriver(BleLink(choice), emitter)
+
+
+DRIVER = DriverEntry(HeartRateStrapSettings, _make, recognise=recognise)

@@ -1,0 +1,91 @@
+"""What the values of a heart-rate strap mean for the streams of the declaration."""
+
+from __future__ import annotations
+
+from biosensor_gateway.devices.ble_heart_rate.driver.beats import BeatClock
+from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
+    HeartRateMeasurement,
+    parse_battery_level,
+    parse_measurement,
+)
+from biosensor_gateway.streaming.sink import DeviceSink
+
+NO_INTERVAL_LIMIT_S = 5.0
+"""A heart that beats makes an interval within this time."""
+
+
+class StrapEmitter:
+    """Turns characteristic values into samples; one instance a device, over all connections.
+
+    Nothing of a strap is stamped by the device: times are those of arrival, and
+    beats are placed before it by their intervals.
+
+    Attributes
+    ----------
+    has_better_intervals
+        The device sends its intervals elsewhere too, so those of the heart rate
+        measurement are passed over.
+    """
+
+    def __init__(self, sink: DeviceSink) -> None:
+        self._sink = sink
+        self._beats = BeatClock()
+        self._sends_intervals = False
+        self._interval_seen_s: float | None = None
+        self.has_better_intervals = False
+
+    def reconnected(self) -> None:
+        """Prepare for a new connection of the same device."""
+        self._beats = BeatClock()
+        self._interval_seen_s = None
+
+    def measurement(self, data: bytes, arrival_s: float) -> None:
+        """Emit ``hr``, ``ibi`` and ``quality`` from a Heart Rate Measurement.
+
+        Parameters
+        ----------
+        data
+        arrival_s
+            LSL clock when it arrived.
+        """
+        measured = parse_measurement(data)
+        if measured is None:
+            self._sink.dropped_bytes += len(data)
+            return
+        self._sink.heard("hr")
+        if measured.bpm:
+            self._sink.emit_at("hr", [measured.bpm], [arrival_s])
+        self._intervals(measured, arrival_s)
+        in_contact = self._in_contact(measured, arrival_s)
+        if not in_contact:
+            # Some stop measuring while nobody wears them.
+            self._sink.watch.excuse(("hr",))
+        self._sink.emit_at("quality", [[float(in_contact)]], [arrival_s])
+
+    def battery(self, data: bytes, arrival_s: float) -> None:
+        """Emit ``bat`` from a Battery Level."""
+        percent = parse_battery_level(data)
+        if percent is not None:
+            self._sink.emit_at("bat", [percent], [arrival_s])
+
+    def signal_strength(self, rssi_dbm: int | None, time_s: float) -> None:
+        """Emit ``rssi``, which is known only before the connection; None is "unknown"."""
+        if rssi_dbm is not None:
+            self._sink.emit_at("rssi", [rssi_dbm], [time_s])
+
+    def _intervals(self, measured: HeartRateMeasurement, arrival_s: float) -> None:
+        if self.has_better_intervals:
+            return
+        times = self._beats.place(measured.intervals_s, arrival_s)
+        for interval_s, time_s in zip(measured.intervals_s, times, strict=True):
+            if interval_s:
+                self._sink.emit_at("ibi", [interval_s], [time_s])
+
+    def _in_contact(self, measured: HeartRateMeasurement, arrival_s: float) -> bool:
+        if measured.intervals or self._interval_seen_s is None:
+            self._interval_seen_s = arrival_s
+        self._sends_intervals = self._sends_intervals or bool(measured.intervals)
+        if measured.contact is not None:
+            return measured.contact
+        without_s = arrival_s - self._interval_seen_s if self._sends_intervals else 0.0
+        return bool(measured.bpm) and without_s <= NO_INTERVAL_LIMIT_S

@@ -1,0 +1,133 @@
+"""The services that every heart-rate strap offers, on a connection that others may share."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
+
+from pylsl import local_clock
+
+from biosensor_common.errors import ProtocolError, TransportError, TransportReason
+from biosensor_common.spec import DeviceInfo
+from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
+from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
+    BATTERY_LEVEL,
+    FIRMWARE_REVISION,
+    HEART_RATE_MEASUREMENT,
+    MANUFACTURER_NAME,
+    MODEL_NUMBER,
+    SERIAL_NUMBER,
+    parse_text,
+)
+from biosensor_gateway.transports.ble import BleLink, Notification
+
+BATTERY_PERIOD_S = 300.0
+DUE = {"hr": 7.5}
+"""A strap measures once a second, an optical sensor every 5 s."""
+
+
+class Strap:
+    """Heart rate, battery and device information of one connection.
+
+    Parameters
+    ----------
+    link
+        Whoever reads its notifications offers them to :meth:`take`.
+    emitter
+    """
+
+    def __init__(self, link: BleLink, emitter: StrapEmitter) -> None:
+        self._link = link
+        self._emitter = emitter
+
+    async def start(self) -> DeviceInfo:
+        """Subscribe to the heart rate; return what the device says of itself.
+
+        What the device does not have is left out.
+
+        Raises
+        ------
+        TransportError
+            ``LOST`` or ``SILENT``.
+        AttError
+            The device refuses to send its heart rate.
+        """
+        info = DeviceInfo(
+            manufacturer=await self._text(MANUFACTURER_NAME),
+            model=await self._text(MODEL_NUMBER),
+            serial_number=await self._text(SERIAL_NUMBER),
+            firmware_version=await self._text(FIRMWARE_REVISION),
+        )
+        if self._link.has(HEART_RATE_MEASUREMENT):
+            await self._link.subscribe(HEART_RATE_MEASUREMENT)
+        return info
+
+    def take(self, notification: Notification) -> bool:
+        """Emit what a notification holds; return whether it was one of the strap's."""
+        if notification.uuid == HEART_RATE_MEASUREMENT:
+            self._emitter.measurement(notification.data, notification.arrival)
+        elif notification.uuid == BATTERY_LEVEL:
+            self._emitter.battery(notification.data, notification.arrival)
+        else:
+            return False
+        return True
+
+    async def watch_battery(self) -> None:
+        """Emit the battery's level now, and then as often as the device notifies or 5 min pass.
+
+        Raises
+        ------
+        TransportError
+            ``LOST``.
+        """
+        properties = self._link.properties(BATTERY_LEVEL)
+        if "read" in properties:
+            await self._read_battery()
+        # Not before: BlueZ passes a value that is read on as a notification, too.
+        if "notify" in properties and await self._subscribe_to_battery():
+            return
+        while "read" in properties:
+            await asyncio.sleep(BATTERY_PERIOD_S)
+            await self._read_battery()
+
+    async def subscribe_again(self) -> None:
+        """Unsubscribe from the heart rate and subscribe; raises as :meth:`start` does."""
+        if self._link.has(HEART_RATE_MEASUREMENT):
+            await self._link.unsubscribe(HEART_RATE_MEASUREMENT)
+            await self._link.subscribe(HEART_RATE_MEASUREMENT)
+
+    async def stop(self) -> None:
+        """Unsubscribe; raises as :meth:`start` does."""
+        if self._link.has(HEART_RATE_MEASUREMENT):
+            await self._link.unsubscribe(HEART_RATE_MEASUREMENT)
+
+    async def _text(self, uuid: str) -> str:
+        if "read" in self._link.properties(uuid):
+            with suppress(ProtocolError):
+                return parse_text(await self._link.read(uuid))
+        return ""
+
+    async def _read_battery(self) -> None:
+        with _optional():
+            data = await self._link.read(BATTERY_LEVEL)
+            self._emitter.battery(data, local_clock())
+
+    async def _subscribe_to_battery(self) -> bool:
+        with _optional():
+            await self._link.subscribe(BATTERY_LEVEL)
+            return True
+        return False
+
+
+@contextmanager
+def _optional() -> Generator[None]:
+    """Pass over what goes wrong with a request that the connection can do without."""
+    try:
+        yield
+    except ProtocolError:
+        return
+    except TransportError as error:
+        # Whether the silence lasts, the watchdog tells.
+        if error.reason is not TransportReason.SILENT:
+            raise

@@ -1,0 +1,295 @@
+"""Client of the Cortex service: requests with their replies, warnings, and data."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+from collections import Counter, deque
+from collections.abc import Generator, Mapping
+from typing import NamedTuple, Protocol
+
+import structlog
+
+from biosensor_common.errors import (
+    ProtocolError,
+    ProtocolReason,
+    TransportError,
+    TransportReason,
+)
+from biosensor_gateway.devices.emotiv_insight.driver.codes import ErrorKind, Event
+from biosensor_gateway.devices.emotiv_insight.driver.messages import (
+    Data,
+    Fault,
+    FaultCode,
+    Reply,
+    RpcError,
+    Warned,
+    parse,
+)
+from biosensor_gateway.devices.emotiv_insight.driver.requests import request_text
+from biosensor_gateway.transports.websocket import ReceivedText
+
+REPLY_TIMEOUT_S = 10.0
+KEPT_SAMPLES = 2048
+"""Ten seconds of all streams: longer than the reply to ``subscribe`` may take."""
+KEPT_WARNINGS = 64
+_LOGGED_UNKNOWN = 8
+_LONGEST_SHOWN = 200
+
+_log = structlog.get_logger("biosensor_gateway.emotiv_insight")
+
+
+class TextLink(Protocol):
+    """What the client asks of its transport; see the WebSocket link."""
+
+    @property
+    def dropped(self) -> int:
+        """Messages that came and could not be kept."""
+        ...
+
+    async def open(self) -> None:
+        """Connect."""
+        ...
+
+    async def read(self) -> ReceivedText:
+        """Wait for the next message."""
+        ...
+
+    async def send(self, text: str) -> None:
+        """Send a message."""
+        ...
+
+    async def close(self) -> None:
+        """Close; never raises."""
+        ...
+
+
+class ArrivedData(NamedTuple):
+    """A sample and the LSL time at which it arrived."""
+
+    data: Data
+    arrival: float
+
+
+class CortexError(ProtocolError):
+    """Cortex refused a request.
+
+    Attributes
+    ----------
+    code
+    kind
+        What to do about it.
+    """
+
+    def __init__(self, method: str, error: RpcError) -> None:
+        super().__init__(
+            ProtocolReason.REFUSED, f"Cortex refuses {method}: {error.text} ({error.code})"
+        )
+        self.code = error.code
+        self.kind: ErrorKind = error.kind
+
+
+class CortexClient:
+    """One connection to Cortex.
+
+    Requests may run at the same time; replies are told apart by their ids alone.
+    """
+
+    def __init__(self, link: TextLink) -> None:
+        self._link = link
+        self._ids = itertools.count(1)
+        self._pending: dict[int, asyncio.Future[Reply]] = {}
+        self._unawaited: set[int] = set()
+        self._watches: list[tuple[frozenset[Event], asyncio.Queue[Warned]]] = []
+        self._data: deque[ArrivedData] = deque()
+        self._news = asyncio.Event()
+        self._reader: asyncio.Task[None] | None = None
+        self._ended: TransportError | None = None
+        self._hidden: set[str] = set()
+        self._unknown_codes: set[int] = set()
+        self.faults: Counter[FaultCode] = Counter()
+        self.dropped_bytes = 0
+        self._dropped_samples = 0
+
+    @property
+    def dropped_messages(self) -> int:
+        """Messages that came and that nobody took in time."""
+        return self._link.dropped + self._dropped_samples
+
+    async def open(self) -> None:
+        """Connect; see the transport for what it raises."""
+        await self._link.open()
+        self._reader = asyncio.create_task(self._read_forever())
+
+    async def close(self) -> None:
+        """Close the connection; requests that still wait fail. Never raises."""
+        await self._link.close()
+        if self._reader is not None:
+            self._reader.cancel()
+            await asyncio.wait({self._reader})
+
+    def hide(self, text: str) -> None:
+        """Keep a secret out of errors and logs, should Cortex quote it."""
+        if text:
+            self._hidden.add(text)
+
+    async def call(
+        self, method: str, params: Mapping[str, object] | None = None, timeout_s: float = 0.0
+    ) -> object:
+        """Send a request and return the result.
+
+        Parameters
+        ----------
+        params
+            What JSON knows, and secrets.
+        timeout_s
+            How long the reply may take; 0 for the usual time.
+
+        Raises
+        ------
+        CortexError
+            Cortex refuses.
+        ProtocolError
+            ``NO_REPLY``.
+        TransportError
+            ``LOST``.
+        """
+        reply_id = next(self._ids)
+        future: asyncio.Future[Reply] = asyncio.get_running_loop().create_future()
+        self._pending[reply_id] = future
+        try:
+            if self._ended is not None:
+                raise self._ended
+            async with asyncio.timeout(timeout_s or REPLY_TIMEOUT_S):
+                await self._link.send(request_text(reply_id, method, params))
+                reply = await future
+        except TimeoutError as error:
+            message = f"Cortex does not answer {method}; restart EMOTIV Launcher"
+            raise ProtocolError(ProtocolReason.NO_REPLY, message) from error
+        finally:
+            self._pending.pop(reply_id, None)
+            # A failure that arrived together with a timeout has nobody else to see it.
+            if future.done() and not future.cancelled():
+                future.exception()
+        if reply.error is not None:
+            shown = RpcError(reply.error.code, self._shown(reply.error.text))
+            raise CortexError(method, shown)
+        return reply.result
+
+    async def send(self, method: str, params: Mapping[str, object]) -> None:
+        """Send a request of which nobody awaits the reply.
+
+        Raises
+        ------
+        TransportError
+            ``LOST``.
+        """
+        reply_id = next(self._ids)
+        self._unawaited.add(reply_id)
+        await self._link.send(request_text(reply_id, method, params))
+
+    async def next_data(self) -> ArrivedData:
+        """Wait for the next sample of any stream.
+
+        Raises
+        ------
+        TransportError
+            ``LOST``, after everything that had arrived.
+        """
+        while not self._data:
+            if self._ended is not None:
+                raise self._ended
+            self._news.clear()
+            await self._news.wait()
+        return self._data.popleft()
+
+    def watch(self, *events: Event) -> asyncio.Queue[Warned]:
+        """Put such warnings, from now on, into the queue that is returned."""
+        queue: asyncio.Queue[Warned] = asyncio.Queue()
+        self._watches.append((frozenset(events), queue))
+        return queue
+
+    @contextlib.contextmanager
+    def watching(self, *events: Event) -> Generator[asyncio.Queue[Warned]]:
+        """Do the same for as long as the block lasts."""
+        queue = self.watch(*events)
+        try:
+            yield queue
+        finally:
+            self._watches = [each for each in self._watches if each[1] is not queue]
+
+    async def _read_forever(self) -> None:
+        try:
+            while True:
+                self._take(await self._link.read())
+        except TransportError as error:
+            self._end(error)
+        finally:
+            self._end(TransportError(TransportReason.LOST, "the connection to Cortex is closed"))
+
+    def _end(self, error: TransportError) -> None:
+        if self._ended is None:
+            self._ended = error
+        for future in self._pending.values():
+            if not future.done():
+                future.set_exception(error)
+        self._news.set()
+
+    def _take(self, received: ReceivedText) -> None:
+        match parse(received.text):
+            case Data() as data:
+                self._keep(ArrivedData(data, received.arrival))
+            case Reply() as reply:
+                self._answer(reply)
+            case Warned() as warned:
+                self._warn(warned)
+            case Fault() as fault:
+                self.dropped_bytes += len(received.text)
+                self.note(fault)
+
+    def note(self, fault: Fault) -> None:
+        """Count a message of no use, and log the first of its kind."""
+        self.faults[fault.code] += 1
+        if self.faults[fault.code] == 1:
+            _log.warning("a message of Cortex is of no use", cause=fault.code.value)
+
+    def _keep(self, arrived: ArrivedData) -> None:
+        self._data.append(arrived)
+        if len(self._data) > KEPT_SAMPLES:
+            self._data.popleft()
+            self._dropped_samples += 1
+        self._news.set()
+
+    def _answer(self, reply: Reply) -> None:
+        if reply.attention is not None:
+            self._warn(reply.attention)
+        if reply.request_id in self._unawaited:
+            self._unawaited.discard(reply.request_id)
+            return
+        future = self._pending.get(reply.request_id)
+        if future is None or future.done():
+            self.note(Fault(FaultCode.UNKNOWN_ID))
+        else:
+            future.set_result(reply)
+
+    def _warn(self, warned: Warned) -> None:
+        self._log_warning(warned)
+        for events, queue in self._watches:
+            if warned.event in events and queue.qsize() < KEPT_WARNINGS:
+                queue.put_nowait(warned)
+
+    def _log_warning(self, warned: Warned) -> None:
+        if warned.event is Event.UNKNOWN:
+            # A flood of them must not fill the log.
+            if warned.code in self._unknown_codes or len(self._unknown_codes) >= _LOGGED_UNKNOWN:
+                return
+            self._unknown_codes.add(warned.code)
+        text = self._shown(warned.text)
+        _log.info("Cortex tells", event_name=warned.event.value, code=warned.code, text=text)
+
+    def _shown(self, text: str) -> str:
+        """Return a text of Cortex without secrets, in one line, not too long."""
+        for hidden in self._hidden:
+            text = text.replace(hidden, "***")
+        return " ".join(text.split())[:_LONGEST_SHOWN]

@@ -1,0 +1,211 @@
+"""The conversation with one headset by way of Cortex, for one connection."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+
+import structlog
+
+from biosensor_common.errors import TransportError, TransportReason
+from biosensor_common.spec import IRREGULAR, DeviceInfo
+from biosensor_gateway.devices import DriverEntry
+from biosensor_gateway.devices.driver import Connected
+from biosensor_gateway.devices.emotiv_insight.driver import account as accounts
+from biosensor_gateway.devices.emotiv_insight.driver import results
+from biosensor_gateway.devices.emotiv_insight.driver.account import SECRETS, Account
+from biosensor_gateway.devices.emotiv_insight.driver.cortex import (
+    ArrivedData,
+    CortexClient,
+    CortexError,
+)
+from biosensor_gateway.devices.emotiv_insight.driver.discovery import find
+from biosensor_gateway.devices.emotiv_insight.driver.emitter import (
+    EEG_RATE_HZ,
+    GYROSCOPE,
+    MOTION_RATE_HZ,
+    EmotivEmitter,
+)
+from biosensor_gateway.devices.emotiv_insight.driver.failures import ENDINGS, ending, gateway_error
+from biosensor_gateway.devices.emotiv_insight.driver.headsets import known_headsets, reach
+from biosensor_gateway.devices.emotiv_insight.driver.licence import unlicensed
+from biosensor_gateway.devices.emotiv_insight.driver.messages import Fault
+from biosensor_gateway.devices.emotiv_insight.driver.protocol import Decoder
+from biosensor_gateway.devices.emotiv_insight.driver.results import Headset, Subscription
+from biosensor_gateway.devices.emotiv_insight.driver.session import Session, open_session
+from biosensor_gateway.devices.emotiv_insight.driver.settings import EmotivInsightSettings
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.transports.websocket import WebSocketLink
+
+PATIENCE_S = 10.0
+WHY_TIMEOUT_S = 2.0
+STREAMS = {"eeg": ("eeg", "eeg_status"), "mot": ("mot", "gyro"), "pow": ("pow",), "dev": ("dev",)}
+"""By which streams one knows that a subscription delivers; metrics come when Cortex has them."""
+DUE = {"dev": 15.0}
+"""Battery and contact come twice a second."""
+
+_log = structlog.get_logger("biosensor_gateway.emotiv_insight")
+
+
+class EmotivInsightDriver:
+    """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
+
+    silence_limit_s = 15.0
+
+    def __init__(
+        self,
+        settings: EmotivInsightSettings,
+        sink: DeviceSink,
+        emitter: EmotivEmitter,
+        account: Account,
+    ) -> None:
+        self._pattern = settings.headset
+        self._sink = sink
+        self._emitter = emitter
+        self._account = account
+        self._client = CortexClient(WebSocketLink(settings.url, settings.ca_file))
+        self._endings = self._client.watch(*ENDINGS)
+        self._decoder = Decoder()
+        self._headset = Headset("")
+        self._session: Session | None = None
+
+    async def connect(self) -> Connected:
+        """Sign in, find the headset, make a session and subscribe; see the protocol class."""
+        await self._client.open()
+        try:
+            return await self._start()
+        except CortexError as error:
+            raise gateway_error(error) from error
+
+    async def stream(self) -> None:
+        """Emit what came since the subscription, then all that comes."""
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._pass_on())
+                tasks.create_task(self._heed_warnings())
+        except ExceptionGroup as group:
+            # When the link ends, more than one of them may have been told.
+            raise group.exceptions[0] from None
+
+    async def enable_again(self, streams: frozenset[str]) -> None:
+        """Ask Cortex why nothing comes, and subscribe once more; see the protocol class."""
+        if self._session is None:
+            raise RuntimeError("a driver streams after it has connected")
+        silent = [each for each, names in STREAMS.items() if not streams.isdisjoint(names)]
+        try:
+            known = await known_headsets(self._client, WHY_TIMEOUT_S)
+            self._require_connected(known)
+            subscription = await self._session.subscribe(silent)
+        except CortexError as error:
+            raise gateway_error(error) from error
+        self._take_layouts(self._session, subscription)
+
+    def _require_connected(self, known: Sequence[Headset]) -> None:
+        own = [each for each in known if each.headset_id == self._headset.headset_id]
+        if not any(each.is_connected for each in own):
+            reason = "Cortex has lost the headset; is it on, charged and near?"
+            message = f"{self._headset.headset_id}: {reason}"
+            raise TransportError(TransportReason.SILENT, message)
+
+    async def close(self) -> None:
+        """Close the session and the connection, without waiting for any reply."""
+        if self._session is not None:
+            await self._session.stop()
+        await self._client.close()
+
+    async def _start(self) -> Connected:
+        client = self._client
+        version = results.version(await client.call("getCortexInfo"))
+        await self._account.sign_in(client, accounts.PATIENCE_S)
+        headset, stayed = await reach(client, self._pattern)
+        self._headset = headset
+        self._forget_endings()
+        self._session = await open_session(client, self._account, headset)
+        subscription = await self._session.subscribe()
+        self._take_layouts(self._session, subscription)
+        eeg_rate = headset.eeg_rate_hz if headset.eeg_rate_hz > 0 else EEG_RATE_HZ
+        motion_rate = headset.motion_rate_hz if headset.motion_rate_hz > 0 else MOTION_RATE_HZ
+        self._emitter.connected(eeg_rate, motion_rate, headset_stayed=stayed)
+        _log.info(
+            "Cortex streams",
+            unit=self._sink.identity.unit,
+            headset=headset.headset_id,
+            firmware=headset.firmware,
+            virtual=headset.is_virtual,
+            cortex=version,
+            streams=sorted(subscription.layouts),
+        )
+        return Connected(
+            DeviceInfo(serial_number=headset.headset_id, firmware_version=headset.firmware),
+            {
+                "eeg": eeg_rate,
+                "eeg_status": eeg_rate,
+                "mot": motion_rate,
+                "gyro": motion_rate if _has_gyroscope(subscription) else IRREGULAR,
+            },
+            refused=_not_delivered(subscription),
+            due=DUE,
+            patience_s=PATIENCE_S,
+        )
+
+    def _take_layouts(self, session: Session, subscription: Subscription) -> None:
+        self._decoder.subscribed(
+            subscription.session_id or session.session_id, subscription.layouts
+        )
+
+    def _forget_endings(self) -> None:
+        """Drop what was told before the headset was reached."""
+        while not self._endings.empty():
+            self._endings.get_nowait()
+
+    async def _pass_on(self) -> None:
+        while True:
+            arrived = await self._client.next_data()
+            self._take(arrived)
+            self._count_dropped()
+
+    def _take(self, arrived: ArrivedData) -> None:
+        sample = self._decoder.decode(arrived.data)
+        if isinstance(sample, Fault):
+            self._client.note(sample)
+            return
+        self._sink.heard()
+        self._emitter.take(sample, arrived.arrival)
+
+    def _count_dropped(self) -> None:
+        self._sink.dropped_bytes += self._client.dropped_bytes
+        self._client.dropped_bytes = 0
+
+    async def _heed_warnings(self) -> None:
+        session_id = self._session.session_id if self._session is not None else ""
+        while True:
+            error = ending(await self._endings.get(), self._headset.headset_id, session_id)
+            if error is not None:
+                raise error
+
+
+def _not_delivered(subscription: Subscription) -> frozenset[str]:
+    """Return the streams for which the licence or the headset does not do."""
+    missing = STREAMS.keys() - subscription.layouts.keys()
+    return frozenset(name for stream in missing for name in STREAMS[stream])
+
+
+def _has_gyroscope(subscription: Subscription) -> bool:
+    """Tell whether the motion stream has angular rates, as older firmware sends them."""
+    motion = subscription.layouts.get("mot")
+    return motion is not None and not motion.labels.isdisjoint(GYROSCOPE)
+
+
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], EmotivInsightDriver]:
+    """Share token and emitter between all connections."""
+    if not isinstance(settings, EmotivInsightSettings):
+        raise TypeError(f"not the settings of an Insight: {type(settings).__name__}")
+    emitter = EmotivEmitter(sink)
+    account = Account(settings.license, settings.debit)
+    return lambda: EmotivInsightDriver(settings, sink, emitter, account)
+
+
+DRIVER = DriverEntry(
+    EmotivInsightSettings, _make, find=find, secrets=SECRETS, unlicensed=unlicensed
+)

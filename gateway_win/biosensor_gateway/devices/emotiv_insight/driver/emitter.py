@@ -1,0 +1,170 @@
+"""What Cortex' samples mean for the streams of the declaration."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import structlog
+
+from biosensor_common.sensors.emotiv_insight import SENSOR
+from biosensor_gateway.devices.emotiv_insight.driver.gaps import SampleCount
+from biosensor_gateway.devices.emotiv_insight.driver.protocol import Sample
+from biosensor_gateway.streaming.sink import DeviceSink
+
+_log = structlog.get_logger("biosensor_gateway.emotiv_insight")
+
+EEG_RATE_HZ = 128.0
+MOTION_RATE_HZ = 64.0
+"""Of the first Insight, where the headset does not tell."""
+BAND_POWER_RATE_HZ = 8.0
+
+CLOCK_STREAMS = frozenset({"eeg", "mot"})
+"""Sent as soon as measured; what is computed first comes late by a varying time."""
+_COUNTERS = {"eeg": "COUNTER", "mot": "COUNTER_MEMS"}
+# A sample cannot come so long before it was measured.
+_SET_AHEAD_S = 1.0
+_LOST_WITH = {"eeg": ("eeg", "eeg_status"), "mot": ("mot", "gyro"), "pow": ("pow",)}
+GYROSCOPE = ("GYROX", "GYROY", "GYROZ")
+_METRICS = {
+    "engagement": "eng",
+    "excitement": "exc",
+    "long_term_excitement": "lex",
+    "stress": "str",
+    "relaxation": "rel",
+    "interest": "int",
+    "focus": "foc",
+    "attention": "attention",
+}
+# -1 where Cortex does not know.
+_NEVER_NEGATIVE = frozenset({"Battery", "BatteryPercent"})
+
+
+class EmotivEmitter:
+    """Turns samples of Cortex into samples of streams; one a device, over all connections.
+
+    All values come by label: what a headset does not have is NaN, what the
+    declaration does not have is left out. EEG keeps its offset of about 4200 uV.
+    """
+
+    def __init__(self, sink: DeviceSink) -> None:
+        self._sink = sink
+        self._counts = {
+            "eeg": SampleCount(EEG_RATE_HZ),
+            "mot": SampleCount(MOTION_RATE_HZ),
+            "pow": SampleCount(BAND_POWER_RATE_HZ),
+        }
+        self._labels = {
+            stream.data_name: tuple(channel.label for channel in stream.channels)
+            for stream in SENSOR.streams
+        }
+        self._not_yet_heard: set[str] = set()
+        self._clock_leads = False
+        self._moves_by_gyroscope = False
+        self.duplicates = 0
+
+    def connected(self, eeg_rate_hz: float, motion_rate_hz: float, *, headset_stayed: bool) -> None:
+        """Prepare for a new connection.
+
+        Parameters
+        ----------
+        eeg_rate_hz, motion_rate_hz
+            Rates that the headset has now.
+        headset_stayed
+            Whether it was connected to Cortex all the time, and so has measured.
+        """
+        self._counts["eeg"].rate_hz = eeg_rate_hz
+        self._counts["mot"].rate_hz = motion_rate_hz
+        for count in self._counts.values():
+            if headset_stayed:
+                count.reconnected()
+            else:
+                count.forget()
+        self._not_yet_heard = set(self._counts)
+        self._clock_leads = False
+
+    def take(self, sample: Sample, arrival_s: float) -> None:
+        """Emit a sample.
+
+        Parameters
+        ----------
+        arrival_s
+            LSL clock when it arrived.
+        """
+        lost = self._lost_before(sample, arrival_s)
+        if lost is None:
+            self.duplicates += 1
+            return
+        self._observe(sample, arrival_s)
+        match sample.stream:
+            case "eeg":
+                self._emit("eeg", sample, self._labels["eeg"])
+                self._emit("eeg_status", sample, self._labels["eeg_status"])
+            case "mot":
+                self._emit("mot", sample, self._labels["mot"])
+                self._moves_by_gyroscope = not sample.numbers.keys().isdisjoint(GYROSCOPE)
+                if self._moves_by_gyroscope:
+                    self._emit("gyro", sample, GYROSCOPE)
+            case "pow":
+                self._emit("pow", sample, self._labels["pow"])
+            case "met":
+                values = [_metric(sample, _METRICS[name]) for name in self._labels["met"]]
+                self._emit_known("met", values, sample.time_s)
+            case "dev":
+                values = [_status(sample, label) for label in self._labels["dev"]]
+                self._emit_known("dev", values, sample.time_s)
+                if sample.numbers.get("OVERALL") == 0:
+                    # Nobody wears it: nothing may be left to compute powers from.
+                    self._sink.watch.excuse(("pow",))
+            case _:
+                pass
+        if lost:
+            self._report_lost(sample.stream, lost)
+        self._not_yet_heard.discard(sample.stream)
+
+    def _observe(self, sample: Sample, arrival_s: float) -> None:
+        if sample.stream in CLOCK_STREAMS:
+            self._clock_leads = True
+        elif self._clock_leads and not self._is_clock_set(sample.time_s, arrival_s):
+            return
+        self._sink.observe(sample.time_s, arrival_s)
+
+    def _is_clock_set(self, time_s: float, arrival_s: float) -> bool:
+        """Tell whether Cortex's clock went ahead; whichever stream shows it first leads then."""
+        return time_s + self._sink.clock_state.offset_s - arrival_s > _SET_AHEAD_S
+
+    def _lost_before(self, sample: Sample, arrival_s: float) -> int | None:
+        count = self._counts.get(sample.stream)
+        if count is None:
+            return 0
+        counter = sample.numbers.get(_COUNTERS.get(sample.stream, ""), math.nan)
+        return count.lost_before(counter, sample.time_s, arrival_s)
+
+    def _report_lost(self, stream: str, lost: int) -> None:
+        for data_name in _LOST_WITH[stream]:
+            if data_name != "gyro" or self._moves_by_gyroscope:
+                self._sink.lost(data_name, lost)
+        if stream in self._not_yet_heard:
+            names = {"unit": self._sink.identity.unit, "data": stream, "samples": lost}
+            _log.warning("samples were lost between two connections, by estimate", **names)
+
+    def _emit(self, data_name: str, sample: Sample, labels: Sequence[str]) -> None:
+        """Emit a sample of a regular stream, where "no value" keeps its place."""
+        values = [sample.numbers.get(label, math.nan) for label in labels]
+        self._sink.emit(data_name, [values], [sample.time_s])
+
+    def _emit_known(self, data_name: str, values: list[float], time_s: float) -> None:
+        """Emit a sample of an irregular stream, if there is a value in it."""
+        if not all(map(math.isnan, values)):
+            self._sink.emit(data_name, [values], [time_s])
+
+
+def _metric(sample: Sample, label: str) -> float:
+    if sample.others.get(f"{label}.isActive") is False:
+        return math.nan
+    return sample.numbers.get(label, math.nan)
+
+
+def _status(sample: Sample, label: str) -> float:
+    value = sample.numbers.get(label, math.nan)
+    return math.nan if label in _NEVER_NEGATIVE and value < 0 else value

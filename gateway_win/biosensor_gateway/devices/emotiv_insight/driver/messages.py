@@ -1,0 +1,249 @@
+"""What Cortex sends: replies, warnings and data, as JSON-RPC 2.0 text.
+
+::
+
+    reply    {"id":n, "result":...} or {"id":n, "error":{"code":c, "message":s}}
+    warning  {"warning":{"code":c, "message": s or {"behavior":s, "headsetId":s, ...}}}
+    data     {"<stream>":[...], "sid":s, "time":unix seconds}
+
+Source: Cortex API documentation; `parse` reads any text and never raises.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum, unique
+from typing import NoReturn, cast
+
+from biosensor_gateway.devices.emotiv_insight.driver.codes import (
+    ErrorKind,
+    Event,
+    error_kind,
+    event,
+)
+
+STREAMS = frozenset({"eeg", "mot", "dev", "eq", "pow", "met", "com", "fac", "sys"})
+MAX_TIME_S = 1e11
+"""No clock reads more."""
+
+
+@unique
+class FaultCode(Enum):
+    """Why a message, or a sample, is of no use."""
+
+    BAD_JSON = "bad_json"
+    NOT_AN_OBJECT = "not_an_object"
+    NON_FINITE = "non_finite"
+    UNKNOWN_MESSAGE = "unknown_message"
+    UNKNOWN_ID = "unknown_id"
+    """A reply that nobody waits for: late, or sent twice."""
+    UNKNOWN_SESSION = "unknown_session"
+    UNKNOWN_STREAM = "unknown_stream"
+    NO_TIME = "no_time"
+    LENGTH_MISMATCH = "length_mismatch"
+    BAD_TYPE = "bad_type"
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A message of no use."""
+
+    code: FaultCode
+
+
+@dataclass(frozen=True, slots=True)
+class RpcError:
+    """Why a request failed."""
+
+    code: int
+    text: str
+
+    @property
+    def kind(self) -> ErrorKind:
+        """What to do about it."""
+        return error_kind(self.code)
+
+
+@dataclass(frozen=True, slots=True)
+class Warned:
+    """Something that Cortex tells by itself.
+
+    Attributes
+    ----------
+    code
+    text
+        In Cortex' own words, which decide nothing.
+    headset, session
+        Whom it concerns; empty where it does not say.
+    """
+
+    code: int
+    text: str = ""
+    headset: str = ""
+    session: str = ""
+
+    @property
+    def event(self) -> Event:
+        """What it means."""
+        return event(self.code)
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """Answer to a request.
+
+    Attributes
+    ----------
+    request_id
+    result
+        JSON value; None if there is an error.
+    error
+    attention
+        Something that hinders the headset search, told along with its answer.
+    """
+
+    request_id: int
+    result: object = None
+    error: RpcError | None = None
+    attention: Warned | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Data:
+    """One sample, its values still in the order of the stream's columns.
+
+    Attributes
+    ----------
+    stream
+    session
+    time_s
+        Unix time of the sample on the clock of the computer that runs Cortex.
+    values
+        JSON values.
+    """
+
+    stream: str
+    session: str
+    time_s: float
+    values: list[object]
+
+
+Message = Reply | Warned | Data | Fault
+
+
+class _NonFiniteError(ValueError):
+    """JSON has no NaN, yet Python's parser takes one."""
+
+
+def parse(text: str) -> Message:
+    """Read one message; what cannot be read is a Fault."""
+    try:
+        message: object = json.loads(text, parse_constant=_reject)
+    except _NonFiniteError:
+        return Fault(FaultCode.NON_FINITE)
+    except (ValueError, RecursionError):
+        return Fault(FaultCode.BAD_JSON)
+    if not isinstance(message, dict):
+        return Fault(FaultCode.NOT_AN_OBJECT)
+    return _dispatch(cast("dict[str, object]", message))
+
+
+def text_of(value: object) -> str:
+    """Return a JSON text, empty for any other JSON value."""
+    # JSON can hold halves of surrogate pairs, which no log and no stream can.
+    return value.encode(errors="replace").decode() if isinstance(value, str) else ""
+
+
+def object_of(value: object) -> Mapping[str, object]:
+    """Return a JSON object, empty for any other JSON value."""
+    return cast("dict[str, object]", value) if isinstance(value, dict) else {}
+
+
+def list_of(value: object) -> list[object]:
+    """Return a JSON list, empty for any other JSON value."""
+    return cast("list[object]", value) if isinstance(value, list) else []
+
+
+def number_of(value: object) -> float | None:
+    """Return a finite JSON number, None for any other JSON value."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _reject(constant: str) -> NoReturn:
+    raise _NonFiniteError(constant)
+
+
+def _dispatch(fields: Mapping[str, object]) -> Message:
+    if "sid" in fields:
+        return _data(fields)
+    if "warning" in fields:
+        return _warned(fields["warning"])
+    if "id" in fields:
+        return _reply(fields)
+    return Fault(FaultCode.UNKNOWN_MESSAGE)
+
+
+def _data(fields: Mapping[str, object]) -> Data | Fault:
+    stream = next((key for key in fields if key in STREAMS), None)
+    if stream is None:
+        return Fault(FaultCode.UNKNOWN_STREAM)
+    session = fields["sid"]
+    if not isinstance(session, str):
+        return Fault(FaultCode.UNKNOWN_SESSION)
+    time_s = number_of(fields.get("time"))
+    if time_s is None or not 0 < time_s < MAX_TIME_S:
+        return Fault(FaultCode.NO_TIME)
+    values = fields[stream]
+    if not isinstance(values, list):
+        return Fault(FaultCode.BAD_TYPE)
+    return Data(stream, session, time_s, cast("list[object]", values))
+
+
+def _warned(value: object) -> Warned | Fault:
+    warning = object_of(value)
+    code = warning.get("code")
+    if not _is_integer(code):
+        return Fault(FaultCode.UNKNOWN_MESSAGE)
+    message = warning.get("message")
+    details = object_of(message)
+    return Warned(
+        code=cast("int", code),
+        text=text_of(message) or text_of(details.get("behavior")),
+        headset=text_of(details.get("headsetId")) or text_of(details.get("headset")),
+        session=text_of(details.get("sessionId")),
+    )
+
+
+def _reply(fields: Mapping[str, object]) -> Reply | Fault:
+    request_id = fields["id"]
+    if not _is_integer(request_id):
+        return Fault(FaultCode.UNKNOWN_ID)
+    number = cast("int", request_id)
+    error = fields.get("error")
+    if error is not None:
+        return Reply(number, error=_error(object_of(error)))
+    attention = _warned(fields["attention"]) if "attention" in fields else None
+    return Reply(
+        number,
+        fields.get("result"),
+        attention=attention if isinstance(attention, Warned) else None,
+    )
+
+
+def _error(error: Mapping[str, object]) -> RpcError:
+    code = error.get("code")
+    text = text_of(error.get("message")) or "no reason"
+    return RpcError(cast("int", code) if _is_integer(code) else 0, text)
+
+
+def _is_integer(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)

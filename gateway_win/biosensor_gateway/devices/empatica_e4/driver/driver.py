@@ -1,0 +1,247 @@
+"""The conversation with the E4 streaming server: find, bind, subscribe, pass on."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Collection
+from contextlib import suppress
+
+import structlog
+from pydantic import Field
+
+from biosensor_common.errors import (
+    ProtocolError,
+    ProtocolReason,
+    TransportError,
+    TransportReason,
+)
+from biosensor_common.spec import DeviceInfo
+from biosensor_gateway.devices import DriverEntry
+from biosensor_gateway.devices.driver import Connected
+from biosensor_gateway.devices.empatica_e4.driver.conversation import Conversation
+from biosensor_gateway.devices.empatica_e4.driver.discovery import DEFAULT_HOST, DEFAULT_PORT, find
+from biosensor_gateway.devices.empatica_e4.driver.emitter import DATA_NAMES, E4Emitter
+from biosensor_gateway.devices.empatica_e4.driver.messages import (
+    Event,
+    Malformed,
+    Message,
+    RadioEvent,
+    Sample,
+    Stream,
+    Wristband,
+)
+from biosensor_gateway.devices.empatica_e4.driver.protocol import SUBSCRIBED
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.streaming.sink import DeviceSink
+
+PATIENCE_S = 5.0
+LOOK_S = 0.5
+RADIO_GRACE_S = 30.0
+LIST_TIMEOUT_S, BIND_TIMEOUT_S, RADIO_TIMEOUT_S = 3.0, 5.0, 30.0
+DISCOVERABLE_MINUTES = "208"
+"""How long a wristband may be looked for after its radio was lost; what other clients use."""
+
+_ALREADY_BOUND = "same connection"
+_log = structlog.get_logger("biosensor_gateway.empatica_e4")
+
+
+class E4Settings(DeviceSettings):
+    """Settings of one E4 wristband."""
+
+    host: str = Field(
+        default=DEFAULT_HOST,
+        min_length=1,
+        description="Computer on which the E4 streaming server runs.",
+    )
+    port: int = Field(
+        default=DEFAULT_PORT, ge=1, le=65535, description="TCP port of the E4 streaming server."
+    )
+    device: str = Field(
+        default="",
+        pattern="^([0-9A-Fa-f]{6})?$",
+        description="Id of the wristband, six hex digits such as 9ff167; empty takes the only one "
+        "on the server.",
+    )
+
+
+class E4Driver:
+    """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
+
+    # A wristband out of reach is silent for longer than its streams may be.
+    silence_limit_s = RADIO_GRACE_S + 10.0
+
+    def __init__(self, settings: E4Settings, sink: DeviceSink, emitter: E4Emitter) -> None:
+        self._where = f"E4 server {settings.host}:{settings.port}"
+        self._wanted = settings.device.lower()
+        self._sink = sink
+        self._emitter = emitter
+        self._talk = Conversation(settings.host, settings.port)
+        self._device = ""
+        self._unsubscribed: set[Stream] = set()
+        self._has_asked = asyncio.Event()
+        self._radio_lost_at: float | None = None
+
+    async def connect(self) -> Connected:
+        """Bind this TCP connection to the wristband and subscribe every stream."""
+        await self._talk.open()
+        self._device = (await self._listed() or await self._discovered()).device
+        await self._bind()
+        await self._talk.ask("pause", "ON", timeout_s=LIST_TIMEOUT_S)
+        refused = await self._subscribe(SUBSCRIBED)
+        await self._talk.ask("pause", "OFF", timeout_s=LIST_TIMEOUT_S)
+        self._emitter.new_epoch()
+        info = DeviceInfo(serial_number=self._device.upper())
+        names = frozenset(DATA_NAMES[each] for each in refused if each in DATA_NAMES)
+        return Connected(info, refused=names, patience_s=PATIENCE_S)
+
+    async def stream(self) -> None:
+        """Pass on samples, and subscribe again to what `enable_again` names."""
+        while True:
+            with suppress(TimeoutError):
+                async with asyncio.timeout(LOOK_S):
+                    self._take(*await self._talk.receive())
+            self._require_radio()
+            if self._unsubscribed:
+                await self._subscribe_again()
+                self._has_asked.set()
+
+    async def enable_again(self, streams: frozenset[str]) -> None:
+        """Have `stream`, which alone can read replies, subscribe to silent streams again."""
+        self._unsubscribed |= {each for each in SUBSCRIBED if DATA_NAMES.get(each) in streams}
+        self._has_asked.clear()
+        await self._has_asked.wait()
+
+    async def close(self) -> None:
+        """Unbind, which makes the server close the connection, and close."""
+        # The rest of a line at the connection's end, and what made no sense before streaming.
+        self._sink.dropped_bytes += self._talk.take_dropped_bytes()
+        await self._talk.close()
+
+    async def _listed(self) -> Wristband | None:
+        reply = await self._talk.ask("device_list", timeout_s=LIST_TIMEOUT_S)
+        return self._chosen(reply.devices)
+
+    async def _discovered(self) -> Wristband:
+        """Connect the wristband's radio, which a server without its window leaves to clients."""
+        reply = await self._talk.ask("device_discover_list", timeout_s=LIST_TIMEOUT_S)
+        found = self._chosen(reply.devices)
+        if found is None:
+            name = f"wristband {self._wanted}" if self._wanted else "wristband"
+            message = f"{self._where}: it sees no {name}; switch it on, near the dongle"
+            raise TransportError(TransportReason.ABSENT, message)
+        if not found.allowed:
+            message = (
+                f"{self._where}: its API key does not own wristband {found.device}; "
+                "use the key of the account where it is registered"
+            )
+            raise ProtocolError(ProtocolReason.REFUSED, message)
+        answer = await self._talk.ask(
+            "device_connect_btle", found.device, DISCOVERABLE_MINUTES, timeout_s=RADIO_TIMEOUT_S
+        )
+        if not answer.accepted:
+            message = f"{self._where}: no radio link to {found.device} ({answer.reason})"
+            raise TransportError(TransportReason.ABSENT, message)
+        return found
+
+    def _chosen(self, devices: tuple[Wristband, ...]) -> Wristband | None:
+        if self._wanted:
+            return next((each for each in devices if each.device == self._wanted), None)
+        if len(devices) > 1:
+            names = ", ".join(each.device for each in devices)
+            message = f"{self._where}: it has several wristbands ({names}); set `device` to one"
+            raise ProtocolError(ProtocolReason.REFUSED, message)
+        return devices[0] if devices else None
+
+    async def _bind(self) -> None:
+        reply = await self._talk.ask("device_connect", self._device, timeout_s=BIND_TIMEOUT_S)
+        if not reply.accepted and _ALREADY_BOUND not in reply.reason:
+            message = f"{self._where}: wristband {self._device} is refused ({reply.reason})"
+            raise TransportError(TransportReason.ABSENT, message)
+
+    async def _subscribe(self, streams: Collection[Stream]) -> list[Stream]:
+        """Subscribe to streams one by one; return those that are refused.
+
+        Raises
+        ------
+        ProtocolError
+            ``REFUSED`` if all are; ``NO_REPLY``.
+        """
+        refused: list[Stream] = []
+        for stream in streams:
+            reply = await self._talk.ask(
+                "device_subscribe", stream.value, "ON", timeout_s=LIST_TIMEOUT_S
+            )
+            if not reply.accepted:
+                refused.append(stream)
+        if len(refused) == len(streams):
+            message = f"{self._where}: every stream of {self._device} is refused; restart it"
+            raise ProtocolError(ProtocolReason.REFUSED, message)
+        if refused:
+            names = [stream.value for stream in refused]
+            _log.warning("the server refuses streams", where=self._where, streams=names)
+        return refused
+
+    async def _subscribe_again(self) -> None:
+        streams, self._unsubscribed = self._unsubscribed, set()
+        try:
+            await self._subscribe([each for each in SUBSCRIBED if each in streams])
+        except ProtocolError as error:
+            says = "says nothing any more"
+            if error.reason is not ProtocolReason.NO_REPLY:
+                says = f"gives no data of wristband {self._device}; is it still on?"
+            message = f"{self._where}: it {says}; the connection is started anew"
+            raise TransportError(TransportReason.SILENT, message) from error
+
+    def _take(self, messages: list[Message], arrival: float) -> None:
+        """Act on what came, in its order: an event divides the samples around it."""
+        self._sink.dropped_bytes += self._talk.take_dropped_bytes()
+        samples: list[Sample] = []
+        for message in messages:
+            if isinstance(message, Sample):
+                samples.append(message)
+            elif isinstance(message, Event) and message.device == self._device:
+                self._pass_on(samples, arrival)
+                samples.clear()
+                self._radio(message.event)
+            elif isinstance(message, Malformed):
+                _log.debug("a line makes no sense", where=self._where, why=message.flaw.value)
+        self._pass_on(samples, arrival)
+
+    def _pass_on(self, samples: list[Sample], arrival: float) -> None:
+        if samples:
+            self._radio_lost_at = None
+            self._sink.heard()
+            self._emitter.take(samples, arrival)
+
+    def _radio(self, event: RadioEvent) -> None:
+        if event is RadioEvent.TURNED_OFF:
+            self._emitter.switched_off()
+            message = f"wristband {self._device} was switched off; press its button for 2 s"
+            raise TransportError(TransportReason.ABSENT, message)
+        if event is RadioEvent.LOST:
+            self._radio_lost_at = asyncio.get_running_loop().time()
+            _log.warning("the wristband is out of reach of its dongle", device=self._device)
+            self._sink.watch.excuse(DATA_NAMES.values())
+        else:
+            _log.info("the wristband is back", device=self._device)
+        # Samples of the old link that are still on their way keep the old mapping.
+        if event is RadioEvent.RESTORED:
+            self._emitter.new_epoch()
+
+    def _require_radio(self) -> None:
+        """Raise ``LOST`` when waiting for the wristband has no sense any more."""
+        now = asyncio.get_running_loop().time()
+        if self._radio_lost_at is not None and now - self._radio_lost_at > RADIO_GRACE_S:
+            message = f"wristband {self._device} stays out of reach; bring it to the dongle"
+            raise TransportError(TransportReason.LOST, message)
+
+
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], E4Driver]:
+    """Share one emitter between all connections: it follows losses across them."""
+    if not isinstance(settings, E4Settings):
+        raise TypeError(f"not the settings of an E4: {type(settings).__name__}")
+    emitter = E4Emitter(sink)
+    return lambda: E4Driver(settings, sink, emitter)
+
+
+DRIVER = DriverEntry(E4Settings, _make, find=find)

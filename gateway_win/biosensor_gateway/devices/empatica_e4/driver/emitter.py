@@ -1,0 +1,152 @@
+"""What each line of the E4 server means for the streams of the declaration."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable
+
+import structlog
+
+from biosensor_gateway.devices.empatica_e4.driver.loss import WINDOW_S, LossEstimate
+from biosensor_gateway.devices.empatica_e4.driver.messages import Sample, Stream
+from biosensor_gateway.streaming.sink import DeviceSink
+
+ACC_COUNTS_PER_G = 64.0
+RATES_HZ = {Stream.BVP: 64.0, Stream.ACC: 32.0, Stream.GSR: 4.0, Stream.TMP: 4.0}
+
+DATA_NAMES = {
+    Stream.ACC: "acc",
+    Stream.BVP: "bvp",
+    Stream.GSR: "gsr",
+    Stream.IBI: "ibi",
+    Stream.HR: "hr",
+    Stream.TMP: "st",
+    Stream.BAT: "bat",
+}
+# All others are late by design: conductance comes in bursts, intervals after 5.6 s.
+_CLOCKED = (Stream.BVP, Stream.ACC)
+_OFF_WRIST_SAMPLES = 8
+_MAX_EARLY = 4096
+_TAG = "button"
+
+_log = structlog.get_logger("biosensor_gateway.empatica_e4")
+
+
+class E4Emitter:
+    """Turns samples into streams; one instance a wristband, over all its connections."""
+
+    def __init__(self, sink: DeviceSink) -> None:
+        self._sink = sink
+        self._anchored = False
+        self._early: deque[Sample] = deque(maxlen=_MAX_EARLY)
+        self._last_times: dict[Stream, float] = {}
+        self._open_samples = 0
+        self._worn: bool | None = None
+        self._loss = math.nan
+        self._gap_is_known = False
+        self._estimate = LossEstimate(RATES_HZ[Stream.BVP])
+        self._owed = dict.fromkeys(RATES_HZ, 0.0)
+
+    def new_epoch(self) -> None:
+        """Expect stamps that count from a new radio link."""
+        self._restart_clock()
+        self._gap_is_known = True
+        self._estimate.begin_window()
+
+    def switched_off(self) -> None:
+        """Expect nothing to have been measured since the last sample."""
+        self._estimate.forget()
+
+    def take(self, samples: Iterable[Sample], arrival_s: float) -> None:
+        """Emit samples that arrived together.
+
+        Parameters
+        ----------
+        arrival_s
+            LSL clock at their arrival.
+        """
+        fresh = [sample for sample in samples if self._is_new(sample)]
+        clocked = [sample.time_s for sample in fresh if sample.stream in _CLOCKED]
+        if clocked:
+            self._sink.observe(max(clocked), arrival_s)
+            self._anchored = True
+        self._early += fresh
+        if not self._anchored:
+            return
+        by_stream: dict[Stream, list[Sample]] = {}
+        for sample in self._early:
+            by_stream.setdefault(sample.stream, []).append(sample)
+        self._early.clear()
+        for stream, together in by_stream.items():
+            self._emit(stream, together)
+        self._follow_loss(len(by_stream.get(Stream.BVP, ())), arrival_s)
+
+    def _restart_clock(self) -> None:
+        self._anchored = False
+        self._sink.restart_clock()
+
+    def _is_new(self, sample: Sample) -> bool:
+        """Tell a line from its repetition."""
+        if self._last_times.get(sample.stream) == sample.time_s:
+            return False
+        self._last_times[sample.stream] = sample.time_s
+        return True
+
+    def _emit(self, stream: Stream, samples: list[Sample]) -> None:
+        times = [sample.time_s for sample in samples]
+        if stream is Stream.TAG:
+            for time in times:
+                self._sink.emit_text("tag", _TAG, time)
+            return
+        values = [sample.values for sample in samples]
+        if stream is Stream.ACC:
+            values = [tuple(count / ACC_COUNTS_PER_G for count in xyz) for xyz in values]
+        elif stream is Stream.BAT:
+            values = [(100 * fraction,) for (fraction,) in values]
+        elif stream is Stream.GSR:
+            # Exactly 0 is what open electrodes give.
+            values = [(conductance or math.nan,) for (conductance,) in values]
+        self._sink.emit(DATA_NAMES[stream], values, times)
+        if stream is Stream.GSR:
+            self._follow_wear(values, times)
+
+    def _follow_wear(self, values: list[tuple[float, ...]], times: list[float]) -> None:
+        for (conductance,), time in zip(values, times, strict=True):
+            self._open_samples = self._open_samples + 1 if math.isnan(conductance) else 0
+            worn = self._open_samples < _OFF_WRIST_SAMPLES
+            # At the start, a few open samples do not tell yet.
+            if worn != self._worn and not (worn and self._open_samples):
+                self._worn = worn
+                self._emit_quality(time)
+
+    def _follow_loss(self, count: int, arrival_s: float) -> None:
+        lost_s = self._estimate.take(count, arrival_s) if count else None
+        if lost_s is None:
+            return
+        self._loss = min(1.0, lost_s / WINDOW_S)
+        self._emit_quality(self._last_times[Stream.BVP])
+        if lost_s:
+            self._count_lost(lost_s)
+            if not self._gap_is_known:
+                # The stamps run late by what was lost.
+                self._restart_clock()
+        self._gap_is_known = False
+
+    def _count_lost(self, lost_s: float) -> None:
+        for stream, rate_hz in RATES_HZ.items():
+            self._owed[stream] += lost_s * rate_hz
+            whole = math.floor(self._owed[stream] + 0.5)
+            self._owed[stream] -= whole
+            self._sink.lost(DATA_NAMES[stream], whole)
+        identity = self._sink.identity
+        _log.warning(
+            "samples lost on the radio, estimated from their number",
+            sensor=identity.sensor,
+            unit=identity.unit,
+            seconds=round(lost_s, 2),
+        )
+
+    def _emit_quality(self, time_s: float) -> None:
+        worn = math.nan if self._worn is None else float(self._worn)
+        self._sink.emit("quality", [[worn, self._loss]], [time_s])

@@ -1,0 +1,234 @@
+"""The text protocol of the E4 streaming server, both ways; pure.
+
+The grammar is that of the vendor's documentation of 2019 and of bytes captured from a
+server on a Windows with a decimal comma. The decimal mark follows the server's locale
+and may change when it restarts, so both are read, always.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+
+from biosensor_gateway.devices.empatica_e4.driver.messages import (
+    Event,
+    Flaw,
+    Malformed,
+    Message,
+    RadioEvent,
+    Reply,
+    Sample,
+    Stream,
+    Wristband,
+)
+
+MAX_LINE_BYTES = 65536
+MAX_TIME_S = 1e11
+"""No clock reads more."""
+SUBSCRIBED = (Stream.ACC, Stream.BVP, Stream.GSR, Stream.IBI, Stream.TMP, Stream.BAT, Stream.TAG)
+
+_WORDS = {
+    "E4_Acc": Stream.ACC,
+    "E4_Bvp": Stream.BVP,
+    "E4_Gsr": Stream.GSR,
+    "E4_Ibi": Stream.IBI,
+    "E4_Hr": Stream.HR,
+    # The vendor's table has other names than the wire.
+    "E4_Temperature": Stream.TMP,
+    "E4_Temp": Stream.TMP,
+    "E4_Battery": Stream.BAT,
+    "E4_Bat": Stream.BAT,
+    "E4_Tag": Stream.TAG,
+}
+_VALUES = {Stream.ACC: 3, Stream.TAG: 0}
+_LISTS = ("device_list", "device_discover_list")
+_COMMANDS = frozenset(
+    {
+        *_LISTS,
+        "device_connect",
+        "device_connect_btle",
+        "device_disconnect",
+        "device_disconnect_btle",
+        "device_subscribe",
+        "pause",
+        "server_status",
+    }
+)
+_EVENTS = (
+    (re.compile(r"R connection lost to device (\w+)"), RadioEvent.LOST),
+    (re.compile(r"R connection re-established to device (\w+)"), RadioEvent.RESTORED),
+    (re.compile(r"R device (\w+) turned off via button"), RadioEvent.TURNED_OFF),
+)
+_NUMBER = re.compile(r"-?[0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?")
+_NON_FINITE = re.compile(r"-?(?:nan|inf(?:inity)?|∞)", re.IGNORECASE)
+_UNICODE_MINUS = "\N{MINUS SIGN}"
+
+
+def request(command: str, *arguments: str) -> bytes:
+    """Write a request; CRLF is what every server accepts."""
+    return " ".join((command, *arguments)).encode("ascii") + b"\r\n"
+
+
+class E4Protocol:
+    """Cuts the byte stream into lines and reads them.
+
+    Attributes
+    ----------
+    dropped_bytes
+        Bytes of lines that made no sense, line ends not counted.
+    """
+
+    def __init__(self) -> None:
+        self.dropped_bytes = 0
+        self._buffer = bytearray()
+        self._skipping = False
+
+    @property
+    def buffered(self) -> int:
+        """Bytes that wait for the end of their line."""
+        return len(self._buffer)
+
+    def feed(self, data: bytes) -> list[Message]:
+        """Take in bytes and return what the completed lines mean, in order."""
+        messages: list[Message] = []
+        *ends, rest = data.split(b"\n")
+        for end in ends:
+            messages += self._line(end)
+        messages += self._keep(rest)
+        return messages
+
+    def finish(self) -> list[Message]:
+        """Give up the unterminated rest at the end of a connection; it is never a sample."""
+        rest = bytes(self._buffer)
+        self._buffer.clear()
+        self._skipping = False
+        if not rest:
+            return []
+        self.dropped_bytes += len(rest)
+        return [Malformed(Flaw.EOF_PARTIAL_LINE, rest.decode("utf-8", "replace"))]
+
+    def _line(self, end: bytes) -> list[Message]:
+        if self._skipping:
+            self.dropped_bytes += len(end)
+            self._skipping = False
+            return []
+        overflow = self._keep(end)
+        if overflow:
+            self._skipping = False
+            return overflow
+        raw = bytes(self._buffer).removesuffix(b"\r")
+        self._buffer.clear()
+        return self._read(raw) if raw.strip() else []
+
+    def _keep(self, part: bytes) -> list[Message]:
+        if self._skipping:
+            self.dropped_bytes += len(part)
+            return []
+        self._buffer += part
+        if len(self._buffer) <= MAX_LINE_BYTES:
+            return []
+        self.dropped_bytes += len(self._buffer)
+        self._buffer.clear()
+        self._skipping = True
+        return [Malformed(Flaw.LINE_TOO_LONG)]
+
+    def _read(self, raw: bytes) -> list[Message]:
+        try:
+            message = read_line(raw.decode("utf-8"))
+        except UnicodeDecodeError:
+            message = Malformed(Flaw.BAD_ENCODING)
+        if isinstance(message, Malformed):
+            self.dropped_bytes += len(raw)
+        return [message]
+
+
+def read_line(line: str) -> Message:
+    """Return what a line means, without its end; never raises."""
+    text = line.strip()
+    for pattern, event in _EVENTS:
+        # Before replies: "connection" and "device" are no commands.
+        if found := pattern.fullmatch(text):
+            return Event(event, found[1].lower())
+    words = text.split()
+    if not words:
+        return Malformed(Flaw.UNKNOWN_LINE, text)
+    if words[0] == "R":
+        return _reply(words[1:], text)
+    if words[0].startswith("E4_"):
+        return _sample(words, text)
+    if words[0] == "device_disconnect":
+        # One version of the server is said to leave the R out.
+        return _reply(words, text)
+    return Malformed(Flaw.UNKNOWN_LINE, text)
+
+
+def _sample(words: list[str], text: str) -> Message:
+    stream = _WORDS.get(words[0])
+    if stream is None:
+        return Malformed(Flaw.UNKNOWN_STREAM, text)
+    if len(words) != 2 + _VALUES.get(stream, 1):
+        return Malformed(Flaw.BAD_FIELD_COUNT, text)
+    numbers: list[float] = []
+    for word in words[1:]:
+        number = _number(word)
+        if isinstance(number, Flaw):
+            return Malformed(number, text)
+        numbers.append(number)
+    if not 0 < numbers[0] < MAX_TIME_S:
+        return Malformed(Flaw.BAD_NUMBER, text)
+    return Sample(stream, numbers[0], tuple(numbers[1:]))
+
+
+def _number(word: str) -> float | Flaw:
+    plain = word.replace(",", ".").replace(_UNICODE_MINUS, "-")
+    if _NON_FINITE.fullmatch(plain):
+        return Flaw.NON_FINITE
+    if not _NUMBER.fullmatch(plain):
+        return Flaw.BAD_NUMBER
+    number = float(plain)
+    return number if math.isfinite(number) else Flaw.NON_FINITE
+
+
+def _reply(words: list[str], text: str) -> Message:
+    if not words or words[0] not in _COMMANDS:
+        return Malformed(Flaw.UNKNOWN_REPLY, text)
+    command, *rest = words
+    reader: Callable[[str, list[str], str], Message] = _plain_reply
+    if command in _LISTS:
+        reader = _device_list
+    elif command in ("device_subscribe", "pause"):
+        reader = _reply_with_subject
+    return reader(command, rest, text)
+
+
+def _plain_reply(command: str, rest: list[str], text: str) -> Message:
+    del text
+    if rest and rest[0] in ("ERR", "ERROR"):
+        return Reply(command, accepted=False, reason=" ".join(rest[1:]))
+    return Reply(command, accepted=True)
+
+
+def _reply_with_subject(command: str, rest: list[str], text: str) -> Message:
+    """Read a reply whose first word is a stream, or the ON and OFF of a pause."""
+    if not rest:
+        return Malformed(Flaw.UNKNOWN_REPLY, text)
+    if rest[0] in ("ERR", "ERROR"):
+        return _plain_reply(command, rest, text)
+    subject, *status = rest
+    plain = _plain_reply(command, status, text)
+    assert isinstance(plain, Reply)
+    return Reply(command, plain.accepted, subject, plain.reason)
+
+
+def _device_list(command: str, rest: list[str], text: str) -> Message:
+    if rest and rest[0] in ("ERR", "ERROR"):
+        return _plain_reply(command, rest, text)
+    count, *entries = (part.split() for part in " ".join(rest).split("|"))
+    is_count = len(count) == 1 and count[0].isascii() and count[0].isdigit()
+    if not is_count or len(entries) != int(count[0][:6]) or not all(entries):
+        return Malformed(Flaw.BAD_DEVICE_LIST, text)
+    devices = tuple(
+        Wristband(entry[0].lower(), allowed="not_allowed" not in entry[1:]) for entry in entries
+    )
+    return Reply(command, accepted=True, devices=devices)

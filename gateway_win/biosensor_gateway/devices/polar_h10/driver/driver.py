@@ -1,0 +1,171 @@
+"""The conversation with a Polar H10, Verity Sense or OH1."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Literal
+
+import structlog
+from pydantic import Field
+
+from biosensor_common.errors import (
+    CredentialError,
+    CredentialReason,
+    GatewayError,
+    ProtocolError,
+    ProtocolReason,
+    TransportError,
+    TransportReason,
+)
+from biosensor_common.spec import DeviceInfo
+from biosensor_gateway.devices import DriverEntry
+from biosensor_gateway.devices.driver import Connected
+from biosensor_gateway.devices.polar_h10.driver.discovery import identify, recognise
+from biosensor_gateway.devices.polar_h10.driver.emitter import DATA_NAMES, PolarEmitter
+from biosensor_gateway.devices.polar_h10.driver.measurements import Wanted
+from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement, Setting
+from biosensor_gateway.devices.polar_h10.driver.session import PolarSession
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.transports.ble import BleLink
+from biosensor_gateway.transports.ble_choice import Choice
+
+ECG_RATE_HZ = 130
+PATIENCE_S = 5.0
+_ADVICE = "put it on with wet electrodes, and close the apps that use it"
+
+_log = structlog.get_logger("biosensor_gateway.polar_h10")
+
+
+class PolarH10Settings(DeviceSettings):
+    """Settings of one H10, Verity Sense or OH1."""
+
+    device: str = Field(
+        default="",
+        max_length=64,
+        description="Id printed on the sensor (8 characters), or its Bluetooth address; empty "
+        "takes the only one in range.",
+        examples=["A1B2C3D4"],
+    )
+    ecg: bool = Field(default=True, description="Whether the H10 sends its ECG.")
+    acc: bool = Field(default=True, description="Whether the sensor sends its acceleration.")
+    acc_rate_hz: Literal[25, 50, 100, 200] = Field(
+        default=50,
+        description="Samples of acceleration per second; the next lower rate is taken where the "
+        "sensor does not offer it. More than 50 together with the ECG is too much for some "
+        "Bluetooth adapters.",
+    )
+    acc_range_g: Literal[2, 4, 8] = Field(
+        default=8, description="Largest acceleration that can be measured, in g."
+    )
+    pair: bool = Field(
+        default=False,
+        description="Pair before connecting; without it the sensor is paired when it demands it.",
+    )
+
+
+class PolarH10Driver:
+    """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`.
+
+    Parameters
+    ----------
+    meet
+        Makes the session; a second time where the device demands to be paired.
+    emitter
+    silent
+        Data names of the streams that the settings switch off.
+    """
+
+    # A heart rate comes every second, every 5 s from an optical sensor.
+    silence_limit_s = 15.0
+
+    def __init__(
+        self, meet: Callable[[], PolarSession], emitter: PolarEmitter, silent: frozenset[str]
+    ) -> None:
+        self._meet = meet
+        self._silent = silent
+        self._session = meet()
+        self._emitter = emitter
+
+    async def connect(self) -> Connected:
+        """Connect and start all measurements; see the protocol class."""
+        try:
+            info = await self._session.open()
+        except GatewayError as error:
+            if not self._session.wants_pairing(error):
+                raise
+            _log.info("pairing, because the device does not answer unpaired", cause=str(error))
+        else:
+            return self._connected(info)
+        # The attempt may have cost the connection, and BlueZ has tried to pair by itself.
+        await self._session.close()
+        self._session = self._meet()
+        try:
+            info = await self._session.open(pair=True)
+        except GatewayError as error:
+            raise _pairing_failure(error, self._session) from error
+        return self._connected(info)
+
+    async def stream(self) -> None:
+        """Emit what came while connecting, then all that comes; see the protocol class."""
+        await self._session.stream()
+
+    async def close(self) -> None:
+        """Stop all measurements, without waiting for the replies, and disconnect."""
+        await self._session.close()
+
+    async def enable_again(self, streams: frozenset[str]) -> None:
+        """Start silent measurements anew, and subscribe to the heart rate once more."""
+        await self._session.enable_again(streams)
+
+    def _connected(self, info: DeviceInfo) -> Connected:
+        refused = frozenset(DATA_NAMES.values()) - self._session.running
+        return Connected(
+            info,
+            self._emitter.rates,
+            self._silent,
+            refused=refused,
+            due=self._session.due,
+            patience_s=PATIENCE_S,
+        )
+
+
+def _pairing_failure(error: GatewayError, session: PolarSession) -> GatewayError:
+    """Return what to raise when even a paired connection fails."""
+    denied = isinstance(error, TransportError) and error.reason is TransportReason.DENIED
+    if not denied and not session.wants_pairing(error):
+        return error
+    message = (
+        f"{error}; pairing does not help: remove the sensor in the system's Bluetooth settings, "
+        "then start anew"
+    )
+    if isinstance(error, TransportError) and not denied:
+        return ProtocolError(ProtocolReason.NO_REPLY, message)
+    return CredentialError(CredentialReason.REJECTED, message)
+
+
+def _wanted(settings: PolarH10Settings) -> Sequence[Wanted]:
+    ecg = Wanted(Measurement.ECG, {Setting.SAMPLE_RATE: ECG_RATE_HZ})
+    acceleration = Wanted(
+        Measurement.ACCELERATION,
+        {Setting.SAMPLE_RATE: settings.acc_rate_hz, Setting.RANGE: settings.acc_range_g},
+    )
+    return [*([ecg] if settings.ecg else []), *([acceleration] if settings.acc else [])]
+
+
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], PolarH10Driver]:
+    """Share emitter and choice of the device between all connections."""
+    if not isinstance(settings, PolarH10Settings):
+        raise TypeError(f"not the settings of a Polar sensor: {type(settings).__name__}")
+    emitter = PolarEmitter(sink)
+    choice = Choice(identify, "Polar H10", settings.device, _ADVICE)
+    wanted = _wanted(settings)
+    silent = frozenset(DATA_NAMES.values()) - {DATA_NAMES[each.measurement] for each in wanted}
+
+    def meet() -> PolarSession:
+        return PolarSession(BleLink(choice, pair_first=settings.pair), emitter, wanted)
+
+    return lambda: PolarH10Driver(meet, emitter, silent)
+
+
+DRIVER = DriverEntry(PolarH10Settings, _make, recognise=recognise)

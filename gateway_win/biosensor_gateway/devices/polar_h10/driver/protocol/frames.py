@@ -1,0 +1,222 @@
+"""Data frames: ``measurement | timestamp of the last sample | frame type | samples``."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from enum import Enum, unique
+
+from biosensor_gateway.devices.polar_h10.driver.protocol.compression import Sample, expand
+from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement
+
+DATA = "fb005c82-02e7-f387-1cad-8acd2d8df0c8"
+
+_HEADER = struct.Struct("<BQB")
+_MEASUREMENT_MASK = 0x3F
+_COMPRESSED = 0x80
+_G_PER_MILLI_G = 0.001
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What every frame starts with.
+
+    Attributes
+    ----------
+    measurement
+        One of `Measurement`, or an unknown number.
+    timestamp_ns
+        Device clock at the last sample [ns since 2000-01-01, as far as it was ever set].
+    frame_type
+        Layout of the samples; from 0x80 on compressed.
+    """
+
+    measurement: int
+    timestamp_ns: int
+    frame_type: int
+
+    @property
+    def compressed(self) -> bool:
+        """Whether the samples are delta-compressed."""
+        return self.frame_type >= _COMPRESSED
+
+
+@dataclass(frozen=True, slots=True)
+class Ecg:
+    """Electrocardiogram [uV]."""
+
+    header: Header
+    microvolts: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Acceleration:
+    """Acceleration, x y z [counts].
+
+    Polar's SDK cuts off what it makes of compressed counts to whole mg; here, they
+    keep their resolution.
+    """
+
+    header: Header
+    counts: tuple[Sample, ...]
+    g_per_count: float
+
+
+@dataclass(frozen=True, slots=True)
+class Ppg:
+    """Photoplethysmogram: three photodiodes and the ambient light [counts]."""
+
+    header: Header
+    counts: tuple[Sample, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PulseInterval:
+    """Interval between two pulse waves, as an optical sensor sees them.
+
+    Attributes
+    ----------
+    bpm
+    interval_ms, error_ms
+        The interval and the device's estimate of its error.
+    moved
+        The device calls the interval invalid because of movement.
+    contact
+        Whether the skin is felt; None if the device does not tell.
+    """
+
+    bpm: int
+    interval_ms: int
+    error_ms: int
+    moved: bool
+    contact: bool | None
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether the device vouches for it."""
+        return not self.moved and self.contact is not False
+
+
+@dataclass(frozen=True, slots=True)
+class PulseIntervals:
+    """Intervals between pulse waves, oldest first."""
+
+    header: Header
+    intervals: tuple[PulseInterval, ...]
+
+
+Frame = Ecg | Acceleration | Ppg | PulseIntervals
+_Layout = Callable[[Header, bytes, float], Frame | None]
+
+
+@unique
+class Rejected(Enum):
+    """Why a frame holds no samples."""
+
+    DAMAGED = "damaged"
+    """It is cut short, or its lengths do not fit."""
+    UNKNOWN = "unknown"
+    """Its layout is none that is known."""
+
+
+def measurement_of(data: bytes) -> int | None:
+    """Tell whose samples a frame holds; None if it is empty."""
+    return data[0] & _MEASUREMENT_MASK if data else None
+
+
+def parse_frame(data: bytes, factors: Mapping[int, float]) -> Frame | Rejected:
+    """Read a data frame; it is taken whole or not at all.
+
+    Parameters
+    ----------
+    data
+    factors
+        By measurement, what the device named when it was started: physical units
+        (g for acceleration) a count of compressed frames; 1 where it named none.
+    """
+    if len(data) < _HEADER.size:
+        return Rejected.DAMAGED
+    measurement, timestamp_ns, frame_type = _HEADER.unpack_from(data)
+    header = Header(measurement & _MEASUREMENT_MASK, timestamp_ns, frame_type)
+    parse = _LAYOUTS.get((header.measurement, frame_type))
+    if parse is None:
+        return Rejected.UNKNOWN
+    factor = factors.get(header.measurement, 1.0)
+    return parse(header, data[_HEADER.size :], factor) or Rejected.DAMAGED
+
+
+def _ecg(header: Header, data: bytes, factor: float) -> Frame | None:
+    del factor
+    samples = _integers(data, 3, 1)
+    return None if samples is None else Ecg(header, tuple(sample[0] for sample in samples))
+
+
+def _acceleration(width: int) -> _Layout:
+    def parse(header: Header, data: bytes, factor: float) -> Frame | None:
+        del factor
+        samples = _integers(data, width, 3)
+        return None if samples is None else Acceleration(header, samples, _G_PER_MILLI_G)
+
+    return parse
+
+
+def _compressed_acceleration(unit_g: float) -> _Layout:
+    def parse(header: Header, data: bytes, factor: float) -> Frame | None:
+        samples = expand(data, 3, 16)
+        return None if samples is None else Acceleration(header, tuple(samples), factor * unit_g)
+
+    return parse
+
+
+def _ppg(header: Header, data: bytes, factor: float) -> Frame | None:
+    del factor
+    samples = _integers(data, 3, 4)
+    return None if samples is None else Ppg(header, samples)
+
+
+def _compressed_ppg(header: Header, data: bytes, factor: float) -> Frame | None:
+    del factor
+    # 22-bit values in three bytes each.
+    samples = expand(data, 4, 24)
+    return None if samples is None else Ppg(header, tuple(samples))
+
+
+_PULSE_INTERVAL = struct.Struct("<BHHB")
+
+
+def _pulse_intervals(header: Header, data: bytes, factor: float) -> Frame | None:
+    del factor
+    if len(data) % _PULSE_INTERVAL.size:
+        return None
+    return PulseIntervals(header, tuple(_each_interval(data)))
+
+
+def _each_interval(data: bytes) -> Iterator[PulseInterval]:
+    for bpm, interval_ms, error_ms, flags in _PULSE_INTERVAL.iter_unpack(data):
+        contact = bool(flags >> 1 & 1) if flags >> 2 & 1 else None
+        yield PulseInterval(bpm, interval_ms, error_ms, bool(flags & 1), contact)
+
+
+def _integers(data: bytes, width: int, channels: int) -> tuple[Sample, ...] | None:
+    size = width * channels
+    if len(data) % size:
+        return None
+    values = [
+        int.from_bytes(data[at : at + width], "little", signed=True)
+        for at in range(0, len(data), width)
+    ]
+    return tuple(tuple(values[at : at + channels]) for at in range(0, len(values), channels))
+
+
+_LAYOUTS: dict[tuple[int, int], _Layout] = {
+    (Measurement.ECG, 0x00): _ecg,
+    (Measurement.ACCELERATION, 0x00): _acceleration(1),
+    (Measurement.ACCELERATION, 0x01): _acceleration(2),
+    (Measurement.ACCELERATION, 0x02): _acceleration(3),
+    (Measurement.ACCELERATION, 0x80): _compressed_acceleration(1.0),
+    (Measurement.ACCELERATION, 0x81): _compressed_acceleration(_G_PER_MILLI_G),
+    (Measurement.PPG, 0x00): _ppg,
+    (Measurement.PPG, 0x80): _compressed_ppg,
+    (Measurement.PULSE_INTERVALS, 0x00): _pulse_intervals,
+}

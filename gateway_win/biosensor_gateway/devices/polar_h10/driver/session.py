@@ -1,0 +1,211 @@
+"""One connection to a Polar sensor: what is asked of it, and where its answers go."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+
+import structlog
+from pylsl import local_clock
+
+from biosensor_common.errors import (
+    GatewayError,
+    ProtocolError,
+    ProtocolReason,
+    TransportError,
+    TransportReason,
+)
+from biosensor_common.spec import DeviceInfo
+from biosensor_gateway.devices.ble_heart_rate.driver.protocol import HEART_RATE_MEASUREMENT
+from biosensor_gateway.devices.ble_heart_rate.driver.strap import DUE, Strap
+from biosensor_gateway.devices.polar_h10.driver.control import ControlPoint
+from biosensor_gateway.devices.polar_h10.driver.emitter import DATA_NAMES, PolarEmitter
+from biosensor_gateway.devices.polar_h10.driver.measurements import Measurements, Wanted
+from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
+    CONTROL_POINT,
+    Measurement,
+    Stopped,
+    parse_indication,
+)
+from biosensor_gateway.devices.polar_h10.driver.protocol.frames import DATA, measurement_of
+from biosensor_gateway.transports.ble import BleLink, Notification
+from biosensor_gateway.transports.ble_errors import AttError
+from biosensor_gateway.transports.nearby import Advertisement
+
+WATCH_PERIOD_S = 0.5
+GOODBYE_LIMIT_S = 0.45
+
+_NOT_PAIRED = frozenset({0x05, 0x0F})
+"""ATT errors "insufficient authentication" and "insufficient encryption"."""
+_UNLIKELY_ERROR = 0x0E
+_MEASUREMENTS = frozenset(Measurement)
+
+_log = structlog.get_logger("biosensor_gateway.polar_h10")
+
+
+class PolarSession:
+    """Everything that lasts as long as one link.
+
+    Parameters
+    ----------
+    link
+    emitter
+    wanted
+        Measurements to run if the device offers them.
+    """
+
+    def __init__(self, link: BleLink, emitter: PolarEmitter, wanted: Sequence[Wanted]) -> None:
+        self._link = link
+        self._emitter = emitter
+        self._wanted = wanted
+        self._strap = Strap(link, emitter.strap)
+        self._control = ControlPoint(link, self._take)
+        self._measurements = Measurements(link.what, self._control, emitter)
+        self._seen: tuple[Advertisement, float] | None = None
+        self._early: list[Notification] | None = []
+        self._silent: frozenset[str] = frozenset()
+        self._has_restarted = asyncio.Event()
+
+    async def open(self, *, pair: bool = False) -> DeviceInfo:
+        """Connect, start everything, and return what the device says of itself.
+
+        Parameters
+        ----------
+        pair
+            Pair as soon as the link stands.
+
+        Raises
+        ------
+        TransportError, ProtocolError
+            The device cannot be used now.
+        """
+        self._seen = await self._link.open(), local_clock()
+        if pair:
+            await self._link.pair()
+        self._emitter.reconnected()
+        info = await self._strap.start()
+        if self._link.has(CONTROL_POINT):
+            await self._start_measurements()
+        elif self._link.has(HEART_RATE_MEASUREMENT):
+            self._emitter.tell_once(
+                "heart rate and intervals only: the firmware has no PMD service; "
+                "update it with Polar Flow",
+                firmware=info.firmware_version,
+            )
+        else:
+            message = f"{self._link.what} is no heart-rate sensor; choose another `device`"
+            raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
+        return info
+
+    def wants_pairing(self, error: GatewayError) -> bool:
+        """Whether pairing may help against what went wrong in `open`.
+
+        BlueZ keeps the device's answer to itself: there, the subscription to the control
+        point or the first command fails with another error, or nothing comes of it.
+        """
+        if isinstance(error, AttError):
+            return error.code in _NOT_PAIRED or (
+                error.code == _UNLIKELY_ERROR and self._control.knocking
+            )
+        return (
+            isinstance(error, TransportError)
+            and error.reason is TransportReason.SILENT
+            and self._control.knocking
+        )
+
+    async def stream(self) -> None:
+        """Emit what came while connecting, then all that comes.
+
+        Raises
+        ------
+        TransportError
+            ``LOST`` or ``SILENT``.
+        """
+        if self._seen is not None:
+            advertisement, seen_s = self._seen
+            self._emitter.strap.signal_strength(advertisement.rssi_dbm, seen_s)
+        early, self._early = self._early or [], None
+        for notification in early:
+            self._emit(notification)
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._strap.watch_battery())
+            tasks.create_task(self._read_forever())
+
+    @property
+    def running(self) -> frozenset[str]:
+        """Data names of the measurements that were started and come at a rate."""
+        return frozenset(name for each, name in DATA_NAMES.items() if self._measurements.runs(each))
+
+    @property
+    def due(self) -> Mapping[str, float]:
+        """Longest absences of what comes all the time without a rate."""
+        return DUE if self._link.has(HEART_RATE_MEASUREMENT) else {}
+
+    async def enable_again(self, streams: frozenset[str]) -> None:
+        """Have `stream` start anew what is behind streams that are silent."""
+        self._silent |= streams
+        self._has_restarted.clear()
+        await self._has_restarted.wait()
+
+    async def close(self) -> None:
+        """Stop everything, for a moment, and disconnect; never raises.
+
+        A device that is left measuring does so until its battery is flat.
+        """
+        with suppress(GatewayError, TimeoutError):
+            async with asyncio.timeout(GOODBYE_LIMIT_S):
+                await self._measurements.stop()
+                await self._strap.stop()
+                await self._control.close()
+        await self._link.close()
+
+    async def _start_measurements(self) -> None:
+        offered = await self._control.open()
+        missing = [each.measurement for each in self._wanted if each.measurement not in offered]
+        if missing:
+            names = [measurement.name.lower() for measurement in missing]
+            self._emitter.tell_once("the device cannot measure all that is wanted", missing=names)
+        wanted = [each for each in self._wanted if each.measurement in offered]
+        if Measurement.PULSE_INTERVALS in offered:
+            # Optical sensors have no intervals in their heart rate measurement.
+            wanted.append(Wanted(Measurement.PULSE_INTERVALS))
+        await self._measurements.start(wanted)
+
+    async def _read_forever(self) -> None:
+        while True:
+            with suppress(TimeoutError):
+                async with asyncio.timeout(WATCH_PERIOD_S):
+                    self._take(await self._link.next())
+            # Only the reader can wait for replies.
+            if self._silent:
+                silent, self._silent = self._silent, frozenset()
+                await self._restart(silent)
+                self._has_restarted.set()
+
+    async def _restart(self, silent: frozenset[str]) -> None:
+        names = {name: measurement for measurement, name in DATA_NAMES.items()}
+        await self._measurements.restart({names[each] for each in silent & names.keys()})
+        if not silent <= names.keys():
+            await self._strap.subscribe_again()
+
+    def _take(self, notification: Notification) -> None:
+        if notification.uuid == DATA:
+            measurement = measurement_of(notification.data)
+            if not self._measurements.runs(measurement) and measurement in _MEASUREMENTS:
+                # Started by a host before us, with settings that nobody knows.
+                return
+        if self._early is None:
+            self._emit(notification)
+        else:
+            self._early.append(notification)
+
+    def _emit(self, notification: Notification) -> None:
+        if self._strap.take(notification):
+            return
+        if notification.uuid == DATA:
+            self._emitter.frame(notification.data, notification.arrival)
+        elif isinstance(stopped := parse_indication(notification.data), Stopped):
+            # If it is not for good, the watchdog gets it going again.
+            _log.warning("the device stopped measuring", device=self._link.what,
+                         measurements=stopped.measurements)  # fmt: skip

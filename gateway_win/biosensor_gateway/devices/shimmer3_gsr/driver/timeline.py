@@ -1,0 +1,89 @@
+"""From a counter of 24 bits to the device's time without end, and to lost samples."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from biosensor_common.device_clock import LONGEST_DELAY_S
+from biosensor_gateway.devices.shimmer3_gsr.driver.commands import TICKS_PER_S
+from biosensor_gateway.devices.shimmer3_gsr.driver.protocol import TICK_MODULUS
+
+SURVIVED_AGREE_S = 1.0
+"""A counter that a new connection finds this near to where it should be was not restarted.
+One that was restarted is that near by chance in one case of 256."""
+
+
+class Placed(NamedTuple):
+    """A packet's place in time.
+
+    Attributes
+    ----------
+    time_s
+        Device time.
+    lost
+        Samples lost right before it.
+    restarted
+        The counter was restarted: earlier times say nothing about later ones.
+    """
+
+    time_s: float
+    lost: int
+    restarted: bool = False
+
+
+class TickTimeline:
+    """Follows the counter of one device, over roll-overs, gaps and connections.
+
+    The counter turns every 512 s. How often it turned in a gap is told by the times of
+    arrival, so that a gap may have any length.
+    """
+
+    def __init__(self) -> None:
+        self._ticks: int | None = None
+        self._arrival_s = 0.0
+        self._divisor = 1
+        self._is_new_connection = True
+
+    def started(self, divisor: int) -> None:
+        """Streaming was started at 32768 Hz / ``divisor``."""
+        self._divisor = divisor
+        self._is_new_connection = True
+
+    def place(self, ticks: int, arrival_s: float) -> Placed | None:
+        """Place the next packet; None for one that came before.
+
+        Parameters
+        ----------
+        ticks
+            Its timestamp, 0 to 2**24 - 1.
+        arrival_s
+            LSL clock at its arrival.
+        """
+        if self._ticks is None:
+            placed = Placed(ticks / TICKS_PER_S, 0)
+            self._ticks = ticks
+        else:
+            placed = self._placed_after(self._ticks, ticks, arrival_s)
+        if placed is not None:
+            self._arrival_s = arrival_s
+            self._is_new_connection = False
+        return placed
+
+    def _placed_after(self, newest: int, ticks: int, arrival_s: float) -> Placed | None:
+        expected = (arrival_s - self._arrival_s) * TICKS_PER_S
+        step = (ticks - newest) % TICK_MODULUS
+        step += round((expected - step) / TICK_MODULUS) * TICK_MODULUS
+        if step == 0 and not self._is_new_connection:
+            return None
+        agree_s = SURVIVED_AGREE_S if self._is_new_connection else LONGEST_DELAY_S
+        restarted = step <= 0 or abs(step - expected) > agree_s * TICKS_PER_S
+        if restarted:
+            # Time goes on, so that no sample seems older than those before it.
+            step = max(self._divisor, round(expected))
+            self._ticks = newest + step + (ticks - newest - step) % TICK_MODULUS
+        else:
+            self._ticks = newest + step
+        # A device that was started anew has measured nothing in between.
+        is_counted = not restarted and not self._is_new_connection
+        lost = max(0, round(step / self._divisor) - 1) if is_counted else 0
+        return Placed(self._ticks / TICKS_PER_S, lost, restarted)

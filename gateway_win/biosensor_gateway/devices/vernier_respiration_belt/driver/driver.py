@@ -1,0 +1,209 @@
+"""The conversation with a belt: wake it, ask what it is, start it, keep an eye on it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+
+import structlog
+from pydantic import Field
+from pylsl import local_clock
+
+from biosensor_common.errors import (
+    GatewayError,
+    ProtocolError,
+    ProtocolReason,
+    TransportError,
+    TransportReason,
+)
+from biosensor_common.spec import DeviceInfo
+from biosensor_gateway.devices import DriverEntry
+from biosensor_gateway.devices.driver import Connected
+from biosensor_gateway.devices.vernier_respiration_belt.driver import protocol, replies
+from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import (
+    BeltChannels,
+    choose_channels,
+)
+from biosensor_gateway.devices.vernier_respiration_belt.driver.conversation import (
+    REPLY_LIMIT_S,
+    Conversation,
+)
+from biosensor_gateway.devices.vernier_respiration_belt.driver.discovery import (
+    ADVICE,
+    KIND,
+    identify,
+    recognise,
+)
+from biosensor_gateway.devices.vernier_respiration_belt.driver.emitter import VernierEmitter
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.transports.ble import BleLink
+from biosensor_gateway.transports.ble_choice import Choice
+
+WAKING_LIMIT_S = 1.0
+RESTART_LIMIT_S = 2.0
+GOODBYE_LIMIT_S = 0.4
+STATUS_PERIOD_S = 60.0
+PATIENCE_S = 2.0
+
+_log = structlog.get_logger("biosensor_gateway.vernier")
+
+
+class VernierSettings(DeviceSettings):
+    """Settings of one respiration belt."""
+
+    device: str = Field(
+        default="",
+        description="Serial number of the belt, which ends its Bluetooth name, or its Bluetooth "
+        "address. Empty takes the only belt in range.",
+        examples=["0K2002Z5"],
+    )
+    period_ms: int = Field(
+        default=100,
+        ge=50,
+        le=1000,
+        description="Time between two samples in milliseconds; the belt may round it.",
+    )
+
+
+class VernierDriver:
+    """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
+
+    # Silent streams are noticed long before; its status is asked for once a minute.
+    silence_limit_s = 60.0
+
+    def __init__(
+        self, settings: VernierSettings, choice: Choice, sink: DeviceSink, emitter: VernierEmitter
+    ) -> None:
+        self._period_us = settings.period_ms * 1000
+        self._sink = sink
+        self._emitter = emitter
+        self._link = BleLink(choice)
+        self._rssi: tuple[int | None, float] = (None, 0.0)
+        self._status: tuple[replies.Status | None, float] = (None, 0.0)
+        self._conversation: Conversation | None = None
+        self._channels: BeltChannels | None = None
+
+    async def connect(self) -> Connected:
+        """Find the belt, learn what it is and start it; see the protocol class."""
+        seen = await self._link.open()
+        self._rssi = (seen.rssi_dbm, local_clock())
+        belt = self._conversation = Conversation(self._link, self._sink)
+        await belt.begin()
+        await _wake(belt)
+        answer = await belt.ask(protocol.GET_STATUS)
+        self._status = (replies.parse_status(answer.payload), answer.arrival_s)
+        identity = replies.parse_device_info((await belt.ask(protocol.DEVICE_INFO)).payload)
+        channels = await self._ask_channels(belt)
+        self._period_us = channels.period_us(self._period_us)
+        await belt.order(protocol.set_period(self._period_us))
+        self._channels = channels
+        await self._start(belt, channels)
+        rate = 1e6 / self._period_us
+        rates = {"force": rate, "bpm": rate}
+        return Connected(_device_info(identity), rates, patience_s=PATIENCE_S)
+
+    async def stream(self) -> None:
+        """Emit what is known since connecting, then all that comes."""
+        belt = self._conversation
+        if belt is None:
+            raise RuntimeError("a driver streams after it has connected")
+        self._emitter.take_rssi(*self._rssi)
+        self._take_status(*self._status)
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._pass_on(belt))
+            tasks.create_task(self._ask_status(belt))
+
+    async def enable_again(self, streams: frozenset[str]) -> None:
+        """Stop the belt and start it; see the protocol class."""
+        del streams
+        belt, channels = self._conversation, self._channels
+        if belt is None or channels is None:
+            raise RuntimeError("a driver streams after it has connected")
+        self._emitter.ended()
+        try:
+            await belt.ask(protocol.STOP, RESTART_LIMIT_S)
+            await self._start(belt, channels, RESTART_LIMIT_S)
+        except ProtocolError as error:
+            message = f"{self._link.what} is connected but measures nothing; press its button"
+            raise TransportError(TransportReason.SILENT, message) from error
+
+    async def close(self) -> None:
+        """Stop the belt without waiting for its replies, and disconnect."""
+        self._emitter.ended()
+        if self._conversation is not None:
+            with suppress(GatewayError, TimeoutError):
+                async with asyncio.timeout(GOODBYE_LIMIT_S):
+                    await self._conversation.tell(protocol.STOP)
+                    await self._conversation.tell(protocol.DISCONNECT)
+            self._conversation.end()
+        await self._link.close()
+
+    async def _ask_channels(self, belt: Conversation) -> BeltChannels:
+        mask = replies.parse_mask((await belt.ask(protocol.AVAILABLE_CHANNELS)).payload)
+        answers = [
+            await belt.ask(protocol.sensor_info(number))
+            for number in protocol.channels_of(mask or 0)
+        ]
+        channels = [replies.parse_channel(answer.payload) for answer in answers]
+        return choose_channels([channel for channel in channels if channel is not None])
+
+    async def _start(
+        self, belt: Conversation, channels: BeltChannels, limit_s: float = REPLY_LIMIT_S
+    ) -> None:
+        # Before the command: samples may come before its reply.
+        self._emitter.started(channels, self._period_us / 1e6)
+        await belt.order(protocol.start(channels.mask), limit_s)
+
+    async def _pass_on(self, belt: Conversation) -> None:
+        while True:
+            message, arrival_s = await belt.next()
+            self._sink.heard()
+            self._emitter.take(message, arrival_s)
+
+    async def _ask_status(self, belt: Conversation) -> None:
+        while True:
+            await asyncio.sleep(STATUS_PERIOD_S)
+            try:
+                answer = await belt.ask(protocol.GET_STATUS)
+            except ProtocolError as error:
+                # The measurements may go on all the same.
+                _log.warning(str(error), **self._names())
+            else:
+                self._take_status(replies.parse_status(answer.payload), answer.arrival_s)
+
+    def _take_status(self, status: replies.Status | None, arrival_s: float) -> None:
+        if status is not None:
+            self._emitter.take_status(status, arrival_s)
+
+    def _names(self) -> dict[str, str]:
+        return {"sensor": self._sink.identity.sensor, "unit": self._sink.identity.unit}
+
+
+async def _wake(belt: Conversation) -> None:
+    """Say hello, twice if need be: a belt that has just been woken misses the first."""
+    try:
+        await belt.order(protocol.INIT, WAKING_LIMIT_S)
+    except ProtocolError as error:
+        if error.reason is not ProtocolReason.NO_REPLY:
+            raise
+        await belt.order(protocol.INIT)
+
+
+def _device_info(identity: replies.Identity | None) -> DeviceInfo:
+    if identity is None:
+        return DeviceInfo()
+    return DeviceInfo("", identity.order_code, identity.serial_number, identity.firmware)
+
+
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], VernierDriver]:
+    """Share the choice and the emitter between all connections of the device."""
+    if not isinstance(settings, VernierSettings):
+        raise TypeError(f"not the settings of a respiration belt: {type(settings).__name__}")
+    choice = Choice(identify, KIND, settings.device, ADVICE)
+    emitter = VernierEmitter(sink)
+    return lambda: VernierDriver(settings, choice, sink, emitter)
+
+
+DRIVER = DriverEntry(VernierSettings, _make, recognise=recognise)

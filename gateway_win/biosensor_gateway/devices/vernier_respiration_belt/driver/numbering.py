@@ -1,0 +1,185 @@
+"""Device time of a belt's samples: it sends none, so they are counted.
+
+Sample after sample is one period later. Where that may be wrong, because the packet
+counter jumped or the belt was silent, a few packets are held back until they tell
+which of two things happened:
+
+* They come faster than they were measured: the radio was held up, and the belt now
+  sends what it had stored. Nothing is missing.
+* They come at the pace of measuring, and all of them later than they should: as many
+  samples as fit into the delay are missing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+from biosensor_common.device_clock import ClockState
+from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import Measurement
+
+HELD_PACKETS = 5
+"""The least delayed of so many packets is hardly delayed."""
+SILENCE_S = 1.0
+SILENCE_PERIODS = 5
+BACKLOG_PACE = 0.5
+"""Stored packets follow each other in less than this part of the time they were measured in."""
+EARLY_PERIODS = 0.25
+"""The clock's line may lie so much above the best packet; delays are longer than nothing."""
+LOST_LIMIT_S = 60.0
+"""A belt that is away for longer was switched off: nothing was measured, so nothing is lost."""
+
+_TRUSTED_STEPS = 3
+
+
+class Arrived(NamedTuple):
+    """A measurement that is to be placed.
+
+    Attributes
+    ----------
+    measurement
+    samples
+        Number of samples a channel, at least 1.
+    arrival_s
+        LSL clock, in seconds.
+    """
+
+    measurement: Measurement
+    samples: int
+    arrival_s: float
+
+
+class Placed(NamedTuple):
+    """A measurement with its place on the device's clock.
+
+    Attributes
+    ----------
+    measurement
+    arrival_s
+        LSL clock, in seconds.
+    last_s
+        Device time of the last sample.
+    lost
+        Estimated number of samples missing before it.
+    """
+
+    measurement: Measurement
+    arrival_s: float
+    last_s: float
+    lost: int
+
+
+class Numbering:
+    """Counts the samples of one belt, over all its connections.
+
+    Parameters
+    ----------
+    clock
+        Gives the device clock that observes the last sample of every placed packet.
+    """
+
+    def __init__(self, clock: Callable[[], ClockState]) -> None:
+        self._clock = clock
+        self._period_s = 1.0
+        self._origin_s = 0.0
+        self._index = 0
+        self._restarted = True
+        self._counter = _PacketCounter()
+        self._suspicious = False
+        self._arrival_s = -math.inf
+        self._held: list[Arrived] = []
+
+    def restart(self, period_s: float) -> None:
+        """Begin to count anew: the next sample is the first after a start."""
+        self._origin_s, self._index = self._time(0), 0
+        self._period_s = period_s
+        self._restarted = True
+        self._suspicious = False
+        self._counter = _PacketCounter()
+
+    def count(self, counter: int) -> None:
+        """Note the packet counter of any packet; call it before :meth:`place`."""
+        if self._counter.jumps(counter):
+            self._suspicious = True
+
+    def suspect(self) -> None:
+        """Expect that samples are missing before the next packet."""
+        self._suspicious = True
+
+    def place(self, packet: Arrived) -> list[Placed]:
+        """Return the packets whose place is certain now, in order; none while it is unclear."""
+        pause = packet.arrival_s - self._arrival_s
+        self._arrival_s = packet.arrival_s
+        if self._restarted:
+            return [self._place_first(packet)]
+        if pause > max(SILENCE_S, SILENCE_PERIODS * self._period_s):
+            self._suspicious = True
+        if not self._suspicious:
+            return [self._place_next(packet)]
+        self._held.append(packet)
+        return self._place_held() if len(self._held) == HELD_PACKETS else []
+
+    def release(self) -> list[Placed]:
+        """Return what is held back, because no more packets come."""
+        return self._place_held() if self._held else []
+
+    def _place_first(self, packet: Arrived) -> Placed:
+        """Go on where the host's clock is: a start begins at any moment."""
+        self._restarted = False
+        earliest_s = self._time(packet.samples)
+        reached_s = self._device_time(packet.arrival_s)
+        missing_s = reached_s - earliest_s
+        lost = round(missing_s / self._period_s) if 0.0 < missing_s < LOST_LIMIT_S else 0
+        self._origin_s, self._index = max(earliest_s, reached_s), 0
+        return Placed(packet.measurement, packet.arrival_s, self._origin_s, lost)
+
+    def _place_next(self, packet: Arrived, lost: int = 0) -> Placed:
+        self._index += lost + packet.samples
+        return Placed(packet.measurement, packet.arrival_s, self._time(0), lost)
+
+    def _place_held(self) -> list[Placed]:
+        held, self._held = self._held, []
+        measured_s = sum(packet.samples for packet in held[1:]) * self._period_s
+        is_backlog = held[-1].arrival_s - held[0].arrival_s < BACKLOG_PACE * measured_s
+        # After a backlog it is still to be seen whether all of it came.
+        self._suspicious = is_backlog
+        lost = 0 if is_backlog else self._missing(held)
+        first, *others = held
+        return [self._place_next(first, lost), *map(self._place_next, others)]
+
+    def _missing(self, held: list[Arrived]) -> int:
+        samples, least_s = 0, math.inf
+        for packet in held:
+            samples += packet.samples
+            late_s = self._device_time(packet.arrival_s) - self._time(samples)
+            least_s = min(least_s, late_s)
+        return max(0, math.floor(least_s / self._period_s + EARLY_PERIODS))
+
+    def _time(self, ahead: int) -> float:
+        """Device time of a sample so many after the last placed one."""
+        return self._origin_s + (self._index + ahead) * self._period_s
+
+    def _device_time(self, arrival_s: float) -> float:
+        """Device time of a sample that arrived without delay."""
+        state = self._clock()
+        if math.isnan(state.offset_s):
+            return self._time(0)
+        newest_s = self._time(0)
+        return newest_s + (arrival_s - newest_s - state.offset_s) / (1 + state.drift_ppm * 1e-6)
+
+
+class _PacketCounter:
+    """Finds jumps of the packet counter, once it has shown that it counts packets."""
+
+    def __init__(self) -> None:
+        self._last: int | None = None
+        self._steps = 0
+
+    def jumps(self, counter: int) -> bool:
+        is_next = self._last is None or counter == (self._last + 1) % 256
+        self._last = counter
+        is_trusted = self._steps >= _TRUSTED_STEPS
+        if not is_trusted:
+            self._steps = self._steps + 1 if is_next else 0
+        return is_trusted and not is_next

@@ -1,0 +1,207 @@
+"""The conversation with a BioHarness: start its packets, keep it awake, pass on what it sends."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+import structlog
+from pydantic import Field
+
+from biosensor_common.errors import ProtocolError, ProtocolReason
+from biosensor_gateway.devices import DriverEntry
+from biosensor_gateway.devices.driver import Connected
+from biosensor_gateway.devices.zephyr.driver.discovery import recognise
+from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
+from biosensor_gateway.devices.zephyr.driver.messages import Message, Reply, RrIntervals, Summary
+from biosensor_gateway.devices.zephyr.driver.protocol import (
+    LIFESIGN,
+    Request,
+    ZephyrProtocol,
+    enable,
+)
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.transports.byte_links import byte_link
+
+# The order in which the recorded device was started.
+PACKETS = (
+    Request.ECG,
+    Request.BREATHING,
+    Request.RR,
+    Request.ACCELERATION,
+    Request.SUMMARY,
+)
+STREAMS = {
+    Request.ECG: ("ecg",),
+    Request.BREATHING: ("breathing",),
+    Request.RR: ("ibi",),
+    Request.ACCELERATION: ("acc",),
+    Request.SUMMARY: ("quality",),
+    Request.GENERAL: ("quality",),
+}
+"""By which streams one knows that a packet comes; it may hold others, too."""
+DUE = {"ibi": 5.0, "quality": 10.0}
+"""Their packets come once a second, with or without a value; old firmware has to be asked for
+general data first."""
+REPLY_TIMEOUT_S = 2.0
+ATTEMPTS = 3
+LIFESIGN_PERIOD_S = 2.0
+TORN_FRAME_S = 1.0
+"""Longest gap within a frame; recorded Bluetooth reads come up to 0.51 s apart."""
+SUMMARY_PATIENCE_S = 5.0
+
+_log = structlog.get_logger("biosensor_gateway.zephyr")
+
+
+class ZephyrSettings(DeviceSettings):
+    """Settings of one BioHarness."""
+
+    port: str = Field(
+        min_length=1,
+        description="Serial port of the paired BioHarness, COM7 or /dev/rfcomm0 for instance, "
+        "or its Bluetooth address, 00:07:80:5A:3E:7E for instance, or socket://HOST:NUMBER.",
+        examples=["/dev/rfcomm0"],
+    )
+
+
+class ZephyrDriver:
+    """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
+
+    # The device sends a lifesign every 3 s whatever is enabled.
+    silence_limit_s = 10.0
+
+    def __init__(self, settings: ZephyrSettings, sink: DeviceSink, emitter: ZephyrEmitter) -> None:
+        self._port = settings.port
+        self._link = byte_link(settings.port)
+        self._sink = sink
+        self._emitter = emitter
+        self._protocol = ZephyrProtocol()
+        self._early: list[tuple[Message, float]] = []
+        self._enabled: list[Request] = []
+        self._summary_seen = False
+        self._arrival = 0.0
+
+    async def connect(self) -> Connected:
+        """Open the port and enable every packet; see the protocol class."""
+        await self._link.open()
+        self._emitter.reconnected()
+        refused = [packet for packet in PACKETS if not await self._enable(packet)]
+        if Request.SUMMARY in refused and await self._enable(Request.GENERAL):
+            refused.remove(Request.SUMMARY)
+        if not self._enabled:
+            message = f"{self._port}: the device refuses every packet; is it a BioHarness 3?"
+            raise ProtocolError(ProtocolReason.REFUSED, message)
+        if refused:
+            _log.warning("the device refuses packets", port=self._port, packets=_names(refused))
+        streams = {name for packet in refused for name in STREAMS[packet]}
+        return Connected(refused=frozenset(streams), due=DUE)
+
+    async def enable_again(self, streams: frozenset[str]) -> None:
+        """Enable the packets of streams that are silent; the reader passes over the replies."""
+        for packet in [each for each in self._enabled if not streams.isdisjoint(STREAMS[each])]:
+            self._link.write(enable(packet, on=True))
+
+    async def stream(self) -> None:
+        """Emit what came while connecting, then all that comes."""
+        for message, arrival in self._early:
+            self._take(message, arrival)
+        self._early.clear()
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._stay_awake())
+            tasks.create_task(self._fall_back_to_general())
+            tasks.create_task(self._read_forever())
+
+    async def close(self) -> None:
+        """Disable what was enabled, without waiting for the replies."""
+        for packet in self._enabled:
+            self._link.write(enable(packet, on=False))
+        await self._link.close()
+
+    async def _enable(self, packet: Request) -> bool:
+        """Switch a packet on; return whether the device accepted.
+
+        Raises
+        ------
+        ProtocolError
+            ``NO_REPLY`` or ``GARBAGE``.
+        """
+        # Noted before the answer, which may come when nobody waits for it any more.
+        self._enabled.append(packet)
+        for _ in range(ATTEMPTS):
+            self._link.write(enable(packet, on=True))
+            reply = await self._reply_to(packet)
+            if reply is not None:
+                if not reply.accepted:
+                    self._enabled.remove(packet)
+                return reply.accepted
+        if self._protocol.dropped_bytes and not self._early:
+            message = (
+                f"{self._port}: what answers is no BioHarness; choose its port in the settings"
+            )
+            raise ProtocolError(ProtocolReason.GARBAGE, message)
+        message = f"{self._port}: the device does not answer; switch it off and on"
+        raise ProtocolError(ProtocolReason.NO_REPLY, message)
+
+    async def _reply_to(self, packet: Request) -> Reply | None:
+        try:
+            async with asyncio.timeout(REPLY_TIMEOUT_S):
+                while True:
+                    received = await self._receive()
+                    # All of it first: samples may follow the reply in the same read.
+                    self._early += [each for each in received if not isinstance(each[0], Reply)]
+                    for message, _ in received:
+                        if isinstance(message, Reply) and message.request_id == packet:
+                            return message
+        except TimeoutError:
+            return None
+
+    async def _receive(self) -> list[tuple[Message, float]]:
+        """Wait for bytes, at most until a torn frame has to be given up."""
+        before = self._protocol.dropped_bytes
+        try:
+            async with asyncio.timeout(TORN_FRAME_S if self._protocol.buffered else None):
+                data, arrival = await self._link.read()
+            self._arrival = arrival
+            messages = self._protocol.feed(data)
+        except TimeoutError:
+            messages, arrival = self._protocol.give_up(), self._arrival
+        self._sink.dropped_bytes += self._protocol.dropped_bytes - before
+        return [(message, arrival) for message in messages]
+
+    async def _read_forever(self) -> None:
+        while True:
+            for message, arrival in await self._receive():
+                self._take(message, arrival)
+
+    def _take(self, message: Message, arrival: float) -> None:
+        self._sink.heard(*(("ibi",) if isinstance(message, RrIntervals) else ()))
+        self._summary_seen = self._summary_seen or isinstance(message, Summary)
+        self._emitter.take(message, arrival)
+
+    async def _stay_awake(self) -> None:
+        while True:
+            self._link.write(LIFESIGN)
+            await asyncio.sleep(LIFESIGN_PERIOD_S)
+
+    async def _fall_back_to_general(self) -> None:
+        """Old firmware acknowledges the summary request and then sends none."""
+        await asyncio.sleep(SUMMARY_PATIENCE_S)
+        if not self._summary_seen and Request.GENERAL not in self._enabled:
+            self._link.write(enable(Request.GENERAL, on=True))
+            self._enabled.append(Request.GENERAL)
+
+
+def _names(packets: list[Request]) -> list[str]:
+    return [packet.name.lower() for packet in packets]
+
+
+def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], ZephyrDriver]:
+    """Share one emitter between all connections: it follows gaps across them."""
+    if not isinstance(settings, ZephyrSettings):
+        raise TypeError(f"not the settings of a BioHarness: {type(settings).__name__}")
+    emitter = ZephyrEmitter(sink)
+    return lambda: ZephyrDriver(settings, sink, emitter)
+
+
+DRIVER = DriverEntry(ZephyrSettings, _make, recognise=recognise)

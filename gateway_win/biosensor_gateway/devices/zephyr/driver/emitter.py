@@ -1,0 +1,168 @@
+"""What each BioHarness message means for the streams of the declaration."""
+
+from __future__ import annotations
+
+import math
+
+import structlog
+
+from biosensor_gateway.devices.zephyr.driver.frames import MessageId
+from biosensor_gateway.devices.zephyr.driver.messages import (
+    Acceleration,
+    Event,
+    General,
+    Header,
+    Message,
+    RrIntervals,
+    Summary,
+    Waveform,
+)
+from biosensor_gateway.devices.zephyr.driver.protocol import (
+    ACCELERATION_PERIOD_S,
+    BREATHING_PERIOD_S,
+    ECG_PERIOD_S,
+    RR_PERIOD_S,
+)
+from biosensor_gateway.devices.zephyr.driver.tracking import BeatDetector, PacketTrack
+from biosensor_gateway.streaming.sink import DeviceSink
+
+_log = structlog.get_logger("biosensor_gateway.zephyr")
+
+_WAVEFORMS = {MessageId.ECG: "ecg", MessageId.BREATHING: "breathing"}
+_VITALS_PERIOD_S = 1.0
+_NAN = math.nan
+
+
+class ZephyrEmitter:
+    """Turns messages into samples; one instance a device, over all its connections."""
+
+    def __init__(self, sink: DeviceSink) -> None:
+        self._sink = sink
+        self._tracks = {
+            "ecg": PacketTrack(63, ECG_PERIOD_S),
+            "breathing": PacketTrack(18, BREATHING_PERIOD_S),
+            "acc": PacketTrack(20, ACCELERATION_PERIOD_S),
+            "ibi": PacketTrack(18, RR_PERIOD_S),
+            "vitals": PacketTrack(1, _VITALS_PERIOD_S, stamped_at_end=True),
+        }
+        self._beats = BeatDetector()
+        self._quality = [_NAN] * 6
+        self._vitals: set[str] = set()
+
+    def reconnected(self) -> None:
+        """Prepare for a new connection of the same device."""
+        for track in self._tracks.values():
+            track.reconnected()
+        self._beats.reset()
+
+    def take(self, message: Message, arrival_s: float) -> None:
+        """Emit what a message holds; messages without values are passed over.
+
+        Parameters
+        ----------
+        arrival_s
+            LSL clock when the message's last byte arrived.
+        """
+        match message:
+            case Waveform():
+                name = _WAVEFORMS[message.message_id]
+                times = self._times(name, message.header, arrival_s)
+                self._sink.emit(name, message.samples, times)
+            case Acceleration():
+                scale, zero = message.counts_per_g, message.zero
+                times = self._times("acc", message.header, arrival_s)
+                samples = [[(count - zero) / scale for count in xyz] for xyz in message.samples]
+                self._sink.emit("acc", samples, times)
+            case RrIntervals():
+                self._rr(message, arrival_s)
+            case Summary():
+                self._summary(message, arrival_s)
+            case General():
+                self._general(message, arrival_s)
+            case Event():
+                self._event(message)
+            case _:
+                pass
+
+    def _times(self, data_name: str, header: Header, arrival_s: float) -> list[float]:
+        track = self._tracks[data_name]
+        placed = track.place(header, arrival_s)
+        times = track.times(placed.first_s)
+        self._sink.observe(times[-1], arrival_s)
+        if placed.lost_packets:
+            self._sink.lost(data_name, placed.lost_packets * len(times))
+        return times
+
+    def _rr(self, message: RrIntervals, arrival_s: float) -> None:
+        track = self._tracks["ibi"]
+        placed = track.place(message.header, arrival_s)
+        times = track.times(placed.first_s)
+        self._sink.observe(times[-1], arrival_s)
+        if placed.lost_packets:
+            # How many beats fell into the gap is unknown, so none is counted as lost.
+            self._beats.reset()
+        for index, interval_s in self._beats.beats(message):
+            self._sink.emit_value("ibi", interval_s, times[index])
+
+    def _vitals_time(self, header: Header, arrival_s: float) -> float:
+        placed = self._tracks["vitals"].place(header, arrival_s)
+        self._sink.observe(placed.stamp_s, arrival_s)
+        for data_name in self._vitals if placed.lost_packets else ():
+            # An estimate: what the last packet held, the lost ones will have held.
+            self._sink.lost(data_name, placed.lost_packets)
+        return placed.stamp_s
+
+    def _emit_vitals(self, values: dict[str, float | None], time_s: float) -> None:
+        self._vitals = {"quality", *(name for name, value in values.items() if value is not None)}
+        for data_name, value in values.items():
+            self._sink.emit_value(data_name, value, time_s)
+        self._sink.emit("quality", [self._quality], [time_s])
+
+    def _summary(self, message: Summary, arrival_s: float) -> None:
+        numbers, flags = message.numbers, message.status.flags
+        self._quality = [
+            float(message.status.worn),
+            _number(numbers["heart_rate_confidence"]),
+            float(flags["hr_unreliable"]),
+            float(flags["rr_unreliable"]),
+            float(flags["hrv_unreliable"]),
+            _number(numbers["link_quality"]),
+        ]
+        values = {
+            "hr": numbers["heart_rate_bpm"],
+            "hrv": numbers["hrv_ms"],
+            # The one flag that makes a value "no value"; the others only go into quality.
+            "br": None if flags["rr_unreliable"] else numbers["respiration_rate_bpm"],
+            "posture": numbers["posture_deg"],
+            "activity": numbers["activity_vmu_g"],
+            "st": numbers.get("skin_temperature_c"),
+            "bat": numbers["battery_percent"],
+            "rssi": numbers["rssi_db"],
+        }
+        self._emit_vitals(values, self._vitals_time(message.header, arrival_s))
+
+    def _general(self, message: General, arrival_s: float) -> None:
+        numbers = message.numbers
+        unreliable = float(message.hr_signal_low)
+        self._quality = [float(message.worn), _NAN, unreliable, _NAN, _NAN, _NAN]
+        values = {
+            "hr": numbers["heart_rate_bpm"],
+            "br": numbers["respiration_rate_bpm"],
+            "posture": numbers["posture_deg"],
+            "activity": numbers["activity_vmu_g"],
+            "st": numbers["skin_temperature_c"],
+            "bat": message.battery_percent,
+        }
+        self._emit_vitals(values, self._vitals_time(message.header, arrival_s))
+
+    def _event(self, message: Event) -> None:
+        identity = self._sink.identity
+        _log.info("event", sensor=identity.sensor, unit=identity.unit, name=message.name)
+        if message.name == "worn_change" and len(message.data) >= 2:
+            self._quality[0] = float(message.data[1] > 0)
+            if message.header.device_s is not None and self._vitals:
+                self._sink.emit("quality", [self._quality], [message.header.device_s])
+
+
+def _number(value: float | None) -> float:
+    return _NAN if value is None else value

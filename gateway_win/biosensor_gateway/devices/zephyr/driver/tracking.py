@@ -1,0 +1,130 @@
+"""From packets to samples on the device's clock: gaps, beats, even spacing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from biosensor_common.clocks import SampleTimeline, lost_packets
+from biosensor_common.device_clock import LONGEST_DELAY_S
+from biosensor_gateway.devices.zephyr.driver.messages import Header, RrIntervals
+
+_SEQUENCE_MODULUS = 256
+# In bad contact the device reports intervals from 24 to 12 498 ms.
+_RR_RANGE_MS = range(250, 1501)
+_MAX_BRIDGED_S = 86_400.0
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """A packet's place on the device's clock.
+
+    Attributes
+    ----------
+    stamp_s
+        The packet's own stamp.
+    first_s
+        Time of its first sample when samples are evenly spaced.
+    lost_packets
+        Packets lost before it.
+    """
+
+    stamp_s: float
+    first_s: float
+    lost_packets: int
+
+
+class PacketTrack:
+    """One kind of periodic packet, followed over connections.
+
+    Parameters
+    ----------
+    samples
+        Samples in a packet.
+    period_s
+        Sampling period in seconds.
+    stamped_at_end
+        The stamp is that of the moment when the packet is complete, not of its
+        first sample.
+    """
+
+    def __init__(self, samples: int, period_s: float, *, stamped_at_end: bool = False) -> None:
+        self._samples = samples
+        self._duration_s = samples * period_s
+        self._period_s = period_s
+        self._age_s = 0.0 if stamped_at_end else self._duration_s
+        self._timeline = SampleTimeline(period_s)
+        self._sequence: int | None = None
+        self._next_s: float | None = None
+        self._arrival_s = 0.0
+
+    def reconnected(self) -> None:
+        """Forget the sequence number: nothing says that it survives a connection."""
+        self._sequence = None
+
+    def place(self, header: Header, arrival_s: float) -> Placed:
+        """Place the next packet on the device's clock.
+
+        A device whose clock was never set counts from the arrival of a connection's
+        first packet instead.
+        """
+        stamp = header.device_s
+        if stamp is None:
+            stamp = self._counted_stamp(header.sequence, arrival_s)
+        lost = self._lost(header.sequence, stamp, arrival_s)
+        first = self._timeline.place(stamp, self._samples, lost * self._samples)
+        self._sequence, self._arrival_s = header.sequence, arrival_s
+        self._next_s = first + self._duration_s
+        return Placed(stamp, first, lost)
+
+    def times(self, first_s: float) -> list[float]:
+        """Device time of each sample of a packet."""
+        return [first_s + index * self._period_s for index in range(self._samples)]
+
+    def _counted_stamp(self, sequence: int, arrival_s: float) -> float:
+        if self._sequence is None or self._next_s is None:
+            return arrival_s - self._age_s
+        lost = lost_packets(self._sequence, sequence, _SEQUENCE_MODULUS)
+        return self._next_s + lost * self._duration_s
+
+    def _lost(self, sequence: int, stamp_s: float, arrival_s: float) -> int:
+        by_time = self._lost_by_time(stamp_s, arrival_s)
+        if self._sequence is None:
+            return by_time
+        by_sequence = lost_packets(self._sequence, sequence, _SEQUENCE_MODULUS)
+        cycles = max(0, round((by_time - by_sequence) / _SEQUENCE_MODULUS))
+        return by_sequence + cycles * _SEQUENCE_MODULUS
+
+    def _lost_by_time(self, stamp_s: float, arrival_s: float) -> int:
+        if self._next_s is None:
+            return 0
+        missing_s = stamp_s - self._next_s
+        pause_s = arrival_s - self._arrival_s - self._duration_s
+        if abs(missing_s - pause_s) > LONGEST_DELAY_S:
+            # The device's clock was set meanwhile; only the host's knows how long it took.
+            missing_s = pause_s
+        if missing_s > _MAX_BRIDGED_S:
+            return 0
+        return max(0, round(missing_s / self._duration_s))
+
+
+class BeatDetector:
+    """Finds new beats in R-R packets: a beat is where the reading changes.
+
+    The first reading after a start or a gap is no beat: it may be long past.
+    """
+
+    def __init__(self) -> None:
+        self._last: int | None = None
+
+    def reset(self) -> None:
+        """Forget the last reading, as after lost packets."""
+        self._last = None
+
+    def beats(self, packet: RrIntervals) -> list[tuple[int, float]]:
+        """Return (index of the reading, R-R interval in s) of each plausible new beat."""
+        found: list[tuple[int, float]] = []
+        for index, reading in enumerate(packet.samples):
+            if self._last is not None and reading != self._last and abs(reading) in _RR_RANGE_MS:
+                found.append((index, abs(reading) / 1000))
+            self._last = reading
+        return found

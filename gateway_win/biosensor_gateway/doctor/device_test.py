@@ -1,0 +1,254 @@
+"""A short try of one device: what it sends, and what is wrong."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.quantities import ChannelRole
+from biosensor_common.registry import sensor
+from biosensor_common.spec import IRREGULAR, DeviceIdentity, DeviceInfo
+from biosensor_gateway.agent.supervisor import State, Supervisor
+from biosensor_gateway.devices import driver
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.streaming.sink import DeviceSink
+
+CONNECT_TIMEOUT_S = 60.0
+RATE_TOLERANCE = 0.1
+_POLL_S = 0.05
+
+
+@dataclass(slots=True)
+class StreamTrial:
+    """What one stream did.
+
+    Attributes
+    ----------
+    samples
+    first_s, last_s
+        LSL times of the first and the newest sample.
+    last
+        Newest values, or text.
+    nominal_hz
+        0 for an irregular stream.
+    """
+
+    samples: int = 0
+    first_s: float = 0.0
+    last_s: float = 0.0
+    last: tuple[float | str, ...] = ()
+    nominal_hz: float = 0.0
+
+    @property
+    def measured_hz(self) -> float | None:
+        """Effective rate by the samples' own times; None if it cannot be told."""
+        elapsed_s = self.last_s - self.first_s
+        return (self.samples - 1) / elapsed_s if self.samples > 1 and elapsed_s > 0 else None
+
+
+@dataclass(slots=True)
+class Trial:
+    """Outcome of a try.
+
+    Attributes
+    ----------
+    info
+        What the device says of itself; None if it never connected.
+    streams
+        By data name.
+    problems
+        One sentence each; empty if all is well.
+    """
+
+    info: DeviceInfo | None = None
+    streams: dict[str, StreamTrial] = field(default_factory=dict[str, StreamTrial])
+    problems: list[str] = field(default_factory=list[str])
+
+
+class _TrialSink(DeviceSink):
+    """Notes samples instead of streaming them: an agent may run at the same time."""
+
+    def __init__(self, identity: DeviceIdentity) -> None:
+        super().__init__(identity)
+        self.trial = Trial()
+
+    def open(self, info: DeviceInfo, rates: Mapping[str, float]) -> None:
+        self.trial.info = info
+        for stream in sensor(self.identity.sensor).streams:
+            rate = rates.get(stream.data_name, stream.rate)
+            noted = self.trial.streams.setdefault(stream.data_name, StreamTrial())
+            noted.nominal_hz = rate if isinstance(rate, float | int) else IRREGULAR
+
+    def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
+        rows = np.atleast_1d(np.asarray(samples, np.float64))
+        if not len(lsl_times):
+            return
+        self.heard(data_name)
+        self._note(data_name, len(lsl_times), lsl_times)
+        last = np.atleast_1d(rows[-1])
+        self.trial.streams[data_name].last = tuple(float(value) for value in last)
+
+    def emit_text(self, data_name: str, text: str, device_s: float) -> None:
+        del device_s
+        self.heard(data_name)
+        self.trial.streams[data_name].samples += 1
+        self.trial.streams[data_name].last = (text,)
+
+    def lost(self, data_name: str, count: int) -> None:
+        """Pass over: a try is too short to judge losses."""
+
+    def _note(self, data_name: str, count: int, times: Sequence[float]) -> None:
+        noted = self.trial.streams[data_name]
+        if not noted.samples:
+            noted.first_s = times[0]
+        noted.samples += count
+        noted.last_s = times[-1]
+
+
+async def try_device(settings: DeviceSettings, seconds: float) -> Trial:
+    """Connect to a device, listen for so long, and judge what came.
+
+    The device is given `CONNECT_TIMEOUT_S` to connect. Nothing is streamed.
+    """
+    identity = DeviceIdentity(settings.sensor, settings.unit, settings.participant, settings.label)
+    sink = _TrialSink(identity)
+    supervisor = Supervisor(driver(settings.sensor).make(settings, sink), sink)
+    task = asyncio.create_task(supervisor.run())
+    try:
+        await _until_streaming(supervisor)
+        if supervisor.connections:
+            await asyncio.sleep(seconds)
+        sink.trial.problems += [*_troubles(supervisor), *_judgement(sink.trial, settings.sensor)]
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+    return sink.trial
+
+
+async def _until_streaming(supervisor: Supervisor) -> None:
+    loop = asyncio.get_running_loop()
+    deadline = loop.time() + CONNECT_TIMEOUT_S
+    # A refusal is not waited out: what it says is the outcome.
+    while not supervisor.connections and supervisor.state is not State.BACKOFF:
+        if loop.time() > deadline or _has_failed(supervisor):
+            return
+        await asyncio.sleep(_POLL_S)
+
+
+def _has_failed(supervisor: Supervisor) -> bool:
+    return supervisor.state is State.DISCOVERING and supervisor.last_error is not None
+
+
+def _troubles(supervisor: Supervisor) -> list[str]:
+    """Say what went wrong with the connection."""
+    if supervisor.last_error is not None:
+        return [supervisor.last_error]
+    if not supervisor.connections:
+        return [f"no connection within {CONNECT_TIMEOUT_S:g} s"]
+    if supervisor.connections > 1:
+        return [f"the connection broke; it was made {supervisor.connections} times"]
+    return []
+
+
+def _judgement(trial: Trial, sensor_name: str) -> list[str]:
+    """Say what is wrong with what came."""
+    if trial.info is None:
+        return []
+    return [
+        *(text for name, each in trial.streams.items() if (text := _judge(name, each))),
+        *(
+            f"{label} is 0: the sensor does not seem to be on the body"
+            for data_name, column, label in sensor(sensor_name).channels_of(ChannelRole.CONTACT)
+            if (last := trial.streams[data_name].last) and last[column] == 0
+        ),
+    ]
+
+
+def _judge(name: str, noted: StreamTrial) -> str:
+    """Say what is wrong with a regular stream; empty if nothing is."""
+    if not noted.nominal_hz:
+        return ""
+    if not noted.samples:
+        return f"{name}: no sample came"
+    rate = noted.measured_hz
+    if rate is not None and abs(rate - noted.nominal_hz) > RATE_TOLERANCE * noted.nominal_hz:
+        return f"{name}: {rate:.1f} samples a second instead of {noted.nominal_hz:g}"
+    return ""
+
+
+def chosen_device(
+    sensor_name: str, unit: str, configured: Sequence[DeviceSettings]
+) -> DeviceSettings:
+    """Return the settings of the device to try.
+
+    Parameters
+    ----------
+    sensor_name
+    unit
+        Which one of those that are configured; empty for the only one.
+    configured
+        Devices of the settings; without one of this sensor, its defaults are tried.
+
+    Raises
+    ------
+    ConfigError
+        ``WRONG_VALUE`` or ``NOT_FOUND``.
+    """
+    model = driver(sensor_name).settings
+    matching = [
+        each
+        for each in configured
+        if each.sensor == sensor_name and (not unit or each.unit == unit)
+    ]
+    if len(matching) == 1:
+        return matching[0]
+    if matching:
+        units = ", ".join(each.unit for each in matching)
+        message = f"several {sensor_name} are configured; add --unit, one of {units}"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    if unit:
+        known = ", ".join(each.unit for each in configured if each.sensor == sensor_name)
+        message = f"no {sensor_name} {unit} is in the settings; there is {known or 'none'}"
+        raise ConfigError(ConfigReason.NOT_FOUND, message)
+    required = {name for name, each in model.model_fields.items() if each.is_required()}
+    missing = sorted(required - {"sensor", "unit"})
+    if missing:
+        message = (
+            f"no {sensor_name} is in the settings, and it needs {', '.join(missing)}; "
+            "`biosensor-gateway scan` shows what is there"
+        )
+        raise ConfigError(ConfigReason.NOT_FOUND, message)
+    return model.model_validate({"sensor": sensor_name, "unit": "trial"})
+
+
+def as_json(trial: Trial) -> dict[str, Any]:
+    """Describe a try for scripts."""
+    info = trial.info
+    return {
+        "connected": info is not None,
+        "model": info.model if info else None,
+        "serial_number": info.serial_number if info else None,
+        "firmware_version": info.firmware_version if info else None,
+        "problems": trial.problems,
+        "streams": {
+            name: {
+                "samples": each.samples,
+                "nominal_hz": each.nominal_hz,
+                "measured_hz": each.measured_hz,
+                "last": [_plain(value) for value in each.last],
+            }
+            for name, each in trial.streams.items()
+        },
+    }
+
+
+def _plain(value: float | str) -> float | str | None:
+    # JSON knows no NaN.
+    return None if isinstance(value, float) and math.isnan(value) else value

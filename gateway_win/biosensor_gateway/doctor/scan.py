@@ -1,0 +1,160 @@
+"""What is there: a search by Bluetooth LE, serial ports and the vendors' services."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import structlog
+import tomlkit
+
+from biosensor_common.errors import GatewayError
+from biosensor_common.registry import sensor
+from biosensor_gateway.devices import DriverEntry, driver, driver_names
+from biosensor_gateway.devices.discovery import Found
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.transports.ble_scanner import scan as scan_bluetooth
+from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+from biosensor_gateway.transports.serial_ports import serial_ports
+
+_log = structlog.get_logger("biosensor_gateway.scan")
+
+# The least specific: straps that another driver knows better are not offered twice.
+_GENERIC = "ble_heart_rate"
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """One kind of place that was searched.
+
+    Attributes
+    ----------
+    title
+    found
+        Devices that a driver recognises, strongest signal first.
+    others
+        What else is there, in words.
+    problem
+        Why the search was not possible, one sentence; empty if it was.
+    """
+
+    title: str
+    found: tuple[Found, ...] = ()
+    others: tuple[str, ...] = ()
+    problem: str = ""
+
+
+async def scan(seconds: float, configured: Sequence[DeviceSettings]) -> list[Section]:
+    """Search everywhere at once.
+
+    Parameters
+    ----------
+    seconds
+        How long to listen for Bluetooth LE.
+    configured
+        Devices of the settings; they say where services are.
+    """
+    entries = {name: driver(name) for name in driver_names()}
+    searches: list[Awaitable[Section]] = [
+        _section("Bluetooth LE", lambda: _bluetooth(entries, seconds)),
+        _section("Serial ports", lambda: _serial(entries)),
+    ]
+    for name, entry in entries.items():
+        if entry.find is not None:
+            devices = [each for each in configured if each.sensor == name]
+            title = f"{sensor(name).title} by its service"
+            searches.append(_section(title, _service(entry.find, devices)))
+    return list(await asyncio.gather(*searches))
+
+
+_Search = Callable[[], Awaitable[tuple[Sequence[Found], Sequence[str]]]]
+
+
+async def _section(title: str, search: _Search) -> Section:
+    try:
+        found, others = await search()
+    except GatewayError as error:
+        return Section(title, problem=str(error))
+    except Exception as error:  # noqa: BLE001 - whatever one search runs into, the others go on
+        _log.error("a search failed", where=title, exc_info=error)
+        return Section(title, problem=f"the search failed ({type(error).__name__})")
+    return Section(title, tuple(found), tuple(others))
+
+
+def _service(
+    find: Callable[[Sequence[DeviceSettings]], Awaitable[Sequence[Found]]],
+    configured: Sequence[DeviceSettings],
+) -> _Search:
+    async def search() -> tuple[Sequence[Found], Sequence[str]]:
+        return await find(configured), ()
+
+    return search
+
+
+async def _bluetooth(
+    entries: dict[str, DriverEntry], seconds: float
+) -> tuple[list[Found], list[str]]:
+    found: list[Found] = []
+    others: list[str] = []
+    for seen in await scan_bluetooth(seconds):
+        known = _recognised(entries, seen)
+        if known is not None:
+            found.append(known)
+        elif seen.name:
+            others.append(f"{seen.name} ({seen.address}, {seen.rssi_dbm} dBm)")
+    return found, others
+
+
+async def _serial(entries: dict[str, DriverEntry]) -> tuple[list[Found], list[str]]:
+    found: list[Found] = []
+    others: list[str] = []
+    for port in await serial_ports():
+        known = _recognised(entries, port)
+        if known is not None:
+            found.append(known)
+        else:
+            others.append(f"{port.port} {port.remote_name}".strip())
+    return found, others
+
+
+def _recognised(entries: dict[str, DriverEntry], seen: Advertisement | SerialPort) -> Found | None:
+    ordered = sorted(entries, key=lambda name: name == _GENERIC)
+    for name in ordered:
+        recognise = entries[name].recognise
+        found = recognise(seen) if recognise is not None else None
+        if found is not None:
+            return found
+    return None
+
+
+def toml_lines(found: Found) -> str:
+    """Return the lines that would add a device to the settings file."""
+    table = tomlkit.table()
+    table["sensor"] = found.sensor
+    for key, value in found.settings.items():
+        table[key] = value
+    return f"[[device]]\n{tomlkit.dumps(table).strip()}"
+
+
+def as_json(sections: Sequence[Section]) -> list[dict[str, Any]]:
+    """Describe a search for scripts."""
+    return [
+        {
+            "where": section.title,
+            "problem": section.problem or None,
+            "others": list(section.others),
+            "found": [
+                {
+                    "sensor": each.sensor,
+                    "name": each.name,
+                    "rssi_dbm": each.rssi_dbm,
+                    "settings": dict(each.settings),
+                    "toml": toml_lines(each),
+                }
+                for each in section.found
+            ],
+        }
+        for section in sections
+    ]

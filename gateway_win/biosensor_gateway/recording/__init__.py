@@ -1,0 +1,1 @@
+"""Everything about recordings: LabRecorder, its configuration, and the files."""

@@ -1,0 +1,203 @@
+"""Starts a recording, and looks whether it runs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from biosensor_gateway.recording.labrecorder.errors import LabRecorderError, LabRecorderReason
+from biosensor_gateway.recording.labrecorder.file_name import Place, Target, choose_target
+from biosensor_gateway.recording.labrecorder.memory import Remembered, recall, remember
+from biosensor_gateway.recording.labrecorder.recording_file import (
+    glance,
+    grows,
+    size_of,
+    sizes,
+    wait_for_growth,
+)
+from biosensor_gateway.recording.labrecorder.remote import RemoteControl
+from biosensor_gateway.recording.labrecorder.streams import Presence, SeenStream, titles
+
+GROWTH_S = 30.0
+STILL_RECORDS_S = 10.0
+"""A recording of one agent writes a block in less."""
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """What to record, and what to do about what is not as it should be.
+
+    Attributes
+    ----------
+    place
+        Where to.
+    all_streams
+        Streams of others are meant to be recorded, too.
+    only_ours
+        Refuse if there are streams of others.
+    allow_missing
+        Start although streams are missing.
+    growth_s
+        How long the file may take to grow.
+    """
+
+    place: Place
+    all_streams: bool = False
+    only_ours: bool = False
+    allow_missing: bool = False
+    growth_s: float = GROWTH_S
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """A recording that was started.
+
+    Attributes
+    ----------
+    file
+        None if it cannot be reached from this computer; then nothing is verified.
+    bytes
+        Its size when it was seen to grow.
+    took_s
+        From the command until then.
+    """
+
+    verified: bool
+    file: Path | None
+    bytes: int
+    took_s: float
+    streams: tuple[SeenStream, ...]
+    foreign: tuple[SeenStream, ...]
+    warnings: tuple[str, ...]
+
+
+def start(
+    remote: RemoteControl, order: Order, look: Callable[[], Presence], state: Path
+) -> Started:
+    """Start a recording.
+
+    Parameters
+    ----------
+    remote
+        Connected.
+    order
+        What to record.
+    look
+        Looks for the streams there are.
+    state
+        Folder that keeps what `record stop` and `status` need to know.
+
+    Raises
+    ------
+    LabRecorderError
+        With the reason why nothing was started, or why nobody can say that it was.
+    ConfigError
+        If `order` makes no sense.
+    """
+    target = choose_target(order.place, is_local=remote.is_local)
+    _require_idle(remote, state)
+    _require_free(target)
+    presence = look()
+    _require_streams(presence, order)
+    warnings = [*_warnings(presence, order)]
+    before, begun = sizes(target), time.monotonic()
+    for command in ("update", "select all", target.command, "start"):
+        if command:
+            remote.command(command)
+    file = target.files[0] if target.files else None
+    kept = Remembered(remote.host, remote.port, str(file or ""), time.time())
+    problem = remember(state, kept)
+    if target.folder is None:
+        warnings += (_unverified(remote), *([problem] if problem else []))
+        return Started(False, None, 0, 0.0, presence.visible, presence.foreign, tuple(warnings))
+    file = wait_for_growth(target, before, order.growth_s)
+    took_s = time.monotonic() - begun
+    if file is None:
+        raise LabRecorderError(LabRecorderReason.NO_GROWTH, _no_growth(target, order.growth_s))
+    # Only now its name is certain.
+    problem = remember(state, replace(kept, file=str(file)))
+    warnings += [problem] if problem else []
+    return Started(
+        verified=True,
+        file=file,
+        bytes=size_of(file) or 0,
+        took_s=took_s,
+        streams=presence.visible,
+        foreign=presence.foreign,
+        warnings=tuple(warnings),
+    )
+
+
+def _require_idle(remote: RemoteControl, state: Path) -> None:
+    last = recall(state, remote.host, remote.port)
+    if last is None or not last.file:
+        return
+    file = Path(last.file)
+    if not glance(file).is_closed and grows(file, STILL_RECORDS_S):
+        message = (
+            f"LabRecorder is recording already, to {file}; end that with: "
+            "biosensor-gateway record stop"
+        )
+        raise LabRecorderError(LabRecorderReason.RECORDING, message)
+
+
+def _require_free(target: Target) -> None:
+    for file in target.files:
+        if file.exists():
+            message = (
+                f"{file} is there already, and LabRecorder would rename it; choose another name "
+                "or run"
+            )
+            raise LabRecorderError(LabRecorderReason.EXISTS, message)
+
+
+def _require_streams(presence: Presence, order: Order) -> None:
+    if not presence.visible:
+        message = (
+            "this computer sees no LSL stream at all, so there is nothing to record; start an "
+            "agent with: biosensor-gateway run"
+        )
+        raise LabRecorderError(LabRecorderReason.STREAMS_MISSING, message)
+    if presence.missing and not order.allow_missing:
+        message = (
+            f"streams are missing, and what is not there at the start is not recorded: "
+            f"{'; '.join(presence.missing)}. Wait for them with: biosensor-gateway wait-ready, or "
+            "do without with --allow-missing"
+        )
+        raise LabRecorderError(LabRecorderReason.STREAMS_MISSING, message)
+    if presence.foreign and order.only_ours:
+        message = (
+            "LabRecorder records every stream that it sees, and these are not of this agent: "
+            f"{titles(presence.foreign)}; end them, or leave out --only-ours"
+        )
+        raise LabRecorderError(LabRecorderReason.FOREIGN_STREAMS, message)
+
+
+def _warnings(presence: Presence, order: Order) -> Iterator[str]:
+    if presence.missing:
+        yield f"recorded without: {'; '.join(presence.missing)}"
+    if presence.foreign and not order.all_streams:
+        yield (
+            "started by remote control, LabRecorder records every stream that it sees; these are "
+            f"not of this agent: {titles(presence.foreign)}"
+        )
+
+
+def _unverified(remote: RemoteControl) -> str:
+    return (
+        f"LabRecorder runs on another computer ({remote.host}), and its answer says nothing: look "
+        "at its window whether it records, or give --folder, a folder that both computers see"
+    )
+
+
+def _no_growth(target: Target, limit_s: float) -> str:
+    where = target.files[0] if target.files else f"a recording in {target.folder}"
+    found = any(sizes(target)) if target.files else False
+    what = "is there, but no samples were written to it" if found else "did not appear and grow"
+    return (
+        f"{where} {what} within {limit_s:g} s, whatever LabRecorder answers. It may be recording "
+        "something else already, may not be allowed to write there, or see no streams: look at "
+        "its window. Slow streams need longer: --timeout"
+    )

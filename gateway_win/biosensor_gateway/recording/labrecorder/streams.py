@@ -1,0 +1,173 @@
+"""Which streams there are, whose they are, and which are missing."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pylsl
+
+from biosensor_common import naming
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.lsl_config import LslOverrides
+from biosensor_common.registry import sensor
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.agent import status_file
+from biosensor_gateway.settings.models import GatewaySettings
+from biosensor_gateway.streaming.outlets import configure_lsl
+
+SEARCH_S = 2.0
+"""Streams answer in waves; LabRecorder itself looks for one second."""
+SEARCH_LIMIT_S = 8.0
+"""For those that are expected."""
+_POLL_S = 0.1
+_MOST_NAMED = 20
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class SeenStream:
+    """A stream that this computer sees."""
+
+    name: str
+    source_id: str
+    host: str
+
+    @property
+    def title(self) -> str:
+        """As LabRecorder lists it."""
+        return f"{self.name} ({self.host})"
+
+
+@dataclass(frozen=True, slots=True)
+class ExpectedDevice:
+    """A device whose streams are to be recorded.
+
+    Attributes
+    ----------
+    title
+        For a person.
+    why
+        What the agent says of it, if it does not stream.
+    source_ids
+        Of all its streams.
+    """
+
+    title: str
+    why: str
+    source_ids: frozenset[str]
+
+
+@dataclass(frozen=True, slots=True)
+class Presence:
+    """The streams there are, against those that should be there.
+
+    Attributes
+    ----------
+    visible
+        All, by name.
+    foreign
+        Those of other programs, or of agents on other computers.
+    missing
+        One sentence part a device.
+    """
+
+    visible: tuple[SeenStream, ...]
+    foreign: tuple[SeenStream, ...]
+    missing: tuple[str, ...]
+
+
+def expected_devices(settings: GatewaySettings, state: Path) -> tuple[ExpectedDevice, ...]:
+    """Return the devices of the running agent; without one, those of the settings.
+
+    Raises
+    ------
+    SpecError
+        If a sensor's declaration cannot be loaded.
+    """
+    try:
+        status = status_file.read_status(state)
+    except ConfigError as error:
+        if error.reason is not ConfigReason.NOT_FOUND:
+            raise
+        enabled = [device for device in settings.devices if device.enabled]
+        return tuple(
+            _expected(
+                DeviceIdentity(each.sensor, each.unit, each.participant, each.label),
+                "no agent is running here",
+            )
+            for each in enabled
+        )
+    return tuple(_of_status(device) for device in status["devices"])
+
+
+def _of_status(device: Mapping[str, Any]) -> ExpectedDevice:
+    names = (device["sensor"], device["unit"], device["participant"], device["label"])
+    why = " - ".join(part for part in (device["state"], device["error"]) if part)
+    return _expected(DeviceIdentity(*names), why)
+
+
+def _expected(identity: DeviceIdentity, why: str) -> ExpectedDevice:
+    parts = (identity.participant, identity.sensor, identity.label)
+    title = " ".join(part for part in parts if part) + f" ({identity.unit})"
+    streams = sensor(identity.sensor).streams
+    ids = frozenset(naming.source_id(identity, stream.data_name) for stream in streams)
+    return ExpectedDevice(title, why, ids)
+
+
+def look(settings: GatewaySettings, expected: Sequence[ExpectedDevice], own_host: str) -> Presence:
+    """Look for streams until all expected ones are seen, at least for two seconds.
+
+    Parameters
+    ----------
+    settings
+        Its LSL section is how this process takes part, if it did not before.
+    expected
+        Whose streams are ours.
+    own_host
+        Name of this computer, by which the agent's own streams are known.
+    """
+    lsl = settings.lsl
+    configure_lsl(LslOverrides(lsl.session_id, lsl.known_peers, lsl.port_range))
+    needed = frozenset[str]().union(*(device.source_ids for device in expected))
+    seen = _search(needed)
+    agent = DeviceIdentity("gateway", own_host)
+    ours = needed | {naming.source_id(agent, each.data_name) for each in sensor("gateway").streams}
+    present = {each.source_id for each in seen}
+    return Presence(
+        visible=seen,
+        foreign=tuple(each for each in seen if each.source_id not in ours),
+        missing=tuple(_missing(device, present) for device in expected
+                      if not device.source_ids <= present),
+    )  # fmt: skip
+
+
+def _search(needed: frozenset[str]) -> tuple[SeenStream, ...]:
+    resolver = pylsl.ContinuousResolver(forget_after=2 * SEARCH_LIMIT_S)
+    begun = time.monotonic()
+    while True:
+        time.sleep(_POLL_S)
+        seen = {
+            info.uid(): SeenStream(info.name(), info.source_id(), info.hostname())
+            for info in resolver.results()
+        }
+        elapsed = time.monotonic() - begun
+        is_complete = needed <= {each.source_id for each in seen.values()}
+        if elapsed >= (SEARCH_S if is_complete else SEARCH_LIMIT_S):
+            return tuple(sorted(seen.values()))
+
+
+def _missing(device: ExpectedDevice, present: set[str]) -> str:
+    gone = len(device.source_ids - present)
+    count = "none" if gone == len(device.source_ids) else f"only {len(device.source_ids) - gone}"
+    why = f": {device.why}" if device.why else ""
+    return f"{device.title}, {count} of its {len(device.source_ids)} streams{why}"
+
+
+def titles(streams: Iterable[SeenStream]) -> str:
+    """Name streams, or the first of many."""
+    named = [stream.title for stream in streams]
+    more = len(named) - _MOST_NAMED
+    return ", ".join(named[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")

@@ -1,0 +1,175 @@
+"""Reads the XML of a recording: the headers of its streams, and their footers."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+
+from biosensor_common.errors import SpecError
+from biosensor_common.lsl_header import MAX_CHANNELS, read_header
+from biosensor_common.quantities import ChannelFormat
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.recording.xdf.container import ChunkError
+
+MAX_XML_BYTES = 64_000_000
+# No device samples faster, so a rate above it is a damaged header.
+_MAX_RATE_HZ = 1e9
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedHeader:
+    """What the file says of one stream before its samples.
+
+    Attributes
+    ----------
+    rate
+        Nominal rate in Hz, 0 if irregular.
+    created_at
+        LSL time at which the outlet was made, on its host's clock; NaN if unknown.
+    labels
+        One a channel; a number where the header gives none.
+    can_drop_samples
+        Whether the header says that samples may be missing, so that loaders
+        keep every stamp as it is.
+    identity, data_name
+        Which of our streams it is; None and empty if it is another program's.
+    refused
+        Why a ``<biosensor>`` block was not believed; empty if there was none or it was.
+    """
+
+    name: str
+    content_type: str
+    source_id: str
+    hostname: str
+    channel_count: int
+    format: ChannelFormat
+    rate: float
+    created_at: float
+    labels: tuple[str, ...]
+    can_drop_samples: bool
+    identity: DeviceIdentity | None
+    data_name: str
+    refused: str
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether the capture agent made the stream."""
+        return self.identity is not None
+
+    @property
+    def is_counters(self) -> bool:
+        """Whether the capture agent counts its samples in this stream."""
+        ours = self.identity is not None and self.identity.sensor == "gateway"
+        return ours and self.data_name == "counters"
+
+    @property
+    def is_regular(self) -> bool:
+        """Whether samples are meant to be equidistant."""
+        return self.rate > 0
+
+
+@dataclass(frozen=True, slots=True)
+class Footer:
+    """What the recorder says of one stream after its samples; None where it says nothing."""
+
+    sample_count: int | None
+
+
+def parse_stream_header(content: bytes) -> RecordedHeader:
+    """Decode the content of a stream header chunk, without the stream's number.
+
+    Raises
+    ------
+    ChunkError
+        If it is no XML, or without it the samples cannot be decoded.
+    """
+    root, text = _parse(content)
+    channel_count, rate = _number(root, "channel_count"), _number(root, "nominal_srate")
+    if not 0 < channel_count <= MAX_CHANNELS or channel_count != int(channel_count):
+        raise ChunkError("it has no usable number of channels")
+    if not 0 <= rate < _MAX_RATE_HZ:
+        raise ChunkError("it has no usable nominal rate")
+    try:
+        channel_format = ChannelFormat(root.findtext("channel_format") or "")
+    except ValueError:
+        raise ChunkError("it has no known channel format") from None
+    identity, data_name, refused = _own(text)
+    drops = root.findtext("desc/synchronization/can_drop_samples") or ""
+    return RecordedHeader(
+        name=root.findtext("name") or "",
+        content_type=root.findtext("type") or "",
+        source_id=root.findtext("source_id") or "",
+        hostname=root.findtext("hostname") or "",
+        channel_count=int(channel_count),
+        format=channel_format,
+        rate=rate,
+        created_at=_number(root, "created_at"),
+        labels=_labels(root, int(channel_count)),
+        can_drop_samples=drops.strip().lower() == "true",
+        identity=identity,
+        data_name=data_name,
+        refused=refused,
+    )
+
+
+def parse_footer(content: bytes) -> Footer:
+    """Decode the content of a stream footer chunk, without the stream's number.
+
+    Raises
+    ------
+    ChunkError
+        If it is no XML.
+    """
+    root, _ = _parse(content)
+    count = _number(root, "sample_count")
+    return Footer(int(count) if math.isfinite(count) else None)
+
+
+def parse_file_header(content: bytes) -> str:
+    """Return when the recording was begun by the recorder's own words, empty if it is silent.
+
+    Raises
+    ------
+    ChunkError
+        If it is no XML.
+    """
+    root, _ = _parse(content)
+    return root.findtext("datetime") or ""
+
+
+def _parse(content: bytes) -> tuple[ET.Element, str]:
+    if len(content) > MAX_XML_BYTES:
+        raise ChunkError("its XML is too large")
+    # Computers with accents in their names write headers that are not UTF-8.
+    text = content.decode("utf-8", "replace")
+    if "<!" in text.replace("<!--", ""):
+        # Document types and entities have no place here and are how XML parsers are attacked.
+        raise ChunkError("its XML has a document type")
+    try:
+        return ET.fromstring(text), text  # noqa: S314 - no document type, limited in size
+    except (ET.ParseError, ValueError):
+        raise ChunkError("its XML is not well-formed") from None
+
+
+def _number(root: ET.Element, field: str) -> float:
+    try:
+        return float(root.findtext(field) or "")
+    except ValueError:
+        return math.nan
+
+
+def _labels(root: ET.Element, count: int) -> tuple[str, ...]:
+    nodes = root.findall("desc/channels/channel")
+    labels = [node.findtext("label") or "" for node in nodes]
+    complete = labels if len(labels) == count else [""] * count
+    return tuple(label or str(index + 1) for index, label in enumerate(complete))
+
+
+def _own(xml: str) -> tuple[DeviceIdentity | None, str, str]:
+    """Return identity, data name, and why the stream's claim to be ours was refused."""
+    try:
+        header = read_header(xml)
+    except SpecError as error:
+        return None, "", str(error)
+    return (None, "", "") if header.foreign else (header.identity, header.data_name, "")

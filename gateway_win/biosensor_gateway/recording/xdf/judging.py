@@ -1,0 +1,118 @@
+"""Judges a recording as a whole: the file, and its streams among each other."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+from biosensor_common.quantities import ChannelFormat
+from biosensor_gateway.recording.xdf.agent_rules import compare_with_agent
+from biosensor_gateway.recording.xdf.container import Damage
+from biosensor_gateway.recording.xdf.expectation import ExpectedStream
+from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.recording.xdf.measuring import measure
+from biosensor_gateway.recording.xdf.recording import Recording
+from biosensor_gateway.recording.xdf.report import Measured, Report, extent
+from biosensor_gateway.recording.xdf.stream_rules import judge_stream
+
+_MOST_DAMAGES = 10
+_SEVERITY = list(Level)
+
+
+def judge(recording: Recording, expected: Sequence[ExpectedStream] = ()) -> Report:
+    """Measure every stream of a recording and say what is wrong."""
+    streams = [Measured(stream, measure(stream)) for stream in recording.streams]
+    streams, findings = compare_with_agent(streams)
+    length = extent(streams)
+    findings = [
+        *_damaged(recording),
+        *_not_closed(recording),
+        *_missing(streams, expected),
+        *_duplicates(streams),
+        *_unaligned(streams),
+        *findings,
+        *(finding for each in streams for finding in judge_stream(each, length)),
+    ]
+    if not _has_footers(recording):
+        # Said once for the whole file.
+        findings = [finding for finding in findings if finding.code != "no-footer"]
+    # Sorting is stable: within a level the file comes first, then its streams in order.
+    findings.sort(key=lambda finding: _SEVERITY.index(finding.level))
+    return Report(recording, tuple(streams), length, tuple(findings))
+
+
+def _damaged(recording: Recording) -> Iterator[Finding]:
+    for damage in recording.damages[:_MOST_DAMAGES]:
+        yield Finding(Level.ERROR, "damaged", "", _damage_text(damage, recording.size))
+    more = len(recording.damages) - _MOST_DAMAGES
+    if more > 0:
+        yield Finding(Level.ERROR, "damaged", "", f"{more} more places cannot be read")
+    if recording.orphans:
+        count = sum(recording.orphans.values())
+        numbers = ", ".join(str(number) for number in sorted(recording.orphans)[:_MOST_DAMAGES])
+        text = f"{count} chunks belong to streams without a header (number {numbers})"
+        yield Finding(Level.ERROR, "no-header", "", text)
+    if not recording.streams:
+        yield Finding(Level.ERROR, "no-streams", "", "the file holds no stream")
+    elif not any(stream.sample_count for stream in recording.streams):
+        yield Finding(Level.ERROR, "no-samples", "", "no stream of the file holds samples")
+
+
+def _has_footers(recording: Recording) -> bool:
+    return any(stream.footer is not None for stream in recording.streams)
+
+
+def _not_closed(recording: Recording) -> Iterator[Finding]:
+    # LabRecorder gives no footer to the streams that it cannot record.
+    due = any(each.header.format is not ChannelFormat.INT64 for each in recording.streams)
+    if due and not _has_footers(recording):
+        text = "no stream has a footer: the recorder was ended before it could close the file"
+        yield Finding(Level.ERROR, "not-closed", "", text)
+
+
+def _damage_text(damage: Damage, size: int) -> str:
+    if damage.breaks_off:
+        return (
+            f"the file breaks off at byte {damage.start} of {size} ({damage.what}); "
+            "everything before was read"
+        )
+    return (
+        f"bytes {damage.start} to {damage.end} of {size} cannot be read ({damage.what}); "
+        "what comes after was read"
+    )
+
+
+def _missing(measured: Sequence[Measured], expected: Sequence[ExpectedStream]) -> Iterator[Finding]:
+    for each in expected:
+        found = [one for one in measured if each.is_met_by(one.stream.header)]
+        if not found:
+            text = "it was expected and is not in the recording"
+            yield Finding(Level.ERROR, "missing", each.name, text)
+        elif each.must_have_samples and not any(one.stream.sample_count for one in found):
+            text = "it was expected and holds no samples"
+            yield Finding(Level.ERROR, "expected-empty", each.name, text)
+
+
+def _duplicates(measured: Sequence[Measured]) -> Iterator[Finding]:
+    ids = Counter(each.stream.header.source_id for each in measured)
+    for source_id, count in ids.items():
+        if source_id and count > 1:
+            text = f"{count} streams have the source_id {source_id!r}"
+            yield Finding(Level.ERROR, "duplicate-source-id", "", text)
+    names = Counter(each.name for each in measured)
+    for name, count in names.items():
+        if count > 1:
+            text = f"{count} streams have the name {name!r}"
+            yield Finding(Level.WARNING, "duplicate-name", "", text)
+
+
+def _unaligned(measured: Sequence[Measured]) -> Iterator[Finding]:
+    filled = [each for each in measured if each.stream.sample_count]
+    hosts = {each.stream.header.hostname for each in filled}
+    bare = [each.name for each in filled if not each.figures.offsets.count]
+    if len(hosts) > 1 and bare:
+        text = (
+            f"the streams come from {len(hosts)} computers, and without clock offsets "
+            f"{len(bare)} of them cannot be aligned with the others"
+        )
+        yield Finding(Level.ERROR, "not-aligned", "", text)

@@ -1,0 +1,225 @@
+"""Turns the stamps and clock offsets of one stream into figures; pure arithmetic."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from biosensor_gateway.recording.xdf.header import RecordedHeader
+from biosensor_gateway.recording.xdf.recording import RecordedStream
+
+# Two samples whose stamps are further apart than this many periods are not neighbours.
+GAP_PERIODS = 1.5
+# Other programs often stamp with the time at which they push, so their stamps jitter.
+FOREIGN_JITTER_S = 0.1
+# Stamps that jump to another clock must not make a count that nobody can read.
+MOST_LOST = 1_000_000_000
+# Of a stream that consists of gaps, the longest are enough.
+MOST_GAPS_LISTED = 100
+# A stamp further off is not on the LSL clock of its computer.
+MAX_STAMP_ERROR_S = 30.0
+# No computer is up for longer; LSL's clock begins when it is switched on.
+MAX_UPTIME_S = 366 * 86400.0
+# The years 2001 to 2286.
+_UNIX_S = (1e9, 1e10)
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """A break in a regular stream.
+
+    Attributes
+    ----------
+    after
+        Stamp of the last sample before it, on the stream's clock, in s.
+    length_s
+        Time between the samples on either side.
+    lost
+        Samples that would fit into it, an estimate.
+    """
+
+    after: float
+    length_s: float
+    lost: int
+
+
+@dataclass(frozen=True, slots=True)
+class Gaps:
+    """All breaks of a stream; of more than `MOST_GAPS_LISTED` only the longest are listed."""
+
+    count: int = 0
+    lost: int = 0
+    total_s: float = 0.0
+    listed: tuple[Gap, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ClockOffsets:
+    """How a stream's clock stood against the recorder's, in s.
+
+    Attributes
+    ----------
+    drift_ppm
+        Slope of a straight line through the offsets; None if there are fewer than two.
+    scatter_s
+        How far the offsets stray from that line at most.
+    """
+
+    count: int = 0
+    lowest_s: float | None = None
+    highest_s: float | None = None
+    drift_ppm: float | None = None
+    scatter_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """What the samples of one stream say of themselves.
+
+    Attributes
+    ----------
+    first, last
+        Earliest and latest stamp on the stream's clock, in s; None without samples.
+    backward_steps
+        How often a stamp is earlier than the one before.
+    bad_stamps
+        Stamps that are no numbers.
+    rate_hz
+        Samples a second from first to last; None for fewer than two samples.
+    rate_between_gaps_hz
+        The same without the gaps; None also for irregular streams.
+    clock_error
+        Why the stamps are not on the LSL clock; empty if they are.
+    """
+
+    first: float | None
+    last: float | None
+    backward_steps: int
+    bad_stamps: int
+    rate_hz: float | None
+    rate_between_gaps_hz: float | None
+    gaps: Gaps
+    offsets: ClockOffsets
+    nan_shares: tuple[float, ...]
+    clock_error: str
+
+    @property
+    def span_s(self) -> float:
+        """Time from the first to the last sample, 0 without samples."""
+        return 0.0 if self.first is None or self.last is None else self.last - self.first
+
+
+def measure(stream: RecordedStream) -> Figures:
+    """Work out all figures of one stream."""
+    # A damaged file may hold times that no arithmetic can bear.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _measure(stream)
+
+
+def _measure(stream: RecordedStream) -> Figures:
+    stamps = stream.stamps
+    finite = stamps[np.isfinite(stamps)]
+    first, last = (float(finite.min()), float(finite.max())) if len(finite) else (None, None)
+    gaps = find_gaps(finite, stream.header)
+    offsets = stream.clock_offsets
+    count = max(1, stream.sample_count)
+    return Figures(
+        first=first,
+        last=last,
+        backward_steps=int(np.count_nonzero(finite[1:] < finite[:-1])),
+        bad_stamps=len(stamps) - len(finite),
+        rate_hz=_rate(finite),
+        rate_between_gaps_hz=_rate_between_gaps(finite, gaps, stream.header),
+        gaps=gaps,
+        offsets=summarise_offsets(offsets),
+        nan_shares=tuple(float(share) for share in stream.nan_counts / count),
+        clock_error="" if first is None or last is None else clock_error(stream, first, last),
+    )
+
+
+def longest_step_s(header: RecordedHeader) -> float:
+    """Return how far apart neighbouring stamps may be; infinite in an irregular stream.
+
+    Where the header says that samples can be missing, and in our own streams, every
+    stamp is meant as it is; elsewhere stamps are allowed to jitter.
+    """
+    if not header.is_regular:
+        return math.inf
+    is_exact = header.is_ours or header.can_drop_samples
+    return max(GAP_PERIODS / header.rate, 0.0 if is_exact else FOREIGN_JITTER_S)
+
+
+def find_gaps(stamps: NDArray[np.float64], header: RecordedHeader) -> Gaps:
+    """Find the places where samples of a regular stream are missing.
+
+    Parameters
+    ----------
+    stamps : ndarray, shape (n_samples,)
+        Finite, in the order of the file.
+    """
+    steps = np.diff(stamps)
+    places = np.flatnonzero(steps > longest_step_s(header))
+    if not len(places):
+        return Gaps()
+    lengths = steps[places]
+    lost = np.rint(np.minimum(lengths * header.rate, MOST_LOST)).astype(np.int64) - 1
+    longest = np.sort(np.argsort(-lengths, kind="stable")[:MOST_GAPS_LISTED])
+    listed = [
+        Gap(float(stamps[places[at]]), float(lengths[at]), int(lost[at])) for at in longest.tolist()
+    ]
+    return Gaps(len(places), int(lost.sum()), float(lengths.sum()), tuple(listed))
+
+
+def _rate(stamps: NDArray[np.float64]) -> float | None:
+    span = float(stamps.max() - stamps.min()) if len(stamps) else 0.0
+    return (len(stamps) - 1) / span if span > 0 else None
+
+
+def _rate_between_gaps(
+    stamps: NDArray[np.float64], gaps: Gaps, header: RecordedHeader
+) -> float | None:
+    if not header.is_regular or len(stamps) < 2:
+        return None
+    time_s = float(stamps.max() - stamps.min()) - gaps.total_s
+    steps = len(stamps) - 1 - gaps.count
+    return steps / time_s if time_s > 0 and steps > 0 else None
+
+
+def summarise_offsets(offsets: Sequence[tuple[float, float]]) -> ClockOffsets:
+    """Work out range and drift of (time, offset) pairs in s."""
+    if not offsets:
+        return ClockOffsets()
+    times, values = np.array(offsets).T
+    lowest, highest = float(values.min()), float(values.max())
+    centred = times - times.mean()
+    spread = float(centred @ centred)
+    if spread == 0:
+        return ClockOffsets(len(offsets), lowest, highest)
+    slope = float(centred @ (values - values.mean())) / spread
+    scatter = float(np.abs(values - values.mean() - slope * centred).max())
+    return ClockOffsets(len(offsets), lowest, highest, slope * 1e6, scatter)
+
+
+def clock_error(stream: RecordedStream, first: float, last: float) -> str:
+    """Say why stamps from `first` to `last` are not on the LSL clock, empty if they are.
+
+    The recorder notes the stream's own LSL clock with every clock offset, and the
+    header has the time at which the outlet was made; samples must fit to that.
+    """
+    unix = " (they are unix time)" if _UNIX_S[0] < first < _UNIX_S[1] else ""
+    if stream.clock_offsets:
+        times = [time for time, _ in stream.clock_offsets]
+        error_s = max(first - max(times), min(times) - last)
+        if error_s > MAX_STAMP_ERROR_S:
+            return f"its stamps are {error_s:.0f} s away from the LSL clock{unix}"
+        return ""
+    since = stream.header.created_at if math.isfinite(stream.header.created_at) else 0.0
+    if last < since - MAX_STAMP_ERROR_S:
+        return f"its stamps are {since - last:.0f} s older than the stream itself"
+    if unix or first - since > MAX_UPTIME_S:
+        return f"its stamps are {first - since:.0f} s away from when the stream was made{unix}"
+    return ""

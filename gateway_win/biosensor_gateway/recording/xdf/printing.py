@@ -1,0 +1,174 @@
+"""The report as text for a person and as JSON for a script."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from typing import Any, cast
+
+from biosensor_gateway.recording.xdf.findings import Level
+from biosensor_gateway.recording.xdf.report import Measured, Report
+
+_GAPS_SHOWN = 5
+
+
+def as_json(report: Report) -> str:
+    """Return the report as JSON; gaps are in s since the recording's begin, NaN is null."""
+    recording = report.recording
+    content = {
+        "file": str(recording.path),
+        "bytes": recording.size,
+        "begun": recording.begun,
+        "length_s": report.extent.length_s,
+        "good": report.is_good,
+        "damages": [asdict(damage) for damage in recording.damages],
+        "streams": [_stream_as_json(each, report) for each in report.streams],
+        "findings": [asdict(finding) for finding in report.findings],
+    }
+    return json.dumps(_finite(content), indent=2, allow_nan=False)
+
+
+def _finite(content: object) -> object:
+    """Replace numbers that JSON does not know, which only damaged files have."""
+    if isinstance(content, dict):
+        items = cast("dict[str, object]", content).items()
+        return {key: _finite(value) for key, value in items}
+    if isinstance(content, list | tuple):
+        return [_finite(value) for value in cast("Sequence[object]", content)]
+    return None if isinstance(content, float) and not math.isfinite(content) else content
+
+
+def _stream_as_json(measured: Measured, report: Report) -> dict[str, Any]:
+    stream, figures = measured.stream, measured.figures
+    header = stream.header
+    counted = measured.counted
+    return {
+        "name": header.name,
+        "type": header.content_type,
+        "source_id": header.source_id,
+        "host": header.hostname,
+        "channels": list(header.labels),
+        "format": header.format.value,
+        "nominal_hz": header.rate,
+        "can_drop_samples": header.can_drop_samples,
+        "ours": header.is_ours,
+        "samples": stream.sample_count,
+        "footer_samples": None if stream.footer is None else stream.footer.sample_count,
+        "has_footer": stream.footer is not None,
+        "first_s": figures.first,
+        "last_s": figures.last,
+        "measured_hz": figures.rate_hz,
+        "measured_between_gaps_hz": figures.rate_between_gaps_hz,
+        "backward_steps": figures.backward_steps,
+        "bad_stamps": figures.bad_stamps,
+        "on_lsl_clock": not figures.clock_error,
+        "clock_offsets": asdict(figures.offsets),
+        "gaps": {
+            "count": figures.gaps.count,
+            "lost": figures.gaps.lost,
+            "total_s": figures.gaps.total_s,
+            "listed": [
+                {
+                    "at_s": report.extent.since_begin(gap.after, measured),
+                    "length_s": gap.length_s,
+                    "lost": gap.lost,
+                }
+                for gap in figures.gaps.listed
+            ],
+        },
+        "nan_shares": list(figures.nan_shares),
+        "counted": None if counted is None else asdict(counted),
+    }
+
+
+def as_text(report: Report) -> str:
+    """Return the report as lines for a person."""
+    lines = [line for each in report.streams for line in _stream_lines(each, report)]
+    lines += [
+        f"{finding.level}: {_safe(finding.stream) + ': ' if finding.stream else ''}"
+        f"{_safe(finding.text)}"
+        for finding in report.findings
+    ]
+    return "\n".join([*lines, _summary(report)])
+
+
+def _summary(report: Report) -> str:
+    levels = Counter(finding.level for finding in report.findings)
+    counts = [
+        f"{levels[level]} {level}{'' if levels[level] == 1 else 's'}"
+        for level in Level
+        if levels[level]
+    ]
+    streams = "1 stream" if len(report.streams) == 1 else f"{len(report.streams)} streams"
+    return (
+        f"{report.recording.path}: {streams}, {report.extent.length_s:.1f} s; "
+        f"{', '.join(counts) or 'no problem found'}"
+    )
+
+
+def _stream_lines(measured: Measured, report: Report) -> Iterator[str]:
+    stream, figures = measured.stream, measured.figures
+    header = stream.header
+    owner = "ours" if header.is_ours else "another program's"
+    rate = f"{header.rate:g} Hz" if header.is_regular else "irregular"
+    channels = "1 channel" if header.channel_count == 1 else f"{header.channel_count} channels"
+    yield (
+        f"{_safe(header.name)}: {_safe(header.content_type)}, {channels} of {header.format}, "
+        f"{rate}, {owner}, on {_safe(header.hostname)}, source_id {_safe(header.source_id)!r}"
+    )
+    yield f"    {', '.join(_sample_facts(measured))}"
+    yield f"    {_offset_facts(measured)}"
+    if figures.gaps.count:
+        shown = [
+            f"{gap.length_s:.3g} s at {report.extent.since_begin(gap.after, measured):.1f} s "
+            f"({gap.lost})"
+            for gap in figures.gaps.listed[:_GAPS_SHOWN]
+        ]
+        more = ", ..." if figures.gaps.count > len(shown) else ""
+        yield f"    gaps (samples lost): {', '.join(shown)}{more}"
+    gappy = [
+        f"{_safe(label)} {share:.1%}"
+        for label, share in zip(header.labels, figures.nan_shares, strict=True)
+        if share
+    ]
+    if gappy:
+        yield f"    without a value: {', '.join(gappy)}"
+    counted = measured.counted
+    if counted is not None:
+        yield (
+            f"    by the agent's count: {counted.pushed} pushed, {counted.held} of them held, "
+            f"{counted.lost} lost before"
+        )
+
+
+def _sample_facts(measured: Measured) -> Iterator[str]:
+    stream, figures = measured.stream, measured.figures
+    yield f"{stream.sample_count} samples"
+    if figures.rate_hz is not None:
+        yield f"{figures.rate_hz:.4g} Hz measured"
+    if stream.footer is None:
+        yield "no footer"
+    elif stream.footer.sample_count == stream.sample_count:
+        yield "footer agrees"
+    else:
+        yield f"footer says {stream.footer.sample_count}"
+
+
+def _offset_facts(measured: Measured) -> str:
+    offsets = measured.figures.offsets
+    if offsets.lowest_s is None or offsets.highest_s is None:
+        return "no clock offsets"
+    drift = offsets.drift_ppm
+    drift_text = "" if drift is None or not math.isfinite(drift) else f", drift {drift:.2g} ppm"
+    return (
+        f"{offsets.count} clock offsets, {offsets.lowest_s * 1e3:.3f} to "
+        f"{offsets.highest_s * 1e3:.3f} ms{drift_text}"
+    )
+
+
+def _safe(text: str) -> str:
+    """Keep what a stranger wrote from steering the terminal."""
+    return "".join(char if char.isprintable() else "\N{REPLACEMENT CHARACTER}" for char in text)

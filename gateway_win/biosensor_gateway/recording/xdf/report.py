@@ -1,0 +1,85 @@
+"""The report on one recording, as the rules fill it and the printers read it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from biosensor_gateway.recording.xdf.counted import Counted
+from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.recording.xdf.measuring import Figures
+from biosensor_gateway.recording.xdf.recording import RecordedStream, Recording
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """One stream with its figures, and the agent's count of it where there is one."""
+
+    stream: RecordedStream
+    figures: Figures
+    counted: Counted | None = None
+
+    @property
+    def name(self) -> str:
+        """The stream's name."""
+        return self.stream.header.name
+
+    @property
+    def recorder_offset_s(self) -> float:
+        """What to add to a stamp to get the recorder's clock; 0 where it was never measured."""
+        offsets = self.stream.clock_offsets
+        return offsets[0][1] if offsets else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Extent:
+    """When a recording begins and ends on the recorder's clock, in s.
+
+    That is the first and last sample of all streams that are on the LSL clock.
+    """
+
+    begin: float
+    end: float
+
+    @property
+    def length_s(self) -> float:
+        """Seconds from begin to end."""
+        return self.end - self.begin
+
+    def since_begin(self, stamp: float, measured: Measured) -> float:
+        """Turn a stamp of a stream into seconds since the recording began.
+
+        A stream that is on another clock counts from its own first sample.
+        """
+        if measured.figures.clock_error:
+            return stamp - (measured.figures.first or 0.0)
+        return stamp + measured.recorder_offset_s - self.begin
+
+
+def extent(streams: Sequence[Measured]) -> Extent:
+    """Work out the extent of a recording; empty at 0 if no stream has samples."""
+    bounds = [
+        (figures.first + each.recorder_offset_s, figures.last + each.recorder_offset_s)
+        for each in streams
+        if (figures := each.figures).first is not None
+        and figures.last is not None
+        and not figures.clock_error
+    ]
+    if not bounds:
+        return Extent(0.0, 0.0)
+    return Extent(min(begin for begin, _ in bounds), max(end for _, end in bounds))
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What is to be said about a recording; `findings` has the worst first."""
+
+    recording: Recording
+    streams: tuple[Measured, ...]
+    extent: Extent
+    findings: tuple[Finding, ...]
+
+    @property
+    def is_good(self) -> bool:
+        """Whether nothing is wrong; warnings and notes do not count."""
+        return all(finding.level is not Level.ERROR for finding in self.findings)

@@ -1,0 +1,188 @@
+"""Decodes samples chunks: a stamp or none, then one value a channel, sample by sample."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from biosensor_common.quantities import ChannelFormat
+from biosensor_gateway.recording.xdf.container import ChunkError
+from biosensor_gateway.recording.xdf.header import RecordedHeader
+
+_DTYPES: dict[ChannelFormat, np.dtype[Any]] = {
+    ChannelFormat.FLOAT32: np.dtype("<f4"),
+    ChannelFormat.DOUBLE64: np.dtype("<f8"),
+    ChannelFormat.INT64: np.dtype("<i8"),
+    ChannelFormat.INT32: np.dtype("<i4"),
+    ChannelFormat.INT16: np.dtype("<i2"),
+    ChannelFormat.INT8: np.dtype("<i1"),
+}
+_STAMP_BYTES = 8
+_LENGTH_SIZES = frozenset({1, 4, 8})
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """The samples of one chunk.
+
+    Attributes
+    ----------
+    stamps : ndarray of float64, shape (n_samples,)
+        LSL time on the stream's own clock; where the recorder left a stamp out,
+        one period after the sample before.
+    nan_counts : ndarray of int64, shape (n_channels,)
+        Samples without a value, by channel; zero in streams of text or integers.
+    texts
+        First channel of a stream of text, else empty.
+    """
+
+    stamps: NDArray[np.float64]
+    nan_counts: NDArray[np.int64]
+    texts: tuple[str, ...] = ()
+
+
+def decode(content: memoryview, header: RecordedHeader, last_stamp: float) -> Block:
+    """Decode the content of a samples chunk, without the stream's number.
+
+    Parameters
+    ----------
+    last_stamp
+        Stamp of the stream's sample before, 0 before the first.
+
+    Raises
+    ------
+    ChunkError
+        If the samples do not fill the chunk exactly.
+    """
+    count, start = _variable_length(content, 0)
+    body = content[start:]
+    period = 1 / header.rate if header.is_regular else 0.0
+    if header.format is ChannelFormat.STRING:
+        return _decode_texts(body, count, header.channel_count, last_stamp, period)
+    return _decode_numbers(body, count, header, last_stamp, period)
+
+
+def _decode_numbers(
+    body: memoryview, count: int, header: RecordedHeader, last_stamp: float, period: float
+) -> Block:
+    dtype = _DTYPES[header.format]
+    record = _record(header.format, header.channel_count)
+    if len(body) == count * record.itemsize:
+        # Most chunks: every sample has its stamp, so all have one size.
+        samples = np.frombuffer(body, record)
+        if bool((samples["size"] == _STAMP_BYTES).all()):
+            return Block(
+                samples["stamp"].copy(), _count_nan(samples["values"], header.channel_count)
+            )
+    value_bytes = header.channel_count * dtype.itemsize
+    if count * (1 + value_bytes) > len(body):
+        raise ChunkError("it is too short for its number of samples")
+    offsets = _sample_offsets(body, count, value_bytes)
+    raw = np.frombuffer(body, np.uint8)
+    is_stamped = raw[offsets] == _STAMP_BYTES
+    given = _gather(raw, offsets[is_stamped] + 1, np.dtype("<f8"), 1)[:, 0]
+    starts = offsets + 1 + np.where(is_stamped, _STAMP_BYTES, 0)
+    values = _gather(raw, starts, dtype, header.channel_count)
+    return Block(
+        _complete(given, is_stamped, last_stamp, period), _count_nan(values, header.channel_count)
+    )
+
+
+@cache
+def _record(channel_format: ChannelFormat, channel_count: int) -> np.dtype[Any]:
+    """Return the layout of a sample that has a stamp."""
+    values = (_DTYPES[channel_format], (channel_count,))
+    return np.dtype([("size", "u1"), ("stamp", "<f8"), ("values", *values)])
+
+
+def _count_nan(values: NDArray[Any], channel_count: int) -> NDArray[np.int64]:
+    if values.dtype.kind != "f":
+        return np.zeros(channel_count, np.int64)
+    return np.asarray(np.isnan(values).sum(axis=0), np.int64)
+
+
+def _sample_offsets(body: memoryview, count: int, value_bytes: int) -> NDArray[np.int64]:
+    """Return where each sample begins."""
+    steps = {0: 1 + value_bytes, _STAMP_BYTES: 1 + _STAMP_BYTES + value_bytes}
+    offsets: list[int] = []
+    position = 0
+    try:
+        for _ in range(count):
+            offsets.append(position)
+            position += steps[body[position]]
+    except (IndexError, KeyError):
+        raise ChunkError("its samples cannot be told apart") from None
+    if position != len(body):
+        raise ChunkError("its samples do not fill it")
+    return np.array(offsets, np.int64)
+
+
+def _gather(
+    raw: NDArray[np.uint8], starts: NDArray[np.int64], dtype: np.dtype[Any], columns: int
+) -> NDArray[Any]:
+    """Read `columns` values from each of the places."""
+    width = dtype.itemsize * columns
+    picked = raw[starts[:, np.newaxis] + np.arange(width)]
+    return picked.reshape(-1).view(dtype).reshape(len(starts), columns)
+
+
+def _complete(
+    given: NDArray[np.float64], is_stamped: NDArray[np.bool_], last_stamp: float, period: float
+) -> NDArray[np.float64]:
+    """Put the stamps that were left out between those that are given."""
+    # A sample counts its periods from the last given stamp, or from the chunk before.
+    anchors = np.concatenate(([last_stamp], given))
+    latest = np.cumsum(is_stamped)
+    places = np.flatnonzero(is_stamped)
+    positions = np.concatenate(([-1], places))
+    steps = np.arange(len(is_stamped)) - positions[latest]
+    return np.asarray(anchors[latest] + steps * period, np.float64)
+
+
+def _decode_texts(
+    body: memoryview, count: int, channel_count: int, last_stamp: float, period: float
+) -> Block:
+    if count * (1 + 2 * channel_count) > len(body):
+        raise ChunkError("it is too short for its number of samples")
+    stamps = np.empty(count)
+    texts: list[str] = []
+    position = 0
+    for index in range(count):
+        last_stamp, position = _text_stamp(body, position, last_stamp, period)
+        stamps[index] = last_stamp
+        for channel in range(channel_count):
+            length, position = _variable_length(body, position)
+            end = position + length
+            if end > len(body):
+                raise ChunkError("a text in it is longer than the chunk")
+            if channel == 0:
+                texts.append(str(body[position:end], "utf-8", "replace"))
+            position = end
+    if position != len(body):
+        raise ChunkError("its samples do not fill it")
+    return Block(stamps, np.zeros(channel_count, np.int64), tuple(texts))
+
+
+def _text_stamp(
+    body: memoryview, position: int, last_stamp: float, period: float
+) -> tuple[float, int]:
+    size = body[position] if position < len(body) else None
+    if size == 0:
+        return last_stamp + period, position + 1
+    end = position + 1 + _STAMP_BYTES
+    if size != _STAMP_BYTES or end > len(body):
+        raise ChunkError("its samples cannot be told apart")
+    return float(np.frombuffer(body[position + 1 : end], "<f8")[0]), end
+
+
+def _variable_length(body: memoryview, position: int) -> tuple[int, int]:
+    """Read a number that is preceded by its size; return it and where it ends."""
+    size = body[position] if position < len(body) else 0
+    end = position + 1 + size
+    if size not in _LENGTH_SIZES or end > len(body):
+        raise ChunkError("a length in it cannot be read")
+    return int.from_bytes(body[position + 1 : end], "little"), end

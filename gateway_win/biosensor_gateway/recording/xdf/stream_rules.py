@@ -1,0 +1,196 @@
+"""The rules by which one stream is judged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from biosensor_common.quantities import ChannelFormat
+from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.recording.xdf.report import Extent, Measured
+
+Verdict = tuple[Level, str, str]
+"""Level, code and text of a finding."""
+
+# The recorder takes the first offset after 5 s.
+OFFSETS_DUE_S = 6.0
+# What loaders complain about, and what no crystal explains.
+WRONG_RATE, ODD_RATE = 0.1, 0.01
+MIN_SAMPLES_FOR_RATE = 20
+# A good network keeps the offsets together; crystals differ by less.
+MAX_SCATTER_S, MAX_DRIFT_PPM, MIN_OFFSETS_FOR_DRIFT = 0.01, 500.0, 5
+# Streams start and stop this far apart in a recording that is all right.
+LATE_S = 5.0
+NAN_SHARE_TO_NOTE = 0.05
+# Gaps that pyxdf and the loader for MATLAB take for jitter unless told otherwise.
+_LOADER_BREAK_S, _LOADER_BREAK_SAMPLES = 1.0, 500
+
+
+def judge_stream(measured: Measured, extent: Extent) -> Iterator[Finding]:
+    """Apply every rule to one stream."""
+    if measured.stream.header.format is ChannelFormat.INT64 and not measured.stream.sample_count:
+        text = "LabRecorder records no int64 streams: only its header is in the file"
+        yield Finding(Level.ERROR, "int64", measured.name, text)
+        return
+    for rule in _RULES:
+        for level, code, text in rule(measured, extent):
+            yield Finding(level, code, measured.name, text)
+
+
+def _identity(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
+    header = measured.stream.header
+    if header.refused:
+        yield Level.WARNING, "refused-header", f"it claims to be ours, but {header.refused}"
+    if not header.source_id:
+        text = "it has no source_id, so it is not recorded any further when its program restarts"
+        yield Level.WARNING, "no-source-id", text
+
+
+def _footer(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
+    held, footer = measured.stream.sample_count, measured.stream.footer
+    if footer is None:
+        text = "it has no footer: the recorder did not close it, so its end may be missing"
+        yield Level.ERROR, "no-footer", text
+    elif footer.sample_count is None:
+        yield Level.WARNING, "footer-count", "its footer does not say how many samples there are"
+    elif held and footer.sample_count == held - 1:
+        text = "its footer counts one sample less: older LabRecorders forget the first"
+        yield Level.NOTE, "footer-count", text
+    elif footer.sample_count != held:
+        text = f"its footer counts {footer.sample_count} samples, the file holds {held}"
+        yield Level.ERROR, "footer-count", text
+
+
+def _samples(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
+    header = measured.stream.header
+    if measured.stream.sample_count:
+        return
+    if header.is_regular:
+        text = f"it should have {header.rate:g} samples a second and holds none"
+        yield Level.ERROR, "no-samples", text
+    elif header.content_type == "Markers":
+        text = "it holds no marker, which some versions of MATLAB's loader cannot bear"
+        yield Level.NOTE, "no-samples", text
+    else:
+        yield Level.NOTE, "no-samples", "it holds no samples"
+
+
+def _stamps(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
+    figures = measured.figures
+    if figures.clock_error:
+        yield Level.ERROR, "wrong-clock", figures.clock_error
+    if figures.bad_stamps:
+        yield Level.ERROR, "bad-stamps", f"{figures.bad_stamps} of its stamps are no numbers"
+    if figures.backward_steps:
+        text = f"its stamps run backwards in {figures.backward_steps} places"
+        yield Level.ERROR, "backwards", text
+
+
+def _gaps(measured: Measured, extent: Extent) -> Iterator[Verdict]:
+    header, gaps = measured.stream.header, measured.figures.gaps
+    if not gaps.count:
+        return
+    worst = max(gaps.listed, key=lambda gap: gap.length_s)
+    at = extent.since_begin(worst.after, measured)
+    places = "1 gap" if gaps.count == 1 else f"{gaps.count} gaps"
+    text = (
+        f"{places} of {gaps.total_s:.3g} s together, about {gaps.lost} samples lost; "
+        f"the longest of {worst.length_s:.3g} s at {at:.1f} s"
+    )
+    yield Level.WARNING, "gaps", text
+    smeared_up_to = max(_LOADER_BREAK_S, _LOADER_BREAK_SAMPLES / header.rate)
+    if not header.can_drop_samples and any(g.length_s <= smeared_up_to for g in gaps.listed):
+        text = (
+            "its header does not say can_drop_samples, so load it with "
+            "dejitter_timestamps=False, else the gaps shift its stamps"
+        )
+        yield Level.WARNING, "smeared-gaps", text
+
+
+def _rate(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
+    figures, nominal = measured.figures, measured.stream.header.rate
+    rate = figures.rate_between_gaps_hz
+    too_few = measured.stream.sample_count < MIN_SAMPLES_FOR_RATE
+    if rate is None or too_few or figures.backward_steps:
+        return
+    error = abs(rate / nominal - 1)
+    if error > ODD_RATE:
+        level = Level.ERROR if error > WRONG_RATE else Level.WARNING
+        yield level, "rate", f"it runs at {rate:.4g} Hz instead of {nominal:.4g} Hz"
+
+
+def _offsets(measured: Measured, extent: Extent) -> Iterator[Verdict]:
+    offsets = measured.figures.offsets
+    if not offsets.count:
+        if max(measured.figures.span_s, extent.length_s) < OFFSETS_DUE_S:
+            text = "no clock offsets, because the recording is too short"
+            yield Level.NOTE, "no-offsets", text
+        else:
+            text = "no clock offsets, so its stamps fit no stream of another computer"
+            yield Level.WARNING, "no-offsets", text
+        return
+    if offsets.scatter_s is not None and offsets.scatter_s > MAX_SCATTER_S:
+        text = f"its clock offsets scatter by {offsets.scatter_s * 1e3:.0f} ms: a slow network"
+        yield Level.WARNING, "offset-scatter", text
+    drift = offsets.drift_ppm
+    if drift is not None and offsets.count >= MIN_OFFSETS_FOR_DRIFT and abs(drift) > MAX_DRIFT_PPM:
+        text = f"its clock drifts by {drift:.0f} ppm against the recorder's"
+        yield Level.WARNING, "drift", text
+
+
+def _extent(measured: Measured, extent: Extent) -> Iterator[Verdict]:
+    figures = measured.figures
+    regular = measured.stream.header.is_regular and not figures.clock_error
+    if not regular or figures.first is None or figures.last is None:
+        return
+    late_s = extent.since_begin(figures.first, measured)
+    if late_s > LATE_S:
+        yield Level.WARNING, "begins-late", f"it begins {late_s:.1f} s after the recording"
+    early_s = extent.length_s - extent.since_begin(figures.last, measured)
+    if early_s > LATE_S:
+        yield Level.WARNING, "ends-early", f"it ends {early_s:.1f} s before the recording"
+
+
+def _values(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
+    header, count = measured.stream.header, measured.stream.sample_count
+    if not count:
+        return
+    shares = list(zip(header.labels, measured.figures.nan_shares, strict=True))
+    empty = [label for label, share in shares if share == 1]
+    if empty:
+        yield Level.WARNING, "no-values", f"no value at all in {', '.join(empty)}"
+    gappy = [f"{label} {s:.0%}" for label, s in shares if NAN_SHARE_TO_NOTE <= s < 1]
+    if gappy:
+        yield Level.NOTE, "nan", f"share without a value: {', '.join(gappy)}"
+
+
+def _counted(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
+    counted = measured.counted
+    if counted is None:
+        return
+    if counted.held < counted.pushed:
+        missing = counted.pushed - counted.held
+        text = f"{missing} of {counted.pushed} samples that the agent pushed are not in the file"
+        yield Level.ERROR, "not-recorded", text
+    elif counted.held > counted.pushed:
+        text = f"{counted.held} samples are in the file where the agent pushed {counted.pushed}"
+        yield Level.ERROR, "too-many", text
+    if counted.lost:
+        text = f"the agent counted {counted.lost} samples as lost on their way from the device"
+        yield Level.WARNING, "lost", text
+    if counted.restarts:
+        text = f"the agent began anew {counted.restarts} times during the recording"
+        yield Level.WARNING, "restarted", text
+
+
+_RULES: tuple[Callable[[Measured, Extent], Iterator[Verdict]], ...] = (
+    _identity,
+    _footer,
+    _samples,
+    _stamps,
+    _counted,
+    _gaps,
+    _rate,
+    _extent,
+    _offsets,
+    _values,
+)

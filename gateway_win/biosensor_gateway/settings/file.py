@@ -1,0 +1,151 @@
+"""Reads the settings file, and says everything that is wrong with it at once."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, cast
+
+from pydantic import ValidationError
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
+from biosensor_gateway.settings.problems import (
+    Problem,
+    from_validation,
+    report,
+    unknown_key,
+    unknown_variables,
+    wrong_choice,
+)
+from biosensor_gateway.settings.toml_lines import key_lines
+
+_WHERE = re.compile(r"(?P<what>.*) \(at (?P<where>.*)\)", re.DOTALL)
+_DEVICE = "device"
+
+
+def load_settings(path: Path, device_models: Mapping[str, type[DeviceSettings]]) -> GatewaySettings:
+    """Read and validate the settings, with the environment's overrides.
+
+    Parameters
+    ----------
+    path
+        The TOML file.
+    device_models
+        Settings model of each known sensor, by sensor name.
+
+    Raises
+    ------
+    ConfigError
+        ``NOT_FOUND``, ``UNREADABLE``, ``MALFORMED``, ``UNKNOWN_KEY`` or
+        ``WRONG_VALUE``. The message has one line for each thing to correct,
+        with its file and line or its environment variable; the reason is that
+        of the first.
+    """
+    text = _read(path)
+    data = _parse(path, text)
+    sections = {key: value for key, value in data.items() if key in _top_level_keys()}
+    problems = [unknown_key((key,), GatewaySettings) for key in data if key not in sections]
+    devices = _Devices(sections.pop(_DEVICE, []), device_models)
+    problems += [*devices.problems, *unknown_variables(GatewaySettings)]
+    settings = None
+    try:
+        settings = GatewaySettings(**sections, device=tuple(devices.valid.values()))
+    except ValidationError as error:
+        problems += from_validation(error, GatewaySettings)
+    if settings is None or problems:
+        raise report(path, key_lines(text), problems)
+    return settings
+
+
+def _top_level_keys() -> frozenset[str]:
+    fields = GatewaySettings.model_fields
+    return frozenset(field.alias or name for name, field in fields.items())
+
+
+def _read(path: Path) -> str:
+    try:
+        # Windows editors put a byte order mark first, which TOML does not know.
+        return path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        message = f"there is no settings file {path}; make one with `biosensor-gateway config init`"
+        raise ConfigError(ConfigReason.NOT_FOUND, message) from None
+    except UnicodeDecodeError as error:
+        message = f"{path} is not UTF-8 text (byte {error.start}); save it again as UTF-8"
+        raise ConfigError(ConfigReason.UNREADABLE, message) from error
+    except OSError as error:
+        hint = "it is a folder" if path.is_dir() else error.strerror or str(error)
+        message = f"cannot read the settings file {path}: {hint}"
+        raise ConfigError(ConfigReason.UNREADABLE, message) from error
+
+
+def _parse(path: Path, text: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        message = f"{path} is not valid TOML: its values are nested too deeply"
+        raise ConfigError(ConfigReason.MALFORMED, message) from None
+    except ValueError as error:  # also an integer of more digits than Python converts
+        found = _WHERE.fullmatch(str(error))
+        where, what = (f", {found['where']}", found["what"]) if found else ("", str(error))
+        message = f"{path}{where}: not valid TOML: {what[:1].lower()}{what[1:]}"
+        raise ConfigError(ConfigReason.MALFORMED, message) from error
+
+
+class _Devices:
+    """The entries of the file's device array, each judged by its sensor's model."""
+
+    def __init__(self, entries: object, models: Mapping[str, type[DeviceSettings]]) -> None:
+        self.valid: dict[int, DeviceSettings] = {}
+        self.problems: list[Problem] = []
+        self._models = models
+        if not isinstance(entries, list):
+            text = "each device is a table of its own, under [[device]] in double brackets"
+            self.problems.append(Problem(ConfigReason.WRONG_VALUE, (_DEVICE,), text))
+            return
+        for index, entry in enumerate(cast("list[object]", entries)):
+            self._judge(index, entry)
+        self.problems += self._twins()
+
+    def _judge(self, index: int, entry: object) -> None:
+        path = (_DEVICE, index)
+        if not isinstance(entry, dict):
+            text = "a device should be a table: [[device]] and one line for each key"
+            self.problems.append(Problem(ConfigReason.WRONG_VALUE, path, text))
+            return
+        sensor = cast("dict[str, object]", entry).get("sensor")
+        model = self._models.get(sensor) if isinstance(sensor, str) else None
+        if model is None:
+            where = (*path, "sensor") if "sensor" in entry else path
+            problem = wrong_choice(where, "device.sensor", sensor, self._models)
+            self.problems.append(problem)
+            return
+        try:
+            self.valid[index] = model.model_validate(entry)
+        except ValidationError as error:
+            self.problems += from_validation(error, model, path)
+
+    def _twins(self) -> Iterator[Problem]:
+        seen: dict[tuple[str, ...], int] = {}
+        for index, device in self.valid.items():
+            for identity, key in _identities(device):
+                first = seen.setdefault(identity, index)
+                if first != index:
+                    text = (
+                        f"a second {device.sensor} with {key}; "
+                        "change it, or set enabled = false in one of them"
+                    )
+                    other = (_DEVICE, first)
+                    yield Problem(ConfigReason.WRONG_VALUE, (_DEVICE, index), text, other=other)
+
+
+def _identities(device: DeviceSettings) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Yield what no two enabled devices may share, with its name for a person."""
+    if not device.enabled:
+        return
+    yield ("unit", device.sensor, device.unit), f"unit {device.unit!r}"
+    if device.participant or device.label:
+        names = f"participant {device.participant!r} and label {device.label!r}"
+        yield ("person", device.sensor, device.participant, device.label), names

@@ -1,0 +1,240 @@
+"""What a user can set: the models of the settings file, and where it lies.
+
+The file is read by :mod:`biosensor_gateway.settings.file` and first written by
+:mod:`biosensor_gateway.settings.template`. Secrets never go into it.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import platformdirs
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints
+from pydantic.fields import FieldInfo
+from pydantic_settings import (
+    BaseSettings,
+    EnvSettingsSource,
+    PydanticBaseSettingsSource,
+    SettingsConfigDict,
+)
+
+from biosensor_common.lsl_config import DEFAULT_PORT_RANGE
+
+APP_NAME = "biosensor-gateway"
+SETTINGS_VARIABLE = "BIOSENSOR_GATEWAY_SETTINGS"
+STATE_VARIABLE = "BIOSENSOR_GATEWAY_STATE"
+OVERRIDE_PREFIX = "BIOSENSOR_GATEWAY_"
+OVERRIDE_DELIMITER = "__"
+
+_SESSION = re.compile(r"[A-Za-z0-9_.-]*")
+_HOST = re.compile(r"[A-Za-z0-9_.:%-]+")
+
+
+def settings_path() -> Path:
+    """Where the settings file is: ``BIOSENSOR_GATEWAY_SETTINGS`` or the user's config folder."""
+    chosen = os.environ.get(SETTINGS_VARIABLE)
+    if chosen:
+        return Path(chosen).expanduser()
+    return platformdirs.user_config_path(APP_NAME, appauthor=False) / "settings.toml"
+
+
+def state_folder() -> Path:
+    """Where status and logs go: ``BIOSENSOR_GATEWAY_STATE`` or the user's state folder."""
+    chosen = os.environ.get(STATE_VARIABLE)
+    if chosen:
+        return Path(chosen).expanduser()
+    return platformdirs.user_state_path(APP_NAME, appauthor=False)
+
+
+def _printable(value: str) -> str:
+    if not value.isprintable() or value != value.strip():
+        raise ValueError("should be printable text without spaces at its ends")
+    return value
+
+
+def _session(value: str) -> str:
+    # The text goes into an LSL query and an INI file, which know no escapes.
+    if not _SESSION.fullmatch(value):
+        raise ValueError("should have only letters, digits, '_', '.' and '-'")
+    return value
+
+
+def _host(value: str) -> str:
+    if not _HOST.fullmatch(value):
+        raise ValueError("should be a host name or an IP address")
+    return value
+
+
+_MAX_LENGTH = 32
+
+ShortText = Annotated[str, StringConstraints(max_length=_MAX_LENGTH), AfterValidator(_printable)]
+"""Printable text of at most 32 characters, for whatever ends up in stream names."""
+
+# macOS knows a Bluetooth device by a UUID.
+_MAX_UNIT_LENGTH = 36
+
+UnitText = Annotated[
+    str, StringConstraints(min_length=1, max_length=_MAX_UNIT_LENGTH), AfterValidator(_printable)
+]
+"""The same for a unit, up to 36 characters and not empty."""
+
+
+class LslSettings(BaseModel):
+    """How the agent takes part in the Lab Streaming Layer."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    session_id: Annotated[str, AfterValidator(_session)] = Field(
+        default="",
+        description="LSL session that the streams belong to. Empty is LSL's default session; with "
+        "any other, LabRecorder and every other LSL program sees nothing until it is set to the "
+        "same session.",
+    )
+    known_peers: tuple[Annotated[str, AfterValidator(_host)], ...] = Field(
+        default=(),
+        strict=False,
+        description="Host names or IP addresses to ask directly, for networks without multicast.",
+    )
+    port_range: int = Field(
+        default=DEFAULT_PORT_RANGE,
+        ge=1,
+        le=32768,
+        description="How many ports, from 16572, the streams of this machine may use; the "
+        "firewall must let them through.",
+    )
+
+
+class LogSettings(BaseModel):
+    """What is logged, and how much of it is kept."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    level: Literal["debug", "info", "warning", "error"] = Field(
+        default="info",
+        description="Least severe messages to log: debug, info, warning or error.",
+    )
+    keep_files: int = Field(
+        default=5, ge=1, le=1000, description="How many full log files are kept."
+    )
+    max_bytes: int = Field(
+        default=5_000_000, ge=10_000, description="Size in bytes at which a log file is full."
+    )
+
+
+class EventSettings(BaseModel):
+    """What the agent says of itself in the stream gateway/events."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    heartbeat_s: float = Field(
+        default=5.0,
+        ge=0,
+        le=3600,
+        allow_inf_nan=False,
+        description="Seconds between two signs of life in the stream of events; 0 for none. A "
+        "recording without one may be incomplete: LabRecorder does not finish a stream of text "
+        "that says nothing while it is recorded.",
+    )
+
+
+class PowerSettings(BaseModel):
+    """What the agent asks of the computer that it runs on."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    keep_awake: bool = Field(
+        default=True,
+        description="Whether the computer is kept from going to sleep by itself while a device "
+        "streams, and for a minute after. The screen may go dark. A closed lid still sends it to "
+        "sleep, and so may a long time on battery: plug it in.",
+    )
+
+
+class DeviceSettings(BaseModel):
+    """What every device has; each driver adds its own fields in a subclass.
+
+    A subclass keeps to scalars and lists (``tuple`` with ``strict=False``) and
+    to ``Literal`` for choices, gives every field a description, and a required
+    field an example, which the template shows.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    sensor: str = Field(description="Kind of sensor.")
+    unit: UnitText = Field(
+        description="Serial number or address of the device, or a short name that stays the same.",
+        examples=["0123456789"],
+    )
+    participant: ShortText = Field(
+        default="",
+        description="Who wears the device: a pseudonym such as p01, never a real name, because it "
+        "is in stream names, topics and recordings.",
+    )
+    label: ShortText = Field(
+        default="",
+        description="Tells two devices of a kind on one person apart, for instance left and right.",
+    )
+    enabled: bool = Field(
+        default=True, description="Whether the agent connects to the device at all."
+    )
+
+
+class _SectionOverrides(EnvSettingsSource):
+    """Environment variables for the sections; devices come from the file alone."""
+
+    def prepare_field_value(
+        self, field_name: str, field: FieldInfo, value: object, value_is_complex: bool
+    ) -> object:
+        if field_name == "devices":
+            return None
+        return super().prepare_field_value(field_name, field, value, value_is_complex)
+
+    def decode_complex_value(self, field_name: str, field: FieldInfo, value: object) -> object:
+        # What is no JSON stays text, so that the model refuses it and names the key.
+        try:
+            return super().decode_complex_value(field_name, field, value)
+        except ValueError:
+            return value
+
+
+class GatewaySettings(BaseSettings):
+    """All settings.
+
+    Environment variables take precedence over arguments, for the sections
+    only: ``BIOSENSOR_GATEWAY_LSL__SESSION_ID=lab2``; lists are written in JSON.
+    """
+
+    model_config = SettingsConfigDict(
+        extra="forbid",
+        frozen=True,
+        strict=True,
+        env_prefix=OVERRIDE_PREFIX,
+        env_nested_delimiter=OVERRIDE_DELIMITER,
+    )
+
+    lsl: LslSettings = LslSettings()
+    log: LogSettings = LogSettings()
+    power: PowerSettings = PowerSettings()
+    events: EventSettings = EventSettings()
+    devices: tuple[DeviceSettings, ...] = Field(default=(), alias="device")
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Take the environment before the arguments, and nothing else."""
+        del env_settings, dotenv_settings, file_secret_settings
+        return _SectionOverrides(settings_cls), init_settings
+
+
+def environment_overrides() -> dict[str, Any]:
+    """Read what the environment sets, by section and key, not validated."""
+    return _SectionOverrides(GatewaySettings)()

@@ -1,0 +1,220 @@
+"""What is wrong with the settings, said so that a person can correct it."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple, cast
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.settings.models import (
+    OVERRIDE_DELIMITER,
+    OVERRIDE_PREFIX,
+    environment_overrides,
+)
+from biosensor_gateway.settings.toml_lines import KeyPath
+
+_EXPECTED = {
+    "string_type": "should be a text in quotes",
+    "int_type": "should be a whole number",
+    "float_type": "should be a number",
+    "bool_type": "should be true or false",
+    "tuple_type": "should be a list in square brackets",
+    "list_type": "should be a list in square brackets",
+    "model_type": "should be a table",
+}
+_SUBJECT = re.compile(r"(?:Input|String|Tuple|List|Value error,) ")
+_LONGEST_SHOWN = 40
+
+
+class Problem(NamedTuple):
+    """One thing to correct.
+
+    ``variable`` is the environment variable it comes from, empty for the file;
+    ``other`` is a second place in the file that it has to do with.
+    """
+
+    reason: ConfigReason
+    path: KeyPath
+    text: str
+    variable: str = ""
+    other: KeyPath | None = None
+
+
+def report(path: Path, lines: Mapping[KeyPath, int], problems: Sequence[Problem]) -> ConfigError:
+    """Make one error of all problems, those of the file first and in its order.
+
+    Parameters
+    ----------
+    path
+        The settings file.
+    lines
+        Where its keys are, from :func:`biosensor_gateway.settings.toml_lines.key_lines`.
+    problems
+        At least one.
+    """
+    ordered = sorted(problems, key=lambda found: (bool(found.variable), _line(found.path, lines)))
+    sentences = [_sentence(path, lines, found) for found in ordered]
+    return ConfigError(ordered[0].reason, "\n".join(sentences))
+
+
+def _sentence(path: Path, lines: Mapping[KeyPath, int], problem: Problem) -> str:
+    if problem.variable:
+        return f"environment variable {problem.variable}: {problem.text}"
+    other = f" (the other is on line {_line(problem.other, lines)})" if problem.other else ""
+    return f"{path}, line {_line(problem.path, lines)}: {problem.text}{other}"
+
+
+def _line(path: KeyPath, lines: Mapping[KeyPath, int]) -> int:
+    """Line of a key, or of the nearest table around it where the key is missing."""
+    while path and path not in lines:
+        path = path[:-1]
+    return lines.get(path, 1)
+
+
+def from_validation(
+    error: ValidationError, model: type[BaseModel], path: KeyPath = ()
+) -> Iterator[Problem]:
+    """Translate what a model has found.
+
+    Parameters
+    ----------
+    error
+        Its findings.
+    model
+        The model that was validated.
+    path
+        Where in the file the model's table is.
+    """
+    overrides = {} if path else environment_overrides()
+    reported = [] if path else [problem.variable for problem in unknown_variables(model)]
+    for details in error.errors(include_url=False):
+        where = (*path, *details["loc"])
+        variable = _variable(where) if _is_set(where, overrides) else ""
+        if variable and variable in reported:
+            continue
+        if details["type"] == "extra_forbidden":
+            owner = _model_at(model, details["loc"][:-1])
+            yield unknown_key(where, owner)._replace(variable=variable)
+        else:
+            text = _finding(where, details, in_json=bool(variable))
+            yield Problem(ConfigReason.WRONG_VALUE, where, text, variable)
+
+
+def _finding(path: KeyPath, details: ErrorDetails, *, in_json: bool) -> str:
+    if details["type"] == "missing":
+        return f"'{_dotted(path)}' is missing"
+    said = _SUBJECT.sub("", details["msg"], count=1)
+    expected = _EXPECTED.get(details["type"], said)
+    if in_json and details["type"] == "tuple_type":
+        expected = 'should be a list in JSON, as in ["one", "two"]'
+    separator = " " if expected.startswith("should ") else ": "
+    return f"'{_dotted(path)}'{separator}{expected}{_but_is(details['input'])}"
+
+
+def _but_is(value: object) -> str:
+    if isinstance(value, bool):
+        return f", but is {str(value).lower()}"
+    if not isinstance(value, str | int | float):
+        return ""
+    try:
+        shown = repr(value)
+    except ValueError:  # an integer of more digits than Python writes
+        shown = hex(cast("int", value))
+    cut = f"{shown[:_LONGEST_SHOWN]}…" if len(shown) > _LONGEST_SHOWN else shown
+    return f", but is {cut}"
+
+
+def unknown_key(path: KeyPath, model: type[BaseModel] | None) -> Problem:
+    """Describe a key that the model does not have; ``None`` where no model is known."""
+    known = _keys(model) if model else []
+    hint = _did_you_mean(str(path[-1]), known)
+    listed = f"; known keys: {', '.join(known)}" if known else ""
+    return Problem(ConfigReason.UNKNOWN_KEY, path, f"unknown key '{_dotted(path)}'{hint}{listed}")
+
+
+def wrong_choice(path: KeyPath, key: str, value: object, known: Iterable[str]) -> Problem:
+    """Describe a name that is missing (``None``) or is none of those known."""
+    names = sorted(known)
+    listed = f"should be one of {', '.join(names)}" if names else "has no known value"
+    text = f"'{key}' is missing; it {listed}"
+    if value is not None:
+        hint = _did_you_mean(value, names) if isinstance(value, str) else ""
+        text = f"'{key}' {listed}{_but_is(value)}{hint}"
+    return Problem(ConfigReason.WRONG_VALUE, path, text)
+
+
+def unknown_variables(model: type[BaseModel]) -> Iterator[Problem]:
+    """Find environment variables that look like overrides, but would change nothing."""
+    sections = {
+        name.upper(): field.annotation
+        for name, field in model.model_fields.items()
+        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel)
+    }
+    known = [OVERRIDE_PREFIX + section for section in sections]
+    for section, annotation in sections.items():
+        prefix = f"{OVERRIDE_PREFIX}{section}{OVERRIDE_DELIMITER}"
+        known += [prefix + key.upper() for key in _keys(annotation)]
+    beginnings = tuple(f"{OVERRIDE_PREFIX}{section}_" for section in sections)
+    for variable in os.environ:
+        name = variable.upper()
+        is_override = name.startswith(OVERRIDE_PREFIX) and OVERRIDE_DELIMITER in name
+        if (is_override or name.startswith(beginnings)) and name not in known:
+            text = f"it sets nothing{_did_you_mean(name, known)}"
+            yield Problem(ConfigReason.UNKNOWN_KEY, (), text, variable)
+
+
+def _is_set(path: KeyPath, overrides: Mapping[str, object]) -> bool:
+    """Whether the overrides set a key or something around it."""
+    node: object = overrides
+    for part in path:
+        if not isinstance(node, dict):
+            return True
+        if part not in node:
+            return False
+        node = cast("dict[str | int, object]", node)[part]
+    return True
+
+
+def _variable(path: KeyPath) -> str:
+    """Name the variable that comes closest to a key which the environment sets."""
+    keys = [str(part).upper() for part in path if isinstance(part, str)]
+    name = OVERRIDE_PREFIX + OVERRIDE_DELIMITER.join(keys)
+    related = [
+        variable
+        for variable in os.environ
+        if f"{name}{OVERRIDE_DELIMITER}".startswith(f"{variable.upper()}{OVERRIDE_DELIMITER}")
+        or variable.upper().startswith(f"{name}{OVERRIDE_DELIMITER}")
+    ]
+    return max(related, key=len)
+
+
+def _model_at(model: type[BaseModel], path: KeyPath) -> type[BaseModel] | None:
+    for part in path:
+        field = model.model_fields.get(str(part))
+        inner = field.annotation if field else None
+        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
+            return None
+        model = inner
+    return model
+
+
+def _keys(model: type[BaseModel] | None) -> list[str]:
+    fields = model.model_fields if model else {}
+    return [field.alias or name for name, field in fields.items()]
+
+
+def _dotted(path: KeyPath) -> str:
+    return ".".join(str(part) for part in path if isinstance(part, str))
+
+
+def _did_you_mean(name: str, known: Iterable[str]) -> str:
+    by_lower = {candidate.lower(): candidate for candidate in known}
+    close = difflib.get_close_matches(name.lower(), by_lower, n=1)
+    return f" (did you mean '{by_lower[close[0]]}'?)" if close else ""

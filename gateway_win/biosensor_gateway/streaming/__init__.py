@@ -1,0 +1,1 @@
+"""What a device's samples go through on their way into LSL."""

@@ -1,0 +1,126 @@
+"""Writes events into their outlet, and gives a sign of life."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import socket
+from collections.abc import Callable, Mapping
+from importlib.metadata import version
+
+import pylsl
+import structlog
+
+from biosensor_common.clocks import MonotonicStamps
+from biosensor_common.registry import sensor
+from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.streaming.counters import Counters
+from biosensor_gateway.streaming.events import EventKind
+from biosensor_gateway.streaming.events.log_errors import unfailing
+from biosensor_gateway.streaming.outlets import Outlet
+
+TICK_S = 0.25
+LINGER_S = 0.25
+"""How long the outlet stays after the last event, which LSL sends from a thread of its own."""
+
+_log = structlog.get_logger("biosensor_gateway.events")
+
+
+class Announcer:
+    """The stream ``gateway/events``. Nothing that goes wrong in it is raised.
+
+    The outlet exists from the beginning. A heartbeat comes at once, in every period and
+    when somebody begins to receive, because LabRecorder writes neither a footer nor clock
+    offsets for a stream of which it never got a sample.
+
+    Parameters
+    ----------
+    heartbeat_s
+        Period in seconds; 0 for none.
+    states
+        Tells the state of every device by ``sensor/unit``, for the heartbeat.
+    """
+
+    def __init__(self, heartbeat_s: float, states: Callable[[], Mapping[str, str]]) -> None:
+        self._period_s = heartbeat_s
+        self._states = states
+        self._watchers: list[Callable[[float], None]] = []
+        self._stamps = MonotonicStamps()
+        self._started_s = round(pylsl.local_clock(), 6)
+        self._due_s = -math.inf
+        self._had_consumers = False
+        self._outlet = _outlet()
+        self.announce(EventKind.AGENT_STARTED, {"version": version("biosensor-gateway")})
+        self._tick()
+
+    @property
+    def counters(self) -> dict[str, Counters]:
+        """Counters of the stream by source_id."""
+        return {} if self._outlet is None else {self._outlet.source_id: self._outlet.counters}
+
+    def watch(self, tick: Callable[[float], None]) -> None:
+        """Have something called a few times a second, with the LSL time."""
+        self._watchers.append(tick)
+
+    @unfailing
+    def announce(
+        self, kind: EventKind, facts: Mapping[str, object], at: float | None = None
+    ) -> None:
+        """Send an event.
+
+        Parameters
+        ----------
+        kind
+        facts
+            What belongs to the event, for JSON.
+        at
+            LSL time in seconds at which it happened; now if it is not said.
+        """
+        if self._outlet is None:
+            return
+        happened = pylsl.local_clock() if at is None else at
+        content = {"event": kind.value, **facts, "lsl_time": round(happened, 6)}
+        text = json.dumps(content, separators=(",", ":"), allow_nan=False)
+        (stamp,) = self._stamps.apply([happened])
+        self._outlet.push_text(text, stamp)
+
+    async def run(self) -> None:
+        """Send heartbeats until cancelled."""
+        while True:
+            self._tick()
+            await asyncio.sleep(TICK_S)
+
+    async def end(self) -> None:
+        """Destroy the outlet, when what was announced has been sent."""
+        if self._outlet is None:
+            return
+        if self._outlet.have_consumers():
+            await asyncio.sleep(LINGER_S)
+        self._outlet.close()
+        self._outlet = None
+
+    @unfailing
+    def _tick(self) -> None:
+        now = pylsl.local_clock()
+        for watcher in self._watchers:
+            watcher(now)
+        if self._outlet is None or not self._period_s:
+            return
+        has_consumers = self._outlet.have_consumers()
+        has_come = has_consumers and not self._had_consumers
+        self._had_consumers = has_consumers
+        if has_come or now >= self._due_s:
+            self._due_s = now + self._period_s
+            facts = {"agent_started": self._started_s, "devices": dict(self._states())}
+            self.announce(EventKind.HEARTBEAT, facts)
+
+
+def _outlet() -> Outlet | None:
+    gateway = sensor("gateway")
+    identity = DeviceIdentity(gateway.name, socket.gethostname())
+    try:
+        return Outlet(gateway.stream("events"), identity, DeviceInfo(model=gateway.model))
+    except Exception:  # noqa: BLE001 - whatever keeps the stream away, devices go on
+        _log.exception("there is no stream of events")
+        return None

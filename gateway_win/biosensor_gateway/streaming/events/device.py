@@ -1,0 +1,145 @@
+"""Makes events of what a device's sink and supervisor notice."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from numpy.typing import ArrayLike
+from pylsl import local_clock
+
+from biosensor_common.registry import sensor
+from biosensor_common.spec import DeviceInfo
+from biosensor_gateway.streaming.events import EventKind
+from biosensor_gateway.streaming.events.announcer import Announcer
+from biosensor_gateway.streaming.events.contact import WearWatch
+from biosensor_gateway.streaming.events.gaps import Gap, GapWatch
+from biosensor_gateway.streaming.events.log_errors import unfailing
+from biosensor_gateway.streaming.silence import Silence
+from biosensor_gateway.streaming.sink import DeviceSink
+
+
+class DeviceEvents:
+    """Observes one device; see :class:`~biosensor_gateway.streaming.sink.SinkObserver`.
+
+    Gaps are followed only while the device is not paused.
+
+    Parameters
+    ----------
+    sink
+        The device's; it gets this observer.
+    announcer
+        Where the events go.
+    """
+
+    def __init__(self, sink: DeviceSink, announcer: Announcer) -> None:
+        identity = sink.identity
+        self._announcer = announcer
+        self._names = {"sensor": identity.sensor, "unit": identity.unit}
+        for key, value in (("participant", identity.participant), ("label", identity.label)):
+            if value:
+                self._names[key] = value
+        self._gaps = GapWatch()
+        self._wear = WearWatch(sensor(identity.sensor))
+        self._connections = 0
+        self._is_connected = False
+        self._is_paused = sink.is_paused
+        sink.observer = self
+        announcer.watch(self.tick)
+        if self._is_paused:
+            self._say(EventKind.PAUSED, facts={"kept": True})
+
+    @unfailing
+    def connected(self, info: DeviceInfo, changes: Mapping[str, tuple[object, object]]) -> None:
+        """Announce the connection, and what has changed with it."""
+        self._is_connected = True
+        self._connections += 1
+        facts: dict[str, object] = {"connection": self._connections}
+        if info.firmware_version:
+            facts["firmware_version"] = info.firmware_version
+        self._say(EventKind.CONNECTED, facts=facts)
+        if changes:
+            self._say(EventKind.SETTINGS_CHANGED, facts={"changes": dict(changes)})
+
+    @unfailing
+    def dropped(self, reason: str) -> None:
+        """Announce the end of a connection, and the gap that it begins."""
+        self._is_connected = False
+        self._say(EventKind.DISCONNECTED, facts={"reason": reason})
+        if not self._is_paused:
+            self._say_gaps(self._gaps.interrupted())
+
+    @unfailing
+    def sampled(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
+        """Follow gaps, and whether the sensor is worn."""
+        self._gaps.sampled(data_name, stamps[0], stamps[-1], local_clock())
+        for is_on, at in self._wear.changes(data_name, samples, stamps):
+            kind = EventKind.ON_BODY if is_on else EventKind.OFF_BODY
+            self._say(kind, at, {"channel": self._wear.channel})
+
+    @unfailing
+    def lost(self, data_name: str, count: int, since_s: float) -> None:
+        """Add to a gap."""
+        if not self._is_paused:
+            self._gaps.lost(data_name, count, since_s)
+
+    @unfailing
+    def reanchored(self, cause: str, size_s: float | None) -> None:
+        """Announce a jump of the stamps."""
+        facts: dict[str, object] = {"cause": cause}
+        if size_s is not None:
+            facts["seconds"] = round(size_s, 6)
+        self._say(EventKind.CLOCK_REANCHORED, facts=facts)
+
+    @unfailing
+    def fell_silent(self, silence: Silence) -> None:
+        """Announce streams that do not come, and what is done about it."""
+        facts = {
+            "streams": sorted(silence.streams),
+            "seconds": round(silence.seconds, 1),
+            "remedy": silence.remedy.value,
+        }
+        self._say(EventKind.STREAMS_SILENT, facts=facts)
+
+    @unfailing
+    def came_back(self, streams: frozenset[str]) -> None:
+        """Announce that they come again."""
+        self._say(EventKind.STREAMS_BACK, facts={"streams": sorted(streams)})
+
+    @unfailing
+    def paused(self) -> None:
+        """Announce the withdrawal; a gap ends with it."""
+        self._is_paused = True
+        now = local_clock()
+        self._say_gaps(self._gaps.cut_off(now), paused=True)
+        self._say(EventKind.PAUSED, now)
+
+    @unfailing
+    def resumed(self, send_from_s: float) -> None:
+        """Announce the end of a pause, and a gap if nothing can come yet."""
+        self._is_paused = False
+        self._wear.forget()
+        self._say(EventKind.RESUMED, facts={"send_from": round(send_from_s, 6)})
+        self._gaps.go_on(send_from_s)
+        if not self._is_connected and self._connections:
+            self._say_gaps(self._gaps.interrupted())
+
+    @unfailing
+    def tick(self, now: float) -> None:
+        """Announce gaps whose counts are complete."""
+        if not self._is_paused:
+            self._say_gaps(self._gaps.tick(now))
+
+    def _say_gaps(self, gaps: Iterable[Gap], *, paused: bool = False) -> None:
+        for gap in gaps:
+            if gap.until is None:
+                self._say(EventKind.GAP_START, gap.since)
+            else:
+                facts: dict[str, object] = {"lost": dict(gap.lost)}
+                self._say(
+                    EventKind.GAP_END, gap.until, facts | ({"paused": True} if paused else {})
+                )
+
+    def _say(
+        self, kind: EventKind, at: float | None = None, facts: Mapping[str, object] | None = None
+    ) -> None:
+        self._announcer.announce(kind, self._names | dict(facts or {}), at)

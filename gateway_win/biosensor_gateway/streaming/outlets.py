@@ -1,0 +1,291 @@
+"""LSL outlets: what drivers emit, checked, stamped, counted and pushed."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import pylsl
+from numpy.typing import ArrayLike, NDArray
+
+from biosensor_common import naming
+from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
+from biosensor_common.lsl_header import describe
+from biosensor_common.quantities import TYPES_OF_DEVICE, ChannelFormat
+from biosensor_common.registry import sensor
+from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, StreamSpec
+from biosensor_gateway.streaming.counters import Counters
+
+# A stamp further off is not on the LSL clock at all (unix time, device time).
+MAX_STAMP_ERROR_S = 30.0
+
+# How long receivers take to find a new stream and to attach to it.
+ATTACH_TIME_S = 5.0
+MAX_WAITING = 256
+
+_DTYPES: dict[ChannelFormat, np.dtype[Any]] = {
+    ChannelFormat.FLOAT32: np.dtype(np.float32),
+    ChannelFormat.DOUBLE64: np.dtype(np.float64),
+    ChannelFormat.INT32: np.dtype(np.int32),
+    ChannelFormat.INT16: np.dtype(np.int16),
+    ChannelFormat.INT8: np.dtype(np.int8),
+}
+
+
+def configure_lsl(overrides: LslOverrides) -> Path | None:
+    """Set the LSL configuration of this process; call it before any other LSL call.
+
+    Returns
+    -------
+    Path or None
+        The user's own file that was taken over, if there is one.
+    """
+    path = user_config_file(os.environ, Path.home(), Path.cwd())
+    pylsl.set_config_content(effective_config(path, overrides))
+    return path
+
+
+class Outlet:
+    """One LSL outlet of a declared stream.
+
+    LSL drops what nobody receives yet, and a device tells its battery or signal
+    strength right after the outlet was made. So the first samples of a stream that
+    shows a state wait, with their own stamps, until there was time to attach and
+    somebody did; see `release`.
+    """
+
+    def __init__(self, stream: StreamSpec, identity: DeviceIdentity, info: DeviceInfo) -> None:
+        if isinstance(stream.rate, FromDevice):
+            raise TypeError(f"stream {stream.data_name!r}: its rate must be known by now")
+        self.stream = stream
+        self.nominal_rate = stream.rate
+        self.source_id = naming.source_id(identity, stream.data_name)
+        self.name = naming.lsl_name(identity, stream.data_name)
+        self.counters = Counters()
+        lsl_info = pylsl.StreamInfo(
+            self.name,
+            stream.content_type.value,
+            len(stream.channels),
+            stream.rate,
+            stream.format.value,
+            self.source_id,
+        )
+        _append(lsl_info.desc(), describe(stream, identity, info))
+        self._outlet = pylsl.StreamOutlet(lsl_info)
+        # What a device says once or rarely, and what holds until it says otherwise.
+        tells_state = stream.is_state or stream.content_type in TYPES_OF_DEVICE
+        self._waits = tells_state and not stream.is_regular
+        self._ready_s = pylsl.local_clock() + ATTACH_TIME_S
+        self._waiting: deque[tuple[NDArray[Any], float]] = deque(maxlen=MAX_WAITING)
+
+    def push(self, samples: ArrayLike, stamps: Sequence[float]) -> str | None:
+        """Push samples that are newer than all before them.
+
+        Parameters
+        ----------
+        samples : array_like, shape (n_samples, n_channels) or (n_samples,)
+            Values in the units of the declaration; NaN is "no value", which
+            regular streams carry and irregular ones must not consist of.
+        stamps : sequence of float, length n_samples
+            LSL time of each sample, never decreasing.
+
+        Returns
+        -------
+        str or None
+            Why the samples were refused, None if they were pushed.
+        """
+        values = np.asarray(samples, dtype=np.float64)
+        if values.ndim == 1:
+            values = values[:, np.newaxis]
+        fault = self._fault(values, stamps)
+        if fault is not None:
+            self.counters.refused += len(stamps)
+            return fault
+        if len(stamps):
+            dtype = _DTYPES[self.stream.format]
+            data = np.ascontiguousarray(values, dtype=dtype)
+            if not self._has_audience():
+                self._waiting.extend(zip(data, stamps, strict=True))
+                self.counters.waited += len(stamps)
+                return None
+            self.release()
+            self._outlet.push_chunk(data, list(stamps))
+            self._count(stamps)
+        return None
+
+    def release(self) -> None:
+        """Push the samples that wait for receivers, if they need not wait any longer."""
+        if self._waiting and self._has_audience():
+            data, stamps = zip(*self._waiting, strict=True)
+            self._waiting.clear()
+            self._outlet.push_chunk(np.array(data), list(stamps))
+            self._count(stamps)
+
+    def withhold_waiting(self) -> None:
+        """Drop the samples that wait for receivers: their device has been paused."""
+        self.counters.withheld += len(self._waiting)
+        self._waiting.clear()
+
+    def _has_audience(self) -> bool:
+        if not self._waits:
+            return True
+        has_one = pylsl.local_clock() >= self._ready_s and self._outlet.have_consumers()
+        # Once is enough: whoever comes later gets what is measured later.
+        self._waits = not has_one
+        return has_one
+
+    def close(self) -> None:
+        """Destroy the LSL outlet now, whoever still holds this object; it is of no use then.
+
+        The traceback of a task that failed would keep it visible, and be recorded.
+        """
+        del self._outlet
+
+    def have_consumers(self) -> bool:
+        """Whether anybody receives the stream now."""
+        return self._outlet.have_consumers()
+
+    def push_text(self, text: str, stamp: float) -> None:
+        """Push one string sample."""
+        self._outlet.push_sample([text], stamp)
+        self._count([stamp])
+
+    def _count(self, stamps: Sequence[float]) -> None:
+        self.counters.pushed += len(stamps)
+        self.counters.last_stamp = stamps[-1]
+
+    def _fault(self, values: NDArray[np.float64], stamps: Sequence[float]) -> str | None:
+        expected = (len(stamps), len(self.stream.channels))
+        if values.shape != expected and (values.size or len(stamps)):
+            return f"samples of shape {values.shape} instead of {expected}"
+        if not len(stamps):
+            return None
+        return self._stamp_fault(stamps) or self._value_fault(values)
+
+    def _stamp_fault(self, stamps: Sequence[float]) -> str | None:
+        if not _is_sorted([self.counters.last_stamp, *stamps]):
+            return "stamps run backwards"
+        now = pylsl.local_clock()
+        if max(abs(stamps[0] - now), abs(stamps[-1] - now)) > MAX_STAMP_ERROR_S:
+            return "stamps are not on the LSL clock"
+        return None
+
+    def _is_too_large(self, values: NDArray[np.float64]) -> bool:
+        """Whether a value is infinite, or would become so in the stream's format."""
+        single = self.stream.format is ChannelFormat.FLOAT32
+        largest = np.finfo(np.float32 if single else np.float64).max
+        return bool((np.abs(values) > largest).any())
+
+    def _value_fault(self, values: NDArray[np.float64]) -> str | None:
+        missing = np.isnan(values)
+        if self._is_too_large(values):
+            return "infinite values"
+        if not self.stream.is_regular and missing.all(axis=1).any():
+            return "no value in an irregular stream"
+        if self.stream.format.is_float:
+            return None
+        if missing.any():
+            return "no value in an integer stream"
+        limits = np.iinfo(_DTYPES[self.stream.format])
+        low, high = self.stream.message_type.integer_range or (limits.min, limits.max)
+        if (values < low).any() or (values > high).any():
+            return f"values outside {low}..{high}"
+        return None
+
+
+def _is_sorted(stamps: Sequence[float]) -> bool:
+    return all(math.isfinite(b) and a <= b for a, b in pairwise(stamps))
+
+
+def _append(parent: pylsl.XMLElement, element: Element) -> None:
+    for child in element:
+        if len(child):
+            _append(parent.append_child(child.tag), child)
+        else:
+            parent.append_child_value(child.tag, child.text or "")
+
+
+class DeviceOutlets:
+    """All outlets of one device; they outlive its connections.
+
+    They are created at the first successful connection and live until the
+    agent ends: a drop-out is a gap, not a vanished stream.
+    """
+
+    def __init__(self, identity: DeviceIdentity) -> None:
+        self.identity = identity
+        self._sensor = sensor(identity.sensor)
+        self._outlets: dict[str, Outlet] = {}
+
+    def open(
+        self, info: DeviceInfo, rates: Mapping[str, float]
+    ) -> dict[str, tuple[float | FromDevice, float | FromDevice]]:
+        """Create the outlets that do not exist yet; rebuild those whose rate changed.
+
+        Parameters
+        ----------
+        info
+            What the device says of itself; the declaration fills the blanks.
+        rates
+            Nominal rate in Hz by data name, for streams whose rate the device sets.
+
+        Returns
+        -------
+        dict
+            Rate before and after, by data name, of those that were rebuilt.
+        """
+        changed: dict[str, tuple[float | FromDevice, float | FromDevice]] = {}
+        info = replace(
+            info,
+            manufacturer=info.manufacturer or self._sensor.manufacturer,
+            model=info.model or self._sensor.model,
+        )
+        for declared in self._sensor.streams:
+            stream = replace(declared, rate=rates.get(declared.data_name, declared.rate))
+            present = self._outlets.get(stream.data_name)
+            if present is None or present.stream != stream:
+                if present is not None:
+                    changed[stream.data_name] = (present.stream.rate, stream.rate)
+                # The old outlet must be gone before one of the same source_id appears.
+                self._outlets.pop(stream.data_name, None)
+                del present
+                self._outlets[stream.data_name] = Outlet(stream, self.identity, info)
+        return changed
+
+    def close(self) -> None:
+        """Destroy all outlets."""
+        for outlet in self._outlets.values():
+            outlet.close()
+        self._outlets.clear()
+
+    def release(self) -> None:
+        """Push what waits for a receiver; see :class:`Outlet`."""
+        for outlet in self._outlets.values():
+            outlet.release()
+
+    def withhold_waiting(self) -> None:
+        """Drop what waits for a receiver; see :class:`Outlet`."""
+        for outlet in self._outlets.values():
+            outlet.withhold_waiting()
+
+    def __getitem__(self, data_name: str) -> Outlet:
+        return self._outlets[data_name]
+
+    @property
+    def counters(self) -> dict[str, Counters]:
+        """Counters by source_id."""
+        return {outlet.source_id: outlet.counters for outlet in self._outlets.values()}
+
+    @property
+    def rates(self) -> dict[str, float]:
+        """Nominal rates in Hz by source_id, 0 of irregular streams."""
+        outlets = self._outlets.values()
+        return {each.source_id: each.nominal_rate for each in outlets}

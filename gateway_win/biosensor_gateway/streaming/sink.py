@@ -1,0 +1,309 @@
+"""Where a driver puts what it measured: from device time to pushed samples."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any, Protocol
+
+import numpy as np
+import structlog
+from numpy.typing import ArrayLike
+from pylsl import local_clock
+
+from biosensor_common.clocks import MonotonicStamps
+from biosensor_common.device_clock import ClockState, DeviceClock
+from biosensor_common.registry import sensor
+from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice
+from biosensor_gateway.streaming.counters import Counters
+from biosensor_gateway.streaming.outlets import MAX_STAMP_ERROR_S, DeviceOutlets
+from biosensor_gateway.streaming.pause_gate import Withholding
+from biosensor_gateway.streaming.silence import Silence, StreamWatch
+
+DEVICE_RESTARTED = "device_restarted"
+"""Cause of a re-anchor that a driver asks for."""
+
+_log = structlog.get_logger("biosensor_gateway.sink")
+
+
+class SinkObserver(Protocol):
+    """Is told what happens to a device's samples; must neither raise nor wait.
+
+    Of a paused device it hears nothing that was measured. All times are LSL times in
+    seconds.
+    """
+
+    def connected(self, info: DeviceInfo, changes: Mapping[str, tuple[object, object]]) -> None:
+        """Note a connection, and what differs from the one before: before and after, by name."""
+        ...
+
+    def sampled(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
+        """Note samples that were sent; of text there are stamps only."""
+        ...
+
+    def lost(self, data_name: str, count: int, since_s: float) -> None:
+        """Note samples that are missing behind the one of `since_s`."""
+        ...
+
+    def reanchored(self, cause: str, size_s: float | None) -> None:
+        """Note that the device's clock is mapped anew; None if how far it jumped is unknown."""
+        ...
+
+    def fell_silent(self, silence: Silence) -> None:
+        """Note streams that are due and do not come, and what is done about it."""
+        ...
+
+    def came_back(self, streams: frozenset[str]) -> None:
+        """Note that silent streams are heard again."""
+        ...
+
+    def paused(self) -> None:
+        """Note that nothing is sent from now on."""
+        ...
+
+    def resumed(self, send_from_s: float) -> None:
+        """Note that what is measured from then on is sent again."""
+        ...
+
+
+class DeviceSink:
+    """One device's clock, outlets and counters; they outlive its connections.
+
+    A driver reports packets with :meth:`observe`, then hands over their samples
+    with times on the device's own clock.
+
+    Attributes
+    ----------
+    observer
+        Is told what happens; None for nobody.
+    silent
+        Data names of the streams that the settings switch off.
+    watch
+        Knows which streams are due and do not come.
+    """
+
+    def __init__(self, identity: DeviceIdentity) -> None:
+        self.identity = identity
+        self.watch = StreamWatch()
+        self.observer: SinkObserver | None = None
+        self.silent: frozenset[str] = frozenset()
+        self._clock = DeviceClock()
+        self._outlets = DeviceOutlets(identity)
+        self._stamps: dict[str, MonotonicStamps] = {}
+        self._refusals: set[tuple[str, str]] = set()
+        self._withholding = Withholding()
+        self._newest: dict[str, float] = {}
+        self._steps: dict[str, tuple[float, float]] = {}
+        self._info = DeviceInfo()
+        self.dropped_bytes = 0
+
+    @property
+    def clock_state(self) -> ClockState:
+        """Offset, drift and re-anchors of the device's clock."""
+        return self._clock.state
+
+    @property
+    def counters(self) -> dict[str, Counters]:
+        """Counters of all streams by source_id."""
+        return self._outlets.counters
+
+    @property
+    def nominal_rates(self) -> dict[str, float]:
+        """Nominal rates in Hz of all streams by source_id, 0 of irregular ones."""
+        return self._outlets.rates
+
+    def rates_with(self, told: Mapping[str, float]) -> dict[str, float]:
+        """Return the nominal rates in Hz of all streams by data name, some told by the device."""
+        streams = sensor(self.identity.sensor).streams
+        rates = {each.data_name: told.get(each.data_name, each.rate) for each in streams}
+        return {name: rate for name, rate in rates.items() if not isinstance(rate, FromDevice)}
+
+    def open(self, info: DeviceInfo, rates: Mapping[str, float]) -> None:
+        """Create the outlets, at the first connection; see :meth:`DeviceOutlets.open`."""
+        rebuilt = self._outlets.open(info, rates)
+        if self.observer is not None:
+            changes = {f"{name}.rate_hz": rate for name, rate in rebuilt.items()}
+            self.observer.connected(info, {**changes, **_differences(self._info, info)})
+        self._info = info
+
+    def close(self) -> None:
+        """Destroy the outlets."""
+        self._outlets.close()
+
+    def release(self) -> None:
+        """Push states that wait for a receiver; to be called once a second or so."""
+        self._outlets.release()
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether the device's samples are withheld."""
+        return self._withholding.is_on
+
+    def pause(self) -> None:
+        """Send nothing from now on, also not what is still in work; the device stays connected."""
+        if not self.is_paused:
+            self._withholding.begin(local_clock())
+            self._outlets.withhold_waiting()
+            if self.observer is not None:
+                self.observer.paused()
+
+    def resume(self) -> None:
+        """Send again what is measured from now on; see :class:`Withholding`."""
+        if self.is_paused:
+            self._withholding.end(local_clock())
+            if self.observer is not None:
+                self.observer.resumed(self._withholding.send_from)
+
+    def heard(self, *data_names: str) -> None:
+        """Note that the device said something valid; see :meth:`StreamWatch.heard`.
+
+        Samples are noted by themselves, so only what comes without a value has to be told.
+        """
+        self.watch.heard(*data_names)
+
+    def tell_silent(self, silence: Silence) -> None:
+        """Tell the observer of streams that are due and do not come."""
+        if self.observer is not None:
+            self.observer.fell_silent(silence)
+
+    def tell_came_back(self, streams: frozenset[str]) -> None:
+        """Tell the observer of streams that had fallen silent."""
+        if self.observer is not None:
+            self.observer.came_back(streams)
+
+    def observe(self, device_s: float, arrival_s: float) -> None:
+        """Take in the device time of a packet's last sample and its LSL time of arrival."""
+        jump = self._clock.observe(device_s, arrival_s)
+        if jump is not None:
+            _log.warning(
+                "the device's clock jumped; its stamps are re-anchored",
+                **self._names(),
+                cause=jump.reason.value,
+                seconds=round(jump.size_s, 3),
+            )
+            if self.observer is not None:
+                self.observer.reanchored(jump.reason.value, jump.size_s)
+
+    def restart_clock(self) -> None:
+        """Map device times anew from the next observation on: the device counts anew.
+
+        Nothing can be emitted with device times before that observation.
+        """
+        reanchors = self._clock.state.reanchors
+        self._clock.restart()
+        if self.observer is not None and self._clock.state.reanchors > reanchors:
+            self.observer.reanchored(DEVICE_RESTARTED, None)
+
+    def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
+        """Push samples.
+
+        Parameters
+        ----------
+        samples : array_like, shape (n_samples, n_channels) or (n_samples,)
+            In the units of the declaration.
+        device_times : sequence of float, length n_samples
+            Device clock of each sample in seconds.
+        """
+        self.emit_at(data_name, samples, [self._clock.to_lsl(time) for time in device_times])
+
+    def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
+        """Push samples that the device does not stamp, with times on the LSL clock already.
+
+        Parameters
+        ----------
+        samples : array_like, shape (n_samples, n_channels) or (n_samples,)
+            In the units of the declaration.
+        lsl_times : sequence of float, length n_samples
+            LSL clock at each sample, as near as can be told, in seconds.
+        """
+        if len(lsl_times):
+            self.heard(data_name)
+        samples, stamps = self._sendable(data_name, samples, lsl_times)
+        if len(lsl_times) and not len(stamps):
+            return
+        if max(stamps, default=0.0) < local_clock() + MAX_STAMP_ERROR_S:
+            # One from the future is refused; guarded, it would push all later ones there, too.
+            stamps = self._guarded(data_name, stamps)
+        refusal = self._outlets[data_name].push(samples, stamps)
+        if refusal is None:
+            self._tell_sampled(data_name, samples, stamps)
+        elif (data_name, refusal) not in self._refusals:
+            # Once per cause: the counter tells how often.
+            self._refusals.add((data_name, refusal))
+            _log.error("samples were refused", **self._names(), data=data_name, cause=refusal)
+
+    def emit_value(self, data_name: str, value: float | None, device_s: float) -> None:
+        """Push one value of a one-channel stream; None is "no value", which sends nothing."""
+        if value is not None:
+            self.emit(data_name, [value], [device_s])
+
+    def emit_text(self, data_name: str, text: str, device_s: float) -> None:
+        """Push one string sample measured at a time of the device's clock."""
+        self.heard(data_name)
+        _, stamps = self._sendable(data_name, [0.0], [self._clock.to_lsl(device_s)])
+        for stamp in self._guarded(data_name, stamps):
+            self._outlets[data_name].push_text(text, stamp)
+            self._tell_sampled(data_name, (), [stamp])
+
+    def lost(self, data_name: str, count: int) -> None:
+        """Count samples that the device measured and that never arrived.
+
+        Those that a pause would have withheld are none: of a gap that was partly paused,
+        the same part is not counted.
+        """
+        begin, end = self._missing_span(data_name)
+        missed = count - round(count * self._withholding.share(begin, end))
+        self._outlets[data_name].counters.lost += missed
+        if missed and self.observer is not None:
+            self.observer.lost(data_name, missed, begin)
+
+    def _sendable(
+        self, data_name: str, samples: ArrayLike, times: Sequence[float]
+    ) -> tuple[ArrayLike, Sequence[float]]:
+        """Take out, and count, what a pause withholds."""
+        if not len(times):
+            return samples, times
+        self._note_step(data_name, times)
+        may_send = self._withholding.may_send(times)
+        rows = np.asarray(samples)
+        # Samples that do not fit their times are refused; there is no telling which is which.
+        if all(may_send) or rows.shape[:1] != (len(times),):
+            return samples, times
+        self._outlets[data_name].counters.withheld += may_send.count(False)
+        return rows[may_send], [time for time, sent in zip(times, may_send, strict=True) if sent]
+
+    def _note_step(self, data_name: str, times: Sequence[float]) -> None:
+        newest = self._newest.get(data_name)
+        if newest is not None:
+            self._steps[data_name] = newest, times[0]
+        self._newest[data_name] = min(max(times), local_clock())
+
+    def _missing_span(self, data_name: str) -> tuple[float, float]:
+        """Return where lost samples are missing, in LSL time.
+
+        Some drivers count them before they emit what follows the gap, some after.
+        """
+        now = local_clock()
+        newest = self._newest.get(data_name, now)
+        spans = (newest, now), self._steps.get(data_name, (newest, newest))
+        return max(spans, key=lambda span: span[1] - span[0])
+
+    def _tell_sampled(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
+        if self.observer is not None and len(stamps):
+            self.observer.sampled(data_name, samples, stamps)
+
+    def _guarded(self, data_name: str, stamps: Sequence[float]) -> list[float]:
+        return self._stamps.setdefault(data_name, MonotonicStamps()).apply(stamps)
+
+    def _names(self) -> dict[str, Any]:
+        return {"sensor": self.identity.sensor, "unit": self.identity.unit}
+
+
+def _differences(before: DeviceInfo, after: DeviceInfo) -> dict[str, tuple[object, object]]:
+    """Return what a device says of itself now and did not before, where it says both."""
+    then, now = asdict(before), asdict(after)
+    return {
+        name: (then[name], now[name])
+        for name in then
+        if then[name] and now[name] and then[name] != now[name]
+    }

@@ -1,0 +1,184 @@
+"""Keeps the computer from going to sleep by itself while a device streams.
+
+Only the sleep of the system is held off: the screen may go dark, and a closed lid still
+sends it to sleep. How it is held off:
+
+Windows
+    A power request (``PowerCreateRequest``), because ``powercfg /requests`` then shows
+    who asks and why, and because it belongs to the process, not to a thread. Where a
+    system has no power requests, ``SetThreadExecutionState``, which shows no reason.
+    On battery, a computer with Modern Standby ends either after a few minutes.
+macOS
+    ``caffeinate``; ``pmset -g assertions`` shows it.
+Linux
+    An inhibitor lock of logind through ``systemd-inhibit``; ``systemd-inhibit --list``
+    shows it.
+
+All three end with the agent, however it ends.
+
+Sources: Microsoft's documentation of ``PowerSetRequest``, the manuals caffeinate(8) and
+systemd-inhibit(1).
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+import structlog
+
+from biosensor_gateway.system.keep_awake.program import ProgramInhibitor
+
+if sys.platform == "win32":
+    from biosensor_gateway.system.keep_awake.windows import WindowsInhibitor
+
+GRACE_S = 60.0
+"""How long the computer is kept awake without a stream: devices drop out for seconds."""
+RETRY_S = 60.0
+"""How long a system that refused is left alone."""
+
+_WHO = "Biosensor Gateway"
+_WHY = "a biosensor is streaming"
+_BUS_VARIABLE = "DBUS_SYSTEM_BUS_ADDRESS"
+_BUS_SOCKET = Path("/run/dbus/system_bus_socket")
+
+_log = structlog.get_logger("biosensor_gateway.keep_awake")
+
+
+class Inhibitor(Protocol):
+    """One way to hold off sleep."""
+
+    @property
+    def way(self) -> str:
+        """Name of what holds off sleep, for the log."""
+        ...
+
+    def begin(self) -> None:
+        """Ask the system; raises ``OSError`` if it refuses at once."""
+        ...
+
+    def held(self) -> bool:
+        """Whether the system has agreed by now; raises ``OSError`` if it has refused."""
+        ...
+
+    def end(self) -> None:
+        """Take back whatever was asked, also what was refused."""
+        ...
+
+
+class KeepAwake:
+    """Holds off sleep while it is wanted, and for ``GRACE_S`` after.
+
+    Nothing that the system answers is raised: recording goes on, and the log says
+    once that the computer may go to sleep. Every call must come from the same thread,
+    which must live as long as the hold: Windows keeps the execution state by thread.
+    In the agent it is the thread of the event loop.
+
+    Parameters
+    ----------
+    inhibitor
+        How to hold off sleep; ``None`` if it is not to be or cannot be.
+    clock
+        Monotonic time in seconds.
+    """
+
+    def __init__(
+        self, inhibitor: Inhibitor | None, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._inhibitor = inhibitor
+        self._clock = clock
+        self._wanted_until = -float("inf")
+        self._retry_at = -float("inf")
+        self._asked = self._held = self._warned = False
+
+    def hold(self, wanted: bool) -> None:
+        """Say whether the computer should stay awake; to be called about once a second."""
+        if self._inhibitor is None:
+            return
+        now = self._clock()
+        # Before it is wanted anew: a sleep that a person asked for ends a power request
+        # of Windows, whose clock counts the sleep; so it is asked for again after it.
+        if now >= self._wanted_until:
+            self._let_go(self._inhibitor)
+        if wanted:
+            self._wanted_until = now + GRACE_S
+        if now < self._wanted_until:
+            self._keep(self._inhibitor, now)
+
+    def close(self) -> None:
+        """Let the computer sleep."""
+        self._wanted_until = -float("inf")
+        if self._inhibitor is not None:
+            self._let_go(self._inhibitor)
+
+    def _keep(self, inhibitor: Inhibitor, now: float) -> None:
+        try:
+            if not self._asked:
+                if now < self._retry_at:
+                    return
+                self._asked = True
+                inhibitor.begin()
+            held_before, self._held = self._held, inhibitor.held()
+            if self._held and not held_before:
+                _log.info(
+                    "the computer is kept from sleeping while a device streams", way=inhibitor.way
+                )
+        except OSError as error:
+            self._take_back(inhibitor)
+            self._retry_at = now + RETRY_S
+            self._warn(inhibitor, error)
+
+    def _let_go(self, inhibitor: Inhibitor) -> None:
+        if self._held:
+            _log.info("the computer may go to sleep again")
+        if self._asked:
+            self._take_back(inhibitor)
+
+    def _take_back(self, inhibitor: Inhibitor) -> None:
+        self._asked = self._held = False
+        try:
+            inhibitor.end()
+        except OSError as error:
+            _log.debug("what kept the computer awake did not end well", error=str(error))
+
+    def _warn(self, inhibitor: Inhibitor, error: OSError) -> None:
+        if not self._warned:
+            self._warned = True
+            _log.warning(
+                "the computer may go to sleep while a device streams; "
+                "switch its automatic sleep off in the settings of the system",
+                way=inhibitor.way,
+                error=str(error),
+            )
+
+
+def system_inhibitor(platform: str = sys.platform) -> Inhibitor | None:
+    """Choose how this system is kept awake; ``None`` if nothing here can do it."""
+    if sys.platform == "win32":
+        return WindowsInhibitor(f"{_WHO}: {_WHY}")
+    inhibitor = _caffeinate() if platform == "darwin" else _systemd_inhibit()
+    if inhibitor is None:
+        _log.debug("nothing on this computer can hold off its sleep")
+    return inhibitor
+
+
+def _caffeinate() -> Inhibitor | None:
+    program = shutil.which("caffeinate")
+    if program is None:
+        return None
+    return ProgramInhibitor([program, "-i", "-w", str(os.getpid())], echoes=False)
+
+
+def _systemd_inhibit() -> Inhibitor | None:
+    program = shutil.which("systemd-inhibit")
+    # A container has the program, but nobody who would put it to sleep.
+    if program is None or not (_BUS_VARIABLE in os.environ or _BUS_SOCKET.exists()):
+        return None
+    command = [program, "--what=sleep:idle", "--mode=block", f"--who={_WHO}", f"--why={_WHY}"]
+    # It runs cat once it has the lock, and cat ends with its input, which ends with us.
+    return ProgramInhibitor([*command, "cat"], echoes=True)

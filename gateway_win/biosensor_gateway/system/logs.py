@@ -1,0 +1,194 @@
+"""Logging: sentences on the console, JSON lines in a rotating file, no secrets in either.
+
+The gateway's modules log through ``structlog.stdlib.get_logger(__name__)``,
+libraries through :mod:`logging`; both arrive at the same two outputs. Whoever logs
+waits for neither of them: see `biosensor_gateway.system.log_outputs`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import re
+import sys
+from collections.abc import Generator, Mapping
+from pathlib import Path
+from typing import cast
+
+import structlog
+from structlog.typing import EventDict, Processor, WrappedLogger
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.relay import LAST_LINES_S, STDERR, STDOUT, console, relayed
+from biosensor_gateway.settings.models import STATE_VARIABLE, LogSettings
+from biosensor_gateway.system.log_outputs import QueuedHandler, console_handler, file_handler
+
+LOG_FILE_NAME = "biosensor-gateway.log"
+
+_OWN_LOGGER = "biosensor_gateway"
+_CONSOLE, _FILE = "biosensor-gateway.console", "biosensor-gateway.file"
+_MASK = "***"
+_SENSITIVE = r"(?:secret|passw|token|client_?id|api_?key|credential|authorization)"
+_SENSITIVE_KEY = re.compile(_SENSITIVE, re.IGNORECASE)
+# key = value, key: value and "key": "value", also with the quotes escaped
+_SENSITIVE_TEXT = re.compile(
+    rf"""(?P<key>{_SENSITIVE}\w{{0,32}}\\*["']?\s*[=:]\s*)
+         (?:\\*"[^"]*"|\\*'[^']*'|(?:bearer\s+)?[^\s,;&)}}\]]+)""",
+    re.IGNORECASE | re.VERBOSE,
+)
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
+
+_COMMON: tuple[Processor, ...] = (
+    structlog.contextvars.merge_contextvars,
+    structlog.stdlib.add_logger_name,
+    structlog.stdlib.add_log_level,
+    structlog.processors.TimeStamper(fmt="iso", utc=True),
+)
+
+
+def configure_logs(settings: LogSettings, folder: Path | None, *, verbose: bool = False) -> None:
+    """Send all logging to the console and to a file; what was set up before is replaced.
+
+    Libraries are never logged below ``info``: their debug lines hold samples
+    and whole messages.
+
+    Parameters
+    ----------
+    settings
+        Level, and size and number of files.
+    folder
+        Where ``biosensor-gateway.log`` is written, made if needed; ``None``
+        for the console alone.
+    verbose
+        Log at ``debug``, whatever the settings say.
+
+    Raises
+    ------
+    ConfigError
+        ``UNREADABLE`` if the file cannot be written. The logging that was set
+        up before stays, so the caller can go on with ``folder=None``.
+    """
+    file = _file_handler(settings, folder) if folder else None
+    _remove_own_handlers()
+    root = logging.getLogger()
+    for handler in (_console_handler(), file):
+        if handler is not None:
+            root.addHandler(handler)
+    level = logging.DEBUG if verbose else logging.getLevelNamesMapping()[settings.level.upper()]
+    root.setLevel(max(level, logging.INFO))
+    logging.getLogger(_OWN_LOGGER).setLevel(level)
+    structlog.configure(
+        processors=[
+            structlog.stdlib.filter_by_level,
+            *_COMMON,
+            structlog.stdlib.PositionalArgumentsFormatter(),
+            structlog.stdlib.ProcessorFormatter.wrap_for_formatter,
+        ],
+        logger_factory=structlog.stdlib.LoggerFactory(),
+        wrapper_class=structlog.stdlib.BoundLogger,
+    )
+
+
+def flush_logs(limit_s: float = LAST_LINES_S) -> bool:
+    """Wait until all that was logged is written, for each output at most so long."""
+    flushed = [handler.outflow.flush(limit_s) for handler in _own_handlers()]
+    return all(flushed)
+
+
+@contextlib.contextmanager
+def console_relayed() -> Generator[None]:
+    """Let nothing in this process wait for the console, whoever writes to it and how.
+
+    To be used after `configure_logs`. At the end the console gets the last lines, for
+    `LAST_LINES_S` at most, and the logging is over.
+    """
+    outflows = [each.outflow for each in _own_handlers() if each.get_name() == _CONSOLE]
+    stdout = console(STDOUT, "console")
+    with relayed([(STDOUT, stdout), *((STDERR, outflow) for outflow in outflows)]):
+        yield
+    _remove_own_handlers()
+
+
+def _own_handlers() -> list[QueuedHandler]:
+    return [each for each in logging.getLogger().handlers if isinstance(each, QueuedHandler)]
+
+
+def _remove_own_handlers() -> None:
+    for handler in _own_handlers():
+        logging.getLogger().removeHandler(handler)
+        handler.close()
+
+
+def _console_handler() -> QueuedHandler | None:
+    handler = console_handler(_CONSOLE)
+    if handler is not None:
+        renderer = structlog.dev.ConsoleRenderer(
+            colors=sys.stderr.isatty() and not os.environ.get("NO_COLOR"),
+            sort_keys=False,
+            repr_native_str=True,
+            exception_formatter=structlog.dev.plain_traceback,
+        )
+        handler.setFormatter(
+            _formatter(_exception_in_short, _mask_secrets, _event_on_one_line, renderer)
+        )
+    return handler
+
+
+def _file_handler(settings: LogSettings, folder: Path) -> QueuedHandler:
+    path = folder / LOG_FILE_NAME
+    try:
+        handler = file_handler(_FILE, path, settings.max_bytes, settings.keep_files)
+    except OSError as error:
+        message = (
+            f"cannot write the log file in {folder}: {error.strerror or error}; let "
+            f"{STATE_VARIABLE} name a folder that can be written"
+        )
+        raise ConfigError(ConfigReason.UNREADABLE, message) from error
+    renderer = structlog.processors.JSONRenderer()
+    handler.setFormatter(_formatter(structlog.processors.format_exc_info, _mask_secrets, renderer))
+    return handler
+
+
+def _formatter(*processors: Processor) -> logging.Formatter:
+    return structlog.stdlib.ProcessorFormatter(
+        foreign_pre_chain=_COMMON,
+        processors=[structlog.stdlib.ProcessorFormatter.remove_processors_meta, *processors],
+    )
+
+
+def _exception_in_short(_logger: WrappedLogger, _method: str, event_dict: EventDict) -> EventDict:
+    """Replace the exception by its class and text; the file has the traceback."""
+    raised: object = event_dict.pop("exc_info", None)
+    event_dict.pop("stack_info", None)
+    if raised is True:
+        raised = sys.exc_info()
+    if isinstance(raised, tuple):
+        raised = cast("tuple[object, ...]", raised)[1]
+    if isinstance(raised, BaseException):
+        event_dict["cause"] = f"{type(raised).__name__}: {raised}"
+    return event_dict
+
+
+def _mask_secrets(_logger: WrappedLogger, _method: str, event_dict: EventDict) -> EventDict:
+    return {key: _masked(key, value) for key, value in event_dict.items()}
+
+
+def _masked(key: object, value: object) -> object:
+    if isinstance(key, str) and _SENSITIVE_KEY.search(key):
+        return _MASK
+    if isinstance(value, str):
+        return _SENSITIVE_TEXT.sub(rf"\g<key>{_MASK}", value)
+    if isinstance(value, Mapping):
+        entries = cast("Mapping[object, object]", value)
+        return {inner: _masked(inner, entry) for inner, entry in entries.items()}
+    if isinstance(value, list | tuple):
+        return [_masked(None, entry) for entry in cast("list[object]", value)]
+    return value
+
+
+def _event_on_one_line(_logger: WrappedLogger, _method: str, event_dict: EventDict) -> EventDict:
+    """Escape line ends and terminal commands, as the renderer does for the values."""
+    event = str(event_dict.get("event", ""))
+    event_dict["event"] = _CONTROL.sub(lambda found: repr(found[0])[1:-1], event)
+    return event_dict

@@ -1,0 +1,1 @@
+"""Counts what came, what was lost and when it was measured."""

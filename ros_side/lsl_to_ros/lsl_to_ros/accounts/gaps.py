@@ -1,0 +1,83 @@
+"""Where samples of a regular stream are missing, by their stamps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from lsl_to_ros.lsl.blocks import Stamps
+
+# Two samples whose stamps are further apart than this many periods are not neighbours.
+GAP_PERIODS = 1.5
+# Other programs often stamp with the time at which they push, so their stamps jitter.
+FOREIGN_JITTER_S = 0.1
+# Stamps that jump to another clock must not make a count that no message can hold.
+MOST_MISSING = 1_000_000_000
+
+
+class Gap(NamedTuple):
+    """A break before one sample of a block.
+
+    Attributes
+    ----------
+    place
+        Of the first sample after the gap.
+    missing
+        Samples that would fit into it, an estimate.
+    """
+
+    place: int
+    missing: int
+
+
+class GapFinder:
+    """Looks at every stamp of one stream, in the order of arrival.
+
+    Parameters
+    ----------
+    rate
+        Nominal, in Hz; an irregular stream (0) has no gaps.
+    foreign
+        Whether the stamps are another program's, which may be anything.
+    """
+
+    def __init__(self, rate: float, *, foreign: bool) -> None:
+        self._last: float | None = None
+        self._rate = rate
+        jitter = FOREIGN_JITTER_S if foreign else 0.0
+        self._longest_step = max(GAP_PERIODS / rate, jitter) if rate > 0 else math.inf
+
+    @property
+    def last_stamp(self) -> float:
+        """Newest finite stamp; 0 before the first."""
+        return self._last or 0.0
+
+    def find(self, stamps: Stamps) -> list[Gap]:
+        """Take in the stamps of a block; return its gaps."""
+        if len(stamps) == 1:
+            return self._find_one(float(stamps[0]))
+        finite = np.flatnonzero(np.isfinite(stamps))
+        if not len(finite):
+            return []
+        times = stamps[finite]
+        previous, self._last = self._last, float(times[-1])
+        if math.isinf(self._longest_step):
+            return []
+        with np.errstate(over="ignore"):
+            steps = np.diff(times, prepend=times[0] if previous is None else previous)
+        places = np.flatnonzero(steps > self._longest_step)
+        return [gap for at in places for gap in self._gap(int(finite[at]), float(steps[at]))]
+
+    def _find_one(self, stamp: float) -> list[Gap]:
+        if not math.isfinite(stamp):
+            return []
+        previous, self._last = self._last, stamp
+        return [] if previous is None else list(self._gap(0, stamp - previous))
+
+    def _gap(self, index: int, step_s: float) -> Iterator[Gap]:
+        if step_s > self._longest_step:
+            periods = step_s * self._rate
+            yield Gap(index, round(min(periods, MOST_MISSING)) - 1)

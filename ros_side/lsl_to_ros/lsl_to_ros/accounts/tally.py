@@ -1,0 +1,137 @@
+"""What became of one stream's samples, over all its connections."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from biosensor_common.stream_header import StreamHeader
+from lsl_to_ros.accounts.losses import LossAccount
+
+
+@dataclass(frozen=True, slots=True)
+class Lost:
+    """Samples of a stream that did not reach the node.
+
+    Attributes
+    ----------
+    count
+        -1 if nobody can know.
+    is_estimated
+        From stamps, not from the agent's count.
+    """
+
+    count: int
+    is_estimated: bool
+
+    def __str__(self) -> str:
+        if self.count < 0:
+            return "unknown"
+        return f"about {self.count}" if self.is_estimated else str(self.count)
+
+
+@dataclass(slots=True)
+class Delays:
+    """Ages of blocks of samples when the node got them, in seconds."""
+
+    total: float = 0.0
+    count: int = 0
+    longest: float = 0.0
+
+    def add(self, age_s: float) -> None:
+        """Take in the age of a block's newest sample."""
+        self.total += age_s
+        self.count += 1
+        self.longest = max(self.longest, age_s)
+
+    @property
+    def mean(self) -> float | None:
+        """None if there was no block."""
+        return self.total / self.count if self.count else None
+
+
+@dataclass(slots=True)
+class Tally:
+    """What is counted of one stream; it outlives its bridges.
+
+    Attributes
+    ----------
+    received
+        Samples received.
+    missing
+        Samples that did not come, estimated from the stamps of a regular stream.
+    unfit
+        Samples that do not fit a message type, and were not published there.
+    unstamped
+        Samples that no stamped topic got, because the sender's clock stayed unknown.
+    discarded
+        Samples of partial chunks that ended at a gap. They went out raw.
+    undelivered
+        Samples that LSL dropped with the last connection.
+    account
+        The agent's count against ours.
+    delays
+        Since the last report.
+    clock
+        State of the device's clock, by `messages.CLOCK_FACTS`; of one stream of each device.
+    """
+
+    received: int = 0
+    missing: int = 0
+    unfit: int = 0
+    unstamped: int = 0
+    discarded: int = 0
+    undelivered: int = 0
+    account: LossAccount = field(default_factory=LossAccount)
+    delays: Delays = field(default_factory=Delays)
+    clock: Mapping[str, float] = field(default_factory=dict[str, float])
+
+    def lost(self, *, can_estimate: bool) -> Lost:
+        """By the agent's count, else by an estimate, else unknown."""
+        losses = self.account.losses
+        if losses is not None:
+            return Lost(losses.total, is_estimated=False)
+        return (
+            Lost(self.missing, is_estimated=True) if can_estimate else Lost(-1, is_estimated=False)
+        )
+
+    def connection_ended(self, undelivered: int) -> None:
+        """Take note of what LSL dropped; an outlet that continues reports it itself."""
+        self.undelivered = undelivered
+        self.missing += undelivered
+
+    def outlet_changed(self) -> None:
+        """Take note that the samples to come are another outlet's."""
+        self.account.restarted(self.undelivered)
+        self.undelivered = 0
+
+    def take_delays(self) -> Delays:
+        """Return the delays since the last call."""
+        delays, self.delays = self.delays, Delays()
+        return delays
+
+
+class Refusals:
+    """Counts samples that do not fit a message, and says it of the first.
+
+    Parameters
+    ----------
+    warn
+        Called with a sentence.
+    """
+
+    def __init__(self, header: StreamHeader, tally: Tally, warn: Callable[[str], None]) -> None:
+        self._name = f"{header.identity.sensor} {header.data_name}"
+        self._tally = tally
+        self._warn = warn
+
+    def __call__(self, count: int, reason: str) -> None:
+        """Take note of *count* samples."""
+        if not self._tally.unfit:
+            self._warn(f"{self._name}: a sample is not published ({reason})")
+        self._tally.unfit += count
+
+
+def can_estimate_losses(header: StreamHeader) -> bool:
+    """Whether gaps of the stamps tell of losses; our own streams have the agent's count."""
+    return header.foreign and header.rate > 0

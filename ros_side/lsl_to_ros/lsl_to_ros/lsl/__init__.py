@@ -1,0 +1,1 @@
+"""Finds streams in the Lab Streaming Layer and reads them."""

@@ -1,0 +1,213 @@
+"""Which streams are there, and one inlet for each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from itertools import count
+from time import monotonic
+from typing import NamedTuple
+
+import pylsl
+
+from biosensor_common.errors import SpecError
+from biosensor_common.quantities import ContentType
+from lsl_to_ros.lsl.inlets import Inlet, InletState
+
+# An outlet that has just died is still reported by the resolver for a while.
+RETRY_S = 0.5
+RETRY_FAILED_S = 5.0
+FORGET_AFTER_S = 5.0
+# An outlet that is reported for longer after another took its place is alive.
+ALIVE_AFTER_S = FORGET_AFTER_S + 2.0
+# After a cut, TCP sends again after 6.3 s or 12.7 s, with all that it kept; the tries
+# after that are so far apart that a stream which is seen again is not waited for.
+PATIENCE_S = 14.0
+SEEN_AGAIN_S = 4.0
+STOP_TIMEOUT_S = 1.0
+
+
+class Changes(NamedTuple):
+    """What is new since the last look."""
+
+    ready: list[Inlet]
+    gone: list[Inlet]
+
+
+class Discovery:
+    """Keeps one inlet for each stream on the network.
+
+    An inlet is given up when its stream is lost or comes back under the same
+    source_id, never because the resolver stopped seeing it: a cut network heals
+    by itself, with its backlog. Where it does not within some seconds after the
+    resolver sees the stream again, the stream is attached anew, without it.
+    """
+
+    def __init__(self, warn: Callable[[str], None], predicate: str = "") -> None:
+        self._warn = warn
+        self._predicate = predicate
+        self._resolver = _resolver(predicate)
+        self._inlets: dict[str, Inlet] = {}
+        self._announced: set[str] = set()
+        self._order: dict[str, int] = {}
+        self._numbers = count()
+        self._not_before: dict[str, float] = {}
+        self._left_out: dict[str, float] = {}
+        self._refused: set[str] = set()
+        self._warned: set[str] = set()
+        self._unseen: set[str] = set()
+        self._seen_again: dict[str, float] = {}
+
+    @property
+    def inlets(self) -> list[Inlet]:
+        """All present inlets."""
+        return list(self._inlets.values())
+
+    @property
+    def refused(self) -> int:
+        """How many of the present streams cannot be used."""
+        return len(self._refused)
+
+    def set_predicate(self, predicate: str) -> None:
+        """Serve other streams from now on.
+
+        Parameters
+        ----------
+        predicate
+            LSL query; empty for all streams.
+        """
+        if predicate != self._predicate:
+            self._predicate = predicate
+            self._resolver = _resolver(predicate)
+
+    def update(self) -> Changes:
+        """Open inlets for new streams; return those that became ready or ended."""
+        gone = self._ended()
+        found = {info.uid(): info for info in self._resolver.results()}
+        gone += [inlet for inlet in self._stranded(found) if inlet not in gone]
+        for uid, info in found.items():
+            self._order.setdefault(uid, next(self._numbers))
+            if self._is_new(uid) and not self._is_superseded(info):
+                gone += self._open(info)
+        self._forget(gone, found)
+        self._warn_of_twins(found)
+        ready = [
+            inlet
+            for inlet in self.inlets
+            if inlet.state is InletState.READY and inlet.uid not in self._announced
+        ]
+        for inlet in ready:
+            inlet.is_served = inlet.matches(self._predicate)
+            self._announced.add(inlet.uid)
+        return Changes(ready, gone)
+
+    def stop(self) -> None:
+        """End all inlets."""
+        closing = [inlet.stop() for inlet in self.inlets]
+        deadline = monotonic() + STOP_TIMEOUT_S
+        for thread in closing:
+            thread.join(max(0.0, deadline - monotonic()))
+        self._inlets.clear()
+
+    def _ended(self) -> list[Inlet]:
+        ended: list[Inlet] = []
+        for inlet in self.inlets:
+            wait = {InletState.LOST: RETRY_S, InletState.FAILED: RETRY_FAILED_S}.get(inlet.state)
+            if wait is not None:
+                self._not_before[inlet.uid] = monotonic() + wait
+            if inlet.state is InletState.REFUSED:
+                self._refused.add(inlet.uid)
+                ended.append(inlet)
+            elif wait is not None or self._is_served_otherwise(inlet):
+                ended.append(inlet)
+        return ended
+
+    def _stranded(self, found: Mapping[str, pylsl.StreamInfo]) -> list[Inlet]:
+        """Return the inlets whose stream is seen again after a cut, and is not heard."""
+        now = monotonic()
+        for inlet in self.inlets:
+            if inlet.uid not in found:
+                self._unseen.add(inlet.uid)
+                self._seen_again.pop(inlet.uid, None)
+            elif inlet.uid in self._unseen:
+                self._unseen.discard(inlet.uid)
+                self._seen_again[inlet.uid] = now
+        silent = [
+            inlet
+            for inlet in self.inlets
+            if now - self._seen_again.get(inlet.uid, now) > SEEN_AGAIN_S
+            and now - inlet.heard_s > PATIENCE_S
+        ]
+        # What is irregular may have nothing to say; it goes with its computer's other streams.
+        hosts = {inlet.core.hostname for inlet in silent if inlet.core.rate > 0 < inlet.heard_s}
+        stranded = [inlet for inlet in silent if inlet.core.hostname in hosts]
+        for inlet in stranded:
+            self._warn(f"{inlet.core}: seen again after a cut, but not heard; it is opened anew")
+        return stranded
+
+    def _is_served_otherwise(self, inlet: Inlet) -> bool:
+        """Whether the predicate has changed for a stream since it was announced."""
+        is_announced = inlet.uid in self._announced
+        return is_announced and inlet.matches(self._predicate) is not inlet.is_served
+
+    def _open(self, info: pylsl.StreamInfo) -> list[Inlet]:
+        """Open an inlet; return those that it replaces."""
+        try:
+            inlet = Inlet(info, self._warn)
+        except SpecError as error:
+            self._warn(f"an LSL stream is ignored: {error}")
+            self._refused.add(info.uid())
+            return []
+        replaced = [other for other in self.inlets if other.continues_as(info)]
+        self._inlets[inlet.uid] = inlet
+        self._left_out.pop(inlet.uid, None)
+        return replaced
+
+    def _is_new(self, uid: str) -> bool:
+        if uid in self._inlets or uid in self._refused:
+            return False
+        return monotonic() >= self._not_before.get(uid, 0.0)
+
+    def _is_superseded(self, info: pylsl.StreamInfo) -> bool:
+        """Whether an outlet that appeared later took the place of this one.
+
+        The earlier one is dead and still reported; or both live and share a source_id,
+        where attaching to them in turn would lose samples of both.
+        """
+        uid = info.uid()
+        later = [inlet for inlet in self.inlets if self._order[inlet.uid] > self._order[uid]]
+        if not any(inlet.continues_as(info) for inlet in later):
+            return False
+        self._left_out.setdefault(uid, monotonic())
+        return True
+
+    def _warn_of_twins(self, found: Mapping[str, pylsl.StreamInfo]) -> None:
+        """Say that a live outlet is left out because a later one claims to be the same stream."""
+        for uid, since in self._left_out.items():
+            if monotonic() - since > ALIVE_AFTER_S and uid not in self._warned:
+                self._warned.add(uid)
+                name, host = found[uid].name(), found[uid].hostname()
+                self._warn(
+                    f"two LSL streams {name!r} share a source_id; that on {host} is left out"
+                )
+
+    def _forget(self, gone: list[Inlet], found: Mapping[str, pylsl.StreamInfo]) -> None:
+        for inlet in gone:
+            inlet.stop()
+            self._inlets.pop(inlet.uid, None)
+            self._announced.discard(inlet.uid)
+        known = found.keys() | self._inlets.keys()
+        for record in (self._not_before, self._left_out, self._order):
+            for uid in record.keys() - known:
+                del record[uid]
+        self._unseen.intersection_update(self._inlets)
+        for uid in self._seen_again.keys() - self._inlets.keys():
+            del self._seen_again[uid]
+        self._refused.intersection_update(found)
+        self._warned.intersection_update(found)
+
+
+def _resolver(predicate: str) -> pylsl.ContinuousResolver:
+    """Look for what a predicate names, and for the counts of losses of all agents."""
+    # In brackets, for liblsl puts its own condition on the session before it.
+    query = f"(({predicate}) or type='{ContentType.COUNTERS}')" if predicate else None
+    return pylsl.ContinuousResolver(pred=query, forget_after=FORGET_AFTER_S)

@@ -1,0 +1,168 @@
+"""The parameters of the node as a whole."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeGuard, cast
+
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, ParameterType
+from rclpy.node import Node
+
+from lsl_to_ros.lsl.liblsl import is_query
+
+TOPIC_PREFIX, STREAM_PREDICATE = "topic_prefix", "stream_predicate"
+SESSION_ID, KNOWN_PEERS = "session_id", "known_peers"
+BURST_PACING = "burst_pacing"
+
+QOS_OVERRIDES = "qos_overrides."
+MAX_PREFIX_CHARACTERS = 100
+MAX_DEPTH = 1_000_000
+# Measured: decision 32.
+PACING_PER_MS, MAX_PACING_PER_MS = 0.5, 1000.0
+
+_RELATIVE_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
+_QOS_VALUES = {
+    "history": ("keep_last", "keep_all", "system_default"),
+    "reliability": ("reliable", "best_effort", "system_default"),
+    "durability": ("volatile", "transient_local", "system_default"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _Parameter:
+    """One parameter; ``fault`` says why a value of the right type is refused."""
+
+    default: str | float | list[str]
+    description: str
+    fault: Callable[[Any], str | None]
+    read_only: bool = False
+    most: float | None = None
+
+    @property
+    def descriptor(self) -> ParameterDescriptor:
+        limits = [] if self.most is None else [FloatingPointRange(to_value=self.most)]
+        return ParameterDescriptor(
+            description=self.description,
+            read_only=self.read_only,
+            type=_TYPES[type(self.default)],
+            floating_point_range=limits,
+        )
+
+
+_TYPES: dict[type[Any], int] = {
+    float: ParameterType.PARAMETER_DOUBLE,
+    list: ParameterType.PARAMETER_STRING_ARRAY,
+    str: ParameterType.PARAMETER_STRING,
+}
+
+
+def _prefix_fault(value: str) -> str | None:
+    is_name = _RELATIVE_NAME.fullmatch(value) and "__" not in value and not value.endswith("_")
+    if (is_name and len(value) <= MAX_PREFIX_CHARACTERS) or not value:
+        return None
+    return (
+        "must be a relative ROS name of letters, digits, single underscores and slashes,"
+        f" at most {MAX_PREFIX_CHARACTERS} characters, such as biosensors; it is {value!r}"
+    )
+
+
+def _query_fault(value: str) -> str | None:
+    if not value or is_query(value):
+        return None
+    return f"must be an LSL query such as type='EEG' or starts-with(name,'p01'), not {value!r}"
+
+
+def _pacing_fault(value: float) -> str | None:
+    # NaN is in no range.
+    if 0.0 <= value <= MAX_PACING_PER_MS:
+        return None
+    return (
+        f"must be from 0 to {MAX_PACING_PER_MS:.0f} messages a millisecond, 0 for no pacing;"
+        f" it is {value!r}"
+    )
+
+
+_PARAMETERS = {
+    TOPIC_PREFIX: _Parameter(
+        "biosensors", "first part of every topic, relative to the namespace", _prefix_fault
+    ),
+    STREAM_PREDICATE: _Parameter(
+        "", "LSL query of the streams that this node serves; empty: all", _query_fault
+    ),
+    BURST_PACING: _Parameter(
+        PACING_PER_MS,
+        "messages of one topic in a millisecond, of what came at once: more overrun the queues of"
+        " subscribers, usually 5 or 10 long; 0: all at once",
+        _pacing_fault,
+        most=MAX_PACING_PER_MS,
+    ),
+    SESSION_ID: _Parameter(
+        "", "LSL session; empty: LSL's own setting", lambda _: None, read_only=True
+    ),
+    KNOWN_PEERS: _Parameter(
+        [""], "hosts that multicast does not reach", lambda _: None, read_only=True
+    ),
+}
+
+
+def declare(node: Node, name: str) -> Any:  # noqa: ANN401 - a string or a list of them
+    """Declare one parameter with what a file or the command line says; return its value."""
+    parameter = _PARAMETERS[name]
+    given = node.get_parameter_or(name).value
+    reason = None if given is None else fault(name, given)
+    if reason is not None:
+        node.get_logger().error(f"{reason}; it is ignored")
+    if given is not None:
+        node.undeclare_parameter(name)
+    value: Any = parameter.default if given is None or reason is not None else given
+    if isinstance(parameter.default, float):
+        # YAML and the command line make a whole number of 1, and ROS takes that for another type.
+        value = float(value)
+    return node.declare_parameter(name, value, parameter.descriptor, ignore_override=True).value
+
+
+def is_known(name: str) -> bool:
+    """Whether :func:`fault` can judge a parameter of that name."""
+    return name in _PARAMETERS or name.startswith(QOS_OVERRIDES)
+
+
+def fault(name: str, value: Any) -> str | None:  # noqa: ANN401 - whatever a user sets
+    """Say why a value is refused."""
+    if name.startswith(QOS_OVERRIDES):
+        return _qos_fault(name, value)
+    parameter = _PARAMETERS[name]
+    reason = _type_fault(parameter.default, value) or parameter.fault(value)
+    return reason and f"{name} {reason}"
+
+
+def _type_fault(default: str | float | list[str], value: Any) -> str | None:  # noqa: ANN401 - as above
+    if isinstance(default, str):
+        return None if isinstance(value, str) else f"must be text, not {value!r}"
+    if isinstance(default, float):
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        return None if is_number else f"must be a number such as {default}, not {value!r}"
+    return None if _is_text_list(value) else f"must be a list of host names, not {value!r}"
+
+
+def _is_text_list(value: Any) -> TypeGuard[Sequence[str]]:  # noqa: ANN401 - whatever a user sets
+    if not isinstance(value, Sequence) or isinstance(value, (str, bytes)):
+        return False
+    return all(isinstance(item, str) for item in cast("Sequence[object]", value))
+
+
+def _qos_fault(name: str, value: Any) -> str | None:  # noqa: ANN401 - whatever a user sets
+    """Judge ``qos_overrides.<topic>.publisher.<policy>``."""
+    owner, _, policy = name.rpartition(".")
+    if not owner.endswith(".publisher"):
+        return None
+    if policy == "depth":
+        is_depth = isinstance(value, int) and not isinstance(value, bool)
+        if is_depth and 1 <= value <= MAX_DEPTH:
+            return None
+        return f"{name} must be a whole number from 1 to {MAX_DEPTH}, not {value!r}"
+    values = _QOS_VALUES.get(policy)
+    if values is None:
+        return f"{name}: only depth, {', '.join(_QOS_VALUES)} can be overridden"
+    return None if value in values else f"{name} must be one of {', '.join(values)}, not {value!r}"

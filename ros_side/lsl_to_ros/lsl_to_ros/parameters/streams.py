@@ -1,0 +1,203 @@
+"""``Sensor_Enable``, ``Chunk_Enable``, ``Chunk_Length``: defaults, and per sensor and data.
+
+The names are the original framework's. A key may stand alone (for everything),
+behind a sensor (``zephyr.Chunk_Length``) or behind a sensor and data name
+(``zephyr.ecg.Chunk_Length``); with a participant in front and with the label
+behind the sensor where there are any (``p01.empatica_e4_left.bvp.Chunk_Enable``).
+The most specific key wins. Streams that are not there yet can be set already.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from rcl_interfaces.msg import (
+    IntegerRange,
+    ParameterDescriptor,
+    ParameterType,
+    SetParametersResult,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from biosensor_common import naming
+from biosensor_common.spec import DeviceIdentity
+from lsl_to_ros.parameters import node as node_parameters
+from lsl_to_ros.parameters.node import QOS_OVERRIDES
+
+SENSOR_ENABLE, CHUNK_ENABLE, CHUNK_LENGTH = "Sensor_Enable", "Chunk_Enable", "Chunk_Length"
+LENGTH_RANGE = range(1, 100_001)
+DEFAULTS: dict[str, bool | int] = {SENSOR_ENABLE: True, CHUNK_ENABLE: True, CHUNK_LENGTH: 128}
+
+# Every other parameter is a misspelt one.
+_OF_ROS = frozenset({"use_sim_time", "start_type_description_service"})
+
+_TEXTS = {
+    SENSOR_ENABLE: "publish anything at all: raw, chunk and hardware topics",
+    CHUNK_ENABLE: "publish chunk topics; they need Sensor_Enable too",
+    CHUNK_LENGTH: "samples in one chunk",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class StreamSettings:
+    """What the parameters say for one stream.
+
+    Attributes
+    ----------
+    raw
+        Publish every sample.
+    chunk
+        Publish chunks: the chunk name's ``Sensor_Enable`` and ``Chunk_Enable``.
+    chunk_length
+        Samples in a chunk.
+    """
+
+    raw: bool
+    chunk: bool
+    chunk_length: int
+
+
+class Parameters:
+    """The node's stream parameters, validated, and changeable while it runs.
+
+    Parameters
+    ----------
+    node
+        Must allow undeclared parameters, so that unknown sensors can be set.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._on_change: Callable[[], None] = lambda: None
+        self._is_declaring = False
+        self._drop_invalid()
+        for key, value in DEFAULTS.items():
+            given = node.get_parameter_or(key).value
+            if given is not None:
+                node.undeclare_parameter(key)
+            chosen = value if given is None else given
+            node.declare_parameter(key, chosen, _descriptor(key), ignore_override=True)
+        node.add_on_set_parameters_callback(self._validate)
+        node.add_post_set_parameters_callback(self._changed)
+
+    def on_change(self, listener: Callable[[], None]) -> None:
+        """Call *listener* after any of them changed."""
+        self._on_change = listener
+
+    def settings(self, identity: DeviceIdentity, data_name: str, chunk: str) -> StreamSettings:
+        """Return what holds for one stream now; *chunk* is its chunk's data name."""
+        chunk = chunk or data_name
+        return StreamSettings(
+            raw=bool(self._value(SENSOR_ENABLE, identity, data_name)),
+            chunk=bool(
+                self._value(SENSOR_ENABLE, identity, chunk)
+                and self._value(CHUNK_ENABLE, identity, chunk)
+            ),
+            chunk_length=int(self._value(CHUNK_LENGTH, identity, chunk)),
+        )
+
+    def declare(self, identity: DeviceIdentity, data_name: str, chunk: str) -> None:
+        """Make the keys of a stream visible to ``ros2 param list``, without setting them."""
+        self._is_declaring = True
+        try:
+            self._declare(prefixes(identity, data_name)[-1], data_name, chunk)
+        finally:
+            self._is_declaring = False
+
+    def _declare(self, sensor: str, data_name: str, chunk: str) -> None:
+        for owner, keys in (
+            (sensor, tuple(DEFAULTS)),
+            (f"{sensor}.{_token(data_name)}", (SENSOR_ENABLE,)),
+            (f"{sensor}.{_token(chunk)}", tuple(DEFAULTS) if chunk else ()),
+        ):
+            for key in keys:
+                name = f"{owner}.{key}"
+                descriptor = _descriptor(key, dynamic=True)
+                if self._node.has_parameter(name):
+                    # It was set before its sensor was known, and has no description yet.
+                    self._node.set_descriptor(name, descriptor)
+                else:
+                    # A bad value of a parameter file was dropped, and must not come back.
+                    self._node.declare_parameter(name, None, descriptor, ignore_override=True)
+
+    def _value(self, key: str, identity: DeviceIdentity, data_name: str) -> bool | int:
+        for prefix in prefixes(identity, data_name):
+            name = f"{prefix}.{key}"
+            if self._node.has_parameter(name):
+                value = self._node.get_parameter(name).value
+                if value is not None:
+                    return value
+        return self._node.get_parameter(key).value
+
+    def _drop_invalid(self) -> None:
+        """Undo bad values of a parameter file: it is read before anything can refuse them."""
+        for name, parameter in self._node.get_parameters_by_prefix("").items():
+            fault = _fault(parameter.name or name, parameter.value)
+            if fault is not None:
+                self._node.get_logger().error(f"{fault}; it is ignored")
+                self._node.undeclare_parameter(name)
+                # A publisher would declare its own with the bad value again.
+                overrides: dict[str, Any] = getattr(self._node, "_parameter_overrides", {})
+                overrides.pop(name, None)
+
+    def _validate(self, parameters: Iterable[Parameter]) -> SetParametersResult:
+        faults = (_fault(parameter.name, parameter.value) for parameter in parameters)
+        reason = next((fault for fault in faults if fault is not None), "")
+        return SetParametersResult(successful=not reason, reason=reason)
+
+    def _changed(self, parameters: Iterable[Parameter]) -> None:
+        # Declaring is setting to ROS; a hundred streams declare a thousand parameters.
+        is_ours = any(not parameter.name.startswith(QOS_OVERRIDES) for parameter in parameters)
+        if is_ours and not self._is_declaring:
+            self._on_change()
+
+
+def prefixes(identity: DeviceIdentity, data_name: str) -> list[str]:
+    """Key prefixes that apply to a stream, the most specific first."""
+    plain = naming.sanitise(identity.sensor)
+    sensors = [plain]
+    if identity.label:
+        sensors.insert(0, naming.sensor_topic_name(identity))
+    if identity.participant:
+        participant = naming.sanitise(identity.participant)
+        sensors = [f"{participant}.{sensor}" for sensor in sensors] + sensors
+    return [f"{sensor}.{_token(data_name)}" for sensor in sensors] + sensors
+
+
+def _token(data_name: str) -> str:
+    return naming.sanitise(data_name)
+
+
+def _fault(name: str, value: Any) -> str | None:  # noqa: ANN401 - whatever a user sets
+    """Say why a parameter is refused; parameters that are not ours pass."""
+    key = name.rpartition(".")[2]
+    if node_parameters.is_known(name):
+        return None if value is None else node_parameters.fault(name, value)
+    if key not in DEFAULTS:
+        return None if name in _OF_ROS else _unknown(name)
+    if value is None:
+        return None
+    if key == CHUNK_LENGTH:
+        if isinstance(value, bool) or not isinstance(value, int) or value not in LENGTH_RANGE:
+            return f"{name} must be a whole number from 1 to {LENGTH_RANGE[-1]}, not {value!r}"
+    elif not isinstance(value, bool):
+        return f"{name} must be true or false, not {value!r}"
+    return None
+
+
+def _unknown(name: str) -> str:
+    return f"{name} is no parameter of this node; it must be or end in {', '.join(DEFAULTS)}"
+
+
+def _descriptor(key: str, *, dynamic: bool = False) -> ParameterDescriptor:
+    is_length = key == CHUNK_LENGTH
+    limits = IntegerRange(from_value=LENGTH_RANGE[0], to_value=LENGTH_RANGE[-1], step=1)
+    return ParameterDescriptor(
+        description=_TEXTS[key] + ("; not set: the less specific key holds" if dynamic else ""),
+        type=ParameterType.PARAMETER_INTEGER if is_length else ParameterType.PARAMETER_BOOL,
+        dynamic_typing=dynamic,
+        integer_range=[limits] if is_length and not dynamic else [],
+    )

@@ -1,0 +1,1 @@
+"""Says how the streams and devices are: ``/diagnostics`` and the list of streams."""

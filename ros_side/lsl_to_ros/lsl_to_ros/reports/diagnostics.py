@@ -1,0 +1,199 @@
+"""``/diagnostics``: what there is to know of each stream, each device and the node.
+
+Levels of a stream:
+
+* ERROR: its name is not its own, because two units or two streams claim it.
+* STALE: a regular stream, without a sample for 5 s; any stream of a computer with an
+  agent, from which nothing at all has come for 1.5 s.
+* WARN: in the last 10 s samples were lost or did not fit their message, or the
+  measured rate is more than 10 % off; the sender's clock is not known, or its
+  stamps are not LSL times.
+* OK: none of these.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import monotonic
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+from biosensor_common.naming import TopicName
+from lsl_to_ros.accounts.health import StreamHealth
+from lsl_to_ros.accounts.rates import RATE_WINDOW_S
+from lsl_to_ros.accounts.tally import Delays, Tally, can_estimate_losses
+from lsl_to_ros.topics.bridge import Bridge
+
+# A regular stream is stale after so long without a sample.
+STALE_AFTER_S = 5.0
+RATE_TOLERANCE = 0.1
+# Stamps so far from now are of another clock than LSL's; the agent refuses them at 30 s.
+CLOCK_TOLERANCE_S = 30.0
+# A clock that is unknown for longer cannot be asked: UDP does not get through.
+CLOCK_PATIENCE_S = 10.0
+
+PREFIX = "lsl_to_ros: "
+
+
+@dataclass(frozen=True, slots=True)
+class StreamFacts:
+    """One look at a stream.
+
+    Attributes
+    ----------
+    age_s
+        Of the newest sample, on this machine's LSL clock.
+    rate
+        Measured, in Hz.
+    correction_s, spread_s
+        Offset between the sender's LSL clock and ours and its recent spread; the
+        offset is None if it is not measured yet.
+    delays
+        Of the samples since the last report, from their stamps to their receipt.
+    lost_lately, unfit_lately
+        In the last 10 s.
+    silent_s
+        Since a report first saw the newest sample.
+    attached_s
+        How long the node has had this stream.
+    trouble
+        What is wrong with the computer that sends it; empty if nothing is.
+    """
+
+    topic: TopicName
+    bridge: Bridge
+    age_s: float
+    rate: float
+    correction_s: float | None
+    spread_s: float
+    delays: Delays
+    lost_lately: int
+    unfit_lately: int
+    silent_s: float
+    attached_s: float
+    trouble: str = ""
+
+
+def stream_facts(
+    topic: TopicName,
+    bridge: Bridge,
+    health: StreamHealth,
+    correction_s: float | None,
+    spread_s: float,
+    now_s: float,
+    trouble: str = "",
+) -> StreamFacts:
+    """Look at one stream; *now_s* is this machine's LSL clock."""
+    tally: Tally = bridge.tally
+    lost = tally.lost(can_estimate=can_estimate_losses(bridge.header))
+    lost_lately, unfit_lately = health.recent(max(lost.count, 0), tally.unfit + tally.unstamped)
+    return StreamFacts(
+        topic=topic,
+        bridge=bridge,
+        age_s=now_s - bridge.last_stamp - (correction_s or 0.0),
+        rate=health.meter.rate(tally.received, bridge.last_stamp),
+        correction_s=correction_s,
+        spread_s=spread_s,
+        delays=tally.take_delays(),
+        lost_lately=lost_lately,
+        unfit_lately=unfit_lately,
+        silent_s=health.silence(tally.received),
+        attached_s=monotonic() - health.begun_s,
+        trouble=trouble,
+    )
+
+
+def stream_status(facts: StreamFacts) -> DiagnosticStatus:
+    """Describe one stream."""
+    bridge, header = facts.bridge, facts.bridge.header
+    level, message = judge(facts)
+    raw, chunk = bridge.outputs.of_samples[0].port, bridge.outputs.chunk
+    tally = bridge.tally
+    lost = tally.lost(can_estimate=can_estimate_losses(header))
+    values = {
+        "topic": raw.name,
+        "chunk_topic": chunk.port.name if chunk else "",
+        "sensor": header.identity.sensor,
+        "participant": header.identity.participant,
+        "label": header.identity.label,
+        "unit_of_measurement": ", ".join(dict.fromkeys(header.units)),
+        "rate_measured": f"{facts.rate:.2f}",
+        "rate_nominal": f"{header.rate:.2f}",
+        "received": str(tally.received),
+        "lost": str(lost),
+        "sent_before": _count(tally.account.before),
+        "unfit": str(tally.unfit),
+        "unstamped": str(tally.unstamped),
+        "chunk_discarded": str(tally.discarded),
+        "waiting": str(bridge.waiting),
+        "unsent": str(sum(port.lane.unsent for port in bridge.outputs.ports)),
+        "age_s": f"{facts.age_s:.3f}" if bridge.last_stamp else "",
+        "latency_mean_s": _seconds(facts.delays.mean),
+        "latency_max_s": _seconds(facts.delays.longest if facts.delays.count else None),
+        "clock_offset_s": _seconds(facts.correction_s),
+        "clock_offset_spread_s": _seconds(
+            facts.spread_s if facts.correction_s is not None else None
+        ),
+        "subscribers": str(bridge.readers),
+    }
+    return status(f"{raw.name}", level, message, values, header.identity.unit)
+
+
+def status(
+    name: str, level: bytes, message: str, values: dict[str, str], hardware_id: str = ""
+) -> DiagnosticStatus:
+    """Make an entry of ``/diagnostics``."""
+    return DiagnosticStatus(
+        level=level,
+        name=f"{PREFIX}{name}",
+        message=message,
+        hardware_id=hardware_id,
+        values=[KeyValue(key=key, value=value) for key, value in values.items()],
+    )
+
+
+def judge(facts: StreamFacts) -> tuple[bytes, str]:
+    """Return level and reason; the module's text has the thresholds."""
+    bridge = facts.bridge
+    is_regular = bridge.header.rate > 0
+    if facts.topic.conflict:
+        return DiagnosticStatus.ERROR, "two units of one sensor: give each a label in its settings"
+    if facts.topic.duplicate:
+        return DiagnosticStatus.ERROR, "two streams claim to be this one"
+    if facts.trouble:
+        return DiagnosticStatus.STALE, facts.trouble
+    # Not by the samples' age: their stamps may be old, or of another clock, and keep coming.
+    is_silent = facts.silent_s > STALE_AFTER_S or not bridge.last_stamp
+    if is_regular and is_silent:
+        return DiagnosticStatus.STALE, "no samples"
+    for is_so, reason in _warnings(facts):
+        if is_so:
+            return DiagnosticStatus.WARN, reason
+    return DiagnosticStatus.OK, "streaming" if bridge.last_stamp else "no sample yet"
+
+
+def _warnings(facts: StreamFacts) -> list[tuple[bool, str]]:
+    nominal = facts.bridge.header.rate
+    is_measured = nominal > 0 and facts.rate > 0 and facts.attached_s > RATE_WINDOW_S
+    is_off = is_measured and abs(facts.rate / nominal - 1) > RATE_TOLERANCE
+    is_unknown = facts.correction_s is None and facts.attached_s > CLOCK_PATIENCE_S
+    return [
+        (facts.unfit_lately > 0, "samples do not fit the message type"),
+        (_has_foreign_clock(facts), "its stamps are not times of the LSL clock"),
+        (is_unknown, "the sender's clock cannot be asked: is UDP blocked? stamped topics wait"),
+        (facts.lost_lately > 0, f"{facts.lost_lately} samples lost in the last 10 s"),
+        (is_off, f"{facts.rate:.2f} Hz instead of {nominal:.2f} Hz"),
+    ]
+
+
+def _has_foreign_clock(facts: StreamFacts) -> bool:
+    mean = facts.delays.mean
+    return mean is not None and abs(mean) > CLOCK_TOLERANCE_S
+
+
+def _count(value: int | None) -> str:
+    return "" if value is None else str(value)
+
+
+def _seconds(value: float | None) -> str:
+    return "" if value is None else f"{value:.6f}"

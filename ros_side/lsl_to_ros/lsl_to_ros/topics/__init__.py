@@ -1,0 +1,1 @@
+"""Turns samples into messages and publishes them."""

@@ -1,0 +1,211 @@
+"""One LSL stream and the ROS topics that it fills."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from numpy.typing import NDArray
+
+from biosensor_common.stream_header import StreamHeader
+from lsl_to_ros.accounts.gaps import Gap, GapFinder
+from lsl_to_ros.accounts.stamping import Stamping
+from lsl_to_ros.accounts.tally import Tally
+from lsl_to_ros.lsl.blocks import Block, Run, part, split
+from lsl_to_ros.lsl.liblsl import local_clock
+from lsl_to_ros.parameters.streams import StreamSettings
+from lsl_to_ros.topics.publishers import Port
+from lsl_to_ros.topics.writers import ChunkWriter, Refuse, Writer
+
+# Runs that wait until the sender's clock has been measured, which takes 0.7 s.
+HELD_RUNS = 10_000
+
+
+@dataclass(slots=True)
+class Outputs:
+    """What a stream is written to.
+
+    Attributes
+    ----------
+    raw
+        Without stamps; None where the raw message has one itself.
+    timed
+        What needs the time of a sample.
+    chunk
+        None for a stream without chunks.
+    """
+
+    raw: Writer | None = None
+    timed: list[Writer] = field(default_factory=list[Writer])
+    chunk: ChunkWriter | None = None
+
+    @property
+    def of_samples(self) -> list[Writer]:
+        """All that write sample by sample; what is raw comes first, for it waits for nothing."""
+        return [*([self.raw] if self.raw else []), *self.timed]
+
+    @property
+    def ports(self) -> list[Port]:
+        """All topics."""
+        chunk = [self.chunk.port] if self.chunk else []
+        return [*(writer.port for writer in self.of_samples), *chunk]
+
+
+class Bridge:
+    """Publishes the samples of one stream; a :class:`~lsl_to_ros.lsl.inlets.Receiver`.
+
+    Its methods are called by whichever thread reads the stream, one at a time.
+
+    Parameters
+    ----------
+    refuse
+        Called when samples cannot be published.
+    listen
+        Called with each sample before it is published.
+
+    Attributes
+    ----------
+    newest
+        Values of the newest sample of an irregular stream, None before the first.
+    """
+
+    def __init__(
+        self,
+        header: StreamHeader,
+        outputs: Outputs,
+        settings: StreamSettings,
+        tally: Tally,
+        stamping: Stamping,
+        refuse: Refuse,
+        listen: Callable[[NDArray[Any]], None] | None = None,
+    ) -> None:
+        self.header = header
+        self.outputs = outputs
+        self.settings = settings
+        self.tally = tally
+        self.newest: NDArray[Any] | None = None
+        self._stamping = stamping
+        self._refuse = refuse
+        self._listen = listen
+        self._is_counted_by_agent = not header.foreign
+        self._keeps_newest = header.rate == 0 and not header.message_type.is_text
+        self._gaps = GapFinder(header.rate, foreign=header.foreign)
+        self._held: deque[Run] = deque(maxlen=HELD_RUNS)
+
+    @property
+    def last_stamp(self) -> float:
+        """Newest stamp, on the sender's LSL clock; 0 before the first."""
+        return self._gaps.last_stamp
+
+    @property
+    def readers(self) -> int:
+        """Subscribers of all its topics."""
+        return sum(port.readers for port in self.outputs.ports)
+
+    @property
+    def waiting(self) -> int:
+        """Messages of its topics that are paced and have not gone out yet."""
+        return sum(port.lane.waiting for port in self.outputs.ports)
+
+    @property
+    def wants_each_sample(self) -> bool:
+        """Whether somebody reads single samples; else they can be drained in batches."""
+        if self._listen is not None:
+            return True
+        return self.settings.raw and any(writer.port.readers for writer in self.outputs.of_samples)
+
+    @property
+    def is_full(self) -> bool:
+        """Whether so much waits to be published that LSL should keep the rest."""
+        return any(port.lane.is_full for port in self.outputs.ports)
+
+    def receive(self, block: Block) -> None:
+        """Publish samples and the chunks that they fill."""
+        sequence = self.tally.received
+        self.tally.received += len(block.stamps)
+        if self._is_counted_by_agent:
+            self.tally.account.pulled(block.stamps.tolist())
+        if self._keeps_newest:
+            self.newest = block.samples[-1].copy()
+        if self._listen is not None:
+            for sample in block.samples:
+                self._listen(sample)
+        gaps = self._gaps.find(block.stamps)
+        if gaps:
+            self._write_around(gaps, block, sequence)
+        else:
+            self._write(Run(block.samples, block.stamps, sequence))
+        if self._stamping.is_known:
+            self.tally.delays.add(local_clock() - self._stamping.local(self.last_stamp))
+
+    def clock_known(self) -> None:
+        """Write what waited for the sender's clock."""
+        while self._held:
+            self._write_timed(self._held.popleft())
+
+    def end(self, undelivered: int) -> None:
+        """Give up what is not complete: what comes next, comes after a break."""
+        self.tally.connection_ended(undelivered)
+        self.tally.unstamped += sum(len(run.stamps) for run in self._held)
+        self._held.clear()
+        self._discard()
+
+    def _write_around(self, gaps: Iterable[Gap], block: Block, sequence: int) -> None:
+        start = 0
+        for gap in gaps:
+            self._write(part(block, start, gap.place, sequence))
+            self.tally.missing += gap.missing
+            self._discard()
+            start = gap.place
+        self._write(part(block, start, len(block.stamps), sequence))
+
+    def _write(self, run: Run) -> None:
+        # Read once: it may be replaced by another thread at any time.
+        settings = self.settings
+        if settings.raw:
+            self._write_samples(run)
+        if self.outputs.chunk is not None:
+            if settings.chunk:
+                self.outputs.chunk.add(run.samples, settings.chunk_length)
+            else:
+                self._discard()
+
+    def _write_samples(self, run: Run) -> None:
+        outputs = self.outputs
+        if outputs.raw is not None:
+            self._publish(outputs.raw, run)
+        if not any(writer.port.is_wanted for writer in outputs.timed):
+            return
+        if self._held or not self._stamping.is_known:
+            self._hold(run)
+        else:
+            self._write_timed(run)
+
+    def _hold(self, run: Run) -> None:
+        if len(self._held) == HELD_RUNS:
+            self.tally.unstamped += len(self._held[0].stamps)
+        # A view would keep the whole block in memory.
+        self._held.append(Run(run.samples.copy(), run.stamps.copy(), run.sequence))
+
+    def _write_timed(self, run: Run) -> None:
+        fits = self._stamping.are_times(run.stamps)
+        if not fits.all():
+            self._refuse(int((~fits).sum()), "its stamp is no time")
+        # A text that cannot be read must not cost those that came with it.
+        is_text = self.header.message_type.is_text
+        for piece in split(run, fits, alone=is_text):
+            for writer in self.outputs.timed:
+                self._publish(writer, piece)
+
+    def _publish(self, writer: Writer, run: Run) -> None:
+        if writer.port.is_wanted and len(run.stamps):
+            try:
+                writer.write(run)
+            except (OverflowError, TypeError, ValueError) as error:
+                self._refuse(len(run.stamps), str(error))
+
+    def _discard(self) -> None:
+        if self.outputs.chunk is not None:
+            self.tally.discarded += self.outputs.chunk.discard()

@@ -1,0 +1,201 @@
+"""The node's publishers and who reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from math import ceil
+from typing import Any, NamedTuple
+
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from lsl_to_ros.topics.pacing import Lane, Pacer
+
+# On a network that loses packets, or is away for some seconds, what is sent again must
+# still be there; measured with 5 % of all packets lost and with a cut of 6 s.
+DEPTH_S = 30.0
+MIN_RATE_HZ, MAX_DEPTH = 10.0, 100_000
+
+_POLICIES = (
+    QoSPolicyKind.HISTORY,
+    QoSPolicyKind.DEPTH,
+    QoSPolicyKind.RELIABILITY,
+    QoSPolicyKind.DURABILITY,
+)
+
+
+def piece_messages(rate: float) -> int:
+    """Return how many messages, of a topic of so many Hz, fill half of its queue."""
+    return queue_depth(rate) // 2
+
+
+def queue_depth(rate: float) -> int:
+    """Return how many messages are kept, of a topic of so many Hz; 0 for an irregular one."""
+    # The rate of another program's stream may be any number.
+    return ceil(min(max(rate, MIN_RATE_HZ) * DEPTH_S, MAX_DEPTH))
+
+
+class TopicTypeError(Exception):
+    """A topic cannot be opened: it has another message type, or ROS refuses it."""
+
+
+class Port:
+    """One topic, and how many read it.
+
+    Subscribers are counted when :meth:`count_readers` is called, because asking for
+    each sample would cost as much as building its message.
+
+    Attributes
+    ----------
+    topic, name
+        Relative and full name.
+    type_name
+        As ROS writes it, such as ``std_msgs/msg/Float32``.
+    readers
+        Subscribers at the last count.
+    latched
+        Whether a later subscriber gets the last message, so that each is published.
+    lane
+        Through which messages go out.
+    """
+
+    def __init__(
+        self,
+        topic: str,
+        kind: type[Any],
+        publisher: Publisher,
+        pacer: Pacer,
+        rate: float = 0.0,
+        *,
+        latched: bool,
+    ) -> None:
+        self.topic = topic
+        self.name = publisher.topic_name
+        self.type_name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+        self.latched = latched
+        self.readers = 0
+        self.publisher = publisher
+        piece = piece_messages(rate)
+        self.lane = Lane(publisher.publish, self._is_taken, pacer, rate=rate, piece=piece)
+
+    def publish(self, *messages: Any) -> None:  # noqa: ANN401 - whatever the topic carries
+        """Publish messages, or their bytes, in their order; of many at once most wait a little."""
+        self.lane.send(messages)
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether to publish at all."""
+        return self.readers > 0 or self.latched
+
+    def count_readers(self) -> None:
+        """Ask ROS for the number of matched subscribers."""
+        self.readers = self.publisher.get_subscription_count()
+
+    def _is_taken(self) -> bool:
+        """Whether the reliable subscribers have all that was published."""
+        if self.latched or not self.readers:
+            return True
+        return self.publisher.wait_for_all_acked(Duration(seconds=0.0))
+
+
+class _Key(NamedTuple):
+    topic: str
+    kind: type[Any]
+
+
+class Ports:
+    """All publishers of the node; a topic whose stream is away stays open.
+
+    Its subscribers then need not match anew when the stream returns.
+    """
+
+    def __init__(self, node: Node, pacer: Pacer) -> None:
+        self._node = node
+        self._pacer = pacer
+        self._open: dict[_Key, Port] = {}
+
+    def open(
+        self,
+        topic: str,
+        kind: type[Any],
+        rate: float = 0.0,
+        *,
+        latched: bool = False,
+        used: Collection[Port] = (),
+    ) -> Port:
+        """Return the port of a topic; one of another type that is not used is closed.
+
+        Parameters
+        ----------
+        rate
+            Of its messages, in Hz.
+        used
+            Ports of the present streams.
+
+        Raises
+        ------
+        TopicTypeError
+            If the topic is used with another type, or ROS refuses it.
+        """
+        key = _Key(topic, kind)
+        port = self._open.pop(key, None)
+        if port is None:
+            if any(other.topic == topic for other in used):
+                raise TopicTypeError(f"{topic} is in use with another type than {kind.__name__}")
+            self.close(lambda other: other.topic == topic)
+            try:
+                publisher = make_publisher(self._node, topic, kind, rate, latched=latched)
+            except Exception as error:
+                # rclpy has no common class for what it refuses, such as a name too long.
+                reason = str(error).splitlines()[0]
+                raise TopicTypeError(f"ROS refuses the topic {topic[:200]} ({reason})") from error
+            port = Port(topic, kind, publisher, self._pacer, rate, latched=latched)
+        # Put at the end again: the order is that of the last use.
+        self._open[key] = port
+        return port
+
+    def count_readers(self) -> None:
+        """Count the subscribers of every topic."""
+        for port in self._open.values():
+            port.count_readers()
+
+    def close(self, is_to_close: Callable[[Port], bool]) -> list[str]:
+        """Close the topics of which *is_to_close* says so; return their names."""
+        keys = [key for key, port in self._open.items() if is_to_close(port)]
+        for key in keys:
+            port = self._open.pop(key)
+            port.lane.flush()
+            self._node.destroy_publisher(port.publisher)
+        return [key.topic for key in keys]
+
+    def close_oldest(self, used: Collection[Port], spare: int) -> None:
+        """Close topics that are not used, those opened first, until *spare* of them are left."""
+        unused = [port for port in self._open.values() if port not in used]
+        closing = set(unused[: max(0, len(unused) - spare)])
+        self.close(lambda port: port in closing)
+
+
+def make_publisher(
+    node: Node, topic: str, kind: type[Any], rate: float = 0.0, *, latched: bool = False
+) -> Publisher:
+    """Make a reliable publisher whose quality of service parameters can override.
+
+    The queue holds the messages of half a minute. Latched means transient local with a
+    depth of 1. The overrides are ROS's own, named
+    ``qos_overrides.<topic>.publisher.<policy>`` and read when the topic opens.
+    """
+    qos = QoSProfile(depth=queue_depth(rate))
+    if latched:
+        qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    return node.create_publisher(
+        kind,
+        topic,
+        qos,
+        # Each would be looked at by the executor at every turn: 7 % of a core for 300 topics.
+        event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+        qos_overriding_options=QoSOverridingOptions(_POLICIES),
+    )
