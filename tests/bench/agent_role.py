@@ -14,7 +14,7 @@ from pylsl import local_clock
 
 from biosensor_gateway.agent.agent import Agent
 from biosensor_gateway.agent.supervisor import State
-from biosensor_gateway.devices import settings_models
+from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.settings.file import load_settings
 from biosensor_gateway.settings.models import LogSettings, state_folder
 from biosensor_gateway.streaming.sink import DeviceSink

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from biosensor_common.registry import sensor
+from biosensor_gateway.devices.registry import declaration
 from tests.bench.agent_load import SENSORS
 from tests.bench.effort import Effort
 from tests.bench.figures import Figure, Measurement, Target
@@ -84,7 +84,7 @@ def _figure(leg: Leg) -> Figure:
 
 def _topics() -> list[str]:
     """Return topic and type of every stream, in turn."""
-    streams = [(name, stream) for name in SENSORS for stream in sensor(name).streams]
+    streams = [(name, stream) for name in SENSORS for stream in declaration(name).streams]
     return [
         word
         for name, stream in streams

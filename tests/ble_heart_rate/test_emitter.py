@@ -10,9 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
-from biosensor_common.sensors.ble_heart_rate import SENSOR
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.devices.ble_heart_rate.declaration import SPEC
 from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.sink import DeviceSink
 
 ARRIVAL_S = 5_000.0
@@ -22,7 +23,7 @@ class NotedSink(DeviceSink):
     """Notes what it is told instead of telling LSL."""
 
     def __init__(self) -> None:
-        super().__init__(DeviceIdentity("ble_heart_rate", "noted"))
+        super().__init__(DeviceIdentity("ble_heart_rate", "noted"), declaration("ble_heart_rate"))
         self.emitted: dict[str, list[float]] = {}
         self.times: dict[str, list[float]] = {}
         self.heard_count = 0
@@ -32,7 +33,7 @@ class NotedSink(DeviceSink):
         self.heard_count += 1
 
     def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
-        width = len(SENSOR.stream(data_name).channels)
+        width = len(SPEC.stream(data_name).channels)
         rows = np.asarray(samples, np.float64).reshape(-1, width)
         assert len(rows) == len(lsl_times)
         assert not np.isnan(rows).any()

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from biosensor_common.device_clock import DeviceClock
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
 from biosensor_gateway.devices.zephyr.driver.protocol import ZephyrProtocol
 from biosensor_gateway.devices.zephyr.simulator.recording import RECORDING_150_S, read_timing
@@ -29,7 +30,7 @@ class ObservingSink(DeviceSink):
     """Notes what the device's clock would observe; samples go nowhere."""
 
     def __init__(self) -> None:
-        super().__init__(DeviceIdentity("zephyr", "recorded"))
+        super().__init__(DeviceIdentity("zephyr", "recorded"), declaration("zephyr"))
         self.packets: list[tuple[float, float]] = []
 
     def observe(self, device_s: float, arrival_s: float) -> None:

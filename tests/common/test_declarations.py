@@ -9,11 +9,11 @@ import pytest
 
 from biosensor_common import naming
 from biosensor_common.quantities import Category, ChannelFormat, ContentType, MessageType, Unit
-from biosensor_common.registry import sensor, sensor_names
 from biosensor_common.spec import FROM_DEVICE, ChannelSpec, DeviceIdentity, SensorSpec, StreamSpec
+from biosensor_gateway.devices.registry import declaration, declaration_names
 
 GOLDEN = Path(__file__).parent / "golden" / "streams.json"
-SENSORS = [sensor(name) for name in sensor_names()]
+SENSORS = [declaration(name) for name in declaration_names()]
 STREAMS = [
     pytest.param(stream, id=f"{spec.name}/{stream.data_name}")
     for spec in SENSORS
@@ -90,7 +90,7 @@ def test_only_counts_have_a_nominal_scale(stream: StreamSpec) -> None:
 
 
 def test_zephyr_ecg_says_how_counts_become_millivolts() -> None:
-    (channel,) = sensor("zephyr").stream("ecg").channels
+    (channel,) = declaration("zephyr").stream("ecg").channels
     assert channel.scale is not None
     assert channel.scale.unit is Unit.MILLIVOLTS
 
@@ -173,5 +173,5 @@ def test_topics_are_unique_and_valid_in_ros(ros_accepts: Callable[[str], bool]) 
 
 
 def test_no_sensor_is_named_like_another_one_with_a_label() -> None:
-    for one, other in permutations(sensor_names(), 2):
+    for one, other in permutations(declaration_names(), 2):
         assert not other.startswith(f"{one}_")

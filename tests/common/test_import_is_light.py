@@ -30,7 +30,7 @@ def test_every_module_needs_the_standard_library_only() -> None:
     )
     assert result.returncode == 0, result.stderr
     loaded = set(result.stdout.split())
-    assert {"biosensor_common.naming", "biosensor_common.sensors.zephyr"} <= loaded
+    assert {"biosensor_common.naming", "biosensor_common.table"} <= loaded
     assert not HEAVY & loaded
 
 

@@ -17,9 +17,9 @@ from biosensor_common import naming
 from biosensor_common.errors import SpecError, SpecReason
 from biosensor_common.lsl_header import MAX_XML_CHARACTERS, describe, read_header
 from biosensor_common.quantities import ChannelFormat, MessageType
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, StreamSpec
 from biosensor_common.stream_header import MAX_FIELD_CHARACTERS
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
 from tests.rigs.headers import declared_streams, lsl_xml
 
@@ -29,7 +29,7 @@ DEADLINE_S = 30.0
 
 
 def own_xml() -> str:
-    stream = sensor("zephyr").stream("ecg")
+    stream = declaration("zephyr").stream("ecg")
     return lsl_xml(stream, IDENTITY, describe(stream, IDENTITY, INFO))
 
 
@@ -86,7 +86,7 @@ field_texts = st.text(
 @given(unit=field_texts, participant=field_texts, label=field_texts)
 def test_a_device_may_be_called_anything(unit: str, participant: str, label: str) -> None:
     identity = DeviceIdentity("zephyr", unit, participant, label)
-    stream = sensor("zephyr").stream("hr")
+    stream = declaration("zephyr").stream("hr")
     xml = lsl_xml(stream, identity, describe(stream, identity, INFO))
     assert read_header(xml).identity == identity
 
@@ -173,7 +173,7 @@ def test_an_impossible_rate_is_refused(rate: str) -> None:
 
 
 def test_an_irregular_stream_may_not_claim_chunks() -> None:
-    stream = replace(sensor("zephyr").stream("hr"), chunk="")
+    stream = replace(declaration("zephyr").stream("hr"), chunk="")
     desc = describe(stream, IDENTITY, INFO)
     chunk = desc.find("biosensor/chunk")
     assert chunk is not None
@@ -243,7 +243,7 @@ FIELDS = [field.tag for field in ET.fromstring(own_xml()).iterfind("desc/biosens
 
 @given(name=st.sampled_from(FIELDS), text=st.text(max_size=MAX_FIELD_CHARACTERS + 5))
 def test_no_field_raises_anything_but_a_spec_error(name: str, text: str) -> None:
-    stream = sensor("zephyr").stream("ecg")
+    stream = declaration("zephyr").stream("ecg")
     desc = describe(stream, IDENTITY, INFO)
     field = desc.find(f"biosensor/{name}")
     assert field is not None

@@ -8,8 +8,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from biosensor_common import naming
-from biosensor_common.registry import sensor_names
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.devices.registry import declaration_names
 
 Claim = tuple[DeviceIdentity, str]
 
@@ -98,7 +98,7 @@ class TestTopics:
         st.lists(
             st.builds(
                 DeviceIdentity,
-                sensor=st.sampled_from(sensor_names()),
+                sensor=st.sampled_from(declaration_names()),
                 unit=st.just(""),
                 label=texts.filter(lambda text: len(text) < 8),
             ),

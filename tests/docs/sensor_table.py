@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from biosensor_common.quantities import ContentType
-from biosensor_common.registry import sensor, sensor_names
 from biosensor_common.spec import FromDevice, SensorSpec, StreamSpec
-from biosensor_gateway.devices import driver_names
+from biosensor_gateway.devices.registry import declaration, declaration_names, sensor_names
 
 CONTRACT, OURS = "●", "○"
 # More channels than this are shown by the first and the last.
@@ -54,11 +53,11 @@ def _line(cells: tuple[str, ...]) -> str:
 
 
 def _in_order() -> list[SensorSpec]:
-    return sorted((sensor(name) for name in sensor_names()), key=_rank)
+    return sorted((declaration(name) for name in declaration_names()), key=_rank)
 
 
 def _rank(spec: SensorSpec) -> int:
-    return 2 if spec.name == "gateway" else int(spec.name not in driver_names())
+    return 2 if spec.name == "gateway" else int(spec.name not in sensor_names())
 
 
 def _signals(spec: SensorSpec) -> str:

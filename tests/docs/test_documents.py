@@ -13,10 +13,9 @@ from urllib.parse import unquote
 import pytest
 from typer.core import TyperGroup
 
-from biosensor_common.registry import sensor, sensor_names
 from biosensor_gateway.cli.app import app
 from biosensor_gateway.cli.deferred import Deferred
-from biosensor_gateway.devices import settings_models
+from biosensor_gateway.devices.registry import declaration, declaration_names, settings_models
 from biosensor_gateway.settings import file as settings_file
 
 ROOT = Path(__file__).parents[2]
@@ -170,8 +169,8 @@ def test_migration_has_a_row_for_every_topic_of_the_original() -> None:
     text = (ROOT / "docs" / "migration.md").read_text(encoding="utf-8")
     missing = [
         topic
-        for name in sensor_names()
-        for stream in sensor(name).streams
+        for name in declaration_names()
+        for stream in declaration(name).streams
         if stream.contract
         and (topic := f"| `{name}/{stream.data_name}` | {stream.message_type.rpartition('/')[2]} |")
         not in text

@@ -10,8 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from biosensor_gateway.devices.zephyr.expectation import expect
-
 EXPECTED = {
     "empatica_e4": "bvp bvp_chunk gsr st hr ibi acc quality",
     "emotiv_insight": "eeg eeg_chunk pow pow_chunk met mot dev eeg_status",
@@ -75,14 +73,3 @@ def test_a_topic_that_stays_empty_is_named_and_fails(published: str, tmp_path: P
     assert f"{absent}: MISSING" in ended.stdout
     assert "/biosensors/test/late: not expected, later" in ended.stdout
     assert f"{published}: " not in ended.stdout
-
-
-def test_expectations_come_from_the_recording() -> None:
-    expected = expect(chunk_length=128)
-    assert expected["st"].after_s is None
-    hrv = expected["hrv"].after_s
-    assert hrv is not None
-    assert hrv == pytest.approx(76, abs=2)
-    breathing = expected["br_chunk"].after_s
-    assert breathing is not None
-    assert breathing > 128 * 0.056

@@ -20,8 +20,8 @@ import pytest
 from numpy.typing import NDArray
 
 from biosensor_common.naming import source_id
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, StreamSpec
+from biosensor_gateway.devices.registry import declaration
 from lsl_to_ros.topics.messages import CLASSES
 from tests.rigs.lab_client import LabProcess, Samples, settings_toml
 
@@ -120,7 +120,7 @@ def lab(tmp_path: Path) -> Generator[LabProcess]:
 
 
 def _numeric(name: str) -> list[StreamSpec]:
-    return [stream for stream in sensor(name).streams if not stream.message_type.is_text]
+    return [stream for stream in declaration(name).streams if not stream.message_type.is_text]
 
 
 def _places(part: Floats, whole: Floats, what: str) -> list[int]:
@@ -236,7 +236,7 @@ def test_contract_topics_have_the_originals_names_and_types() -> None:
     contract = {
         f"{name}/{stream.data_name}": stream.message_type.value.rpartition("/")[2]
         for name in SENSORS
-        for stream in sensor(name).streams
+        for stream in declaration(name).streams
         if stream.contract
     }
     assert contract == {

@@ -12,7 +12,7 @@ import pytest
 import pyxdf
 
 from biosensor_common.quantities import ChannelFormat
-from biosensor_common.registry import sensor
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
 from biosensor_gateway.devices.zephyr.simulator.sources import SyntheticSource
 from tests.rigs.lab_recorder import LabRecorder
@@ -40,7 +40,7 @@ def test_labrecorder_records_what_the_agent_declares(
     wait_until: Callable[..., None],
     tmp_path: Path,
 ) -> None:
-    declared = {stream.data_name: stream for stream in sensor("zephyr").streams}
+    declared = {stream.data_name: stream for stream in declaration("zephyr").streams}
     names = {*declared, "counters", "events"}
     source = SyntheticSource(seed=3, hrv_after_s=0)
     with SimulatedBioHarness(source) as device:

@@ -20,13 +20,14 @@ from numpy.typing import ArrayLike, NDArray
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 
-from biosensor_common.sensors.emotiv_insight import SENSOR
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.supervisor import State, Supervisor
+from biosensor_gateway.devices.emotiv_insight.declaration import SPEC
 from biosensor_gateway.devices.emotiv_insight.driver import account, driver, headsets
 from biosensor_gateway.devices.emotiv_insight.driver.driver import DRIVER
 from biosensor_gateway.devices.emotiv_insight.driver.settings import EmotivInsightSettings
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.sink import DeviceSink
 
 DEADLINE_S = 30.0
@@ -214,8 +215,10 @@ class NotedSink(DeviceSink):
     """Notes what drivers emit on its way into LSL."""
 
     def __init__(self) -> None:
-        super().__init__(DeviceIdentity("emotiv_insight", uuid.uuid4().hex))
-        names = [stream.data_name for stream in SENSOR.streams]
+        super().__init__(
+            DeviceIdentity("emotiv_insight", uuid.uuid4().hex), declaration("emotiv_insight")
+        )
+        names = [stream.data_name for stream in SPEC.streams]
         self.rows: dict[str, list[NDArray[np.float64]]] = {name: [] for name in names}
         self.times: dict[str, list[float]] = {name: [] for name in names}
         self.stamps: dict[str, list[float]] = {name: [] for name in names}
@@ -228,7 +231,7 @@ class NotedSink(DeviceSink):
 
     def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
         super().emit(data_name, samples, device_times)
-        width = len(SENSOR.stream(data_name).channels)
+        width = len(SPEC.stream(data_name).channels)
         self.rows[data_name].extend(np.asarray(samples, np.float64).reshape(-1, width))
         self.times[data_name].extend(device_times)
 

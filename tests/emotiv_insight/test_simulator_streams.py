@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from biosensor_common.sensors.emotiv_insight import SENSOR
+from biosensor_gateway.devices.emotiv_insight.declaration import SPEC
 from biosensor_gateway.devices.emotiv_insight.simulator import (
     INSIGHT_1,
     INSIGHT_1_GYRO,
@@ -68,7 +68,7 @@ class Recording:
 
     def declared(self, data_name: str, stream: str) -> list[list[float]]:
         """Messages in the declaration's channel order, NaN where there is nothing."""
-        labels = SENSOR.stream(data_name).labels
+        labels = SPEC.stream(data_name).labels
         rows = [[row.get(label) for label in labels] for row in self.labelled(stream)]
         return [[np.nan if value is None else float(value) for value in row] for row in rows]
 

@@ -17,12 +17,13 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
-from biosensor_common.sensors.empatica_e4 import SENSOR
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.supervisor import State, Supervisor
+from biosensor_gateway.devices.empatica_e4.declaration import SPEC
 from biosensor_gateway.devices.empatica_e4.driver import driver as driver_module
 from biosensor_gateway.devices.empatica_e4.driver.driver import DRIVER, E4Settings
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.streaming import silence as silence_module
@@ -141,15 +142,17 @@ class NotedSink(DeviceSink):
     """Notes what drivers emit on its way into LSL."""
 
     def __init__(self) -> None:
-        super().__init__(DeviceIdentity("empatica_e4", uuid.uuid4().hex))
-        names = [stream.data_name for stream in SENSOR.streams]
+        super().__init__(
+            DeviceIdentity("empatica_e4", uuid.uuid4().hex), declaration("empatica_e4")
+        )
+        names = [stream.data_name for stream in SPEC.streams]
         self.rows: dict[str, list[Floats]] = {name: [] for name in names}
         self.stamps: dict[str, list[float]] = {name: [] for name in names}
         self.tags: list[str] = []
 
     def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
         super().emit_at(data_name, samples, lsl_times)
-        width = len(SENSOR.stream(data_name).channels)
+        width = len(SPEC.stream(data_name).channels)
         self.rows[data_name].extend(np.asarray(samples, np.float64).reshape(-1, width))
         self.stamps[data_name].extend(lsl_times)
 
@@ -159,7 +162,7 @@ class NotedSink(DeviceSink):
         self.stamps[data_name].append(self._clock.to_lsl(device_s))
 
     def values(self, data_name: str) -> Floats:
-        width = len(SENSOR.stream(data_name).channels)
+        width = len(SPEC.stream(data_name).channels)
         return np.array(self.rows[data_name], np.float64).reshape(-1, width)
 
     def counted(self, data_name: str) -> Counters:

@@ -10,11 +10,12 @@ import pytest
 from numpy.typing import ArrayLike
 from structlog.testing import capture_logs
 
-from biosensor_common.sensors.empatica_e4 import SENSOR
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.devices.empatica_e4.declaration import SPEC
 from biosensor_gateway.devices.empatica_e4.driver.emitter import E4Emitter
 from biosensor_gateway.devices.empatica_e4.driver.loss import WINDOW_S
 from biosensor_gateway.devices.empatica_e4.driver.messages import Sample, Stream
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.sink import DeviceSink
 
 UNIX_S = 1_680_442_024.0
@@ -26,7 +27,7 @@ class NotedSink(DeviceSink):
     """Notes what it is told instead of telling LSL."""
 
     def __init__(self) -> None:
-        super().__init__(DeviceIdentity("empatica_e4", "noted"))
+        super().__init__(DeviceIdentity("empatica_e4", "noted"), declaration("empatica_e4"))
         self.emitted: dict[str, list[list[float]]] = {}
         self.times: dict[str, list[float]] = {}
         self.texts: list[tuple[str, str, float]] = []
@@ -48,7 +49,7 @@ class NotedSink(DeviceSink):
     def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
         for time in device_times:
             self.mapped(time)
-        width = len(SENSOR.stream(data_name).channels)
+        width = len(SPEC.stream(data_name).channels)
         rows = np.asarray(samples, np.float64).reshape(-1, width).tolist()
         assert len(rows) == len(device_times)
         self.emitted.setdefault(data_name, []).extend(rows)
@@ -102,7 +103,7 @@ def test_values_are_those_of_the_declaration(bench: Bench) -> None:
     assert emitted["bat"] == [[pytest.approx(73.0)]]
     assert emitted["hr"] == [[72.5]]
     assert emitted["ibi"] == [[0.828125]]
-    assert set(emitted) == {stream.data_name for stream in SENSOR.streams} - {"tag"}
+    assert set(emitted) == {stream.data_name for stream in SPEC.streams} - {"tag"}
 
 
 def test_a_press_of_the_button_is_a_marker(bench: Bench) -> None:

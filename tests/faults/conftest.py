@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from biosensor_common.registry import sensor
+from biosensor_gateway.devices.registry import declaration
 from tests.faults.agent import AgentProcess
 from tests.faults.bench import Bench
 from tests.faults.expectations import SENSORS, numeric_streams, source
@@ -62,7 +62,7 @@ def bench(
         for seed, name in enumerate(SENSORS)
     ]
     channels = {
-        source(name, data_name): len(sensor(name).stream(data_name).channels)
+        source(name, data_name): len(declaration(name).stream(data_name).channels)
         for name in SENSORS
         for data_name in numeric_streams(name)
     }

@@ -7,8 +7,8 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from biosensor_common.naming import source_id
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.simulation.faults import FaultKind
 
 
@@ -152,13 +152,13 @@ def tolerance(kind: Kind, name: str, data_name: str) -> int:
 
 def numeric_streams(name: str) -> tuple[str, ...]:
     """Data names of all streams of numbers that a sensor has."""
-    streams = (each for each in sensor(name).streams if not each.message_type.is_text)
+    streams = (each for each in declaration(name).streams if not each.message_type.is_text)
     return tuple(each.data_name for each in streams if (name, each.data_name) not in _ABSENT)
 
 
 def regular_streams(name: str) -> tuple[str, ...]:
     """Data names of those that come at a rate."""
-    return tuple(each for each in numeric_streams(name) if sensor(name).stream(each).rate != 0)
+    return tuple(each for each in numeric_streams(name) if declaration(name).stream(each).rate != 0)
 
 
 def steady_streams(name: str) -> tuple[str, ...]:

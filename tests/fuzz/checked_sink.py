@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.sink import DeviceSink
 from tests.fuzz.contract import ensure
 
@@ -21,8 +21,8 @@ class CheckedSink(DeviceSink):
     """The real clock, no outlets: samples must have the declared shape, and a time each."""
 
     def __init__(self, sensor_name: str) -> None:
-        super().__init__(DeviceIdentity(sensor_name, "fuzzed"))
-        self._streams = {stream.data_name: stream for stream in sensor(sensor_name).streams}
+        super().__init__(DeviceIdentity(sensor_name, "fuzzed"), declaration(sensor_name))
+        self._streams = {stream.data_name: stream for stream in declaration(sensor_name).streams}
 
     def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
         stream = self._streams[data_name]

@@ -10,9 +10,8 @@ from xml.etree import ElementTree as ET
 
 from biosensor_common.lsl_header import describe
 from biosensor_common.naming import lsl_name, source_id
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, StreamSpec
-from biosensor_gateway.devices import settings_models
+from biosensor_gateway.devices.registry import declaration, settings_models
 from biosensor_gateway.settings.template import template
 from tests.xdf import xdf_file
 
@@ -65,7 +64,7 @@ def _info(stream: StreamSpec, identity: DeviceIdentity) -> ET.Element:
 
 
 def _described(name: str, data_name: str) -> bytes:
-    stream, identity = sensor(name).stream(data_name), _identity(name)
+    stream, identity = declaration(name).stream(data_name), _identity(name)
     info = _info(stream, identity)
     info.append(_description(stream, identity))
     return ET.tostring(info)
@@ -74,7 +73,7 @@ def _described(name: str, data_name: str) -> bytes:
 def _headers() -> Seeds:
     foreign = b""
     for name in _SENSORS:
-        for stream in sensor(name).streams:
+        for stream in declaration(name).streams:
             yield f"{name}_{stream.data_name}", _described(name, stream.data_name)
             foreign = ET.tostring(_info(stream, _identity(name)))
             yield f"{name}_{stream.data_name}_foreign", foreign
@@ -210,7 +209,7 @@ def _own() -> Iterator[bytes]:
         ),
         start=1,
     ):
-        stream = sensor(owner.sensor).stream(data)
+        stream = declaration(owner.sensor).stream(data)
         yield xdf_file.stream_header(
             number,
             lsl_name(owner, data),

@@ -27,6 +27,7 @@ from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.agent import Agent
 from biosensor_gateway.agent.supervisor import State, Supervisor
 from biosensor_gateway.devices.driver import Connected
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
 from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.streaming.sink import DeviceSink
@@ -262,7 +263,10 @@ async def test_if_a_supervisor_itself_dies_everything_is_closed_and_it_is_said(
     # LSL is configured once a process, and here for all tests.
     monkeypatch.setattr(agent_module, "configure_lsl", lambda _overrides: None)  # pyright: ignore[reportUnknownLambdaType, reportUnknownArgumentType]
     agent, bystander = Agent(GatewaySettings(), tmp_path), Bystander()
-    sinks = [DeviceSink(DeviceIdentity("gateway", f"{unit}{index}")) for index in range(2)]
+    sinks = [
+        DeviceSink(DeviceIdentity("gateway", f"{unit}{index}"), declaration("gateway"))
+        for index in range(2)
+    ]
     good = Supervisor(lambda: bystander, sinks[0])
     agent.devices = [(good, sinks[0]), (DeadSupervisor(lambda: bystander, sinks[1]), sinks[1])]
     with pytest.raises(RuntimeError, match="a mistake in the supervisor"):

@@ -20,6 +20,7 @@ import pytest
 from biosensor_common.device_clock import ClockState, DeviceClock
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import status_file
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.recording.xdf.counted import parse_readings
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.sink import DeviceSink
@@ -135,7 +136,7 @@ def test_the_age_is_that_of_the_newest_sample() -> None:
 
 
 def test_the_status_has_the_time_to_which_the_ages_belong(unit: str) -> None:
-    sink = DeviceSink(DeviceIdentity("zephyr", unit))
+    sink = DeviceSink(DeviceIdentity("zephyr", unit), declaration("zephyr"))
     sink.open(DeviceInfo(), {})
     now = pylsl.local_clock()
     sink.observe(5.0, now)

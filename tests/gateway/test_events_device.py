@@ -10,9 +10,9 @@ import pylsl
 import pytest
 
 from biosensor_common.quantities import ChannelRole, ContentType, Unit
-from biosensor_common.registry import sensor, sensor_names
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
 from biosensor_common.table import channels, raw
+from biosensor_gateway.devices.registry import declaration, declaration_names
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
 from biosensor_gateway.streaming.events.contact import WearWatch
@@ -56,7 +56,7 @@ def announcer() -> Generator[NotedAnnouncer]:
 
 @pytest.fixture
 def sink() -> Generator[DeviceSink]:
-    made = DeviceSink(DeviceIdentity(H10, "U1"))
+    made = DeviceSink(DeviceIdentity(H10, "U1"), declaration(H10))
     yield made
     made.close()
 
@@ -100,7 +100,7 @@ def test_what_a_device_decides_is_announced_when_it_changes(
 
 
 def test_participant_and_label_are_said_where_they_are_set(announcer: NotedAnnouncer) -> None:
-    sink = DeviceSink(DeviceIdentity(H10, "U1", "p01", "left"))
+    sink = DeviceSink(DeviceIdentity(H10, "U1", "p01", "left"), declaration(H10))
     events = DeviceEvents(sink, announcer)
     events.reanchored("below", 1.23456789)
     assert announcer.noted == [
@@ -283,7 +283,7 @@ def test_a_gap_never_begins_before_the_resumption() -> None:
 
 
 def test_channels_that_tell_wear_are_those_of_the_declarations() -> None:
-    found = {name: WearWatch(sensor(name)).channel for name in sensor_names()}
+    found = {name: WearWatch(declaration(name)).channel for name in declaration_names()}
     assert found == {
         "empatica_e4": "worn",
         "emotiv_insight": "",
@@ -306,7 +306,7 @@ def test_contact_is_followed_wherever_a_sensor_of_another_package_tells_it() -> 
 
 
 def test_an_unknown_wear_is_no_change() -> None:
-    watch = WearWatch(sensor("zephyr"))
+    watch = WearWatch(declaration("zephyr"))
     nan = float("nan")
     rows = [[value, 9.0, 9.0, 9.0, 9.0, 9.0] for value in (nan, 1.0, nan, 1.0, 0.0)]
     told = list(watch.changes("quality", rows, [0.0, 1.0, 2.0, 3.0, 4.0]))

@@ -20,6 +20,7 @@ from structlog.testing import capture_logs
 from biosensor_common import naming
 from biosensor_common.errors import ConfigError
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.settings.file import load_settings
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events import announcer as announcer_module
@@ -169,7 +170,7 @@ async def test_nothing_that_fails_in_it_reaches_the_data(
     def broken(*_arguments: object) -> NoReturn:
         raise OSError("the outlet is gone")
 
-    sink = DeviceSink(DeviceIdentity("zephyr", unit))
+    sink = DeviceSink(DeviceIdentity("zephyr", unit), declaration("zephyr"))
     with capture_logs() as logs:
         async with announcing(0.1, broken) as announcer:
             events = DeviceEvents(sink, announcer)

@@ -15,6 +15,7 @@ from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.sink import DeviceSink
 
 
@@ -106,7 +107,7 @@ def test_a_reader_never_sees_half_a_file(tmp_path: Path) -> None:
 
 
 def test_a_snapshot_holds_every_device_and_stream_and_is_json(unit: str) -> None:
-    sink = DeviceSink(DeviceIdentity("gateway", unit, "p01", "left"))
+    sink = DeviceSink(DeviceIdentity("gateway", unit, "p01", "left"), declaration("gateway"))
     supervisor = Supervisor(NoDriver, sink)
     before = status_file.snapshot([(supervisor, sink)])["devices"][0]
     assert (before["state"], before["connections"]) == ("discovering", 0)

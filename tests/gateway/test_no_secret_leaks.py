@@ -25,6 +25,7 @@ from biosensor_gateway.devices.emotiv_insight.driver import cortex as cortex_cli
 from biosensor_gateway.devices.emotiv_insight.driver.driver import DRIVER
 from biosensor_gateway.devices.emotiv_insight.driver.requests import request_text
 from biosensor_gateway.devices.emotiv_insight.simulator import SimulatedCortex, Timing
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
@@ -249,7 +250,7 @@ async def test_a_crash_shows_no_secret(
     monkeypatch.setattr(cortex_client, "request_text", break_down)
     configure_logs(LogSettings(), tmp_path, verbose=True)
     fields = {"sensor": "emotiv_insight", "unit": "U1", **cortex.settings}
-    sink = DeviceSink(DeviceIdentity("emotiv_insight", "U1"))
+    sink = DeviceSink(DeviceIdentity("emotiv_insight", "U1"), declaration("emotiv_insight"))
     make = DRIVER.make(DRIVER.settings.model_validate(fields), sink)
     task = asyncio.create_task(Supervisor(make, sink).run())
     log = tmp_path / LOG_FILE_NAME

@@ -13,9 +13,9 @@ import pylsl
 import pytest
 from numpy.typing import ArrayLike
 
-from biosensor_common.registry import sensor
-from biosensor_common.sensors.zephyr import SENSOR
 from biosensor_common.spec import FROM_DEVICE, DeviceIdentity, DeviceInfo, StreamSpec
+from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.devices.zephyr.declaration import SPEC
 from biosensor_gateway.streaming import outlets as module
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.outlets import DeviceOutlets, Outlet
@@ -35,7 +35,7 @@ OpenInlet = Callable[[str], pylsl.StreamInlet]
 
 
 def outlet_of(unit: str, data_name: str, sensor_name: str = "zephyr") -> Outlet:
-    stream = sensor(sensor_name).stream(data_name)
+    stream = declaration(sensor_name).stream(data_name)
     return Outlet(stream, DeviceIdentity(sensor_name, unit), INFO)
 
 
@@ -146,7 +146,7 @@ def test_what_must_not_be_published_is_refused_whole_and_counted(
 
 
 def test_an_integer_stream_takes_no_gaps_even_if_it_is_regular(unit: str) -> None:
-    stream = replace(SENSOR.stream("hr"), rate=4.0)
+    stream = replace(SPEC.stream("hr"), rate=4.0)
     outlet = Outlet(stream, DeviceIdentity("zephyr", unit), INFO)
     assert "integer" in (outlet.push([70, NAN], now(0, 0.25)) or "")
 
@@ -174,7 +174,7 @@ def text_of(element: Element, path: str) -> str | None:
     return None if found is None else found.text
 
 
-@pytest.mark.parametrize("stream", SENSOR.streams, ids=lambda stream: stream.data_name)
+@pytest.mark.parametrize("stream", SPEC.streams, ids=lambda stream: stream.data_name)
 def test_a_stream_describes_itself(unit: str, inlet: OpenInlet, stream: StreamSpec) -> None:
     identity = DeviceIdentity("zephyr", unit, participant="p01", label=f"l{unit[:6]}")
     outlet = Outlet(stream, identity, INFO)
@@ -201,7 +201,7 @@ def test_a_stream_describes_itself(unit: str, inlet: OpenInlet, stream: StreamSp
 
 
 def test_a_rate_must_be_known(unit: str) -> None:
-    stream = replace(SENSOR.stream("ecg"), rate=FROM_DEVICE)
+    stream = replace(SPEC.stream("ecg"), rate=FROM_DEVICE)
     with pytest.raises(TypeError, match="ecg"):
         Outlet(stream, DeviceIdentity("zephyr", unit), INFO)
 
@@ -209,7 +209,9 @@ def test_a_rate_must_be_known(unit: str) -> None:
 @pytest.fixture
 def device(unit: str) -> Generator[DeviceOutlets]:
     # Force and rate of the belt are declared "from the device".
-    outlets = DeviceOutlets(DeviceIdentity("vernier_respiration_belt", unit))
+    outlets = DeviceOutlets(
+        DeviceIdentity("vernier_respiration_belt", unit), declaration("vernier_respiration_belt")
+    )
     yield outlets
     outlets.close()
 
@@ -252,7 +254,7 @@ def test_the_declaration_fills_what_the_device_does_not_say(
     xml = inlet(device["bat"].source_id).info(20.0).as_xml()
     acquisition = fromstring(xml).find("desc/acquisition")
     assert acquisition is not None
-    declared = sensor("vernier_respiration_belt")
+    declared = declaration("vernier_respiration_belt")
     assert text_of(acquisition, "manufacturer") == declared.manufacturer
     assert text_of(acquisition, "model") == declared.model
     assert text_of(acquisition, "serial_number") == "0K2"
@@ -310,7 +312,7 @@ def test_what_is_no_state_does_not_wait(unit: str) -> None:
 
 
 def test_a_declared_state_waits_whatever_its_type(unit: str) -> None:
-    stream = replace(SENSOR.stream("posture"), is_state=True)
+    stream = replace(SPEC.stream("posture"), is_state=True)
     outlet = Outlet(stream, DeviceIdentity("zephyr", unit), INFO)
     outlet.push([70.0], now(0.0))
     assert (outlet.counters.pushed, outlet.counters.waited) == (0, 1)

@@ -17,6 +17,7 @@ from biosensor_gateway.agent import reviving, status_file
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.supervisor import State, Supervisor
 from biosensor_gateway.devices.driver import Connected
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming import silence as silence_module
 from biosensor_gateway.streaming.events.announcer import Announcer
 from biosensor_gateway.streaming.events.device import DeviceEvents
@@ -67,7 +68,7 @@ class NotedSink(DeviceSink):
     """Notes what is told of silences besides telling it."""
 
     def __init__(self, unit: str) -> None:
-        super().__init__(DeviceIdentity("polar_h10", unit))
+        super().__init__(DeviceIdentity("polar_h10", unit), declaration("polar_h10"))
         self.told: list[tuple[Remedy, set[str]]] = []
         self.on_back: Callable[[], None] = lambda: None
 

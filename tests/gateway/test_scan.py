@@ -18,9 +18,9 @@ import keyring
 import pytest
 from keyring.backends import fail
 
-from biosensor_gateway.devices import settings_models
 from biosensor_gateway.devices.emotiv_insight.simulator import SimulatedCortex, Timing
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
+from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.doctor import scan as search
 from biosensor_gateway.settings.file import load_settings
 from biosensor_gateway.simulation.peripheral import Peripheral

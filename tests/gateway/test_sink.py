@@ -10,6 +10,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.sink import DeviceSink
 
@@ -21,7 +22,7 @@ OpenInlet = Callable[[str], pylsl.StreamInlet]
 
 @pytest.fixture
 def sink(unit: str) -> Generator[DeviceSink]:
-    opened = DeviceSink(DeviceIdentity("zephyr", unit))
+    opened = DeviceSink(DeviceIdentity("zephyr", unit), declaration("zephyr"))
     opened.open(DeviceInfo(), {})
     yield opened
     opened.close()
@@ -106,7 +107,7 @@ def test_counters_outlive_a_connection(sink: DeviceSink) -> None:
 
 
 def test_samples_are_signs_of_life_of_their_streams(unit: str) -> None:
-    sink = DeviceSink(DeviceIdentity("polar_h10", unit))
+    sink = DeviceSink(DeviceIdentity("polar_h10", unit), declaration("polar_h10"))
     sink.open(DeviceInfo(), {"ecg": 130.0, "acc": 50.0})
     assert sink.rates_with({"acc": 25.0})["acc"] == 25.0
     sink.watch.expect({"ecg": 0.0, "acc": 0.0, "hr": 0.0})

@@ -21,6 +21,7 @@ from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import supervisor as module
 from biosensor_gateway.agent.supervisor import State, Supervisor
 from biosensor_gateway.devices.driver import Connected
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.sink import DeviceSink
 
 DISCOVERING, CONNECTING, STREAMING = State.DISCOVERING, State.CONNECTING, State.STREAMING
@@ -86,7 +87,7 @@ class Rig:
     def __init__(self, unit: str, drivers: Iterator[ScriptedDriver]) -> None:
         self.made: list[ScriptedDriver] = []
         self.states: list[State] = []
-        self.sink = DeviceSink(DeviceIdentity("gateway", unit))
+        self.sink = DeviceSink(DeviceIdentity("gateway", unit), declaration("gateway"))
         self._drivers = drivers
         self.supervisor = Supervisor(self._make, self.sink, self.states.append)
         self.task = asyncio.create_task(self.supervisor.run())
@@ -359,7 +360,7 @@ async def test_a_driver_that_cannot_be_made_is_retried(unit: str, eventually: Ev
             raise ImportError("a library is missing")
         return ScriptedDriver()
 
-    sink = DeviceSink(DeviceIdentity("gateway", unit))
+    sink = DeviceSink(DeviceIdentity("gateway", unit), declaration("gateway"))
     supervisor = Supervisor(make, sink)
     task = asyncio.create_task(supervisor.run())
     await eventually(lambda: supervisor.state is STREAMING)

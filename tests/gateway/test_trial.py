@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any
 import pylsl
 import pytest
 
-from biosensor_gateway.devices import DriverEntry
-from biosensor_gateway.devices.driver import Connected, Driver
+from biosensor_gateway.devices.driver import Connected, Driver, DriverEntry
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.zephyr.driver.driver import ZephyrSettings
 from biosensor_gateway.devices.zephyr.simulator import SimulatedZephyr

@@ -10,10 +10,10 @@ import pytest
 from rich.console import Console
 
 from biosensor_common.naming import source_id
-from biosensor_common.registry import sensor, sensor_names
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_common.terminal import wrapped
 from biosensor_gateway.cli import clocks, looking
+from biosensor_gateway.devices.registry import declaration, declaration_names
 from biosensor_gateway.doctor.device_test import StreamTrial, Trial
 
 WIDTH = 80
@@ -40,7 +40,9 @@ def device(name: str) -> dict[str, Any]:
         "paused": True,
         "error": REASON,
         "clock": CLOCK,
-        "streams": {source_id(identity, each.data_name): FIGURES for each in sensor(name).streams},
+        "streams": {
+            source_id(identity, each.data_name): FIGURES for each in declaration(name).streams
+        },
     }
 
 
@@ -48,7 +50,7 @@ STATUS: dict[str, Any] = {
     "written": 1.0,
     "process": 1,
     "lsl_time": 4712.0,
-    "devices": [device(name) for name in sensor_names()],
+    "devices": [device(name) for name in declaration_names()],
 }
 
 
@@ -87,16 +89,16 @@ def test_clocks(terminal: io.StringIO) -> None:
     table = clocks._table(STATUS, WIDTH)  # pyright: ignore[reportPrivateUsage]
     Console(width=WIDTH, file=terminal).print(table)
     words = fits(terminal.getvalue()).split()
-    assert {name for name in sensor_names() if len(name) < 20} <= set(words)
+    assert {name for name in declaration_names() if len(name) < 20} <= set(words)
     for figure in ("-1763806000.123456", "-123.4", "12.345", "12345", "1.00"):
         assert words.count(figure) == len(STATUS["devices"])
 
 
-@pytest.mark.parametrize("name", sensor_names())
+@pytest.mark.parametrize("name", declaration_names())
 def test_trial(terminal: io.StringIO, name: str) -> None:
     streams = {
         each.data_name: StreamTrial(123456, 1.0, 700.0, (-1.23456e-5,) * len(each.channels), 256)
-        for each in sensor(name).streams
+        for each in declaration(name).streams
     }
     info = DeviceInfo(manufacturer="Manufacturer of it", model="Model 12", serial_number=UNIT)
     trial = Trial(info, streams, [REASON])
@@ -105,7 +107,7 @@ def test_trial(terminal: io.StringIO, name: str) -> None:
     words = fits(terminal.getvalue()).split()
     assert set(streams) <= set(words)
     assert UNIT in words
-    channels = [channel for each in sensor(name).streams for channel in each.channels[:6]]
+    channels = [channel for each in declaration(name).streams for channel in each.channels[:6]]
     units = {channel.unit for channel in channels}
     shown = {word.rstrip(",") for word in words}
     assert units - {"none"} <= shown

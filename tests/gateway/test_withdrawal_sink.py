@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming import outlets as outlets_module
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.pause_gate import RESUME_GUARD_S, Withholding
@@ -24,7 +25,7 @@ AHEAD_S = 20.0
 
 @pytest.fixture
 def sink(unit: str) -> Generator[DeviceSink]:
-    opened = DeviceSink(DeviceIdentity("empatica_e4", unit))
+    opened = DeviceSink(DeviceIdentity("empatica_e4", unit), declaration("empatica_e4"))
     opened.open(DeviceInfo(), {})
     yield opened
     opened.close()
@@ -115,7 +116,7 @@ def test_states_that_wait_for_a_receiver_are_withdrawn_too(
     monkeypatch: pytest.MonkeyPatch, unit: str, inlet: OpenInlet, until: Until
 ) -> None:
     monkeypatch.setattr(outlets_module, "ATTACH_TIME_S", 0.0)
-    sink = DeviceSink(DeviceIdentity("empatica_e4", unit))
+    sink = DeviceSink(DeviceIdentity("empatica_e4", unit), declaration("empatica_e4"))
     sink.open(DeviceInfo(), {})
     sink.emit_at("bat", [71.0], [pylsl.local_clock()])
     sink.pause()
@@ -138,7 +139,7 @@ def test_states_that_wait_for_a_receiver_are_withdrawn_too(
 
 
 def test_outlets_of_a_paused_device_come_with_it_and_stay_empty(unit: str) -> None:
-    sink = DeviceSink(DeviceIdentity("empatica_e4", unit))
+    sink = DeviceSink(DeviceIdentity("empatica_e4", unit), declaration("empatica_e4"))
     sink.pause()
     sink.open(DeviceInfo(), {})
     sink.emit_at("bvp", [1.0], [pylsl.local_clock()])

@@ -17,6 +17,7 @@ from biosensor_gateway.agent.pauses import store
 from biosensor_gateway.agent.pauses.commands import WithdrawalDesk
 from biosensor_gateway.agent.pauses.selection import chosen, device_name
 from biosensor_gateway.agent.pauses.store import PAUSED_FILE, Pause
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.sink import DeviceSink
 
 SINCE = datetime(2026, 3, 29, 9, 30, 15, tzinfo=timezone(timedelta(hours=2)))
@@ -138,7 +139,7 @@ def test_a_pause_follows_the_person_and_the_device(
 
 def test_who_had_withdrawn_is_paused_from_the_start_and_it_is_said(tmp_path: Path) -> None:
     store.save(tmp_path, [Pause(LEFT, SINCE)])
-    sinks = [DeviceSink(LEFT), DeviceSink(BELT)]
+    sinks = [DeviceSink(LEFT, declaration(LEFT.sensor)), DeviceSink(BELT, declaration(BELT.sensor))]
     with capture_logs() as logs:
         WithdrawalDesk(tmp_path, sinks)
     assert [sink.is_paused for sink in sinks] == [True, False]
@@ -149,7 +150,7 @@ def test_who_had_withdrawn_is_paused_from_the_start_and_it_is_said(tmp_path: Pat
 
 
 async def test_pause_and_resume_are_kept(tmp_path: Path) -> None:
-    sinks = [DeviceSink(LEFT), DeviceSink(BELT)]
+    sinks = [DeviceSink(LEFT, declaration(LEFT.sensor)), DeviceSink(BELT, declaration(BELT.sensor))]
     commands = WithdrawalDesk(tmp_path, sinks).commands
     assert await ask(commands, "pause", "left") == ("polar_h10/A1", True, None)
     assert await ask(commands, "pause", "left") == ("polar_h10/A1", False, None)
@@ -165,14 +166,14 @@ async def test_pause_and_resume_are_kept(tmp_path: Path) -> None:
 
 async def test_a_pause_of_somebody_who_is_not_in_the_settings_is_kept(tmp_path: Path) -> None:
     store.save(tmp_path, [Pause(BELT, SINCE)])
-    commands = WithdrawalDesk(tmp_path, [DeviceSink(LEFT)]).commands
+    commands = WithdrawalDesk(tmp_path, [DeviceSink(LEFT, declaration(LEFT.sensor))]).commands
     await ask(commands, "pause", "left")
     await ask(commands, "resume", "left")
     assert store.load(tmp_path) == [Pause(BELT, SINCE)]
 
 
 async def test_what_cannot_be_kept_is_done_and_said(tmp_path: Path) -> None:
-    sink = DeviceSink(LEFT)
+    sink = DeviceSink(LEFT, declaration(LEFT.sensor))
     commands = WithdrawalDesk(tmp_path, [sink]).commands
     blocked = (tmp_path / PAUSED_FILE).with_suffix(".new")
     blocked.mkdir()
@@ -188,7 +189,7 @@ async def test_what_cannot_be_kept_is_done_and_said(tmp_path: Path) -> None:
 
 
 async def test_a_request_without_a_name_is_refused(tmp_path: Path) -> None:
-    commands = WithdrawalDesk(tmp_path, [DeviceSink(LEFT)]).commands
+    commands = WithdrawalDesk(tmp_path, [DeviceSink(LEFT, declaration(LEFT.sensor))]).commands
     with pytest.raises(ConfigError, match="'device' is not a text"):
         await commands["pause"]({"device": 7})
 

@@ -17,8 +17,8 @@ import pylsl
 import pytest
 from pylsl import local_clock
 
-from biosensor_common.registry import sensor
 from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.devices.shimmer3_gsr.simulator import SimulatedShimmer3
 from biosensor_gateway.devices.zephyr.simulator import SimulatedZephyr
 from biosensor_gateway.simulation.faults import Fault, FaultKind
@@ -166,7 +166,7 @@ def bench(installed: WindowsPc, tmp_path_factory: pytest.TempPathFactory) -> Gen
     folder = tmp_path_factory.mktemp("exe")
     prefix = lively(installed, program_environment(folder))
     channels = {
-        source(name, each): len(sensor(name).stream(each).channels)
+        source(name, each): len(declaration(name).stream(each).channels)
         for name in SENSORS
         for each in numeric_streams(name)
     }

@@ -14,7 +14,7 @@ import pytest
 from packaging.specifiers import SpecifierSet
 from ruamel.yaml import YAML
 
-from biosensor_gateway.devices import driver_names, settings_models
+from biosensor_gateway.devices.registry import sensor_names, settings_models
 from biosensor_gateway.settings import models as settings
 from biosensor_gateway.settings.template import template
 from installer import layout
@@ -252,7 +252,7 @@ def test_the_smoke_test_sets_variables_that_the_program_reads() -> None:
 def test_the_smoke_test_finds_every_sensor_in_a_new_settings_file() -> None:
     (pattern,) = re.findall(r"-Pattern '(.+)'", SMOKE_TEST)
     found = re.findall(pattern, template(settings_models()), re.MULTILINE)
-    assert sorted(found) == sorted(driver_names())
+    assert sorted(found) == sorted(sensor_names())
 
 
 def test_the_smoke_test_and_the_installer_agree_on_names() -> None:

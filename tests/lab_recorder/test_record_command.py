@@ -12,13 +12,13 @@ import pylsl
 import pytest
 import pyxdf
 
-from biosensor_common.registry import sensor
+from biosensor_gateway.devices.registry import declaration
 from tests.lab_recorder.conftest import CommandLine, Outcome
 from tests.lab_recorder.remote_control import LabRecorderPeer
 
 Record = Callable[..., Outcome]
 
-OURS = {f"zephyr-virtual-{stream.data_name}" for stream in sensor("zephyr").streams}
+OURS = {f"zephyr-virtual-{stream.data_name}" for stream in declaration("zephyr").streams}
 FOREIGN = "mouse-of-another-program"
 
 _load_xdf: Callable[..., tuple[list[dict[str, Any]], dict[str, Any]]] = cast("Any", pyxdf).load_xdf

@@ -31,6 +31,7 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
 )
 from biosensor_gateway.devices.polar_h10.driver.protocol.frames import DATA
 from biosensor_gateway.devices.polar_h10.driver.session import PolarSession
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.ble_errors import AttError
@@ -102,7 +103,9 @@ def control_of(link: ScriptedLink) -> tuple[ControlPoint, list[Notification]]:
 
 
 def driver_of(*links: ScriptedLink) -> PolarH10Driver:
-    emitter = PolarEmitter(DeviceSink(DeviceIdentity("polar_h10", "scripted")))
+    emitter = PolarEmitter(
+        DeviceSink(DeviceIdentity("polar_h10", "scripted"), declaration("polar_h10"))
+    )
     wanted = [Wanted(Measurement.ECG, {Setting.SAMPLE_RATE: 130})]
     rest = iter(links)
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from structlog.testing import capture_logs
 
 from biosensor_common.errors import GatewayError
-from biosensor_common.sensors.polar_h10 import SENSOR
 from biosensor_gateway.agent.supervisor import State
+from biosensor_gateway.devices.polar_h10.declaration import SPEC
 from biosensor_gateway.devices.polar_h10.driver import session as session_module
 from biosensor_gateway.devices.polar_h10.driver.driver import DRIVER
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
@@ -37,7 +37,7 @@ async def test_every_stream_fills_with_what_the_sensor_sent(sensor: Twins) -> No
         await until(run.sink.has(100, "acc"))
         assert run.states == [State.CONNECTING, State.STREAMING]
         # The truth may be ahead by what is under way.
-        lost = [run.sink.lost_count(stream.data_name) for stream in SENSOR.streams]
+        lost = [run.sink.lost_count(stream.data_name) for stream in SPEC.streams]
     for name in ("hr", "ibi", "ecg", "acc"):
         places = assert_once_and_in_order(run.sink.rows[name], h10.truth.samples(name).values)
         assert places == list(range(places[0], places[0] + len(places)))

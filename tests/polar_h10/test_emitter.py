@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 from structlog.testing import capture_logs
 
-from biosensor_common.sensors.polar_h10 import SENSOR
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.devices.polar_h10.declaration import SPEC
 from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.sink import DeviceSink
 
 START_NS = 599_616_000_000_000_000
@@ -30,7 +31,7 @@ class NotedSink(DeviceSink):
     """Notes what it is told instead of telling LSL."""
 
     def __init__(self) -> None:
-        super().__init__(DeviceIdentity("polar_h10", "noted"))
+        super().__init__(DeviceIdentity("polar_h10", "noted"), declaration("polar_h10"))
         self.emitted: dict[str, list[list[float]]] = {}
         self.device_times: dict[str, list[float]] = {}
         self.lsl_times: dict[str, list[float]] = {}
@@ -63,7 +64,7 @@ class NotedSink(DeviceSink):
         self.losses[data_name] = self.losses.get(data_name, 0) + count
 
     def _note(self, data_name: str, samples: ArrayLike) -> None:
-        width = len(SENSOR.stream(data_name).channels)
+        width = len(SPEC.stream(data_name).channels)
         rows = np.asarray(samples, np.float64).reshape(-1, width).tolist()
         self.emitted.setdefault(data_name, []).extend(rows)
 

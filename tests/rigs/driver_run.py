@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from biosensor_common.registry import sensor as declared_sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent.supervisor import State, Supervisor
-from biosensor_gateway.devices import driver as driver_of
 from biosensor_gateway.devices.driver import Connected, Driver
+from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.devices.registry import driver as driver_of
 from biosensor_gateway.simulation.twin import Twin
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.sink import DeviceSink
@@ -34,8 +34,8 @@ class NotedSink(DeviceSink):
     """
 
     def __init__(self, sensor: str) -> None:
-        super().__init__(DeviceIdentity(sensor, uuid.uuid4().hex))
-        self._spec = declared_sensor(sensor)
+        super().__init__(DeviceIdentity(sensor, uuid.uuid4().hex), declaration(sensor))
+        self._spec = declaration(sensor)
         names = [stream.data_name for stream in self._spec.streams]
         self.rows: dict[str, list[list[float]]] = {name: [] for name in names}
         self.times: dict[str, list[float]] = {name: [] for name in names}

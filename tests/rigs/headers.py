@@ -8,13 +8,15 @@ from xml.etree import ElementTree as ET
 import pylsl
 
 from biosensor_common import naming
-from biosensor_common.registry import sensor, sensor_names
 from biosensor_common.spec import DeviceIdentity, FromDevice, StreamSpec
+from biosensor_gateway.devices.registry import declaration, declaration_names
 
 
 def declared_streams() -> list[tuple[str, StreamSpec]]:
     """Return every declared stream with its sensor; those of a device's own rate at 10 Hz."""
-    streams = [(name, stream) for name in sensor_names() for stream in sensor(name).streams]
+    streams = [
+        (name, stream) for name in declaration_names() for stream in declaration(name).streams
+    ]
     return [
         (name, replace(stream, rate=10.0) if isinstance(stream.rate, FromDevice) else stream)
         for name, stream in streams

@@ -11,9 +11,9 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message, serialize_message
 
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, FromDevice
 from biosensor_common.stream_header import StreamHeader
+from biosensor_gateway.devices.registry import declaration
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.accounts.stamping import Stamping
 from lsl_to_ros.topics.pacing import Pace, Pacer
@@ -27,7 +27,7 @@ def header_of(
     sensor_name: str, data_name: str, participant: str = "", label: str = "", **changes: Any
 ) -> StreamHeader:
     """Return what the node knows of a declared stream, altered as asked."""
-    stream = sensor(sensor_name).stream(data_name)
+    stream = declaration(sensor_name).stream(data_name)
     header = StreamHeader(
         identity=DeviceIdentity(sensor_name, "U1", participant, label),
         data_name=data_name,

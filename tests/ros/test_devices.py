@@ -11,8 +11,8 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from biosensor_common.quantities import ChannelFormat, ChannelRole, ContentType, MessageType
-from biosensor_common.registry import sensor, sensor_names
 from biosensor_common.stream_header import StreamHeader
+from biosensor_gateway.devices.registry import declaration, declaration_names
 from lsl_to_ros.accounts.tally import Refusals, Tally
 from lsl_to_ros.lsl.blocks import Block
 from lsl_to_ros.parameters.streams import StreamSettings
@@ -166,12 +166,12 @@ def test_a_sensor_that_is_not_worn_is_a_warning(
     )
 
 
-@pytest.mark.parametrize("sensor_name", sensor_names())
+@pytest.mark.parametrize("sensor_name", declaration_names())
 def test_no_other_channel_of_a_declared_stream_is_a_warning_at_zero(
     lab: Lab, sensor_name: str
 ) -> None:
     contacts = {"level", "BatteryPercent", *(label for _, label in CONTACTS)}
-    for stream in sensor(sensor_name).streams:
+    for stream in declaration(sensor_name).streams:
         if stream.message_type.is_text:
             continue
         header = header_of(sensor_name, stream.data_name, rate=0.0)

@@ -14,9 +14,9 @@ from std_msgs.msg import Float32MultiArray
 
 from biosensor_common.naming import TopicName
 from biosensor_common.quantities import MessageType
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_common.stream_header import StreamHeader
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.outlets import Outlet
 from lsl_to_ros.accounts import rates
@@ -259,13 +259,13 @@ def counters(node: RunningNode, ros: Ros) -> Outlet:
     assert node.is_running
     ros.until(lambda: COUNTERS not in ros.present(), "the end of the counters before")
     identity = DeviceIdentity("gateway", "lab-pc")
-    return Outlet(sensor("gateway").stream("counters"), identity, DeviceInfo())
+    return Outlet(declaration("gateway").stream("counters"), identity, DeviceInfo())
 
 
 def test_the_agents_counters_are_published_and_compared(ros: Ros, counters: Outlet) -> None:
     topic = "/counted/biosensors/polar_h10/hr"
     identity = DeviceIdentity("polar_h10", "U1", participant="counted")
-    outlet = Outlet(sensor("polar_h10").stream("hr"), identity, DeviceInfo())
+    outlet = Outlet(declaration("polar_h10").stream("hr"), identity, DeviceInfo())
     heard = ros.listen(DiagnosticArray, COUNTERS)
     ros.attached(topic)
     ros.attached(COUNTERS, readers=1)

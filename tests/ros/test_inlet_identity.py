@@ -8,8 +8,8 @@ import pylsl
 import pytest
 
 from biosensor_common.errors import SpecError, SpecReason
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
 from lsl_to_ros.lsl.announcements import MAX_RATE_HZ, read_core
 from lsl_to_ros.lsl.inlets import Inlet, InletState
@@ -29,7 +29,7 @@ def open_inlet(warnings: list[str]) -> Iterator[Open]:
 
 def test_an_own_stream_has_its_header(open_inlet: Open, warnings: list[str]) -> None:
     identity = DeviceIdentity("polar_h10", "U1", participant="p01", label="left")
-    outlet = Outlet(sensor("polar_h10").stream("acc"), identity, DeviceInfo())
+    outlet = Outlet(declaration("polar_h10").stream("acc"), identity, DeviceInfo())
     (found,) = pylsl.resolve_byprop("source_id", outlet.source_id, timeout=DEADLINE_S)
     inlet = open_inlet(found)
     assert inlet.state is InletState.READY
@@ -80,7 +80,9 @@ def test_another_programs_stream_continues_under_the_same_id_name_and_type(
 
 
 def test_an_own_stream_continues_under_its_id_alone(open_inlet: Open) -> None:
-    outlet = Outlet(sensor("zephyr").stream("ecg"), DeviceIdentity("zephyr", "U1"), DeviceInfo())
+    outlet = Outlet(
+        declaration("zephyr").stream("ecg"), DeviceIdentity("zephyr", "U1"), DeviceInfo()
+    )
     (found,) = pylsl.resolve_byprop("source_id", outlet.source_id, timeout=DEADLINE_S)
     inlet = open_inlet(found)
     assert inlet.continues_as(info(source_id=outlet.source_id))

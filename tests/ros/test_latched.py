@@ -13,9 +13,9 @@ from sensor_msgs.msg import BatteryState
 from std_msgs.msg import Float32, Float32MultiArray
 
 from biosensor_common.quantities import ContentType
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, StreamSpec
 from biosensor_common.table import channels, hardware
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming import outlets
 from biosensor_gateway.streaming.outlets import Outlet
 
@@ -34,7 +34,7 @@ def attached_first(monkeypatch: pytest.MonkeyPatch, node: RunningNode) -> None:
 
 def push(ros: Ros, sensor_name: str, data_name: str, *samples: list[float]) -> tuple[Outlet, str]:
     """Let the node receive samples that nobody reads; return the outlet and its topic."""
-    return push_on(ros, sensor(sensor_name).stream(data_name), sensor_name, *samples)
+    return push_on(ros, declaration(sensor_name).stream(data_name), sensor_name, *samples)
 
 
 def push_on(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from biosensor_common.registry import sensor, sensor_names
+from biosensor_gateway.devices.registry import declaration, declaration_names
 from lsl_to_ros.fitting import fitted, widths
 
 WIDTH = 100
@@ -24,8 +24,8 @@ def total(lines: list[tuple[str, ...]]) -> int:
 def table(prefix: str) -> list[tuple[str, ...]]:
     topics = [
         f"/biosensors/{prefix}{name}/{stream.data_name}_chunk"
-        for name in sensor_names()
-        for stream in sensor(name).streams
+        for name in declaration_names()
+        for stream in declaration(name).streams
     ]
     return [HEADINGS, *(line(topic, VECTOR) for topic in topics), line("/biosensors/e", EVENT)]
 

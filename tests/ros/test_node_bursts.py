@@ -13,8 +13,8 @@ import numpy as np
 import pylsl
 import pytest
 
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class Bursts:
     """A device that sends numbered samples, many at once, at its own rate."""
 
     def __init__(self, name: str, data: str, size: int) -> None:
-        stream = sensor(name).stream(data)
+        stream = declaration(name).stream(data)
         self.topic = f"/biosensors/{name}/{data}"
         self.size = size
         self.pushed = 0

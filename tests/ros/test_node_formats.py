@@ -20,8 +20,8 @@ from std_msgs.msg import (
     String,
 )
 
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def test_no_number_loses_precision_neither_raw_nor_in_chunks(ros: Ros) -> None:
 
 def test_no_value_keeps_its_place_raw_and_in_chunks(ros: Ros) -> None:
     identity = DeviceIdentity("polar_h10", "U1", participant="nan")
-    declared = Outlet(sensor("polar_h10").stream("ecg"), identity, DeviceInfo())
+    declared = Outlet(declaration("polar_h10").stream("ecg"), identity, DeviceInfo())
     other = {name: foreign(f"nan_{name}", 2, RATE, name) for name in ("float32", "double64")}
     ecg = "/nan/biosensors/polar_h10/ecg"
     topics = {name: f"/biosensors/nan_{name}/EEG" for name in other}
@@ -270,7 +270,7 @@ def test_streams_that_claim_one_topic_in_several_types_do_no_harm(
     ]
     # What is derived from one stream, another one of the same device may have as its name.
     wristband = DeviceIdentity("empatica_e4", "U1", participant="claims")
-    skin = sensor("empatica_e4").stream("st")
+    skin = declaration("empatica_e4").stream("st")
     claims += [
         Outlet(replace(skin, data_name=data, chunk="st"), wristband, DeviceInfo())
         for data in ("st", "st_temperature")

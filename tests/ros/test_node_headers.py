@@ -14,8 +14,8 @@ from std_msgs.msg import Float32, Float32MultiArray, Int64MultiArray, String
 
 from biosensor_common import naming
 from biosensor_common.lsl_header import MAX_XML_CHARACTERS, describe
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def lying(
     format_: str = "float32",
 ) -> pylsl.StreamOutlet:
     """Open an outlet with a description that would be right but for *tamper* and its shape."""
-    stream = sensor("zephyr").stream("ecg")
+    stream = declaration("zephyr").stream("ecg")
     identity = DeviceIdentity(sensor_name, name)
     source_id = naming.source_id(identity, "ecg")
     info = pylsl.StreamInfo(name, "ECG", channels, 250.0, format_, source_id)
@@ -111,7 +111,7 @@ def test_a_lying_description_makes_a_foreign_stream_and_one_sentence(
     ros: Ros, node: RunningNode
 ) -> None:
     good = Outlet(
-        sensor("polar_h10").stream("ecg"),
+        declaration("polar_h10").stream("ecg"),
         DeviceIdentity("polar_h10", "H1", participant="good"),
         DeviceInfo(),
     )
@@ -231,7 +231,7 @@ def test_an_announcement_that_cannot_be_used_is_ignored(ros: Ros, node: RunningN
 def test_a_stream_that_claims_to_be_counters_but_is_not_harms_nobody(
     ros: Ros, node: RunningNode
 ) -> None:
-    stream = replace(sensor("gateway").stream("counters"), rate=0.0)
+    stream = replace(declaration("gateway").stream("counters"), rate=0.0)
     false = Outlet(stream, DeviceIdentity("gateway", "false"), DeviceInfo())
     ros.attached("/biosensors/gateway/counters")
     for text in ("nonsense", "[" * 50_000, '{"a":{"pushed":1e999,"lost":0,"last_stamp":0}}'):

@@ -13,8 +13,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Float32
 
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.outlets import Outlet
 
@@ -44,7 +44,7 @@ def foreign(name: str, rate: float = 100.0, source_id: str | None = None) -> pyl
 
 
 def declared(identity: DeviceIdentity, data: str) -> Outlet:
-    return Outlet(sensor(identity.sensor).stream(data), identity, DeviceInfo())
+    return Outlet(declaration(identity.sensor).stream(data), identity, DeviceInfo())
 
 
 def unchecked(outlet: Outlet) -> pylsl.StreamOutlet:

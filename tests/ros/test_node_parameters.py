@@ -10,8 +10,8 @@ import pylsl
 import pytest
 from std_msgs.msg import Float32, Float32MultiArray
 
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class Belt:
     def __init__(self, ros: Ros, who: str, label: str = "") -> None:
         self._ros = ros
         identity = DeviceIdentity("polar_h10", "U1", participant=who, label=label)
-        ecg, acc = (sensor("polar_h10").stream(data) for data in ("ecg", "acc"))
+        ecg, acc = (declaration("polar_h10").stream(data) for data in ("ecg", "acc"))
         self._ecg = Outlet(ecg, identity, DeviceInfo())
         self._acc = Outlet(acc, identity, DeviceInfo())
         self._base = f"/{who}/biosensors/polar_h10" + (f"_{label}" if label else "")
@@ -140,7 +140,7 @@ def test_the_most_specific_key_wins_also_if_it_was_set_before_the_stream_came(ro
 
 def test_the_chunk_of_the_breathing_waveform_belongs_to_the_rate(ros: Ros) -> None:
     identity = DeviceIdentity("zephyr", "U1", participant="breath")
-    stream = sensor("zephyr").stream("breathing")
+    stream = declaration("zephyr").stream("breathing")
     outlet = Outlet(stream, identity, DeviceInfo())
     base = "/breath/biosensors/zephyr"
     raw = ros.listen(Float32, f"{base}/breathing")

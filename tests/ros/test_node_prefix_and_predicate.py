@@ -17,8 +17,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Float32MultiArray
 
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
 
 if TYPE_CHECKING:
@@ -230,7 +230,7 @@ def test_a_topic_that_would_be_too_long_for_ros_harms_no_other_stream(
     ros: Ros, node: RunningNode, flow: Begin
 ) -> None:
     data = "d" * 60
-    stream = replace(sensor("polar_h10").stream("ecg"), data_name=data, chunk=data)
+    stream = replace(declaration("polar_h10").stream("ecg"), data_name=data, chunk=data)
     place = DeviceIdentity("polar_h10", "U1", participant="p" * 64, label="l" * 60)
     long = Outlet(stream, place, DeviceInfo())
     flow(foreign("short"), RATE)

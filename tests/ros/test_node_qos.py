@@ -12,8 +12,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import BatteryState
 from std_msgs.msg import Float32, Float32MultiArray
 
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def foreign(name: str, rate: float = 100.0) -> pylsl.StreamOutlet:
 
 def declared(sensor_name: str, data: str, who: str) -> Outlet:
     identity = DeviceIdentity(sensor_name, "U1", participant=who)
-    return Outlet(sensor(sensor_name).stream(data), identity, DeviceInfo())
+    return Outlet(declaration(sensor_name).stream(data), identity, DeviceInfo())
 
 
 def push_now(outlet: Outlet, sample: list[float]) -> None:

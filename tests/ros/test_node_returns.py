@@ -15,8 +15,8 @@ import pylsl
 import pytest
 from std_msgs.msg import Float32, Float32MultiArray
 
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
 from tests.rigs.stopwatch import Stopwatch
 
@@ -94,7 +94,7 @@ def start_program() -> Iterator[Callable[[], Program]]:
 
 def declared(sensor_name: str, data: str, unit: str, who: str) -> Outlet:
     identity = DeviceIdentity(sensor_name, unit, participant=who)
-    return Outlet(sensor(sensor_name).stream(data), identity, DeviceInfo())
+    return Outlet(declaration(sensor_name).stream(data), identity, DeviceInfo())
 
 
 def foreign(name: str, source_id: str) -> pylsl.StreamOutlet:

@@ -17,8 +17,8 @@ from std_msgs.msg import (
 )
 
 from biosensor_common.naming import sanitise
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def foreign(name: str, kind: str, channels: int, rate: float, format_: str) -> p
 
 def declared(sensor_name: str, data_name: str, participant: str) -> Outlet:
     identity = DeviceIdentity(sensor_name, "U1", participant=participant)
-    return Outlet(sensor(sensor_name).stream(data_name), identity, DeviceInfo())
+    return Outlet(declaration(sensor_name).stream(data_name), identity, DeviceInfo())
 
 
 def layout(message: Any) -> list[tuple[str, int, int]]:
@@ -149,7 +149,7 @@ def test_declared_streams_have_their_declared_types(ros: Ros) -> None:
 
 def test_a_value_that_does_not_fit_is_counted_and_said_once(ros: Ros, node: RunningNode) -> None:
     # The agent's check would refuse it, so this is an outlet that does not check.
-    stream = sensor("zephyr").stream("hr")
+    stream = declaration("zephyr").stream("hr")
     identity = DeviceIdentity("zephyr", "U1", participant="unfit")
     good = Outlet(stream, identity, DeviceInfo())
     topic = "/unfit/biosensors/zephyr/hr"

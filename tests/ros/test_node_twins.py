@@ -11,8 +11,8 @@ import pylsl
 import pytest
 from sensor_msgs.msg import BatteryState, Imu, MagneticField, Temperature
 
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ UNKNOWN = [0.0] * 9
 
 
 def outlet_of(identity: DeviceIdentity, data: str, rate: float = 64.0) -> Outlet:
-    stream = sensor(identity.sensor).stream(data)
+    stream = declaration(identity.sensor).stream(data)
     if isinstance(stream.rate, FromDevice):
         stream = replace(stream, rate=rate)
     return Outlet(stream, identity, DeviceInfo())

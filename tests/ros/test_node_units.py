@@ -11,8 +11,8 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Float32, Float32MultiArray
 
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.usefixtures("node")
 
 def declared(sensor_name: str, data: str, unit: str, who: str = "", label: str = "") -> Outlet:
     identity = DeviceIdentity(sensor_name, unit, participant=who, label=label)
-    return Outlet(sensor(sensor_name).stream(data), identity, DeviceInfo())
+    return Outlet(declaration(sensor_name).stream(data), identity, DeviceInfo())
 
 
 def foreign(name: str, kind: str, channels: int, source_id: str) -> pylsl.StreamOutlet:

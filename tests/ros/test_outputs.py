@@ -18,8 +18,8 @@ from std_msgs.msg import (
 
 from biosensor_common.naming import TopicName
 from biosensor_common.quantities import ChannelFormat, MessageType
-from biosensor_common.registry import sensor, sensor_names
 from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
+from biosensor_gateway.devices.registry import declaration, declaration_names
 from lsl_to_ros.accounts.tally import Lost
 from lsl_to_ros.lsl.blocks import Run
 from lsl_to_ros.topics.bridge import Outputs
@@ -61,7 +61,9 @@ def kinds(outputs: Outputs, base: str) -> dict[str, str]:
     return {port.topic.removeprefix(f"{base}/"): port.type_name for port in outputs.ports}
 
 
-STREAMS = [(name, stream.data_name) for name in sensor_names() for stream in sensor(name).streams]
+STREAMS = [
+    (name, stream.data_name) for name in declaration_names() for stream in declaration(name).streams
+]
 
 
 @pytest.mark.parametrize(("sensor_name", "data_name"), STREAMS)

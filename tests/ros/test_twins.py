@@ -18,8 +18,8 @@ from biosensor_common.quantities import (
     ContentType,
     Unit,
 )
-from biosensor_common.registry import sensor, sensor_names
 from biosensor_common.stream_header import StreamHeader
+from biosensor_gateway.devices.registry import declaration, declaration_names
 from lsl_to_ros.lsl.blocks import Run
 from lsl_to_ros.topics.standard_messages import TWINS, TwinWriter
 from tests.rigs.recorded_topics import Clocks, RecordedPort, header_of
@@ -27,7 +27,9 @@ from tests.rigs.recorded_topics import Clocks, RecordedPort, header_of
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros
 
-STREAMS = [(name, stream.data_name) for name in sensor_names() for stream in sensor(name).streams]
+STREAMS = [
+    (name, stream.data_name) for name in declaration_names() for stream in declaration(name).streams
+]
 # As the design has it: the headset's motion, every battery, every skin temperature.
 EXPECTED: dict[tuple[str, str], dict[str, type[Any]]] = {
     ("emotiv_insight", "mot"): {"mot_imu": Imu, "mot_mag": MagneticField},

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 from biosensor_common import naming
 from biosensor_common.quantities import MessageType, Unit
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, StreamSpec
+from biosensor_gateway.devices.registry import declaration
 
 LAYOUTS = Path(__file__).parents[2] / "ros_side" / "lsl_to_ros" / "config" / "layouts"
 SENSORS = (
@@ -49,7 +49,7 @@ def declared_topics() -> dict[str, Declared]:
     return {
         f"/{naming.topic(DeviceIdentity(name, 'unit'), stream.data_name)}": Declared(name, stream)
         for name in SENSORS
-        for stream in sensor(name).streams
+        for stream in declaration(name).streams
     }
 
 

@@ -17,10 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_common.sensors.shimmer3_gsr import SENSOR
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.supervisor import State, Supervisor
+from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.devices.shimmer3_gsr.declaration import SPEC
 from biosensor_gateway.devices.shimmer3_gsr.driver import conversation, stopping
 from biosensor_gateway.devices.shimmer3_gsr.driver import driver as module
 from biosensor_gateway.devices.shimmer3_gsr.driver.driver import DRIVER, ShimmerSettings
@@ -48,8 +49,10 @@ class NotedSink(DeviceSink):
     """Notes what drivers emit on its way into LSL."""
 
     def __init__(self) -> None:
-        super().__init__(DeviceIdentity("shimmer3_gsr", uuid.uuid4().hex))
-        names = [stream.data_name for stream in SENSOR.streams]
+        super().__init__(
+            DeviceIdentity("shimmer3_gsr", uuid.uuid4().hex), declaration("shimmer3_gsr")
+        )
+        names = [stream.data_name for stream in SPEC.streams]
         self.rows: dict[str, list[list[float]]] = {name: [] for name in names}
         self.stamps: dict[str, list[float]] = {name: [] for name in names}
         self.rates: dict[str, float] = {}
@@ -69,7 +72,7 @@ class NotedSink(DeviceSink):
 
     def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
         super().emit_at(data_name, samples, lsl_times)
-        width = len(SENSOR.stream(data_name).channels)
+        width = len(SPEC.stream(data_name).channels)
         self.rows[data_name] += np.asarray(samples, np.float64).reshape(-1, width).tolist()
         self.stamps[data_name] += lsl_times
 
@@ -77,7 +80,7 @@ class NotedSink(DeviceSink):
         return self.counters[f"shimmer3_gsr-{self.identity.unit}-{data_name}"]
 
     def values(self, data_name: str) -> Floats:
-        width = len(SENSOR.stream(data_name).channels)
+        width = len(SPEC.stream(data_name).channels)
         return np.array(self.rows[data_name], np.float64).reshape(-1, width)
 
     def has(self, *data_names: str, samples: int = 1) -> Callable[[], bool]:
@@ -112,7 +115,7 @@ class Run:
     @property
     def lost(self) -> dict[str, int]:
         losses = {stream.data_name: self.sink.counted(stream.data_name).lost
-                  for stream in SENSOR.streams}  # fmt: skip
+                  for stream in SPEC.streams}  # fmt: skip
         return {name: count for name, count in losses.items() if count}
 
     async def more(self, samples: int = 60) -> None:

@@ -10,8 +10,9 @@ import pytest
 from numpy.typing import ArrayLike
 from structlog.testing import capture_logs
 
-from biosensor_common.sensors.shimmer3_gsr import SENSOR
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.devices.shimmer3_gsr.declaration import SPEC
 from biosensor_gateway.devices.shimmer3_gsr.driver.channels import Layout
 from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import Measurement, ShimmerEmitter
 from biosensor_gateway.devices.shimmer3_gsr.driver.messages import BatteryReading, Charging, Packet
@@ -34,7 +35,7 @@ class NotedSink(DeviceSink):
     """Notes what it is told instead of telling LSL."""
 
     def __init__(self) -> None:
-        super().__init__(DeviceIdentity("shimmer3_gsr", "noted"))
+        super().__init__(DeviceIdentity("shimmer3_gsr", "noted"), declaration("shimmer3_gsr"))
         self.calls: list[str] = []
         self.emitted: dict[str, list[list[float]]] = {}
         self.times: dict[str, list[float]] = {}
@@ -49,7 +50,7 @@ class NotedSink(DeviceSink):
         self.calls.append("restart_clock")
 
     def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
-        width = len(SENSOR.stream(data_name).channels)
+        width = len(SPEC.stream(data_name).channels)
         rows = np.asarray(samples, np.float64).reshape(-1, width).tolist()
         assert len(rows) == len(device_times) > 0
         self.calls.append(data_name)

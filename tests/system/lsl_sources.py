@@ -15,8 +15,8 @@ import numpy as np
 import pylsl
 
 from biosensor_common import naming
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
 from tests.system.lsl_time import NS_PER_S
 from tests.system.tracks import Track
@@ -129,7 +129,7 @@ class Button:
     """The button of a wristband, pressed again and again."""
 
     def __init__(self) -> None:
-        self._outlet = Outlet(sensor("empatica_e4").stream("tag"), BUTTON, DeviceInfo())
+        self._outlet = Outlet(declaration("empatica_e4").stream("tag"), BUTTON, DeviceInfo())
         self._start_s = pylsl.local_clock()
         self.pressed = 0
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from biosensor_common import naming
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, StreamSpec
+from biosensor_gateway.devices.registry import declaration
 from tests.system import bag_reader, lab_recorder, lsl_sources
 from tests.system.bag_reader import RecordedTopic
 from tests.system.lab_recorder import RecordedStream
@@ -71,7 +71,7 @@ def declared() -> dict[str, StreamSpec]:
     return {
         f"/{naming.topic(DeviceIdentity(name, _UNIT), stream.data_name)}_stamped": stream
         for name in SENSORS
-        for stream in sensor(name).streams
+        for stream in declaration(name).streams
     }
 
 

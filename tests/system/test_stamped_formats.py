@@ -11,8 +11,8 @@ from typing import Any
 import pylsl
 import pytest
 
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
 from tests.system.lsl_time import NS_PER_S, system_minus_lsl_ns
 from tests.system.programs import Program
@@ -139,7 +139,7 @@ def test_samples_of_an_irregular_stream_keep_their_own_times(
 
 
 def test_events_have_their_text_and_time(listen: Callable[..., Listener]) -> None:
-    tag = Outlet(sensor("empatica_e4").stream("tag"), PLACE_OF_WRIST, DeviceInfo())
+    tag = Outlet(declaration("empatica_e4").stream("tag"), PLACE_OF_WRIST, DeviceInfo())
     note = Source("notes", "Markers", "string", 1, 0.0)
     answer = Source("answers", "Markers", "string", 3, 0.0)
     topic = "/p01/biosensors/empatica_e4_left/tag_stamped"
@@ -173,7 +173,7 @@ def test_events_have_their_text_and_time(listen: Callable[..., Listener]) -> Non
 def test_a_sample_names_its_sensor_with_person_and_place(
     listen: Callable[..., Listener],
 ) -> None:
-    outlet = Outlet(sensor("zephyr").stream("hr"), PLACE, DeviceInfo())
+    outlet = Outlet(declaration("zephyr").stream("hr"), PLACE, DeviceInfo())
     topic = "/p01/biosensors/zephyr_left/hr_stamped"
     listener = listen(SAMPLES, topic)
     listener.wait_until(
@@ -266,7 +266,7 @@ def test_the_first_samples_of_new_streams_are_there(listen: Callable[..., Listen
 
 
 def test_the_battery_is_kept_for_later_subscribers(listen: Callable[..., Listener]) -> None:
-    outlet = Outlet(sensor("zephyr").stream("bat"), PLACE, DeviceInfo())
+    outlet = Outlet(declaration("zephyr").stream("bat"), PLACE, DeviceInfo())
     topic = "/p01/biosensors/zephyr_left/bat_stamped"
     early = listen(KEPT_SAMPLES, topic)
 

@@ -10,8 +10,9 @@ import pytest
 from numpy.typing import ArrayLike
 from structlog.testing import capture_logs
 
-from biosensor_common.sensors.vernier_respiration_belt import SENSOR
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.devices.vernier_respiration_belt.declaration import SPEC
 from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import BeltChannels
 from biosensor_gateway.devices.vernier_respiration_belt.driver.emitter import VernierEmitter
 from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import (
@@ -35,7 +36,10 @@ class NotedSink(DeviceSink):
     """Notes what it is told instead of telling LSL; its clock is real."""
 
     def __init__(self) -> None:
-        super().__init__(DeviceIdentity("vernier_respiration_belt", "noted"))
+        super().__init__(
+            DeviceIdentity("vernier_respiration_belt", "noted"),
+            declaration("vernier_respiration_belt"),
+        )
         self.emitted: dict[str, list[list[float]]] = {}
         self.device_times: dict[str, list[float]] = {}
         self.lsl_times: dict[str, list[float]] = {}
@@ -53,7 +57,7 @@ class NotedSink(DeviceSink):
         self.losses[data_name] = self.losses.get(data_name, 0) + count
 
     def _note(self, data_name: str, samples: ArrayLike, count: int) -> None:
-        width = len(SENSOR.stream(data_name).channels)
+        width = len(SPEC.stream(data_name).channels)
         rows = np.asarray(samples, np.float64).reshape(-1, width).tolist()
         assert len(rows) == count
         self.emitted.setdefault(data_name, []).extend(rows)
@@ -274,4 +278,4 @@ def test_every_declared_stream_is_emitted(belt: Belt, sink: NotedSink) -> None:
     belt.breathe(1.0)
     belt.emitter.take_status(Status("", "", 50, 0), ARRIVAL_S)
     belt.emitter.take_rssi(-60, ARRIVAL_S)
-    assert sink.emitted.keys() == {stream.data_name for stream in SENSOR.streams}
+    assert sink.emitted.keys() == {stream.data_name for stream in SPEC.streams}

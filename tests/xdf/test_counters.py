@@ -10,8 +10,8 @@ import pytest
 
 from biosensor_common.lsl_header import describe
 from biosensor_common.naming import lsl_name, source_id
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.recording.xdf.counted import Counted, Reading, compare, parse_readings
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.streaming.counters import Counters, counters_text
@@ -26,7 +26,7 @@ STAMPS = [1000 + k / RATE for k in range(RATE * SECONDS)]
 
 
 def _header(stream_id: int, identity: DeviceIdentity, data_name: str) -> bytes:
-    spec = sensor(identity.sensor).stream(data_name)
+    spec = declaration(identity.sensor).stream(data_name)
     assert isinstance(spec.rate, int | float)
     return x.stream_header(
         stream_id,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from biosensor_common.registry import sensor, sensor_names
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.registry import declaration, declaration_names
 from biosensor_gateway.recording.xdf.expectation import by_devices, by_name
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.settings.models import DeviceSettings
@@ -42,16 +42,16 @@ def test_every_stream_of_every_enabled_device_is_expected() -> None:
         DeviceSettings(sensor="polar_h10", unit="2", enabled=False),
     ]
     identity = DeviceIdentity("zephyr", "1", "p01", "left")
-    names = {f"p01-zephyr__left-1-{each.data_name}" for each in sensor("zephyr").streams}
+    names = {f"p01-zephyr__left-1-{each.data_name}" for each in declaration("zephyr").streams}
     expected = by_devices(devices)
     assert {each.name for each in expected} == names
     assert {each.source_id for each in expected} == {
-        f"p01@zephyr.left-{each.data_name}" for each in sensor("zephyr").streams
+        f"p01@zephyr.left-{each.data_name}" for each in declaration("zephyr").streams
     }
     report = check(FILE, *expected)
     assert codes(report, Level.ERROR) == {("missing", name) for name in names}
     # What is expected is what the agent really names its outlet.
-    outlet = Outlet(sensor("zephyr").stream("ecg"), identity, DeviceInfo())
+    outlet = Outlet(declaration("zephyr").stream("ecg"), identity, DeviceInfo())
     assert (outlet.name, outlet.source_id) in {(each.name, each.source_id) for each in expected}
 
 
@@ -68,5 +68,5 @@ def test_a_stream_of_a_sensor_may_be_empty() -> None:
 
 
 def test_all_sensors_can_be_expected() -> None:
-    names = [name for name in sensor_names() if name != "gateway"]
+    names = [name for name in declaration_names() if name != "gateway"]
     assert len(by_devices(DeviceSettings(sensor=name, unit="1") for name in names)) >= len(names)

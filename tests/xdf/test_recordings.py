@@ -16,8 +16,8 @@ import numpy as np
 import pylsl
 import pytest
 
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.printing import as_json, as_text
@@ -56,7 +56,7 @@ class Outlets:
     """
 
     def __init__(self) -> None:
-        strap, agent = sensor("polar_h10"), sensor("gateway")
+        strap, agent = declaration("polar_h10"), declaration("gateway")
         self.ecg = Outlet(strap.stream("ecg"), STRAP, DeviceInfo())
         self.heart_rate = Outlet(strap.stream("hr"), STRAP, DeviceInfo())
         self.counters = Outlet(agent.stream("counters"), AGENT, DeviceInfo())

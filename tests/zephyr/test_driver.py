@@ -18,10 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_common.sensors.zephyr import SENSOR
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.supervisor import State, Supervisor
+from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.devices.zephyr.declaration import SPEC
 from biosensor_gateway.devices.zephyr.driver import driver as module
 from biosensor_gateway.devices.zephyr.driver.driver import DRIVER, ZephyrDriver, ZephyrSettings
 from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
@@ -56,9 +57,9 @@ class NotedSink(DeviceSink):
     """Notes what drivers emit on its way into LSL."""
 
     def __init__(self) -> None:
-        super().__init__(DeviceIdentity("zephyr", uuid.uuid4().hex))
-        self.blocks: dict[str, list[Floats]] = {stream.data_name: [] for stream in SENSOR.streams}
-        self.times: dict[str, list[float]] = {stream.data_name: [] for stream in SENSOR.streams}
+        super().__init__(DeviceIdentity("zephyr", uuid.uuid4().hex), declaration("zephyr"))
+        self.blocks: dict[str, list[Floats]] = {stream.data_name: [] for stream in SPEC.streams}
+        self.times: dict[str, list[float]] = {stream.data_name: [] for stream in SPEC.streams}
         self._kept: dict[str, Counters] = {}
 
     @property
@@ -71,7 +72,7 @@ class NotedSink(DeviceSink):
 
     def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
         super().emit(data_name, samples, device_times)
-        width = len(SENSOR.stream(data_name).channels)
+        width = len(SPEC.stream(data_name).channels)
         self.blocks[data_name].append(np.asarray(samples, np.float64).reshape(-1, width))
         self.times[data_name].extend(device_times)
 
@@ -83,7 +84,7 @@ class NotedSink(DeviceSink):
 
     def values(self, data_name: str) -> Floats:
         """Return all samples; shape (samples, channels)."""
-        width = len(SENSOR.stream(data_name).channels)
+        width = len(SPEC.stream(data_name).channels)
         return np.concatenate([np.empty((0, width)), *self.blocks[data_name]])
 
     def has(self, *data_names: str, blocks: int = 1) -> Callable[[], bool]:
@@ -104,7 +105,7 @@ class Run:
     @property
     def lost(self) -> dict[str, int]:
         losses = {stream.data_name: self.sink.counted(stream.data_name).lost
-                  for stream in SENSOR.streams}  # fmt: skip
+                  for stream in SPEC.streams}  # fmt: skip
         return {name: count for name, count in losses.items() if count}
 
     def arrived(self, data_name: str) -> list[Outgoing]:
@@ -150,7 +151,7 @@ def fast() -> SyntheticSource:
 async def test_every_stream_fills_with_what_the_device_sent() -> None:
     async with streaming(SimulatedBioHarness(fast())) as run:
         # This strap has no thermometer.
-        names = [stream.data_name for stream in SENSOR.streams if stream.data_name != "st"]
+        names = [stream.data_name for stream in SPEC.streams if stream.data_name != "st"]
         await eventually(run.sink.has(*names, blocks=5))
         sent = run.device.sent
     for name, packet in WAVEFORMS.items():

@@ -13,8 +13,9 @@ import pytest
 from numpy.typing import ArrayLike
 from structlog.testing import capture_logs
 
-from biosensor_common.sensors.zephyr import SENSOR
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.devices.zephyr.declaration import SPEC
 from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
 from biosensor_gateway.devices.zephyr.driver.fields import Number
 from biosensor_gateway.devices.zephyr.driver.frames import MessageId
@@ -59,7 +60,7 @@ class NotedSink(DeviceSink):
     """Notes what it is told instead of telling LSL."""
 
     def __init__(self) -> None:
-        super().__init__(DeviceIdentity("zephyr", "noted"))
+        super().__init__(DeviceIdentity("zephyr", "noted"), declaration("zephyr"))
         self.emitted: dict[str, list[list[float]]] = {}
         self.times: dict[str, list[float]] = {}
         self.observed: list[tuple[float, float]] = []
@@ -69,7 +70,7 @@ class NotedSink(DeviceSink):
         self.observed.append((device_s, arrival_s))
 
     def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
-        width = len(SENSOR.stream(data_name).channels)
+        width = len(SPEC.stream(data_name).channels)
         rows = np.asarray(samples, np.float64).reshape(-1, width).tolist()
         assert len(rows) == len(device_times)
         self.emitted.setdefault(data_name, []).extend(rows)

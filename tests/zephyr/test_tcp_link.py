@@ -11,6 +11,7 @@ import pytest
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.supervisor import Supervisor
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.devices.zephyr.driver.driver import DRIVER, ZephyrSettings
 from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
 from biosensor_gateway.devices.zephyr.simulator.sources import SyntheticSource
@@ -42,7 +43,7 @@ async def test_a_driver_streams_and_comes_back_after_a_hang_up(
     device: SimulatedBioHarness,
 ) -> None:
     settings = ZephyrSettings(sensor="zephyr", unit="TCP", port=device.port)
-    sink = DeviceSink(DeviceIdentity("zephyr", "TCP"))
+    sink = DeviceSink(DeviceIdentity("zephyr", "TCP"), declaration("zephyr"))
     supervisor = Supervisor(DRIVER.make(settings, sink), sink)
     task = asyncio.create_task(supervisor.run())
     try:

@@ -11,19 +11,19 @@ import structlog
 
 from biosensor_common.device_clock import ClockState
 from biosensor_common.lsl_config import LslOverrides
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.control import Command
 from biosensor_gateway.agent.pauses.commands import WithdrawalDesk
 from biosensor_gateway.agent.pauses.selection import device_name
 from biosensor_gateway.agent.supervisor import Supervisor
-from biosensor_gateway.devices import driver
+from biosensor_gateway.devices.registry import declaration, driver
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings, LslSettings
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
 from biosensor_gateway.streaming.events.device import DeviceEvents
+from biosensor_gateway.streaming.gateway import GATEWAY
 from biosensor_gateway.streaming.outlets import Outlet, configure_lsl
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.keep_awake import KeepAwake, system_inhibitor
@@ -136,12 +136,11 @@ def _overrides(settings: LslSettings) -> LslOverrides:
 
 def _supervised(settings: DeviceSettings) -> tuple[Supervisor, DeviceSink]:
     identity = DeviceIdentity(settings.sensor, settings.unit, settings.participant, settings.label)
-    sink = DeviceSink(identity)
+    sink = DeviceSink(identity, declaration(settings.sensor))
     make_driver = driver(settings.sensor).make(settings, sink)
     return Supervisor(make_driver, sink), sink
 
 
 def _counters_outlet() -> Outlet:
-    gateway = sensor("gateway")
-    identity = DeviceIdentity(gateway.name, socket.gethostname())
-    return Outlet(gateway.stream("counters"), identity, DeviceInfo(model=gateway.model))
+    identity = DeviceIdentity(GATEWAY.name, socket.gethostname())
+    return Outlet(GATEWAY.stream("counters"), identity, DeviceInfo(model=GATEWAY.model))

@@ -17,9 +17,9 @@ from typing import Any
 from biosensor_common import naming
 from biosensor_common.errors import ConfigError
 from biosensor_common.quantities import ContentType
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import status_file
+from biosensor_gateway.devices.registry import declaration
 
 FRESH_S = 5.0
 """Samples of a belt after a loss, and values of an E4, come in lumps of seconds."""
@@ -161,7 +161,7 @@ def steady_streams(device: Mapping[str, Any], excluded: frozenset[str]) -> tuple
     open_streams: Mapping[str, Mapping[str, Any]] = device["streams"]
     steady: list[str] = []
     quality: list[str] = []
-    for stream in sensor(identity.sensor).streams:
+    for stream in declaration(identity.sensor).streams:
         source = naming.source_id(identity, stream.data_name)
         if source in excluded or stream.data_name in excluded:
             continue

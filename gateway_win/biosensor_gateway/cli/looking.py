@@ -20,11 +20,11 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_common.quantities import Unit
-from biosensor_common.registry import sensor as spec
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.cli.options import JsonOption, SettingsOption, SimulateOption
 from biosensor_gateway.cli.screen import console, say, table_of_names
-from biosensor_gateway.devices import settings_models
+from biosensor_gateway.devices.registry import declaration as spec
+from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.doctor import device_test
 from biosensor_gateway.doctor import scan as search
 from biosensor_gateway.settings import file as settings_file

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.lsl_config import config_places, home_config_file, user_config_file
 from biosensor_gateway.cli.options import SettingsOption
-from biosensor_gateway.devices import settings_models
+from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.recording.lsl_api_cfg import LOOPBACK, LabRecorderSettings, LslFile, changes
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.models import GatewaySettings, LslSettings, settings_path

@@ -14,7 +14,7 @@ import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
-from biosensor_gateway.devices import settings_models
+from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.recording.labrecorder.file_name import MAX_RUN, BidsLabels, Place
 from biosensor_gateway.recording.labrecorder.remote import DEFAULT_PORT, RemoteControl
 from biosensor_gateway.recording.labrecorder.situation import Situation, situation

@@ -21,7 +21,7 @@ from biosensor_gateway.agent.control import ControlServer
 from biosensor_gateway.agent.single_instance import single_instance, wait_until_free
 from biosensor_gateway.cli.options import FaultOption, SettingsOption, SimulateOption
 from biosensor_gateway.demo import demonstration
-from biosensor_gateway.devices import settings_models
+from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.models import GatewaySettings, settings_path, state_folder
 from biosensor_gateway.system.logs import configure_logs, console_relayed

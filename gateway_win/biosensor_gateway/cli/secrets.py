@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason, CredentialError
-from biosensor_gateway.devices import driver, driver_names
+from biosensor_gateway.devices.registry import driver, sensor_names
 from biosensor_gateway.settings import secrets as secret_store
 from biosensor_gateway.settings.secrets import SecretName
 
@@ -51,7 +51,7 @@ def check_secrets(sensor: SensorArgument) -> None:
 
 
 def _secrets_of(sensor: str) -> tuple[SecretName, ...]:
-    having = {name: driver(name).secrets for name in driver_names() if driver(name).secrets}
+    having = {name: driver(name).secrets for name in sensor_names() if driver(name).secrets}
     # The vendor's name is enough: emotiv for emotiv_insight.
     meant = [name for name in having if name == sensor or name.startswith(f"{sensor}_")]
     if len(meant) == 1:

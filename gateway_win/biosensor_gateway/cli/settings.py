@@ -6,7 +6,7 @@ import typer
 
 from biosensor_gateway.cli import editor, lsl_file
 from biosensor_gateway.cli.options import SettingsOption
-from biosensor_gateway.devices import settings_models
+from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings import template as settings_template
 from biosensor_gateway.settings.models import settings_path

@@ -9,7 +9,7 @@ import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
-from biosensor_gateway.devices import settings_models
+from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.recording.xdf.container import RecordingError
 from biosensor_gateway.recording.xdf.expectation import ExpectedStream, by_devices, by_name
 from biosensor_gateway.recording.xdf.judging import judge

@@ -19,7 +19,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from biosensor_common.errors import TransportError, TransportReason
-from biosensor_gateway.demo.expectation import SENSORS, expected_topics
+from biosensor_gateway.demo.expectation import demo_devices, expected_topics
 from biosensor_gateway.settings.models import STATE_VARIABLE
 
 # Short enough that the slowest chunk, of the wristband's 4 Hz, fills in eight seconds.
@@ -55,7 +55,7 @@ def run(seconds: float | None) -> int:
         expected.write_text(json.dumps(expected_topics(seconds, CHUNK_LENGTH)), encoding="utf-8")
         servers = {
             name: stack.enter_context(_process(name, command, folder))
-            for name, command in _SERVERS.items()
+            for name, command in _servers().items()
         }
         options = ["--expect", str(expected)]
         if seconds is not None:
@@ -66,10 +66,11 @@ def run(seconds: float | None) -> int:
         return _wait(table, servers, folder)
 
 
-_SERVERS: dict[str, Sequence[str]] = {
-    "agent": ("biosensor_gateway.cli", "run", "--simulate", ",".join(SENSORS.values())),
-    "node": ("lsl_to_ros.node", "--ros-args", "-p", f"Chunk_Length:={CHUNK_LENGTH}"),
-}
+def _servers() -> dict[str, Sequence[str]]:
+    return {
+        "agent": ("biosensor_gateway.cli", "run", "--simulate", ",".join(demo_devices().values())),
+        "node": ("lsl_to_ros.node", "--ros-args", "-p", f"Chunk_Length:={CHUNK_LENGTH}"),
+    }
 
 
 @contextmanager

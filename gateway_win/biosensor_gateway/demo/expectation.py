@@ -2,37 +2,24 @@
 
 from __future__ import annotations
 
-from biosensor_common.registry import sensor
-from biosensor_common.spec import StreamSpec
-from biosensor_gateway.devices.zephyr.expectation import Expectation
-from biosensor_gateway.devices.zephyr.expectation import expect as expect_of_recording
-
-SENSORS = {
-    "empatica_e4": "empatica_e4",
-    "emotiv_insight": "emotiv_insight",
-    "shimmer3_gsr": "shimmer3_gsr",
-    "polar_h10": "polar_h10",
-    "vernier_respiration_belt": "vernier_respiration_belt",
-    "zephyr": "zephyr:recording",
-    "ble_heart_rate": "ble_heart_rate",
-}
-"""The virtual device of each sensor."""
+from biosensor_common.spec import FromDevice, StreamSpec
+from biosensor_gateway.demo.virtual_devices import virtual_class
+from biosensor_gateway.devices.registry import declaration, sensor, sensor_names
+from biosensor_gateway.simulation.twin import Filled, Twin
 
 # From the first sample of any device until every other one is found and connected.
 CONNECT_S = 9.0
-# Rates of devices that say them when they are connected.
-_RATES_HZ = {"vernier_respiration_belt": 10.0}
+_AT_ONCE = Filled(0, "")
 
-_EXCEPTIONS = {
-    ("empatica_e4", "hr"): Expectation(8, "the server sends it six seconds late"),
-    ("empatica_e4", "ibi"): Expectation(8, "the server sends it six seconds late"),
-    ("empatica_e4", "bat"): Expectation(11, "the server sends it every ten seconds"),
-    ("empatica_e4", "tag"): Expectation(None, "nobody presses the virtual wristband's button"),
-    ("empatica_e4", "gsr"): Expectation(2, "the server sends it in bursts"),
-    ("empatica_e4", "st"): Expectation(2, "the server sends it in bursts"),
-    ("emotiv_insight", "gyro"): Expectation(None, "only headsets with older firmware have it"),
-    ("shimmer3_gsr", "hr"): Expectation(7, "it takes five heart beats"),
-}
+
+def demo_devices() -> dict[str, str]:
+    """Return the virtual device of each sensor that has one, as ``run --simulate`` names it."""
+    having = {name: sensor(name) for name in sensor_names()}
+    return {
+        name: f"{name}:{each.demo}" if each.demo else name
+        for name, each in having.items()
+        if each.demo in each.virtual
+    }
 
 
 def expected_topics(seconds: float | None, chunk_length: int) -> dict[str, str]:
@@ -47,32 +34,36 @@ def expected_topics(seconds: float | None, chunk_length: int) -> dict[str, str]:
     """
     limit = float("inf") if seconds is None else seconds - CONNECT_S
     expected: dict[str, str] = {}
-    for name in SENSORS:
-        for topic, expectation in _of_sensor(name, chunk_length).items():
-            expected[f"/biosensors/{name}/{topic}"] = _reason(expectation, limit)
+    for name, called in demo_devices().items():
+        for topic, filled in _of_sensor(name, virtual_class(called), chunk_length).items():
+            expected[f"/biosensors/{name}/{topic}"] = _reason(filled, limit)
     return expected
 
 
-def _of_sensor(name: str, chunk_length: int) -> dict[str, Expectation]:
-    if name == "zephyr":
-        return expect_of_recording(chunk_length)
-    expected: dict[str, Expectation] = {}
-    for stream in sensor(name).streams:
-        value = _EXCEPTIONS.get((name, stream.data_name), Expectation(0, ""))
-        expected[stream.data_name] = value
+def _of_sensor(name: str, device: type[Twin], chunk_length: int) -> dict[str, Filled]:
+    expected: dict[str, Filled] = {}
+    for stream in declaration(name).streams:
+        filled = device.filled.get(stream.data_name, _AT_ONCE)
+        expected[stream.data_name] = filled
         if stream.chunk:
-            expected[f"{stream.chunk}_chunk"] = _of_chunks(name, stream, value, chunk_length)
+            expected[f"{stream.chunk}_chunk"] = _of_chunks(stream, device, filled, chunk_length)
     return expected
 
 
-def _of_chunks(name: str, stream: StreamSpec, value: Expectation, chunk_length: int) -> Expectation:
-    rate = stream.rate if isinstance(stream.rate, float | int) else _RATES_HZ[name]
+def _of_chunks(stream: StreamSpec, device: type[Twin], filled: Filled, chunk_length: int) -> Filled:
+    if filled.after_s is None:
+        return filled
+    said = device.rates_hz.get(stream.data_name)
+    rate = said if isinstance(stream.rate, FromDevice) else stream.rate
+    if not rate:
+        return Filled(None, "its rate is not known")
     fill_s = chunk_length / rate
-    reason = f"a chunk of {chunk_length} samples takes {fill_s:.1f} s"
-    return Expectation((value.after_s or 0) + fill_s, reason)
+    return Filled(
+        filled.after_s + fill_s, f"a chunk of {chunk_length} samples takes {fill_s:.1f} s"
+    )
 
 
-def _reason(expectation: Expectation, limit_s: float) -> str:
-    if expectation.after_s is None:
-        return expectation.reason
-    return "" if expectation.after_s <= limit_s else expectation.reason
+def _reason(filled: Filled, limit_s: float) -> str:
+    if filled.after_s is None:
+        return filled.reason
+    return "" if filled.after_s <= limit_s else filled.reason

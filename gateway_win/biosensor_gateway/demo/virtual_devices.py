@@ -1,4 +1,4 @@
-"""Virtual devices in place of real ones: the only module that runs simulators.
+"""Virtual devices in place of real ones: the only module that loads simulators.
 
 A virtual device speaks the vendor's protocol on a real transport; the drivers
 do not know the difference.
@@ -10,10 +10,11 @@ import os
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import cached_property
-from typing import TYPE_CHECKING
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, cast
 
-from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.devices import driver
+from biosensor_common.errors import ConfigError, ConfigReason, SpecError, SpecReason
+from biosensor_gateway.devices.registry import driver, sensor, sensor_names
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings, environment_overrides
 from biosensor_gateway.simulation.faults import Fault, ScheduledFault, parse_fault
 from biosensor_gateway.simulation.twin import Twin
@@ -46,69 +47,56 @@ class Scene:
         return radio
 
 
-def _empatica_e4(scene: Scene) -> Twin:
-    from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4  # noqa: PLC0415
-
-    return SimulatedE4(scene.world, kept=_KEPT)
-
-
-def _emotiv_insight(scene: Scene) -> Twin:
-    from biosensor_gateway.devices.emotiv_insight.simulator import SimulatedCortex  # noqa: PLC0415
-
-    return SimulatedCortex(scene.world, kept=_KEPT)
-
-
-def _shimmer3_gsr(scene: Scene) -> Twin:
-    from biosensor_gateway.devices.shimmer3_gsr.simulator import SimulatedShimmer3  # noqa: PLC0415
-
-    return SimulatedShimmer3(scene.world, kept=_KEPT)
-
-
-def _polar_h10(scene: Scene) -> Twin:
-    from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10  # noqa: PLC0415
-
-    return SimulatedPolarH10(scene.world, scene.radio, kept=_KEPT)
-
-
-def _vernier_respiration_belt(scene: Scene) -> Twin:
-    from biosensor_gateway.devices.vernier_respiration_belt.simulator import (  # noqa: PLC0415
-        SimulatedBelt,
+def virtual_names() -> tuple[str, ...]:
+    """Names of all virtual devices, ``zephyr`` and ``zephyr:recording``."""
+    return tuple(
+        f"{name}:{variant}" if variant else name
+        for name in sensor_names()
+        for variant in sensor(name).virtual
     )
 
-    return SimulatedBelt(scene.world, scene.radio, kept=_KEPT)
+
+def virtual_class(name: str) -> type[Twin]:
+    """Import the class of a virtual device.
+
+    Raises
+    ------
+    ConfigError
+        ``WRONG_VALUE``, if there is none of that name; ``NOT_FOUND``, if a library is
+        missing that it needs.
+    SpecError
+        ``INVALID``, if what another package names is no virtual device.
+    """
+    if name not in virtual_names():
+        message = f"there is no virtual {name!r}; there are {', '.join(virtual_names())} and {ALL}"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    sensor_name, _, variant = name.partition(":")
+    place = sensor(sensor_name).virtual[variant]
+    try:
+        found: object = resolve_name(place)
+    except ModuleNotFoundError as error:
+        message = (
+            f"the virtual {name} needs {error.name}, which is not installed; "
+            "run: pip install 'biosensor-gateway[simulate]'"
+        )
+        raise ConfigError(ConfigReason.NOT_FOUND, message) from error
+    if not (isinstance(found, type) and issubclass(found, Twin)):
+        raise SpecError(SpecReason.INVALID, f"The virtual {name}, {place}, is not a Twin.")
+    return found
 
 
-def _zephyr(scene: Scene) -> Twin:
-    from biosensor_gateway.devices.zephyr.simulator import SimulatedZephyr  # noqa: PLC0415
+def make(name: str, scene: Scene, **options: object) -> Twin:
+    """Make a virtual device that is not switched on yet.
 
-    return SimulatedZephyr(scene.world, kept=_KEPT)
-
-
-def _zephyr_recording(scene: Scene) -> Twin:
-    from biosensor_gateway.devices.zephyr.simulator import RecordedZephyr  # noqa: PLC0415
-
-    return RecordedZephyr(scene.world, kept=_KEPT)
-
-
-def _ble_heart_rate(scene: Scene) -> Twin:
-    from biosensor_gateway.devices.ble_heart_rate.simulator import (  # noqa: PLC0415
-        SimulatedHeartRateStrap,
-    )
-
-    return SimulatedHeartRateStrap(scene.world, scene.radio, kept=_KEPT)
-
-
-_TWINS: dict[str, Callable[[Scene], Twin]] = {
-    "empatica_e4": _empatica_e4,
-    "emotiv_insight": _emotiv_insight,
-    "shimmer3_gsr": _shimmer3_gsr,
-    "polar_h10": _polar_h10,
-    "vernier_respiration_belt": _vernier_respiration_belt,
-    "zephyr": _zephyr,
-    # Real bytes of a BioHarness 3 instead of a made-up signal; it starts over after 150 s.
-    "zephyr:recording": _zephyr_recording,
-    "ble_heart_rate": _ble_heart_rate,
-}
+    Raises
+    ------
+    ConfigError, SpecError
+        As for :func:`virtual_class`.
+    """
+    found = virtual_class(name)
+    constructor = cast("Callable[..., Twin]", found)
+    place: tuple[object, ...] = (scene.world, scene.radio) if found.on_air else (scene.world,)
+    return constructor(*place, **options)
 
 
 @contextmanager
@@ -132,31 +120,18 @@ def simulated_settings(
         none of them can have.
     """
     scheduled = [parse_fault(text) for text in faults]
-    sensors = [name for name in _TWINS if ":" not in name]
+    sensors = [name for name in virtual_names() if ":" not in name]
     # Two of a name would be two streams of one source_id.
     wanted = dict.fromkeys(each for name in names for each in (sensors if name == ALL else [name]))
     for name in wanted:
-        if name not in _TWINS:
-            message = f"there is no virtual {name!r}; there are {', '.join(_TWINS)} and {ALL}"
-            raise ConfigError(ConfigReason.WRONG_VALUE, message)
+        virtual_class(name)
     with ExitStack() as stack:
         scene = Scene(stack)
-        twins = {name: stack.enter_context(_twin(name, scene)) for name in wanted}
+        twins = {name: stack.enter_context(make(name, scene, kept=_KEPT)) for name in wanted}
         _schedule(scheduled, twins)
         stack.enter_context(_environment(twins.values()))
         devices = tuple(_settings(name, twin) for name, twin in twins.items())
         yield GatewaySettings.model_validate({**environment_overrides(), "device": devices})
-
-
-def _twin(name: str, scene: Scene) -> Twin:
-    try:
-        return _TWINS[name](scene)
-    except ModuleNotFoundError as error:
-        message = (
-            f"the virtual {name} needs {error.name}, which is not installed; "
-            "run: pip install 'biosensor-gateway[simulate]'"
-        )
-        raise ConfigError(ConfigReason.NOT_FOUND, message) from error
 
 
 def _settings(name: str, twin: Twin) -> DeviceSettings:

@@ -1,13 +1,18 @@
-"""What the supervisor asks of every driver."""
+"""What the agent asks of every driver."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from biosensor_common.spec import DeviceInfo
+from biosensor_gateway.devices.discovery import Found
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.settings.secrets import SecretName
 from biosensor_gateway.streaming.silence import PATIENCE_S
+from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,3 +101,34 @@ class EnablesAgain(Protocol):
             It cannot help; the connection has to be made anew.
         """
         ...
+
+
+class DriverEntry(NamedTuple):
+    """What a driver module offers as its ``DRIVER``.
+
+    Attributes
+    ----------
+    settings
+        Model of the device's table in the settings file.
+    make
+        Called once a device; returns what makes a driver for each connection.
+    recognise
+        Tells whether an advertisement or a serial port is such a device; None for
+        sensors that have neither.
+    find
+        Asks the vendor's services for their devices, given the settings of all configured
+        devices of the sensor, which say where services are; None where there is no service.
+        Raises a GatewayError if the service does not answer.
+    secrets
+        What the vendor's service asks for.
+    unlicensed
+        Asks the vendor's service what the user's licence does not cover, a clause each; None
+        where nothing needs a licence. Raises a GatewayError if there is no answer.
+    """
+
+    settings: type[DeviceSettings]
+    make: Callable[[DeviceSettings, DeviceSink], Callable[[], Driver]]
+    recognise: Callable[[Advertisement | SerialPort], Found | None] | None = None
+    find: Callable[[Sequence[DeviceSettings]], Awaitable[Sequence[Found]]] | None = None
+    secrets: tuple[SecretName, ...] = ()
+    unlicensed: Callable[[DeviceSettings], Awaitable[Sequence[str]]] | None = None

@@ -11,7 +11,7 @@ from biosensor_common.doctor import context as common
 from biosensor_common.doctor.guide import Guide
 from biosensor_common.errors import ConfigError, SpecError
 from biosensor_common.lsl_config import LslOverrides
-from biosensor_common.registry import sensor
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.doctor.guide import GUIDE
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings, LslSettings
 
@@ -79,7 +79,7 @@ def read_context(
     context = Context(settings_path, state_folder, lab_recorder_port=lab_recorder_port)
     try:
         # The drivers, which the models come from, bring all their libraries.
-        from biosensor_gateway.devices import settings_models  # noqa: PLC0415
+        from biosensor_gateway.devices.registry import settings_models  # noqa: PLC0415
         from biosensor_gateway.settings.file import load_settings  # noqa: PLC0415
 
         loaded = load_settings(settings_path, settings_models())
@@ -95,7 +95,7 @@ def read_context(
 
 def _streams(device: DeviceSettings) -> int:
     try:
-        return len(sensor(device.sensor).streams)
+        return len(declaration(device.sensor).streams)
     except SpecError:
         return 0
 

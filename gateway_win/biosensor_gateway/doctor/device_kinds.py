@@ -7,7 +7,7 @@ from typing import NamedTuple
 from urllib.parse import urlsplit
 
 from biosensor_common.errors import SpecError
-from biosensor_common.registry import sensor
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.settings.models import DeviceSettings
 
 _SOCKET = "socket://"
@@ -76,7 +76,7 @@ def _of_url(title: str, url: str, ca_file: str | None) -> Iterator[Service]:
 
 def _title(name: str) -> str:
     try:
-        return sensor(name).title
+        return declaration(name).title
     except SpecError:
         return name
 

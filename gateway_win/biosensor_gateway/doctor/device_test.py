@@ -13,10 +13,9 @@ from numpy.typing import ArrayLike
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.quantities import ChannelRole
-from biosensor_common.registry import sensor
 from biosensor_common.spec import IRREGULAR, DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent.supervisor import State, Supervisor
-from biosensor_gateway.devices import driver
+from biosensor_gateway.devices.registry import declaration, driver
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.sink import DeviceSink
 
@@ -76,12 +75,12 @@ class _TrialSink(DeviceSink):
     """Notes samples instead of streaming them: an agent may run at the same time."""
 
     def __init__(self, identity: DeviceIdentity) -> None:
-        super().__init__(identity)
+        super().__init__(identity, declaration(identity.sensor))
         self.trial = Trial()
 
     def open(self, info: DeviceInfo, rates: Mapping[str, float]) -> None:
         self.trial.info = info
-        for stream in sensor(self.identity.sensor).streams:
+        for stream in self.spec.streams:
             rate = rates.get(stream.data_name, stream.rate)
             noted = self.trial.streams.setdefault(stream.data_name, StreamTrial())
             noted.nominal_hz = rate if isinstance(rate, float | int) else IRREGULAR
@@ -165,7 +164,9 @@ def _judgement(trial: Trial, sensor_name: str) -> list[str]:
         *(text for name, each in trial.streams.items() if (text := _judge(name, each))),
         *(
             f"{label} is 0: the sensor does not seem to be on the body"
-            for data_name, column, label in sensor(sensor_name).channels_of(ChannelRole.CONTACT)
+            for data_name, column, label in declaration(sensor_name).channels_of(
+                ChannelRole.CONTACT
+            )
             if (last := trial.streams[data_name].last) and last[column] == 0
         ),
     ]

@@ -11,18 +11,15 @@ import structlog
 import tomlkit
 
 from biosensor_common.errors import GatewayError
-from biosensor_common.registry import sensor
-from biosensor_gateway.devices import DriverEntry, driver, driver_names
 from biosensor_gateway.devices.discovery import Found
+from biosensor_gateway.devices.driver import DriverEntry
+from biosensor_gateway.devices.registry import declaration, driver, sensor_names
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble_scanner import scan as scan_bluetooth
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 from biosensor_gateway.transports.serial_ports import serial_ports
 
 _log = structlog.get_logger("biosensor_gateway.scan")
-
-# The least specific: straps that another driver knows better are not offered twice.
-_GENERIC = "ble_heart_rate"
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +53,7 @@ async def scan(seconds: float, configured: Sequence[DeviceSettings]) -> list[Sec
     configured
         Devices of the settings; they say where services are.
     """
-    entries = {name: driver(name) for name in driver_names()}
+    entries = {name: driver(name) for name in sensor_names()}
     searches: list[Awaitable[Section]] = [
         _section("Bluetooth LE", lambda: _bluetooth(entries, seconds)),
         _section("Serial ports", lambda: _serial(entries)),
@@ -64,7 +61,7 @@ async def scan(seconds: float, configured: Sequence[DeviceSettings]) -> list[Sec
     for name, entry in entries.items():
         if entry.find is not None:
             devices = [each for each in configured if each.sensor == name]
-            title = f"{sensor(name).title} by its service"
+            title = f"{declaration(name).title} by its service"
             searches.append(_section(title, _service(entry.find, devices)))
     return list(await asyncio.gather(*searches))
 
@@ -120,10 +117,8 @@ async def _serial(entries: dict[str, DriverEntry]) -> tuple[list[Found], list[st
 
 
 def _recognised(entries: dict[str, DriverEntry], seen: Advertisement | SerialPort) -> Found | None:
-    ordered = sorted(entries, key=lambda name: name == _GENERIC)
-    for name in ordered:
-        recognise = entries[name].recognise
-        found = recognise(seen) if recognise is not None else None
+    for entry in entries.values():
+        found = entry.recognise(seen) if entry.recognise is not None else None
         if found is not None:
             return found
     return None

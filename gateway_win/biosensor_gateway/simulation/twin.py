@@ -6,8 +6,8 @@ import asyncio
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from math import isfinite
-from types import TracebackType
-from typing import Any, ClassVar, Self
+from types import MappingProxyType, TracebackType
+from typing import Any, ClassVar, NamedTuple, Self
 
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.truth import Truth
@@ -15,6 +15,21 @@ from biosensor_gateway.simulation.world import World
 
 LATE_LASTS_S = 30.0
 _AT_ONCE = frozenset({FaultKind.LOW_BATTERY, FaultKind.DRIFT, FaultKind.GARBAGE, FaultKind.FORGET})
+
+
+class Filled(NamedTuple):
+    """When a stream has data that does not have it from the first second on.
+
+    Attributes
+    ----------
+    after_s
+        Seconds from the connection to its first sample, None if it never has one.
+    reason
+        Why not earlier, or never; a clause for a person.
+    """
+
+    after_s: float | None
+    reason: str
 
 
 class Twin(ABC):
@@ -36,6 +51,12 @@ class Twin(ABC):
     """Name of the sensor in the declarations."""
     faults: ClassVar[frozenset[FaultKind]]
     """Which faults it can have."""
+    on_air: ClassVar[bool] = False
+    """Whether it is made with a :class:`~biosensor_gateway.simulation.radio.Radio`, too."""
+    filled: ClassVar[Mapping[str, Filled]] = MappingProxyType({})
+    """By data name, what takes its time; all else comes at once."""
+    rates_hz: ClassVar[Mapping[str, float]] = MappingProxyType({})
+    """By data name, the rates that the device says when it is connected."""
 
     def __init__(self, world: World, kept: int | None = None) -> None:
         self.world = world

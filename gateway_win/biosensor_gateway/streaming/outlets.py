@@ -20,8 +20,7 @@ from biosensor_common import naming
 from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
 from biosensor_common.lsl_header import describe
 from biosensor_common.quantities import TYPES_OF_DEVICE, ChannelFormat
-from biosensor_common.registry import sensor
-from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, StreamSpec
+from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, SensorSpec, StreamSpec
 from biosensor_gateway.streaming.counters import Counters
 
 # A stamp further off is not on the LSL clock at all (unix time, device time).
@@ -220,9 +219,9 @@ class DeviceOutlets:
     agent ends: a drop-out is a gap, not a vanished stream.
     """
 
-    def __init__(self, identity: DeviceIdentity) -> None:
+    def __init__(self, identity: DeviceIdentity, spec: SensorSpec) -> None:
         self.identity = identity
-        self._sensor = sensor(identity.sensor)
+        self._sensor = spec
         self._outlets: dict[str, Outlet] = {}
 
     def open(

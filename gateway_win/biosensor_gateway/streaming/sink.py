@@ -13,8 +13,7 @@ from pylsl import local_clock
 
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.device_clock import ClockState, DeviceClock
-from biosensor_common.registry import sensor
-from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice
+from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, SensorSpec
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.outlets import MAX_STAMP_ERROR_S, DeviceOutlets
 from biosensor_gateway.streaming.pause_gate import Withholding
@@ -74,6 +73,8 @@ class DeviceSink:
 
     Attributes
     ----------
+    spec
+        What the device emits.
     observer
         Is told what happens; None for nobody.
     silent
@@ -82,13 +83,14 @@ class DeviceSink:
         Knows which streams are due and do not come.
     """
 
-    def __init__(self, identity: DeviceIdentity) -> None:
+    def __init__(self, identity: DeviceIdentity, spec: SensorSpec) -> None:
         self.identity = identity
         self.watch = StreamWatch()
+        self.spec = spec
         self.observer: SinkObserver | None = None
         self.silent: frozenset[str] = frozenset()
         self._clock = DeviceClock()
-        self._outlets = DeviceOutlets(identity)
+        self._outlets = DeviceOutlets(identity, spec)
         self._stamps: dict[str, MonotonicStamps] = {}
         self._refusals: set[tuple[str, str]] = set()
         self._withholding = Withholding()
@@ -114,7 +116,7 @@ class DeviceSink:
 
     def rates_with(self, told: Mapping[str, float]) -> dict[str, float]:
         """Return the nominal rates in Hz of all streams by data name, some told by the device."""
-        streams = sensor(self.identity.sensor).streams
+        streams = self.spec.streams
         rates = {each.data_name: told.get(each.data_name, each.rate) for each in streams}
         return {name: rate for name, rate in rates.items() if not isinstance(rate, FromDevice)}
 

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from biosensor_common.registry import sensor
+from biosensor_gateway.devices.registry import declaration
 from tests.faults.scenarios.one_computer import PLACES, OneComputer, ThisMachine, resident_mb
 from tests.rigs.hosts import recordings
 from tests.rigs.hosts.completeness import MARGIN_S, Span
@@ -178,7 +178,7 @@ def _regular(pair: Pair) -> dict[str, str]:
     topics = {
         f"/biosensors/{name}/{stream.data_name}"
         for name in SENSORS
-        for stream in sensor(name).streams
+        for stream in declaration(name).streams
         if stream.rate
     }
     return {s: place.topic for s, place in pair.expected.items() if place.topic in topics}

@@ -9,7 +9,7 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from biosensor_common.registry import sensor
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.system.logs import LOG_FILE_NAME
 from tests.faults.agent import AgentProcess
 from tests.faults.expectations import numeric_streams, source
@@ -50,7 +50,7 @@ def write_settings(
 def channels_of(sensors: Sequence[str]) -> dict[str, int]:
     """How many channels each numeric stream has, by source_id."""
     return {
-        source(name, data_name): len(sensor(name).stream(data_name).channels)
+        source(name, data_name): len(declaration(name).stream(data_name).channels)
         for name in sensors
         for data_name in numeric_streams(name)
     }

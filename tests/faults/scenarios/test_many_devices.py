@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import pytest
 
 from biosensor_common.naming import source_id
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import status_file
+from biosensor_gateway.devices.registry import declaration
 from tests.bench.processes import Processes
 from tests.faults.scenarios.figures import Record
 from tests.faults.scenarios.ledger import TruthLedger
@@ -28,8 +28,8 @@ COUNT = 20
 MODEL = "shimmer3_gsr"
 FAULT = f"{COUNT} devices of one model at once ({MODEL})"
 KEYS = [f"unit{number:02}" for number in range(1, COUNT + 1)]
-DATA_NAMES = [stream.data_name for stream in sensor(MODEL).streams]
-REGULAR = [stream for stream in sensor(MODEL).streams if stream.rate != 0]
+DATA_NAMES = [stream.data_name for stream in declaration(MODEL).streams]
+REGULAR = [stream for stream in declaration(MODEL).streams if stream.rate != 0]
 HOLD_S = 6.0
 # So many connect, and a node attaches to a hundred streams.
 DEADLINE_S = 120.0

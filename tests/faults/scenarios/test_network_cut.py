@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import pytest
 
-from biosensor_common.registry import sensor
+from biosensor_gateway.devices.registry import declaration
 from tests.faults.scenarios.figures import Record
 from tests.faults.scenarios.holes import missing
 from tests.faults.scenarios.length import is_long
@@ -80,7 +80,7 @@ class Crossing(NamedTuple):
         topics = {
             f"/biosensors/{name}/{stream.data_name}"
             for name in SENSORS
-            for stream in sensor(name).streams
+            for stream in declaration(name).streams
             if stream.rate
         }
         places = {s: place.topic for s, place in self.expected.items() if place.topic in topics}

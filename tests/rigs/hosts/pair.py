@@ -11,8 +11,8 @@ from types import TracebackType
 from typing import NamedTuple, Protocol, Self
 
 from biosensor_common import naming
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.devices.registry import declaration
 from tests.rigs.hosts import recordings
 from tests.rigs.hosts.completeness import Span, fault, is_current
 from tests.rigs.hosts.counters import lost_by_devices
@@ -68,7 +68,7 @@ def expected_places(agent_host: str, sensors: Sequence[str] = SENSORS) -> dict[s
             stream.is_state,
         )
         for identity in identities
-        for stream in sensor(identity.sensor).streams
+        for stream in declaration(identity.sensor).streams
     }
     gateway = DeviceIdentity(_GATEWAY, agent_host)
     return places | {

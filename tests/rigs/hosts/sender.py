@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import pylsl
 
 from biosensor_common.lsl_config import LslOverrides
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet, configure_lsl
 from tests.rigs.hosts.dialogue import Dialogue
 
@@ -46,7 +46,7 @@ class Sender:
 
     def __init__(self) -> None:
         configure_lsl(LslOverrides())
-        stream = sensor(SENSOR).stream(DATA)
+        stream = declaration(SENSOR).stream(DATA)
         self._outlet = Outlet(stream, DeviceIdentity(SENSOR, "numbered"), DeviceInfo())
         self._sent: list[int] = []
 

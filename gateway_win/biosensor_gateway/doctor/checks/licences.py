@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 from biosensor_common.doctor.finding import Finding, error, note, ok, warning
 from biosensor_common.errors import CredentialError, GatewayError
-from biosensor_common.registry import sensor
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.doctor.context import Context
 from biosensor_gateway.settings.models import DeviceSettings
 
 if TYPE_CHECKING:
-    from biosensor_gateway.devices import DriverEntry
+    from biosensor_gateway.devices.driver import DriverEntry
     from biosensor_gateway.settings.secrets import SecretName
 
 ANSWER_S = 10.0
@@ -23,7 +23,7 @@ def examine(context: Context) -> Iterator[Finding]:
     """Sign in to each service whose streams need a licence, and ask what it does not cover."""
     if not context.enabled:
         return
-    from biosensor_gateway.devices import driver  # noqa: PLC0415 - brings all drivers' libraries
+    from biosensor_gateway.devices.registry import driver  # noqa: PLC0415 - brings all drivers' libraries
 
     asked: set[str] = set()
     for device in context.enabled:
@@ -36,7 +36,7 @@ def examine(context: Context) -> Iterator[Finding]:
 
 
 def _licence(entry: DriverEntry, device: DeviceSettings) -> Iterator[Finding]:
-    title = sensor(device.sensor).title
+    title = declaration(device.sensor).title
     try:
         clauses = asyncio.run(_unlicensed(entry, device))
     except CredentialError as problem:

@@ -60,7 +60,7 @@ def _secrets(context: Context) -> Iterator[Finding]:
     sensors = dict.fromkeys(device.sensor for device in context.enabled)
     if not sensors:
         return
-    from biosensor_gateway.devices import driver  # noqa: PLC0415 - brings all drivers' libraries
+    from biosensor_gateway.devices.registry import driver  # noqa: PLC0415 - brings all drivers' libraries
     from biosensor_gateway.settings.secrets import find_secret  # noqa: PLC0415
 
     for sensor in sensors:

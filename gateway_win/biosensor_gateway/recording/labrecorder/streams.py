@@ -13,10 +13,11 @@ import pylsl
 from biosensor_common import naming
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.lsl_config import LslOverrides
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import status_file
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.settings.models import GatewaySettings
+from biosensor_gateway.streaming.gateway import GATEWAY
 from biosensor_gateway.streaming.outlets import configure_lsl
 
 SEARCH_S = 2.0
@@ -112,7 +113,7 @@ def _of_status(device: Mapping[str, Any]) -> ExpectedDevice:
 def _expected(identity: DeviceIdentity, why: str) -> ExpectedDevice:
     parts = (identity.participant, identity.sensor, identity.label)
     title = " ".join(part for part in parts if part) + f" ({identity.unit})"
-    streams = sensor(identity.sensor).streams
+    streams = declaration(identity.sensor).streams
     ids = frozenset(naming.source_id(identity, stream.data_name) for stream in streams)
     return ExpectedDevice(title, why, ids)
 
@@ -134,7 +135,7 @@ def look(settings: GatewaySettings, expected: Sequence[ExpectedDevice], own_host
     needed = frozenset[str]().union(*(device.source_ids for device in expected))
     seen = _search(needed)
     agent = DeviceIdentity("gateway", own_host)
-    ours = needed | {naming.source_id(agent, each.data_name) for each in sensor("gateway").streams}
+    ours = needed | {naming.source_id(agent, each.data_name) for each in GATEWAY.streams}
     present = {each.source_id for each in seen}
     return Presence(
         visible=seen,

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from biosensor_common.naming import lsl_name, source_id
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.settings.models import DeviceSettings
 
@@ -56,6 +56,6 @@ def by_devices(devices: Iterable[DeviceSettings]) -> tuple[ExpectedStream, ...]:
                 ExpectedStream(
                     lsl_name(identity, stream.data_name), source_id(identity, stream.data_name)
                 )
-                for stream in sensor(device.sensor).streams
+                for stream in declaration(device.sensor).streams
             ]
     return tuple(expected)

@@ -13,11 +13,11 @@ import pylsl
 import structlog
 
 from biosensor_common.clocks import MonotonicStamps
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.log_errors import unfailing
+from biosensor_gateway.streaming.gateway import GATEWAY
 from biosensor_gateway.streaming.outlets import Outlet
 
 TICK_S = 0.25
@@ -117,10 +117,9 @@ class Announcer:
 
 
 def _outlet() -> Outlet | None:
-    gateway = sensor("gateway")
-    identity = DeviceIdentity(gateway.name, socket.gethostname())
+    identity = DeviceIdentity(GATEWAY.name, socket.gethostname())
     try:
-        return Outlet(gateway.stream("events"), identity, DeviceInfo(model=gateway.model))
+        return Outlet(GATEWAY.stream("events"), identity, DeviceInfo(model=GATEWAY.model))
     except Exception:  # noqa: BLE001 - whatever keeps the stream away, devices go on
         _log.exception("there is no stream of events")
         return None

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from numpy.typing import ArrayLike
 from pylsl import local_clock
 
-from biosensor_common.registry import sensor
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
@@ -39,7 +38,7 @@ class DeviceEvents:
             if value:
                 self._names[key] = value
         self._gaps = GapWatch()
-        self._wear = WearWatch(sensor(identity.sensor))
+        self._wear = WearWatch(sink.spec)
         self._connections = 0
         self._is_connected = False
         self._is_paused = sink.is_paused

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import re
-
 from biosensor_gateway.devices.ble_heart_rate.driver.protocol import HEART_RATE_SERVICE
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
-
-# Listed once, by the driver that gets more out of them.
-_HAS_OWN_DRIVER = re.compile(r"Polar (H10|Sense|OH1) ")
 
 
 def identify(seen: Advertisement) -> str | None:
@@ -23,10 +18,8 @@ def identify_any(seen: Advertisement) -> str | None:
 
 
 def recognise(seen: Advertisement | SerialPort) -> Found | None:
-    """Tell whether this is a strap that no other driver is made for."""
+    """Tell whether this is a strap; one that another driver knows better is left to that one."""
     if not isinstance(seen, Advertisement) or identify(seen) is None:
-        return None
-    if _HAS_OWN_DRIVER.match(seen.name):
         return None
     settings = {"unit": seen.address, "device": seen.address}
     return Found("ble_heart_rate", seen.name or seen.address, settings, seen.rssi_dbm)

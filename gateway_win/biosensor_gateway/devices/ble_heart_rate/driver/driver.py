@@ -10,7 +10,6 @@ from pydantic import Field
 from pylsl import local_clock
 
 from biosensor_common.errors import GatewayError, ProtocolError, ProtocolReason
-from biosensor_gateway.devices import DriverEntry
 from biosensor_gateway.devices.ble_heart_rate.driver.discovery import (
     identify,
     identify_any,
@@ -19,7 +18,7 @@ from biosensor_gateway.devices.ble_heart_rate.driver.discovery import (
 from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
 from biosensor_gateway.devices.ble_heart_rate.driver.protocol import HEART_RATE_MEASUREMENT
 from biosensor_gateway.devices.ble_heart_rate.driver.strap import DUE, Strap
-from biosensor_gateway.devices.driver import Connected
+from biosensor_gateway.devices.driver import Connected, DriverEntry
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.ble import BleLink

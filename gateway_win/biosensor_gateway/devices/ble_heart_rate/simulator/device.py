@@ -43,6 +43,7 @@ class SimulatedHeartRateStrap(Twin):
 
     sensor = "ble_heart_rate"
     faults = STRAP_FAULTS
+    on_air = True
 
     def __init__(
         self,

@@ -9,8 +9,7 @@ import structlog
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_common.spec import IRREGULAR, DeviceInfo
-from biosensor_gateway.devices import DriverEntry
-from biosensor_gateway.devices.driver import Connected
+from biosensor_gateway.devices.driver import Connected, DriverEntry
 from biosensor_gateway.devices.emotiv_insight.driver import account as accounts
 from biosensor_gateway.devices.emotiv_insight.driver import results
 from biosensor_gateway.devices.emotiv_insight.driver.account import SECRETS, Account

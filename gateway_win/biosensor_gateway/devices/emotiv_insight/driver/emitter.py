@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import structlog
 
-from biosensor_common.sensors.emotiv_insight import SENSOR
+from biosensor_gateway.devices.emotiv_insight.declaration import SPEC
 from biosensor_gateway.devices.emotiv_insight.driver.gaps import SampleCount
 from biosensor_gateway.devices.emotiv_insight.driver.protocol import Sample
 from biosensor_gateway.streaming.sink import DeviceSink
@@ -56,7 +56,7 @@ class EmotivEmitter:
         }
         self._labels = {
             stream.data_name: tuple(channel.label for channel in stream.channels)
-            for stream in SENSOR.streams
+            for stream in SPEC.streams
         }
         self._not_yet_heard: set[str] = set()
         self._clock_leads = False

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 from biosensor_gateway.devices.emotiv_insight.simulator.account import App, Licence
@@ -22,7 +23,7 @@ from biosensor_gateway.devices.emotiv_insight.simulator.models import INSIGHT_1,
 from biosensor_gateway.devices.emotiv_insight.simulator.release import Metrics, Release
 from biosensor_gateway.devices.emotiv_insight.simulator.service import Service, Setup
 from biosensor_gateway.simulation.faults import Fault, FaultKind
-from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.simulation.twin import Filled, Twin
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
@@ -76,6 +77,7 @@ class SimulatedCortex(Twin):
 
     sensor = "emotiv_insight"
     faults = frozenset(FaultKind)
+    filled = MappingProxyType({"gyro": Filled(None, "only headsets with older firmware have it")})
     client_id = _APP.client_id
     client_secret = _APP.client_secret
 

@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 from pylsl import local_clock
 
-from biosensor_common.sensors.emotiv_insight import SENSOR
+from biosensor_gateway.devices.emotiv_insight.declaration import SPEC
 from biosensor_gateway.devices.emotiv_insight.simulator.listener import Client
 from biosensor_gateway.devices.emotiv_insight.simulator.mishaps import Mishaps
 from biosensor_gateway.devices.emotiv_insight.simulator.release import Columns
@@ -23,7 +23,7 @@ from biosensor_gateway.simulation.truth import Truth
 
 _AHEAD_S = 0.25
 _TRUE_OF = {"eeg": ("eeg", "eeg_status"), "mot": ("mot", "gyro")}
-_LABELS = {stream.data_name: stream.labels for stream in SENSOR.streams}
+_LABELS = {stream.data_name: stream.labels for stream in SPEC.streams}
 _DECLARED_AS = {
     "eng": "engagement",
     "exc": "excitement",

@@ -16,8 +16,7 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_common.spec import DeviceInfo
-from biosensor_gateway.devices import DriverEntry
-from biosensor_gateway.devices.driver import Connected
+from biosensor_gateway.devices.driver import Connected, DriverEntry
 from biosensor_gateway.devices.empatica_e4.driver.conversation import Conversation
 from biosensor_gateway.devices.empatica_e4.driver.discovery import DEFAULT_HOST, DEFAULT_PORT, find
 from biosensor_gateway.devices.empatica_e4.driver.emitter import DATA_NAMES, E4Emitter

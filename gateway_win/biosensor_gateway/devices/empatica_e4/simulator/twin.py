@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from math import inf
+from types import MappingProxyType
 from typing import Any
 
 from biosensor_gateway.devices.empatica_e4.simulator.delivery import Mishaps, Tear
@@ -20,7 +21,7 @@ from biosensor_gateway.devices.empatica_e4.simulator.server import Server
 from biosensor_gateway.devices.empatica_e4.simulator.wristband import Wristband
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.truth import Truth
-from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.simulation.twin import Filled, Twin
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
@@ -61,6 +62,16 @@ class SimulatedE4(Twin):
 
     sensor = "empatica_e4"
     faults = frozenset(FaultKind)
+    filled = MappingProxyType(
+        {
+            "hr": Filled(8, "the server sends it six seconds late"),
+            "ibi": Filled(8, "the server sends it six seconds late"),
+            "bat": Filled(11, "the server sends it every ten seconds"),
+            "tag": Filled(None, "nobody presses the virtual wristband's button"),
+            "gsr": Filled(2, "the server sends it in bursts"),
+            "st": Filled(2, "the server sends it in bursts"),
+        }
+    )
 
     def __init__(
         self,

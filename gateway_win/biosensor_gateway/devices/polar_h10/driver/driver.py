@@ -18,8 +18,7 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_common.spec import DeviceInfo
-from biosensor_gateway.devices import DriverEntry
-from biosensor_gateway.devices.driver import Connected
+from biosensor_gateway.devices.driver import Connected, DriverEntry
 from biosensor_gateway.devices.polar_h10.driver.discovery import identify, recognise
 from biosensor_gateway.devices.polar_h10.driver.emitter import DATA_NAMES, PolarEmitter
 from biosensor_gateway.devices.polar_h10.driver.measurements import Wanted

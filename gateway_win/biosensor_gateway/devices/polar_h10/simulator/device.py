@@ -73,6 +73,7 @@ class SimulatedPolarH10(Twin):
 
     sensor = "polar_h10"
     faults = STRAP_FAULTS | PMD_FAULTS
+    on_air = True
 
     def __init__(
         self,

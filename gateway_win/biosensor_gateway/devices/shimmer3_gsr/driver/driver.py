@@ -11,10 +11,9 @@ from pydantic import Field
 from pylsl import local_clock
 
 from biosensor_common.errors import TransportError, TransportReason
-from biosensor_common.sensors.shimmer3_gsr import SENSOR
 from biosensor_common.spec import DeviceInfo
-from biosensor_gateway.devices import DriverEntry
-from biosensor_gateway.devices.driver import Connected
+from biosensor_gateway.devices.driver import Connected, DriverEntry
+from biosensor_gateway.devices.shimmer3_gsr.declaration import SPEC
 from biosensor_gateway.devices.shimmer3_gsr.driver import commands
 from biosensor_gateway.devices.shimmer3_gsr.driver.conversation import Conversation
 from biosensor_gateway.devices.shimmer3_gsr.driver.discovery import recognise
@@ -98,7 +97,7 @@ class ShimmerDriver:
         rates = {
             name: measurement.rate_hz
             for name in WAVEFORMS
-            if measurement.rate_hz != SENSOR.stream(name).rate
+            if measurement.rate_hz != SPEC.stream(name).rate
         }
         info = DeviceInfo(firmware_version=str(self._kind.firmware))
         return Connected(info, rates, patience_s=PATIENCE_S)

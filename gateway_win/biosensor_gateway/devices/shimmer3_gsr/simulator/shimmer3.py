@@ -11,6 +11,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from math import isnan, nan
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,7 @@ from biosensor_gateway.simulation.async_serial import serial_port
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.serial_links import AsyncSerialPort
-from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.simulation.twin import Filled, Twin
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
@@ -76,6 +77,7 @@ class SimulatedShimmer3(Twin):
 
     sensor = "shimmer3_gsr"
     faults = frozenset(FaultKind)
+    filled = MappingProxyType({"hr": Filled(7, "it takes five heart beats")})
 
     def __init__(
         self,

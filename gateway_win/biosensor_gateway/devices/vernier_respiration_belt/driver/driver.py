@@ -18,8 +18,7 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_common.spec import DeviceInfo
-from biosensor_gateway.devices import DriverEntry
-from biosensor_gateway.devices.driver import Connected
+from biosensor_gateway.devices.driver import Connected, DriverEntry
 from biosensor_gateway.devices.vernier_respiration_belt.driver import protocol, replies
 from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import (
     BeltChannels,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Coroutine, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -72,6 +73,8 @@ class SimulatedBelt(Twin):
 
     sensor = "vernier_respiration_belt"
     faults = frozenset(FaultKind)
+    on_air = True
+    rates_hz = MappingProxyType({"force": 10.0, "bpm": 10.0})
 
     def __init__(
         self,

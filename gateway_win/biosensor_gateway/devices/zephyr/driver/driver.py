@@ -9,8 +9,7 @@ import structlog
 from pydantic import Field
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_gateway.devices import DriverEntry
-from biosensor_gateway.devices.driver import Connected
+from biosensor_gateway.devices.driver import Connected, DriverEntry
 from biosensor_gateway.devices.zephyr.driver.discovery import recognise
 from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
 from biosensor_gateway.devices.zephyr.driver.messages import Message, Reply, RrIntervals, Summary

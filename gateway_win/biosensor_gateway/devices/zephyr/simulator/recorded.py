@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
 from biosensor_gateway.devices.zephyr.simulator.recording import RecordedSource
 from biosensor_gateway.simulation.faults import Fault, FaultKind
-from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.simulation.twin import Filled, Twin
 from biosensor_gateway.simulation.world import World
 
 
@@ -27,6 +28,13 @@ class RecordedZephyr(Twin):
 
     sensor = "zephyr"
     faults = frozenset({FaultKind.DROP, FaultKind.STALL, FaultKind.GARBAGE})
+    filled = MappingProxyType(
+        {
+            "hrv": Filled(76, "the recording's first valid value comes at 76 s"),
+            "breathing": Filled(1, "the recording's first valid value comes at 1 s"),
+            "st": Filled(None, "the recorded device never reports a valid value"),
+        }
+    )
 
     def __init__(self, world: World, *, kept: int | None = None) -> None:
         super().__init__(world, kept)

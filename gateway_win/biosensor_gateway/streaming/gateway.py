@@ -4,7 +4,7 @@ from biosensor_common.quantities import ChannelFormat, ContentType, MessageType,
 from biosensor_common.spec import SensorSpec
 from biosensor_common.table import channels, hardware
 
-SENSOR = SensorSpec(
+GATEWAY = SensorSpec(
     name="gateway",
     title="Biosensor Gateway capture agent",
     manufacturer="Biosensor Gateway",

@@ -9,7 +9,7 @@ _QUALITY = (
     *channels(Unit.FRACTION, "loss"),
 )
 
-SENSOR = SensorSpec(
+SPEC = SensorSpec(
     name="empatica_e4",
     title="Empatica E4",
     manufacturer="Empatica",

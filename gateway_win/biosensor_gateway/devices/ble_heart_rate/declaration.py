@@ -4,7 +4,7 @@ from biosensor_common.quantities import ChannelRole, ContentType, MessageType, U
 from biosensor_common.spec import SensorSpec
 from biosensor_common.table import battery, channels, hardware, raw, signal_strength
 
-SENSOR = SensorSpec(
+SPEC = SensorSpec(
     name="ble_heart_rate",
     title="Bluetooth heart-rate strap",
     # Who made the strap is known once it is connected.

@@ -40,7 +40,7 @@ _EEG_STATUS = (
     *channels(Unit.BOOLEAN, "MARKER_HARDWARE"),
 )
 
-SENSOR = SensorSpec(
+SPEC = SensorSpec(
     name="emotiv_insight",
     title="Emotiv Insight",
     manufacturer="Emotiv",

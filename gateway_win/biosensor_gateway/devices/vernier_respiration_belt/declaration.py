@@ -10,7 +10,7 @@ _QUALITY = (
     *channels(Unit.INDEX, "tension"),
 )
 
-SENSOR = SensorSpec(
+SPEC = SensorSpec(
     name="vernier_respiration_belt",
     title="Vernier Go Direct Respiration Belt",
     manufacturer="Vernier",

@@ -3,13 +3,13 @@
 from dataclasses import replace
 
 from biosensor_common.quantities import ContentType, Unit
-from biosensor_common.sensors import ble_heart_rate
 from biosensor_common.spec import SensorSpec
 from biosensor_common.table import channels, hardware, raw
+from biosensor_gateway.devices.ble_heart_rate import declaration as ble_heart_rate
 
-_STRAP = ble_heart_rate.SENSOR
+_STRAP = ble_heart_rate.SPEC
 
-SENSOR = SensorSpec(
+SPEC = SensorSpec(
     name="polar_h10",
     title="Polar H10",
     manufacturer="Polar Electro",

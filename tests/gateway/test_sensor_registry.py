@@ -7,27 +7,36 @@ from pathlib import Path
 import pytest
 
 from biosensor_common.errors import SpecError, SpecReason
-from biosensor_common.registry import ENTRY_POINT_GROUP, sensor, sensor_names
 from biosensor_common.spec import SensorSpec
+from biosensor_gateway.devices.registry import (
+    ENTRY_POINT_GROUP,
+    declaration,
+    declaration_names,
+    driver,
+    sensor_names,
+)
 
 Install = Callable[[str, dict[str, str]], None]
 
+# The generic one comes last: what it recognises may be another's.
 BUILT_IN = (
-    "empatica_e4",
     "emotiv_insight",
-    "shimmer3_gsr",
+    "empatica_e4",
     "polar_h10",
+    "shimmer3_gsr",
     "vernier_respiration_belt",
     "zephyr",
     "ble_heart_rate",
-    "gateway",
 )
 MODULE = """
 from biosensor_common.spec import SensorSpec
+from biosensor_gateway.devices.sensor import Sensor
 
-BAND = SensorSpec("acme_band", "Acme Band", "Acme", "Band", ())
-OTHER_NAME = SensorSpec("acme_ring", "Acme Ring", "Acme", "Ring", ())
-ZEPHYR = SensorSpec("zephyr", "Not a Zephyr", "Acme", "Band", ())
+SPEC = SensorSpec("acme_band", "Acme Band", "Acme", "Band", ())
+BAND = Sensor(SPEC, driver="acme_sensors:NUMBER")
+CRASHING = Sensor(SPEC, driver="acme_crash:DRIVER")
+OTHER_NAME = Sensor(SensorSpec("acme_ring", "Acme Ring", "Acme", "Ring", ()), driver="")
+ZEPHYR = Sensor(SensorSpec("zephyr", "Not a Zephyr", "Acme", "Band", ()), driver="")
 NUMBER = 42
 """
 
@@ -55,28 +64,18 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
 
 def refusal(name: str) -> SpecError:
     with pytest.raises(SpecError) as caught:
-        sensor(name)
+        declaration(name)
     return caught.value
 
 
-def modules_after(statements: str) -> set[str]:
-    """Sensor modules that a fresh interpreter has loaded after *statements*."""
-    script = f"""
-import sys
-{statements}
-print(*[name for name in sys.modules if name.startswith("biosensor_common.sensors.")])
-"""
-    run = [sys.executable, "-c", script]
-    return set(subprocess.run(run, capture_output=True, text=True, check=True).stdout.split())
-
-
-@pytest.mark.parametrize("name", BUILT_IN)
+@pytest.mark.parametrize("name", (*BUILT_IN, "gateway"))
 def test_a_built_in_sensor_is_found_under_its_own_name(name: str) -> None:
-    assert sensor(name).name == name
+    assert declaration(name).name == name
 
 
 def test_all_built_in_sensors_are_listed() -> None:
-    assert sensor_names()[: len(BUILT_IN)] == BUILT_IN
+    assert sensor_names() == BUILT_IN
+    assert declaration_names() == (*BUILT_IN, "gateway")
 
 
 def test_an_unknown_sensor_is_refused_with_the_known_names() -> None:
@@ -86,21 +85,24 @@ def test_an_unknown_sensor_is_refused_with_the_known_names() -> None:
     assert all(name in str(error) for name in BUILT_IN)
 
 
-def test_no_sensor_is_imported_before_it_is_asked_for() -> None:
-    assert modules_after("from biosensor_common.registry import sensor_names; sensor_names()") == (
-        set()
-    )
-
-
-def test_asking_for_one_sensor_imports_no_other() -> None:
-    loaded = modules_after("from biosensor_common.registry import sensor; sensor('zephyr')")
-    assert loaded == {"biosensor_common.sensors.zephyr"}
+def test_a_list_of_sensors_imports_no_driver_and_no_virtual_device() -> None:
+    script = """
+import sys
+from biosensor_gateway.devices.registry import declaration, sensor_names
+for name in sensor_names():
+    declaration(name)
+print(*[name for name in sys.modules if name.startswith("biosensor_gateway.devices.")])
+"""
+    run = [sys.executable, "-c", script]
+    loaded = subprocess.run(run, capture_output=True, text=True, check=True).stdout.split()
+    inside = {name.split(".")[3] for name in loaded if name.count(".") > 2}
+    assert inside == {"declaration"}
 
 
 def test_another_package_adds_a_sensor(install: Install) -> None:
     install("acme-sensors", {"acme_band": "acme_sensors:BAND"})
     assert sensor_names() == (*BUILT_IN, "acme_band")
-    assert sensor("acme_band") == SensorSpec("acme_band", "Acme Band", "Acme", "Band", ())
+    assert declaration("acme_band") == SensorSpec("acme_band", "Acme Band", "Acme", "Band", ())
 
 
 @pytest.mark.parametrize(
@@ -109,7 +111,7 @@ def test_another_package_adds_a_sensor(install: Install) -> None:
         pytest.param("acme_missing:BAND", id="no such module"),
         pytest.param("acme_sensors:MISSING", id="no such attribute"),
         pytest.param("acme_crash:BAND", id="fails on import"),
-        pytest.param("acme_sensors:NUMBER", id="not a SensorSpec"),
+        pytest.param("acme_sensors:NUMBER", id="not a Sensor"),
         pytest.param("acme_sensors:OTHER_NAME", id="another name"),
     ],
 )
@@ -117,12 +119,21 @@ def test_a_broken_sensor_is_refused_with_its_package_and_harms_no_other(
     install: Install, value: str
 ) -> None:
     install("acme-sensors", {"acme_band": value, "zephyr_two": value})
-    assert "acme_band" in sensor_names()
-    assert sensor("zephyr").name == "zephyr"
+    assert "acme_band" in declaration_names()
+    assert declaration("zephyr").name == "zephyr"
     error = refusal("acme_band")
     assert error.reason is SpecReason.INVALID
     assert "acme-sensors" in str(error)
     assert "'acme_band'" in str(error)
+
+
+@pytest.mark.parametrize("value", ["acme_sensors:BAND", "acme_sensors:CRASHING"])
+def test_a_broken_driver_is_refused_and_harms_no_other(install: Install, value: str) -> None:
+    install("acme-sensors", {"acme_band": value})
+    with pytest.raises(SpecError, match="The driver of 'acme_band'") as caught:
+        driver("acme_band")
+    assert caught.value.reason is SpecReason.INVALID
+    assert driver("zephyr").settings.__name__ == "ZephyrSettings"
 
 
 def test_a_sensor_of_two_packages_is_refused_with_both(install: Install) -> None:
@@ -136,5 +147,5 @@ def test_a_sensor_of_two_packages_is_refused_with_both(install: Install) -> None
 
 def test_a_built_in_sensor_cannot_be_replaced(install: Install) -> None:
     install("acme-sensors", {"zephyr": "acme_sensors:ZEPHYR"})
-    assert sensor("zephyr").title == "Zephyr BioHarness 3"
+    assert declaration("zephyr").title == "Zephyr BioHarness 3"
     assert sensor_names() == BUILT_IN

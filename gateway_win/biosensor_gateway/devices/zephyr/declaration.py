@@ -13,7 +13,7 @@ _QUALITY = (
     *channels(Unit.INDEX, "link_quality"),
 )
 
-SENSOR = SensorSpec(
+SPEC = SensorSpec(
     name="zephyr",
     title="Zephyr BioHarness 3",
     manufacturer="Zephyr Technology",

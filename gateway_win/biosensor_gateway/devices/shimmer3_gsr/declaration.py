@@ -10,7 +10,7 @@ _QUALITY = (
     *channels(Unit.BOOLEAN, "pulse_found"),
 )
 
-SENSOR = SensorSpec(
+SPEC = SensorSpec(
     name="shimmer3_gsr",
     title="Shimmer3 GSR+",
     manufacturer="Shimmer",

@@ -1,1 +1,0 @@
-"""One module a sensor, each with one table: ``SENSOR``."""

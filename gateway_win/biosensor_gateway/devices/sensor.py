@@ -1,0 +1,38 @@
+"""One sensor: what it emits, who reads it, and what stands in for it without hardware."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from biosensor_common.spec import SensorSpec
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """What the folder of a sensor offers as its ``SENSOR``.
+
+    Driver and virtual devices are named, ``module:attribute``, and imported when they are
+    used: a list of sensors needs none of their libraries.
+
+    Attributes
+    ----------
+    spec
+        The declaration: streams, channels, units, rates.
+    driver
+        A :class:`~biosensor_gateway.devices.driver.DriverEntry`.
+    virtual
+        Classes of :class:`~biosensor_gateway.simulation.twin.Twin` by variant, ``""`` the
+        usual one; what ``run --simulate`` calls ``zephyr`` and ``zephyr:recording``.
+    demo
+        The variant that the demo runs.
+    precedence
+        Of two sensors that recognise the same device, the one with more gets it: a generic
+        sensor has less than 0.
+    """
+
+    spec: SensorSpec
+    driver: str
+    virtual: Mapping[str, str] = field(default_factory=dict[str, str])
+    demo: str = ""
+    precedence: int = 0
