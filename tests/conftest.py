@@ -10,10 +10,15 @@ import uuid
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from tests.slots import lsl_ports, take_slot
 
 pytest_plugins = ["tests.time_spent.plugin"]
+
+# How long an example takes says more of who else works on this machine.
+settings.register_profile("tests", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("tests")
 
 _folder = Path(tempfile.mkdtemp(prefix="biosensor-gateway-tests-"))
 atexit.register(shutil.rmtree, _folder, ignore_errors=True)

@@ -53,8 +53,13 @@ def test_programs_that_are_not_there_or_hang(
 
 @pytest.mark.parametrize("name", ["ufw", "firewalld"])
 def test_a_firewall_of_linux_is_named_with_its_command(
-    examine: Examine, context: Context, install: Install, name: str
+    examine: Examine,
+    context: Context,
+    install: Install,
+    lsl_file: Callable[[str], Path],
+    name: str,
 ) -> None:
+    lsl_file("[ports]\nPortRange = 256\n")
     install("systemctl", f'[ "$1 $2" = "is-active {name}" ]')
     (found,) = examine(context, "linux_firewall")
     assert (found.level, found.what) == (Level.NOTE, f"the firewall {name} is on")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -187,7 +188,7 @@ def test_status_without_an_agent_fails(run: Run) -> None:
 
 def test_status_of_an_agent_that_is_gone_fails(run: Run, state: Path) -> None:
     write_status(state, DEVICE, age_s=90)
-    assert "90 s ago" in one_sentence(run("status"), 1)
+    assert re.search(r"\b9\d s ago", one_sentence(run("status"), 1))
 
 
 def test_a_damaged_status_file_fails(run: Run, state: Path) -> None:
