@@ -15,7 +15,7 @@ from std_msgs.msg import Float32MultiArray
 
 from biosensor_common.quantities import MessageType
 from lsl_to_ros.topics.pacing import Pace, Pacer
-from lsl_to_ros.topics.publishers import Port, Ports
+from lsl_to_ros.topics.publishers import TopicPublisher, TopicPublishers
 from lsl_to_ros.topics.writers import ChunkWriter
 from tests.bench.child import Orders, say
 from tests.bench.samples import CHANNELS, FILLER, values_of
@@ -27,7 +27,7 @@ _PAUSE_S = 0.02
 class Publisher:
     """Publishes chunks as the node does, and ready messages of the same size."""
 
-    def __init__(self, port: Port, floor: Port) -> None:
+    def __init__(self, port: TopicPublisher, floor: TopicPublisher) -> None:
         self._sample = np.array([values_of(FILLER)], dtype=np.float32)
         self._all_but_one = np.repeat(self._sample, SAMPLES - 1, axis=0)
         values = array("f", SAMPLES * values_of(FILLER))
@@ -67,7 +67,7 @@ def publish(topic: str, floor_topic: str) -> None:
     """Publish one of each until the parent orders COUNT; say the times of so many as JSON."""
     orders, ports = (
         Orders(),
-        Ports(rclpy.create_node("bench_publisher"), Pacer(Pace(), print)),
+        TopicPublishers(rclpy.create_node("bench_publisher"), Pacer(Pace(), print)),
     )
     publisher = Publisher(*(ports.open(each, Float32MultiArray) for each in (topic, floor_topic)))
     order = None

@@ -15,7 +15,7 @@ from biosensor_common.table import channels, raw
 from biosensor_gateway.devices.registry import declaration, declaration_names
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
-from biosensor_gateway.streaming.events.contact import WearWatch
+from biosensor_gateway.streaming.events.contact import ContactWatch
 from biosensor_gateway.streaming.events.device import DeviceEvents
 from biosensor_gateway.streaming.events.gaps import SETTLE_S, Gap, GapWatch
 from biosensor_gateway.streaming.pause_gate import RESUME_GUARD_S
@@ -283,7 +283,7 @@ def test_a_gap_never_begins_before_the_resumption() -> None:
 
 
 def test_channels_that_tell_wear_are_those_of_the_declarations() -> None:
-    found = {name: WearWatch(declaration(name)).channel for name in declaration_names()}
+    found = {name: ContactWatch(declaration(name)).channel for name in declaration_names()}
     assert found == {
         "empatica_e4": "worn",
         "emotiv_insight": "",
@@ -299,14 +299,14 @@ def test_channels_that_tell_wear_are_those_of_the_declarations() -> None:
 def test_contact_is_followed_wherever_a_sensor_of_another_package_tells_it() -> None:
     skin = (*channels("mmHg", "pressure"), *channels(Unit.BOOLEAN, "on", roles=[CONTACT]))
     stream = raw("cuff", ContentType.STATUS, skin, 10.0)
-    watch = WearWatch(SensorSpec("another", "Another", "", "", (stream,)))
+    watch = ContactWatch(SensorSpec("another", "Another", "", "", (stream,)))
     assert watch.channel == "on"
     assert list(watch.changes("quality", [[0.0, 0.0]], [1.0])) == []
     assert list(watch.changes("cuff", [[0.0, 1.0]], [2.0])) == [(True, 2.0)]
 
 
 def test_an_unknown_wear_is_no_change() -> None:
-    watch = WearWatch(declaration("zephyr"))
+    watch = ContactWatch(declaration("zephyr"))
     nan = float("nan")
     rows = [[value, 9.0, 9.0, 9.0, 9.0, 9.0] for value in (nan, 1.0, nan, 1.0, 0.0)]
     told = list(watch.changes("quality", rows, [0.0, 1.0, 2.0, 3.0, 4.0]))

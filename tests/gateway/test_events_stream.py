@@ -26,7 +26,7 @@ from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events import announcer as announcer_module
 from biosensor_gateway.streaming.events.announcer import Announcer
 from biosensor_gateway.streaming.events.device import DeviceEvents
-from biosensor_gateway.streaming.events.log_errors import unfailing
+from biosensor_gateway.streaming.events.log_errors import log_errors
 from biosensor_gateway.streaming.sink import DeviceSink
 
 SOURCE = naming.source_id(DeviceIdentity("gateway", socket.gethostname()), "events")
@@ -203,7 +203,7 @@ async def test_nothing_that_fails_in_it_reaches_the_data(
 
 
 def test_a_failure_is_logged_once() -> None:
-    @unfailing
+    @log_errors
     def fail(text: str) -> None:
         raise ValueError(text)
 

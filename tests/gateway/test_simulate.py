@@ -18,9 +18,9 @@ from hypothesis import strategies as st
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.simulation import twin as twin_module
+from biosensor_gateway.simulation import virtual_device as twin_module
 from biosensor_gateway.simulation.faults import Fault, FaultKind, ScheduledFault, parse_fault
-from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.system.logs import LOG_FILE_NAME
 
@@ -157,7 +157,7 @@ def test_real_devices_are_given_no_faults(run: Run) -> None:
     assert "--simulate" in err
 
 
-class Recording(Twin):
+class Recording(VirtualDevice):
     """Notes what it is told."""
 
     sensor = "recording"

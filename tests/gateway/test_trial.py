@@ -23,7 +23,7 @@ from biosensor_gateway.doctor import device_test
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports import ble_choice
@@ -55,7 +55,7 @@ def configure(settings: Path) -> Callable[..., None]:
     return write
 
 
-def of(twin: Twin, unit: str = "U1") -> dict[str, Any]:
+def of(twin: VirtualDevice, unit: str = "U1") -> dict[str, Any]:
     return {"sensor": twin.sensor, "unit": unit, **twin.settings}
 
 

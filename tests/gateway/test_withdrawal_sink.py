@@ -14,7 +14,7 @@ from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming import outlets as outlets_module
 from biosensor_gateway.streaming.counters import Counters
-from biosensor_gateway.streaming.pause_gate import RESUME_GUARD_S, Withholding
+from biosensor_gateway.streaming.pause_gate import RESUME_GUARD_S, PauseGate
 from biosensor_gateway.streaming.sink import DeviceSink
 
 OpenInlet = Callable[[str], pylsl.StreamInlet]
@@ -193,7 +193,7 @@ def test_of_a_gap_that_was_partly_paused_the_rest_is_lost(sink: DeviceSink) -> N
     span=st.lists(st.integers(-10, 1010), min_size=2, max_size=2, unique=True).map(sorted),
 )
 def test_the_share_of_a_span_is_what_lies_in_the_pauses(edges: list[int], span: list[int]) -> None:
-    withheld = Withholding()
+    withheld = PauseGate()
     for begin, end in (edges[:2], edges[2:]):
         withheld.begin(float(begin * 10))
         withheld.end(end * 10 - RESUME_GUARD_S)

@@ -14,7 +14,7 @@ from structlog.testing import capture_logs
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.pauses import store
-from biosensor_gateway.agent.pauses.commands import WithdrawalDesk
+from biosensor_gateway.agent.pauses.commands import PauseCommands
 from biosensor_gateway.agent.pauses.selection import chosen, device_name
 from biosensor_gateway.agent.pauses.store import PAUSED_FILE, Pause
 from biosensor_gateway.devices.registry import declaration
@@ -109,7 +109,7 @@ ENTRY = {"sensor": H10, "unit": "A1", "participant": "", "label": "", "since": S
 def test_from_a_damaged_file_nobody_is_streamed(tmp_path: Path, text: str) -> None:
     (tmp_path / PAUSED_FILE).write_text(text, encoding="latin-1")
     with pytest.raises(ConfigError) as caught:
-        WithdrawalDesk(tmp_path, [])
+        PauseCommands(tmp_path, [])
     assert caught.value.reason is ConfigReason.UNREADABLE
     assert str(tmp_path / PAUSED_FILE) in str(caught.value)
     assert "remove it if nobody has" in str(caught.value)
@@ -141,7 +141,7 @@ def test_who_had_withdrawn_is_paused_from_the_start_and_it_is_said(tmp_path: Pat
     store.save(tmp_path, [Pause(LEFT, SINCE)])
     sinks = [DeviceSink(LEFT, declaration(LEFT.sensor)), DeviceSink(BELT, declaration(BELT.sensor))]
     with capture_logs() as logs:
-        WithdrawalDesk(tmp_path, sinks)
+        PauseCommands(tmp_path, sinks)
     assert [sink.is_paused for sink in sinks] == [True, False]
     (said,) = logs
     assert (said["log_level"], said["unit"]) == ("warning", "A1")
@@ -151,7 +151,7 @@ def test_who_had_withdrawn_is_paused_from_the_start_and_it_is_said(tmp_path: Pat
 
 async def test_pause_and_resume_are_kept(tmp_path: Path) -> None:
     sinks = [DeviceSink(LEFT, declaration(LEFT.sensor)), DeviceSink(BELT, declaration(BELT.sensor))]
-    commands = WithdrawalDesk(tmp_path, sinks).commands
+    commands = PauseCommands(tmp_path, sinks).commands
     assert await ask(commands, "pause", "left") == ("polar_h10/A1", True, None)
     assert await ask(commands, "pause", "left") == ("polar_h10/A1", False, None)
     assert await ask(commands, "pause", "p02") == (device_name(BELT), True, None)
@@ -166,7 +166,7 @@ async def test_pause_and_resume_are_kept(tmp_path: Path) -> None:
 
 async def test_a_pause_of_somebody_who_is_not_in_the_settings_is_kept(tmp_path: Path) -> None:
     store.save(tmp_path, [Pause(BELT, SINCE)])
-    commands = WithdrawalDesk(tmp_path, [DeviceSink(LEFT, declaration(LEFT.sensor))]).commands
+    commands = PauseCommands(tmp_path, [DeviceSink(LEFT, declaration(LEFT.sensor))]).commands
     await ask(commands, "pause", "left")
     await ask(commands, "resume", "left")
     assert store.load(tmp_path) == [Pause(BELT, SINCE)]
@@ -174,7 +174,7 @@ async def test_a_pause_of_somebody_who_is_not_in_the_settings_is_kept(tmp_path: 
 
 async def test_what_cannot_be_kept_is_done_and_said(tmp_path: Path) -> None:
     sink = DeviceSink(LEFT, declaration(LEFT.sensor))
-    commands = WithdrawalDesk(tmp_path, [sink]).commands
+    commands = PauseCommands(tmp_path, [sink]).commands
     blocked = (tmp_path / PAUSED_FILE).with_suffix(".new")
     blocked.mkdir()
     _, changed, problem = await ask(commands, "pause", "left")
@@ -189,7 +189,7 @@ async def test_what_cannot_be_kept_is_done_and_said(tmp_path: Path) -> None:
 
 
 async def test_a_request_without_a_name_is_refused(tmp_path: Path) -> None:
-    commands = WithdrawalDesk(tmp_path, [DeviceSink(LEFT, declaration(LEFT.sensor))]).commands
+    commands = PauseCommands(tmp_path, [DeviceSink(LEFT, declaration(LEFT.sensor))]).commands
     with pytest.raises(ConfigError, match="'device' is not a text"):
         await commands["pause"]({"device": 7})
 

@@ -22,7 +22,7 @@ from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.devices.shimmer3_gsr.simulator import SimulatedShimmer3
 from biosensor_gateway.devices.zephyr.simulator import SimulatedZephyr
 from biosensor_gateway.simulation.faults import Fault, FaultKind
-from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
 from installer.wine.prefix import windows_path
 from tests.faults.episode import Episode, Stock
@@ -69,7 +69,9 @@ EVERY_CELL = pytest.mark.parametrize(
 class Bench:
     """The devices, the program that streams from them, and a recorder on Linux."""
 
-    def __init__(self, twins: dict[str, Twin], program: RunningProgram, recorder: Recorder) -> None:
+    def __init__(
+        self, twins: dict[str, VirtualDevice], program: RunningProgram, recorder: Recorder
+    ) -> None:
         self.program = program
         self._twins = twins
         self._recorder = recorder
@@ -176,7 +178,11 @@ def bench(installed: WindowsPc, tmp_path_factory: pytest.TempPathFactory) -> Gen
         SimulatedShimmer3(world) as shimmer,
         SimulatedZephyr(world) as zephyr,
     ):
-        twins: dict[str, Twin] = {"empatica_e4": e4, "shimmer3_gsr": shimmer, "zephyr": zephyr}
+        twins: dict[str, VirtualDevice] = {
+            "empatica_e4": e4,
+            "shimmer3_gsr": shimmer,
+            "zephyr": zephyr,
+        }
         settings = folder / "settings.toml"
         settings.write_text(_settings(twins), encoding="utf-8")
         options = ("--settings", windows_path(settings))
@@ -189,7 +195,7 @@ def bench(installed: WindowsPc, tmp_path_factory: pytest.TempPathFactory) -> Gen
             yield running
 
 
-def _settings(twins: dict[str, Twin]) -> str:
+def _settings(twins: dict[str, VirtualDevice]) -> str:
     blocks: list[str] = []
     for name, twin in twins.items():
         fields: dict[str, Any] = {"sensor": name, "unit": unit_of(name), **twin.settings}
@@ -200,7 +206,7 @@ def _settings(twins: dict[str, Twin]) -> str:
     return "\n\n".join(blocks) + "\n"
 
 
-def _plug_in(pc: WindowsPc, bench: Bench, twins: dict[str, Twin]) -> None:
+def _plug_in(pc: WindowsPc, bench: Bench, twins: dict[str, VirtualDevice]) -> None:
     absent = wait_for(
         PORTS, lambda name: "no such port" in (bench.program.device(name).get("error") or "")
     )

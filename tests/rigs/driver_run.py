@@ -16,7 +16,7 @@ from biosensor_gateway.agent.supervisor import State, Supervisor
 from biosensor_gateway.devices.driver import Connected, Driver
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.devices.registry import driver as driver_of
-from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.sink import DeviceSink
 from tests.rigs.polling import until
@@ -92,7 +92,7 @@ class Run:
     supervisor
     """
 
-    def __init__(self, twin: Twin, **fields: Any) -> None:
+    def __init__(self, twin: VirtualDevice, **fields: Any) -> None:
         self.sink = NotedSink(twin.sensor)
         self.states: list[State] = []
         make = _maker(twin, self.sink, fields)
@@ -105,7 +105,7 @@ class Run:
 
 
 @asynccontextmanager
-async def streaming(twin: Twin, **fields: Any) -> AsyncGenerator[Run]:
+async def streaming(twin: VirtualDevice, **fields: Any) -> AsyncGenerator[Run]:
     """Run until the block ends; then nothing may have been refused or be half closed.
 
     Fields are those of the device's settings, besides the ones that lead to the twin.
@@ -123,7 +123,7 @@ async def streaming(twin: Twin, **fields: Any) -> AsyncGenerator[Run]:
 
 
 @asynccontextmanager
-async def connected(twin: Twin, **fields: Any) -> AsyncGenerator[Connected]:
+async def connected(twin: VirtualDevice, **fields: Any) -> AsyncGenerator[Connected]:
     """Connect once, without a supervisor."""
     driver = _maker(twin, NotedSink(twin.sensor), fields)()
     try:
@@ -132,7 +132,7 @@ async def connected(twin: Twin, **fields: Any) -> AsyncGenerator[Connected]:
         await driver.close()
 
 
-def _maker(twin: Twin, sink: NotedSink, fields: Mapping[str, Any]) -> Callable[[], Driver]:
+def _maker(twin: VirtualDevice, sink: NotedSink, fields: Mapping[str, Any]) -> Callable[[], Driver]:
     entry = driver_of(twin.sensor)
     named = {"sensor": twin.sensor, "unit": sink.identity.unit}
     settings = entry.settings.model_validate({**named, **twin.settings, **fields})

@@ -19,7 +19,7 @@ import numpy as np
 
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
 from tests.rigs.bluez import FakeBluez
 
@@ -35,7 +35,7 @@ CLASSES = {
 ON_AIR = frozenset({"polar_h10", "vernier_respiration_belt", "ble_heart_rate"})
 
 
-def _make(world: World, radio: Radio | None, device: Mapping[str, Any]) -> Twin:
+def _make(world: World, radio: Radio | None, device: Mapping[str, Any]) -> VirtualDevice:
     module = import_module(f"biosensor_gateway.devices.{device['sensor']}.simulator")
     twin_class = getattr(module, CLASSES[device["sensor"]])
     place = (world, radio) if device["sensor"] in ON_AIR else (world,)
@@ -85,7 +85,7 @@ class Lab:
         return {}
 
     @staticmethod
-    def _save_truth(twin: Twin, path: str) -> None:
+    def _save_truth(twin: VirtualDevice, path: str) -> None:
         arrays: dict[str, Any] = {}
         for name in twin.truth.data_names:
             samples = twin.truth.samples(name)

@@ -17,7 +17,7 @@ from biosensor_gateway.devices.registry import declaration
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.accounts.stamping import Stamping
 from lsl_to_ros.topics.pacing import Pace, Pacer
-from lsl_to_ros.topics.publishers import Port
+from lsl_to_ros.topics.publishers import TopicPublisher
 
 DEVICE_RATE_HZ = 10.0
 """Of the declared streams whose rate only the device knows."""
@@ -64,7 +64,7 @@ class _Publisher:
         return True
 
 
-class RecordedPort(Port):
+class RecordedPublisher(TopicPublisher):
     """A topic whose messages stay here."""
 
     def __init__(

@@ -23,7 +23,7 @@ from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.topics.bridge import Bridge, Outputs
 from lsl_to_ros.topics.messages import CLASSES
 from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter
-from tests.rigs.recorded_topics import Clocks, RecordedPort, header_of
+from tests.rigs.recorded_topics import Clocks, RecordedPublisher, header_of
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros
@@ -36,8 +36,8 @@ class Setup:
     """A bridge of one channel with a raw topic and, if the header says so, chunks."""
 
     def __init__(self, ros: Ros, header: StreamHeader, settings: StreamSettings) -> None:
-        self.raw = RecordedPort(CLASSES[header.message_type])
-        self.chunk = RecordedPort(Float32MultiArray, "biosensors/zephyr/ecg_chunk")
+        self.raw = RecordedPublisher(CLASSES[header.message_type])
+        self.chunk = RecordedPublisher(Float32MultiArray, "biosensors/zephyr/ecg_chunk")
         self.tally = Tally()
         self.warnings: list[str] = []
         refuse = Refusals(header, self.tally, self.warnings.append)
@@ -257,7 +257,7 @@ def test_the_end_of_a_stream_discards_its_partial_chunk_and_counts_what_lsl_drop
 
 def test_who_listens_gets_every_sample_whether_or_not_somebody_reads(ros: Ros) -> None:
     header, tally = HEADER, Tally()
-    port = RecordedPort(Float32, readers=0)
+    port = RecordedPublisher(Float32, readers=0)
     refuse = Refusals(header, tally, pytest.fail)
     outputs = Outputs(raw=NumberWriter(port, header.message_type, 1, refuse))
     heard: list[list[float]] = []

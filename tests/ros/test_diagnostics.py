@@ -28,7 +28,7 @@ from lsl_to_ros.reports import diagnostics
 from lsl_to_ros.reports.diagnostics import STALE_AFTER_S, StreamHealth, stream_facts, stream_status
 from lsl_to_ros.topics.bridge import Bridge, Outputs
 from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter
-from tests.rigs.recorded_topics import Clocks, RecordedPort, header_of
+from tests.rigs.recorded_topics import Clocks, RecordedPublisher, header_of
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
@@ -58,8 +58,8 @@ class Stream:
         self.topic = NAME
         self._clock = clock
         refuse = Refusals(header, self.tally, pytest.fail)
-        raw = RecordedPort(Float32MultiArray, NAME.name, readers=2)
-        chunk = RecordedPort(Float32MultiArray, f"{NAME.name}_chunk")
+        raw = RecordedPublisher(Float32MultiArray, NAME.name, readers=2)
+        chunk = RecordedPublisher(Float32MultiArray, f"{NAME.name}_chunk")
         kind = MessageType.FLOAT32_MULTI_ARRAY
         outputs = Outputs(raw=NumberWriter(raw, kind, 3, refuse), chunk=ChunkWriter(chunk, kind, 3))
         self.bridge = Bridge(header, outputs, SETTINGS, self.tally, self.clocks, refuse)

@@ -21,7 +21,7 @@ from lsl_to_ros.topics.bridge import Bridge, Outputs
 from lsl_to_ros.topics.outputs import CountersWriter
 from lsl_to_ros.topics.standard_messages import TemperatureWriter
 from lsl_to_ros.topics.writers import NumberWriter
-from tests.rigs.recorded_topics import Clocks, RecordedPort, header_of
+from tests.rigs.recorded_topics import Clocks, RecordedPublisher, header_of
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros
@@ -36,7 +36,7 @@ class Skin:
     def __init__(self, ros: Ros, correction: float | None = None) -> None:
         header = header_of("zephyr", "st")
         self.clocks = Clocks(ros.node, correction)
-        self.raw, self.timed = RecordedPort(Float32), RecordedPort(Temperature)
+        self.raw, self.timed = RecordedPublisher(Float32), RecordedPublisher(Temperature)
         self.tally = Tally()
         self.warnings: list[str] = []
         refuse = Refusals(header, self.tally, self.warnings.append)
@@ -174,7 +174,7 @@ class Agent:
     def __init__(self, ros: Ros) -> None:
         header = header_of("gateway", "counters")
         self.clocks = Clocks(ros.node, OFFSET_S)
-        self.port = RecordedPort(DiagnosticArray)
+        self.port = RecordedPublisher(DiagnosticArray)
         self.tally = Tally()
         self.warnings: list[str] = []
         refuse = Refusals(header, self.tally, self.warnings.append)

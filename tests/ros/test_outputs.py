@@ -26,7 +26,7 @@ from lsl_to_ros.topics.bridge import Outputs
 from lsl_to_ros.topics.messages import CLASSES
 from lsl_to_ros.topics.outputs import HAS_STAMPED_TOPICS, open_outputs
 from lsl_to_ros.topics.pacing import Pace, Pacer
-from lsl_to_ros.topics.publishers import Port, Ports
+from lsl_to_ros.topics.publishers import TopicPublisher, TopicPublishers
 from lsl_to_ros.topics.standard_messages import TWINS
 from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter, StreamContext
 from tests.rigs.recorded_topics import Clocks, header_of
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture
-def ports(ros: Ros) -> Iterator[Ports]:
-    ports = Ports(ros.node, Pacer(Pace(), pytest.fail))
+def ports(ros: Ros) -> Iterator[TopicPublishers]:
+    ports = TopicPublishers(ros.node, Pacer(Pace(), pytest.fail))
     yield ports
     ports.close(lambda _: True)
 
@@ -68,7 +68,7 @@ STREAMS = [
 
 @pytest.mark.parametrize(("sensor_name", "data_name"), STREAMS)
 def test_the_topics_of_a_declared_stream(
-    ros: Ros, ports: Ports, sensor_name: str, data_name: str
+    ros: Ros, ports: TopicPublishers, sensor_name: str, data_name: str
 ) -> None:
     header = header_of(sensor_name, data_name)
     base = f"topics/{sensor_name}"
@@ -93,7 +93,7 @@ def test_the_topics_of_a_declared_stream(
 
 
 def test_a_declared_chunk_name_is_kept_where_the_topic_has_another_name(
-    ros: Ros, ports: Ports
+    ros: Ros, ports: TopicPublishers
 ) -> None:
     breathing = context(ros, header_of("zephyr", "breathing"), "names/zephyr")
     assert open_outputs(ports, breathing).ports[-1].topic == "names/zephyr/br_chunk"
@@ -117,7 +117,7 @@ def test_a_declared_chunk_name_is_kept_where_the_topic_has_another_name(
 )
 def test_the_topics_of_another_programs_stream(
     ros: Ros,
-    ports: Ports,
+    ports: TopicPublishers,
     channel_format: ChannelFormat,
     kind: type[Any],
     chunk: type[Any] | None,
@@ -136,7 +136,7 @@ def test_the_topics_of_another_programs_stream(
     assert not any(port.latched for port in outputs.ports)
 
 
-def hear(ros: Ros, port: Port, kind: type[Any]) -> list[Any]:
+def hear(ros: Ros, port: TopicPublisher, kind: type[Any]) -> list[Any]:
     heard = ros.listen(kind, port.name)
 
     def is_read() -> bool:
@@ -158,7 +158,7 @@ def hear(ros: Ros, port: Port, kind: type[Any]) -> list[Any]:
     ],
 )
 def test_subscribers_get_what_was_written_as_bytes(
-    ros: Ros, ports: Ports, kind: MessageType, samples: NDArray[Any]
+    ros: Ros, ports: TopicPublishers, kind: MessageType, samples: NDArray[Any]
 ) -> None:
     port = ports.open(f"bytes/{kind.name.lower()}", CLASSES[kind])
     heard = hear(ros, port, CLASSES[kind])
@@ -169,7 +169,7 @@ def test_subscribers_get_what_was_written_as_bytes(
     assert data == samples.tolist()
 
 
-def test_subscribers_get_chunks(ros: Ros, ports: Ports) -> None:
+def test_subscribers_get_chunks(ros: Ros, ports: TopicPublishers) -> None:
     port = ports.open("bytes/chunk", Float32MultiArray)
     heard = hear(ros, port, Float32MultiArray)
     writer = ChunkWriter(port, MessageType.FLOAT32_MULTI_ARRAY, 2)

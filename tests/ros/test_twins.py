@@ -21,8 +21,8 @@ from biosensor_common.quantities import (
 from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.devices.registry import declaration, declaration_names
 from lsl_to_ros.lsl.blocks import Run
-from lsl_to_ros.topics.standard_messages import TWINS, TwinWriter
-from tests.rigs.recorded_topics import Clocks, RecordedPort, header_of
+from lsl_to_ros.topics.standard_messages import TWINS, StandardMessageWriter
+from tests.rigs.recorded_topics import Clocks, RecordedPublisher, header_of
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros
@@ -59,7 +59,7 @@ UNKNOWN = [0.0] * 9
 FRAME = "p01/zephyr_left"
 
 
-def twins_of(header: StreamHeader) -> dict[str, type[TwinWriter]]:
+def standard_messages_of(header: StreamHeader) -> dict[str, type[StandardMessageWriter]]:
     return {name: twin for twin in TWINS if (name := twin.topic_of(header))}
 
 
@@ -67,9 +67,11 @@ class Wire:
     """Samples of a stream on their way to a twin's subscribers."""
 
     def __init__(self, ros: Ros, header: StreamHeader, kind: type[Any]) -> None:
-        (twin,) = [twin for twin in twins_of(header).values() if twin.message_class is kind]
+        (twin,) = [
+            twin for twin in standard_messages_of(header).values() if twin.message_class is kind
+        ]
         self.clocks = Clocks(ros.node, 12.5)
-        self.port = RecordedPort(kind)
+        self.port = RecordedPublisher(kind)
         self._header = header
         self._writer = twin(self.port, header, FRAME, self.clocks)
 
@@ -82,7 +84,7 @@ class Wire:
 
 @pytest.mark.parametrize(("sensor_name", "data_name"), STREAMS)
 def test_which_twins_a_declared_stream_has(sensor_name: str, data_name: str) -> None:
-    twins = twins_of(header_of(sensor_name, data_name))
+    twins = standard_messages_of(header_of(sensor_name, data_name))
     found = {name: twin.message_class for name, twin in twins.items()}
     assert found == EXPECTED.get((sensor_name, data_name), {})
 
@@ -106,18 +108,18 @@ def test_every_expected_twin_is_of_a_declared_stream() -> None:
     ids=lambda header: f"{header.content_type}-{header.units[0]}-{header.roles[-2:]}",
 )
 def test_what_only_looks_alike_has_no_twin(header: StreamHeader) -> None:
-    assert twins_of(header) == {}
+    assert standard_messages_of(header) == {}
 
 
 def test_a_sensor_that_this_version_has_never_heard_of_has_them_too() -> None:
     core = replace(SKIN, identity=replace(SKIN.identity, sensor="new_patch"), data_name="core")
-    assert set(twins_of(core)) == {"core_temperature"}
+    assert set(standard_messages_of(core)) == {"core_temperature"}
     roles = (*ACCELERATION, *ORIENTATION[::-1])
     units = tuple(role.unit for role in roles)
     motion = replace(MOTION, data_name="head", labels=tuple("abcdefg"), units=units, roles=roles)
-    assert set(twins_of(motion)) == {"head_imu"}
+    assert set(standard_messages_of(motion)) == {"head_imu"}
     charge = replace(BATTERY, data_name="accumulator", labels=("full",), content_type="Power")
-    assert set(twins_of(charge)) == {"accumulator_state"}
+    assert set(standard_messages_of(charge)) == {"accumulator_state"}
 
 
 def test_orientation_and_acceleration_are_in_si_units(ros: Ros) -> None:

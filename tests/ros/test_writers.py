@@ -20,7 +20,7 @@ from biosensor_common.quantities import MessageType
 from lsl_to_ros.lsl.blocks import Run
 from lsl_to_ros.topics.messages import CLASSES
 from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter, TextWriter
-from tests.rigs.recorded_topics import RecordedPort
+from tests.rigs.recorded_topics import RecordedPublisher
 
 Refused = list[tuple[int, str]]
 
@@ -37,7 +37,7 @@ def write(kind: MessageType, samples: NDArray[Any], refused: Refused) -> list[An
     def refuse(count: int, reason: str) -> None:
         refused.append((count, reason))
 
-    port = RecordedPort(CLASSES[kind])
+    port = RecordedPublisher(CLASSES[kind])
     writer = NumberWriter(port, kind, samples.shape[1], refuse)
     writer.write(run(samples))
     return port.values
@@ -86,13 +86,13 @@ def texts(*samples: list[str]) -> NDArray[Any]:
 
 
 def test_texts() -> None:
-    port = RecordedPort(String)
+    port = RecordedPublisher(String)
     TextWriter(port, MessageType.STRING).write(run(texts(["start"], ["Ende äöü"])))
     assert [message.data for message in port.messages] == ["start", "Ende äöü"]
 
 
 def test_several_texts_in_one_sample_can_be_told_apart() -> None:
-    port = RecordedPort(String)
+    port = RecordedPublisher(String)
     TextWriter(port, MessageType.STRING).write(
         run(
             texts(["a, b", 'c"']),
@@ -103,7 +103,7 @@ def test_several_texts_in_one_sample_can_be_told_apart() -> None:
 
 
 def test_an_empty_message_says_that_something_came() -> None:
-    port = RecordedPort(Empty)
+    port = RecordedPublisher(Empty)
     TextWriter(port, MessageType.EMPTY).write(run(texts(["pressed"], ["pressed"])))
     assert port.messages == [Empty(), Empty()]
 
@@ -119,7 +119,7 @@ def test_an_empty_message_says_that_something_came() -> None:
     ],
 )
 def test_a_chunk_is_row_major(kind: MessageType, dtype: type[Any]) -> None:
-    port = RecordedPort(CLASSES[kind])
+    port = RecordedPublisher(CLASSES[kind])
     writer = ChunkWriter(port, kind, 3)
     writer.add(np.array([[1, 2, 3]], dtype), 2)
     writer.add(np.array([[4, 5, 6], [7, 8, 9]], dtype), 2)
@@ -133,7 +133,7 @@ def test_a_chunk_is_row_major(kind: MessageType, dtype: type[Any]) -> None:
 
 
 def test_whoever_comes_late_breaks_no_chunk() -> None:
-    port = RecordedPort(Float32MultiArray, readers=0)
+    port = RecordedPublisher(Float32MultiArray, readers=0)
     writer = ChunkWriter(port, MessageType.FLOAT32_MULTI_ARRAY, 1)
     writer.add(column([1, 2, 3], np.float32), 2)
     port.set_readers(1)
@@ -142,6 +142,6 @@ def test_whoever_comes_late_breaks_no_chunk() -> None:
 
 
 def test_a_value_too_large_for_the_chunk_is_infinite_there() -> None:
-    port = RecordedPort(Float32MultiArray)
+    port = RecordedPublisher(Float32MultiArray)
     ChunkWriter(port, MessageType.FLOAT32_MULTI_ARRAY, 1).add(column([1e300, 1], np.float64), 2)
     assert port.values == [[math.inf, 1]]

@@ -13,7 +13,7 @@ import serial
 from numpy.typing import NDArray
 from pylsl import local_clock
 
-from biosensor_gateway.devices.zephyr.simulator.twin import SimulatedZephyr
+from biosensor_gateway.devices.zephyr.simulator.zephyr import SimulatedZephyr
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.truth import Samples
 from biosensor_gateway.simulation.wearer import Wearer

@@ -14,7 +14,7 @@ from biosensor_common.lsl_config import LslOverrides
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.control import Command
-from biosensor_gateway.agent.pauses.commands import WithdrawalDesk
+from biosensor_gateway.agent.pauses.commands import PauseCommands
 from biosensor_gateway.agent.pauses.selection import device_name
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.registry import declaration, driver
@@ -56,7 +56,7 @@ class Agent:
             _log.info("LSL configuration taken over", file=str(taken_over))
         enabled = [device for device in settings.devices if device.enabled]
         self.devices = [_supervised(device) for device in enabled]
-        self._desk = WithdrawalDesk(folder, [sink for _, sink in self.devices])
+        self._desk = PauseCommands(folder, [sink for _, sink in self.devices])
         self._heartbeat_s = settings.events.heartbeat_s
         self._unwritable = False
         self._awake = KeepAwake(system_inhibitor() if settings.power.keep_awake else None)

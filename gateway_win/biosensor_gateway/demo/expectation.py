@@ -5,7 +5,7 @@ from __future__ import annotations
 from biosensor_common.spec import FromDevice, StreamSpec
 from biosensor_gateway.demo.virtual_devices import virtual_class
 from biosensor_gateway.devices.registry import declaration, sensor, sensor_names
-from biosensor_gateway.simulation.twin import Filled, Twin
+from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
 
 # From the first sample of any device until every other one is found and connected.
 CONNECT_S = 9.0
@@ -40,7 +40,7 @@ def expected_topics(seconds: float | None, chunk_length: int) -> dict[str, str]:
     return expected
 
 
-def _of_sensor(name: str, device: type[Twin], chunk_length: int) -> dict[str, Filled]:
+def _of_sensor(name: str, device: type[VirtualDevice], chunk_length: int) -> dict[str, Filled]:
     expected: dict[str, Filled] = {}
     for stream in declaration(name).streams:
         filled = device.filled.get(stream.data_name, _AT_ONCE)
@@ -50,7 +50,9 @@ def _of_sensor(name: str, device: type[Twin], chunk_length: int) -> dict[str, Fi
     return expected
 
 
-def _of_chunks(stream: StreamSpec, device: type[Twin], filled: Filled, chunk_length: int) -> Filled:
+def _of_chunks(
+    stream: StreamSpec, device: type[VirtualDevice], filled: Filled, chunk_length: int
+) -> Filled:
     if filled.after_s is None:
         return filled
     said = device.rates_hz.get(stream.data_name)

@@ -17,7 +17,7 @@ from biosensor_common.errors import ConfigError, ConfigReason, SpecError, SpecRe
 from biosensor_gateway.devices.registry import driver, sensor, sensor_names
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings, environment_overrides
 from biosensor_gateway.simulation.faults import Fault, ScheduledFault, parse_fault
-from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def virtual_names() -> tuple[str, ...]:
     )
 
 
-def virtual_class(name: str) -> type[Twin]:
+def virtual_class(name: str) -> type[VirtualDevice]:
     """Import the class of a virtual device.
 
     Raises
@@ -80,12 +80,12 @@ def virtual_class(name: str) -> type[Twin]:
             "run: pip install 'biosensor-gateway[simulate]'"
         )
         raise ConfigError(ConfigReason.NOT_FOUND, message) from error
-    if not (isinstance(found, type) and issubclass(found, Twin)):
-        raise SpecError(SpecReason.INVALID, f"The virtual {name}, {place}, is not a Twin.")
+    if not (isinstance(found, type) and issubclass(found, VirtualDevice)):
+        raise SpecError(SpecReason.INVALID, f"The virtual {name}, {place}, is not a VirtualDevice.")
     return found
 
 
-def make(name: str, scene: Scene, **options: object) -> Twin:
+def make(name: str, scene: Scene, **options: object) -> VirtualDevice:
     """Make a virtual device that is not switched on yet.
 
     Raises
@@ -94,7 +94,7 @@ def make(name: str, scene: Scene, **options: object) -> Twin:
         As for :func:`virtual_class`.
     """
     found = virtual_class(name)
-    constructor = cast("Callable[..., Twin]", found)
+    constructor = cast("Callable[..., VirtualDevice]", found)
     place: tuple[object, ...] = (scene.world, scene.radio) if found.on_air else (scene.world,)
     return constructor(*place, **options)
 
@@ -134,13 +134,13 @@ def simulated_settings(
         yield GatewaySettings.model_validate({**environment_overrides(), "device": devices})
 
 
-def _settings(name: str, twin: Twin) -> DeviceSettings:
+def _settings(name: str, twin: VirtualDevice) -> DeviceSettings:
     _, _, variant = name.partition(":")
     fields = {"sensor": twin.sensor, "unit": variant or "virtual", **twin.settings}
     return driver(twin.sensor).settings.model_validate(fields)
 
 
-def _schedule(scheduled: Iterable[ScheduledFault], twins: dict[str, Twin]) -> None:
+def _schedule(scheduled: Iterable[ScheduledFault], twins: dict[str, VirtualDevice]) -> None:
     for each in scheduled:
         hit = [
             twin
@@ -156,7 +156,7 @@ def _schedule(scheduled: Iterable[ScheduledFault], twins: dict[str, Twin]) -> No
 
 
 @contextmanager
-def _environment(twins: Iterable[Twin]) -> Generator[None]:
+def _environment(twins: Iterable[VirtualDevice]) -> Generator[None]:
     """Set what drivers look up in the environment: credentials of virtual services."""
     wanted = {key: value for twin in twins for key, value in twin.environment.items()}
     before = {key: os.environ.get(key) for key in wanted}

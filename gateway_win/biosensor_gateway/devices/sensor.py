@@ -22,7 +22,7 @@ class Sensor:
     driver
         A :class:`~biosensor_gateway.devices.driver.DriverEntry`.
     virtual
-        Classes of :class:`~biosensor_gateway.simulation.twin.Twin` by variant, ``""`` the
+        Classes of virtual devices by variant, ``""`` the
         usual one; what ``run --simulate`` calls ``zephyr`` and ``zephyr:recording``.
     demo
         The variant that the demo runs.

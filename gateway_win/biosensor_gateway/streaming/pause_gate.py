@@ -19,7 +19,7 @@ That delay is unknown and well below this, so what is stamped later was measured
 _REMEMBERED = 64
 
 
-class Withholding:
+class PauseGate:
     """Decides by its stamp whether a sample may be sent. All times are LSL times in seconds."""
 
     def __init__(self) -> None:

@@ -16,7 +16,7 @@ from biosensor_common.device_clock import ClockState, DeviceClock
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, SensorSpec
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.outlets import MAX_STAMP_ERROR_S, DeviceOutlets
-from biosensor_gateway.streaming.pause_gate import Withholding
+from biosensor_gateway.streaming.pause_gate import PauseGate
 from biosensor_gateway.streaming.silence import Silence, StreamWatch
 
 DEVICE_RESTARTED = "device_restarted"
@@ -93,7 +93,7 @@ class DeviceSink:
         self._outlets = DeviceOutlets(identity, spec)
         self._stamps: dict[str, MonotonicStamps] = {}
         self._refusals: set[tuple[str, str]] = set()
-        self._withholding = Withholding()
+        self._gate = PauseGate()
         self._newest: dict[str, float] = {}
         self._steps: dict[str, tuple[float, float]] = {}
         self._info = DeviceInfo()
@@ -139,22 +139,22 @@ class DeviceSink:
     @property
     def is_paused(self) -> bool:
         """Whether the device's samples are withheld."""
-        return self._withholding.is_on
+        return self._gate.is_on
 
     def pause(self) -> None:
         """Send nothing from now on, also not what is still in work; the device stays connected."""
         if not self.is_paused:
-            self._withholding.begin(local_clock())
+            self._gate.begin(local_clock())
             self._outlets.withhold_waiting()
             if self.observer is not None:
                 self.observer.paused()
 
     def resume(self) -> None:
-        """Send again what is measured from now on; see :class:`Withholding`."""
+        """Send again what is measured from now on; see :class:`PauseGate`."""
         if self.is_paused:
-            self._withholding.end(local_clock())
+            self._gate.end(local_clock())
             if self.observer is not None:
-                self.observer.resumed(self._withholding.send_from)
+                self.observer.resumed(self._gate.send_from)
 
     def heard(self, *data_names: str) -> None:
         """Note that the device said something valid; see :meth:`StreamWatch.heard`.
@@ -254,7 +254,7 @@ class DeviceSink:
         the same part is not counted.
         """
         begin, end = self._missing_span(data_name)
-        missed = count - round(count * self._withholding.share(begin, end))
+        missed = count - round(count * self._gate.share(begin, end))
         self._outlets[data_name].counters.lost += missed
         if missed and self.observer is not None:
             self.observer.lost(data_name, missed, begin)
@@ -266,7 +266,7 @@ class DeviceSink:
         if not len(times):
             return samples, times
         self._note_step(data_name, times)
-        may_send = self._withholding.may_send(times)
+        may_send = self._gate.may_send(times)
         rows = np.asarray(samples)
         # Samples that do not fit their times are refused; there is no telling which is which.
         if all(may_send) or rows.shape[:1] != (len(times),):

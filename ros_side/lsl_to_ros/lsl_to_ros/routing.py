@@ -25,7 +25,7 @@ from lsl_to_ros.topics import messages
 from lsl_to_ros.topics.bridge import Bridge, Outputs
 from lsl_to_ros.topics.outputs import open_outputs
 from lsl_to_ros.topics.pacing import Pacer
-from lsl_to_ros.topics.publishers import Port, Ports, TopicTypeError
+from lsl_to_ros.topics.publishers import TopicPublisher, TopicPublishers, TopicTypeError
 from lsl_to_ros.topics.writers import StreamContext
 
 # So many topics of streams that are away stay open for their subscribers.
@@ -70,7 +70,7 @@ class Routing:
         log: LimitedLog,
         pacer: Pacer,
     ) -> None:
-        self._ports = Ports(node, pacer)
+        self._ports = TopicPublishers(node, pacer)
         self._prefix = prefix
         self._parameters = parameters
         self._time = ros_time
@@ -191,7 +191,7 @@ class Routing:
         self._ports.close(lambda port: port.topic.rpartition("/")[0] in bases)
         self._ports.close_oldest(used, ABSENT_TOPICS)
 
-    def _used_ports(self) -> set[Port]:
+    def _used_ports(self) -> set[TopicPublisher]:
         bridges = (route.bridge for route in self._routes.values())
         return {port for bridge in bridges if bridge for port in bridge.outputs.ports}
 

@@ -28,7 +28,7 @@ from typing import Any
 from biosensor_common.errors import ConfigError
 from biosensor_gateway.simulation.faults import parse_fault
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
 from tests.rigs.bluez.adapter import FakeBluez
 from tests.rigs.probe import Probe
@@ -57,14 +57,14 @@ def main() -> None:
             _say(_obey(line.strip(), bluez, twins))
 
 
-def _twin(name: str, world: World, radio: Radio) -> Twin:
+def _twin(name: str, world: World, radio: Radio) -> VirtualDevice:
     module = importlib.import_module(f"biosensor_gateway.devices.{name}.simulator")
     (device,) = (each for each in vars(module).values() if getattr(each, "sensor", None) == name)
-    twin: Twin = device(world, radio)
+    twin: VirtualDevice = device(world, radio)
     return twin
 
 
-def _obey(line: str, bluez: FakeBluez, twins: dict[str, Twin]) -> str:
+def _obey(line: str, bluez: FakeBluez, twins: dict[str, VirtualDevice]) -> str:
     command, _, argument = line.partition(" ")
     commands: dict[str, Callable[[], Any]] = {
         "fault": lambda: _fault(argument, twins),
@@ -84,7 +84,7 @@ def _obey(line: str, bluez: FakeBluez, twins: dict[str, Twin]) -> str:
     return "ok"
 
 
-def _fault(text: str, twins: dict[str, Twin]) -> None:
+def _fault(text: str, twins: dict[str, VirtualDevice]) -> None:
     scheduled = parse_fault(f"{text}@0s")
     twins[scheduled.sensor].apply(scheduled.fault)
 

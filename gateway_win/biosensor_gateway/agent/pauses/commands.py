@@ -20,7 +20,7 @@ from biosensor_gateway.streaming.sink import DeviceSink
 _log = structlog.get_logger("biosensor_gateway.withdrawal")
 
 
-class WithdrawalDesk:
+class PauseCommands:
     """The devices of an agent, and who of them is paused.
 
     Those that were paused before the agent was started are paused from the beginning.

@@ -16,7 +16,7 @@ from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.events import EventKind
-from biosensor_gateway.streaming.events.log_errors import unfailing
+from biosensor_gateway.streaming.events.log_errors import log_errors
 from biosensor_gateway.streaming.gateway import GATEWAY
 from biosensor_gateway.streaming.outlets import Outlet
 
@@ -63,7 +63,7 @@ class Announcer:
         """Have something called a few times a second, with the LSL time."""
         self._watchers.append(tick)
 
-    @unfailing
+    @log_errors
     def announce(
         self, kind: EventKind, facts: Mapping[str, object], at: float | None = None
     ) -> None:
@@ -100,7 +100,7 @@ class Announcer:
         self._outlet.close()
         self._outlet = None
 
-    @unfailing
+    @log_errors
     def _tick(self) -> None:
         now = pylsl.local_clock()
         for watcher in self._watchers:

@@ -11,7 +11,7 @@ from biosensor_common.quantities import ChannelRole
 from biosensor_common.spec import SensorSpec
 
 
-class WearWatch:
+class ContactWatch:
     """Follows the first channel of one device that has the role of contact.
 
     Attributes

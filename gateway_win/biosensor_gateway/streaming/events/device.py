@@ -10,9 +10,9 @@ from pylsl import local_clock
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
-from biosensor_gateway.streaming.events.contact import WearWatch
+from biosensor_gateway.streaming.events.contact import ContactWatch
 from biosensor_gateway.streaming.events.gaps import Gap, GapWatch
-from biosensor_gateway.streaming.events.log_errors import unfailing
+from biosensor_gateway.streaming.events.log_errors import log_errors
 from biosensor_gateway.streaming.silence import Silence
 from biosensor_gateway.streaming.sink import DeviceSink
 
@@ -38,7 +38,7 @@ class DeviceEvents:
             if value:
                 self._names[key] = value
         self._gaps = GapWatch()
-        self._wear = WearWatch(sink.spec)
+        self._contact = ContactWatch(sink.spec)
         self._connections = 0
         self._is_connected = False
         self._is_paused = sink.is_paused
@@ -47,7 +47,7 @@ class DeviceEvents:
         if self._is_paused:
             self._say(EventKind.PAUSED, facts={"kept": True})
 
-    @unfailing
+    @log_errors
     def connected(self, info: DeviceInfo, changes: Mapping[str, tuple[object, object]]) -> None:
         """Announce the connection, and what has changed with it."""
         self._is_connected = True
@@ -59,7 +59,7 @@ class DeviceEvents:
         if changes:
             self._say(EventKind.SETTINGS_CHANGED, facts={"changes": dict(changes)})
 
-    @unfailing
+    @log_errors
     def dropped(self, reason: str) -> None:
         """Announce the end of a connection, and the gap that it begins."""
         self._is_connected = False
@@ -67,21 +67,21 @@ class DeviceEvents:
         if not self._is_paused:
             self._say_gaps(self._gaps.interrupted())
 
-    @unfailing
+    @log_errors
     def sampled(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
         """Follow gaps, and whether the sensor is worn."""
         self._gaps.sampled(data_name, stamps[0], stamps[-1], local_clock())
-        for is_on, at in self._wear.changes(data_name, samples, stamps):
+        for is_on, at in self._contact.changes(data_name, samples, stamps):
             kind = EventKind.ON_BODY if is_on else EventKind.OFF_BODY
-            self._say(kind, at, {"channel": self._wear.channel})
+            self._say(kind, at, {"channel": self._contact.channel})
 
-    @unfailing
+    @log_errors
     def lost(self, data_name: str, count: int, since_s: float) -> None:
         """Add to a gap."""
         if not self._is_paused:
             self._gaps.lost(data_name, count, since_s)
 
-    @unfailing
+    @log_errors
     def reanchored(self, cause: str, size_s: float | None) -> None:
         """Announce a jump of the stamps."""
         facts: dict[str, object] = {"cause": cause}
@@ -89,7 +89,7 @@ class DeviceEvents:
             facts["seconds"] = round(size_s, 6)
         self._say(EventKind.CLOCK_REANCHORED, facts=facts)
 
-    @unfailing
+    @log_errors
     def fell_silent(self, silence: Silence) -> None:
         """Announce streams that do not come, and what is done about it."""
         facts = {
@@ -99,12 +99,12 @@ class DeviceEvents:
         }
         self._say(EventKind.STREAMS_SILENT, facts=facts)
 
-    @unfailing
+    @log_errors
     def came_back(self, streams: frozenset[str]) -> None:
         """Announce that they come again."""
         self._say(EventKind.STREAMS_BACK, facts={"streams": sorted(streams)})
 
-    @unfailing
+    @log_errors
     def paused(self) -> None:
         """Announce the withdrawal; a gap ends with it."""
         self._is_paused = True
@@ -112,17 +112,17 @@ class DeviceEvents:
         self._say_gaps(self._gaps.cut_off(now), paused=True)
         self._say(EventKind.PAUSED, now)
 
-    @unfailing
+    @log_errors
     def resumed(self, send_from_s: float) -> None:
         """Announce the end of a pause, and a gap if nothing can come yet."""
         self._is_paused = False
-        self._wear.forget()
+        self._contact.forget()
         self._say(EventKind.RESUMED, facts={"send_from": round(send_from_s, 6)})
         self._gaps.go_on(send_from_s)
         if not self._is_connected and self._connections:
             self._say_gaps(self._gaps.interrupted())
 
-    @unfailing
+    @log_errors
     def tick(self, now: float) -> None:
         """Announce gaps whose counts are complete."""
         if not self._is_paused:

@@ -13,7 +13,7 @@ _Given = ParamSpec("_Given")
 _log = structlog.get_logger("biosensor_gateway.events")
 
 
-def unfailing(method: Callable[_Given, None]) -> Callable[_Given, None]:
+def log_errors(method: Callable[_Given, None]) -> Callable[_Given, None]:
     """Have a function raise nothing: its first failure is logged, later ones are passed over."""
     is_told = False
 

@@ -17,7 +17,7 @@ SERVER, LOCALHOST_ONLY = "ROS_DISCOVERY_SERVER", "ROS_LOCALHOST_ONLY"
 MIDDLEWARE = "RMW_IMPLEMENTATION"
 MAX_DOMAIN = 232
 _RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
-# Ports from 32768 on are given away by Linux: https://docs.ros.org/en/jazzy/Concepts/
+# TopicPublishers from 32768 on are given away by Linux: https://docs.ros.org/en/jazzy/Concepts/
 # Intermediate/About-Domain-ID.html
 _SAFE_ON_LINUX = (range(102), range(215, MAX_DOMAIN + 1))
 _FAST_DDS = "rmw_fastrtps"

@@ -89,7 +89,7 @@ class Discovery:
             if self._is_new(uid) and not self._is_superseded(info):
                 gone += self._open(info)
         self._forget(gone, found)
-        self._warn_of_twins(found)
+        self._warn_of_duplicates(found)
         ready = [
             inlet
             for inlet in self.inlets
@@ -180,7 +180,7 @@ class Discovery:
         self._left_out.setdefault(uid, monotonic())
         return True
 
-    def _warn_of_twins(self, found: Mapping[str, pylsl.StreamInfo]) -> None:
+    def _warn_of_duplicates(self, found: Mapping[str, pylsl.StreamInfo]) -> None:
         """Say that a live outlet is left out because a later one claims to be the same stream."""
         for uid, since in self._left_out.items():
             if monotonic() - since > ALIVE_AFTER_S and uid not in self._warned:

@@ -16,7 +16,7 @@ from lsl_to_ros.accounts.tally import Tally
 from lsl_to_ros.lsl.blocks import Block, Run, part, split
 from lsl_to_ros.lsl.liblsl import local_clock
 from lsl_to_ros.parameters.streams import StreamSettings
-from lsl_to_ros.topics.publishers import Port
+from lsl_to_ros.topics.publishers import TopicPublisher
 from lsl_to_ros.topics.writers import ChunkWriter, Refuse, Writer
 
 # Runs that wait until the sender's clock has been measured, which takes 0.7 s.
@@ -47,7 +47,7 @@ class Outputs:
         return [*([self.raw] if self.raw else []), *self.timed]
 
     @property
-    def ports(self) -> list[Port]:
+    def ports(self) -> list[TopicPublisher]:
         """All topics."""
         chunk = [self.chunk.port] if self.chunk else []
         return [*(writer.port for writer in self.of_samples), *chunk]

@@ -11,7 +11,7 @@ from lsl_to_ros.accounts.stamping import Stamping
 from lsl_to_ros.lsl.blocks import Run
 from lsl_to_ros.topics import messages
 from lsl_to_ros.topics.bridge import Outputs
-from lsl_to_ros.topics.publishers import Port, Ports, TopicTypeError
+from lsl_to_ros.topics.publishers import TopicPublisher, TopicPublishers, TopicTypeError
 from lsl_to_ros.topics.standard_messages import TWINS
 from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter, StreamContext, TextWriter, Writer
 
@@ -31,7 +31,7 @@ HAS_STAMPED_TOPICS = _STAMPED is not None
 class CountersWriter(Writer):
     """The agent's counters, whose message has a stamp of its own."""
 
-    def __init__(self, port: Port, stamping: Stamping) -> None:
+    def __init__(self, port: TopicPublisher, stamping: Stamping) -> None:
         super().__init__(port)
         self._stamping = stamping
 
@@ -42,7 +42,9 @@ class CountersWriter(Writer):
             self.port.publish(messages.counters_message(sample[0], time))
 
 
-def open_outputs(ports: Ports, context: StreamContext, used: Collection[Port] = ()) -> Outputs:
+def open_outputs(
+    ports: TopicPublishers, context: StreamContext, used: Collection[TopicPublisher] = ()
+) -> Outputs:
     """Open every topic of a stream: raw, stamped, ``sensor_msgs`` twins and chunks.
 
     Raises
@@ -52,7 +54,7 @@ def open_outputs(ports: Ports, context: StreamContext, used: Collection[Port] = 
     """
     header, topic = context.header, context.topic
 
-    def opened(name: str, kind: type) -> Port:
+    def opened(name: str, kind: type) -> TopicPublisher:
         # A late subscriber of a state sees the last value at once.
         latched = header.is_state
         return ports.open(f"{topic.base}/{name}", kind, header.rate, latched=latched, used=used)
@@ -81,7 +83,7 @@ def open_outputs(ports: Ports, context: StreamContext, used: Collection[Port] = 
     return outputs
 
 
-def _raw_writer(port: Port, context: StreamContext) -> Writer:
+def _raw_writer(port: TopicPublisher, context: StreamContext) -> Writer:
     header = context.header
     if header.message_type.is_text:
         return TextWriter(port, header.message_type)

@@ -43,7 +43,7 @@ class TopicTypeError(Exception):
     """A topic cannot be opened: it has another message type, or ROS refuses it."""
 
 
-class Port:
+class TopicPublisher:
     """One topic, and how many read it.
 
     Subscribers are counted when :meth:`count_readers` is called, because asking for
@@ -107,7 +107,7 @@ class _Key(NamedTuple):
     kind: type[Any]
 
 
-class Ports:
+class TopicPublishers:
     """All publishers of the node; a topic whose stream is away stays open.
 
     Its subscribers then need not match anew when the stream returns.
@@ -116,7 +116,7 @@ class Ports:
     def __init__(self, node: Node, pacer: Pacer) -> None:
         self._node = node
         self._pacer = pacer
-        self._open: dict[_Key, Port] = {}
+        self._open: dict[_Key, TopicPublisher] = {}
 
     def open(
         self,
@@ -125,8 +125,8 @@ class Ports:
         rate: float = 0.0,
         *,
         latched: bool = False,
-        used: Collection[Port] = (),
-    ) -> Port:
+        used: Collection[TopicPublisher] = (),
+    ) -> TopicPublisher:
         """Return the port of a topic; one of another type that is not used is closed.
 
         Parameters
@@ -134,7 +134,7 @@ class Ports:
         rate
             Of its messages, in Hz.
         used
-            Ports of the present streams.
+            TopicPublishers of the present streams.
 
         Raises
         ------
@@ -153,7 +153,7 @@ class Ports:
                 # rclpy has no common class for what it refuses, such as a name too long.
                 reason = str(error).splitlines()[0]
                 raise TopicTypeError(f"ROS refuses the topic {topic[:200]} ({reason})") from error
-            port = Port(topic, kind, publisher, self._pacer, rate, latched=latched)
+            port = TopicPublisher(topic, kind, publisher, self._pacer, rate, latched=latched)
         # Put at the end again: the order is that of the last use.
         self._open[key] = port
         return port
@@ -163,7 +163,7 @@ class Ports:
         for port in self._open.values():
             port.count_readers()
 
-    def close(self, is_to_close: Callable[[Port], bool]) -> list[str]:
+    def close(self, is_to_close: Callable[[TopicPublisher], bool]) -> list[str]:
         """Close the topics of which *is_to_close* says so; return their names."""
         keys = [key for key, port in self._open.items() if is_to_close(port)]
         for key in keys:
@@ -172,7 +172,7 @@ class Ports:
             self._node.destroy_publisher(port.publisher)
         return [key.topic for key in keys]
 
-    def close_oldest(self, used: Collection[Port], spare: int) -> None:
+    def close_oldest(self, used: Collection[TopicPublisher], spare: int) -> None:
         """Close topics that are not used, those opened first, until *spare* of them are left."""
         unused = [port for port in self._open.values() if port not in used]
         closing = set(unused[: max(0, len(unused) - spare)])

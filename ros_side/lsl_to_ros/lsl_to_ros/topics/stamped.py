@@ -17,14 +17,14 @@ from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros.accounts.stamping import Stamping
 from lsl_to_ros.lsl.blocks import Run
 from lsl_to_ros.topics import messages
-from lsl_to_ros.topics.publishers import Port
+from lsl_to_ros.topics.publishers import TopicPublisher
 from lsl_to_ros.topics.writers import StreamContext, Writer
 
 
 class SamplesWriter(Writer):
     """One message for the samples that came together."""
 
-    def __init__(self, port: Port, context: StreamContext) -> None:
+    def __init__(self, port: TopicPublisher, context: StreamContext) -> None:
         super().__init__(port)
         header = context.header
         self._labels, self._units = list(header.labels), list(header.units)
@@ -57,7 +57,7 @@ class SamplesWriter(Writer):
 class EventWriter(Writer):
     """One message a sample of text."""
 
-    def __init__(self, port: Port, frame_id: str, stamping: Stamping) -> None:
+    def __init__(self, port: TopicPublisher, frame_id: str, stamping: Stamping) -> None:
         super().__init__(port)
         self._frame_id = frame_id
         self._stamping = stamping
@@ -79,7 +79,7 @@ def message_class(header: StreamHeader) -> type[Event | Samples]:
     return Event if header.message_type.is_text else Samples
 
 
-def writer(port: Port, context: StreamContext) -> Writer:
+def writer(port: TopicPublisher, context: StreamContext) -> Writer:
     """Return what writes a stream's stamped topic."""
     if context.header.message_type.is_text:
         return EventWriter(port, context.frame_id, context.stamping)

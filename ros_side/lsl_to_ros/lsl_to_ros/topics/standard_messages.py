@@ -29,7 +29,7 @@ from biosensor_common.quantities import (
 from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros.accounts.stamping import Stamping
 from lsl_to_ros.lsl.blocks import Run
-from lsl_to_ros.topics.publishers import Port
+from lsl_to_ros.topics.publishers import TopicPublisher
 from lsl_to_ros.topics.writers import Writer
 
 STANDARD_GRAVITY = 9.80665
@@ -39,7 +39,7 @@ _MISSING = [-1.0, *[0.0] * 8]
 _UNKNOWN = [0.0] * 9
 
 
-class TwinWriter(Writer):
+class StandardMessageWriter(Writer):
     """One message of ``sensor_msgs`` a sample.
 
     Attributes
@@ -50,7 +50,9 @@ class TwinWriter(Writer):
 
     message_class: ClassVar[type[Any]]
 
-    def __init__(self, port: Port, header: StreamHeader, frame_id: str, stamping: Stamping) -> None:
+    def __init__(
+        self, port: TopicPublisher, header: StreamHeader, frame_id: str, stamping: Stamping
+    ) -> None:
         super().__init__(port)
         self._stream = header
         roles = enumerate(header.roles)
@@ -77,14 +79,14 @@ class TwinWriter(Writer):
         return [sample[self._columns[role]] for role in roles]
 
 
-class TemperatureWriter(TwinWriter):
+class TemperatureWriter(StandardMessageWriter):
     """``<data>_temperature``; a variance of 0 means unknown."""
 
     message_class = Temperature
 
     @classmethod
     def topic_of(cls, header: StreamHeader) -> str:
-        """See :meth:`TwinWriter.topic_of`."""
+        """See :meth:`StandardMessageWriter.topic_of`."""
         fits = header.content_type == ContentType.TEMPERATURE and header.units == (Unit.CELSIUS,)
         return f"{header.data_name}_temperature" if fits else ""
 
@@ -93,7 +95,7 @@ class TemperatureWriter(TwinWriter):
         return Temperature(header=header, temperature=float(sample[0]), variance=0.0)
 
 
-class BatteryStateWriter(TwinWriter):
+class BatteryStateWriter(StandardMessageWriter):
     """``<data>_state`` of a stream of the charge alone; ``bat_state`` of one among others."""
 
     message_class = BatteryState
@@ -101,7 +103,7 @@ class BatteryStateWriter(TwinWriter):
 
     @classmethod
     def topic_of(cls, header: StreamHeader) -> str:
-        """See :meth:`TwinWriter.topic_of`."""
+        """See :meth:`StandardMessageWriter.topic_of`."""
         if ChannelRole.STATE_OF_CHARGE not in header.roles:
             return ""
         return f"{header.data_name}_state" if len(header.roles) == 1 else cls._AMONG_OTHERS
@@ -127,7 +129,7 @@ class BatteryStateWriter(TwinWriter):
         )
 
 
-class ImuWriter(TwinWriter):
+class ImuWriter(StandardMessageWriter):
     """``<data>_imu``: orientation and acceleration of a motion sensor.
 
     Nothing says which way the device's world frame points, so neither is turned: see
@@ -138,7 +140,7 @@ class ImuWriter(TwinWriter):
 
     @classmethod
     def topic_of(cls, header: StreamHeader) -> str:
-        """See :meth:`TwinWriter.topic_of`."""
+        """See :meth:`StandardMessageWriter.topic_of`."""
         has_it = {*ORIENTATION, *ACCELERATION} <= set(header.roles)
         return f"{header.data_name}_imu" if has_it else ""
 
@@ -159,14 +161,14 @@ class ImuWriter(TwinWriter):
         )
 
 
-class MagneticFieldWriter(TwinWriter):
+class MagneticFieldWriter(StandardMessageWriter):
     """``<data>_mag``."""
 
     message_class = MagneticField
 
     @classmethod
     def topic_of(cls, header: StreamHeader) -> str:
-        """See :meth:`TwinWriter.topic_of`."""
+        """See :meth:`StandardMessageWriter.topic_of`."""
         return f"{header.data_name}_mag" if set(MAGNETIC_FIELD) <= set(header.roles) else ""
 
     def build(self, header: Header, sample: Sequence[float]) -> MagneticField:
@@ -178,7 +180,7 @@ class MagneticFieldWriter(TwinWriter):
         )
 
 
-TWINS: tuple[type[TwinWriter], ...] = (
+TWINS: tuple[type[StandardMessageWriter], ...] = (
     TemperatureWriter,
     BatteryStateWriter,
     ImuWriter,

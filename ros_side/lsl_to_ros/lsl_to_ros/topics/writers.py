@@ -16,7 +16,7 @@ from lsl_to_ros.accounts.tally import Lost
 from lsl_to_ros.lsl.blocks import Run
 from lsl_to_ros.topics import cdr, messages
 from lsl_to_ros.topics.chunker import Chunker
-from lsl_to_ros.topics.publishers import Port
+from lsl_to_ros.topics.publishers import TopicPublisher
 
 Refuse = Callable[[int, str], None]
 """Takes note that so many samples do not fit their message, and why."""
@@ -42,7 +42,7 @@ class StreamContext(NamedTuple):
 class Writer(ABC):
     """Publishes the samples of a stream on one topic."""
 
-    def __init__(self, port: Port) -> None:
+    def __init__(self, port: TopicPublisher) -> None:
         self.port = port
 
     @abstractmethod
@@ -60,7 +60,7 @@ class NumberWriter(Writer):
     """One message of numbers a sample, without a stamp."""
 
     def __init__(
-        self, port: Port, message_type: MessageType, channels: int, refuse: Refuse
+        self, port: TopicPublisher, message_type: MessageType, channels: int, refuse: Refuse
     ) -> None:
         super().__init__(port)
         self._type = message_type
@@ -87,7 +87,7 @@ class NumberWriter(Writer):
 class TextWriter(Writer):
     """One message of text a sample, or one that only says that it came."""
 
-    def __init__(self, port: Port, message_type: MessageType) -> None:
+    def __init__(self, port: TopicPublisher, message_type: MessageType) -> None:
         super().__init__(port)
         self._build = messages.text_builder(message_type)
 
@@ -100,7 +100,7 @@ class TextWriter(Writer):
 class ChunkWriter:
     """Collects samples whether or not somebody reads, so that no reader breaks a chunk."""
 
-    def __init__(self, port: Port, message_type: MessageType, channels: int) -> None:
+    def __init__(self, port: TopicPublisher, message_type: MessageType, channels: int) -> None:
         self.port = port
         self._type = message_type
         self._channels = channels

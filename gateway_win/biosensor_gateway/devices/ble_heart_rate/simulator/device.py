@@ -10,12 +10,12 @@ from biosensor_gateway.devices.ble_heart_rate.simulator.strap import STRAP_FAULT
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
 
-class SimulatedHeartRateStrap(Twin):
+class SimulatedHeartRateStrap(VirtualDevice):
     """Heart Rate, Battery and Device Information services, and nothing else.
 
     Its measurements tell whether the strap touches the skin and carry R-R intervals.

@@ -23,7 +23,7 @@ from biosensor_gateway.devices.emotiv_insight.simulator.models import INSIGHT_1,
 from biosensor_gateway.devices.emotiv_insight.simulator.release import Metrics, Release
 from biosensor_gateway.devices.emotiv_insight.simulator.service import Service, Setup
 from biosensor_gateway.simulation.faults import Fault, FaultKind
-from biosensor_gateway.simulation.twin import Filled, Twin
+from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
@@ -34,7 +34,7 @@ _ACCESS_GRANTED, _ACCESS_REJECTED = 9, 10
 _UNKNOWN_WARNING = 999
 
 
-class SimulatedCortex(Twin):
+class SimulatedCortex(VirtualDevice):
     """Cortex with one headset, on a port of its own on the loopback interface.
 
     Parameters

@@ -24,7 +24,7 @@ from biosensor_gateway.devices.polar_h10.simulator.quirks import Firmware, Quirk
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
@@ -36,7 +36,7 @@ _FILE_TRANSFER_UUIDS = (
 )
 
 
-class SimulatedPolarH10(Twin):
+class SimulatedPolarH10(VirtualDevice):
     """A strap with a PMD service.
 
     Its measurements carry R-R intervals and nothing about skin contact: without

@@ -37,7 +37,7 @@ from biosensor_gateway.simulation.async_serial import serial_port
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.serial_links import AsyncSerialPort
-from biosensor_gateway.simulation.twin import Filled, Twin
+from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
@@ -45,7 +45,7 @@ _TX_QUEUE_BYTES = 256
 _UNREACHABLE = frozenset({FaultKind.DROP, FaultKind.RESTART})
 
 
-class SimulatedShimmer3(Twin):
+class SimulatedShimmer3(VirtualDevice):
     """The device.
 
     Its `truth` holds ``gsr`` [uS], NaN while the electrodes are open; ``ppg`` [mV];

@@ -22,7 +22,7 @@ from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.power import PowerSwitch
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
@@ -42,7 +42,7 @@ _GARBAGE_BYTES = 16
 _Properties = Characteristic.Properties
 
 
-class SimulatedBelt(Twin):
+class SimulatedBelt(VirtualDevice):
     """A GDX-RB: a sleeping belt whose button has just been pressed.
 
     Parameters

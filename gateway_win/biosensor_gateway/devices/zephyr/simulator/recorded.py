@@ -9,11 +9,11 @@ from typing import Any
 from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
 from biosensor_gateway.devices.zephyr.simulator.recording import RecordedSource
 from biosensor_gateway.simulation.faults import Fault, FaultKind
-from biosensor_gateway.simulation.twin import Filled, Twin
+from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
 from biosensor_gateway.simulation.world import World
 
 
-class RecordedZephyr(Twin):
+class RecordedZephyr(VirtualDevice):
     """The recording of 150 s, from its start whenever it has ended.
 
     Its bytes cannot be changed, so it has only the faults of its link, and no truth.

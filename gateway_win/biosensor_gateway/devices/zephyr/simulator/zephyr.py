@@ -18,7 +18,7 @@ from biosensor_gateway.devices.zephyr.simulator.vitals import Values
 from biosensor_gateway.devices.zephyr.simulator.wire import REQUESTS, Packet
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.truth import Truth
-from biosensor_gateway.simulation.twin import Twin
+from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
@@ -49,7 +49,7 @@ _HR_UNRELIABLE, _BR_UNRELIABLE, _HRV_UNRELIABLE = 1 << 4, 1 << 5, 1 << 9
 _GENERAL_WORN, _GENERAL_HR_LOW = 0x80, 0x20
 
 
-class SimulatedZephyr(Twin):
+class SimulatedZephyr(VirtualDevice):
     """A virtual BioHarness 3 on a pseudo-terminal, in a thread of its own.
 
     Its `truth` holds the streams of the packets that the host switched on. An interval

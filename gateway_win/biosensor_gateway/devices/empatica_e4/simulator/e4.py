@@ -21,12 +21,12 @@ from biosensor_gateway.devices.empatica_e4.simulator.server import Server
 from biosensor_gateway.devices.empatica_e4.simulator.wristband import Wristband
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.truth import Truth
-from biosensor_gateway.simulation.twin import Filled, Twin
+from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
 
-class SimulatedE4(Twin):
+class SimulatedE4(VirtualDevice):
     """An E4 streaming server, on a port of its own, with one wristband or more.
 
     Faults and methods hit the first wristband where they do not name another.

@@ -32,7 +32,7 @@ class Filled(NamedTuple):
     reason: str
 
 
-class Twin(ABC):
+class VirtualDevice(ABC):
     """A virtual device that lives in a world's loop; a context manager.
 
     The public methods may be called from any thread but the world's, and return
