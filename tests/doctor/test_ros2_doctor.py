@@ -163,7 +163,7 @@ def test_it_needs_neither_ros2doctor_nor_the_agent() -> None:
     hidden = ("ros2doctor", "biosensor_gateway", "pydantic", "structlog", "typer")
     code = (
         f"import sys; sys.modules.update(dict.fromkeys({hidden!r}))\n"
-        "from lsl_to_ros import ros2_doctor\n"
+        "from lsl_to_ros.doctor import ros2_doctor\n"
         "for check in ros2_doctor.CHECKS: check.load()\n"
         "print([each for each in ('rclpy', 'pylsl', 'psutil', 'numpy') if each in sys.modules])"
     )

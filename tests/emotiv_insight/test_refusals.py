@@ -174,20 +174,30 @@ async def test_some_warnings_end_a_connection(
         await eventually(lambda: run.states.count(State.STREAMING) == 2)
 
 
-async def test_motion_that_never_comes_does_not_end_eeg(
+async def test_motion_that_never_comes_costs_eeg_one_connection_and_no_more(
     cortex: ScriptedCortex, running: Running, eventually: Eventually
 ) -> None:
     async with running() as run:
         await eventually(run.is_streaming)
         start, number = time.time(), 0
-        while cortex.count("subscribe") < 2 or number < 400:
-            await cortex.say(cortex.eeg(number, start))
-            await asyncio.sleep(1 / 128)
-            number += 1
-        await eventually(run.sink.has("eeg", number))
-        assert run.states.count(State.STREAMING) == 1
+
+        async def measure(count: int) -> None:
+            nonlocal number
+            for _ in range(count):
+                await cortex.say(cortex.eeg(number, start))
+                await asyncio.sleep(1 / 128)
+                number += 1
+
+        # Asked for with all others, then alone, and both again over a new connection.
+        while cortex.count("subscribe") < 4:
+            await measure(1)
+        await measure(1)
+        before = len(run.sink.rows["eeg"])
+        await measure(300)
+        await eventually(run.sink.has("eeg", before + 300))
+        assert run.supervisor.connections == 2
     streams = [each.params["streams"] for each in cortex.requests if each.method == "subscribe"]
-    assert streams[1:] == [["mot"]]
+    assert [set(each) for each in (streams[1], streams[3])] == [{"mot", "pow"}] * 2
 
 
 @pytest.mark.parametrize(("rate", "expected"), [(32, 32.0), (128, 128.0), (0, 64.0), (None, 64.0)])

@@ -65,8 +65,9 @@ async def test_a_share_of_lost_packets_shows_in_quality(
             server.lose_packets(0.3)
             # The first windows hold the time before, and that the wristband is worn.
             count = len(run.sink.rows["quality"])
-            await run.until(lambda: len(run.sink.rows["quality"]) > count + 5)
-            assert run.sink.values("quality")[-2:, 1].mean() == pytest.approx(0.3, abs=0.12)
+            await run.until(lambda: len(run.sink.rows["quality"]) > count + 9)
+            # Of a few packets a window: two windows alone were off by 0.18.
+            assert run.sink.values("quality")[-6:, 1].mean() == pytest.approx(0.3, abs=0.15)
             run.assert_all_arrived(server.truth, "bvp")
             server.lose_packets(0.0)
             await run.until(lambda: run.sink.values("quality")[-1, 1] == 0)

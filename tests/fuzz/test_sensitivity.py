@@ -11,10 +11,12 @@ from typing import Any
 
 import pytest
 
+from biosensor_common.header_channels import Channels
 from biosensor_gateway.recording.xdf.container import Damage
 from tests.fuzz.contract import CORPUS, NAMES, inputs, load, strictly
 
 DEVICES = "biosensor_gateway.devices"
+NO_CHANNELS = Channels((), (), (), says_roles=False)
 Breaking = Callable[[Any], Any]
 """Makes a broken one of the sound one."""
 
@@ -92,7 +94,7 @@ FAULTS: dict[str, tuple[str, str, Breaking]] = {
     ),
     "empatica_e4": (f"{DEVICES}.empatica_e4.driver.protocol", "_number", instead(any_number)),
     "lsl_config": ("biosensor_gateway.recording.lsl_api_cfg.LslFile", "adapt", always(None)),
-    "lsl_header": ("biosensor_common.lsl_header", "_channel_texts", always(((), ()))),
+    "lsl_header": ("biosensor_common.lsl_header", "read_channels", always(NO_CHANNELS)),
     "naming": ("biosensor_common.naming", "_escape", instead(any_text)),
     "polar_control": ("tests.fuzz.targets.polar_control", "choose", instead(any_setting)),
     "polar_frames": (
