@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 from typer.core import TyperGroup
 
-from biosensor_common.errors import ConfigError, GatewayError
+from biosensor_common.errors import ConfigError, GatewayError, SpecError, SpecReason
 from biosensor_gateway.cli.quick_help import QuickGroup
 from biosensor_gateway.cli.table import COMMANDS
 
@@ -40,6 +40,10 @@ def main() -> None:
         app()()
     except ConfigError as error:
         _fail(error, EXIT_USAGE)
+    except SpecError as error:
+        # Whoever names a sensor that does not exist has mistyped it.
+        is_mistyped = error.reason is SpecReason.UNKNOWN_SENSOR
+        _fail(error, EXIT_USAGE if is_mistyped else EXIT_FAILED)
     except GatewayError as error:
         _fail(error, EXIT_FAILED)
 
