@@ -1,6 +1,6 @@
 """How fast every decoder is, on what its driver fed it from a virtual device.
 
-Each driver runs against its twin for some seconds while the calls of its decoder are
+Each driver runs against its virtual device for some seconds while the calls of its decoder are
 taped; then the tape is played to a new decoder, as fast as it goes.
 """
 
@@ -100,7 +100,7 @@ def measure(passes: int, taped_s: float) -> list[DecoderSpeed]:
 def _measure(sensor: str, passes: int, taped_s: float) -> DecoderSpeed:
     tape = _Tape()
     with _taping(sensor, tape), simulated_settings([sensor]) as settings:
-        outcome = asyncio.run(device_test.try_device(settings.devices[0], taped_s))
+        outcome = asyncio.run(device_test.run_device_test(settings.devices[0], taped_s))
     assert outcome.info is not None, outcome.problems
     multiples = [taped_s / tape.play() for _ in range(passes)]
     return DecoderSpeed(sensor, taped_s, max(multiples), statistics.median(multiples))

@@ -266,8 +266,8 @@ async def test_samples_can_be_filled_in_marked_and_sent_twice(world: World) -> N
         assert (status[:, 1].sum(), status[:, 3].sum()) == (20, 1)
     ((flag, (marker,)),) = [row[8:10] for row in client.rows("eeg") if row[9]]
     assert (flag, marker["label"], marker["value"]) == (1, "stim", 7)
-    twins = [a == b for a, b in itertools.pairwise(client.rows("eeg"))]
-    assert sum(twins) == 5
+    repeated = [a == b for a, b in itertools.pairwise(client.rows("eeg"))]
+    assert sum(repeated) == 5
     assert len(client.data["eeg"]) == len(status) + 5
 
 

@@ -118,7 +118,7 @@ def test_watching_reports_every_second_until_ctrl_c(cli_process: StartCli, tmp_p
     assert (watching.returncode, err) == (0, "")
     clocks = [report["clocks"][0]["clock"] for report in reports]
     assert clocks[-1]["observations"] > clocks[0]["observations"]
-    # The twin's clock runs as this computer's; its packets hold a second at most.
+    # The virtual device's clock runs as this computer's; its packets hold a second at most.
     assert all(abs(clock["drift_ppm"]) < 250 for clock in clocks)
     assert all(-1.0 < clock["age_s"] < 5.0 for clock in clocks)
     assert clocks[-1]["reanchors"] == 0

@@ -1,4 +1,4 @@
-"""``biosensor-gateway test``: a short try tells what a device sends and what is wrong with it."""
+"""``biosensor-gateway test``: it tells what a device sends and what is wrong with it."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ def configure(settings: Path) -> Callable[..., None]:
     return write
 
 
-def of(twin: VirtualDevice, unit: str = "U1") -> dict[str, Any]:
-    return {"sensor": twin.sensor, "unit": unit, **twin.settings}
+def of(device: VirtualDevice, unit: str = "U1") -> dict[str, Any]:
+    return {"sensor": device.sensor, "unit": unit, **device.settings}
 
 
 def problems(outcome: Outcome) -> list[str]:
@@ -157,10 +157,10 @@ def test_a_device_that_never_answers_is_given_up(
 def test_a_sensor_that_nobody_wears_is_told(
     run: Run, configure: Any, world: World, radio: Radio, sensor: str
 ) -> None:
-    twin = SimulatedZephyr(world) if sensor == "zephyr" else SimulatedPolarH10(world, radio)
-    with twin:
-        twin.apply(Fault(FaultKind.OFF_BODY, math.inf))
-        configure(of(twin))
+    device = SimulatedZephyr(world) if sensor == "zephyr" else SimulatedPolarH10(world, radio)
+    with device:
+        device.apply(Fault(FaultKind.OFF_BODY, math.inf))
+        configure(of(device))
         (problem,) = problems(run("test", sensor, "--seconds", "5"))
     assert "not seem to be on the body" in problem
 
@@ -274,13 +274,13 @@ STREAMING = """
 from biosensor_gateway import cli
 from biosensor_gateway.doctor import device_test
 
-open_really = device_test._TrialSink.open
+open_really = device_test._TestSink.open
 
 def told(self, info, rates):
     open_really(self, info, rates)
     print("connected", flush=True)
 
-device_test._TrialSink.open = told
+device_test._TestSink.open = told
 cli.main()
 """
 

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.simulation import virtual_device as twin_module
+from biosensor_gateway.simulation import virtual_device
 from biosensor_gateway.simulation.faults import Fault, FaultKind, ScheduledFault, parse_fault
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
@@ -247,7 +247,7 @@ def test_what_acts_at_once_has_no_end(device: Recording, kind: FaultKind, until:
 def test_late_answers_last_longer_than_they_are_late(
     device: Recording, until: Until, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(twin_module, "LATE_LASTS_S", 2 * SHORT_S)
+    monkeypatch.setattr(virtual_device, "LATE_LASTS_S", 2 * SHORT_S)
     device.apply(Fault(FaultKind.LATE, 3600.0))
     until(lambda: device.told == ["begin late 3600", "end late"])
 

@@ -12,9 +12,9 @@ from rich.console import Console
 from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_common.terminal import wrapped
-from biosensor_gateway.cli import clocks, looking
+from biosensor_gateway.cli import clocks, device_test, status
 from biosensor_gateway.devices.registry import declaration, declaration_names
-from biosensor_gateway.doctor.device_test import StreamTrial, Trial
+from biosensor_gateway.doctor.device_test import DeviceTest, StreamTest
 
 WIDTH = 80
 UNIT = "E621E1F8-C36C-495A-93FC-0C247A3E6E5F"
@@ -61,7 +61,8 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
     monkeypatch.setattr(shown, "isatty", lambda: True)
     monkeypatch.setenv("COLUMNS", str(WIDTH))
     monkeypatch.setenv("TERM", "dumb")
-    monkeypatch.setattr(looking, "console", lambda: Console(width=WIDTH, file=shown))
+    for module in (status, device_test):
+        monkeypatch.setattr(module, "console", lambda: Console(width=WIDTH, file=shown))
     return shown
 
 
@@ -73,7 +74,7 @@ def fits(shown: str) -> str:
 
 def test_status(terminal: io.StringIO) -> None:
     with redirect_stdout(terminal):
-        looking._print_status(STATUS)  # pyright: ignore[reportPrivateUsage]
+        status._print_status(STATUS)  # pyright: ignore[reportPrivateUsage]
     shown = fits(terminal.getvalue())
     words = shown.split()
     for each in STATUS["devices"]:
@@ -95,15 +96,15 @@ def test_clocks(terminal: io.StringIO) -> None:
 
 
 @pytest.mark.parametrize("name", declaration_names())
-def test_trial(terminal: io.StringIO, name: str) -> None:
+def test_device_test(terminal: io.StringIO, name: str) -> None:
     streams = {
-        each.data_name: StreamTrial(123456, 1.0, 700.0, (-1.23456e-5,) * len(each.channels), 256)
+        each.data_name: StreamTest(123456, 1.0, 700.0, (-1.23456e-5,) * len(each.channels), 256)
         for each in declaration(name).streams
     }
     info = DeviceInfo(manufacturer="Manufacturer of it", model="Model 12", serial_number=UNIT)
-    trial = Trial(info, streams, [REASON])
+    outcome = DeviceTest(info, streams, [REASON])
     with redirect_stdout(terminal):
-        looking._print_trial(trial, name)  # pyright: ignore[reportPrivateUsage]
+        device_test._print_outcome(outcome, name)  # pyright: ignore[reportPrivateUsage]
     words = fits(terminal.getvalue()).split()
     assert set(streams) <= set(words)
     assert UNIT in words

@@ -70,10 +70,10 @@ class Bench:
     """The devices, the program that streams from them, and a recorder on Linux."""
 
     def __init__(
-        self, twins: dict[str, VirtualDevice], program: RunningProgram, recorder: Recorder
+        self, devices: dict[str, VirtualDevice], program: RunningProgram, recorder: Recorder
     ) -> None:
         self.program = program
-        self._twins = twins
+        self._devices = devices
         self._recorder = recorder
         self._clock_difference_s = read_clocks().windows_minus_lsl
         self._episodes: dict[str, dict[str, Episode]] = {}
@@ -101,7 +101,7 @@ class Bench:
         wait_for(SENSORS, lambda name: self.streams_since(name, episodes[name].begin_s))
         logged = len(self.program.log())
         for name, kind in kinds.items():
-            self._twins[name].apply(Fault(kind, inf))
+            self._devices[name].apply(Fault(kind, inf))
 
         def is_noticed(name: str) -> bool:
             episodes[name].log = self.program.log()[logged:]
@@ -112,7 +112,7 @@ class Bench:
         time.sleep(HOLD_S)
         for name, kind in kinds.items():
             episodes[name].end_s[kind, name] = local_clock()
-            self._twins[name].clear(kind)
+            self._devices[name].clear(kind)
         self._await_recovery(episodes)
         # Some losses are known only when a window closes.
         wait_for(SENSORS, lambda name: self._balances(episodes[name], name))
@@ -132,7 +132,7 @@ class Bench:
         stock = episode.after[name] = self._stock(name)
         for data_name in numeric_streams(name):
             episode.received[name, data_name] = self._recorded(name, data_name).since(since_s)
-            truth = self._twins[name].truth.samples(data_name)
+            truth = self._devices[name].truth.samples(data_name)
             recent = truth.times >= since_s - NEAR_S
             episode.truth[name, data_name] = Samples(truth.times[recent], truth.values[recent])
         stamps = [counters["last_stamp"] for counters in stock.status["streams"].values()]
@@ -178,27 +178,27 @@ def bench(installed: WindowsPc, tmp_path_factory: pytest.TempPathFactory) -> Gen
         SimulatedShimmer3(world) as shimmer,
         SimulatedZephyr(world) as zephyr,
     ):
-        twins: dict[str, VirtualDevice] = {
+        devices: dict[str, VirtualDevice] = {
             "empatica_e4": e4,
             "shimmer3_gsr": shimmer,
             "zephyr": zephyr,
         }
         settings = folder / "settings.toml"
-        settings.write_text(_settings(twins), encoding="utf-8")
+        settings.write_text(_settings(devices), encoding="utf-8")
         options = ("--settings", windows_path(settings))
         with (
             RunningProgram(prefix, installed.program, folder, *options) as program,
             Recorder(channels) as recorder,
         ):
-            running = Bench(twins, program, recorder)
-            _plug_in(installed, running, twins)
+            running = Bench(devices, program, recorder)
+            _plug_in(installed, running, devices)
             yield running
 
 
-def _settings(twins: dict[str, VirtualDevice]) -> str:
+def _settings(devices: dict[str, VirtualDevice]) -> str:
     blocks: list[str] = []
-    for name, twin in twins.items():
-        fields: dict[str, Any] = {"sensor": name, "unit": unit_of(name), **twin.settings}
+    for name, device in devices.items():
+        fields: dict[str, Any] = {"sensor": name, "unit": unit_of(name), **device.settings}
         if name in PORTS:
             fields["port"] = f"COM{PORTS[name]}"
         lines = [f"{key} = {json.dumps(value)}" for key, value in fields.items()]
@@ -206,14 +206,14 @@ def _settings(twins: dict[str, VirtualDevice]) -> str:
     return "\n\n".join(blocks) + "\n"
 
 
-def _plug_in(pc: WindowsPc, bench: Bench, twins: dict[str, VirtualDevice]) -> None:
+def _plug_in(pc: WindowsPc, bench: Bench, devices: dict[str, VirtualDevice]) -> None:
     absent = wait_for(
         PORTS, lambda name: "no such port" in (bench.program.device(name).get("error") or "")
     )
     assert not absent, bench.program.said()
     begin_s = local_clock()
     for name, com in PORTS.items():
-        pc.plug_in(com, twins[name].settings["port"])
+        pc.plug_in(com, devices[name].settings["port"])
     silent = wait_for(SENSORS, lambda name: bench.streams_since(name, begin_s))
     assert not silent, f"no samples of {silent}: {bench.program.said()}"
 

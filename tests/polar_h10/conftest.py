@@ -28,8 +28,8 @@ def make_h10(radio: Radio) -> Generator[Make]:
     with ExitStack() as stack:
 
         def make(quirks: Quirks | None = None, **options: Any) -> SimulatedPolarH10:
-            twin = SimulatedPolarH10(radio.world, radio, quirks=quirks, **options)
-            return stack.enter_context(twin)
+            device = SimulatedPolarH10(radio.world, radio, quirks=quirks, **options)
+            return stack.enter_context(device)
 
         yield make
 

@@ -26,10 +26,10 @@ from tests.rigs.driver_run import NotedSink, connected, streaming
 from tests.rigs.polar_h10 import assert_once_and_in_order, assert_only_gaps
 from tests.rigs.polling import until
 
-Twins = Callable[..., SimulatedPolarH10]
+MakeSensor = Callable[..., SimulatedPolarH10]
 
 
-async def test_every_stream_fills_with_what_the_sensor_sent(sensor: Twins) -> None:
+async def test_every_stream_fills_with_what_the_sensor_sent(sensor: MakeSensor) -> None:
     h10 = sensor(rssi_dbm=-49)
     async with streaming(h10) as run:
         await until(run.sink.has(4, "hr", "ibi", "quality"))
@@ -54,7 +54,7 @@ async def test_every_stream_fills_with_what_the_sensor_sent(sensor: Twins) -> No
     assert run.sink.dropped_bytes == 0
 
 
-async def test_samples_are_stamped_when_they_were_measured(sensor: Twins) -> None:
+async def test_samples_are_stamped_when_they_were_measured(sensor: MakeSensor) -> None:
     h10 = sensor(Quirks(sampling_deviation=0.015), drift_ppm=100, jitter_s=0.05)
     async with streaming(h10) as run:
         await until(run.sink.has(750, "ecg"))
@@ -70,14 +70,14 @@ async def test_samples_are_stamped_when_they_were_measured(sensor: Twins) -> Non
 
 
 @pytest.mark.parametrize("rate", [25, 200])
-async def test_the_rate_of_the_settings_is_the_stream_s(sensor: Twins, rate: int) -> None:
+async def test_the_rate_of_the_settings_is_the_stream_s(sensor: MakeSensor, rate: int) -> None:
     async with connected(sensor(), acc_rate_hz=rate) as info:
         assert info.rates == {"ecg": 130, "acc": rate}
         assert (info.info.manufacturer, info.info.model) == ("Polar Electro Oy", "H10")
         assert info.info.serial_number == "A1B2C3D4"
 
 
-async def test_what_is_not_wanted_is_not_started(sensor: Twins) -> None:
+async def test_what_is_not_wanted_is_not_started(sensor: MakeSensor) -> None:
     h10 = sensor()
     async with streaming(h10, ecg=False, acc=False) as run:
         await until(run.sink.has(2, "hr", "ibi"))
@@ -87,7 +87,7 @@ async def test_what_is_not_wanted_is_not_started(sensor: Twins) -> None:
         assert (info.silent, set(info.rates)) == ({"ecg"}, {"acc"})
 
 
-async def test_the_strap_may_be_taken_off_and_put_on_again(sensor: Twins) -> None:
+async def test_the_strap_may_be_taken_off_and_put_on_again(sensor: MakeSensor) -> None:
     h10 = sensor()
     async with streaming(h10) as run:
         await until(run.sink.has(2, "hr", "quality"))
@@ -105,7 +105,7 @@ async def test_the_strap_may_be_taken_off_and_put_on_again(sensor: Twins) -> Non
 
 @pytest.mark.parametrize("firmware", [Firmware.OLD, Firmware.HEART_RATE_ONLY])
 async def test_without_a_pmd_service_it_is_a_heart_rate_strap(
-    sensor: Twins, firmware: Firmware
+    sensor: MakeSensor, firmware: Firmware
 ) -> None:
     h10 = sensor(Quirks(firmware=firmware))
     with capture_logs() as logs:
@@ -119,7 +119,7 @@ async def test_without_a_pmd_service_it_is_a_heart_rate_strap(
 
 
 @pytest.mark.parametrize("host_mtu", [64])
-async def test_a_small_mtu_is_enough(sensor: Twins) -> None:
+async def test_a_small_mtu_is_enough(sensor: MakeSensor) -> None:
     h10 = sensor()
     async with streaming(h10) as run:
         await until(run.sink.has(200, "ecg"))
@@ -128,7 +128,7 @@ async def test_a_small_mtu_is_enough(sensor: Twins) -> None:
     assert_only_gaps(h10, run.sink)
 
 
-async def test_compressed_acceleration_is_the_same(sensor: Twins) -> None:
+async def test_compressed_acceleration_is_the_same(sensor: MakeSensor) -> None:
     h10 = sensor(Quirks(compressed_acceleration=True))
     async with streaming(h10) as run:
         await until(run.sink.has(100, "acc"))
@@ -136,7 +136,7 @@ async def test_compressed_acceleration_is_the_same(sensor: Twins) -> None:
     assert_only_gaps(h10, run.sink)
 
 
-async def test_a_verity_sense_delivers_what_it_has(sensor: Twins) -> None:
+async def test_a_verity_sense_delivers_what_it_has(sensor: MakeSensor) -> None:
     verity = sensor(product=VERITY_SENSE)
     async with streaming(verity) as run:
         await until(run.sink.has(100, "acc"))

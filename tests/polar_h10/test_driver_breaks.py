@@ -22,7 +22,7 @@ from tests.rigs.driver_run import Run, streaming
 from tests.rigs.polar_h10 import assert_only_gaps
 from tests.rigs.polling import until
 
-Twins = Callable[..., SimulatedPolarH10]
+MakeSensor = Callable[..., SimulatedPolarH10]
 
 
 async def after_a_break(run: Run, break_it: Callable[[], None]) -> None:
@@ -36,7 +36,7 @@ async def after_a_break(run: Run, break_it: Callable[[], None]) -> None:
     await until(run.sink.has(1, "bat"))
 
 
-async def test_a_lost_link_is_a_gap_of_known_length(sensor: Twins) -> None:
+async def test_a_lost_link_is_a_gap_of_known_length(sensor: MakeSensor) -> None:
     h10 = sensor()
     async with streaming(h10) as run:
         await after_a_break(run, lambda: h10.apply(Fault(FaultKind.DROP, 0.8)))
@@ -48,7 +48,7 @@ async def test_a_lost_link_is_a_gap_of_known_length(sensor: Twins) -> None:
 
 
 async def test_a_device_that_restarts_counts_anew_and_loses_nothing_meanwhile(
-    sensor: Twins,
+    sensor: MakeSensor,
 ) -> None:
     h10 = sensor()
     async with streaming(h10) as run:
@@ -58,7 +58,7 @@ async def test_a_device_that_restarts_counts_anew_and_loses_nothing_meanwhile(
     assert lost == 0
 
 
-async def test_measurements_that_went_on_are_started_anew(sensor: Twins) -> None:
+async def test_measurements_that_went_on_are_started_anew(sensor: MakeSensor) -> None:
     h10 = sensor(Quirks(keeps_streaming=True, announces_stops=True))
     async with streaming(h10) as run:
         await after_a_break(run, lambda: h10.apply(Fault(FaultKind.DROP, 0.8)))
@@ -66,7 +66,7 @@ async def test_measurements_that_went_on_are_started_anew(sensor: Twins) -> None
 
 
 async def test_a_measurement_that_stops_is_started_again(
-    sensor: Twins, monkeypatch: pytest.MonkeyPatch
+    sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert driver_module.PATIENCE_S == 5.0
     monkeypatch.setattr(driver_module, "PATIENCE_S", 1.5)
@@ -86,7 +86,7 @@ async def test_a_measurement_that_stops_is_started_again(
 
 
 async def test_a_silent_device_is_connected_anew(
-    sensor: Twins, monkeypatch: pytest.MonkeyPatch
+    sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert PolarH10Driver.silence_limit_s == 15.0
     monkeypatch.setattr(ble, "REQUEST_LIMIT_S", 0.5)
@@ -103,7 +103,7 @@ async def test_a_silent_device_is_connected_anew(
     assert_only_gaps(h10, run.sink)
 
 
-async def test_a_short_stall_only_delays(sensor: Twins) -> None:
+async def test_a_short_stall_only_delays(sensor: MakeSensor) -> None:
     h10 = sensor()
     async with streaming(h10) as run:
         await until(run.sink.has(100, "ecg"))
@@ -119,7 +119,7 @@ async def test_a_short_stall_only_delays(sensor: Twins) -> None:
     assert lost == unsent
 
 
-async def test_garbage_is_counted_and_never_emitted(sensor: Twins) -> None:
+async def test_garbage_is_counted_and_never_emitted(sensor: MakeSensor) -> None:
     h10 = sensor()
     async with streaming(h10) as run:
         await until(run.sink.has(73, "ecg"))
@@ -133,7 +133,7 @@ async def test_garbage_is_counted_and_never_emitted(sensor: Twins) -> None:
 
 
 async def test_a_heart_rate_that_stops_alone_is_subscribed_to_again(
-    sensor: Twins, monkeypatch: pytest.MonkeyPatch
+    sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(session_module, "DUE", {"hr": 2.0})
     h10 = sensor()

@@ -22,7 +22,7 @@ from tests.rigs.driver_run import connected, streaming
 from tests.rigs.polar_h10 import assert_only_gaps
 from tests.rigs.polling import until
 
-Twins = Callable[..., SimulatedPolarH10]
+MakeSensor = Callable[..., SimulatedPolarH10]
 
 
 @contextmanager
@@ -46,7 +46,7 @@ def noted_writes(monkeypatch: pytest.MonkeyPatch) -> Generator[list[str]]:
 
 
 async def test_the_control_point_is_spoken_to_in_the_vendor_s_order(
-    sensor: Twins, monkeypatch: pytest.MonkeyPatch
+    sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     h10 = sensor()
     with noted_writes(monkeypatch) as asked:
@@ -67,7 +67,7 @@ async def test_the_control_point_is_spoken_to_in_the_vendor_s_order(
 
 
 async def test_a_former_host_s_measurements_are_stopped_first(
-    sensor: Twins, monkeypatch: pytest.MonkeyPatch
+    sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     quirks = Quirks(left_streaming=(Measurement.ECG, Measurement.ACC), short_errors=True)
     h10 = sensor(quirks)
@@ -80,7 +80,7 @@ async def test_a_former_host_s_measurements_are_stopped_first(
     assert_only_gaps(h10, run.sink)
 
 
-async def test_the_device_is_left_still(sensor: Twins) -> None:
+async def test_the_device_is_left_still(sensor: MakeSensor) -> None:
     """One that is left measuring empties its battery."""
     h10 = sensor(Quirks(keeps_streaming=True))
     async with streaming(h10) as run:
@@ -92,7 +92,7 @@ async def test_the_device_is_left_still(sensor: Twins) -> None:
         assert len(h10.truth.samples("ecg").times) == sent
 
 
-async def test_a_refusal_is_told_and_overcome(sensor: Twins) -> None:
+async def test_a_refusal_is_told_and_overcome(sensor: MakeSensor) -> None:
     h10 = sensor()
     async with streaming(h10) as run:
         await until(run.sink.has(73, "ecg"))
@@ -104,7 +104,7 @@ async def test_a_refusal_is_told_and_overcome(sensor: Twins) -> None:
     assert_only_gaps(h10, run.sink)
 
 
-async def test_an_mtu_that_is_too_small_for_all_is_an_error(sensor: Twins) -> None:
+async def test_an_mtu_that_is_too_small_for_all_is_an_error(sensor: MakeSensor) -> None:
     h10 = sensor(Quirks(minimum_mtu=512))
     with pytest.raises(ProtocolError, match="ecg: INVALID_MTU") as caught:
         async with connected(h10):
@@ -112,7 +112,7 @@ async def test_an_mtu_that_is_too_small_for_all_is_an_error(sensor: Twins) -> No
     assert caught.value.reason is ProtocolReason.REFUSED
 
 
-async def test_late_answers_are_waited_for(sensor: Twins) -> None:
+async def test_late_answers_are_waited_for(sensor: MakeSensor) -> None:
     h10 = sensor()
     async with streaming(h10) as run:
         await until(run.sink.has(73, "ecg"))
@@ -123,7 +123,7 @@ async def test_late_answers_are_waited_for(sensor: Twins) -> None:
 
 
 async def test_a_device_that_never_answers_is_an_error(
-    sensor: Twins, monkeypatch: pytest.MonkeyPatch
+    sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert control_module.REPLY_TIMEOUT_S == 5.0
     monkeypatch.setattr(control_module, "REPLY_TIMEOUT_S", 0.3)
@@ -136,7 +136,7 @@ async def test_a_device_that_never_answers_is_an_error(
 
 
 async def test_a_device_that_demands_pairing_is_paired(
-    sensor: Twins, monkeypatch: pytest.MonkeyPatch
+    sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     h10 = sensor(Quirks(demands_pairing=True))
     paired: list[str] = []
@@ -160,7 +160,7 @@ async def test_a_device_that_demands_pairing_is_paired(
     assert_only_gaps(h10, run.sink)
 
 
-async def test_pairing_may_come_first(sensor: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_pairing_may_come_first(sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch) -> None:
     h10 = sensor(Quirks(demands_pairing=True))
 
     async def pair(link: BleLink) -> None:
@@ -172,7 +172,7 @@ async def test_pairing_may_come_first(sensor: Twins, monkeypatch: pytest.MonkeyP
 
 
 async def test_a_device_that_cannot_be_paired_is_a_matter_of_credentials(
-    sensor: Twins, monkeypatch: pytest.MonkeyPatch
+    sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     h10 = sensor(Quirks(demands_pairing=True))
 

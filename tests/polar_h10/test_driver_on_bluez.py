@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 pytestmark = ON_BLUEZ
 
-Twins = Callable[..., SimulatedPolarH10]
+MakeSensor = Callable[..., SimulatedPolarH10]
 FRAME = 73
 
 
@@ -46,7 +46,7 @@ def attempts(monkeypatch: pytest.MonkeyPatch) -> list[BleakClient]:
 
 
 async def test_an_adapter_that_is_switched_off_is_waited_for(
-    sensor: Twins, bluez: FakeBluez
+    sensor: MakeSensor, bluez: FakeBluez
 ) -> None:
     h10 = sensor()
     async with streaming(h10) as run:
@@ -61,7 +61,7 @@ async def test_an_adapter_that_is_switched_off_is_waited_for(
 
 
 async def test_a_daemon_that_dies_without_a_word_is_noticed_and_waited_for(
-    sensor: Twins, bluez: FakeBluez, monkeypatch: pytest.MonkeyPatch
+    sensor: MakeSensor, bluez: FakeBluez, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(driver_module, "PATIENCE_S", 1.5)
     h10 = sensor()
@@ -81,7 +81,7 @@ async def test_a_daemon_that_dies_without_a_word_is_noticed_and_waited_for(
 
 
 async def test_a_daemon_that_is_back_before_anybody_noticed_costs_one_connection(
-    sensor: Twins, bluez: FakeBluez, monkeypatch: pytest.MonkeyPatch
+    sensor: MakeSensor, bluez: FakeBluez, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(driver_module, "PATIENCE_S", 1.5)
     h10 = sensor()
@@ -96,7 +96,10 @@ async def test_a_daemon_that_is_back_before_anybody_noticed_costs_one_connection
 
 
 async def test_a_sensor_that_bluez_forgets_after_the_scan_is_looked_for_again(
-    sensor: Twins, bluez: FakeBluez, attempts: list[BleakClient], monkeypatch: pytest.MonkeyPatch
+    sensor: MakeSensor,
+    bluez: FakeBluez,
+    attempts: list[BleakClient],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     h10 = sensor()
     bluez.forgets_after_scan = True
@@ -114,7 +117,7 @@ async def test_a_sensor_that_bluez_forgets_after_the_scan_is_looked_for_again(
 
 
 async def test_a_sensor_that_bluez_always_forgets_is_absent_until_it_does_not(
-    sensor: Twins, bluez: FakeBluez
+    sensor: MakeSensor, bluez: FakeBluez
 ) -> None:
     h10 = sensor()
     bluez.forgets_after_scan = True
@@ -126,7 +129,7 @@ async def test_a_sensor_that_bluez_always_forgets_is_absent_until_it_does_not(
         assert State.BACKOFF not in run.states
 
 
-async def test_a_connection_that_fails_is_tried_again(sensor: Twins, bluez: FakeBluez) -> None:
+async def test_a_connection_that_fails_is_tried_again(sensor: MakeSensor, bluez: FakeBluez) -> None:
     h10 = sensor()
     bluez.connect_error = "le-connection-refused"
     async with streaming(h10) as run:
@@ -138,7 +141,7 @@ async def test_a_connection_that_fails_is_tried_again(sensor: Twins, bluez: Fake
 
 
 async def test_a_connection_that_takes_too_long_is_given_up_and_tried_again(
-    sensor: Twins, bluez: FakeBluez, monkeypatch: pytest.MonkeyPatch
+    sensor: MakeSensor, bluez: FakeBluez, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ble, "CONNECT_LIMIT_S", 1.0)
     h10 = sensor()
@@ -152,7 +155,7 @@ async def test_a_connection_that_takes_too_long_is_given_up_and_tried_again(
 
 
 async def test_a_demand_for_pairing_that_bluez_swallows_is_understood(
-    sensor: Twins, bluez: FakeBluez
+    sensor: MakeSensor, bluez: FakeBluez
 ) -> None:
     del bluez
     h10 = sensor(Quirks(demands_pairing=True))
@@ -166,7 +169,7 @@ async def test_a_demand_for_pairing_that_bluez_swallows_is_understood(
 
 
 async def test_a_value_that_is_read_is_no_answer_and_no_sample(
-    sensor: Twins, monkeypatch: pytest.MonkeyPatch
+    sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """BlueZ passes what anybody on the computer reads on to all who are subscribed."""
     write, take = BleLink.write, BleLink.next

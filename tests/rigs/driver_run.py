@@ -92,10 +92,10 @@ class Run:
     supervisor
     """
 
-    def __init__(self, twin: VirtualDevice, **fields: Any) -> None:
-        self.sink = NotedSink(twin.sensor)
+    def __init__(self, device: VirtualDevice, /, **fields: Any) -> None:
+        self.sink = NotedSink(device.sensor)
         self.states: list[State] = []
-        make = _maker(twin, self.sink, fields)
+        make = _maker(device, self.sink, fields)
         self.supervisor = Supervisor(make, self.sink, self.states.append)
 
     async def goes_on(self, count: int, *data_names: str) -> None:
@@ -105,12 +105,12 @@ class Run:
 
 
 @asynccontextmanager
-async def streaming(twin: VirtualDevice, **fields: Any) -> AsyncGenerator[Run]:
+async def streaming(device: VirtualDevice, /, **fields: Any) -> AsyncGenerator[Run]:
     """Run until the block ends; then nothing may have been refused or be half closed.
 
-    Fields are those of the device's settings, besides the ones that lead to the twin.
+    Fields are those of the device's settings, besides the ones that lead to the virtual device.
     """
-    run = Run(twin, **fields)
+    run = Run(device, **fields)
     task = asyncio.create_task(run.supervisor.run())
     try:
         yield run
@@ -123,17 +123,19 @@ async def streaming(twin: VirtualDevice, **fields: Any) -> AsyncGenerator[Run]:
 
 
 @asynccontextmanager
-async def connected(twin: VirtualDevice, **fields: Any) -> AsyncGenerator[Connected]:
+async def connected(device: VirtualDevice, /, **fields: Any) -> AsyncGenerator[Connected]:
     """Connect once, without a supervisor."""
-    driver = _maker(twin, NotedSink(twin.sensor), fields)()
+    driver = _maker(device, NotedSink(device.sensor), fields)()
     try:
         yield await driver.connect()
     finally:
         await driver.close()
 
 
-def _maker(twin: VirtualDevice, sink: NotedSink, fields: Mapping[str, Any]) -> Callable[[], Driver]:
-    entry = driver_of(twin.sensor)
-    named = {"sensor": twin.sensor, "unit": sink.identity.unit}
-    settings = entry.settings.model_validate({**named, **twin.settings, **fields})
+def _maker(
+    device: VirtualDevice, sink: NotedSink, fields: Mapping[str, Any]
+) -> Callable[[], Driver]:
+    entry = driver_of(device.sensor)
+    named = {"sensor": device.sensor, "unit": sink.identity.unit}
+    settings = entry.settings.model_validate({**named, **device.settings, **fields})
     return entry.make(settings, sink)

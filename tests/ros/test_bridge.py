@@ -257,9 +257,9 @@ def test_the_end_of_a_stream_discards_its_partial_chunk_and_counts_what_lsl_drop
 
 def test_who_listens_gets_every_sample_whether_or_not_somebody_reads(ros: Ros) -> None:
     header, tally = HEADER, Tally()
-    port = RecordedPublisher(Float32, readers=0)
+    publisher = RecordedPublisher(Float32, readers=0)
     refuse = Refusals(header, tally, pytest.fail)
-    outputs = Outputs(raw=NumberWriter(port, header.message_type, 1, refuse))
+    outputs = Outputs(raw=NumberWriter(publisher, header.message_type, 1, refuse))
     heard: list[list[float]] = []
     bridge = Bridge(
         header,
@@ -273,7 +273,7 @@ def test_who_listens_gets_every_sample_whether_or_not_somebody_reads(ros: Ros) -
     assert bridge.wants_each_sample
     bridge.receive(Block(np.array([[1.0], [2.0]], np.float32), np.array([5.0, 5.01])))
     assert heard == [[1.0], [2.0]]
-    assert port.messages == []
+    assert publisher.messages == []
 
 
 def test_the_newest_sample_of_an_irregular_stream_is_kept(make: Make) -> None:

@@ -174,11 +174,11 @@ class Agent:
     def __init__(self, ros: Ros) -> None:
         header = header_of("gateway", "counters")
         self.clocks = Clocks(ros.node, OFFSET_S)
-        self.port = RecordedPublisher(DiagnosticArray)
+        self.publisher = RecordedPublisher(DiagnosticArray)
         self.tally = Tally()
         self.warnings: list[str] = []
         refuse = Refusals(header, self.tally, self.warnings.append)
-        outputs = Outputs(timed=[CountersWriter(self.port, self.clocks)])
+        outputs = Outputs(timed=[CountersWriter(self.publisher, self.clocks)])
         self.bridge = Bridge(header, outputs, SETTINGS, self.tally, self.clocks, refuse)
 
     def send(self, *texts: str) -> None:
@@ -193,7 +193,7 @@ def report(pushed: int) -> str:
 def test_the_agents_counters_have_a_stamp_of_their_own(ros: Ros) -> None:
     agent = Agent(ros)
     agent.send(report(1), report(2))
-    stamps = [message.header.stamp for message in agent.port.messages]
+    stamps = [message.header.stamp for message in agent.publisher.messages]
     assert stamps == [agent.clocks.ros_time.to_msg(s + OFFSET_S) for s in (1.0, 2.0)]
     assert (agent.tally.unfit, agent.warnings) == (0, [])
 
@@ -201,7 +201,7 @@ def test_the_agents_counters_have_a_stamp_of_their_own(ros: Ros) -> None:
 def test_a_report_that_no_agent_writes_costs_itself_only(ros: Ros) -> None:
     agent = Agent(ros)
     agent.send(report(1), "nonsense", report(3))
-    pushed = [message.status[0].values[0].value for message in agent.port.messages]
+    pushed = [message.status[0].values[0].value for message in agent.publisher.messages]
     assert [float(value) for value in pushed] == [1.0, 3.0]
     assert agent.tally.unfit == 1
     assert len(agent.warnings) == 1

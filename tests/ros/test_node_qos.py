@@ -105,12 +105,12 @@ def test_a_late_subscriber_gets_the_battery_and_the_list_of_streams(ros: Ros) ->
 
     ros.until(have_come, "both samples of each at the node")
     raw = ros.listen(Float32, f"{base}/bat", LATCHED)
-    twin = ros.listen(BatteryState, f"{base}/bat_state", LATCHED)
+    state = ros.listen(BatteryState, f"{base}/bat_state", LATCHED)
     streams = ros.listen(DiagnosticArray, STREAMS, LATCHED)
     rates = ros.listen(Float32, f"{base}/hr")
-    ros.until(lambda: bool(raw and twin and streams), "what was kept")
+    ros.until(lambda: bool(raw and state and streams), "what was kept")
     assert [message.data for message in raw] == [79.0]
-    assert [message.percentage for message in twin] == [pytest.approx(0.79)]
+    assert [message.percentage for message in state] == [pytest.approx(0.79)]
     assert f"{base}/bat" in [status.name for status in streams[-1].status]
     ros.attached(f"{base}/hr", readers=1)
     assert not rates

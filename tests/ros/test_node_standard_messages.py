@@ -136,7 +136,7 @@ def test_skin_temperature_is_a_temperature_also_where_there_is_none(ros: Ros) ->
     assert math.isnan(heard[1].temperature)
 
 
-def test_what_other_programs_call_a_battery_has_no_twin(ros: Ros) -> None:
+def test_what_other_programs_call_a_battery_has_no_standard_message(ros: Ros) -> None:
     outlet = pylsl.StreamOutlet(pylsl.StreamInfo("gadget", "Battery", 1, 0.0, "float32", "gadget"))
     ros.attached("/biosensors/gadget/Battery")
     ros.until(lambda: "/biosensors/gadget/Battery" in ros.topics(), "its topic")

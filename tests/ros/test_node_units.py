@@ -96,9 +96,9 @@ def test_of_streams_that_claim_to_be_one_the_newest_stays_and_the_log_says_so(
         newest_arrives()
         return node.count(*said) >= 1
 
-    ros.until(both_are_said, "a warning of the twins that are left out")
+    ros.until(both_are_said, "a warning of the duplicates that are left out")
     assert {message.data[0] for message in heard} == {2.0}
-    # Both twins have one name and host, so it is one sentence.
+    # Both duplicates have one name and host, so it is one sentence.
     assert node.count(*said) == 1
 
 

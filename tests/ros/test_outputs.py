@@ -27,7 +27,7 @@ from lsl_to_ros.topics.messages import CLASSES
 from lsl_to_ros.topics.outputs import HAS_STAMPED_TOPICS, open_outputs
 from lsl_to_ros.topics.pacing import Pace, Pacer
 from lsl_to_ros.topics.publishers import TopicPublisher, TopicPublishers
-from lsl_to_ros.topics.standard_messages import TWINS
+from lsl_to_ros.topics.standard_messages import STANDARD_MESSAGES
 from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter, StreamContext
 from tests.rigs.recorded_topics import Clocks, header_of
 
@@ -36,10 +36,10 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture
-def ports(ros: Ros) -> Iterator[TopicPublishers]:
-    ports = TopicPublishers(ros.node, Pacer(Pace(), pytest.fail))
-    yield ports
-    ports.close(lambda _: True)
+def publishers(ros: Ros) -> Iterator[TopicPublishers]:
+    publishers = TopicPublishers(ros.node, Pacer(Pace(), pytest.fail))
+    yield publishers
+    publishers.close(lambda _: True)
 
 
 def must_not_refuse(count: int, reason: str) -> None:
@@ -58,7 +58,10 @@ def context(ros: Ros, header: StreamHeader, base: str) -> StreamContext:
 
 
 def kinds(outputs: Outputs, base: str) -> dict[str, str]:
-    return {port.topic.removeprefix(f"{base}/"): port.type_name for port in outputs.ports}
+    return {
+        publisher.topic.removeprefix(f"{base}/"): publisher.type_name
+        for publisher in outputs.publishers
+    }
 
 
 STREAMS = [
@@ -68,16 +71,16 @@ STREAMS = [
 
 @pytest.mark.parametrize(("sensor_name", "data_name"), STREAMS)
 def test_the_topics_of_a_declared_stream(
-    ros: Ros, ports: TopicPublishers, sensor_name: str, data_name: str
+    ros: Ros, publishers: TopicPublishers, sensor_name: str, data_name: str
 ) -> None:
     header = header_of(sensor_name, data_name)
     base = f"topics/{sensor_name}"
-    outputs = open_outputs(ports, context(ros, header, base))
+    outputs = open_outputs(publishers, context(ros, header, base))
     expected = {data_name: header.message_type.value}
     expected |= {
-        name: f"sensor_msgs/msg/{twin.message_class.__name__}"
-        for twin in TWINS
-        if (name := twin.topic_of(header))
+        name: f"sensor_msgs/msg/{standard.message_class.__name__}"
+        for standard in STANDARD_MESSAGES
+        if (name := standard.topic_of(header))
     }
     if header.chunk:
         expected[f"{header.chunk}_chunk"] = MessageType.FLOAT32_MULTI_ARRAY.value
@@ -87,20 +90,20 @@ def test_the_topics_of_a_declared_stream(
         expected[f"{data_name}_stamped"] = f"biosensor_msgs/msg/{kind}"
     assert kinds(outputs, base) == expected
     assert (outputs.raw is None) == has_time
-    latched = {port.latched for port in outputs.ports}
+    latched = {publisher.latched for publisher in outputs.publishers}
     assert latched == {data_name in ("bat", "rssi", "dev")}
-    assert outputs.of_samples[0].port.topic == f"{base}/{data_name}"
+    assert outputs.of_samples[0].publisher.topic == f"{base}/{data_name}"
 
 
 def test_a_declared_chunk_name_is_kept_where_the_topic_has_another_name(
-    ros: Ros, ports: TopicPublishers
+    ros: Ros, publishers: TopicPublishers
 ) -> None:
     breathing = context(ros, header_of("zephyr", "breathing"), "names/zephyr")
-    assert open_outputs(ports, breathing).ports[-1].topic == "names/zephyr/br_chunk"
+    assert open_outputs(publishers, breathing).publishers[-1].topic == "names/zephyr/br_chunk"
     ecg = context(ros, header_of("zephyr", "ecg"), "names/zephyr")._replace(
         topic=TopicName("names/zephyr", "ecg_x75_U1")
     )
-    assert open_outputs(ports, ecg).ports[-1].topic == "names/zephyr/ecg_x75_U1_chunk"
+    assert open_outputs(publishers, ecg).publishers[-1].topic == "names/zephyr/ecg_x75_U1_chunk"
 
 
 @pytest.mark.parametrize(
@@ -117,14 +120,14 @@ def test_a_declared_chunk_name_is_kept_where_the_topic_has_another_name(
 )
 def test_the_topics_of_another_programs_stream(
     ros: Ros,
-    ports: TopicPublishers,
+    publishers: TopicPublishers,
     channel_format: ChannelFormat,
     kind: type[Any],
     chunk: type[Any] | None,
 ) -> None:
     core = CoreFields("Cap", "Battery", "id", "host", 1, 100.0, channel_format)
     header = foreign_header(core, ("level",), ("percent",))
-    outputs = open_outputs(ports, context(ros, header, "foreign/cap"))
+    outputs = open_outputs(publishers, context(ros, header, "foreign/cap"))
     found = kinds(outputs, "foreign/cap")
     assert found.pop(header.data_name) == f"std_msgs/msg/{kind.__name__}"
     assert found.pop(f"{header.data_name}_chunk", None) == (
@@ -133,15 +136,15 @@ def test_the_topics_of_another_programs_stream(
     found.pop(f"{header.data_name}_stamped", None)
     # What it measures is not known well enough to say it in a message of sensor_msgs.
     assert found == {}
-    assert not any(port.latched for port in outputs.ports)
+    assert not any(publisher.latched for publisher in outputs.publishers)
 
 
-def hear(ros: Ros, port: TopicPublisher, kind: type[Any]) -> list[Any]:
-    heard = ros.listen(kind, port.name)
+def hear(ros: Ros, publisher: TopicPublisher, kind: type[Any]) -> list[Any]:
+    heard = ros.listen(kind, publisher.name)
 
     def is_read() -> bool:
-        port.count_readers()
-        return port.readers == 1
+        publisher.count_readers()
+        return publisher.readers == 1
 
     ros.until(is_read, "a subscriber of our own")
     return heard
@@ -158,21 +161,21 @@ def hear(ros: Ros, port: TopicPublisher, kind: type[Any]) -> list[Any]:
     ],
 )
 def test_subscribers_get_what_was_written_as_bytes(
-    ros: Ros, ports: TopicPublishers, kind: MessageType, samples: NDArray[Any]
+    ros: Ros, publishers: TopicPublishers, kind: MessageType, samples: NDArray[Any]
 ) -> None:
-    port = ports.open(f"bytes/{kind.name.lower()}", CLASSES[kind])
-    heard = hear(ros, port, CLASSES[kind])
-    writer = NumberWriter(port, kind, samples.shape[1], must_not_refuse)
+    publisher = publishers.open(f"bytes/{kind.name.lower()}", CLASSES[kind])
+    heard = hear(ros, publisher, CLASSES[kind])
+    writer = NumberWriter(publisher, kind, samples.shape[1], must_not_refuse)
     writer.write(Run(samples, np.arange(1.0, 1.0 + len(samples)), 0))
     ros.until(lambda: len(heard) == len(samples), "every sample")
     data = [list(message.data) if kind.is_array else [message.data] for message in heard]
     assert data == samples.tolist()
 
 
-def test_subscribers_get_chunks(ros: Ros, ports: TopicPublishers) -> None:
-    port = ports.open("bytes/chunk", Float32MultiArray)
-    heard = hear(ros, port, Float32MultiArray)
-    writer = ChunkWriter(port, MessageType.FLOAT32_MULTI_ARRAY, 2)
+def test_subscribers_get_chunks(ros: Ros, publishers: TopicPublishers) -> None:
+    publisher = publishers.open("bytes/chunk", Float32MultiArray)
+    heard = hear(ros, publisher, Float32MultiArray)
+    writer = ChunkWriter(publisher, MessageType.FLOAT32_MULTI_ARRAY, 2)
     writer.add(np.array([[1, 2], [3, 4], [5, 6], [7, 8]], np.float32), 2)
     ros.until(lambda: len(heard) == 2, "two chunks")
     assert [list(message.data) for message in heard] == [[1, 2, 3, 4], [5, 6, 7, 8]]

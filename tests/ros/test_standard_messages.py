@@ -21,7 +21,7 @@ from biosensor_common.quantities import (
 from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.devices.registry import declaration, declaration_names
 from lsl_to_ros.lsl.blocks import Run
-from lsl_to_ros.topics.standard_messages import TWINS, StandardMessageWriter
+from lsl_to_ros.topics.standard_messages import STANDARD_MESSAGES, StandardMessageWriter
 from tests.rigs.recorded_topics import Clocks, RecordedPublisher, header_of
 
 if TYPE_CHECKING:
@@ -60,36 +60,38 @@ FRAME = "p01/zephyr_left"
 
 
 def standard_messages_of(header: StreamHeader) -> dict[str, type[StandardMessageWriter]]:
-    return {name: twin for twin in TWINS if (name := twin.topic_of(header))}
+    return {name: writer for writer in STANDARD_MESSAGES if (name := writer.topic_of(header))}
 
 
 class Wire:
-    """Samples of a stream on their way to a twin's subscribers."""
+    """Samples of a stream on their way to a standard message's subscribers."""
 
     def __init__(self, ros: Ros, header: StreamHeader, kind: type[Any]) -> None:
-        (twin,) = [
-            twin for twin in standard_messages_of(header).values() if twin.message_class is kind
+        (writer,) = [
+            writer
+            for writer in standard_messages_of(header).values()
+            if writer.message_class is kind
         ]
         self.clocks = Clocks(ros.node, 12.5)
-        self.port = RecordedPublisher(kind)
+        self.publisher = RecordedPublisher(kind)
         self._header = header
-        self._writer = twin(self.port, header, FRAME, self.clocks)
+        self._writer = writer(self.publisher, header, FRAME, self.clocks)
 
     def send(self, *samples: list[float], start: float = 100.0) -> list[Any]:
         """Write a run; return the messages so far."""
         stamps = np.array([start + number * 0.25 for number in range(len(samples))])
         self._writer.write(Run(np.array(samples, DTYPES[self._header.format]), stamps, 0))
-        return self.port.messages
+        return self.publisher.messages
 
 
 @pytest.mark.parametrize(("sensor_name", "data_name"), STREAMS)
-def test_which_twins_a_declared_stream_has(sensor_name: str, data_name: str) -> None:
-    twins = standard_messages_of(header_of(sensor_name, data_name))
-    found = {name: twin.message_class for name, twin in twins.items()}
+def test_which_standard_messages_a_declared_stream_has(sensor_name: str, data_name: str) -> None:
+    standard = standard_messages_of(header_of(sensor_name, data_name))
+    found = {name: writer.message_class for name, writer in standard.items()}
     assert found == EXPECTED.get((sensor_name, data_name), {})
 
 
-def test_every_expected_twin_is_of_a_declared_stream() -> None:
+def test_every_expected_message_is_of_a_declared_stream() -> None:
     assert EXPECTED.keys() <= set(STREAMS)
 
 
@@ -107,7 +109,7 @@ def test_every_expected_twin_is_of_a_declared_stream() -> None:
     ],
     ids=lambda header: f"{header.content_type}-{header.units[0]}-{header.roles[-2:]}",
 )
-def test_what_only_looks_alike_has_no_twin(header: StreamHeader) -> None:
+def test_what_only_looks_alike_has_no_standard_message(header: StreamHeader) -> None:
     assert standard_messages_of(header) == {}
 
 
@@ -231,7 +233,7 @@ def test_every_message_says_where_and_when_it_was_measured(
     ("header", "kind"),
     [(SKIN, Temperature), (BATTERY, BatteryState), (MOTION, Imu), (MOTION, MagneticField)],
 )
-def test_a_stream_of_another_format_has_the_same_twin(
+def test_a_stream_of_another_format_has_the_same_standard_message(
     ros: Ros, channel_format: ChannelFormat, header: StreamHeader, kind: type[Any]
 ) -> None:
     sample = [float(number) for number in range(len(header.labels))]

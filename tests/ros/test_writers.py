@@ -37,10 +37,10 @@ def write(kind: MessageType, samples: NDArray[Any], refused: Refused) -> list[An
     def refuse(count: int, reason: str) -> None:
         refused.append((count, reason))
 
-    port = RecordedPublisher(CLASSES[kind])
-    writer = NumberWriter(port, kind, samples.shape[1], refuse)
+    publisher = RecordedPublisher(CLASSES[kind])
+    writer = NumberWriter(publisher, kind, samples.shape[1], refuse)
     writer.write(run(samples))
-    return port.values
+    return publisher.values
 
 
 @pytest.mark.parametrize(
@@ -86,26 +86,26 @@ def texts(*samples: list[str]) -> NDArray[Any]:
 
 
 def test_texts() -> None:
-    port = RecordedPublisher(String)
-    TextWriter(port, MessageType.STRING).write(run(texts(["start"], ["Ende äöü"])))
-    assert [message.data for message in port.messages] == ["start", "Ende äöü"]
+    publisher = RecordedPublisher(String)
+    TextWriter(publisher, MessageType.STRING).write(run(texts(["start"], ["Ende äöü"])))
+    assert [message.data for message in publisher.messages] == ["start", "Ende äöü"]
 
 
 def test_several_texts_in_one_sample_can_be_told_apart() -> None:
-    port = RecordedPublisher(String)
-    TextWriter(port, MessageType.STRING).write(
+    publisher = RecordedPublisher(String)
+    TextWriter(publisher, MessageType.STRING).write(
         run(
             texts(["a, b", 'c"']),
         )
     )
-    (message,) = port.messages
+    (message,) = publisher.messages
     assert json.loads(message.data) == ["a, b", 'c"']
 
 
 def test_an_empty_message_says_that_something_came() -> None:
-    port = RecordedPublisher(Empty)
-    TextWriter(port, MessageType.EMPTY).write(run(texts(["pressed"], ["pressed"])))
-    assert port.messages == [Empty(), Empty()]
+    publisher = RecordedPublisher(Empty)
+    TextWriter(publisher, MessageType.EMPTY).write(run(texts(["pressed"], ["pressed"])))
+    assert publisher.messages == [Empty(), Empty()]
 
 
 @pytest.mark.parametrize(
@@ -119,11 +119,11 @@ def test_an_empty_message_says_that_something_came() -> None:
     ],
 )
 def test_a_chunk_is_row_major(kind: MessageType, dtype: type[Any]) -> None:
-    port = RecordedPublisher(CLASSES[kind])
-    writer = ChunkWriter(port, kind, 3)
+    publisher = RecordedPublisher(CLASSES[kind])
+    writer = ChunkWriter(publisher, kind, 3)
     writer.add(np.array([[1, 2, 3]], dtype), 2)
     writer.add(np.array([[4, 5, 6], [7, 8, 9]], dtype), 2)
-    (message,) = port.messages
+    (message,) = publisher.messages
     assert list(message.data) == [1, 2, 3, 4, 5, 6]
     assert [(dim.label, dim.size, dim.stride) for dim in message.layout.dim] == [
         ("samples", 2, 6),
@@ -133,15 +133,17 @@ def test_a_chunk_is_row_major(kind: MessageType, dtype: type[Any]) -> None:
 
 
 def test_whoever_comes_late_breaks_no_chunk() -> None:
-    port = RecordedPublisher(Float32MultiArray, readers=0)
-    writer = ChunkWriter(port, MessageType.FLOAT32_MULTI_ARRAY, 1)
+    publisher = RecordedPublisher(Float32MultiArray, readers=0)
+    writer = ChunkWriter(publisher, MessageType.FLOAT32_MULTI_ARRAY, 1)
     writer.add(column([1, 2, 3], np.float32), 2)
-    port.set_readers(1)
+    publisher.set_readers(1)
     writer.add(column([4], np.float32), 2)
-    assert port.values == [[3, 4]]
+    assert publisher.values == [[3, 4]]
 
 
 def test_a_value_too_large_for_the_chunk_is_infinite_there() -> None:
-    port = RecordedPublisher(Float32MultiArray)
-    ChunkWriter(port, MessageType.FLOAT32_MULTI_ARRAY, 1).add(column([1e300, 1], np.float64), 2)
-    assert port.values == [[math.inf, 1]]
+    publisher = RecordedPublisher(Float32MultiArray)
+    ChunkWriter(publisher, MessageType.FLOAT32_MULTI_ARRAY, 1).add(
+        column([1e300, 1], np.float64), 2
+    )
+    assert publisher.values == [[math.inf, 1]]

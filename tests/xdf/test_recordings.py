@@ -64,7 +64,7 @@ class Outlets:
         self.unix = _foreign("unix", "float32", 10)
         self.empty = _foreign("empty", "float32", 10)
         self.deduced = _foreign("deduced", "double64", 100, channels=2)
-        self.twins = [_foreign("twin", "int16", 0, f"twin-{side}-{NAME}") for side in "ab"]
+        self.duplicates = [_foreign("twin", "int16", 0, f"twin-{side}-{NAME}") for side in "ab"]
         self.recording = threading.Event()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._push_all)
@@ -96,8 +96,8 @@ class Outlets:
         self.unix.push_sample([1.0], time.time())
         # One stamp for all: the library works out those of the others.
         self.deduced.push_chunk(np.full((10, 2), np.nan), now)
-        for twin in self.twins:
-            twin.push_sample([1], now)
+        for duplicate in self.duplicates:
+            duplicate.push_sample([1], now)
 
     def _push_each_second(self, now: float, claimed: int) -> None:
         self.heart_rate.push([[70.0]], [now])
@@ -184,7 +184,7 @@ def test_the_gap_is_found_where_it_is(report: Report) -> None:
     assert ("smeared-gaps", ecg.name) not in codes(report)
 
 
-def test_twins_are_named(report: Report) -> None:
+def test_duplicates_are_named(report: Report) -> None:
     assert f"twin-{NAME}" in text_of(report, "duplicate-name")
 
 

@@ -1,4 +1,4 @@
-"""The virtual BioHarness as a twin: its truth against the wire, and every fault."""
+"""The virtual BioHarness 3: its truth against the wire, and every fault."""
 
 from __future__ import annotations
 

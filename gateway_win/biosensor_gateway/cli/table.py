@@ -40,7 +40,7 @@ COMMANDS = (
     ),
     _command("demo", "running:demo", "Show all virtual devices on their way to ROS topics."),
     _command(
-        "status", "looking:status", "Show what the running agent does; exit code 1 if none runs."
+        "status", "status:status", "Show what the running agent does; exit code 1 if none runs."
     ),
     _command(
         "clocks",
@@ -54,12 +54,12 @@ COMMANDS = (
     ),
     _command(
         "scan",
-        "looking:scan",
+        "scan:scan",
         "List the devices in reach, each with the lines that add it to the settings.",
     ),
     _command(
         "test",
-        "looking:test",
+        "device_test:test",
         "Connect to one device, show what it sends and what is wrong; nothing is streamed.",
     ),
     _command(

@@ -1,4 +1,4 @@
-"""A short try of one device: what it sends, and what is wrong."""
+"""Connects to one device for some seconds, and judges what it sends."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _POLL_S = 0.05
 
 
 @dataclass(slots=True)
-class StreamTrial:
+class StreamTest:
     """What one stream did.
 
     Attributes
@@ -53,8 +53,8 @@ class StreamTrial:
 
 
 @dataclass(slots=True)
-class Trial:
-    """Outcome of a try.
+class DeviceTest:
+    """Outcome of testing one device.
 
     Attributes
     ----------
@@ -67,22 +67,22 @@ class Trial:
     """
 
     info: DeviceInfo | None = None
-    streams: dict[str, StreamTrial] = field(default_factory=dict[str, StreamTrial])
+    streams: dict[str, StreamTest] = field(default_factory=dict[str, StreamTest])
     problems: list[str] = field(default_factory=list[str])
 
 
-class _TrialSink(DeviceSink):
+class _TestSink(DeviceSink):
     """Notes samples instead of streaming them: an agent may run at the same time."""
 
     def __init__(self, identity: DeviceIdentity) -> None:
         super().__init__(identity, declaration(identity.sensor))
-        self.trial = Trial()
+        self.outcome = DeviceTest()
 
     def open(self, info: DeviceInfo, rates: Mapping[str, float]) -> None:
-        self.trial.info = info
+        self.outcome.info = info
         for stream in self.spec.streams:
             rate = rates.get(stream.data_name, stream.rate)
-            noted = self.trial.streams.setdefault(stream.data_name, StreamTrial())
+            noted = self.outcome.streams.setdefault(stream.data_name, StreamTest())
             noted.nominal_hz = rate if isinstance(rate, float | int) else IRREGULAR
 
     def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
@@ -92,43 +92,46 @@ class _TrialSink(DeviceSink):
         self.heard(data_name)
         self._note(data_name, len(lsl_times), lsl_times)
         last = np.atleast_1d(rows[-1])
-        self.trial.streams[data_name].last = tuple(float(value) for value in last)
+        self.outcome.streams[data_name].last = tuple(float(value) for value in last)
 
     def emit_text(self, data_name: str, text: str, device_s: float) -> None:
         del device_s
         self.heard(data_name)
-        self.trial.streams[data_name].samples += 1
-        self.trial.streams[data_name].last = (text,)
+        self.outcome.streams[data_name].samples += 1
+        self.outcome.streams[data_name].last = (text,)
 
     def lost(self, data_name: str, count: int) -> None:
-        """Pass over: a try is too short to judge losses."""
+        """Pass over: a test is too short to judge losses."""
 
     def _note(self, data_name: str, count: int, times: Sequence[float]) -> None:
-        noted = self.trial.streams[data_name]
+        noted = self.outcome.streams[data_name]
         if not noted.samples:
             noted.first_s = times[0]
         noted.samples += count
         noted.last_s = times[-1]
 
 
-async def try_device(settings: DeviceSettings, seconds: float) -> Trial:
+async def run_device_test(settings: DeviceSettings, seconds: float) -> DeviceTest:
     """Connect to a device, listen for so long, and judge what came.
 
     The device is given `CONNECT_TIMEOUT_S` to connect. Nothing is streamed.
     """
     identity = DeviceIdentity(settings.sensor, settings.unit, settings.participant, settings.label)
-    sink = _TrialSink(identity)
+    sink = _TestSink(identity)
     supervisor = Supervisor(driver(settings.sensor).make(settings, sink), sink)
     task = asyncio.create_task(supervisor.run())
     try:
         await _until_streaming(supervisor)
         if supervisor.connections:
             await asyncio.sleep(seconds)
-        sink.trial.problems += [*_troubles(supervisor), *_judgement(sink.trial, settings.sensor)]
+        sink.outcome.problems += [
+            *_troubles(supervisor),
+            *_judgement(sink.outcome, settings.sensor),
+        ]
     finally:
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
-    return sink.trial
+    return sink.outcome
 
 
 async def _until_streaming(supervisor: Supervisor) -> None:
@@ -156,23 +159,23 @@ def _troubles(supervisor: Supervisor) -> list[str]:
     return []
 
 
-def _judgement(trial: Trial, sensor_name: str) -> list[str]:
+def _judgement(outcome: DeviceTest, sensor_name: str) -> list[str]:
     """Say what is wrong with what came."""
-    if trial.info is None:
+    if outcome.info is None:
         return []
     return [
-        *(text for name, each in trial.streams.items() if (text := _judge(name, each))),
+        *(text for name, each in outcome.streams.items() if (text := _judge(name, each))),
         *(
             f"{label} is 0: the sensor does not seem to be on the body"
             for data_name, column, label in declaration(sensor_name).channels_of(
                 ChannelRole.CONTACT
             )
-            if (last := trial.streams[data_name].last) and last[column] == 0
+            if (last := outcome.streams[data_name].last) and last[column] == 0
         ),
     ]
 
 
-def _judge(name: str, noted: StreamTrial) -> str:
+def _judge(name: str, noted: StreamTest) -> str:
     """Say what is wrong with a regular stream; empty if nothing is."""
     if not noted.nominal_hz:
         return ""
@@ -187,7 +190,7 @@ def _judge(name: str, noted: StreamTrial) -> str:
 def chosen_device(
     sensor_name: str, unit: str, configured: Sequence[DeviceSettings]
 ) -> DeviceSettings:
-    """Return the settings of the device to try.
+    """Return the settings of the device to test.
 
     Parameters
     ----------
@@ -195,7 +198,7 @@ def chosen_device(
     unit
         Which one of those that are configured; empty for the only one.
     configured
-        Devices of the settings; without one of this sensor, its defaults are tried.
+        Devices of the settings; without one of this sensor, its defaults are used.
 
     Raises
     ------
@@ -229,15 +232,15 @@ def chosen_device(
     return model.model_validate({"sensor": sensor_name, "unit": "trial"})
 
 
-def as_json(trial: Trial) -> dict[str, Any]:
-    """Describe a try for scripts."""
-    info = trial.info
+def as_json(outcome: DeviceTest) -> dict[str, Any]:
+    """Describe a test for scripts."""
+    info = outcome.info
     return {
         "connected": info is not None,
         "model": info.model if info else None,
         "serial_number": info.serial_number if info else None,
         "firmware_version": info.firmware_version if info else None,
-        "problems": trial.problems,
+        "problems": outcome.problems,
         "streams": {
             name: {
                 "samples": each.samples,
@@ -245,7 +248,7 @@ def as_json(trial: Trial) -> dict[str, Any]:
                 "measured_hz": each.measured_hz,
                 "last": [_plain(value) for value in each.last],
             }
-            for name, each in trial.streams.items()
+            for name, each in outcome.streams.items()
         },
     }
 

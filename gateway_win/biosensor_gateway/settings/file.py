@@ -107,7 +107,7 @@ class _Devices:
             return
         for index, entry in enumerate(cast("list[object]", entries)):
             self._judge(index, entry)
-        self.problems += self._twins()
+        self.problems += self._duplicates()
 
     def _judge(self, index: int, entry: object) -> None:
         path = (_DEVICE, index)
@@ -127,7 +127,7 @@ class _Devices:
         except ValidationError as error:
             self.problems += from_validation(error, model, path)
 
-    def _twins(self) -> Iterator[Problem]:
+    def _duplicates(self) -> Iterator[Problem]:
         seen: dict[tuple[str, ...], int] = {}
         for index, device in self.valid.items():
             for identity, key in _identities(device):

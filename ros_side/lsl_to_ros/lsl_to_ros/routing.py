@@ -70,7 +70,7 @@ class Routing:
         log: LimitedLog,
         pacer: Pacer,
     ) -> None:
-        self._ports = TopicPublishers(node, pacer)
+        self._publishers = TopicPublishers(node, pacer)
         self._prefix = prefix
         self._parameters = parameters
         self._time = ros_time
@@ -113,8 +113,8 @@ class Routing:
         if prefix != self._prefix:
             self._prefix = prefix
             self._map_topics()
-            used = self._used_ports()
-            self._ports.close(lambda port: port not in used)
+            used = self._used_publishers()
+            self._publishers.close(lambda publisher: publisher not in used)
 
     def apply_settings(self) -> None:
         """Let every stream follow the parameters from its next sample on."""
@@ -131,7 +131,7 @@ class Routing:
         A stream begins one look after its topics opened: subscribers that wait for them
         have found them by then, and liblsl keeps the samples.
         """
-        self._ports.count_readers()
+        self._publishers.count_readers()
         due, self._due, self._newest = self._due, self._newest, []
         for route in due:
             is_here = self._routes.get(route.inlet.uid) is route
@@ -180,20 +180,24 @@ class Routing:
         Topics of streams that are merely absent stay: their subscribers then need
         not match anew when the stream returns.
         """
-        used = self._used_ports()
-        names = {port.name for port in used}
-        bases -= {port.topic.rpartition("/")[0] for port in used}
-        changed = self._ports.close(lambda port: port.name in names and port not in used)
+        used = self._used_publishers()
+        names = {publisher.name for publisher in used}
+        bases -= {publisher.topic.rpartition("/")[0] for publisher in used}
+        changed = self._publishers.close(
+            lambda publisher: publisher.name in names and publisher not in used
+        )
         for topic in changed:
             self._warn(
                 f"{topic}: the stream came back in another format; the topic changes its type"
             )
-        self._ports.close(lambda port: port.topic.rpartition("/")[0] in bases)
-        self._ports.close_oldest(used, ABSENT_TOPICS)
+        self._publishers.close(lambda publisher: publisher.topic.rpartition("/")[0] in bases)
+        self._publishers.close_oldest(used, ABSENT_TOPICS)
 
-    def _used_ports(self) -> set[TopicPublisher]:
+    def _used_publishers(self) -> set[TopicPublisher]:
         bridges = (route.bridge for route in self._routes.values())
-        return {port for bridge in bridges if bridge for port in bridge.outputs.ports}
+        return {
+            publisher for bridge in bridges if bridge for publisher in bridge.outputs.publishers
+        }
 
     def _connect(self, route: Route, topic: TopicName) -> None:
         header, inlet = route.header, route.inlet
@@ -213,9 +217,9 @@ class Routing:
             lost=lambda: tally.lost(can_estimate=can_estimate_losses(header)),
             refuse=refuse,
         )
-        used = self._used_ports()
+        used = self._used_publishers()
         try:
-            outputs = open_outputs(self._ports, context, used)
+            outputs = open_outputs(self._publishers, context, used)
         except TopicTypeError as error:
             route.bridge = None
             self._warn(f"{error}; LSL stream {inlet.core.name!r} is not published")

@@ -42,32 +42,32 @@ def main() -> None:
     with ExitStack() as stack:
         world = stack.enter_context(World())
         radio = Radio(world)
-        twins = {
-            name: stack.enter_context(_twin(name, world, radio))
+        devices = {
+            name: stack.enter_context(_device(name, world, radio))
             for name in sys.argv[1:]
             if name != _PROBE
         }
-        settings = {name: dict(twin.settings) for name, twin in twins.items()}
+        settings = {name: dict(device.settings) for name, device in devices.items()}
         if _PROBE in sys.argv[1:]:
             Probe(radio, _PROBE_ADDRESS, "Probe 1").power_on()
             settings[_PROBE] = {"device": _PROBE_ADDRESS}
         bluez = stack.enter_context(FakeBluez(radio))
         _say(json.dumps({"environment": bluez.environment, "settings": settings}))
         for line in sys.stdin:
-            _say(_obey(line.strip(), bluez, twins))
+            _say(_obey(line.strip(), bluez, devices))
 
 
-def _twin(name: str, world: World, radio: Radio) -> VirtualDevice:
+def _device(name: str, world: World, radio: Radio) -> VirtualDevice:
     module = importlib.import_module(f"biosensor_gateway.devices.{name}.simulator")
-    (device,) = (each for each in vars(module).values() if getattr(each, "sensor", None) == name)
-    twin: VirtualDevice = device(world, radio)
-    return twin
+    (kind,) = (each for each in vars(module).values() if getattr(each, "sensor", None) == name)
+    device: VirtualDevice = kind(world, radio)
+    return device
 
 
-def _obey(line: str, bluez: FakeBluez, twins: dict[str, VirtualDevice]) -> str:
+def _obey(line: str, bluez: FakeBluez, devices: dict[str, VirtualDevice]) -> str:
     command, _, argument = line.partition(" ")
     commands: dict[str, Callable[[], Any]] = {
-        "fault": lambda: _fault(argument, twins),
+        "fault": lambda: _fault(argument, devices),
         "powered": lambda: bluez.set_powered(argument == "on"),
         "forget": lambda: bluez.forget(argument),
         "connect_error": lambda: setattr(bluez, "connect_error", argument),
@@ -84,9 +84,9 @@ def _obey(line: str, bluez: FakeBluez, twins: dict[str, VirtualDevice]) -> str:
     return "ok"
 
 
-def _fault(text: str, twins: dict[str, VirtualDevice]) -> None:
+def _fault(text: str, devices: dict[str, VirtualDevice]) -> None:
     scheduled = parse_fault(f"{text}@0s")
-    twins[scheduled.sensor].apply(scheduled.fault)
+    devices[scheduled.sensor].apply(scheduled.fault)
 
 
 def _say(line: str) -> None:

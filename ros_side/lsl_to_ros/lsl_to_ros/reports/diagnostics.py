@@ -107,12 +107,12 @@ def stream_status(facts: StreamFacts) -> DiagnosticStatus:
     """Describe one stream."""
     bridge, header = facts.bridge, facts.bridge.header
     level, message = judge(facts)
-    raw, chunk = bridge.outputs.of_samples[0].port, bridge.outputs.chunk
+    raw, chunk = bridge.outputs.of_samples[0].publisher, bridge.outputs.chunk
     tally = bridge.tally
     lost = tally.lost(can_estimate=can_estimate_losses(header))
     values = {
         "topic": raw.name,
-        "chunk_topic": chunk.port.name if chunk else "",
+        "chunk_topic": chunk.publisher.name if chunk else "",
         "sensor": header.identity.sensor,
         "participant": header.identity.participant,
         "label": header.identity.label,
@@ -126,7 +126,7 @@ def stream_status(facts: StreamFacts) -> DiagnosticStatus:
         "unstamped": str(tally.unstamped),
         "chunk_discarded": str(tally.discarded),
         "waiting": str(bridge.waiting),
-        "unsent": str(sum(port.lane.unsent for port in bridge.outputs.ports)),
+        "unsent": str(sum(publisher.lane.unsent for publisher in bridge.outputs.publishers)),
         "age_s": f"{facts.age_s:.3f}" if bridge.last_stamp else "",
         "latency_mean_s": _seconds(facts.delays.mean),
         "latency_max_s": _seconds(facts.delays.longest if facts.delays.count else None),

@@ -23,7 +23,7 @@ def stream_list(routes: Iterable[Route], stamp: Time) -> DiagnosticArray:
 def _entry(route: Route) -> DiagnosticStatus:
     assert route.bridge is not None
     header, core = route.header, route.inlet.core
-    ports = route.bridge.outputs.ports
+    publishers = route.bridge.outputs.publishers
     values = {
         "lsl_name": core.name,
         "lsl_type": core.content_type,
@@ -37,11 +37,11 @@ def _entry(route: Route) -> DiagnosticStatus:
         "participant": header.identity.participant,
         "label": header.identity.label,
         "foreign": str(header.foreign).lower(),
-        **{f"topic {port.name}": port.type_name for port in ports},
+        **{f"topic {publisher.name}": publisher.type_name for publisher in publishers},
     }
     return DiagnosticStatus(
         level=DiagnosticStatus.OK,
-        name=ports[0].name,
+        name=publishers[0].name,
         message=f"{core.name} of {core.hostname}",
         hardware_id=header.identity.unit,
         values=[KeyValue(key=key, value=value) for key, value in values.items()],

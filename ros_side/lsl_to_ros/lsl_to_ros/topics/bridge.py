@@ -47,10 +47,10 @@ class Outputs:
         return [*([self.raw] if self.raw else []), *self.timed]
 
     @property
-    def ports(self) -> list[TopicPublisher]:
+    def publishers(self) -> list[TopicPublisher]:
         """All topics."""
-        chunk = [self.chunk.port] if self.chunk else []
-        return [*(writer.port for writer in self.of_samples), *chunk]
+        chunk = [self.chunk.publisher] if self.chunk else []
+        return [*(writer.publisher for writer in self.of_samples), *chunk]
 
 
 class Bridge:
@@ -102,24 +102,26 @@ class Bridge:
     @property
     def readers(self) -> int:
         """Subscribers of all its topics."""
-        return sum(port.readers for port in self.outputs.ports)
+        return sum(publisher.readers for publisher in self.outputs.publishers)
 
     @property
     def waiting(self) -> int:
         """Messages of its topics that are paced and have not gone out yet."""
-        return sum(port.lane.waiting for port in self.outputs.ports)
+        return sum(publisher.lane.waiting for publisher in self.outputs.publishers)
 
     @property
     def wants_each_sample(self) -> bool:
         """Whether somebody reads single samples; else they can be drained in batches."""
         if self._listen is not None:
             return True
-        return self.settings.raw and any(writer.port.readers for writer in self.outputs.of_samples)
+        return self.settings.raw and any(
+            writer.publisher.readers for writer in self.outputs.of_samples
+        )
 
     @property
     def is_full(self) -> bool:
         """Whether so much waits to be published that LSL should keep the rest."""
-        return any(port.lane.is_full for port in self.outputs.ports)
+        return any(publisher.lane.is_full for publisher in self.outputs.publishers)
 
     def receive(self, block: Block) -> None:
         """Publish samples and the chunks that they fill."""
@@ -176,7 +178,7 @@ class Bridge:
         outputs = self.outputs
         if outputs.raw is not None:
             self._publish(outputs.raw, run)
-        if not any(writer.port.is_wanted for writer in outputs.timed):
+        if not any(writer.publisher.is_wanted for writer in outputs.timed):
             return
         if self._held or not self._stamping.is_known:
             self._hold(run)
@@ -200,7 +202,7 @@ class Bridge:
                 self._publish(writer, piece)
 
     def _publish(self, writer: Writer, run: Run) -> None:
-        if writer.port.is_wanted and len(run.stamps):
+        if writer.publisher.is_wanted and len(run.stamps):
             try:
                 writer.write(run)
             except (OverflowError, TypeError, ValueError) as error:

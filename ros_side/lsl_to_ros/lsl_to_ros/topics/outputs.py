@@ -12,7 +12,7 @@ from lsl_to_ros.lsl.blocks import Run
 from lsl_to_ros.topics import messages
 from lsl_to_ros.topics.bridge import Outputs
 from lsl_to_ros.topics.publishers import TopicPublisher, TopicPublishers, TopicTypeError
-from lsl_to_ros.topics.standard_messages import TWINS
+from lsl_to_ros.topics.standard_messages import STANDARD_MESSAGES
 from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter, StreamContext, TextWriter, Writer
 
 
@@ -31,21 +31,21 @@ HAS_STAMPED_TOPICS = _STAMPED is not None
 class CountersWriter(Writer):
     """The agent's counters, whose message has a stamp of its own."""
 
-    def __init__(self, port: TopicPublisher, stamping: Stamping) -> None:
-        super().__init__(port)
+    def __init__(self, publisher: TopicPublisher, stamping: Stamping) -> None:
+        super().__init__(publisher)
         self._stamping = stamping
 
     def write(self, run: Run) -> None:
         """Publish each report."""
         for sample, stamp in zip(run.samples, run.stamps, strict=True):
             time = self._stamping.to_time(float(stamp))
-            self.port.publish(messages.counters_message(sample[0], time))
+            self.publisher.publish(messages.counters_message(sample[0], time))
 
 
 def open_outputs(
-    ports: TopicPublishers, context: StreamContext, used: Collection[TopicPublisher] = ()
+    publishers: TopicPublishers, context: StreamContext, used: Collection[TopicPublisher] = ()
 ) -> Outputs:
-    """Open every topic of a stream: raw, stamped, ``sensor_msgs`` twins and chunks.
+    """Open every topic of a stream: raw, stamped, those of ``sensor_msgs`` and chunks.
 
     Raises
     ------
@@ -57,34 +57,36 @@ def open_outputs(
     def opened(name: str, kind: type) -> TopicPublisher:
         # A late subscriber of a state sees the last value at once.
         latched = header.is_state
-        return ports.open(f"{topic.base}/{name}", kind, header.rate, latched=latched, used=used)
+        return publishers.open(
+            f"{topic.base}/{name}", kind, header.rate, latched=latched, used=used
+        )
 
     raw = opened(topic.data, messages.CLASSES[header.message_type])
     if header.message_type is MessageType.DIAGNOSTIC_ARRAY:
         return Outputs(timed=[CountersWriter(raw, context.stamping)])
     outputs = Outputs(raw=_raw_writer(raw, context))
     if _STAMPED is not None:
-        port = opened(f"{topic.data}_stamped", _STAMPED.message_class(header))
-        outputs.timed.append(_STAMPED.writer(port, context))
-    for twin in () if header.foreign else TWINS:
-        if name := twin.topic_of(header):
+        publisher = opened(f"{topic.data}_stamped", _STAMPED.message_class(header))
+        outputs.timed.append(_STAMPED.writer(publisher, context))
+    for standard in () if header.foreign else STANDARD_MESSAGES:
+        if name := standard.topic_of(header):
             try:
-                port = opened(name, twin.message_class)
+                publisher = opened(name, standard.message_class)
             except TopicTypeError:
                 # Another stream of the device has that name as its own.
                 continue
-            outputs.timed.append(twin(port, header, context.frame_id, context.stamping))
+            outputs.timed.append(standard(publisher, header, context.frame_id, context.stamping))
     if header.chunk:
         kind = messages.chunk_type(header.message_type)
         # Its name is that of another data name only where a declaration says so.
         data = topic.data if header.chunk == header.data_name else header.chunk
-        port = opened(f"{data}_chunk", messages.CLASSES[kind])
-        outputs.chunk = ChunkWriter(port, kind, len(header.labels))
+        publisher = opened(f"{data}_chunk", messages.CLASSES[kind])
+        outputs.chunk = ChunkWriter(publisher, kind, len(header.labels))
     return outputs
 
 
-def _raw_writer(port: TopicPublisher, context: StreamContext) -> Writer:
+def _raw_writer(publisher: TopicPublisher, context: StreamContext) -> Writer:
     header = context.header
     if header.message_type.is_text:
-        return TextWriter(port, header.message_type)
-    return NumberWriter(port, header.message_type, len(header.labels), context.refuse)
+        return TextWriter(publisher, header.message_type)
+    return NumberWriter(publisher, header.message_type, len(header.labels), context.refuse)

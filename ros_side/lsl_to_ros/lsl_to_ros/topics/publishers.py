@@ -67,20 +67,20 @@ class TopicPublisher:
         self,
         topic: str,
         kind: type[Any],
-        publisher: Publisher,
+        ros_publisher: Publisher,
         pacer: Pacer,
         rate: float = 0.0,
         *,
         latched: bool,
     ) -> None:
         self.topic = topic
-        self.name = publisher.topic_name
+        self.name = ros_publisher.topic_name
         self.type_name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
         self.latched = latched
         self.readers = 0
-        self.publisher = publisher
+        self.ros_publisher = ros_publisher
         piece = piece_messages(rate)
-        self.lane = Lane(publisher.publish, self._is_taken, pacer, rate=rate, piece=piece)
+        self.lane = Lane(ros_publisher.publish, self._is_taken, pacer, rate=rate, piece=piece)
 
     def publish(self, *messages: Any) -> None:  # noqa: ANN401 - whatever the topic carries
         """Publish messages, or their bytes, in their order; of many at once most wait a little."""
@@ -93,13 +93,13 @@ class TopicPublisher:
 
     def count_readers(self) -> None:
         """Ask ROS for the number of matched subscribers."""
-        self.readers = self.publisher.get_subscription_count()
+        self.readers = self.ros_publisher.get_subscription_count()
 
     def _is_taken(self) -> bool:
         """Whether the reliable subscribers have all that was published."""
         if self.latched or not self.readers:
             return True
-        return self.publisher.wait_for_all_acked(Duration(seconds=0.0))
+        return self.ros_publisher.wait_for_all_acked(Duration(seconds=0.0))
 
 
 class _Key(NamedTuple):
@@ -127,14 +127,14 @@ class TopicPublishers:
         latched: bool = False,
         used: Collection[TopicPublisher] = (),
     ) -> TopicPublisher:
-        """Return the port of a topic; one of another type that is not used is closed.
+        """Return the publisher of a topic; one of another type that is not used is closed.
 
         Parameters
         ----------
         rate
             Of its messages, in Hz.
         used
-            TopicPublishers of the present streams.
+            Publishers of the present streams.
 
         Raises
         ------
@@ -142,41 +142,43 @@ class TopicPublishers:
             If the topic is used with another type, or ROS refuses it.
         """
         key = _Key(topic, kind)
-        port = self._open.pop(key, None)
-        if port is None:
+        publisher = self._open.pop(key, None)
+        if publisher is None:
             if any(other.topic == topic for other in used):
                 raise TopicTypeError(f"{topic} is in use with another type than {kind.__name__}")
             self.close(lambda other: other.topic == topic)
             try:
-                publisher = make_publisher(self._node, topic, kind, rate, latched=latched)
+                ros_publisher = make_publisher(self._node, topic, kind, rate, latched=latched)
             except Exception as error:
                 # rclpy has no common class for what it refuses, such as a name too long.
                 reason = str(error).splitlines()[0]
                 raise TopicTypeError(f"ROS refuses the topic {topic[:200]} ({reason})") from error
-            port = TopicPublisher(topic, kind, publisher, self._pacer, rate, latched=latched)
+            publisher = TopicPublisher(
+                topic, kind, ros_publisher, self._pacer, rate, latched=latched
+            )
         # Put at the end again: the order is that of the last use.
-        self._open[key] = port
-        return port
+        self._open[key] = publisher
+        return publisher
 
     def count_readers(self) -> None:
         """Count the subscribers of every topic."""
-        for port in self._open.values():
-            port.count_readers()
+        for publisher in self._open.values():
+            publisher.count_readers()
 
     def close(self, is_to_close: Callable[[TopicPublisher], bool]) -> list[str]:
         """Close the topics of which *is_to_close* says so; return their names."""
-        keys = [key for key, port in self._open.items() if is_to_close(port)]
+        keys = [key for key, publisher in self._open.items() if is_to_close(publisher)]
         for key in keys:
-            port = self._open.pop(key)
-            port.lane.flush()
-            self._node.destroy_publisher(port.publisher)
+            publisher = self._open.pop(key)
+            publisher.lane.flush()
+            self._node.destroy_publisher(publisher.ros_publisher)
         return [key.topic for key in keys]
 
     def close_oldest(self, used: Collection[TopicPublisher], spare: int) -> None:
         """Close topics that are not used, those opened first, until *spare* of them are left."""
-        unused = [port for port in self._open.values() if port not in used]
+        unused = [publisher for publisher in self._open.values() if publisher not in used]
         closing = set(unused[: max(0, len(unused) - spare)])
-        self.close(lambda port: port in closing)
+        self.close(lambda publisher: publisher in closing)
 
 
 def make_publisher(

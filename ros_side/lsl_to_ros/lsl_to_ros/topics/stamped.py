@@ -24,8 +24,8 @@ from lsl_to_ros.topics.writers import StreamContext, Writer
 class SamplesWriter(Writer):
     """One message for the samples that came together."""
 
-    def __init__(self, port: TopicPublisher, context: StreamContext) -> None:
-        super().__init__(port)
+    def __init__(self, publisher: TopicPublisher, context: StreamContext) -> None:
+        super().__init__(publisher)
         header = context.header
         self._labels, self._units = list(header.labels), list(header.units)
         self._is_int64 = header.format is ChannelFormat.INT64
@@ -51,14 +51,14 @@ class SamplesWriter(Writer):
             message.integers = array("q", run.samples.astype(np.int64).tobytes())
         else:
             message.data = array("d", run.samples.astype(np.float64).tobytes())
-        self.port.publish(message)
+        self.publisher.publish(message)
 
 
 class EventWriter(Writer):
     """One message a sample of text."""
 
-    def __init__(self, port: TopicPublisher, frame_id: str, stamping: Stamping) -> None:
-        super().__init__(port)
+    def __init__(self, publisher: TopicPublisher, frame_id: str, stamping: Stamping) -> None:
+        super().__init__(publisher)
         self._frame_id = frame_id
         self._stamping = stamping
 
@@ -71,7 +71,7 @@ class EventWriter(Writer):
                 sequence=run.sequence + number,
                 data=messages.text_of(sample),
             )
-            self.port.publish(event)
+            self.publisher.publish(event)
 
 
 def message_class(header: StreamHeader) -> type[Event | Samples]:
@@ -79,8 +79,8 @@ def message_class(header: StreamHeader) -> type[Event | Samples]:
     return Event if header.message_type.is_text else Samples
 
 
-def writer(port: TopicPublisher, context: StreamContext) -> Writer:
+def writer(publisher: TopicPublisher, context: StreamContext) -> Writer:
     """Return what writes a stream's stamped topic."""
     if context.header.message_type.is_text:
-        return EventWriter(port, context.frame_id, context.stamping)
-    return SamplesWriter(port, context)
+        return EventWriter(publisher, context.frame_id, context.stamping)
+    return SamplesWriter(publisher, context)

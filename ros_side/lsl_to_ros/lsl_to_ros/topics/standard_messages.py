@@ -51,9 +51,9 @@ class StandardMessageWriter(Writer):
     message_class: ClassVar[type[Any]]
 
     def __init__(
-        self, port: TopicPublisher, header: StreamHeader, frame_id: str, stamping: Stamping
+        self, publisher: TopicPublisher, header: StreamHeader, frame_id: str, stamping: Stamping
     ) -> None:
-        super().__init__(port)
+        super().__init__(publisher)
         self._stream = header
         roles = enumerate(header.roles)
         self._columns = {role: column for column, role in roles if role is not None}
@@ -63,7 +63,7 @@ class StandardMessageWriter(Writer):
     @classmethod
     @abstractmethod
     def topic_of(cls, header: StreamHeader) -> str:
-        """Return the data name of this twin of a stream, empty if it has none."""
+        """Return the data name of this message beside a stream, empty if it has none."""
 
     @abstractmethod
     def build(self, header: Header, sample: Sequence[float]) -> Any:  # noqa: ANN401 - any message
@@ -73,7 +73,7 @@ class StandardMessageWriter(Writer):
         """Publish each sample."""
         for sample, stamp in zip(run.samples, run.stamps, strict=True):
             header = Header(stamp=self._stamping.to_time(float(stamp)), frame_id=self._frame_id)
-            self.port.publish(self.build(header, sample.astype(np.float64).tolist()))
+            self.publisher.publish(self.build(header, sample.astype(np.float64).tolist()))
 
     def _values(self, sample: Sequence[float], roles: Iterable[ChannelRole]) -> list[float]:
         return [sample[self._columns[role]] for role in roles]
@@ -180,7 +180,7 @@ class MagneticFieldWriter(StandardMessageWriter):
         )
 
 
-TWINS: tuple[type[StandardMessageWriter], ...] = (
+STANDARD_MESSAGES: tuple[type[StandardMessageWriter], ...] = (
     TemperatureWriter,
     BatteryStateWriter,
     ImuWriter,

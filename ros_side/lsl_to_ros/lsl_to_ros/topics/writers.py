@@ -42,8 +42,8 @@ class StreamContext(NamedTuple):
 class Writer(ABC):
     """Publishes the samples of a stream on one topic."""
 
-    def __init__(self, port: TopicPublisher) -> None:
-        self.port = port
+    def __init__(self, publisher: TopicPublisher) -> None:
+        self.publisher = publisher
 
     @abstractmethod
     def write(self, run: Run) -> None:
@@ -60,9 +60,9 @@ class NumberWriter(Writer):
     """One message of numbers a sample, without a stamp."""
 
     def __init__(
-        self, port: TopicPublisher, message_type: MessageType, channels: int, refuse: Refuse
+        self, publisher: TopicPublisher, message_type: MessageType, channels: int, refuse: Refuse
     ) -> None:
-        super().__init__(port)
+        super().__init__(publisher)
         self._type = message_type
         self._limits = message_type.integer_range
         self._encode = cdr.SampleEncoder(message_type, channels).encode
@@ -73,7 +73,7 @@ class NumberWriter(Writer):
         samples = run.samples
         if self._limits is not None:
             samples = self._fitting(samples, *self._limits)
-        self.port.publish(*self._encode(samples))
+        self.publisher.publish(*self._encode(samples))
 
     def _fitting(self, samples: NDArray[Any], low: int, high: int) -> NDArray[Any]:
         fits = ((samples >= low) & (samples <= high)).all(axis=1)
@@ -87,21 +87,21 @@ class NumberWriter(Writer):
 class TextWriter(Writer):
     """One message of text a sample, or one that only says that it came."""
 
-    def __init__(self, port: TopicPublisher, message_type: MessageType) -> None:
-        super().__init__(port)
+    def __init__(self, publisher: TopicPublisher, message_type: MessageType) -> None:
+        super().__init__(publisher)
         self._build = messages.text_builder(message_type)
 
     def write(self, run: Run) -> None:
         """Publish each sample."""
         for sample in run.samples:
-            self.port.publish(self._build(sample))
+            self.publisher.publish(self._build(sample))
 
 
 class ChunkWriter:
     """Collects samples whether or not somebody reads, so that no reader breaks a chunk."""
 
-    def __init__(self, port: TopicPublisher, message_type: MessageType, channels: int) -> None:
-        self.port = port
+    def __init__(self, publisher: TopicPublisher, message_type: MessageType, channels: int) -> None:
+        self.publisher = publisher
         self._type = message_type
         self._channels = channels
         self._dtype = cdr.wire_dtype(message_type)
@@ -110,8 +110,8 @@ class ChunkWriter:
     def add(self, samples: NDArray[Any], length: int) -> None:
         """Add samples of shape [samples, channels]; publish the chunks that they fill."""
         for chunk in self._chunker.add(cdr.to_bytes(samples, self._dtype), length):
-            if self.port.is_wanted:
-                self.port.publish(cdr.chunk_message(self._type, chunk, self._channels))
+            if self.publisher.is_wanted:
+                self.publisher.publish(cdr.chunk_message(self._type, chunk, self._channels))
 
     def discard(self) -> int:
         """Give up the partial chunk; return its samples."""

@@ -1,4 +1,4 @@
-"""A twin that plays bytes of a real BioHarness 3."""
+"""A virtual device that plays bytes of a real BioHarness 3."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The virtual BioHarness as a twin: steered by faults, with its truth in declared units."""
+"""The virtual BioHarness 3: steered by faults, with its truth in declared units."""
 
 from __future__ import annotations
 
