@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import random
 import socket
 import stat
@@ -146,7 +147,7 @@ async def test_the_file_is_the_user_s_alone_and_goes_with_the_agent(
     tokens: set[str] = set()
     for _ in range(2):
         # As an agent leaves it that was killed at a bad moment.
-        left = folder / "control.new"
+        left = folder / f"{CONTROL_FILE}.{os.getpid()}"
         left.touch()
         left.chmod(0o666)
         async with ControlServer(folder, commands):

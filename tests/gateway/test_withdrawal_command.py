@@ -192,9 +192,10 @@ def test_without_an_agent_it_says_so(tmp_path: Path) -> None:
 def test_a_pause_that_cannot_be_kept_holds_and_is_said(
     cli_process: StartCli, until: Until, tmp_path: Path, run: tuple[str, ...], unit: str
 ) -> None:
-    (tmp_path / PAUSED_FILE).with_suffix(".new").mkdir()
     with cli_process(tmp_path, *run) as agent:
         until(lambda: counted(tmp_path, "pushed") > 0)
+        # A folder cannot be replaced by a file.
+        (tmp_path / PAUSED_FILE).mkdir()
         code, out, err = command(tmp_path, "pause", "zephyr")
         assert (code, f"zephyr/{unit} is paused" in out) == (1, True)
         assert err.count("\n") == 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -81,8 +82,8 @@ def test_what_was_saved_is_loaded(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_written_keeps_what_it_has(tmp_path: Path) -> None:
     store.save(tmp_path, [Pause(LEFT, SINCE)])
-    (tmp_path / PAUSED_FILE).with_suffix(".new").mkdir()
-    with pytest.raises(OSError, match=r"paused\.new"):
+    (tmp_path / f"{PAUSED_FILE}.{os.getpid()}").mkdir()
+    with pytest.raises(OSError, match=r"paused\.json"):
         store.save(tmp_path, [Pause(LEFT, SINCE), Pause(BELT, SINCE)])
     assert store.load(tmp_path) == [Pause(LEFT, SINCE)]
 
@@ -175,7 +176,7 @@ async def test_a_pause_of_somebody_who_is_not_in_the_settings_is_kept(tmp_path: 
 async def test_what_cannot_be_kept_is_done_and_said(tmp_path: Path) -> None:
     sink = DeviceSink(LEFT, declaration(LEFT.sensor))
     commands = PauseCommands(tmp_path, [sink]).commands
-    blocked = (tmp_path / PAUSED_FILE).with_suffix(".new")
+    blocked = tmp_path / f"{PAUSED_FILE}.{os.getpid()}"
     blocked.mkdir()
     _, changed, problem = await ask(commands, "pause", "left")
     assert sink.is_paused

@@ -17,7 +17,6 @@ import asyncio
 import contextlib
 import hmac
 import json
-import os
 import secrets
 import socket
 from collections.abc import Awaitable, Callable, Mapping
@@ -37,6 +36,7 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_gateway.agent.single_instance import is_held
+from biosensor_gateway.system import state_file
 
 CONTROL_FILE = "control.json"
 REQUEST_LIMIT = 4096
@@ -89,7 +89,8 @@ class ControlServer:
             )
             try:
                 port: int = self._server.sockets[0].getsockname()[1]
-                _write_private(self._path, {"port": port, "token": self._token})
+                entry = json.dumps({"port": port, "token": self._token})
+                state_file.replace(self._path, entry, private=True)
             except BaseException:
                 self._server.close()
                 raise
@@ -266,14 +267,3 @@ def _object(line: bytes) -> dict[str, Any] | None:
     except (ValueError, RecursionError):
         return None
     return cast("dict[str, Any]", message) if isinstance(message, dict) else None
-
-
-def _write_private(path: Path, content: Mapping[str, Any]) -> None:
-    """Replace a file in one step; on POSIX, only its user can read it at any time."""
-    temporary = path.with_suffix(".new")
-    # Of an agent that was killed here; the lock on the folder keeps others away.
-    temporary.unlink(missing_ok=True)
-    handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        json.dump(content, file)
-    temporary.replace(path)

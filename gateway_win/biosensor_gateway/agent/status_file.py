@@ -18,6 +18,7 @@ from biosensor_common import naming
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.system import state_file
 
 STATUS_FILE = "status.json"
 STALE_AFTER_S = 5.0
@@ -58,17 +59,14 @@ def _device(supervisor: Supervisor, sink: DeviceSink) -> dict[str, Any]:
 
 
 def write_status(folder: Path, status: dict[str, Any]) -> None:
-    """Replace the status file in one step, so that a reader never sees half of it.
+    """Replace the status file.
 
     Raises
     ------
     OSError
         The folder cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    temporary = folder / f"{STATUS_FILE}.{os.getpid()}"
-    temporary.write_text(json.dumps(status, indent=1), encoding="utf-8")
-    temporary.replace(folder / STATUS_FILE)
+    state_file.replace(folder / STATUS_FILE, json.dumps(status, indent=1))
 
 
 def read_status(folder: Path) -> dict[str, Any]:
@@ -81,7 +79,7 @@ def read_status(folder: Path) -> dict[str, Any]:
     """
     path = folder / STATUS_FILE
     try:
-        status: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        status: dict[str, Any] = json.loads(state_file.read(path))
         age = time.time() - float(status["written"])
         status["devices"] = list(status["devices"])
     except FileNotFoundError as error:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -14,6 +13,7 @@ from typing import Any, cast
 from biosensor_common import naming
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.system import state_file
 
 PAUSED_FILE = "paused.json"
 _FIELDS = ("sensor", "unit", "participant", "label")
@@ -91,13 +91,7 @@ def save(folder: Path, pauses: Iterable[Pause]) -> None:
         with contextlib.suppress(FileNotFoundError, NotADirectoryError):
             path.unlink()
         return
-    folder.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(".new")
-    with temporary.open("w", encoding="utf-8") as file:
-        json.dump({"paused": entries}, file, indent=1)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
+    state_file.replace(path, json.dumps({"paused": entries}, indent=1), durable=True)
 
 
 def _pause(entry: Mapping[str, Any]) -> Pause:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+
+from biosensor_gateway.system import state_file
 
 MEMORY_FILE = "recording.json"
 
@@ -34,11 +35,8 @@ class Remembered:
 
 def remember(folder: Path, recording: Remembered) -> str:
     """Keep it in the state folder; return what went wrong, empty if nothing did."""
-    temporary = folder / f"{MEMORY_FILE}.{os.getpid()}"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(json.dumps(asdict(recording)), encoding="utf-8")
-        temporary.replace(folder / MEMORY_FILE)
+        state_file.replace(folder / MEMORY_FILE, json.dumps(asdict(recording)))
     except OSError as error:
         return (
             f"{folder / MEMORY_FILE} cannot be written ({error.strerror or error}): tell "
