@@ -106,6 +106,18 @@ def test_one_silent_stream_is_enough_and_is_named(state: Path) -> None:
         assert wait_until_ready(state, DEADLINE_S, [ACC]).ready
 
 
+def test_a_stream_that_is_enabled_again_is_missing_until_it_flows(state: Path) -> None:
+    error = "connected, but no data of acc for 6 s; enabling again"
+
+    def report(number: int) -> list[dict[str, Any]]:
+        flowing = streams(number, ECG, BREATHING) | streams(0, ACC)
+        return [device(streams=flowing, state="enabling", error=error)]
+
+    with reporting(state, report):
+        assert missing(wait_until_ready(state, SHORT_S)) == [("zephyr (1)", (ACC,), error)]
+        assert wait_until_ready(state, DEADLINE_S, ["acc"]).ready
+
+
 def test_what_stopped_advancing_is_not_ready(state: Path) -> None:
     begun = time.monotonic()
 

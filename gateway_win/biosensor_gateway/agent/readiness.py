@@ -1,4 +1,4 @@
-"""Whether all devices of the running agent deliver samples.
+"""Waits until all devices of the running agent deliver samples.
 
 A connected device may be silent, and a state may be old: a device counts as ready when
 the agent's own counters advance. Streams that come at a rate are waited for; events and
@@ -19,11 +19,13 @@ from biosensor_common.errors import ConfigError
 from biosensor_common.quantities import ContentType
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import status_file
+from biosensor_gateway.agent.supervisor import State
 from biosensor_gateway.devices.registry import declaration
 
 FRESH_S = 5.0
 """Samples of a belt after a loss, and values of an E4, come in lumps of seconds."""
 _POLL_S = 0.25
+_CONNECTED = frozenset({State.STREAMING.value, State.ENABLING.value})
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,14 +179,16 @@ def steady_streams(device: Mapping[str, Any], excluded: frozenset[str]) -> tuple
 
 def _missing(device: Mapping[str, Any], streams: tuple[str, ...], watch: _Watch) -> Missing | None:
     silent = tuple(source for source in streams if not watch.delivers(source))
-    is_streaming = device["state"] == "streaming"
-    if is_streaming and not silent:
+    # While one stream is asked for again, the others flow.
+    is_connected = device["state"] in _CONNECTED
+    if is_connected and not silent:
         return None
     parts = (device["participant"], device["sensor"], device["label"])
     name = " ".join(part for part in parts if part) + f" ({device['unit']})"
-    if not is_streaming:
+    if not is_connected:
         why = f"{device['state']} - {device['error']}" if device["error"] else device["state"]
         return Missing(name, streams if not device["streams"] else silent, why)
     if device.get("paused"):
         return Missing(name, silent, "paused; take it up again with: biosensor-gateway resume")
-    return Missing(name, silent, "connected, but not all of its streams deliver samples")
+    why = device["error"] or "connected, but not all of its streams deliver samples"
+    return Missing(name, silent, why)
