@@ -1,4 +1,4 @@
-"""Counters that wrap, packets of evenly spaced samples, stamps that never run back.
+"""Unwraps counters, spreads packets evenly over time, keeps stamps from running back.
 
 The other clock arithmetic: `biosensor_common.device_clock` maps a device's clock to
 the LSL clock, `biosensor_common.ros_clock` the LSL clock to ROS time. None of it

@@ -1,4 +1,4 @@
-"""The clock of one device, mapped to the LSL clock.
+"""Maps the clock of one device to the LSL clock.
 
 A packet that was ready at device time ``d`` arrives at LSL time ``a``, and
 ``a - d`` is the offset between the two clocks plus the delay of the way. The

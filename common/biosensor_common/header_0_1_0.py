@@ -1,4 +1,4 @@
-"""What the headers of version 0.1.0 leave unsaid, told from LSL type, label and unit.
+"""Infers from LSL type, label and unit what the headers of version 0.1.0 leave unsaid.
 
 An agent of 0.1.0, and a recording of it, says neither the role of a channel nor
 whether a stream shows a state. Later agents say both, and nothing is inferred then.

@@ -1,4 +1,4 @@
-"""Reads what a description says of each channel; nothing in it is trusted."""
+"""Reads the channels of a description; nothing in it is trusted."""
 
 from __future__ import annotations
 

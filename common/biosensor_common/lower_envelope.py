@@ -1,4 +1,4 @@
-"""A straight line under a sliding window of points: clock skew from one-way delays.
+"""Fits a line under a sliding window of points: clock skew from one-way delays.
 
 Notes
 -----

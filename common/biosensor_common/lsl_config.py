@@ -1,4 +1,4 @@
-"""The LSL configuration of this process: the user's own file, overlaid by ours.
+"""Configures LSL for this process: the user's own file, overlaid by ours.
 
 liblsl reads one file and takes all or nothing. Both programs pass their
 configuration in memory before the first LSL call, so they must carry over what

@@ -1,4 +1,4 @@
-"""A stream's declaration as LSL description XML, written by the agent and read by the node.
+"""Writes and reads a stream's declaration as LSL description XML.
 
 Beside the XDF fields that LabRecorder users, MNE-LSL and EEGLAB read, the
 description carries one versioned block, from which any node knows where the

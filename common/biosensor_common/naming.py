@@ -1,4 +1,4 @@
-"""LSL names, source ids and ROS topic names.
+"""Builds LSL names, source ids and ROS topic names.
 
 Every name is built from fields that people and other programs choose, so each
 is escaped: what ROS or LSL forbids becomes ``_xHH``, one for each UTF-8 byte.

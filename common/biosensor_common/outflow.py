@@ -1,4 +1,4 @@
-"""Lines on their way to an output that may take none for a while.
+"""Queues lines for an output that may take none for a while.
 
 A terminal stops taking output by Ctrl-S, by a selection in a Windows console or by a
 network that stalls, a disk by hanging. Whoever writes then waits for as long as it lasts.

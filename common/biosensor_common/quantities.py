@@ -1,4 +1,4 @@
-"""The closed sets that declarations and descriptions are made of."""
+"""Closed sets for declarations and descriptions: units, formats, message types, roles."""
 
 from __future__ import annotations
 

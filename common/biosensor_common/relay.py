@@ -1,4 +1,4 @@
-"""Relay what this process writes to its stdout and stderr, so that no writer ever waits.
+"""Relays what this process writes to its stdout and stderr, so that no writer ever waits.
 
 liblsl, rcutils and DDS write to the descriptors themselves, some with a lock or Python's GIL
 held: with a terminal that takes nothing, all their threads stand still.

@@ -1,4 +1,4 @@
-"""LSL time to ROS time: the offset between the two clocks of one machine.
+"""Maps LSL time to ROS time by the offset between the two clocks of one machine.
 
 On Linux the LSL clock is monotonic and the ROS clock is the system clock, which
 NTP slews and people set. Not for simulated time, where there is nothing to map.

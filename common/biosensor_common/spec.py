@@ -1,4 +1,4 @@
-"""What a sensor emits: frozen, validated records.
+"""The records of a declaration, frozen and validated.
 
 A sensor is declared once, in ``sensors/<sensor>.py``; agent, node, tests and
 documents all read that declaration. The rules checked here are those under which

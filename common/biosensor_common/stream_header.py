@@ -1,4 +1,4 @@
-"""What is known of one LSL stream, ours or somebody else's."""
+"""The record of one LSL stream's header, ours or another program's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Short constructors, so that a declaration reads like the table it is."""
+"""Constructors for declarations, short enough to read like a table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lines that fit the terminal that they are shown in."""
+"""Wraps lines to the width of the terminal."""
 
 from __future__ import annotations
 

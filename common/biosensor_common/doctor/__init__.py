@@ -1,4 +1,4 @@
-"""What is wrong on this computer, and how to mend it: what the agent and the node share.
+"""Finds what is wrong on this computer and how to mend it: the part of both programs.
 
 `table` lists the checks that any computer with LSL can run, `runner` runs them side by
 side, `report` shows what they found. A program adds its own checks in a table of its own,

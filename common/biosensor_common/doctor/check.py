@@ -1,4 +1,4 @@
-"""What a check is, and what it is about."""
+"""A check, and the category it belongs to."""
 
 from __future__ import annotations
 

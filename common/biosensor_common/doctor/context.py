@@ -1,4 +1,4 @@
-"""What all checks are given: who looks, and how that program takes part in LSL."""
+"""Tells checks which program asks, and how it takes part in LSL."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a check finds, how bad it is, and what to do about it."""
+"""A finding: what was found, how bad it is, and what to do about it."""
 
 from __future__ import annotations
 

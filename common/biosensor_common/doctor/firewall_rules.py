@@ -1,4 +1,4 @@
-"""The commands that let LSL through the firewall of this system."""
+"""Builds the commands that let LSL through the firewall of this system."""
 
 from __future__ import annotations
 

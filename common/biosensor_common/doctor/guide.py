@@ -1,4 +1,4 @@
-"""What a program calls itself, and how its user mends what concerns it."""
+"""How a program is called, and what its user does to mend what concerns it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The text of an ``lsl_api.cfg``, read as liblsl reads it.
+"""Reads the text of an ``lsl_api.cfg`` as liblsl reads it.
 
 What is a line follows liblsl's own reader
 (https://github.com/sccn/liblsl/blob/main/src/util/inireader.cpp), which ignores a whole

@@ -1,4 +1,4 @@
-"""An LSL configuration as text: what it says, and the same with something changed."""
+"""Reads and changes an LSL configuration as text."""
 
 from __future__ import annotations
 

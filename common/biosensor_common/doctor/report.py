@@ -1,4 +1,4 @@
-"""The findings as text for a person and as JSON for a script."""
+"""Prints findings as text for a person and as JSON for a script."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A stream as this computer sees it."""
+"""The record of a stream as this computer sees it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the other process of a check does: one request, one answer.
+"""Serves one request in a process of its own: one question, one answer.
 
 A library may block for long, take one configuration for the life of a process, or end the
 process that it is in. So whatever is asked of it is asked in a process of its own. The

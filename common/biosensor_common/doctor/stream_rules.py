@@ -1,4 +1,4 @@
-"""What streams must be like to be found, told apart, recorded and aligned."""
+"""Judges whether streams can be found, told apart, recorded and aligned."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What there is on the network, seen by a process of its own."""
+"""Looks for all streams on the network, in a process of its own."""
 
 from __future__ import annotations
 

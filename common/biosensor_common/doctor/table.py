@@ -1,4 +1,4 @@
-"""The checks that any computer with LSL can run.
+"""Lists the checks that any computer with LSL can run.
 
 A new one is a module of `biosensor_common.doctor.checks` and a line here.
 """

@@ -1,1 +1,1 @@
-"""The running agent: devices, their supervisors, and how it is asked for things."""
+"""The running agent: devices, their supervisors, pauses and the control channel."""

@@ -1,4 +1,4 @@
-"""The capture agent: all devices of the settings, each under its own supervisor."""
+"""Runs all devices of the settings, each under its own supervisor."""
 
 from __future__ import annotations
 

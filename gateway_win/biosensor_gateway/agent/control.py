@@ -1,4 +1,4 @@
-"""The control channel: commands of the same user to the running agent.
+"""Takes commands of the same user for the running agent, and sends them.
 
 The agent listens on the loopback address at a free port. Port and a random
 token are in ``control.json`` in its state folder, which only its user can

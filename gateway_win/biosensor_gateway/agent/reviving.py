@@ -1,4 +1,4 @@
-"""Acts on silent streams: enables them again, gives the connection up, or says why not."""
+"""Acts on silent streams: enables them again, makes the connection anew, or says why not."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One agent per state folder: two of them would claim the same devices.
+"""Lets one agent run for each state folder: two would claim the same devices.
 
 The guard is a lock that the operating system keeps for a process (``flock`` on
 POSIX, a locked byte on Windows) and gives back however that process ends, so

@@ -1,4 +1,4 @@
-"""What the agent knows of itself, once a second: for ``status`` and for scripts."""
+"""Writes the agent's status once a second, for ``status`` and for scripts, and reads it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The commands, put together.
+"""Puts the commands together and runs the one that was given.
 
 Exit codes: 0 done, 1 something is missing or did not work, 2 the command or
 the settings are wrong.

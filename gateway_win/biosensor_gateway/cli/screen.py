@@ -1,4 +1,4 @@
-"""What people read on the terminal: sentences and tables that fit it."""
+"""Prints sentences and tables that fit the terminal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which commands there are, and what the list of them says.
+"""Lists the commands with the first line of their help.
 
 A new one is a module here and a line below; what the line says of it is the beginning of
 its docstring.

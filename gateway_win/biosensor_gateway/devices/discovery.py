@@ -1,4 +1,4 @@
-"""What a search finds, and the settings that would add it."""
+"""Devices as a search finds them, with the settings that would add each."""
 
 from __future__ import annotations
 

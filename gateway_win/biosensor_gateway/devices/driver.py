@@ -1,4 +1,4 @@
-"""What the agent asks of every driver."""
+"""The interface of drivers, and how a sensor offers its own."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""All sensors by name: the folders beside this file, and those of other packages.
+"""Finds all sensors by name: the folders beside this file, and those of other packages.
 
 A package adds a sensor with one entry point in the group ``biosensor_gateway.sensors``: its
 name is the sensor's name, its value loads to a :class:`~biosensor_gateway.devices.sensor.Sensor`.

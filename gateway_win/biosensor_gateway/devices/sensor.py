@@ -1,4 +1,4 @@
-"""One sensor: what it emits, who reads it, and what stands in for it without hardware."""
+"""The record of one sensor: its declaration, its driver, its virtual device."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the checks of the agent's computer are given: the settings, and where things are."""
+"""Gives the checks of the agent's computer the settings and the folders."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How devices of the settings are reached, told by the keys of their tables."""
+"""Tells from the keys of a device's table by which link it is reached."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the agent calls itself, and how its user mends what concerns it."""
+"""The agent's name and its remedies, for checks that both programs share."""
 
 from __future__ import annotations
 

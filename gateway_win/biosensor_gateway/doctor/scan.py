@@ -1,4 +1,4 @@
-"""What is there: a search by Bluetooth LE, serial ports and the vendors' services."""
+"""Searches for devices by Bluetooth LE, at serial ports and at the vendors' services."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which checks the agent's computer has.
+"""Lists the checks of the agent's computer.
 
 A new one is a module of `biosensor_gateway.doctor.checks` and a line here. What a computer
 without the agent can run, too, is a line of `biosensor_common.doctor.table`.

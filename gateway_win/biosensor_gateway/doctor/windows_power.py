@@ -1,4 +1,4 @@
-"""What the power scheme of Windows says, without the text of a program in some language."""
+"""Reads the power scheme of Windows, whatever the language of the system."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Everything about recordings: LabRecorder, its configuration, and the files."""
+"""Recordings: LabRecorder, its configuration, and the files."""

@@ -1,4 +1,4 @@
-"""The text of an ``lsl_api.cfg``, with which LabRecorder finds every stream.
+"""Edits an ``lsl_api.cfg`` so that LabRecorder finds every stream.
 
 LabRecorder carries liblsl 1.17. On a computer without an active network adapter that
 sees one local stream of many, whichever, unless ``KnownPeers`` names the computer

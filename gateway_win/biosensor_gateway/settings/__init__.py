@@ -1,1 +1,1 @@
-"""What a user can set: the file, its models, its problems, and secrets."""
+"""The settings file: its models, its template, its problems; and secrets."""

@@ -1,4 +1,4 @@
-"""What a user can set: the models of the settings file, and where it lies.
+"""The models of the settings file, and the folders it and the state lie in.
 
 The file is read by :mod:`biosensor_gateway.settings.file` and first written by
 :mod:`biosensor_gateway.settings.template`. Secrets never go into it.

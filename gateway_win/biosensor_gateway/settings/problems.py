@@ -1,4 +1,4 @@
-"""What is wrong with the settings, said so that a person can correct it."""
+"""Turns what is wrong with the settings into sentences by which a person can correct it."""
 
 from __future__ import annotations
 

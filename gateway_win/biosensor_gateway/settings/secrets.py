@@ -1,4 +1,4 @@
-"""Where secrets come from: the environment, else the operating system's keyring.
+"""Reads secrets from the environment, else from the operating system's keyring.
 
 They are never in the settings file, the command line, a log or an error.
 """

@@ -1,4 +1,4 @@
-"""The settings file that a new user starts from: every key, described and commented out.
+"""Writes a settings file to begin with: every key, described and commented out.
 
 Text is commented with ``# `` and settings with ``#``, so that a setting is
 switched on by removing one character.

@@ -1,4 +1,4 @@
-"""On which line of a TOML text a key stands; parsers give the values alone.
+"""Finds the line of a TOML text on which a key stands; parsers give the values alone.
 
 The text has been accepted by :mod:`tomllib`, so this scanner only has to tell
 keys from values, not to find mistakes. Grammar: TOML 1.0.0, toml.io/en/v1.0.0.

@@ -1,4 +1,4 @@
-"""What virtual Bluetooth LE devices advertise, as bytes and decoded.
+"""Builds the advertisements of virtual Bluetooth LE devices, as bytes and decoded.
 
 Layout: Supplement to the Bluetooth Core Specification, Part A.
 """

@@ -1,4 +1,4 @@
-"""What ``BleakClient`` connects with while Bluetooth is virtual."""
+"""The ``BleakClient`` backend of virtual Bluetooth."""
 
 from __future__ import annotations
 

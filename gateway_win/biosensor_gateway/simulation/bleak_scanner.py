@@ -1,4 +1,4 @@
-"""What ``BleakScanner`` scans with while Bluetooth is virtual."""
+"""The ``BleakScanner`` backend of virtual Bluetooth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a device is switched on, where several things may want it off."""
+"""Keeps a device switched off for as long as anything wants it off."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a virtual device really measured, for a test to compare with what arrived."""
+"""Records what a virtual device measured, for a test to compare with what arrived."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every virtual device offers: to be switched on, steered, and asked for the truth."""
+"""Base of all virtual devices: switched on, steered by faults, asked for the truth."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What a device's samples go through on their way into LSL."""
+"""From a driver's samples to LSL: clock, pauses, counters, outlets, events."""

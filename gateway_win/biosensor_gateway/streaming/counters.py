@@ -1,4 +1,4 @@
-"""What is counted of each stream on its way into LSL, and how the others are told."""
+"""Counts each stream's samples on their way into LSL, and writes the counts as text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The capture agent itself: what it has sent and what has happened to it."""
+"""Declares the agent's own streams: counters and events."""
 
 from biosensor_common.quantities import ChannelFormat, ContentType, MessageType, Unit
 from biosensor_common.spec import SensorSpec

@@ -1,4 +1,4 @@
-"""LSL outlets: what drivers emit, checked, stamped, counted and pushed."""
+"""LSL outlets: check, count and push what drivers emit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a pause holds back: whatever was measured between its beginning and its end.
+"""Holds back what was measured while a device was paused.
 
 A pause is a participant's withdrawal. So it is decided by the time at which a
 sample was *measured*, not by the time at which it is handled: what was still in

@@ -1,4 +1,4 @@
-"""Where a driver puts what it measured: from device time to pushed samples."""
+"""Maps the times of a device's samples to LSL and pushes them."""
 
 from __future__ import annotations
 

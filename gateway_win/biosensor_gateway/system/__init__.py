@@ -1,1 +1,1 @@
-"""What the operating system is asked for: logs, the end of the program, staying awake."""
+"""What the operating system does for the agent: logs, its end, staying awake, files."""

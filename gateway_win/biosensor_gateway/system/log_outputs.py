@@ -1,4 +1,4 @@
-"""The log's two outputs, console and file: nobody who logs waits for either."""
+"""Writes the log to console and file without letting anybody wait for either."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Logging: sentences on the console, JSON lines in a rotating file, no secrets in either.
+"""Sets up logging: sentences on the console, JSON lines in a rotating file, no secrets.
 
 The gateway's modules log through ``structlog.stdlib.get_logger(__name__)``,
 libraries through :mod:`logging`; both arrive at the same two outputs. Whoever logs

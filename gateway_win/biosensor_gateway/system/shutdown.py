@@ -1,4 +1,4 @@
-"""How the agent is asked to end: by a signal, a console that closes, a session that ends."""
+"""Ends the agent when it is asked to: by a signal, a closing console, the end of the session."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The search path of all users of a Windows PC, which the installer adds its folder to.
+"""Adds a folder to the search path of all users of a Windows PC, and removes it.
 
 App Paths, where programs register, serves the Run dialog and ``start``; a terminal looks
 into PATH alone. NSIS itself would cut a PATH of more than 1023 characters.

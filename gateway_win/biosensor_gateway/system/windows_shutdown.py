@@ -1,4 +1,4 @@
-"""What asks a program of Windows to end besides Ctrl-C: its console and the session.
+"""Notices that Windows ends a program: its console closes, or the session ends.
 
 A console that closes is told to a console control handler. So are logoff and
 shutdown, but not to a program that has user32.dll loaded, and OpenSSL loads it;

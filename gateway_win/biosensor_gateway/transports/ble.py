@@ -1,4 +1,4 @@
-"""A connection to a Bluetooth LE device, through bleak, alike on every platform.
+"""Connects to a Bluetooth LE device through bleak, alike on every platform.
 
 What differs between the platforms is evened out here: which errors are raised,
 which calls hang when the Bluetooth service dies, that a vanished device may or

@@ -1,4 +1,4 @@
-"""Which of the devices in range a driver connects to."""
+"""Chooses the device in range that a driver connects to."""
 
 from __future__ import annotations
 

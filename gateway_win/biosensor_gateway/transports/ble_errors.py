@@ -1,4 +1,4 @@
-"""What bleak's errors mean, on every platform, decided by class and code where there is one."""
+"""Translates bleak's errors, by class and by code where there is one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One Bluetooth LE scan an event loop, shared by everybody who looks for a device."""
+"""Shares one Bluetooth LE scan of an event loop among all who look for a device."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""BlueZ, asked for what bleak does not tell: all devices that this computer knows.
+"""Asks BlueZ for all devices that this computer knows, which bleak does not tell.
 
 Nothing here raises: on another system, or without BlueZ, there are no devices.
 """

@@ -1,4 +1,4 @@
-"""Which link a device's ``port`` setting means."""
+"""Opens the link that a device's ``port`` setting means."""
 
 from __future__ import annotations
 

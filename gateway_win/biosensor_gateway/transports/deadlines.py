@@ -1,4 +1,4 @@
-"""Calls of libraries that may neither end by themselves nor heed their cancellation."""
+"""Sets limits to calls of libraries that may neither end nor heed their cancellation."""
 
 from __future__ import annotations
 

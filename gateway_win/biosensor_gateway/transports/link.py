@@ -1,4 +1,4 @@
-"""What every byte-stream transport offers to a driver."""
+"""The interface of every byte-stream transport."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is within reach of this computer, before anybody has connected to it."""
+"""Records of what is within reach: advertisements and serial ports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bluetooth Classic by address, without a serial port: RFCOMM sockets."""
+"""Connects to a Bluetooth Classic device by its address: RFCOMM sockets, no serial port."""
 
 from __future__ import annotations
 

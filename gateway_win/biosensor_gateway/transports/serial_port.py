@@ -1,4 +1,4 @@
-"""Serial ports, Bluetooth ones included.
+"""Reads and writes serial ports, Bluetooth ones included.
 
 One thread reads and one writes, because a blocked call on a Bluetooth port
 cannot be interrupted on every system.

@@ -1,4 +1,4 @@
-"""The serial ports of this computer, with the names of the Bluetooth devices behind them.
+"""Lists serial ports, with the names of the Bluetooth devices behind them.
 
 No port is opened: opening a Bluetooth port makes the radio connect. Descriptions of
 ports are in the system's language, so nothing is decided by them.

@@ -1,4 +1,4 @@
-"""Byte streams over sockets, whatever family: what TCP and RFCOMM links share.
+"""Byte streams over sockets, shared by the TCP and RFCOMM links.
 
 Sockets block in threads of their own: Windows' event loop knows no Bluetooth
 sockets, and a thread stamps bytes when they arrive, not when the loop gets to

@@ -1,4 +1,4 @@
-"""Blocking calls that must never hold up the end of the program."""
+"""Runs blocking calls in threads that never hold up the end of the program."""
 
 from __future__ import annotations
 

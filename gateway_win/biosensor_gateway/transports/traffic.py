@@ -1,4 +1,4 @@
-"""Two threads of a link, one that reads and one that writes, and their way to the event loop.
+"""Runs the reading and the writing thread of a link, and joins them to the event loop.
 
 The threads are daemons: a link that hangs for ever must not keep the agent from ending.
 """

@@ -1,4 +1,4 @@
-"""Fast DDS, ROS's usual middleware, set for lossy networks and for programs that crash.
+"""Sets Fast DDS up for lossy networks and for programs that crash.
 
 Lost messages are sent again after 50 ms (decision 23), and messages go over UDP on one
 machine, too, never through shared memory (decision 28).

@@ -1,4 +1,4 @@
-"""The live table in the width of a terminal."""
+"""Fits the live table into the width of a terminal."""
 
 from __future__ import annotations
 

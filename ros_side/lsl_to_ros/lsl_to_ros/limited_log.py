@@ -1,4 +1,4 @@
-"""Lines through rclpy that cannot flood the log."""
+"""Logs through rclpy without flooding the log."""
 
 from __future__ import annotations
 

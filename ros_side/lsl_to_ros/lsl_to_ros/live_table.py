@@ -1,4 +1,4 @@
-"""A live table of all biosensor topics, as a subscriber sees them.
+"""Shows a live table of all biosensor topics, as a subscriber sees them.
 
 ``python -m lsl_to_ros.live_table [--seconds N] [--expect FILE]``. FILE is JSON:
 topic names with an empty text where data is expected, else the reason why not.

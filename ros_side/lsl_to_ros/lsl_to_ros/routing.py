@@ -1,4 +1,4 @@
-"""Which stream fills which topics."""
+"""Assigns topics to streams."""
 
 from __future__ import annotations
 

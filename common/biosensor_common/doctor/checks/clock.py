@@ -1,4 +1,4 @@
-"""What keeps this computer's time of day right: NTP (chrony and others) or PTP (linuxptp).
+"""Checks what keeps the time of day right: NTP (chrony and others) or PTP (linuxptp).
 
 LSL's own clock does not depend on it; file dates, the log and the stamps of ROS do.
 """

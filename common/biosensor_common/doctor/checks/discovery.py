@@ -1,4 +1,4 @@
-"""A stream of this computer is found on this computer, by multicast and by unicast.
+"""Checks that a stream of this computer is found here, by multicast and by unicast.
 
 Both ways are tried apart from each other: LSL programs of the same computer also find
 each other by a question to their ports, so that a stream that is found says nothing of

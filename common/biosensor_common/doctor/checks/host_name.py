@@ -1,4 +1,4 @@
-"""The name of this computer, which is in the header of every stream."""
+"""Checks the name of this computer, which is in the header of every stream."""
 
 from __future__ import annotations
 

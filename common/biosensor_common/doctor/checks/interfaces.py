@@ -1,4 +1,4 @@
-"""Network adapters, and which way LSL's multicast takes."""
+"""Checks the network adapters, and by which one LSL's multicast leaves."""
 
 from __future__ import annotations
 

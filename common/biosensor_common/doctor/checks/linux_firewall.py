@@ -1,4 +1,4 @@
-"""Whether ufw or firewalld is on; their rules can only be read by the administrator."""
+"""Checks whether ufw or firewalld is on; only the administrator can read their rules."""
 
 from __future__ import annotations
 

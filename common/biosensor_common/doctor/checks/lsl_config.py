@@ -1,4 +1,4 @@
-"""The LSL configuration in force: where it comes from, what it says, what is wrong with it."""
+"""Checks the LSL configuration in force: its place, its content, its mistakes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The ports of LSL: free, or held by whom."""
+"""Checks that the ports of LSL are free, and names who holds them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""All streams in the network: what LabRecorder and the node will trip over."""
+"""Checks all streams in the network for what LabRecorder and the node cannot handle."""
 
 from __future__ import annotations
 

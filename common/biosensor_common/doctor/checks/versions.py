@@ -1,4 +1,4 @@
-"""Versions and places of the programs and libraries involved."""
+"""Shows versions and places of the programs and libraries involved."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Withdrawal: a participant's device sends nothing until it is taken up again."""
+"""Pauses: a participant who withdraws sends nothing until the device is resumed."""

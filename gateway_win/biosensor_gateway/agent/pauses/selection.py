@@ -1,4 +1,4 @@
-"""Which device a person means."""
+"""Finds the device that a person names."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pauses on disk: who has withdrawn stays withdrawn when the agent is started anew."""
+"""Keeps pauses on disk, so that a new start of the agent does not end them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether there is a Bluetooth adapter that is on and may be used."""
+"""Checks that there is a Bluetooth adapter, that it is on and may be used."""
 
 from __future__ import annotations
 

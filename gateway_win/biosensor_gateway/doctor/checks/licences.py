@@ -1,4 +1,4 @@
-"""What the vendors' licences do not cover."""
+"""Checks what the vendors' licences cover."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What may send the computer or its Bluetooth adapter to sleep during a recording."""
+"""Checks what may send the computer or its Bluetooth adapter to sleep during a recording."""
 
 from __future__ import annotations
 

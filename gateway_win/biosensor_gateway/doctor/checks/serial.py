@@ -1,4 +1,4 @@
-"""Serial ports that the settings name: are they there, and may they be opened.
+"""Checks that the serial ports of the settings are there and may be opened.
 
 No port is opened: opening a Bluetooth port makes the radio connect.
 """

@@ -1,4 +1,4 @@
-"""The vendors' services of the settings, their secrets, and LabRecorder's remote control."""
+"""Checks the vendors' services, their secrets, and LabRecorder's remote control."""
 
 from __future__ import annotations
 

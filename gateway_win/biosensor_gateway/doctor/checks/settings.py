@@ -1,4 +1,4 @@
-"""The settings file, the state folder and the running agent."""
+"""Checks the settings file, the state folder and the running agent."""
 
 from __future__ import annotations
 

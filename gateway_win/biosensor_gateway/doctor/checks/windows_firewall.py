@@ -1,4 +1,4 @@
-"""Whether the firewall of Windows lets other computers in."""
+"""Checks that the firewall of Windows lets other computers in."""
 
 from __future__ import annotations
 

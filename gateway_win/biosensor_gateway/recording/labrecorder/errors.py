@@ -1,4 +1,4 @@
-"""What goes wrong with LabRecorder, for whoever has to decide."""
+"""Errors of LabRecorder, with reasons to decide by."""
 
 from __future__ import annotations
 

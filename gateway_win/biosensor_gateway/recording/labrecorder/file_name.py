@@ -1,4 +1,4 @@
-"""How LabRecorder is told where to record, and where it will do so.
+"""Builds the commands that tell LabRecorder where to record, and the path it will use.
 
 It keeps a folder ("study root") and a name below it with placeholders, which it fills
 from the fields of its window. A name that is set by remote control is taken in lower

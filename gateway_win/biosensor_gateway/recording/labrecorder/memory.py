@@ -1,4 +1,4 @@
-"""Which recording was started last: LabRecorder does not tell."""
+"""Remembers the recording that was started last, because LabRecorder does not tell."""
 
 from __future__ import annotations
 

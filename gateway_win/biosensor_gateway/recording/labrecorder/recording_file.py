@@ -1,4 +1,4 @@
-"""What a recording says of itself while it is written, and when it is closed.
+"""Watches a recording while it is written, and tells when it is closed.
 
 LabRecorder makes the file at once and writes it in blocks of some kilobytes (8 KiB on
 Linux), so a single slow stream shows nothing for a minute.

@@ -1,4 +1,4 @@
-"""The client of LabRecorder's remote control: lines of text over TCP.
+"""Client of LabRecorder's remote control: lines of text over TCP.
 
 Facts from App-LabRecorder's ``tcpinterface.cpp`` and ``mainwindow.cpp``: a command is a
 line; the reply is ``OK`` without a line end, whatever the command was, and comes when

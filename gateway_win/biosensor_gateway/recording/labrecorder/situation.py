@@ -1,4 +1,4 @@
-"""What can be known of LabRecorder and of the recording that was started last."""
+"""Gathers what can be known of LabRecorder and of the recording that was started last."""
 
 from __future__ import annotations
 

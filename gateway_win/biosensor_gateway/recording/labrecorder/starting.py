@@ -1,4 +1,4 @@
-"""Starts a recording, and looks whether it runs."""
+"""Starts a recording, and checks that it runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ends a recording, and looks whether its file is closed."""
+"""Stops a recording, and checks that its file is closed."""
 
 from __future__ import annotations
 

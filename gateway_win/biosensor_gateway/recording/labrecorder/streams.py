@@ -1,4 +1,4 @@
-"""Which streams there are, whose they are, and which are missing."""
+"""Lists the streams in the network, whose they are, and which are missing."""
 
 from __future__ import annotations
 

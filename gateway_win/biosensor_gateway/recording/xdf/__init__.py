@@ -1,4 +1,4 @@
-"""Says of a LabRecorder recording (an XDF file) whether it can be trusted.
+"""Judges whether a LabRecorder recording (an XDF file) can be trusted.
 
 :mod:`.container` cuts the file into chunks, :mod:`.header` and :mod:`.samples`
 decode their contents, :mod:`.recording` gathers them by stream; :mod:`.measuring`

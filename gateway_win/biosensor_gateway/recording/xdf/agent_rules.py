@@ -1,4 +1,4 @@
-"""Puts the capture agent's counts beside the streams that it counted."""
+"""Compares the capture agent's counts with the recorded streams."""
 
 from __future__ import annotations
 

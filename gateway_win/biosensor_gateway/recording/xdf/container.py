@@ -1,4 +1,4 @@
-"""Cuts an XDF file into its chunks, and finds the way on where it is damaged.
+"""Cuts an XDF file into its chunks, and resynchronises where it is damaged.
 
 After the magic ``XDF:`` a file is a row of chunks: one byte that tells how many
 bytes the length has (1, 4 or 8), the length, a tag of two bytes, the content; all

@@ -1,4 +1,4 @@
-"""Which streams a recording is expected to have."""
+"""The streams that a recording is expected to have."""
 
 from __future__ import annotations
 

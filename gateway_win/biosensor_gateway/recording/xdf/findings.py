@@ -1,4 +1,4 @@
-"""What is noticed about a recording, and how bad it is."""
+"""Findings about a recording, and how bad each is."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report as text for a person and as JSON for a script."""
+"""Prints the report as text for a person and as JSON for a script."""
 
 from __future__ import annotations
 

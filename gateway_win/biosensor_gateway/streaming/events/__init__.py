@@ -1,4 +1,4 @@
-"""What happens to the agent and its devices, as markers in the stream ``gateway/events``.
+"""Events of the agent and its devices, as markers in the stream ``gateway/events``.
 
 Each marker is one JSON object in a string, without blanks. Every one has
 

@@ -1,4 +1,4 @@
-"""Writes events into their outlet, and gives a sign of life."""
+"""Pushes events into their outlet, and heartbeats."""
 
 from __future__ import annotations
 

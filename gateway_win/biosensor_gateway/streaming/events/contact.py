@@ -1,4 +1,4 @@
-"""Whether somebody wears a sensor, as far as one of its channels says."""
+"""Tells from a contact channel when a sensor is put on and taken off."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gaps of one device: from the last sample before to the first one after."""
+"""Follows the gaps of one device, from the last sample before to the first one after."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Keeps what is said of the data from disturbing the data."""
+"""Logs what goes wrong while events are made, so that samples flow on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Holding off sleep by a program that does it for as long as it runs: macOS, Linux."""
+"""Holds off sleep on macOS and Linux by a program that does so for as long as it runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Holding off sleep by Windows' own functions.
+"""Holds off sleep by Windows' own functions.
 
 Sources: Microsoft's documentation of ``PowerCreateRequest``, ``PowerSetRequest``,
 ``REASON_CONTEXT`` and ``SetThreadExecutionState``.

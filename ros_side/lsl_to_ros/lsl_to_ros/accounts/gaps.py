@@ -1,4 +1,4 @@
-"""Where samples of a regular stream are missing, by their stamps."""
+"""Finds missing samples of a regular stream by their stamps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a stream has done lately: its rate, its silences, its losses."""
+"""Follows a stream's rate, silences and losses over the last seconds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How many samples of a stream are missing, by the agent's own count.
+"""Counts lost samples of a stream by comparing with the agent's own count.
 
 The agent says once a second how many samples of each stream it has pushed, up
 to which stamp, and how many it lost before. Compared with what was pulled up

@@ -1,4 +1,4 @@
-"""Measured rates of streams."""
+"""Measures the rates of streams."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""LSL time as ROS time."""
+"""Converts LSL time to ROS time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the sender's LSL clock to ROS time."""
+"""Maps stamps of the sender's LSL clock to ROS time."""
 
 from __future__ import annotations
 

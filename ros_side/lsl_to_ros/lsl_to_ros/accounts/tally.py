@@ -1,4 +1,4 @@
-"""What became of one stream's samples, over all its connections."""
+"""Counts what became of one stream's samples, over all its connections."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is wrong on this ROS computer, and how to mend it.
+"""Finds what is wrong on this ROS computer, and says how to mend it.
 
 The checks that any computer with LSL can run are in `biosensor_common.doctor`; those of
 ROS are in `checks`. `table` lists both. ``ros2 doctor`` shows what they find

@@ -1,4 +1,4 @@
-"""What the environment says to DDS, and what is wrong with it.
+"""Checks the environment variables of DDS.
 
 The variables are those of ROS 2 Jazzy; https://docs.ros.org/en/jazzy/Tutorials/Advanced/
 Improved-Dynamic-Discovery.html. What ROS does with values that are wrong was measured

@@ -1,4 +1,4 @@
-"""What the node calls itself, and how its user mends what concerns it."""
+"""The node's name and its remedies, for checks that both programs share."""
 
 from __future__ import annotations
 

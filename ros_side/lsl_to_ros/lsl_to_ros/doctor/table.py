@@ -1,4 +1,4 @@
-"""Which checks the node's computer has."""
+"""Lists the checks of the node's computer."""
 
 from __future__ import annotations
 

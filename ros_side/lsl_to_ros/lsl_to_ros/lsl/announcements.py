@@ -1,4 +1,4 @@
-"""What an LSL stream announces of itself, and what of it can be used."""
+"""Reads what an LSL stream announces of itself, and judges what can be used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Samples on their way through the node."""
+"""Blocks of samples on their way through the node."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which streams are there, and one inlet for each."""
+"""Finds streams, and opens one inlet for each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which computers with an agent have fallen silent.
+"""Notices computers with an agent that have fallen silent.
 
 An agent says something at least once a second: its counters. A computer from which
 nothing at all comes for longer is cut off, or its agent stands still; no single

@@ -1,4 +1,4 @@
-"""What liblsl can and pylsl does not pass on."""
+"""Calls functions of liblsl that pylsl does not offer."""
 
 from __future__ import annotations
 

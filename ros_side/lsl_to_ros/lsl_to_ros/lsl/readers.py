@@ -1,4 +1,4 @@
-"""Which thread reads which inlet.
+"""Assigns inlets to the threads that read them.
 
 Streams that nobody reads sample by sample share one thread, which fetches what has
 come ten times a second. Of those that are read, up to four have a thread each, which

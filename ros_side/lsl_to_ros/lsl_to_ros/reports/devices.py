@@ -1,4 +1,4 @@
-"""``/diagnostics``: one status a device, from what its own streams tell of it."""
+"""Sums up each device for ``/diagnostics``, from what its own streams tell."""
 
 from __future__ import annotations
 

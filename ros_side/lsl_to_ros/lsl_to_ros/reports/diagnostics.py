@@ -1,4 +1,4 @@
-"""``/diagnostics``: what there is to know of each stream, each device and the node.
+"""Builds ``/diagnostics``: the status of each stream, each device and the node.
 
 Levels of a stream:
 

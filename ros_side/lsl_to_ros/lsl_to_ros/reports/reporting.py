@@ -1,4 +1,4 @@
-"""What the node tells of itself: ``/diagnostics`` and ``~/streams``."""
+"""Publishes ``/diagnostics`` and ``~/streams``."""
 
 from __future__ import annotations
 

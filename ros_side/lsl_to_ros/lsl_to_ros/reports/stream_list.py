@@ -1,4 +1,4 @@
-"""``~/streams``: which LSL stream fills which topics, latched, anew at each change."""
+"""Builds ``~/streams``: which LSL stream fills which topics, latched, anew at each change."""
 
 from __future__ import annotations
 

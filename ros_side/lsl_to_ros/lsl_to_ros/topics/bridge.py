@@ -1,4 +1,4 @@
-"""One LSL stream and the ROS topics that it fills."""
+"""Publishes one LSL stream on its ROS topics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Messages of a fixed shape as the bytes that go over the wire.
+"""Encodes messages of a fixed shape as the bytes that go over the wire.
 
 All messages of a stream differ in their values only, and these come last. So ROS
 serialises one message of each shape; every other one is its head and a sample's own

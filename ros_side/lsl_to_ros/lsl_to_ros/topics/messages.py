@@ -1,4 +1,4 @@
-"""ROS messages by the names that streams give them, and those of text."""
+"""Finds ROS messages by the names that streams give them, and builds those of text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Opens the topics of a stream and says what is written to each."""
+"""Opens the topics of a stream, with a writer for each."""
 
 from __future__ import annotations
 

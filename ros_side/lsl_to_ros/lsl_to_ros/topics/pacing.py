@@ -1,4 +1,4 @@
-"""When the messages of a topic go out, if more come at once than subscribers can queue.
+"""Spreads a topic's messages if more come at once than subscribers can queue.
 
 Devices send in bursts, by Bluetooth up to 73 samples at once, and a subscriber's queue
 usually holds 5 or 10 messages. What comes alone goes out at once, in the thread that read

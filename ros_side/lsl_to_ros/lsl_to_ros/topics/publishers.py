@@ -1,4 +1,4 @@
-"""The node's publishers and who reads them."""
+"""The node's publishers, and how many subscribers each has."""
 
 from __future__ import annotations
 

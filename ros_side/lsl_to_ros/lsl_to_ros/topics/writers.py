@@ -1,4 +1,4 @@
-"""What is written to each kind of topic that a stream fills."""
+"""Writes samples as messages: one writer for each kind of topic."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""ROS nodes of this computer find each other by DDS, and the node lsl_to_ros is there once.
+"""Checks that ROS nodes of this computer find each other, and that one lsl_to_ros runs.
 
 Both nodes of the test are real ones in processes of their own, as any two nodes are.
 """
