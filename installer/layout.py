@@ -1,4 +1,4 @@
-"""Where the build keeps what, and what the product is called."""
+"""Places and names of the build."""
 
 from __future__ import annotations
 

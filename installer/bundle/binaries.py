@@ -1,4 +1,4 @@
-"""What a Windows binary says about itself, without loading it."""
+"""Reads what a Windows binary says about itself, without loading it."""
 
 from __future__ import annotations
 

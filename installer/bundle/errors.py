@@ -1,4 +1,4 @@
-"""What can be wrong with a bundle."""
+"""Errors of a bundle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What must never be in a bundle."""
+"""Finds what must never be in a bundle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the metadata of distributions does not say, or not clearly."""
+"""Facts that the metadata of distributions does not tell, or not clearly."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How names of packages and files are compared."""
+"""Compares names of packages and files."""
 
 from __future__ import annotations
 

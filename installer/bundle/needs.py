@@ -1,4 +1,4 @@
-"""What a distribution requires on 64-bit Windows."""
+"""Finds what a distribution requires on 64-bit Windows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the build takes from PyPI, each by its hash."""
+"""Fetches what the build takes from PyPI, each by its hash."""
 
 from __future__ import annotations
 

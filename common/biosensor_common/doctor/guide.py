@@ -1,4 +1,4 @@
-"""How a program is called, and what its user does to mend what concerns it."""
+"""The name of a program, and the remedies that its user is told."""
 
 from __future__ import annotations
 

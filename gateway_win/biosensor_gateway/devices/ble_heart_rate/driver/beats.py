@@ -1,4 +1,4 @@
-"""When beats happened, of which only the intervals are known."""
+"""Reckons the times of beats of which only the intervals are known."""
 
 from __future__ import annotations
 

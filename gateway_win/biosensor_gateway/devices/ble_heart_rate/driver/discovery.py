@@ -1,4 +1,4 @@
-"""Which advertisements are heart-rate straps."""
+"""Recognises heart-rate straps by their advertisements."""
 
 from __future__ import annotations
 

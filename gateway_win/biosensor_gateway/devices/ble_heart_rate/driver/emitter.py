@@ -1,4 +1,4 @@
-"""What the values of a heart-rate strap mean for the streams of the declaration."""
+"""Turns the values of a heart-rate strap into samples of the declared streams."""
 
 from __future__ import annotations
 

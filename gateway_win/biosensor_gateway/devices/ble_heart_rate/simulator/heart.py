@@ -1,4 +1,4 @@
-"""What a strap's own detector makes of the wearer's heart."""
+"""Detects the wearer's beats as a strap's own detector does."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every heart-rate strap is: power, skin contact, a battery, a pulse once a second.
+"""The parts of every heart-rate strap: power, skin contact, a battery, a pulse once a second.
 
 A virtual device is built around a `Strap` and adds what it can do besides.
 """

@@ -1,4 +1,4 @@
-"""What Cortex' samples mean for the streams of the declaration."""
+"""Turns Cortex' samples into samples of the declared streams."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What Cortex' refusals mean for whoever decides when to try again."""
+"""Turns Cortex' refusals into errors by which the agent decides when to try again."""
 
 from __future__ import annotations
 

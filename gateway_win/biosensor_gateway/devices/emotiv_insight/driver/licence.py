@@ -1,4 +1,4 @@
-"""What the user's Emotiv licence does not cover."""
+"""Asks Cortex what the user's Emotiv licence does not cover."""
 
 from __future__ import annotations
 

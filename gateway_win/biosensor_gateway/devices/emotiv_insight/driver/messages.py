@@ -1,4 +1,4 @@
-"""What Cortex sends: replies, warnings and data, as JSON-RPC 2.0 text.
+"""Reads Cortex' messages: replies, warnings and data, as JSON-RPC 2.0 text.
 
 ::
 

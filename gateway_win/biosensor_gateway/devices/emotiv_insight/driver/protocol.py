@@ -1,4 +1,4 @@
-"""From a list of values to values by label, by the columns that Cortex named.
+"""Finds values by label in a list of values, by the columns that Cortex named.
 
 The order and number of columns vary with headset, firmware and version of Cortex;
 only the reply to ``subscribe`` tells them.

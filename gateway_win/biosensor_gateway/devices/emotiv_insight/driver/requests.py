@@ -1,4 +1,4 @@
-"""What is sent to Cortex."""
+"""Builds the requests to Cortex."""
 
 from __future__ import annotations
 

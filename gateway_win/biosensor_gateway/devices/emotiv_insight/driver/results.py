@@ -1,4 +1,4 @@
-"""What the results of Cortex' methods hold, read without trust in their form."""
+"""Reads the results of Cortex' methods without trust in their form."""
 
 from __future__ import annotations
 

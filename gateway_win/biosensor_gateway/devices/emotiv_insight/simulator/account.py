@@ -1,4 +1,4 @@
-"""Who may do what: the user, the apps, their tokens, the licence."""
+"""Keeps the user, the apps, their tokens and the licence, and says who may do what."""
 
 from __future__ import annotations
 

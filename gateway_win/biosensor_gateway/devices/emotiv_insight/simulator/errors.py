@@ -1,4 +1,4 @@
-"""What a virtual Cortex refuses with."""
+"""The errors of a virtual Cortex."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each kind of fault does to a virtual Cortex."""
+"""Applies each kind of fault to a virtual Cortex."""
 
 from __future__ import annotations
 

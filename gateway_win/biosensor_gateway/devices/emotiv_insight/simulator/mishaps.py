@@ -1,4 +1,4 @@
-"""What befalls single EEG samples."""
+"""Drops, repeats and spoils single EEG samples."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the headset measures, as the values that Cortex writes into its messages."""
+"""Computes the headset's signals as the values that Cortex writes into its messages."""
 
 from __future__ import annotations
 

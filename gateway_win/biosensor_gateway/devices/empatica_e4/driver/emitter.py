@@ -1,4 +1,4 @@
-"""What each line of the E4 server means for the streams of the declaration."""
+"""Turns the lines of the E4 server into samples of the declared streams."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much an E4 lost on the radio, estimated: its stamps hide it.
+"""Estimates how much an E4 lost on the radio, which its stamps hide.
 
 The server counts samples and derives their stamps from that count, so what is lost
 between wristband and dongle leaves no gap: later stamps merely run late. But the

@@ -1,4 +1,4 @@
-"""What a line of the E4 streaming server means."""
+"""The messages of the E4 streaming server, as records."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the server answers to its clients' requests."""
+"""Answers the requests of the server's clients."""
 
 from __future__ import annotations
 

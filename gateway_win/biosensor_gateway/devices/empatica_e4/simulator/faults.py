@@ -1,4 +1,4 @@
-"""What each kind of fault does to a virtual server and its first wristband."""
+"""Applies each kind of fault to a virtual server and its first wristband."""
 
 from __future__ import annotations
 

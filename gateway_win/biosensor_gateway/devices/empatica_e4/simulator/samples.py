@@ -1,4 +1,4 @@
-"""What travels from a wristband to the server."""
+"""The samples that travel from a wristband to the server."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a wristband's sensors read."""
+"""Computes the readings of a wristband's sensors."""
 
 from __future__ import annotations
 

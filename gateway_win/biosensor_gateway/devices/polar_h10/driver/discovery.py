@@ -1,4 +1,4 @@
-"""Which advertisements are a Polar sensor that this driver is made for."""
+"""Recognises the Polar sensors that this driver is made for by their advertisements."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the frames of the PMD service mean for the streams of the declaration."""
+"""Turns the frames of the PMD service into samples of the declared streams."""
 
 from __future__ import annotations
 

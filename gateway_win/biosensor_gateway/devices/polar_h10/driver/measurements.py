@@ -1,4 +1,4 @@
-"""Which measurements run, from their start to their end."""
+"""Starts, restarts and stops measurements, and knows which run."""
 
 from __future__ import annotations
 

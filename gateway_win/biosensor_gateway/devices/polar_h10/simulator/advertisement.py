@@ -1,4 +1,4 @@
-"""What a Polar sensor says to everybody."""
+"""Builds the advertisement of a Polar sensor."""
 
 from __future__ import annotations
 

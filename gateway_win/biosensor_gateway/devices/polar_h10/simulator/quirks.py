@@ -1,4 +1,4 @@
-"""How one virtual Polar sensor differs from the next."""
+"""The differences between one virtual Polar sensor and the next."""
 
 from __future__ import annotations
 

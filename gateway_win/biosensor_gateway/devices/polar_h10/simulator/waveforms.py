@@ -1,4 +1,4 @@
-"""What the PMD service measures at a constant rate, from the wearer to the wire."""
+"""Computes what the PMD service measures at a constant rate, from the wearer to the wire."""
 
 from __future__ import annotations
 

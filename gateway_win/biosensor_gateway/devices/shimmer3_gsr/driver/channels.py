@@ -1,4 +1,4 @@
-"""What a data packet is made of: channels, their widths, and the order a device tells.
+"""The channels of a data packet, their widths, and the order that a device tells.
 
 Widths, signs and byte orders are those of Shimmer's firmware (log-and-stream-common).
 """

@@ -1,4 +1,4 @@
-"""What is said to a Shimmer: opcodes and the commands made of them.
+"""The commands to a Shimmer and their opcodes.
 
 Commands have neither framing nor checksum. Only harmless opcodes are here.
 """

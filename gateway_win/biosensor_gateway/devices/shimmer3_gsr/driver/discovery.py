@@ -1,4 +1,4 @@
-"""How a Shimmer shows itself: as a Bluetooth serial port with its name on the case."""
+"""Recognises a Shimmer's Bluetooth serial port by the name on the case."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a Shimmer's samples and readings mean for the streams of the declaration."""
+"""Turns a Shimmer's samples and readings into samples of the declared streams."""
 
 from __future__ import annotations
 

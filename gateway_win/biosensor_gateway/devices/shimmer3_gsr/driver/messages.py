@@ -1,4 +1,4 @@
-"""What a Shimmer says, as records."""
+"""A Shimmer's messages, as records."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a counter of 24 bits to the device's time without end, and to lost samples."""
+"""Unwraps a counter of 24 bits into the device's time, and tells lost samples."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the converter of a Shimmer3 reads from its wearer, a block of samples at a time."""
+"""Computes what a Shimmer3's converter reads from its wearer, a block of samples at a time."""
 
 from __future__ import annotations
 

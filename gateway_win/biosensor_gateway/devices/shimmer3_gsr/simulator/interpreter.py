@@ -1,4 +1,4 @@
-"""What the firmware does with a command: the state that it changes, the answer it gives.
+"""Carries out commands as the firmware does: changes its state, answers.
 
 Pure: commands come in, messages without check go out; time and battery are asked of
 the hardware.

@@ -1,4 +1,4 @@
-"""What a Shimmer3 says on the wire, encoded; and a host's bytes, cut into commands.
+"""Encodes what a Shimmer3 sends, and cuts a host's bytes into commands.
 
 Written from the notes on Shimmer's public firmware alone and shared with no decoder,
 so that a mistake in one of them shows as a disagreement.

@@ -1,4 +1,4 @@
-"""Which advertisements are respiration belts."""
+"""Recognises respiration belts by their advertisements."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each message of a belt means for the streams of the declaration."""
+"""Turns a belt's messages into samples of the declared streams."""
 
 from __future__ import annotations
 

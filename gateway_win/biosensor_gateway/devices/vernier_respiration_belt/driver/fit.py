@@ -1,4 +1,4 @@
-"""Whether the belt sits well, judged by the force it measures."""
+"""Judges by the measured force whether the belt sits well."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a belt says, decoded."""
+"""A belt's messages, as records."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a belt says of itself, and of its channels, in the payloads of its replies.
+"""Decodes what a belt says of itself and of its channels in the payloads of its replies.
 
 Layouts are those of Vernier's BSD-licensed godirect-js and GDXLib.
 """

@@ -1,4 +1,4 @@
-"""What the belt's firmware answers: bytes in, packets out; no radio and no clock."""
+"""Answers as the belt's firmware does: bytes in, packets out; no radio and no clock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a BioHarness shows itself: as a Bluetooth serial port named after its serial number."""
+"""Recognises a BioHarness' Bluetooth serial port by the serial number in its name."""
 
 from __future__ import annotations
 

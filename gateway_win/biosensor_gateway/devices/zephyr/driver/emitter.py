@@ -1,4 +1,4 @@
-"""What each BioHarness message means for the streams of the declaration."""
+"""Turns BioHarness messages into samples of the declared streams."""
 
 from __future__ import annotations
 

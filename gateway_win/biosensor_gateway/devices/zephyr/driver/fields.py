@@ -1,4 +1,4 @@
-"""Where each number of the general and summary packets lies: tables, no logic.
+"""The places of all numbers in the general and summary packets: tables, no logic.
 
 Offsets count from the start of the payload. Sources: zephyr-bt, App-Zephyr and
 recordings of a BioHarness 3.

@@ -1,4 +1,4 @@
-"""What a BioHarness says, as typed records."""
+"""A BioHarness' messages, as records."""
 
 from __future__ import annotations
 

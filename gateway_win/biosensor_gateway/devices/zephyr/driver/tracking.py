@@ -1,4 +1,4 @@
-"""From packets to samples on the device's clock: gaps, beats, even spacing."""
+"""Places samples on the device's clock: gaps, beats, even spacing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a virtual BioHarness 3 gets its packets from: a recording or a body.
+"""The sources of a virtual BioHarness' packets: a recording or a body.
 
 A source knows neither link nor host. It is asked, with the host's monotonic time,
 for the frames that are due.

@@ -1,4 +1,4 @@
-"""What a BioHarness 3 says on the wire, encoded; and what a host says, read.
+"""Encodes what a BioHarness 3 sends, and reads what a host sends.
 
 Written from the vendor's layout alone and shared with no decoder, so that a
 mistake in one of them shows as a disagreement. Sources of the layouts: real

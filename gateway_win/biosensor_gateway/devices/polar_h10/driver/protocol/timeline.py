@@ -1,4 +1,4 @@
-"""When the samples of data frames were measured, on the device's clock."""
+"""Places the samples of data frames in time, on the device's clock."""
 
 from __future__ import annotations
 
