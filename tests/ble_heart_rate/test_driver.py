@@ -180,5 +180,5 @@ def test_limits() -> None:
 
 
 def test_settings_of_another_sensor_are_a_mistake() -> None:
-    with pytest.raises(TypeError, match="strap"):
+    with pytest.raises(TypeError, match="Strap"):
         DRIVER.make(DeviceSettings(sensor="zephyr", unit="x"), NotedSink("ble_heart_rate"))

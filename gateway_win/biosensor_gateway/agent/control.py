@@ -173,7 +173,7 @@ class ControlServer:
             raise _RefusedError(f"{name} took longer than {TIME_LIMIT_S:g} s") from None
         except GatewayError as error:
             raise _RefusedError(str(error)) from error
-        except Exception as error:
+        except Exception as error:  # whatever a command runs into, its sender gets an answer
             _log.exception("a command failed", command=name)
             raise _RefusedError(f"{name} failed; the agent's log says why") from error
 

@@ -38,8 +38,7 @@ def edit(settings: SettingsOption = None) -> None:
             settings_template.write_template(path, settings_models())
             typer.echo(f"wrote {path}")
         editor.open_in_editor(path)
-    except Exception:
-        # The Start menu's window would be gone before anybody has read the reason.
+    except Exception:  # raised again: the window of the Start menu would be gone unread
         editor.hold_window()
         raise
 

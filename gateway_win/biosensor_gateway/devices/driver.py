@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, TypeVar, runtime_checkable
 
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.discovery import Found
@@ -13,6 +13,8 @@ from biosensor_gateway.settings.secrets import SecretName
 from biosensor_gateway.streaming.silence import PATIENCE_S
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+
+_Settings = TypeVar("_Settings", bound=DeviceSettings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,3 +134,16 @@ class DriverEntry(NamedTuple):
     find: Callable[[Sequence[DeviceSettings]], Awaitable[Sequence[Found]]] | None = None
     secrets: tuple[SecretName, ...] = ()
     unlicensed: Callable[[DeviceSettings], Awaitable[Sequence[str]]] | None = None
+
+
+def own_settings(model: type[_Settings], settings: DeviceSettings) -> _Settings:
+    """Return a device's settings as those of a driver's own model.
+
+    Raises
+    ------
+    TypeError
+        They are another sensor's.
+    """
+    if not isinstance(settings, model):
+        raise TypeError(f"{type(settings).__name__} are not {model.__name__}")
+    return settings

@@ -99,8 +99,7 @@ def driver(name: str) -> DriverEntry:
     place = sensor(name).driver
     try:
         entry: object = resolve_name(place)
-    except Exception as error:
-        # Another package's code may raise anything; who asks gets one sentence.
+    except Exception as error:  # another package's code may raise anything
         message = f"The driver of {name!r}, {place}, cannot be loaded: {error!r}."
         raise SpecError(SpecReason.INVALID, message) from error
     if not isinstance(entry, DriverEntry):
@@ -118,8 +117,7 @@ def _load(offer: EntryPoint) -> Sensor:
     where = f"Sensor {offer.name!r} of the package {_distribution(offer)}"
     try:
         found = offer.load()
-    except Exception as error:
-        # Another package's code may raise anything; who asks gets one sentence.
+    except Exception as error:  # another package's code may raise anything
         raise SpecError(SpecReason.INVALID, f"{where} cannot be loaded: {error!r}.") from error
     if not isinstance(found, Sensor):
         raise SpecError(SpecReason.INVALID, f"{where} is not a Sensor: {offer.value}.")

@@ -209,7 +209,7 @@ class BleLink:
             try:
                 await within(CONNECT_LIMIT_S, self._attempt)
                 self._begin(client)
-            except Exception as error:
+            except Exception as error:  # turned into ours: backends raise what their system does
                 self._client = None
                 await self._hang_up(client)
                 if is_forgotten(error):
@@ -244,8 +244,7 @@ class BleLink:
             raise self._loss()
         try:
             return await within(limit_s, self._in_turn(client, ask), unless=self._lost)
-        except Exception as error:
-            # A request that is under way when the link is cut may fail with any error.
+        except Exception as error:  # a request may fail with any error when the link is cut
             if self._lost.done() or not client.is_connected:
                 raise self._loss() from error
             if isinstance(error, BleakGATTProtocolError):

@@ -137,7 +137,7 @@ class _SharedScan:
         scanner = BleakScanner(self._heard, bluez={"filters": {"DuplicateData": True}})
         try:
             await within(START_LIMIT_S, scanner.start())
-        except Exception as error:
+        except Exception as error:  # turned into ours: backends raise what their system does
             in_background(scanner.stop())
             raise scan_error(error) from error
         except asyncio.CancelledError:

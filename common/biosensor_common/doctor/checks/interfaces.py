@@ -14,6 +14,7 @@ from biosensor_common.doctor.context import Context
 from biosensor_common.doctor.finding import Finding, note, ok, warning
 from biosensor_common.doctor.guide import Guide
 from biosensor_common.doctor.lsl_api_file import LOOPBACK, LslApiFile
+from biosensor_common.errors import ConfigError
 
 LSL_GROUP = "239.255.172.215"
 """The group of LSL's scope "site"."""
@@ -122,7 +123,8 @@ def _asks_itself(context: Context) -> bool:
         return False
     try:
         own = LslApiFile(file.read_bytes().decode("utf-8", "replace"), str(file))
-    except Exception:  # noqa: BLE001 - what is wrong with it is another check's
+    except (OSError, ConfigError):
+        # What is wrong with it is another check's.
         return False
     ports = lsl_text.ports(context.config)
     return LOOPBACK in own.known_peers and own.ports.last >= ports.last

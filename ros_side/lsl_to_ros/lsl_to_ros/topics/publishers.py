@@ -149,8 +149,7 @@ class TopicPublishers:
             self.close(lambda other: other.topic == topic)
             try:
                 ros_publisher = make_publisher(self._node, topic, kind, rate, latched=latched)
-            except Exception as error:
-                # rclpy has no common class for what it refuses, such as a name too long.
+            except Exception as error:  # rclpy has no common class for what it refuses
                 reason = str(error).splitlines()[0]
                 raise TopicTypeError(f"ROS refuses the topic {topic[:200]} ({reason})") from error
             publisher = TopicPublisher(

@@ -18,7 +18,7 @@ from biosensor_gateway.devices.ble_heart_rate.driver.discovery import (
 from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
 from biosensor_gateway.devices.ble_heart_rate.driver.protocol import HEART_RATE_MEASUREMENT
 from biosensor_gateway.devices.ble_heart_rate.driver.strap import DUE, Strap
-from biosensor_gateway.devices.driver import Connected, DriverEntry
+from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.ble import BleLink
@@ -89,11 +89,10 @@ class HeartRateStrapDriver:
 
 def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], HeartRateStrapDriver]:
     """Share emitter and choice of the device between all connections."""
-    if not isinstance(settings, HeartRateStrapSettings):
-        raise TypeError(f"not the settings of a heart-rate strap: {type(settings).__name__}")
+    own = own_settings(HeartRateStrapSettings, settings)
     emitter = StrapEmitter(sink)
-    kind = identify_any if settings.device else identify
-    choice = Choice(kind, "heart-rate strap", settings.device, _ADVICE)
+    kind = identify_any if own.device else identify
+    choice = Choice(kind, "heart-rate strap", own.device, _ADVICE)
     return lambda: HeartRateStrapDriver(BleLink(choice), emitter)
 
 

@@ -9,7 +9,7 @@ import structlog
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_common.spec import IRREGULAR, DeviceInfo
-from biosensor_gateway.devices.driver import Connected, DriverEntry
+from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.emotiv_insight.driver import account as accounts
 from biosensor_gateway.devices.emotiv_insight.driver import results
 from biosensor_gateway.devices.emotiv_insight.driver.account import SECRETS, Account
@@ -198,11 +198,10 @@ def _has_gyroscope(subscription: Subscription) -> bool:
 
 def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], EmotivInsightDriver]:
     """Share token and emitter between all connections."""
-    if not isinstance(settings, EmotivInsightSettings):
-        raise TypeError(f"not the settings of an Insight: {type(settings).__name__}")
+    own = own_settings(EmotivInsightSettings, settings)
     emitter = EmotivEmitter(sink)
-    account = Account(settings.license, settings.debit)
-    return lambda: EmotivInsightDriver(settings, sink, emitter, account)
+    account = Account(own.license, own.debit)
+    return lambda: EmotivInsightDriver(own, sink, emitter, account)
 
 
 DRIVER = DriverEntry(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from biosensor_gateway.devices.driver import own_settings
 from biosensor_gateway.devices.emotiv_insight.driver import results
 from biosensor_gateway.devices.emotiv_insight.driver.account import Account
 from biosensor_gateway.devices.emotiv_insight.driver.cortex import CortexClient, CortexError
@@ -27,10 +28,9 @@ async def unlicensed(settings: DeviceSettings) -> Sequence[str]:
     ProtocolError, TransportError
         See :meth:`CortexClient.call`.
     """
-    if not isinstance(settings, EmotivInsightSettings):
-        raise TypeError(f"not the settings of an Insight: {type(settings).__name__}")
-    client = CortexClient(WebSocketLink(settings.url, settings.ca_file))
-    account = Account(settings.license)
+    own = own_settings(EmotivInsightSettings, settings)
+    client = CortexClient(WebSocketLink(own.url, own.ca_file))
+    account = Account(own.license)
     try:
         await client.open()
         await account.sign_in(client, patience_s=0.0)

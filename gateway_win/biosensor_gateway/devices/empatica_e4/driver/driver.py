@@ -16,7 +16,7 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_common.spec import DeviceInfo
-from biosensor_gateway.devices.driver import Connected, DriverEntry
+from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.empatica_e4.driver.conversation import Conversation
 from biosensor_gateway.devices.empatica_e4.driver.discovery import DEFAULT_HOST, DEFAULT_PORT, find
 from biosensor_gateway.devices.empatica_e4.driver.emitter import DATA_NAMES, E4Emitter
@@ -237,10 +237,9 @@ class E4Driver:
 
 def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], E4Driver]:
     """Share one emitter between all connections: it follows losses across them."""
-    if not isinstance(settings, E4Settings):
-        raise TypeError(f"not the settings of an E4: {type(settings).__name__}")
+    own = own_settings(E4Settings, settings)
     emitter = E4Emitter(sink)
-    return lambda: E4Driver(settings, sink, emitter)
+    return lambda: E4Driver(own, sink, emitter)
 
 
 DRIVER = DriverEntry(E4Settings, _make, find=find)

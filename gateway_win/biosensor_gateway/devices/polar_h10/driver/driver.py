@@ -18,7 +18,7 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_common.spec import DeviceInfo
-from biosensor_gateway.devices.driver import Connected, DriverEntry
+from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.polar_h10.driver.discovery import identify, recognise
 from biosensor_gateway.devices.polar_h10.driver.emitter import DATA_NAMES, PolarEmitter
 from biosensor_gateway.devices.polar_h10.driver.measurements import Wanted
@@ -154,15 +154,14 @@ def _wanted(settings: PolarH10Settings) -> Sequence[Wanted]:
 
 def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], PolarH10Driver]:
     """Share emitter and choice of the device between all connections."""
-    if not isinstance(settings, PolarH10Settings):
-        raise TypeError(f"not the settings of a Polar sensor: {type(settings).__name__}")
+    own = own_settings(PolarH10Settings, settings)
     emitter = PolarEmitter(sink)
-    choice = Choice(identify, "Polar H10", settings.device, _ADVICE)
-    wanted = _wanted(settings)
+    choice = Choice(identify, "Polar H10", own.device, _ADVICE)
+    wanted = _wanted(own)
     silent = frozenset(DATA_NAMES.values()) - {DATA_NAMES[each.measurement] for each in wanted}
 
     def meet() -> PolarSession:
-        return PolarSession(BleLink(choice, pair_first=settings.pair), emitter, wanted)
+        return PolarSession(BleLink(choice, pair_first=own.pair), emitter, wanted)
 
     return lambda: PolarH10Driver(meet, emitter, silent)
 

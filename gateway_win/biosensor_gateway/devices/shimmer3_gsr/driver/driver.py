@@ -12,7 +12,7 @@ from pylsl import local_clock
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_common.spec import DeviceInfo
-from biosensor_gateway.devices.driver import Connected, DriverEntry
+from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.shimmer3_gsr.declaration import SPEC
 from biosensor_gateway.devices.shimmer3_gsr.driver import commands
 from biosensor_gateway.devices.shimmer3_gsr.driver.conversation import Conversation
@@ -177,10 +177,9 @@ def _wanted(settings: ShimmerSettings) -> Wanted:
 
 def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], ShimmerDriver]:
     """Share one emitter between all connections: it follows the device's clock across them."""
-    if not isinstance(settings, ShimmerSettings):
-        raise TypeError(f"not the settings of a Shimmer: {type(settings).__name__}")
+    own = own_settings(ShimmerSettings, settings)
     emitter = ShimmerEmitter(sink)
-    return lambda: ShimmerDriver(settings, sink, emitter)
+    return lambda: ShimmerDriver(own, sink, emitter)
 
 
 DRIVER = DriverEntry(ShimmerSettings, _make, recognise=recognise)

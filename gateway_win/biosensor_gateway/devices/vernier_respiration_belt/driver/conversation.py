@@ -163,7 +163,7 @@ class Conversation:
                 notification = await self._link.next()
                 if notification.uuid == RESPONSE_UUID:
                     self._take(notification)
-        except Exception as error:
+        except Exception as error:  # handed on to whoever waits for a reply
             self._heard.put_nowait(error)
             raise
 

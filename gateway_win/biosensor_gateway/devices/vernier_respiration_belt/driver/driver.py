@@ -18,7 +18,7 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_common.spec import DeviceInfo
-from biosensor_gateway.devices.driver import Connected, DriverEntry
+from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.vernier_respiration_belt.driver import protocol, replies
 from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import (
     BeltChannels,
@@ -198,11 +198,10 @@ def _device_info(identity: replies.Identity | None) -> DeviceInfo:
 
 def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], VernierDriver]:
     """Share the choice and the emitter between all connections of the device."""
-    if not isinstance(settings, VernierSettings):
-        raise TypeError(f"not the settings of a respiration belt: {type(settings).__name__}")
-    choice = Choice(identify, KIND, settings.device, ADVICE)
+    own = own_settings(VernierSettings, settings)
+    choice = Choice(identify, KIND, own.device, ADVICE)
     emitter = VernierEmitter(sink)
-    return lambda: VernierDriver(settings, choice, sink, emitter)
+    return lambda: VernierDriver(own, choice, sink, emitter)
 
 
 DRIVER = DriverEntry(VernierSettings, _make, recognise=recognise)

@@ -9,7 +9,7 @@ import structlog
 from pydantic import Field
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_gateway.devices.driver import Connected, DriverEntry
+from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.zephyr.driver.discovery import recognise
 from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
 from biosensor_gateway.devices.zephyr.driver.messages import Message, Reply, RrIntervals, Summary
@@ -197,10 +197,9 @@ def _names(packets: list[Request]) -> list[str]:
 
 def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], ZephyrDriver]:
     """Share one emitter between all connections: it follows gaps across them."""
-    if not isinstance(settings, ZephyrSettings):
-        raise TypeError(f"not the settings of a BioHarness: {type(settings).__name__}")
+    own = own_settings(ZephyrSettings, settings)
     emitter = ZephyrEmitter(sink)
-    return lambda: ZephyrDriver(settings, sink, emitter)
+    return lambda: ZephyrDriver(own, sink, emitter)
 
 
 DRIVER = DriverEntry(ZephyrSettings, _make, recognise=recognise)
