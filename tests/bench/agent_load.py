@@ -9,18 +9,11 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from biosensor_gateway.demo.virtual_devices import one_of_each
 from tests.bench.processes import BenchError, Processes
 from tests.rigs.lab_client import LabProcess, settings_toml
 
-SENSORS = (
-    "empatica_e4",
-    "emotiv_insight",
-    "shimmer3_gsr",
-    "polar_h10",
-    "vernier_respiration_belt",
-    "zephyr",
-    "ble_heart_rate",
-)
+SENSORS = one_of_each()
 _CONNECT_S = 60.0
 _SETTLE_S = 5.0
 

@@ -16,15 +16,14 @@ from tests.faults.agent import AgentProcess
 from tests.faults.episode import Cell, Episode, Stock
 from tests.faults.expectations import (
     AT_ONCE,
-    BATTERY,
     BATTERY_TOLERANCE,
     SENSORS,
     TOGETHER,
     VALUES,
-    WEAR,
     AgentFault,
-    Channel,
     Kind,
+    battery_of,
+    contact_of,
     numeric_streams,
     regular_streams,
     source,
@@ -159,11 +158,11 @@ class Bench:
                 before = episode.before[name].status
                 return status["dropped_bytes"] > before["dropped_bytes"]
             case FaultKind.LOW_BATTERY:
-                levels = self._values(name, BATTERY[name], episode.begin_s)
+                levels = self._values(name, *battery_of(name), episode.begin_s)
                 return bool((np.abs(levels - VALUES[kind]) <= BATTERY_TOLERANCE).any())
             case FaultKind.OFF_BODY:
-                wear = WEAR[name]
-                return bool((self._values(name, wear, episode.begin_s) == wear.off).any())
+                data_name, channel, off = contact_of(name)
+                return bool((self._values(name, data_name, channel, episode.begin_s) == off).any())
             case FaultKind.DRIFT:
                 clock = status["clock"]
                 # The seconds of a fast device are too short.
@@ -177,9 +176,9 @@ class Bench:
     def _recovered(self, kind: Kind, name: str, end_s: float) -> float | None:
         """When the first sample came that shows it; None as long as something is missing."""
         if kind is FaultKind.OFF_BODY:
-            wear = WEAR[name]
-            recorded = self.recorder.recorded(source(name, wear.data_name)).since(end_s)
-            worn = recorded.values[:, wear.channel] != wear.off
+            contact = contact_of(name)
+            recorded = self.recorder.recorded(source(name, contact.data_name)).since(end_s)
+            worn = recorded.values[:, contact.channel] != contact.off
             return float(recorded.arrivals[worn].min()) if worn.any() else None
         if not self._streams_since(name, end_s):
             return None
@@ -195,9 +194,9 @@ class Bench:
         newest = (self.recorder.newest(source(name, each)) for each in steady_streams(name))
         return all(stamp > begin_s for stamp in newest)
 
-    def _values(self, name: str, channel: Channel, since_s: float) -> Floats:
-        recorded = self.recorder.recorded(source(name, channel.data_name)).since(since_s)
-        return recorded.values[:, channel.channel]
+    def _values(self, name: str, data_name: str, channel: int, since_s: float) -> Floats:
+        recorded = self.recorder.recorded(source(name, data_name)).since(since_s)
+        return recorded.values[:, channel]
 
     def _report(self, episode: Episode) -> None:
         for kind, name in episode.cells:

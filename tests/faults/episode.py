@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from tests.faults.expectations import CELLS, Gap, Kind, gap_of, regular_streams, source, tolerance
+from biosensor_gateway.simulation.expected import Gap
+from tests.faults.expectations import CELLS, Kind, gap_of, regular_streams, source, tolerance
 from tests.faults.matching import Places, UnknownSampleError, match, missing, unread
 from tests.faults.recorder import Recorded
 from tests.rigs.lab_client import Samples

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from enum import Enum
 from types import MappingProxyType
-from typing import NamedTuple
 
 from biosensor_common.naming import source_id
+from biosensor_common.quantities import ChannelRole
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.demo.virtual_devices import one_of_each, virtual_class
 from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.simulation.expected import Contact, Gap
 from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.virtual_device import VirtualDevice
 
 
 class AgentFault(Enum):
@@ -22,18 +25,22 @@ class AgentFault(Enum):
 Kind = FaultKind | AgentFault
 KINDS: tuple[Kind, ...] = (*FaultKind, *AgentFault)
 
-SENSORS = (
-    "empatica_e4",
-    "emotiv_insight",
-    "shimmer3_gsr",
-    "polar_h10",
-    "vernier_respiration_belt",
-    "zephyr",
-    "ble_heart_rate",
+SENSORS = one_of_each()
+"""All that have a virtual device, those of other packages included."""
+
+
+def device_of(name: str) -> type[VirtualDevice]:
+    """The class of a sensor's virtual device."""
+    return virtual_class(name)
+
+
+CELLS = tuple(
+    (kind, name)
+    for kind in KINDS
+    for name in SENSORS
+    if kind not in device_of(name).expected.impossible
 )
-# A strap without a control point takes no commands that it could refuse or answer late.
-_IMPOSSIBLE = frozenset({(FaultKind.REFUSE, "ble_heart_rate"), (FaultKind.LATE, "ble_heart_rate")})
-CELLS = tuple((kind, name) for kind in KINDS for name in SENSORS if (kind, name) not in _IMPOSSIBLE)
+"""Which fault can hit which sensor."""
 BREAKS = frozenset(
     {FaultKind.DROP, FaultKind.STALL, FaultKind.REFUSE, FaultKind.LATE, FaultKind.RESTART}
 )
@@ -56,104 +63,56 @@ VALUES = MappingProxyType(
 """Of those whose value is no duration; all others last until they are ended."""
 
 
-class Channel(NamedTuple):
-    """One channel of a stream, and what it holds while the device is not worn."""
-
-    data_name: str
-    channel: int
-    off: float = 0.0
-
-
-WEAR = MappingProxyType(
-    {name: Channel("quality", 0) for name in SENSORS}
-    | {
-        # The contact of all electrodes together, in percent.
-        "emotiv_insight": Channel("dev", 7),
-        # A belt that nobody wears is loose.
-        "vernier_respiration_belt": Channel("quality", 1, -1.0),
-    }
-)
-BATTERY = MappingProxyType(
-    {name: Channel("bat", 0) for name in SENSORS} | {"emotiv_insight": Channel("dev", 8)}
-)
 BATTERY_TOLERANCE = 1.0
-"""Of a percentage: a Shimmer computes it from a voltage of 12 bits."""
-NO_VALUE = MappingProxyType(
-    {
-        "empatica_e4": ("gsr",),
-        "emotiv_insight": ("met",),
-        "shimmer3_gsr": ("gsr",),
-        "polar_h10": ("hr", "ibi"),
-        "vernier_respiration_belt": ("bpm",),
-        "zephyr": ("hr", "br"),
-        "ble_heart_rate": ("hr", "ibi"),
-    }
-)
-"""Without contact these have none: NaN in its place if they are regular, else nothing."""
-OF_THE_AGENT = frozenset({("shimmer3_gsr", "hr"), *((name, "quality") for name in SENSORS)})
-"""The agent computes these, or decides when to send them: no truth of the wire."""
-# Only older firmware than that of the virtual headset sends it.
-_ABSENT = frozenset({("emotiv_insight", "gyro")})
+"""Of a percentage: some compute it from a coarse voltage."""
 
 
-class Gap(Enum):
-    """What a device did while it was not connected, as far as a host can know."""
-
-    MEASURED = "measured"
-    """All that the gap had room for is lost."""
-    STOPPED = "stopped"
-    """Nothing is lost but what was on its way."""
-    UNKNOWN = "unknown"
-    """It stopped at some moment in the gap."""
+def contact_of(name: str) -> Contact:
+    """Where it shows whether a device is worn."""
+    return device_of(name).expected.contact or Contact(*_first(name, ChannelRole.CONTACT))
 
 
-_GAPS: MappingProxyType[tuple[Kind, str], Gap] = MappingProxyType(
-    {
-        # Its radio link stayed: it stops only when the host closes the port, in silence.
-        (FaultKind.STALL, "shimmer3_gsr"): Gap.UNKNOWN,
-        # Firmware stops streaming with the end of the link.
-        **{(kind, "shimmer3_gsr"): Gap.STOPPED for kind in BREAKS - {FaultKind.STALL}},
-        # Cortex lets go of the headset, the strap is switched off: neither measures.
-        (FaultKind.RESTART, "emotiv_insight"): Gap.STOPPED,
-        # It answers and sends nothing: whether it measures, nobody knows.
-        (FaultKind.FORGET, "shimmer3_gsr"): Gap.UNKNOWN,
-        (FaultKind.RESTART, "polar_h10"): Gap.STOPPED,
-    }
-)
+def battery_of(name: str) -> tuple[str, int]:
+    """Data name and column of the channel with what is left in the battery."""
+    return _first(name, ChannelRole.STATE_OF_CHARGE)
+
+
+def _first(name: str, role: ChannelRole) -> tuple[str, int]:
+    data_name, column, _ = next(declaration(name).channels_of(role))
+    return data_name, column
+
+
+def without_contact(name: str) -> tuple[str, ...]:
+    """Data names that have no value off the body."""
+    return device_of(name).expected.without_contact
+
+
+def is_by_agent(name: str, data_name: str) -> bool:
+    """Whether the agent computes a stream, or decides when to send: no truth of the wire."""
+    return data_name in device_of(name).expected.by_agent
 
 
 def gap_of(kind: Kind, name: str) -> Gap:
     """What a fault makes of a device's measuring."""
-    return _GAPS.get((kind, name), Gap.MEASURED)
-
-
-_PACKETS = MappingProxyType({"ecg": 63, "breathing": 18, "acc": 20})
-_WRISTBAND = MappingProxyType({"bvp": 4, "acc": 2, "gsr": 6, "st": 6})
+    if isinstance(kind, AgentFault):
+        return Gap.MEASURED
+    return device_of(name).expected.gaps.get(kind, Gap.MEASURED)
 
 
 def tolerance(kind: Kind, name: str, data_name: str) -> int:
-    """By how many samples the count of those that are lost may be wrong.
-
-    A wristband's loss is a time, told to 0.05 s, and some of its samples come six at a
-    time. What else is lost without a break of the connection is counted exactly, and over
-    a break what a headset or a BioHarness numbers and stamps; but after a restart the
-    BioHarness measures between two packets, which are what it numbers. Belt and strap
-    begin a new series at each connection, which is placed by time. A Shimmer may have
-    samples in its radio when that breaks.
-    """
-    if name == "empatica_e4":
-        return _WRISTBAND[data_name]
-    if kind not in MAY_BREAK | {FaultKind.FORGET}:
-        return 0
-    if name == "zephyr":
-        return _PACKETS[data_name] if kind is FaultKind.RESTART else 0
-    return {"emotiv_insight": 0, "shimmer3_gsr": 4}.get(name, 2)
+    """By how many samples the count of those that are lost may be wrong."""
+    return device_of(name).expected.loss_tolerance.of(
+        data_name,
+        is_break=kind in MAY_BREAK | {FaultKind.FORGET},
+        is_restart=kind is FaultKind.RESTART,
+    )
 
 
 def numeric_streams(name: str) -> tuple[str, ...]:
-    """Data names of all streams of numbers that a sensor has."""
+    """Data names of all streams of numbers that a virtual device ever sends."""
+    never = {each for each, filled in device_of(name).filled.items() if filled.after_s is None}
     streams = (each for each in declaration(name).streams if not each.message_type.is_text)
-    return tuple(each.data_name for each in streams if (name, each.data_name) not in _ABSENT)
+    return tuple(each.data_name for each in streams if each.data_name not in never)
 
 
 def regular_streams(name: str) -> tuple[str, ...]:
@@ -163,8 +122,8 @@ def regular_streams(name: str) -> tuple[str, ...]:
 
 def steady_streams(name: str) -> tuple[str, ...]:
     """Data names of those that never pause, by which one knows that a device streams."""
-    # A heart-rate strap has no regular stream, but says once a second whether it is worn.
-    return regular_streams(name) or ("quality",)
+    # What has no regular stream says all the time whether it is worn.
+    return regular_streams(name) or (contact_of(name).data_name,)
 
 
 def unit_of(name: str) -> str:

@@ -18,15 +18,15 @@ from tests.faults.expectations import (
     BREAKS,
     CELLS,
     MAY_BREAK,
-    NO_VALUE,
-    OF_THE_AGENT,
     SENSORS,
-    WEAR,
     AgentFault,
     Kind,
+    contact_of,
+    is_by_agent,
     numeric_streams,
     regular_streams,
     unit_of,
+    without_contact,
 )
 
 LONGEST_SENTENCE = 250
@@ -94,17 +94,17 @@ def test_nothing_comes_twice_or_from_nowhere(bench: Bench, kind: Kind, name: str
     for data_name in numeric_streams(name):
         assert (np.diff(episode.received[name, data_name].times) > 0).all(), data_name
         assert episode.counted(name, data_name, "refused") == 0, data_name
-        if (name, data_name) not in OF_THE_AGENT and (name, data_name) in episode.truth:
+        if not is_by_agent(name, data_name) and (name, data_name) in episode.truth:
             episode.matched(name, data_name)
 
 
 @EVERY_SENSOR
 def test_without_contact_there_is_no_value(bench: Bench, name: str) -> None:
     episode = bench.episode(FaultKind.OFF_BODY)
-    wear = WEAR[name]
-    contact = episode.received[name, wear.data_name]
-    off_s = float(contact.times[contact.values[:, wear.channel] == wear.off][0])
-    for data_name in NO_VALUE[name]:
+    contact = contact_of(name)
+    said = episode.received[name, contact.data_name]
+    off_s = float(said.times[said.values[:, contact.channel] == contact.off][0])
+    for data_name in without_contact(name):
         received = episode.received[name, data_name]
         values = received.since(off_s + SETTLED_S).until(episode.end_s[FaultKind.OFF_BODY, name])
         assert np.isnan(values.values).all(), data_name

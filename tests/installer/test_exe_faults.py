@@ -27,7 +27,7 @@ from biosensor_gateway.simulation.world import World
 from installer.wine.prefix import windows_path
 from tests.faults.episode import Episode, Stock
 from tests.faults.expectations import (
-    OF_THE_AGENT,
+    is_by_agent,
     numeric_streams,
     regular_streams,
     source,
@@ -259,7 +259,7 @@ def test_nothing_comes_twice_or_out_of_order(bench: Bench, what: str, name: str)
     for data_name in numeric_streams(name):
         assert (np.diff(episode.received[name, data_name].times) > 0).all(), data_name
         assert episode.counted(name, data_name, "refused") == 0, data_name
-        if (name, data_name) not in OF_THE_AGENT and len(episode.truth[name, data_name].times):
+        if not is_by_agent(name, data_name) and len(episode.truth[name, data_name].times):
             episode.matched(name, data_name)
 
 

@@ -20,7 +20,8 @@ import pytest
 
 from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity
-from tests.faults.expectations import OF_THE_AGENT, regular_streams, steady_streams
+from biosensor_gateway.devices.registry import declaration
+from tests.faults.expectations import is_by_agent, regular_streams, steady_streams
 from tests.rigs.hosts import counters
 from tests.rigs.hosts.lan import Lan
 from tests.rigs.hosts.pair import VIRTUAL_UNIT
@@ -89,7 +90,12 @@ def job(
 
 def _of_the_devices(job: MainJob) -> Mapping[str, Arrivals]:
     """What LabRecorder has of the streams whose samples the devices have sent as they are."""
-    of_the_agent = {_source(*each) for each in OF_THE_AGENT}
+    of_the_agent = {
+        _source(name, stream.data_name)
+        for name in SENSORS
+        for stream in declaration(name).streams
+        if is_by_agent(name, stream.data_name)
+    }
     offset_s = job.recorder_clocks.unix_minus_lsl
     return {
         source: Arrivals(stream.times + offset_s, stream.rows.astype(np.float64))

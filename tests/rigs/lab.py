@@ -10,55 +10,32 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping
 from contextlib import ExitStack
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 
+from biosensor_gateway.demo.virtual_devices import make
 from biosensor_gateway.simulation.faults import Fault, FaultKind
-from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
-from biosensor_gateway.simulation.world import World
-from tests.rigs.bluez import FakeBluez
-
-CLASSES = {
-    "empatica_e4": "SimulatedE4",
-    "emotiv_insight": "SimulatedCortex",
-    "shimmer3_gsr": "SimulatedShimmer3",
-    "polar_h10": "SimulatedPolarH10",
-    "vernier_respiration_belt": "SimulatedBelt",
-    "zephyr": "SimulatedZephyr",
-    "ble_heart_rate": "SimulatedHeartRateStrap",
-}
-ON_AIR = frozenset({"polar_h10", "vernier_respiration_belt", "ble_heart_rate"})
-
-
-def _make(world: World, radio: Radio | None, device: Mapping[str, Any]) -> VirtualDevice:
-    module = import_module(f"biosensor_gateway.devices.{device['sensor']}.simulator")
-    twin_class = getattr(module, CLASSES[device["sensor"]])
-    place = (world, radio) if device["sensor"] in ON_AIR else (world,)
-    return twin_class(*place, **device.get("options", {}))
+from tests.rigs.bluez.scene import BluezScene
 
 
 class Lab:
     """The devices, and the air and Bluetooth daemon if any of them needs them."""
 
     def __init__(self, devices: list[dict[str, Any]], stack: ExitStack) -> None:
-        self._world = stack.enter_context(World())
-        self._bluez: FakeBluez | None = None
-        radio: Radio | None = None
-        if ON_AIR & {device["sensor"] for device in devices}:
-            radio = Radio(self._world)
-            self._bluez = stack.enter_context(FakeBluez(radio))
+        self._scene = BluezScene(stack)
         self._twins = {
-            device["key"]: stack.enter_context(_make(self._world, radio, device))
+            device["key"]: stack.enter_context(
+                make(device["sensor"], self._scene, **device.get("options", {}))
+            )
             for device in devices
         }
 
     def describe(self) -> dict[str, Any]:
-        environment = dict(self._bluez.environment) if self._bluez else {}
+        bluez = self._scene.bluez
+        environment = dict(bluez.environment) if bluez else {}
         for twin in self._twins.values():
             environment |= twin.environment
         return {

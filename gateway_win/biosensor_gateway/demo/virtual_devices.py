@@ -56,6 +56,11 @@ def virtual_names() -> tuple[str, ...]:
     )
 
 
+def one_of_each() -> tuple[str, ...]:
+    """Names of the sensors that have a usual virtual device: what ``all`` means."""
+    return tuple(name for name in virtual_names() if ":" not in name)
+
+
 def virtual_class(name: str) -> type[VirtualDevice]:
     """Import the class of a virtual device.
 
@@ -120,9 +125,10 @@ def simulated_settings(
         none of them can have.
     """
     scheduled = [parse_fault(text) for text in faults]
-    sensors = [name for name in virtual_names() if ":" not in name]
     # Two of a name would be two streams of one source_id.
-    wanted = dict.fromkeys(each for name in names for each in (sensors if name == ALL else [name]))
+    wanted = dict.fromkeys(
+        each for name in names for each in (one_of_each() if name == ALL else [name])
+    )
     for name in wanted:
         virtual_class(name)
     with ExitStack() as stack:

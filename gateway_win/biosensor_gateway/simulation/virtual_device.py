@@ -9,6 +9,7 @@ from math import isfinite
 from types import MappingProxyType, TracebackType
 from typing import Any, ClassVar, NamedTuple, Self
 
+from biosensor_gateway.simulation.expected import Expected
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.world import World
@@ -57,6 +58,8 @@ class VirtualDevice(ABC):
     """By data name, what takes its time; all else comes at once."""
     rates_hz: ClassVar[Mapping[str, float]] = MappingProxyType({})
     """By data name, the rates that the device says when it is connected."""
+    expected: ClassVar[Expected] = Expected()
+    """What an agent can know of it."""
 
     def __init__(self, world: World, kept: int | None = None) -> None:
         self.world = world

@@ -22,7 +22,7 @@ import pytest
 from biosensor_gateway.agent import status_file
 from tests.bench.processes import Process
 from tests.bench.slope import fit
-from tests.faults.expectations import OF_THE_AGENT, SENSORS, numeric_streams, source, steady_streams
+from tests.faults.expectations import SENSORS, is_by_agent, numeric_streams, source, steady_streams
 from tests.faults.scenarios.figures import Record
 from tests.faults.scenarios.ledger import CounterLedger, DrainedRecorder, TruthLedger
 from tests.faults.scenarios.length import is_long
@@ -92,7 +92,7 @@ class Books:
         self._streams = [(name, each) for name in SENSORS for each in numeric_streams(name)]
         self._begin_s = pylsl.local_clock()
         counters = self.counters()
-        self.sent = {each: TruthLedger() for each in self._streams if each not in OF_THE_AGENT}
+        self.sent = {each: TruthLedger() for each in self._streams if not is_by_agent(*each)}
         self.pushed: dict[tuple[str, str], CounterLedger] = {}
         for stream in self._streams:
             counter, came = counters[source(*stream)], recorder.take(source(*stream))

@@ -18,7 +18,6 @@ a line, until its input ends. It answers each with a line, ``ok`` or what is wro
 
 from __future__ import annotations
 
-import importlib
 import json
 import sys
 from collections.abc import Callable
@@ -26,11 +25,11 @@ from contextlib import ExitStack
 from typing import Any
 
 from biosensor_common.errors import ConfigError
+from biosensor_gateway.demo.virtual_devices import make
 from biosensor_gateway.simulation.faults import parse_fault
-from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
-from biosensor_gateway.simulation.world import World
 from tests.rigs.bluez.adapter import FakeBluez
+from tests.rigs.bluez.scene import BluezScene
 from tests.rigs.probe import Probe
 
 _PROBE = "probe"
@@ -40,28 +39,19 @@ _PROBE_ADDRESS = "A0:9E:1A:00:00:01"
 def main() -> None:
     """Run until standard input ends."""
     with ExitStack() as stack:
-        world = stack.enter_context(World())
-        radio = Radio(world)
+        scene = BluezScene(stack)
         devices = {
-            name: stack.enter_context(_device(name, world, radio))
-            for name in sys.argv[1:]
-            if name != _PROBE
+            name: stack.enter_context(make(name, scene)) for name in sys.argv[1:] if name != _PROBE
         }
         settings = {name: dict(device.settings) for name, device in devices.items()}
         if _PROBE in sys.argv[1:]:
-            Probe(radio, _PROBE_ADDRESS, "Probe 1").power_on()
+            Probe(scene.radio, _PROBE_ADDRESS, "Probe 1").power_on()
             settings[_PROBE] = {"device": _PROBE_ADDRESS}
-        bluez = stack.enter_context(FakeBluez(radio))
+        bluez = scene.bluez
+        assert bluez is not None, "none of these is on the air"
         _say(json.dumps({"environment": bluez.environment, "settings": settings}))
         for line in sys.stdin:
             _say(_obey(line.strip(), bluez, devices))
-
-
-def _device(name: str, world: World, radio: Radio) -> VirtualDevice:
-    module = importlib.import_module(f"biosensor_gateway.devices.{name}.simulator")
-    (kind,) = (each for each in vars(module).values() if getattr(each, "sensor", None) == name)
-    device: VirtualDevice = kind(world, radio)
-    return device
 
 
 def _obey(line: str, bluez: FakeBluez, devices: dict[str, VirtualDevice]) -> str:

@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol, Self
 
 from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.demo.virtual_devices import one_of_each
 from biosensor_gateway.devices.registry import declaration
 from tests.rigs.hosts import recordings
 from tests.rigs.hosts.completeness import Span, fault, is_current
@@ -20,15 +21,7 @@ from tests.rigs.hosts.lan import Host, Lan
 from tests.rigs.hosts.programs import Program, SteeredProgram
 from tests.rigs.hosts.recordings import Recording
 
-SENSORS = (
-    "empatica_e4",
-    "emotiv_insight",
-    "shimmer3_gsr",
-    "polar_h10",
-    "vernier_respiration_belt",
-    "zephyr",
-    "ble_heart_rate",
-)
+SENSORS = one_of_each()
 # Of the slowest stream, at 4 Hz, one fills in four seconds.
 CHUNK_LENGTH = 16
 MATCH_TIMEOUT_S = 60.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from biosensor_gateway.devices.ble_heart_rate.simulator.expected import EXPECTED
 from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
 from biosensor_gateway.devices.ble_heart_rate.simulator.strap import STRAP_FAULTS, Strap
 from biosensor_gateway.simulation.faults import Fault, FaultKind
@@ -43,6 +44,7 @@ class SimulatedHeartRateStrap(VirtualDevice):
 
     sensor = "ble_heart_rate"
     faults = STRAP_FAULTS
+    expected = EXPECTED
     on_air = True
 
     def __init__(

@@ -17,6 +17,7 @@ from typing import Any
 from biosensor_gateway.devices.emotiv_insight.simulator.account import App, Licence
 from biosensor_gateway.devices.emotiv_insight.simulator.certificates import Leaf
 from biosensor_gateway.devices.emotiv_insight.simulator.errors import Code
+from biosensor_gateway.devices.emotiv_insight.simulator.expected import EXPECTED
 from biosensor_gateway.devices.emotiv_insight.simulator.faults import begin, end
 from biosensor_gateway.devices.emotiv_insight.simulator.headset import Timing
 from biosensor_gateway.devices.emotiv_insight.simulator.models import INSIGHT_1, Model
@@ -77,6 +78,7 @@ class SimulatedCortex(VirtualDevice):
 
     sensor = "emotiv_insight"
     faults = frozenset(FaultKind)
+    expected = EXPECTED
     filled = MappingProxyType({"gyro": Filled(None, "only headsets with older firmware have it")})
     client_id = _APP.client_id
     client_secret = _APP.client_secret

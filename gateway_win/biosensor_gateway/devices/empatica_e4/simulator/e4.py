@@ -14,6 +14,7 @@ from types import MappingProxyType
 from typing import Any
 
 from biosensor_gateway.devices.empatica_e4.simulator.delivery import Mishaps, Tear
+from biosensor_gateway.devices.empatica_e4.simulator.expected import EXPECTED
 from biosensor_gateway.devices.empatica_e4.simulator.faults import begin, end
 from biosensor_gateway.devices.empatica_e4.simulator.number_format import NumberFormat
 from biosensor_gateway.devices.empatica_e4.simulator.radio_link import Timing
@@ -62,6 +63,7 @@ class SimulatedE4(VirtualDevice):
 
     sensor = "empatica_e4"
     faults = frozenset(FaultKind)
+    expected = EXPECTED
     filled = MappingProxyType(
         {
             "hr": Filled(8, "the server sends it six seconds late"),

@@ -17,6 +17,7 @@ from biosensor_gateway.devices.polar_h10.simulator.advertisement import (
     SERVICE_UUIDS,
     manufacturer_data,
 )
+from biosensor_gateway.devices.polar_h10.simulator.expected import EXPECTED
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
 from biosensor_gateway.devices.polar_h10.simulator.pmd_service import PMD_FAULTS, PmdService
 from biosensor_gateway.devices.polar_h10.simulator.products import H10, Product
@@ -73,6 +74,7 @@ class SimulatedPolarH10(VirtualDevice):
 
     sensor = "polar_h10"
     faults = STRAP_FAULTS | PMD_FAULTS
+    expected = EXPECTED
     on_air = True
 
     def __init__(

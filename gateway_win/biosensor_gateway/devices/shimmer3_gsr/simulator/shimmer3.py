@@ -19,6 +19,7 @@ from pylsl import local_clock
 
 from biosensor_gateway.devices.shimmer3_gsr.simulator import battery
 from biosensor_gateway.devices.shimmer3_gsr.simulator.conversation import Conversation
+from biosensor_gateway.devices.shimmer3_gsr.simulator.expected import EXPECTED
 from biosensor_gateway.devices.shimmer3_gsr.simulator.inputs import Conditions
 from biosensor_gateway.devices.shimmer3_gsr.simulator.interpreter import Flash, Interpreter
 from biosensor_gateway.devices.shimmer3_gsr.simulator.streaming import (
@@ -77,6 +78,7 @@ class SimulatedShimmer3(VirtualDevice):
 
     sensor = "shimmer3_gsr"
     faults = frozenset(FaultKind)
+    expected = EXPECTED
     filled = MappingProxyType({"hr": Filled(7, "it takes five heart beats")})
 
     def __init__(

@@ -15,6 +15,7 @@ from bumble.gatt import Characteristic, CharacteristicValue, Service
 from numpy.typing import NDArray
 from pylsl import local_clock
 
+from biosensor_gateway.devices.vernier_respiration_belt.simulator.expected import EXPECTED
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.firmware import BeltFirmware
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import Command
 from biosensor_gateway.simulation.crystal import Crystal
@@ -73,6 +74,7 @@ class SimulatedBelt(VirtualDevice):
 
     sensor = "vernier_respiration_belt"
     faults = frozenset(FaultKind)
+    expected = EXPECTED
     on_air = True
     rates_hz = MappingProxyType({"force": 10.0, "bpm": 10.0})
 

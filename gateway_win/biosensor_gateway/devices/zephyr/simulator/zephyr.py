@@ -13,6 +13,7 @@ from pylsl import local_clock
 
 from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
 from biosensor_gateway.devices.zephyr.simulator.body import CENTRE_COUNTS, COUNTS_PER_G, Integers
+from biosensor_gateway.devices.zephyr.simulator.expected import EXPECTED
 from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing, SyntheticSource
 from biosensor_gateway.devices.zephyr.simulator.vitals import Values
 from biosensor_gateway.devices.zephyr.simulator.wire import REQUESTS, Packet
@@ -72,6 +73,7 @@ class SimulatedZephyr(VirtualDevice):
 
     sensor = "zephyr"
     faults = frozenset(FaultKind)
+    expected = EXPECTED
 
     def __init__(
         self,
