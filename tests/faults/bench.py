@@ -17,7 +17,6 @@ from tests.faults.episode import Cell, Episode, Stock
 from tests.faults.expectations import (
     AT_ONCE,
     BATTERY_TOLERANCE,
-    SENSORS,
     TOGETHER,
     VALUES,
     AgentFault,
@@ -61,6 +60,7 @@ class Bench:
         self, lab: LabProcess, agent: AgentProcess, recorder: Recorder, table: FaultTable
     ) -> None:
         self.lab = lab
+        self.sensors = tuple(lab.settings)
         self.agent = agent
         self.recorder = recorder
         self._table = table
@@ -70,7 +70,7 @@ class Bench:
     def wait_for_streams(self) -> None:
         """Wait until everything streams that never pauses."""
         begin_s = local_clock()
-        silent = _wait(SENSORS, lambda name: self._streams_since(name, begin_s))
+        silent = _wait(self.sensors, lambda name: self._streams_since(name, begin_s))
         assert not silent, f"no samples of {silent}: {self.agent.console()}"
 
     def episode(self, kind: Kind) -> Episode:
@@ -82,7 +82,7 @@ class Bench:
 
     def _run(self, kinds: tuple[Kind, ...]) -> Episode:
         if not self._stock:
-            self._stock = {name: Stock(local_clock(), self._status(name)) for name in SENSORS}
+            self._stock = {name: Stock(local_clock(), self._status(name)) for name in self.sensors}
         self.wait_for_streams()
         logged = len(self.agent.log())
         episode = Episode(kinds, local_clock(), dict(self._stock))
@@ -102,7 +102,7 @@ class Bench:
         self._await_recovery(episode)
         recovered_s = local_clock()
         # Some losses are known only when a window closes.
-        _wait(SENSORS, lambda name: self._balances(episode, name, recovered_s))
+        _wait(self.sensors, lambda name: self._balances(episode, name, recovered_s))
         episode.log = self.agent.log()[logged:]
         self._report(episode)
         return episode
@@ -110,7 +110,7 @@ class Bench:
     def _begin(self, episode: Episode) -> None:
         if AgentFault.ASLEEP in episode.kinds:
             self.agent.sleep(LONG_SLEEP_S if is_long() else SLEEP_S)
-            _wait(SENSORS, lambda name: name in self.agent.status())
+            _wait(self.sensors, lambda name: name in self.agent.status())
         for kind, name in episode.cells:
             if isinstance(kind, FaultKind):
                 self.lab.apply(name, kind.value, VALUES.get(kind, inf))

@@ -51,24 +51,36 @@ def pytest_terminal_summary(
         terminalreporter.write_line(f"{LEGEND} All figures: {folder / NAME}.json")
 
 
+def _asked_for(session: pytest.Session) -> list[str]:
+    """Sensors of the tests that are run: with ``-k zephyr`` it is one, and soon done."""
+    names: set[object] = set()
+    for item in session.items:
+        if isinstance(item, pytest.Function) and hasattr(item, "callspec"):
+            names.add(item.callspec.params.get("name"))
+    return [name for name in SENSORS if name in names]
+
+
 @pytest.fixture(scope="module")
 def bench(
-    tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Config
+    tmp_path_factory: pytest.TempPathFactory,
+    pytestconfig: pytest.Config,
+    request: pytest.FixtureRequest,
 ) -> Generator[Bench]:
-    """Every virtual device, an agent that streams from all of them, and a recorder."""
+    """The virtual devices, an agent that streams from all of them, and a recorder."""
     folder = tmp_path_factory.mktemp("bench")
+    sensors = _asked_for(request.session)
     devices = [
         {"key": name, "sensor": name, "options": {"seed": seed, "jitter_s": JITTER_S}}
-        for seed, name in enumerate(SENSORS)
+        for seed, name in enumerate(sensors)
     ]
     channels = {
         source(name, data_name): len(declaration(name).stream(data_name).channels)
-        for name in SENSORS
+        for name in sensors
         for data_name in numeric_streams(name)
     }
     with LabProcess(devices, folder) as lab:
         settings = folder / "settings.toml"
-        settings.write_text(settings_toml(lab, {name: name for name in SENSORS}))
+        settings.write_text(settings_toml(lab, {name: name for name in sensors}))
         options = ("--settings", str(settings))
         with (
             AgentProcess(folder, *options, environment=lab.environment) as agent,

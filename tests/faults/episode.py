@@ -82,7 +82,7 @@ class Episode:
     @property
     def cells(self) -> list[Cell]:
         """Which kind hits which sensor."""
-        return [(kind, name) for kind, name in CELLS if kind in self.kinds]
+        return [(kind, name) for kind, name in CELLS if kind in self.kinds and name in self.before]
 
     def warnings(self, name: str) -> list[Mapping[str, Any]]:
         """What was said about one device that a person should know."""

@@ -1,0 +1,130 @@
+"""A virtual Acme Band on a serial port."""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+from collections.abc import Mapping
+from math import nan
+from typing import Any
+
+import numpy as np
+
+from biosensor_gateway.simulation.async_serial import serial_port
+from biosensor_gateway.simulation.crystal import Crystal
+from biosensor_gateway.simulation.expected import Expected
+from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.serial_links import AsyncSerialPort
+from biosensor_gateway.simulation.virtual_device import VirtualDevice
+from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.simulation.world import World
+
+_PERIOD_S = 0.02
+_ON_A_CABLE = "it knows two commands, and does as it is told"
+
+
+class SimulatedAcmeBand(VirtualDevice):
+    """It measures all the time, and sends while a host wants it."""
+
+    sensor = "acme_band"
+    faults = frozenset(
+        {
+            FaultKind.DROP,
+            FaultKind.STALL,
+            FaultKind.GARBAGE,
+            FaultKind.LOW_BATTERY,
+            FaultKind.OFF_BODY,
+            FaultKind.DRIFT,
+        }
+    )
+    expected = Expected(
+        without_contact=("force",),
+        by_agent=frozenset({"bat", "quality"}),
+        impossible=dict.fromkeys(
+            (FaultKind.REFUSE, FaultKind.LATE, FaultKind.FORGET, FaultKind.RESTART), _ON_A_CABLE
+        ),
+    )
+
+    def __init__(
+        self,
+        world: World,
+        *,
+        seed: int = 0,
+        drift_ppm: float = 0.0,
+        jitter_s: float = 0.0,
+        kept: int | None = None,
+    ) -> None:
+        super().__init__(world, kept)
+        self._wearer = Wearer(seed)
+        self._rng = np.random.default_rng(seed)
+        self._crystal = Crystal(drift_ppm)
+        self._jitter_s = jitter_s
+        self._port: AsyncSerialPort | None = None
+        self._measuring: asyncio.Task[None] | None = None
+        self._sends, self._stalled, self._worn, self._battery = False, False, True, 80
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """The field ``port``."""
+        assert self._port is not None
+        return {"port": self._port.name}
+
+    async def _start(self) -> None:
+        self._port = serial_port(self._heard, self._left, buffer_bytes=4096)
+        self._port.open()
+        self._crystal = Crystal(self._crystal.drift_ppm)
+        self._measuring = asyncio.create_task(self._measure(self._port))
+
+    async def _stop(self) -> None:
+        if self._measuring is not None:
+            self._measuring.cancel()
+        if self._port is not None:
+            self._port.dispose()
+
+    def _heard(self, data: bytes) -> None:
+        self._sends = not self._stalled and data[-1:] == b"S"
+
+    def _left(self) -> None:
+        self._sends = False
+
+    async def _measure(self, port: AsyncSerialPort) -> None:
+        number = 0
+        while True:
+            time_s = await self._crystal.reach(number * _PERIOD_S)
+            (force,) = self._wearer.chest_force_n(np.array([time_s], np.float64))
+            await asyncio.sleep(self._jitter_s * self._rng.random())
+            counts = round(100 * force) if self._worn else -(2**15)
+            value = counts / 100 if self._worn else nan
+            taken = self._sends and not self._stalled and port.write(self._frame(number, counts))
+            if taken:
+                self.truth.sent("force", [time_s], [[value]])
+            number += 1
+
+    def _frame(self, number: int, counts: int) -> bytes:
+        frame = struct.pack("<BHhBB", 0xAC, number % 2**16, counts, self._worn, self._battery)
+        return frame + bytes([sum(frame) % 256])
+
+    def _begin(self, fault: Fault) -> None:
+        assert self._port is not None
+        match fault.kind:
+            case FaultKind.DROP:
+                self._left()
+                self._port.hang_up()
+            case FaultKind.STALL:
+                self._stalled = True
+            case FaultKind.GARBAGE:
+                self._port.write(self._rng.bytes(int(fault.value)))
+            case FaultKind.LOW_BATTERY:
+                self._battery = round(fault.value)
+            case FaultKind.OFF_BODY:
+                self._worn = False
+            case _:
+                self._crystal.set_drift(fault.value)
+
+    def _end(self, kind: FaultKind) -> None:
+        if kind is FaultKind.OFF_BODY:
+            self._worn = True
+        elif kind is FaultKind.STALL:
+            self._stalled = False
+        elif kind is FaultKind.DROP and self._port is not None:
+            self._port.open()

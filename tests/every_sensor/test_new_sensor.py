@@ -1,0 +1,137 @@
+"""A sensor that somebody adds takes part in everything, and no other file changes."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from std_msgs.msg import Float32
+
+import biosensor_gateway
+from biosensor_gateway.devices.registry import ENTRY_POINT_GROUP
+
+SENSOR = "acme_band"
+SOURCES = Path(__file__).parent / SENSOR
+ROOT = Path(__file__).parents[2]
+QUESTIONS = """
+import json
+from biosensor_gateway.demo.expectation import expected_topics
+from biosensor_gateway.devices.registry import sensor, sensor_names
+from tests.faults.expectations import CELLS
+print(json.dumps({
+    "names": sensor_names(),
+    "module": sensor("acme_band").driver,
+    "demo": expected_topics(30, 32),
+    "cells": [kind.value for kind, name in CELLS if name == "acme_band"],
+}))
+"""
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="its port is a pseudo-terminal")
+
+
+def as_package(site: Path) -> None:
+    """Another distribution, as an installer would leave it on disk."""
+    shutil.copytree(SOURCES, site / SENSOR)
+    folder = site / "acme_sensors-1.0.dist-info"
+    folder.mkdir()
+    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: acme-sensors\nVersion: 1.0\n")
+    (folder / "entry_points.txt").write_text(f"[{ENTRY_POINT_GROUP}]\n{SENSOR} = {SENSOR}:SENSOR\n")
+
+
+def as_folder(site: Path) -> None:
+    """A checkout of ours with one folder more."""
+    package = Path(biosensor_gateway.__file__).parent
+    ours = site / package.name
+    shutil.copytree(package, ours, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(SOURCES, ours / "devices" / SENSOR)
+
+
+@pytest.fixture(params=[as_package, as_folder])
+def added(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[[Path], None]:
+    """What every process that is started from now on finds."""
+    site = tmp_path / "site"
+    site.mkdir()
+    request.param(site)
+    monkeypatch.setenv("PYTHONPATH", str(site))
+    return request.param
+
+
+def output(*command: str) -> str:
+    run = subprocess.run(
+        [sys.executable, *command], capture_output=True, text=True, cwd=ROOT, check=False
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
+    return run.stdout
+
+
+def test_it_is_known_to_demo_fault_matrix_settings_and_search(
+    added: Callable[[Path], None], tmp_path: Path
+) -> None:
+    answers = json.loads(output("-c", QUESTIONS))
+    assert SENSOR in answers["names"]
+    inside = answers["module"].startswith("biosensor_gateway.devices.")
+    assert inside == (added is as_folder)
+    topics = {topic: missing for topic, missing in answers["demo"].items() if SENSOR in topic}
+    names = ("force", "force_chunk", "bat", "quality")
+    assert topics == {f"/biosensors/{SENSOR}/{name}": "" for name in names}
+    kinds = ["drop", "stall", "garbage", "low_battery", "off_body", "drift", "asleep"]
+    assert answers["cells"] == kinds
+
+    cli, settings = ("-m", "biosensor_gateway.cli"), tmp_path / "settings.toml"
+    output(*cli, "config", "init", "--settings", str(settings))
+    assert 'sensor = "acme_band"' in settings.read_text()
+    device = f'[[device]]\nsensor = "{SENSOR}"\nunit = "1"\nport = "/dev/ttyACM0"\n'
+    settings.write_text(device)
+    assert "1 devices, no problem found" in output(
+        *cli, "config", "check", "--settings", str(settings)
+    )
+    sections = json.loads(output(*cli, "scan", "--simulate", SENSOR, "--seconds", "1", "--json"))
+    (section,) = (each for each in sections if each["where"] == "Acme Band by its service")
+    (found,) = section["found"]
+    (table,) = tomllib.loads(found["toml"])["device"]
+    assert table["sensor"] == SENSOR
+
+
+def test_it_streams_to_ros_and_what_a_fault_costs_is_counted(
+    added: object, programs: Any, listener: Any, wait_until: Callable[..., None]
+) -> None:
+    del added
+    received = {
+        name: listener.listen(Float32, f"/biosensors/{SENSOR}/{name}") for name in ("force", "bat")
+    }
+    programs.node()
+    fault = ("--fault", f"{SENSOR}:drop:1s@4s", "--fault", f"{SENSOR}:garbage:64@2s")
+    programs.start("biosensor_gateway.cli", "run", "--simulate", SENSOR, *fault)
+    wait_until(lambda: all(received.values()), "force and battery in ROS")
+    assert received["bat"][0].data == 80
+
+    def device() -> dict[str, Any]:
+        return programs.status()["devices"][0]
+
+    wait_until(lambda: device()["connections"] == 2, "the second connection")
+    after = len(received["force"])
+    wait_until(lambda: len(received["force"]) > after + 50, "force after the fault")
+    status = device()
+    assert status["dropped_bytes"] > 0
+    assert status["streams"][f"{SENSOR}-virtual-force"]["lost"] >= 50
+
+
+@pytest.mark.parametrize("added", [as_package], indirect=True)
+@pytest.mark.skipif(sys.platform != "linux", reason="the fault matrix runs on Linux")
+def test_its_row_of_the_fault_matrix_is_run(added: object) -> None:
+    del added
+    # It has an LSL session, a ROS domain and folders of its own.
+    os.environ.pop("PYTEST_XDIST_WORKER", None)
+    tests = ("tests/faults/test_every_fault.py", "-k", f"drop-{SENSOR}")
+    report = output("-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", *tests)
+    assert "5 passed" in report
