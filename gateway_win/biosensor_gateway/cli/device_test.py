@@ -23,7 +23,7 @@ from biosensor_gateway.system.logs import configure_logs
 
 
 def test(
-    sensor: Annotated[str, typer.Argument(help="Which sensor, as in polar_h10.")],
+    sensor: Annotated[str, typer.Argument(help="Which sensor, by its name in the settings.")],
     unit: Annotated[str, typer.Option(help="Which one, if several are configured.")] = "",
     settings: SettingsOption = None,
     seconds: Annotated[float, typer.Option(min=1, help="How long to listen.")] = 10.0,

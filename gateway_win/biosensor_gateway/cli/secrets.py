@@ -13,7 +13,7 @@ from biosensor_gateway.settings.secrets import SecretName
 
 app = typer.Typer(help="Secrets in the keyring of the system.", no_args_is_help=True)
 
-SensorArgument = Annotated[str, typer.Argument(help="Whose secrets: emotiv.")]
+SensorArgument = Annotated[str, typer.Argument(help="Whose secrets: a sensor, or its vendor.")]
 
 
 @app.command("set")
@@ -52,7 +52,7 @@ def check_secrets(sensor: SensorArgument) -> None:
 
 def _secrets_of(sensor: str) -> tuple[SecretName, ...]:
     having = {name: driver(name).secrets for name in sensor_names() if driver(name).secrets}
-    # The vendor's name is enough: emotiv for emotiv_insight.
+    # The vendor's name is enough, which a sensor's begins with.
     meant = [name for name in having if name == sensor or name.startswith(f"{sensor}_")]
     if len(meant) == 1:
         return having[meant[0]]

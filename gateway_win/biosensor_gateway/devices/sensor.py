@@ -26,6 +26,8 @@ class Sensor:
         usual one; what ``run --simulate`` calls ``zephyr`` and ``zephyr:recording``.
     demo
         The variant that the demo runs.
+    service
+        The vendor's program by which its devices are reached; empty if there is none.
     precedence
         Of two sensors that recognise the same device, the one with more gets it: a generic
         sensor has less than 0.
@@ -35,4 +37,5 @@ class Sensor:
     driver: str
     virtual: Mapping[str, str] = field(default_factory=dict[str, str])
     demo: str = ""
+    service: str = ""
     precedence: int = 0

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from urllib.parse import urlsplit
 
 from biosensor_common.errors import SpecError
-from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.devices.registry import declaration, sensor
 from biosensor_gateway.settings.models import DeviceSettings
 
 _SOCKET = "socket://"
@@ -21,6 +21,8 @@ class Service(NamedTuple):
     title
         What a person calls it.
     host, port
+    program
+        What has to run there.
     ca_file
         Certificate authority of a service that speaks TLS, empty for the system's; None for
         one that does not.
@@ -29,6 +31,7 @@ class Service(NamedTuple):
     title: str
     host: str
     port: int
+    program: str
     ca_file: str | None = None
 
 
@@ -56,14 +59,14 @@ def _services(device: DeviceSettings) -> Iterator[Service]:
     values, title = _values(device), _title(device.sensor)
     host, port, url = values.get("host"), values.get("port"), values.get("url")
     if isinstance(host, str) and isinstance(port, int):
-        yield Service(title, host, port)
+        yield Service(title, host, port, _program(device.sensor))
     elif isinstance(port, str) and port.startswith(_SOCKET):
-        yield from _of_url(title, port, None)
+        yield from _of_url(title, port, _program(device.sensor), None)
     elif isinstance(url, str):
-        yield from _of_url(title, url, str(values.get("ca_file", "")))
+        yield from _of_url(title, url, _program(device.sensor), str(values.get("ca_file", "")))
 
 
-def _of_url(title: str, url: str, ca_file: str | None) -> Iterator[Service]:
+def _of_url(title: str, url: str, program: str, ca_file: str | None) -> Iterator[Service]:
     try:
         parts = urlsplit(url)
         host, port = parts.hostname, parts.port
@@ -71,7 +74,8 @@ def _of_url(title: str, url: str, ca_file: str | None) -> Iterator[Service]:
         return
     if host:
         is_tls = parts.scheme == "wss"
-        yield Service(title, host, port or (443 if is_tls else 80), ca_file if is_tls else None)
+        number = port or (443 if is_tls else 80)
+        yield Service(title, host, number, program, ca_file if is_tls else None)
 
 
 def _title(name: str) -> str:
@@ -79,6 +83,13 @@ def _title(name: str) -> str:
         return declaration(name).title
     except SpecError:
         return name
+
+
+def _program(name: str) -> str:
+    try:
+        return sensor(name).service or "the vendor's program"
+    except SpecError:
+        return "the vendor's program"
 
 
 def _values(device: DeviceSettings) -> dict[str, object]:

@@ -62,7 +62,7 @@ _RANGES = {
 _SECONDS = "s"
 _DEFAULT_SECONDS = 5.0
 _FAULT = re.compile(
-    r"(?:(?P<sensor>[a-z][a-z0-9_]*(?::recording)?):)?"
+    r"(?:(?P<sensor>[a-z][a-z0-9_]*(?::[a-z][a-z0-9_]*)?):)?"
     rf"(?P<kind>{'|'.join(kind.value for kind in FaultKind)})"
     r"(?::(?P<value>-?[0-9]+(?:\.[0-9]+)?)(?P<unit>s|%|ppm)?)?"
     r"@(?P<start>[0-9]+(?:\.[0-9]+)?)s?"

@@ -5,6 +5,7 @@ from biosensor_gateway.devices.sensor import Sensor
 
 SENSOR = Sensor(
     SPEC,
+    service="EMOTIV Launcher",
     driver="biosensor_gateway.devices.emotiv_insight.driver.driver:DRIVER",
     virtual={
         "": "biosensor_gateway.devices.emotiv_insight.simulator:SimulatedCortex",

@@ -37,7 +37,7 @@ def _service(service: Service) -> Finding:
             f"{where} answers, but not with a certificate that is trusted "
             f"({problem.reason or problem})",
             "The agent passes no secret on to whom it does not know.",
-            "install EMOTIV Launcher on this computer, or set ca_file to the vendor's root "
+            f"install {service.program} on this computer, or set ca_file to the vendor's root "
             "certificate: biosensor-gateway config edit",
         )
     except ConfigError as problem:
@@ -50,8 +50,8 @@ def _service(service: Service) -> Finding:
         return error(
             f"{where} does not answer ({problem.strerror or problem})",
             "The agent goes on trying, and streams nothing of this device until it does.",
-            "start the vendor's program on that computer (E4 streaming server, EMOTIV Launcher) "
-            "and log in there; if it runs elsewhere: biosensor-gateway config edit",
+            f"start {service.program} on that computer and log in there; if it runs elsewhere: "
+            "biosensor-gateway config edit",
         )
     return ok(f"{where} answers{'' if service.ca_file is None else ' with a trusted certificate'}")
 

@@ -1,0 +1,99 @@
+"""Outside its own folders nothing names a sensor: who adds one touches nothing else.
+
+Looked at is code: names, strings and comments of Python, and all of a ``pyproject.toml``.
+Docstrings may give examples. A sensor's own are ``devices/<sensor>`` and ``tests/<sensor>``. Of
+the tests, those count that go over all sensors; a scenario may choose a sensor that suits it.
+"""
+
+from __future__ import annotations
+
+import ast
+import io
+import re
+import tokenize
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from biosensor_gateway.devices.registry import declaration, sensor_names
+
+ROOT = Path(__file__).parents[2]
+DEVICES = ROOT / "gateway_win" / "biosensor_gateway" / "devices"
+OF_ALL_SENSORS = (
+    "tests/rigs/lab.py",
+    "tests/rigs/lab_client.py",
+    "tests/rigs/bluez/*.py",
+    "tests/rigs/hosts/pair.py",
+    "tests/faults/*.py",
+    "tests/e2e/test_every_sensor.py",
+    "tests/bench/agent_load.py",
+)
+
+
+def own_words() -> re.Pattern[str]:
+    """Name, manufacturer and model of each sensor, as words and as parts of a name."""
+    words: set[str] = set()
+    for name in sensor_names():
+        spec = declaration(name)
+        words |= {spec.name, *spec.manufacturer.split()[:1], *spec.model.split()[:1]}
+    alternatives = "|".join(sorted(re.escape(word) for word in words if word))
+    return re.compile(rf"(?<![a-z])(?:{alternatives})(?![a-z])", re.IGNORECASE)
+
+
+def files() -> Iterator[Path]:
+    for part in ("common", "gateway_win", "ros_side"):
+        folders = (path for path in (ROOT / part).rglob("*.py") if "build" not in path.parts)
+        yield from (path for path in folders if DEVICES not in path.parent.parents)
+        yield from (ROOT / part).rglob("pyproject.toml")
+    yield ROOT / "pyproject.toml"
+    for pattern in OF_ALL_SENSORS:
+        yield from ROOT.glob(pattern)
+
+
+def code(path: Path) -> Iterator[tuple[int, str]]:
+    """Line and text of what is looked at."""
+    source = path.read_text(encoding="utf-8")
+    if path.suffix != ".py":
+        yield from enumerate(source.splitlines(), start=1)
+        return
+    docstrings = {
+        line
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+        for line in range(node.lineno, (node.end_lineno or node.lineno) + 1)
+    }
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.start[0] not in docstrings:
+            yield token.start[0], token.string
+
+
+def named(path: Path, words: re.Pattern[str]) -> list[str]:
+    name = path.relative_to(ROOT) if path.is_relative_to(ROOT) else path
+    return [f"{name}:{line}: {text}" for line, text in code(path) if words.search(text)]
+
+
+def test_nothing_names_a_sensor_outside_its_own_folders() -> None:
+    looked_at = list(files())
+    assert len(looked_at) > 200
+    words = own_words()
+    assert [found for path in looked_at for found in named(path, words)] == []
+
+
+@pytest.mark.parametrize(
+    ("line", "is_found"),
+    [
+        ('SENSORS = ("polar_h10",)', True),
+        ("def _zephyr() -> None: ...", True),
+        ('message = f"start the E4 {1}"', True),
+        ("x = 1  # as Emotiv does", True),
+        ('"""Such as zephyr."""', False),
+        ("polarity = 1", False),
+    ],
+)
+def test_what_counts_as_a_name(tmp_path: Path, line: str, *, is_found: bool) -> None:
+    path = tmp_path / "module.py"
+    path.write_text(f"{line}\n")
+    assert bool(named(path, own_words())) == is_found
