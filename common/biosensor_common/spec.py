@@ -1,8 +1,8 @@
 """The records of a declaration, frozen and validated.
 
-A sensor is declared once, in ``sensors/<sensor>.py``; agent, node, tests and
-documents all read that declaration. The rules checked here are those under which
-LabRecorder, pyxdf, MNE-LSL and rclpy accept a stream.
+A sensor is declared once, in its folder of the agent's ``devices``; agent, tests and documents
+read that declaration, and the node what the header says of it. The rules checked here are those
+under which LabRecorder, pyxdf, MNE-LSL and rclpy accept a stream.
 """
 
 from __future__ import annotations

@@ -72,6 +72,8 @@ class Bench:
         begin_s = local_clock()
         silent = _wait(self.sensors, lambda name: self._streams_since(name, begin_s))
         assert not silent, f"no samples of {silent}: {self.agent.console()}"
+        # It says so once a second only.
+        _wait(self.sensors, lambda name: self._status(name)["streams"])
 
     def episode(self, kind: Kind) -> Episode:
         """Return what a fault did; it is made at the first call."""
