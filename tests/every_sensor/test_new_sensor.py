@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -16,23 +15,42 @@ import pytest
 from std_msgs.msg import Float32
 
 import biosensor_gateway
+from biosensor_gateway.agent import status_file
 from biosensor_gateway.devices.registry import ENTRY_POINT_GROUP
+from biosensor_gateway.settings.models import state_folder
 
 SENSOR = "acme_band"
 SOURCES = Path(__file__).parent / SENSOR
 ROOT = Path(__file__).parents[2]
+# One process for all of it: each takes seconds to import what it needs.
 QUESTIONS = """
-import json
+import contextlib, io, json, pathlib, sys
+from biosensor_gateway import cli
 from biosensor_gateway.demo.expectation import expected_topics
 from biosensor_gateway.devices.registry import sensor, sensor_names
 from tests.faults.expectations import CELLS
+
+def said(*arguments):
+    sys.argv = ["biosensor-gateway", *arguments]
+    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.suppress(SystemExit):
+        cli.main()
+    return out.getvalue()
+
+settings, device = pathlib.Path(sys.argv[1]), sys.argv[2]
+said("config", "init", "--settings", str(settings))
+template = settings.read_text()
+settings.write_text(device)
 print(json.dumps({
     "names": sensor_names(),
-    "module": sensor("acme_band").driver,
+    "driver": sensor("acme_band").driver,
     "demo": expected_topics(30, 32),
     "cells": [kind.value for kind, name in CELLS if name == "acme_band"],
+    "template": template,
+    "check": said("config", "check", "--settings", str(settings)),
+    "scan": json.loads(said("scan", "--simulate", "acme_band", "--seconds", "1", "--json")),
 }))
 """
+DEVICE = f'[[device]]\nsensor = "{SENSOR}"\nunit = "1"\nport = "/dev/ttyACM0"\n'
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="its port is a pseudo-terminal")
 
@@ -77,26 +95,18 @@ def output(*command: str) -> str:
 def test_it_is_known_to_demo_fault_matrix_settings_and_search(
     added: Callable[[Path], None], tmp_path: Path
 ) -> None:
-    answers = json.loads(output("-c", QUESTIONS))
+    answers = json.loads(output("-c", QUESTIONS, str(tmp_path / "settings.toml"), DEVICE))
     assert SENSOR in answers["names"]
-    inside = answers["module"].startswith("biosensor_gateway.devices.")
+    inside = answers["driver"].startswith("biosensor_gateway.devices.")
     assert inside == (added is as_folder)
     topics = {topic: missing for topic, missing in answers["demo"].items() if SENSOR in topic}
     names = ("force", "force_chunk", "bat", "quality")
     assert topics == {f"/biosensors/{SENSOR}/{name}": "" for name in names}
     kinds = ["drop", "stall", "garbage", "low_battery", "off_body", "drift", "asleep"]
     assert answers["cells"] == kinds
-
-    cli, settings = ("-m", "biosensor_gateway.cli"), tmp_path / "settings.toml"
-    output(*cli, "config", "init", "--settings", str(settings))
-    assert 'sensor = "acme_band"' in settings.read_text()
-    device = f'[[device]]\nsensor = "{SENSOR}"\nunit = "1"\nport = "/dev/ttyACM0"\n'
-    settings.write_text(device)
-    assert "1 devices, no problem found" in output(
-        *cli, "config", "check", "--settings", str(settings)
-    )
-    sections = json.loads(output(*cli, "scan", "--simulate", SENSOR, "--seconds", "1", "--json"))
-    (section,) = (each for each in sections if each["where"] == "Acme Band by its service")
+    assert f'sensor = "{SENSOR}"' in answers["template"]
+    assert "1 devices, no problem found" in answers["check"]
+    (section,) = (each for each in answers["scan"] if each["where"] == "Acme Band by its service")
     (found,) = section["found"]
     (table,) = tomllib.loads(found["toml"])["device"]
     assert table["sensor"] == SENSOR
@@ -115,8 +125,10 @@ def test_it_streams_to_ros_and_what_a_fault_costs_is_counted(
     wait_until(lambda: all(received.values()), "force and battery in ROS")
     assert received["bat"][0].data == 80
 
+    folder = state_folder()
+
     def device() -> dict[str, Any]:
-        return programs.status()["devices"][0]
+        return status_file.read_status(folder)["devices"][0]
 
     wait_until(lambda: device()["connections"] == 2, "the second connection")
     after = len(received["force"])
@@ -128,10 +140,10 @@ def test_it_streams_to_ros_and_what_a_fault_costs_is_counted(
 
 @pytest.mark.parametrize("added", [as_package], indirect=True)
 @pytest.mark.skipif(sys.platform != "linux", reason="the fault matrix runs on Linux")
-def test_its_row_of_the_fault_matrix_is_run(added: object) -> None:
+def test_its_row_of_the_fault_matrix_is_run(added: object, monkeypatch: pytest.MonkeyPatch) -> None:
     del added
     # It has an LSL session, a ROS domain and folders of its own.
-    os.environ.pop("PYTEST_XDIST_WORKER", None)
+    monkeypatch.delenv("PYTEST_XDIST_WORKER", raising=False)
     tests = ("tests/faults/test_every_fault.py", "-k", f"drop-{SENSOR}")
     report = output("-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", *tests)
     assert "5 passed" in report
