@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from biosensor_common.errors import ConfigError, ConfigReason, CredentialError
+from biosensor_common.errors import ConfigError, ConfigReason, CredentialError, SpecError
 from biosensor_gateway.devices.registry import driver, sensor_names
 from biosensor_gateway.settings import secrets as secret_store
 from biosensor_gateway.settings.secrets import SecretName
@@ -56,7 +56,11 @@ def _secrets_of(sensor: str) -> tuple[SecretName, ...]:
     meant = [name for name in having if name == sensor or name.startswith(f"{sensor}_")]
     if len(meant) == 1:
         return having[meant[0]]
-    driver(sensor)
+    try:
+        driver(sensor)
+    except SpecError as error:
+        # What was typed is wrong, as with any other argument.
+        raise ConfigError(ConfigReason.WRONG_VALUE, str(error)) from error
     message = f"{sensor} needs no secrets; what does: {', '.join(having)}"
     raise ConfigError(ConfigReason.WRONG_VALUE, message)
 
