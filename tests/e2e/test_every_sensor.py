@@ -166,6 +166,9 @@ def _flat(messages: list[Any]) -> Floats:
     return np.array([np.atleast_1d(message.data) for message in messages], np.float64)
 
 
+# Seven devices, agent, node, recorder and subscriber take 1.6 processors, and the stamps of what a
+# device does not stamp itself are as late as its reader.
+@pytest.mark.alone
 def test_every_sensor_from_device_to_ros(
     lab: LabProcess,
     programs: Any,
