@@ -32,7 +32,8 @@ class Outflow:
     name
         What the output is called, "console" for instance.
     write
-        Writes whole lines to the output. What it refuses by an ``OSError`` is given up.
+        Writes whole lines to the output. What it refuses by an ``OSError``, or by the
+        ``ValueError`` of a closed file, is given up.
     end
         Called in the thread after the last line.
     most_bytes
@@ -119,8 +120,8 @@ class Outflow:
         while (lines := self._next()) is not None:
             try:
                 self._write(lines)
-            except OSError:
-                # Its reader has gone, for instance; there is nobody to tell here.
+            except (OSError, ValueError):
+                # Its reader has gone, or it was closed; there is nobody to tell here.
                 continue
         self._end()
 

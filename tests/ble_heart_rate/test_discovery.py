@@ -10,6 +10,7 @@ from biosensor_gateway.devices.ble_heart_rate.driver.discovery import (
     recognise,
 )
 from biosensor_gateway.devices.ble_heart_rate.driver.driver import HeartRateStrapSettings
+from biosensor_gateway.doctor.scan import drivers_by_precedence, recognised
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 ADDRESS = "C8:25:00:00:00:01"
@@ -34,15 +35,19 @@ def test_a_strap_without_a_name_is_called_by_its_address() -> None:
     assert found.name == ADDRESS
 
 
-@pytest.mark.parametrize("model", ["H10", "Sense", "OH1"])
+@pytest.mark.parametrize("model", ["H10", "Sense", "Verity Sense", "OH1"])
 def test_what_has_a_driver_of_its_own_is_left_to_it(model: str) -> None:
-    assert recognise(seen(f"Polar {model} A1B2C3D4")) is None
+    found = recognised(drivers_by_precedence(), seen(f"Polar {model} A1B2C3D4"))
+    assert found is not None
+    assert found.sensor == "polar_h10"
     # It may be chosen all the same.
     assert identify(seen(f"Polar {model} A1B2C3D4")) == ADDRESS
 
 
 def test_a_strap_of_the_same_maker_is_one() -> None:
-    assert recognise(seen("Polar H9 A1B2C3D4")) is not None
+    found = recognised(drivers_by_precedence(), seen("Polar H9 A1B2C3D4"))
+    assert found is not None
+    assert found.sensor == "ble_heart_rate"
 
 
 def test_anything_else_is_none() -> None:

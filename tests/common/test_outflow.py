@@ -103,12 +103,13 @@ def test_lines_of_many_threads_stay_whole_and_each_in_its_order() -> None:
         assert own == [b"%d %d\n" % (name, number) for number in range(500)]
 
 
-def test_an_output_that_refuses_is_tried_again_with_the_next_line() -> None:
+@pytest.mark.parametrize("refusal", [BrokenPipeError(), ValueError("write to closed file")])
+def test_an_output_that_refuses_is_tried_again_with_the_next_line(refusal: Exception) -> None:
     lines: list[bytes] = []
 
     def write(line: bytes) -> None:
         if line == b"bad\n":
-            raise BrokenPipeError
+            raise refusal
         lines.append(line)
 
     outflow = Outflow("disk", write)

@@ -152,10 +152,10 @@ def test_a_virtual_device_that_does_not_exist_is_named(run: Run, name: str) -> N
 
 
 ALL = [
-    "empatica_e4",
     "emotiv_insight",
-    "shimmer3_gsr",
+    "empatica_e4",
     "polar_h10",
+    "shimmer3_gsr",
     "vernier_respiration_belt",
     "zephyr",
     "ble_heart_rate",

@@ -70,7 +70,7 @@ def lines_about(outcome: Outcome, title: str) -> list[str]:
 
 def test_for_scripts_it_is_json_of_one_form(run: Run) -> None:
     found = sections(run("scan", "--simulate", ",".join(STRAPS), "--seconds", "2", "--json"))
-    assert list(found) == [BLUETOOTH, SERIAL, E4_SERVER, CORTEX]
+    assert list(found) == [BLUETOOTH, SERIAL, CORTEX, E4_SERVER]
     for section in found.values():
         assert section.keys() == {"where", "problem", "others", "found"}
         assert section["problem"] is None or not (section["found"] or section["others"])

@@ -13,7 +13,7 @@ import tomlkit
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import DriverEntry
-from biosensor_gateway.devices.registry import declaration, driver, sensor_names
+from biosensor_gateway.devices.registry import declaration, driver, sensor, sensor_names
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble_scanner import scan as scan_bluetooth
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
@@ -53,7 +53,7 @@ async def scan(seconds: float, configured: Sequence[DeviceSettings]) -> list[Sec
     configured
         Devices of the settings; they say where services are.
     """
-    entries = {name: driver(name) for name in sensor_names()}
+    entries = drivers_by_precedence()
     searches: list[Awaitable[Section]] = [
         _section("Bluetooth LE", lambda: _bluetooth(entries, seconds)),
         _section("Serial ports", lambda: _serial(entries)),
@@ -64,6 +64,12 @@ async def scan(seconds: float, configured: Sequence[DeviceSettings]) -> list[Sec
             title = f"{declaration(name).title} by its service"
             searches.append(_section(title, _service(entry.find, devices)))
     return list(await asyncio.gather(*searches))
+
+
+def drivers_by_precedence() -> dict[str, DriverEntry]:
+    """Import all drivers; what several of them recognise is the first one's."""
+    names = sorted(sensor_names(), key=lambda name: -sensor(name).precedence)
+    return {name: driver(name) for name in names}
 
 
 _Search = Callable[[], Awaitable[tuple[Sequence[Found], Sequence[str]]]]
@@ -96,7 +102,7 @@ async def _bluetooth(
     found: list[Found] = []
     others: list[str] = []
     for seen in await scan_bluetooth(seconds):
-        known = _recognised(entries, seen)
+        known = recognised(entries, seen)
         if known is not None:
             found.append(known)
         elif seen.name:
@@ -108,7 +114,7 @@ async def _serial(entries: dict[str, DriverEntry]) -> tuple[list[Found], list[st
     found: list[Found] = []
     others: list[str] = []
     for port in await serial_ports():
-        known = _recognised(entries, port)
+        known = recognised(entries, port)
         if known is not None:
             found.append(known)
         else:
@@ -116,7 +122,8 @@ async def _serial(entries: dict[str, DriverEntry]) -> tuple[list[Found], list[st
     return found, others
 
 
-def _recognised(entries: dict[str, DriverEntry], seen: Advertisement | SerialPort) -> Found | None:
+def recognised(entries: dict[str, DriverEntry], seen: Advertisement | SerialPort) -> Found | None:
+    """Return what the first driver that knows it says of it; None if none does."""
     for entry in entries.values():
         found = entry.recognise(seen) if entry.recognise is not None else None
         if found is not None:

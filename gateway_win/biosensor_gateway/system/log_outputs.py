@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 # A busy disk takes its time, and a file is opened before anything streams.
 HELD_AFTER_S = OPENED_WITHIN_S = 2.0
 
-_LOGGER = "biosensor_gateway.system.logs"
+_LOGGER = "biosensor_gateway.logs"
 _log = structlog.get_logger(_LOGGER)
 
 
