@@ -256,8 +256,17 @@ def listener() -> Iterator[Ros]:
     listener.close()
 
 
+@pytest.fixture(scope="module")
+def default_context() -> Iterator[None]:
+    """The context of nodes that a test makes itself, as users do."""
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    yield
+    rclpy.try_shutdown()
+
+
 @pytest.fixture
-def ros(listener: Ros) -> Iterator[Ros]:
+def ros(listener: Ros, default_context: None) -> Iterator[Ros]:
+    del default_context
     yield listener
     listener.stop_listening()
 

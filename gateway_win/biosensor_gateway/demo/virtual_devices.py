@@ -90,7 +90,7 @@ def virtual_class(name: str) -> type[VirtualDevice]:
     return found
 
 
-def make(name: str, scene: Scene, **options: object) -> VirtualDevice:
+def make(name: str, scene: Scene, /, **options: object) -> VirtualDevice:
     """Make a virtual device that is not switched on yet.
 
     Raises
