@@ -67,7 +67,7 @@ async def test_a_share_of_lost_packets_shows_in_quality(
             count = len(run.sink.rows["quality"])
             await run.until(lambda: len(run.sink.rows["quality"]) > count + 9)
             # Of a few packets a window: two windows alone were off by 0.18.
-            assert run.sink.values("quality")[-6:, 1].mean() == pytest.approx(0.3, abs=0.15)
+            assert run.sink.values("quality")[-6:, 1].mean() == pytest.approx(0.3, abs=0.12)
             run.assert_all_arrived(server.truth, "bvp")
             server.lose_packets(0.0)
             await run.until(lambda: run.sink.values("quality")[-1, 1] == 0)
