@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 
 MOST_RATE_HZ = 100_000.0
 # Sent without a pause: what a busy computer reads together of a stream without bursts. A
@@ -130,7 +130,7 @@ class Lane:
             try:
                 for message in messages:
                     if self._messages or not self._is_next():
-                        self._messages.append(_as_bytes(message))
+                        self._messages.append(_copy(message))
                     else:
                         self._send(message)
             finally:
@@ -254,6 +254,10 @@ class Pacer:
             return bool(self._busy) and self.clock() < self._stop_at_s
 
 
-def _as_bytes(message: Any) -> bytes:  # noqa: ANN401 - any message, or its bytes
-    """Return what goes over the wire, so that a message that cannot fails where it is sent."""
-    return message if isinstance(message, bytes) else serialize_message(message)
+def _copy(message: Any) -> Any:  # noqa: ANN401 - any message, or its bytes
+    """Return a message of its own to wait; one that ROS cannot convert fails where it is sent."""
+    if isinstance(message, bytes):
+        return message
+    # Its bytes would do, were they not too many: ROS gives them the length that it has
+    # estimated, up to 7 more than the message has, and strict readers of bags refuse those.
+    return deserialize_message(serialize_message(message), type(message))
