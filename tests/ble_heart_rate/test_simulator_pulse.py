@@ -19,6 +19,7 @@ from biosensor_gateway.devices.ble_heart_rate.simulator.pulse import Pulse
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.system.clock import LSL_CLOCK
 
 VECTORS: list[dict[str, Any]] = json.loads(
     (Path(__file__).parent / "vectors/ble_heart_rate.json").read_text()
@@ -66,7 +67,7 @@ def test_every_damaged_value_is_too_short_for_its_flags(count: int) -> None:
 
 
 def detector(wearer: Wearer, drift_ppm: float = 0.0) -> BeatDetector:
-    return BeatDetector(wearer, Crystal(drift_ppm, ORIGIN_S), ORIGIN_S, ORIGIN_S)
+    return BeatDetector(wearer, Crystal(LSL_CLOCK, drift_ppm, ORIGIN_S), ORIGIN_S, ORIGIN_S)
 
 
 @pytest.mark.parametrize("step_s", [0.3, 1.0, 7.0])

@@ -33,6 +33,7 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.frames import DATA
 from biosensor_gateway.devices.polar_h10.driver.session import PolarSession
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.system.clock import LSL_CLOCK
 from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.ble_errors import AttError
 from biosensor_gateway.transports.nearby import Advertisement
@@ -47,6 +48,8 @@ class ScriptedLink:
     """Answers each write with what its script has next; see :class:`BleLink`."""
 
     what = "Polar H10 A1B2C3D4"
+
+    clock = LSL_CLOCK
 
     def __init__(self, *script: Sequence[str] | GatewayError) -> None:
         self.script = list(script)

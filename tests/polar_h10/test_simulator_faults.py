@@ -8,7 +8,6 @@ from contextlib import ExitStack
 import numpy as np
 import pytest
 from bleak import BleakScanner
-from pylsl import local_clock
 
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.polar_h10.simulator.quirks import Firmware, Quirks
@@ -31,9 +30,9 @@ MakeH10 = Callable[..., SimulatedPolarH10]
 
 
 @pytest.fixture
-def make_h10() -> Iterator[MakeH10]:
+def make_h10(virtual_world: World) -> Iterator[MakeH10]:
     with ExitStack() as stack:
-        world = stack.enter_context(World())
+        world = virtual_world
         radio = Radio(world)
         stack.enter_context(virtual_bluetooth(radio))
 
@@ -126,7 +125,7 @@ async def test_late_answers_still_come_in_order(h10: SimulatedPolarH10) -> None:
     h10.apply(Fault(FaultKind.LATE, 0.7))
     async with connection(NAME) as host:
         await host.subscribe(CONTROL, DATA)
-        asked_s = local_clock()
+        asked_s = h10.world.clock()
         for command in ("0100", "0102"):
             await host.client.write_gatt_char(CONTROL, bytes.fromhex(command), response=True)
         replies = await host.more(CONTROL, 2, 0)
@@ -174,9 +173,9 @@ async def test_a_low_battery_is_told_everywhere(h10: SimulatedPolarH10) -> None:
     async def flag() -> int:
         return (await advertised(NAME))[1].manufacturer_data[0x006B][0] & 1
 
-    deadline_s = local_clock() + 20.0
+    deadline_s = h10.world.clock() + 20.0
     while not await flag():
-        assert local_clock() < deadline_s
+        assert h10.world.clock() < deadline_s
 
 
 async def test_off_the_body_there_is_neither_rate_nor_beat(h10: SimulatedPolarH10) -> None:
@@ -184,11 +183,11 @@ async def test_off_the_body_there_is_neither_rate_nor_beat(h10: SimulatedPolarH1
         await host.subscribe(HEART_RATE)
         await stream_ecg(host)
         h10.apply(Fault(FaultKind.OFF_BODY, LONG_S))
-        off_s = local_clock()
+        off_s = h10.world.clock()
         await until(lambda: host.all(HEART_RATE)[-2:] == 2 * [b"\x10\0"])
         await host.more(DATA, 2)
         h10.clear(FaultKind.OFF_BODY)
-        on_s = local_clock()
+        on_s = h10.world.clock()
         await until(lambda: len(host.all(HEART_RATE)[-1]) > 2)
         await host.more(DATA, 3)
     ecg = h10.truth.samples("ecg")

@@ -19,12 +19,24 @@ import pytest
 from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
 from biosensor_gateway.simulation.radio import MAX_MTU, Radio
 from biosensor_gateway.simulation.world import World
+from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 from tests.rigs.polling import until
+from tests.rigs.virtual_time import pytest_asyncio_loop_factories, virtual_time
 
 if TYPE_CHECKING:
     from tests.rigs.bluez import FakeBluez
 
-__all__ = ["bluetooth", "bluez", "host_mtu", "radio", "rig", "world"]
+__all__ = [
+    "bluetooth",
+    "bluez",
+    "clock",
+    "host_mtu",
+    "pytest_asyncio_loop_factories",
+    "radio",
+    "rig",
+    "virtual_world",
+    "world",
+]
 
 ON_BLUEZ = pytest.mark.parametrize("rig", ["bluez"])
 """For what only BlueZ does."""
@@ -52,8 +64,25 @@ def host_mtu() -> int:
 
 
 @pytest.fixture
-def world() -> Generator[World]:
-    with World() as world:
+async def clock(rig: str) -> AsyncGenerator[Clock]:
+    """LSL's time where D-Bus is, else one that stands still while anybody works."""
+    if rig == "bluez":
+        yield LSL_CLOCK
+    else:
+        with virtual_time() as clock:
+            yield clock
+
+
+@pytest.fixture
+def world(clock: Clock) -> Generator[World]:
+    with World(clock) as world:
+        yield world
+
+
+@pytest.fixture
+async def virtual_world() -> AsyncGenerator[World]:
+    """A world for tests that need no rig."""
+    with virtual_time() as clock, World(clock) as world:
         yield world
 
 

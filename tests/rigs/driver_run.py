@@ -19,6 +19,7 @@ from biosensor_gateway.devices.registry import driver as driver_of
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 from tests.rigs.polling import until
 
 
@@ -33,8 +34,8 @@ class NotedSink(DeviceSink):
         Of the newest connection.
     """
 
-    def __init__(self, sensor: str) -> None:
-        super().__init__(DeviceIdentity(sensor, uuid.uuid4().hex), declaration(sensor))
+    def __init__(self, sensor: str, clock: Clock = LSL_CLOCK) -> None:
+        super().__init__(DeviceIdentity(sensor, uuid.uuid4().hex), declaration(sensor), clock)
         self._spec = declaration(sensor)
         names = [stream.data_name for stream in self._spec.streams]
         self.rows: dict[str, list[list[float]]] = {name: [] for name in names}
@@ -93,7 +94,7 @@ class Run:
     """
 
     def __init__(self, device: VirtualDevice, /, **fields: Any) -> None:
-        self.sink = NotedSink(device.sensor)
+        self.sink = NotedSink(device.sensor, device.world.clock)
         self.states: list[State] = []
         make = _maker(device, self.sink, fields)
         self.supervisor = Supervisor(make, self.sink, self.states.append)
@@ -125,7 +126,7 @@ async def streaming(device: VirtualDevice, /, **fields: Any) -> AsyncGenerator[R
 @asynccontextmanager
 async def connected(device: VirtualDevice, /, **fields: Any) -> AsyncGenerator[Connected]:
     """Connect once, without a supervisor."""
-    driver = _maker(device, NotedSink(device.sensor), fields)()
+    driver = _maker(device, NotedSink(device.sensor, device.world.clock), fields)()
     try:
         yield await driver.connect()
     finally:

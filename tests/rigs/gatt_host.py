@@ -12,7 +12,6 @@ from bleak import BleakClient, BleakScanner
 from bleak.backends.characteristic import BleakGATTCharacteristic
 from bleak.backends.device import BLEDevice
 from bleak.backends.scanner import AdvertisementData
-from pylsl import local_clock
 
 from tests.rigs.polling import until
 
@@ -42,11 +41,13 @@ class GattHost:
 
     async def subscribe(self, *uuids: str) -> None:
         """Listen to characteristics from now on."""
+        # On Linux a loop goes by the same clock as LSL does, in virtual time as well.
+        now = asyncio.get_running_loop().time
         for uuid in uuids:
             log = self.heard[uuid]
 
             def hear(_: BleakGATTCharacteristic, data: bytearray, log: list[Heard] = log) -> None:
-                log.append(Heard(bytes(data), local_clock()))
+                log.append(Heard(bytes(data), now()))
 
             await self.client.start_notify(uuid, hear)
 

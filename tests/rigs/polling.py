@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from time import monotonic
 
 _DEADLINE_S = 20.0
 _STEP_S = 0.005
@@ -18,8 +17,9 @@ async def until(condition: Callable[[], object]) -> None:
     TimeoutError
         If it never does.
     """
-    deadline = monotonic() + _DEADLINE_S
+    now = asyncio.get_running_loop().time
+    deadline = now() + _DEADLINE_S
     while not condition():
-        if monotonic() > deadline:
+        if now() > deadline:
             raise TimeoutError("what was waited for never happened")
         await asyncio.sleep(_STEP_S)

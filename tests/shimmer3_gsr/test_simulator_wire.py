@@ -37,6 +37,7 @@ from biosensor_gateway.devices.shimmer3_gsr.simulator.wire import (
 )
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.system.clock import LSL_CLOCK
 
 NEWEST = Firmware(1, 1, 2)
 VECTORS: list[dict[str, Any]] = json.loads(
@@ -325,7 +326,7 @@ async def test_a_late_answer_is_not_given_to_the_next_host() -> None:
 
 
 def test_the_first_65_ms_are_not_sent() -> None:
-    crystal = Crystal()
+    crystal = Crystal(LSL_CLOCK)
     earliest = crystal.now() * 32768
     first = next(samples(sampling(crystal)))
     latest = crystal.now() * 32768
@@ -334,7 +335,7 @@ def test_the_first_65_ms_are_not_sent() -> None:
 
 
 def test_samples_leave_in_order_and_not_before_they_are_measured() -> None:
-    taken = list(itertools.islice(samples(sampling(Crystal(drift_ppm=200.0), 0.1)), 300))
+    taken = list(itertools.islice(samples(sampling(Crystal(LSL_CLOCK, drift_ppm=200.0), 0.1)), 300))
     assert all(each.leaves_s >= each.measured_s for each in taken)
     assert all(old.leaves_s <= new.leaves_s for old, new in itertools.pairwise(taken))
     assert max(each.leaves_s - each.measured_s for each in taken) > 0.05

@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import asyncio
 import random
-import time
 from collections.abc import Callable
 from enum import Enum, unique
 from typing import cast
@@ -130,7 +129,7 @@ class Supervisor:
             self.connections += 1
             if not self._sink.watch.absent:
                 self.last_error = None
-            started = time.monotonic()
+            started = self._sink.clock()
             self._enter(State.STREAMING)
             return self._dropped(await self._stream(driver))
         except asyncio.CancelledError:
@@ -141,7 +140,7 @@ class Supervisor:
         except Exception as error:  # noqa: BLE001 - a failing driver must not end the others
             return error
         finally:
-            if started is not None and time.monotonic() - started >= STABLE_AFTER_S:
+            if started is not None and self._sink.clock() - started >= STABLE_AFTER_S:
                 self._delay_s = BACKOFF_FIRST_S
             if driver is not None:
                 await self._close(driver)
@@ -182,13 +181,13 @@ class Supervisor:
             self._enter(state)
 
     async def _close(self, driver: Driver) -> None:
-        deadline = time.monotonic() + CLOSE_TIMEOUT_S
+        deadline = self._sink.clock() + CLOSE_TIMEOUT_S
         closing = asyncio.create_task(driver.close())
         try:
             await asyncio.wait({closing}, timeout=CLOSE_TIMEOUT_S)
         except asyncio.CancelledError:
             # A stop that comes now must not leave the device half closed.
-            await asyncio.wait({closing}, timeout=max(0.0, deadline - time.monotonic()))
+            await asyncio.wait({closing}, timeout=max(0.0, deadline - self._sink.clock()))
             raise
         finally:
             self._report_closing(closing)

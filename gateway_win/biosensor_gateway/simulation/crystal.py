@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-from pylsl import local_clock
+from biosensor_gateway.system.clock import Clock
 
 
 class Crystal:
@@ -12,14 +12,17 @@ class Crystal:
 
     Parameters
     ----------
+    clock
+        The true time, on the LSL clock.
     drift_ppm
         Positive is fast: more device seconds than true ones.
     start_s
         True time of power-on on the LSL clock; now by default.
     """
 
-    def __init__(self, drift_ppm: float = 0.0, start_s: float | None = None) -> None:
-        self._true_s = local_clock() if start_s is None else start_s
+    def __init__(self, clock: Clock, drift_ppm: float = 0.0, start_s: float | None = None) -> None:
+        self.clock = clock
+        self._true_s = clock() if start_s is None else start_s
         self._device_s = 0.0
         self._rate = 1 + drift_ppm * 1e-6
 
@@ -30,7 +33,7 @@ class Crystal:
 
     def now(self) -> float:
         """Device seconds since power-on."""
-        return self.at(local_clock())
+        return self.at(self.clock())
 
     def at(self, true_s: float) -> float:
         """Device seconds at a true time on the LSL clock, not before the last `set_drift`."""
@@ -42,7 +45,7 @@ class Crystal:
 
     async def reach(self, device_s: float) -> float:
         """Wait until the device's clock shows ``device_s``; return the true time of it."""
-        left = self.true_time(device_s) - local_clock()
+        left = self.true_time(device_s) - self.clock()
         if left <= 0:
             return self.true_time(device_s)
         await asyncio.sleep(left)
@@ -51,6 +54,6 @@ class Crystal:
 
     def set_drift(self, ppm: float) -> None:
         """Run at another speed from now on; the past stays as it was."""
-        now = local_clock()
+        now = self.clock()
         self._device_s, self._true_s = self.at(now), now
         self._rate = 1 + ppm * 1e-6

@@ -92,6 +92,7 @@ class Peripheral:
         self.on_disconnected: list[Callable[[], None]] = []
         self.demand_pairing = False
         self._radio = radio
+        self.clock = radio.world.clock
         self._uuids = [UUID(uuid) for uuid in service_uuids]
         self._rssi_dbm = rssi_dbm
         self._max_mtu = max_mtu

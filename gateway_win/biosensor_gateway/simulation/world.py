@@ -9,19 +9,30 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Callable, Coroutine
+from concurrent.futures import Future
 from types import TracebackType
 from typing import Any, Self, TypeVar
+
+from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 
 _T = TypeVar("_T")
 _TIMEOUT_S = 20.0
 
 
 class World:
-    """An asyncio loop in a thread of its own; a context manager."""
+    """An asyncio loop in a thread of its own; a context manager.
 
-    def __init__(self) -> None:
-        self.loop = asyncio.new_event_loop()
+    Attributes
+    ----------
+    clock
+        The time that everything in it goes by.
+    """
+
+    def __init__(self, clock: Clock = LSL_CLOCK) -> None:
+        self.clock = clock
+        self.loop = clock.new_event_loop()
         self._thread = threading.Thread(target=self._run, name="virtual devices", daemon=True)
+        self._ended = Future[None]()
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -35,12 +46,14 @@ class World:
     ) -> None:
         self.await_(self._cancel_all())
         self.loop.call_soon_threadsafe(self.loop.stop)
+        self.clock.wait_for(self._ended, _TIMEOUT_S)
         self._thread.join()
         self.loop.close()
 
     def await_(self, coroutine: Coroutine[Any, Any, _T]) -> _T:
         """Run a coroutine in the world's loop and return its result; for other threads."""
-        return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(_TIMEOUT_S)
+        future = asyncio.run_coroutine_threadsafe(coroutine, self.loop)
+        return self.clock.wait_for(future, _TIMEOUT_S)
 
     def call(self, function: Callable[[], _T]) -> _T:
         """Run a function in the world's thread and return its result; for other threads."""
@@ -53,6 +66,7 @@ class World:
     def _run(self) -> None:
         asyncio.set_event_loop(self.loop)
         self.loop.run_forever()
+        self._ended.set_result(None)
 
     async def _cancel_all(self) -> None:
         others = asyncio.all_tasks() - {asyncio.current_task()}

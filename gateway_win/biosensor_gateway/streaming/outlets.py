@@ -22,6 +22,7 @@ from biosensor_common.lsl_header import describe
 from biosensor_common.quantities import TYPES_OF_DEVICE, ChannelFormat
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, SensorSpec, StreamSpec
 from biosensor_gateway.streaming.counters import Counters
+from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 
 # A stamp further off is not on the LSL clock at all (unix time, device time).
 MAX_STAMP_ERROR_S = 30.0
@@ -61,9 +62,16 @@ class Outlet:
     somebody did; see `release`.
     """
 
-    def __init__(self, stream: StreamSpec, identity: DeviceIdentity, info: DeviceInfo) -> None:
+    def __init__(
+        self,
+        stream: StreamSpec,
+        identity: DeviceIdentity,
+        info: DeviceInfo,
+        clock: Clock = LSL_CLOCK,
+    ) -> None:
         if isinstance(stream.rate, FromDevice):
             raise TypeError(f"stream {stream.data_name!r}: its rate must be known by now")
+        self._clock = clock
         self.stream = stream
         self.nominal_rate = stream.rate
         self.source_id = naming.source_id(identity, stream.data_name)
@@ -82,7 +90,7 @@ class Outlet:
         # What a device says once or rarely, and what holds until it says otherwise.
         tells_state = stream.is_state or stream.content_type in TYPES_OF_DEVICE
         self._waits = tells_state and not stream.is_regular
-        self._ready_s = pylsl.local_clock() + ATTACH_TIME_S
+        self._ready_s = self._clock() + ATTACH_TIME_S
         self._waiting: deque[tuple[NDArray[Any], float]] = deque(maxlen=MAX_WAITING)
 
     def push(self, samples: ArrayLike, stamps: Sequence[float]) -> str | None:
@@ -136,7 +144,7 @@ class Outlet:
     def _has_audience(self) -> bool:
         if not self._waits:
             return True
-        has_one = pylsl.local_clock() >= self._ready_s and self._outlet.have_consumers()
+        has_one = self._clock() >= self._ready_s and self._outlet.have_consumers()
         # Once is enough: whoever comes later gets what is measured later.
         self._waits = not has_one
         return has_one
@@ -172,7 +180,7 @@ class Outlet:
     def _stamp_fault(self, stamps: Sequence[float]) -> str | None:
         if not _is_sorted([self.counters.last_stamp, *stamps]):
             return "stamps run backwards"
-        now = pylsl.local_clock()
+        now = self._clock()
         if max(abs(stamps[0] - now), abs(stamps[-1] - now)) > MAX_STAMP_ERROR_S:
             return "stamps are not on the LSL clock"
         return None
@@ -219,8 +227,11 @@ class DeviceOutlets:
     agent ends: a drop-out is a gap, not a vanished stream.
     """
 
-    def __init__(self, identity: DeviceIdentity, spec: SensorSpec) -> None:
+    def __init__(
+        self, identity: DeviceIdentity, spec: SensorSpec, clock: Clock = LSL_CLOCK
+    ) -> None:
         self.identity = identity
+        self._clock = clock
         self._sensor = spec
         self._outlets: dict[str, Outlet] = {}
 
@@ -256,7 +267,7 @@ class DeviceOutlets:
                 # The old outlet must be gone before one of the same source_id appears.
                 self._outlets.pop(stream.data_name, None)
                 del present
-                self._outlets[stream.data_name] = Outlet(stream, self.identity, info)
+                self._outlets[stream.data_name] = Outlet(stream, self.identity, info, self._clock)
         return changed
 
     def close(self) -> None:

@@ -9,7 +9,6 @@ from typing import Any, Protocol
 import numpy as np
 import structlog
 from numpy.typing import ArrayLike
-from pylsl import local_clock
 
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.device_clock import ClockState, DeviceClock
@@ -18,6 +17,7 @@ from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.outlets import MAX_STAMP_ERROR_S, DeviceOutlets
 from biosensor_gateway.streaming.pause_gate import PauseGate
 from biosensor_gateway.streaming.silence import Silence, StreamWatch
+from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 
 DEVICE_RESTARTED = "device_restarted"
 """Cause of a re-anchor that a driver asks for."""
@@ -81,16 +81,21 @@ class DeviceSink:
         Data names of the streams that the settings switch off.
     watch
         Knows which streams are due and do not come.
+    clock
+        The LSL time that everything of the device goes by.
     """
 
-    def __init__(self, identity: DeviceIdentity, spec: SensorSpec) -> None:
+    def __init__(
+        self, identity: DeviceIdentity, spec: SensorSpec, clock: Clock = LSL_CLOCK
+    ) -> None:
         self.identity = identity
-        self.watch = StreamWatch()
+        self.clock = clock
+        self.watch = StreamWatch(clock)
         self.spec = spec
         self.observer: SinkObserver | None = None
         self.silent: frozenset[str] = frozenset()
         self._clock = DeviceClock()
-        self._outlets = DeviceOutlets(identity, spec)
+        self._outlets = DeviceOutlets(identity, spec, clock)
         self._stamps: dict[str, MonotonicStamps] = {}
         self._refusals: set[tuple[str, str]] = set()
         self._gate = PauseGate()
@@ -144,7 +149,7 @@ class DeviceSink:
     def pause(self) -> None:
         """Send nothing from now on, also not what is still in work; the device stays connected."""
         if not self.is_paused:
-            self._gate.begin(local_clock())
+            self._gate.begin(self.clock())
             self._outlets.withhold_waiting()
             if self.observer is not None:
                 self.observer.paused()
@@ -152,7 +157,7 @@ class DeviceSink:
     def resume(self) -> None:
         """Send again what is measured from now on; see :class:`PauseGate`."""
         if self.is_paused:
-            self._gate.end(local_clock())
+            self._gate.end(self.clock())
             if self.observer is not None:
                 self.observer.resumed(self._gate.send_from)
 
@@ -223,7 +228,7 @@ class DeviceSink:
         samples, stamps = self._sendable(data_name, samples, lsl_times)
         if len(lsl_times) and not len(stamps):
             return
-        if max(stamps, default=0.0) < local_clock() + MAX_STAMP_ERROR_S:
+        if max(stamps, default=0.0) < self.clock() + MAX_STAMP_ERROR_S:
             # One from the future is refused; guarded, it would push all later ones there, too.
             stamps = self._guarded(data_name, stamps)
         refusal = self._outlets[data_name].push(samples, stamps)
@@ -278,14 +283,14 @@ class DeviceSink:
         newest = self._newest.get(data_name)
         if newest is not None:
             self._steps[data_name] = newest, times[0]
-        self._newest[data_name] = min(max(times), local_clock())
+        self._newest[data_name] = min(max(times), self.clock())
 
     def _missing_span(self, data_name: str) -> tuple[float, float]:
         """Return where lost samples are missing, in LSL time.
 
         Some drivers count them before they emit what follows the gap, some after.
         """
-        now = local_clock()
+        now = self.clock()
         newest = self._newest.get(data_name, now)
         spans = (newest, now), self._steps.get(data_name, (newest, newest))
         return max(spans, key=lambda span: span[1] - span[0])

@@ -17,9 +17,9 @@ from bleak import BleakClient
 from bleak.backends.characteristic import BleakGATTCharacteristic
 from bleak.exc import BleakError, BleakGATTProtocolError
 from bleak.uuids import normalize_uuid_str
-from pylsl import local_clock
 
 from biosensor_common.errors import ProtocolError, ProtocolReason, TransportError, TransportReason
+from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_errors import AttError, connect_error, is_forgotten
 from biosensor_gateway.transports.ble_scanner import Sighting, forget
@@ -71,11 +71,16 @@ class BleLink:
     ----------
     choice
         Which device; shared by all connections of a driver.
+    clock
+        Tells when something arrives.
     pair_first
         Pair before connecting, for devices that hide their services until then.
     """
 
-    def __init__(self, choice: Choice, *, pair_first: bool = False) -> None:
+    def __init__(
+        self, choice: Choice, clock: Clock = LSL_CLOCK, *, pair_first: bool = False
+    ) -> None:
+        self.clock = clock
         self._choice = choice
         self._pair_first = pair_first
         self._client: BleakClient | None = None
@@ -265,7 +270,7 @@ class BleLink:
         return TransportError(TransportReason.LOST, message)
 
     def _arrived(self, characteristic: BleakGATTCharacteristic, data: bytearray) -> None:
-        arrival = local_clock()
+        arrival = self.clock()
         notification = Notification(characteristic.uuid.lower(), bytes(data), arrival)
         self._incoming.put_nowait(notification)
 

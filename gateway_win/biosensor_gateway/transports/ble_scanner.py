@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import replace
@@ -38,7 +37,7 @@ class Sighting(NamedTuple):
     device: BLEDevice
     advertisement: Advertisement
     heard_s: float
-    """On the monotonic clock."""
+    """On the event loop's clock."""
 
 
 @asynccontextmanager
@@ -104,6 +103,7 @@ class _SharedScan:
     """A scan that runs while it has listeners."""
 
     def __init__(self) -> None:
+        self._now = asyncio.get_running_loop().time
         self._switching = asyncio.Lock()
         self._scanner: BleakScanner | None = None
         self._listeners: set[asyncio.Queue[Sighting]] = set()
@@ -113,12 +113,12 @@ class _SharedScan:
     async def join(self) -> asyncio.Queue[Sighting]:
         queue: asyncio.Queue[Sighting] = asyncio.Queue()
         async with self._switching:
-            if self._scanner is not None and time.monotonic() - self._last_heard_s > SILENT_S:
+            if self._scanner is not None and self._now() - self._last_heard_s > SILENT_S:
                 await self._stop()
             if self._scanner is None:
                 await self._start()
             self._listeners.add(queue)
-        recently = time.monotonic() - RECENT_S
+        recently = self._now() - RECENT_S
         for sighting in self._seen.values():
             if sighting.heard_s > recently:
                 queue.put_nowait(sighting)
@@ -144,7 +144,7 @@ class _SharedScan:
             in_background(scanner.stop())
             raise
         self._scanner = scanner
-        self._last_heard_s = time.monotonic()
+        self._last_heard_s = self._now()
 
     async def _stop_unless_used(self) -> None:
         async with self._switching:
@@ -160,7 +160,7 @@ class _SharedScan:
                 await within(STOP_LIMIT_S, scanner.stop())
 
     def _heard(self, device: BLEDevice, data: AdvertisementData) -> None:
-        self._last_heard_s = time.monotonic()
+        self._last_heard_s = self._now()
         before = self._seen.pop(device.address, None)
         known = Advertisement(device.address) if before is None else before.advertisement
         sighting = Sighting(device, _merged(known, device, data), self._last_heard_s)

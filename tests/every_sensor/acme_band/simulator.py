@@ -57,7 +57,7 @@ class SimulatedAcmeBand(VirtualDevice):
         super().__init__(world, kept)
         self._wearer = Wearer(seed)
         self._rng = np.random.default_rng(seed)
-        self._crystal = Crystal(drift_ppm)
+        self._crystal = Crystal(world.clock, drift_ppm)
         self._jitter_s = jitter_s
         self._port: AsyncSerialPort | None = None
         self._measuring: asyncio.Task[None] | None = None
@@ -72,7 +72,7 @@ class SimulatedAcmeBand(VirtualDevice):
     async def _start(self) -> None:
         self._port = serial_port(self._heard, self._left, buffer_bytes=4096)
         self._port.open()
-        self._crystal = Crystal(self._crystal.drift_ppm)
+        self._crystal = Crystal(self.world.clock, self._crystal.drift_ppm)
         self._measuring = asyncio.create_task(self._measure(self._port))
 
     async def _stop(self) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 from numpy.typing import ArrayLike
-from pylsl import local_clock
 
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.streaming.events import EventKind
@@ -31,6 +30,7 @@ class DeviceEvents:
     """
 
     def __init__(self, sink: DeviceSink, announcer: Announcer) -> None:
+        self._clock = sink.clock
         identity = sink.identity
         self._announcer = announcer
         self._names = {"sensor": identity.sensor, "unit": identity.unit}
@@ -70,7 +70,7 @@ class DeviceEvents:
     @log_errors
     def sampled(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
         """Follow gaps, and whether the sensor is worn."""
-        self._gaps.sampled(data_name, stamps[0], stamps[-1], local_clock())
+        self._gaps.sampled(data_name, stamps[0], stamps[-1], self._clock())
         for is_on, at in self._contact.changes(data_name, samples, stamps):
             kind = EventKind.ON_BODY if is_on else EventKind.OFF_BODY
             self._say(kind, at, {"channel": self._contact.channel})
@@ -108,7 +108,7 @@ class DeviceEvents:
     def paused(self) -> None:
         """Announce the withdrawal; a gap ends with it."""
         self._is_paused = True
-        now = local_clock()
+        now = self._clock()
         self._say_gaps(self._gaps.cut_off(now), paused=True)
         self._say(EventKind.PAUSED, now)
 

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from pydantic import Field
-from pylsl import local_clock
 
 from biosensor_common.errors import GatewayError, ProtocolError, ProtocolReason
 from biosensor_gateway.devices.ble_heart_rate.driver.discovery import (
@@ -54,7 +53,7 @@ class HeartRateStrapDriver:
 
     async def connect(self) -> Connected:
         """Connect and subscribe; see the protocol class."""
-        self._seen = await self._link.open(), local_clock()
+        self._seen = await self._link.open(), self._link.clock()
         self._emitter.reconnected()
         if not self._link.has(HEART_RATE_MEASUREMENT):
             message = f"{self._link.what} measures no heart rate; choose another `device`"
@@ -93,7 +92,7 @@ def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], HeartRateS
     emitter = StrapEmitter(sink)
     kind = identify_any if own.device else identify
     choice = Choice(kind, "heart-rate strap", own.device, _ADVICE)
-    return lambda: HeartRateStrapDriver(BleLink(choice), emitter)
+    return lambda: HeartRateStrapDriver(BleLink(choice, sink.clock), emitter)
 
 
 DRIVER = DriverEntry(HeartRateStrapSettings, _make, recognise=recognise)

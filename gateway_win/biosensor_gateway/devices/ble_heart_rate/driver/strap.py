@@ -6,8 +6,6 @@ import asyncio
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 
-from pylsl import local_clock
-
 from biosensor_common.errors import ProtocolError, TransportError, TransportReason
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
@@ -111,7 +109,7 @@ class Strap:
     async def _read_battery(self) -> None:
         with _optional():
             data = await self._link.read(BATTERY_LEVEL)
-            self._emitter.battery(data, local_clock())
+            self._emitter.battery(data, self._link.clock())
 
     async def _subscribe_to_battery(self) -> bool:
         with _optional():

@@ -12,7 +12,6 @@ from math import inf, isfinite
 
 import numpy as np
 from bumble.gatt import Characteristic, Service
-from pylsl import local_clock
 
 from biosensor_gateway.devices.ble_heart_rate.simulator.heart import BeatDetector
 from biosensor_gateway.devices.ble_heart_rate.simulator.measurement import damaged, encode
@@ -127,13 +126,13 @@ class Strap:
         self._power = PowerSwitch(self._power_on, self._power_off)
         self._tasks: set[asyncio.Task[None]] = set()
         self._leaving: asyncio.TimerHandle | None = None
-        self.origin_s = local_clock()
+        self.origin_s = self.peripheral.clock()
         self._reset()
         peripheral.on_connected.append(self._note_signal)
 
     async def start(self) -> None:
         """Switch it on for the first time."""
-        self.origin_s = local_clock()
+        self.origin_s = self.peripheral.clock()
         await self._power.want(True)
 
     async def stop(self) -> None:
@@ -204,8 +203,8 @@ class Strap:
         await self.peripheral.power_off()
 
     def _reset(self) -> None:
-        self.crystal = Crystal(self._drift_ppm)
-        detector = BeatDetector(self.wearer, self.crystal, self.origin_s, local_clock())
+        self.crystal = Crystal(self.peripheral.clock, self._drift_ppm)
+        detector = BeatDetector(self.wearer, self.crystal, self.origin_s, self.peripheral.clock())
         self.pulse = Pulse(detector, tells_contact=self._tells_contact, sends_rr=self._sends_rr)
 
     async def _measure(self) -> None:
@@ -236,7 +235,7 @@ class Strap:
         self._note("rssi", self._rssi_dbm)
 
     def _note(self, data_name: str, value: float) -> None:
-        self.truth.sent(data_name, [local_clock()], [(value,)])
+        self.truth.sent(data_name, [self.peripheral.clock()], [(value,)])
 
     def _take_off(self) -> None:
         self.worn = False

@@ -150,7 +150,7 @@ class SimulatedCortex(VirtualDevice):
                 jitter_s=jitter_s,
             ),
             self.truth,
-            world.loop,
+            world,
         )
 
     @property

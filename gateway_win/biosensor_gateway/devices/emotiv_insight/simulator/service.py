@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pylsl import local_clock
 
 from biosensor_gateway.devices.emotiv_insight.simulator.account import Account, App, Licence
 from biosensor_gateway.devices.emotiv_insight.simulator.certificates import Authority, Leaf
@@ -30,6 +29,7 @@ from biosensor_gateway.devices.emotiv_insight.simulator.warnings import Announce
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.simulation.world import World
 
 _CORTEX_READY = 23
 _GOING_AWAY = 1001
@@ -75,14 +75,15 @@ class Service:
     setup
     truth
         Where the streams note what they sent.
-    loop
-        The world's.
+    world
+        Where it runs.
     """
 
-    def __init__(self, setup: Setup, truth: Truth, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, setup: Setup, truth: Truth, world: World) -> None:
         self._setup = setup
         self._truth = truth
-        self._loop = loop
+        self._loop = world.loop
+        self._clock = world.clock
         self._rng = np.random.default_rng((setup.seed, 0x6A))
         self._signals = Signals(setup.model, setup.wearer, setup.seed)
         self._changes = 0
@@ -98,7 +99,7 @@ class Service:
             setup.timing,
             is_virtual=setup.is_virtual,
             must_scan=setup.release.must_scan,
-            loop=loop,
+            loop=self._loop,
             warn=self.warn,
             lost=self.sessions.lose_all,
         )
@@ -113,7 +114,7 @@ class Service:
             setup.neighbours,
             self._subscribed,
         )
-        self.replies = Replies(methods, self.manners, loop)
+        self.replies = Replies(methods, self.manners, self._loop)
 
     @property
     def eeg_rate(self) -> int:
@@ -130,9 +131,9 @@ class Service:
             authority.server_context(self._setup.leaf), self.replies.hear, self.sessions.end_with
         )
         self.listener.open()
-        self._begin_s = local_clock()
+        self._begin_s = self._clock()
         self._unix_begin_s = time.time()
-        self._crystal = Crystal(self._setup.drift_ppm, self._begin_s)
+        self._crystal = Crystal(self._clock, self._setup.drift_ppm, self._begin_s)
         self._streams = self._make_streams()
         self._tasks = [self._loop.create_task(stream.run()) for stream in self._streams.values()]
 

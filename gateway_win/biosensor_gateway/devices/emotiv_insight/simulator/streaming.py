@@ -10,7 +10,6 @@ from math import floor, nan
 from typing import Any, cast
 
 import numpy as np
-from pylsl import local_clock
 
 from biosensor_gateway.devices.emotiv_insight.declaration import SPEC
 from biosensor_gateway.devices.emotiv_insight.simulator.listener import Client
@@ -134,7 +133,7 @@ class Stream:
         leaves_s = 0.0
         for k, true_s, sample in zip(numbers.tolist(), true_times, samples, strict=True):
             leaves_s = max(leaves_s, true_s + stage.rng.uniform(0, stage.jitter_s))
-            await asyncio.sleep(leaves_s - local_clock())
+            await asyncio.sleep(leaves_s - stage.crystal.clock())
             if stage.changes() != changes:
                 return k
             self._deliver(k, true_s, sample)

@@ -105,6 +105,7 @@ class SimulatedE4(VirtualDevice):
             radio_connect_s=radio_connect_s,
             style=NumberFormat(decimal_mark, minus_sign),
             seed=seed,
+            clock=world.clock,
         )
         timing = Timing(burst, beat_delay_s, bvp_delay_s, battery_interval_s, jitter_s)
         for number, each in enumerate((device_id, *others)):

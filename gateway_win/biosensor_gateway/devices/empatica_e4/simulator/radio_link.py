@@ -10,7 +10,6 @@ from itertools import count
 from math import ceil, inf
 
 import numpy as np
-from pylsl import local_clock
 
 from biosensor_gateway.devices.empatica_e4.simulator.number_format import as_sent
 from biosensor_gateway.devices.empatica_e4.simulator.samples import (
@@ -103,7 +102,7 @@ class RadioLink:
 
     def tag(self) -> None:
         """Send that the button was pressed."""
-        now = local_clock()
+        now = self._crystal.clock()
         self._dispatch((Sample(TAG, now, self._crystal.at(now) - self._origin_s, ()),), 0.0)
 
     async def _run(self) -> None:
@@ -112,9 +111,9 @@ class RadioLink:
             end_s = self._true_time((block + 1) * _BLOCK_S)
             while self._on_its_way and self._on_its_way[0].arrives_s <= end_s:
                 # What arrives earlier may set out meanwhile: a tag.
-                await asyncio.sleep(max(0.0, self._on_its_way[0].arrives_s - local_clock()))
+                await asyncio.sleep(max(0.0, self._on_its_way[0].arrives_s - self._crystal.clock()))
                 self._arrive(heappop(self._on_its_way))
-            await asyncio.sleep(max(0.0, end_s - local_clock()))
+            await asyncio.sleep(max(0.0, end_s - self._crystal.clock()))
 
     def _measure(self, from_s: float, to_s: float) -> None:
         """Measure a block of device time since the link began, a moment ahead of time."""

@@ -13,6 +13,7 @@ from biosensor_gateway.devices.empatica_e4.simulator.listener import Listener
 from biosensor_gateway.devices.empatica_e4.simulator.number_format import NumberFormat
 from biosensor_gateway.devices.empatica_e4.simulator.wall_clock import WallClock
 from biosensor_gateway.devices.empatica_e4.simulator.wristband import Wristband
+from biosensor_gateway.system.clock import Clock
 
 
 class Server:
@@ -30,6 +31,8 @@ class Server:
         Of numbers, until a restart.
     seed
         Of garbage.
+    clock
+        The true time.
 
     Attributes
     ----------
@@ -46,7 +49,9 @@ class Server:
         radio_connect_s: float,
         style: NumberFormat,
         seed: int,
+        clock: Clock,
     ) -> None:
+        self._lsl = clock
         self.wristbands: dict[str, Wristband] = {}
         self.manners = Manners()
         self.commands = Commands(self.wristbands, self.manners, self._connect, radio_connect_s)
@@ -58,7 +63,7 @@ class Server:
 
     def start(self) -> None:
         """Open the port and, where the server does it, connect the wristbands."""
-        self._clock = WallClock()
+        self._clock = WallClock(self._lsl)
         for wristband in self.wristbands.values():
             wristband.begin(self._clock)
         self.come_up()

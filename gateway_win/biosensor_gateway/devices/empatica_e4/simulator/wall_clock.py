@@ -5,16 +5,22 @@ from __future__ import annotations
 import time
 from collections import Counter
 
-from pylsl import local_clock
-
 from biosensor_gateway.devices.empatica_e4.simulator.samples import Sample
+from biosensor_gateway.system.clock import Clock
 
 
 class WallClock:
-    """Unix time on the server's PC."""
+    """Unix time on the server's PC.
 
-    def __init__(self) -> None:
-        self._ahead_s = time.time() - local_clock()
+    Parameters
+    ----------
+    lsl
+        The true time, on the LSL clock.
+    """
+
+    def __init__(self, lsl: Clock) -> None:
+        self.lsl = lsl
+        self._ahead_s = time.time() - lsl()
 
     def at(self, lsl_s: float) -> float:
         """Return the unix time at an LSL time."""

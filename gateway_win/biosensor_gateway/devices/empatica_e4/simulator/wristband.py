@@ -7,7 +7,6 @@ from collections.abc import Callable
 from math import inf
 
 import numpy as np
-from pylsl import local_clock
 
 from biosensor_gateway.devices.empatica_e4.simulator.radio_link import RadioLink, Timing
 from biosensor_gateway.devices.empatica_e4.simulator.samples import Packet
@@ -78,8 +77,8 @@ class Wristband:
 
     def begin(self, clock: WallClock) -> None:
         """Let time begin: for the wearer, the crystal and on the server's PC."""
-        self._begin_s = local_clock()
-        self.crystal = Crystal(self._drift_ppm, self._begin_s)
+        self._begin_s = clock.lsl()
+        self.crystal = Crystal(clock.lsl, self._drift_ppm, self._begin_s)
         self._clock = clock
         self.stamps = Stamps(clock)
 
@@ -148,7 +147,7 @@ class Wristband:
     def lose_packets(self, share: float, seconds: float) -> None:
         """Lose a share of the packets, from 0 to 1, on the radio; their stamps show no gap."""
         self._lost_share = share
-        self._loses_until_s = local_clock() + seconds
+        self._loses_until_s = self._clock.lsl() + seconds
 
     def loses(self, packet: Packet) -> bool:
         """Tell whether a packet of a regular stream gets lost on the radio."""

@@ -161,7 +161,7 @@ def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], PolarH10Dr
     silent = frozenset(DATA_NAMES.values()) - {DATA_NAMES[each.measurement] for each in wanted}
 
     def meet() -> PolarSession:
-        return PolarSession(BleLink(choice, pair_first=own.pair), emitter, wanted)
+        return PolarSession(BleLink(choice, sink.clock, pair_first=own.pair), emitter, wanted)
 
     return lambda: PolarH10Driver(meet, emitter, silent)
 

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 
 import structlog
-from pylsl import local_clock
 
 from biosensor_common.errors import (
     GatewayError,
@@ -80,7 +79,7 @@ class PolarSession:
         TransportError, ProtocolError
             The device cannot be used now.
         """
-        self._seen = await self._link.open(), local_clock()
+        self._seen = await self._link.open(), self._link.clock()
         if pair:
             await self._link.pair()
         self._emitter.reconnected()

@@ -6,7 +6,6 @@ from typing import Protocol
 
 import numpy as np
 from bumble.gatt import Characteristic
-from pylsl import local_clock
 
 from biosensor_gateway.devices.ble_heart_rate.simulator.heart import BeatDetector
 from biosensor_gateway.devices.ble_heart_rate.simulator.measurement import RR_TICKS_PER_S
@@ -121,7 +120,8 @@ class IntervalStream:
         self._strap = strap
         self._data = data
         self._begin_s = begin_s
-        self._detector = BeatDetector(strap.wearer, strap.crystal, strap.origin_s, local_clock())
+        now_s = strap.crystal.clock()
+        self._detector = BeatDetector(strap.wearer, strap.crystal, strap.origin_s, now_s)
 
     async def run(self) -> None:
         """Measure and send for ever."""

@@ -8,7 +8,6 @@ from typing import Literal
 
 import structlog
 from pydantic import Field
-from pylsl import local_clock
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_common.spec import DeviceInfo
@@ -118,7 +117,7 @@ class ShimmerDriver:
         if not self._sink.watch.is_waiting:
             return  # data came before the answer
         # As far as one knows it went on measuring.
-        self._emitter.kept_measuring_until(local_clock())
+        self._emitter.kept_measuring_until(self._sink.clock())
         if not is_there:
             message = f"{self._port}: the device has fallen silent; it is started anew"
             raise TransportError(TransportReason.SILENT, message)

@@ -15,7 +15,6 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from pylsl import local_clock
 
 from biosensor_gateway.devices.shimmer3_gsr.simulator import battery
 from biosensor_gateway.devices.shimmer3_gsr.simulator.conversation import Conversation
@@ -110,8 +109,8 @@ class SimulatedShimmer3(VirtualDevice):
         self._battery_percent = battery_percent
         self._first_tick = first_tick
         self._tcp = tcp
-        self._crystal = Crystal(drift_ppm)
-        self._started_s = local_clock()
+        self._crystal = Crystal(world.clock, drift_ppm)
+        self._started_s = self.world.clock()
         self._port: AsyncSerialPort | None = None
         self._streams = False
         self._streamers: list[Streamer] = []
@@ -154,8 +153,8 @@ class SimulatedShimmer3(VirtualDevice):
         return battery.counts_at(self._battery_percent)
 
     async def _start(self) -> None:
-        self._crystal = Crystal(self._crystal.drift_ppm)
-        self._started_s = local_clock()
+        self._crystal = Crystal(self.world.clock, self._crystal.drift_ppm)
+        self._started_s = self.world.clock()
         self._port = serial_port(
             self._heard, self._link_lost, buffer_bytes=_TX_QUEUE_BYTES, tcp=self._tcp
         )
@@ -209,7 +208,7 @@ class SimulatedShimmer3(VirtualDevice):
                 pass
 
     def _power_on(self) -> None:
-        self._crystal = Crystal(self._crystal.drift_ppm)
+        self._crystal = Crystal(self.world.clock, self._crystal.drift_ppm)
         self._first_tick = 0
         self._interpreter.power_on()
 
@@ -240,7 +239,7 @@ class SimulatedShimmer3(VirtualDevice):
     def _obeyed(self, opcode: Opcode, answered: bool) -> None:
         if opcode is Opcode.GET_BATTERY and answered:
             percent = battery.percent_of(self.battery_counts())
-            self.truth.sent("bat", [local_clock()], [[percent]])
+            self.truth.sent("bat", [self.world.clock()], [[percent]])
         self._follow_sensing()
 
     def _follow_sensing(self) -> None:
@@ -252,7 +251,7 @@ class SimulatedShimmer3(VirtualDevice):
             streamer.stop()
         if self._streams:
             source = samples(self._sampling())
-            self._streamers.append(Streamer(source, self._send, self._keep_back))
+            self._streamers.append(Streamer(source, self.world.clock, self._send, self._keep_back))
 
     def _sampling(self) -> Sampling:
         return Sampling(

@@ -8,7 +8,6 @@ from math import inf
 from typing import NamedTuple
 
 import numpy as np
-from pylsl import local_clock
 
 from biosensor_gateway.devices.shimmer3_gsr.simulator.gsr import (
     AUTO_RANGE,
@@ -25,6 +24,7 @@ from biosensor_gateway.devices.shimmer3_gsr.simulator.inputs import (
 from biosensor_gateway.devices.shimmer3_gsr.simulator.wire import TICKS_PER_S, data_packet
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.system.clock import Clock
 
 _SETTLING_TICKS = round(0.065 * TICKS_PER_S)
 """What is sampled before is not sent."""
@@ -135,6 +135,8 @@ class Streamer:
     ----------
     source
         Samples in order, without end.
+    clock
+        The true time.
     send, keep_back
         Take a sample that leaves, and one that was measured and never will.
     """
@@ -142,10 +144,12 @@ class Streamer:
     def __init__(
         self,
         source: Iterator[Sample],
+        clock: Clock,
         send: Callable[[Sample], None],
         keep_back: Callable[[Sample], None],
     ) -> None:
         self._source = source
+        self._clock = clock
         self._send = send
         self._keep_back = keep_back
         self._next = next(source)
@@ -159,19 +163,19 @@ class Streamer:
 
     def stop(self) -> None:
         """Measure no more; what is on its way still arrives."""
-        self._stopped_s = min(self._stopped_s, local_clock())
+        self._stopped_s = min(self._stopped_s, self._clock())
 
     def cut(self) -> None:
         """End at once; what is on its way is kept back."""
         self._task.cancel()
-        stopped_s = min(self._stopped_s, local_clock())
+        stopped_s = min(self._stopped_s, self._clock())
         while not self._task.done() and self._next.measured_s <= stopped_s:
             self._keep_back(self._next)
             self._next = next(self._source)
 
     async def _run(self) -> None:
         while self._next.measured_s <= self._stopped_s:
-            await asyncio.sleep(max(0.0, self._next.leaves_s - local_clock()))
+            await asyncio.sleep(max(0.0, self._next.leaves_s - self._clock()))
             # It may have been stopped in the meantime.
             if self._next.measured_s <= self._stopped_s:
                 sample, self._next = self._next, next(self._source)

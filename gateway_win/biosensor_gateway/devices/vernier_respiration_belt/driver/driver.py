@@ -8,7 +8,6 @@ from contextlib import suppress
 
 import structlog
 from pydantic import Field
-from pylsl import local_clock
 
 from biosensor_common.errors import (
     GatewayError,
@@ -78,7 +77,7 @@ class VernierDriver:
         self._period_us = settings.period_ms * 1000
         self._sink = sink
         self._emitter = emitter
-        self._link = BleLink(choice)
+        self._link = BleLink(choice, sink.clock)
         self._rssi: tuple[int | None, float] = (None, 0.0)
         self._status: tuple[replies.Status | None, float] = (None, 0.0)
         self._conversation: Conversation | None = None
@@ -87,7 +86,7 @@ class VernierDriver:
     async def connect(self) -> Connected:
         """Find the belt, learn what it is and start it; see the protocol class."""
         seen = await self._link.open()
-        self._rssi = (seen.rssi_dbm, local_clock())
+        self._rssi = (seen.rssi_dbm, self._link.clock())
         belt = self._conversation = Conversation(self._link, self._sink)
         await belt.begin()
         await _wake(belt)

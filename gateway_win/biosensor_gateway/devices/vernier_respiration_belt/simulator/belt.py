@@ -13,7 +13,6 @@ from bumble.att import Attribute
 from bumble.device import Connection
 from bumble.gatt import Characteristic, CharacteristicValue, Service
 from numpy.typing import NDArray
-from pylsl import local_clock
 
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.expected import EXPECTED
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.firmware import BeltFirmware
@@ -106,8 +105,8 @@ class SimulatedBelt(VirtualDevice):
         self._answer_delay_s = 0.0
         self._worn_since_s = 0.0
         self._worn = True
-        self._origin_s = local_clock()
-        self._crystal = Crystal(drift_ppm)
+        self._origin_s = self.world.clock()
+        self._crystal = Crystal(world.clock, drift_ppm)
         self._power = PowerSwitch(self._power_on, self._power_off)
         self._tasks: set[asyncio.Task[None]] = set()
         self._measuring: asyncio.Task[None] | None = None
@@ -127,7 +126,7 @@ class SimulatedBelt(VirtualDevice):
         return {"device": self._serial}
 
     async def _start(self) -> None:
-        self._origin_s = self._worn_since_s = local_clock()
+        self._origin_s = self._worn_since_s = self.world.clock()
         await self._power.want(True)
 
     async def _stop(self) -> None:
@@ -171,12 +170,12 @@ class SimulatedBelt(VirtualDevice):
             case FaultKind.LATE:
                 self._answer_delay_s = 0.0
             case FaultKind.OFF_BODY:
-                self._worn, self._worn_since_s = True, local_clock()
+                self._worn, self._worn_since_s = True, self.world.clock()
             case _:
                 self._power.release(kind)
 
     async def _power_on(self) -> None:
-        self._crystal = Crystal(self._drift_ppm)
+        self._crystal = Crystal(self.world.clock, self._drift_ppm)
         # Only a writing host is told apart; the vendor's services are not advertised.
         commands = Characteristic[bytes](
             COMMAND_UUID,
@@ -202,7 +201,7 @@ class SimulatedBelt(VirtualDevice):
         for packet in packets:
             await self._send(packet)
         if Command.GET_STATUS in was_asked and not self._firmware.refuses:
-            self.truth.sent("bat", [local_clock()], [(self._firmware.battery_percent,)])
+            self.truth.sent("bat", [self.world.clock()], [(self._firmware.battery_percent,)])
         if self._firmware.starts != starts:
             self._stop_measuring()
             self._measuring = self._run(self._measure())
@@ -214,7 +213,7 @@ class SimulatedBelt(VirtualDevice):
         period_s = self._firmware.period_us / 1e6
         count = max(1, round(PACKET_S / period_s))
         begin_s = self._crystal.now()
-        started_s = local_clock()
+        started_s = self.world.clock()
         first = 0
         while True:
             device_times = begin_s + (first + np.arange(count)) * period_s
@@ -284,7 +283,7 @@ class SimulatedBelt(VirtualDevice):
         self._peripheral.restore()
 
     def _note_signal(self) -> None:
-        self.truth.sent("rssi", [local_clock()], [(self._rssi_dbm,)])
+        self.truth.sent("rssi", [self.world.clock()], [(self._rssi_dbm,)])
 
     def _lose_host(self) -> None:
         self._stop_measuring()

@@ -1,0 +1,51 @@
+"""Tells the time, and lets threads wait by it.
+
+Drivers, streams, supervisors and virtual devices are given one clock. Beside LSL's own, tests
+have one that stands still while anybody works, so that half a minute of streaming takes as
+long as the work in it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from concurrent.futures import Future
+from typing import Protocol, TypeVar
+
+from pylsl import local_clock
+
+_T = TypeVar("_T")
+
+
+class Clock(Protocol):
+    """Seconds on LSL's clock when called; the event loops that it makes go by it."""
+
+    def __call__(self) -> float:
+        """Return the time now, in seconds on LSL's clock."""
+        ...
+
+    def new_event_loop(self) -> asyncio.AbstractEventLoop:
+        """Make an event loop whose timers go by this clock, for a thread of its own."""
+        ...
+
+    def wait_for(self, future: Future[_T], limit_s: float) -> _T:
+        """Block until another thread has the result; raise TimeoutError after `limit_s`."""
+        ...
+
+
+class LslClock:
+    """The time that LSL stamps with."""
+
+    def __call__(self) -> float:
+        """Return the time now, in seconds."""
+        return local_clock()
+
+    def new_event_loop(self) -> asyncio.AbstractEventLoop:
+        """Make an event loop."""
+        return asyncio.new_event_loop()
+
+    def wait_for(self, future: Future[_T], limit_s: float) -> _T:
+        """Block until another thread has the result; raise TimeoutError after `limit_s`."""
+        return future.result(limit_s)
+
+
+LSL_CLOCK = LslClock()
