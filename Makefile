@@ -47,7 +47,7 @@ tests: venv-peers
 	$(GATE) -m "not system and not alone" $(SIDE_BY_SIDE) -n 2 $(MANY_PROGRAMS)
 
 system-tests: venv-dev installer
-	$(GATE) -m "system and not alone" $(call MARKED,system)
+	$(GATE) -m "system and not alone" $(SIDE_BY_SIDE) -n 3 $(call MARKED,system)
 
 tests-alone: venv-dev
 	$(GATE) -m alone $(call MARKED,alone)

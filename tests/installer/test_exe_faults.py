@@ -245,7 +245,8 @@ def test_it_goes_on_by_itself(bench: Bench, what: str, name: str) -> None:
     assert (kind, name) in episode.recovered_s, bench.program.said()
     before, after = episode.before[name].status, episode.after[name].status
     assert (after["state"], after["error"]) == ("streaming", None)
-    assert after["connections"] > before["connections"]
+    # A silent device may be heard again as soon as its streams are enabled again.
+    assert after["connections"] > before["connections"] or what == SILENT
 
 
 @EVERY_CELL

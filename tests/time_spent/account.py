@@ -80,11 +80,16 @@ class Budget:
         By folder; one that is not there may take any time.
     longest
         Files of tests that take minutes, as paths; a run begins with them.
+    heavy
+        Those of which no two may run at a time.
     """
 
-    def __init__(self, seconds: dict[Folder, float], longest: Sequence[str] = ()) -> None:
+    def __init__(
+        self, seconds: dict[Folder, float], longest: Sequence[str] = (), heavy: Sequence[str] = ()
+    ) -> None:
         self._seconds = seconds
         self.longest = tuple(longest)
+        self.heavy = frozenset(heavy)
 
     @classmethod
     def read(cls, path: Path) -> Budget:
@@ -97,7 +102,7 @@ class Budget:
             for part in (ORDINARY, SYSTEM)
             for name, limit in content.get(part, {}).items()
         }
-        return cls(seconds, content.get("longest", ()))
+        return cls(seconds, content.get("longest", ()), content.get("heavy", ()))
 
     @property
     def folders(self) -> set[Folder]:

@@ -12,8 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from xdist.remote import Producer
+from xdist.scheduler.protocol import Scheduling
 
 from tests.time_spent.account import FAILS_ABOVE, ORDINARY, SYSTEM, Account, Budget, Folder
+from tests.time_spent.scheduling import TurnsOfTheHeavy
 
 SLOWEST = 30
 SHORTEST_S = 0.5
@@ -52,6 +55,14 @@ class TimeSpent:
             return rank.get(item.path.relative_to(self._root).as_posix(), len(rank))
 
         items.sort(key=place)
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_xdist_make_scheduler(
+        self, config: pytest.Config, log: Producer
+    ) -> Scheduling | None:
+        if config.getoption("dist") != "loadfile":
+            return None
+        return TurnsOfTheHeavy(config, log, self._budget.heavy)
 
     def pytest_runtest_logstart(self) -> None:
         self._busy_s = _busy_s()

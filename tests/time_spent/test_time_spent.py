@@ -101,6 +101,22 @@ def test_more_than_the_budget_is_said_and_much_more_fails_where_it_is_held(suite
     assert code == pytest.ExitCode.TESTS_FAILED, said
 
 
+def test_no_two_heavy_files_run_at_a_time(suite: Path) -> None:
+    """They are all one worker's, where whole files are distributed."""
+    files = [f"tests/busy/test_heavy_{letter}.py" for letter in "abc"]
+    (suite / BUDGET).write_text(f"heavy = {files}\n")
+    note = (
+        "import os\nfrom pathlib import Path\n\ndef test_it():\n"
+        "    Path(__file__).with_suffix('.worker').write_text(os.environ['PYTEST_XDIST_WORKER'])\n"
+    )
+    for file in files:
+        (suite / file).write_text(note)
+    code, said = _run(suite, "-p", "xdist", "-n", "3", "--dist", "loadfile")
+    assert code == 0, said
+    workers = {(suite / file).with_suffix(".worker").read_text() for file in files}
+    assert len(workers) == 1
+
+
 def test_parts_of_a_test_and_tests_of_a_folder_add_up() -> None:
     account = Account()
     for test, seconds in (("a", 1.0), ("b", 2.0), ("a", 4.0)):
@@ -121,4 +137,4 @@ def test_the_budget_names_all_folders_and_files_that_are_there() -> None:
     tests, budget = ROOT / "tests", Budget.read(ROOT / BUDGET)
     having_tests = {path.relative_to(tests).parts[0] for path in tests.rglob("test_*.py")}
     assert {folder.name for folder in budget.folders} == having_tests
-    assert [file for file in budget.longest if not (ROOT / file).is_file()] == []
+    assert [f for f in (*budget.longest, *budget.heavy) if not (ROOT / f).is_file()] == []
