@@ -76,7 +76,7 @@ async def _run(settings: Path) -> None:
             loop.call_soon_threadsafe(lines.put_nowait, line)
 
     threading.Thread(target=read, daemon=True).start()
-    while any(supervisor.state is not State.STREAMING for supervisor, _ in agent.devices):  # noqa: ASYNC110 - seven devices, one poll
+    while any(each.supervisor.state is not State.STREAMING for each in agent.devices):  # noqa: ASYNC110 - seven devices, one poll
         await asyncio.sleep(_POLL_S)
     print("streaming", flush=True)
     await lines.get()

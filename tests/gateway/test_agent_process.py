@@ -25,6 +25,7 @@ from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import agent as agent_module
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.agent import Agent
+from biosensor_gateway.agent.device import Device
 from biosensor_gateway.agent.supervisor import State, Supervisor
 from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.registry import declaration
@@ -268,7 +269,8 @@ async def test_if_a_supervisor_itself_dies_everything_is_closed_and_it_is_said(
         for index in range(2)
     ]
     good = Supervisor(lambda: bystander, sinks[0])
-    agent.devices = [(good, sinks[0]), (DeadSupervisor(lambda: bystander, sinks[1]), sinks[1])]
+    dead = DeadSupervisor(lambda: bystander, sinks[1])
+    agent.devices = [Device(good, sinks[0]), Device(dead, sinks[1])]
     with pytest.raises(RuntimeError, match="a mistake in the supervisor"):
         await asyncio.wait_for(agent.run(), ENDED_WITHIN_S)
     assert good.state is State.STOPPED

@@ -16,7 +16,7 @@ from biosensor_gateway.devices.registry import declaration, declaration_names
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
 from biosensor_gateway.streaming.events.contact import ContactWatch
-from biosensor_gateway.streaming.events.device import DeviceEvents
+from biosensor_gateway.streaming.events.device import DeviceEvents, follow
 from biosensor_gateway.streaming.events.gaps import SETTLE_S, Gap, GapWatch
 from biosensor_gateway.streaming.pause_gate import RESUME_GUARD_S
 from biosensor_gateway.streaming.sink import DeviceSink
@@ -63,7 +63,7 @@ def sink() -> Generator[DeviceSink]:
 
 @pytest.fixture
 def events(sink: DeviceSink, announcer: NotedAnnouncer) -> DeviceEvents:
-    return DeviceEvents(sink, announcer)
+    return follow(sink, announcer)
 
 
 def opened(sink: DeviceSink, announcer: NotedAnnouncer) -> None:
@@ -101,7 +101,7 @@ def test_what_a_device_decides_is_announced_when_it_changes(
 
 def test_participant_and_label_are_said_where_they_are_set(announcer: NotedAnnouncer) -> None:
     sink = DeviceSink(DeviceIdentity(H10, "U1", "p01", "left"), declaration(H10))
-    events = DeviceEvents(sink, announcer)
+    events = follow(sink, announcer)
     events.reanchored("below", 1.23456789)
     assert announcer.noted == [
         {
@@ -193,7 +193,7 @@ def test_a_pause_from_before_the_start_is_announced_as_such(
     sink: DeviceSink, announcer: NotedAnnouncer
 ) -> None:
     sink.pause()
-    DeviceEvents(sink, announcer)
+    follow(sink, announcer)
     assert announcer.take() == [{"event": "paused", "kept": True}]
 
 

@@ -25,7 +25,7 @@ from biosensor_gateway.settings.file import load_settings
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events import announcer as announcer_module
 from biosensor_gateway.streaming.events.announcer import Announcer
-from biosensor_gateway.streaming.events.device import DeviceEvents
+from biosensor_gateway.streaming.events.device import follow
 from biosensor_gateway.streaming.events.log_errors import log_errors
 from biosensor_gateway.streaming.sink import DeviceSink
 
@@ -173,7 +173,7 @@ async def test_nothing_that_fails_in_it_reaches_the_data(
     sink = DeviceSink(DeviceIdentity("zephyr", unit), declaration("zephyr"))
     with capture_logs() as logs:
         async with announcing(0.1, broken) as announcer:
-            events = DeviceEvents(sink, announcer)
+            events = follow(sink, announcer)
             monkeypatch.setattr(announcer_module.Outlet, "push_text", broken)
             sink.open(DeviceInfo(), {})
             reader = await asyncio.to_thread(inlet, f"zephyr-{unit}-ecg")

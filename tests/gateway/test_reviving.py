@@ -13,14 +13,14 @@ from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.agent import reviving, status_file
+from biosensor_gateway.agent import reviving
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.supervisor import State, Supervisor
 from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming import silence as silence_module
 from biosensor_gateway.streaming.events.announcer import Announcer
-from biosensor_gateway.streaming.events.device import DeviceEvents
+from biosensor_gateway.streaming.events.device import follow
 from biosensor_gateway.streaming.silence import Remedy, Silence
 from biosensor_gateway.streaming.sink import DeviceSink
 
@@ -94,7 +94,7 @@ class Bench:
         self.sink = NotedSink(unit)
         self.announcer = Announcer(0.0, dict)
         self.supervisor = Supervisor(lambda: kind(self), self.sink, self.states.append)
-        self.supervisor.on_drop = DeviceEvents(self.sink, self.announcer).dropped
+        self.supervisor.on_drop = follow(self.sink, self.announcer).dropped
         self.task = asyncio.create_task(self.supervisor.run())
 
     @property
@@ -102,8 +102,7 @@ class Bench:
         return self.supervisor.last_error or ""
 
     def status(self) -> dict[str, Any]:
-        (device,) = status_file.snapshot([(self.supervisor, self.sink)])["devices"]
-        return device
+        return Device(self.supervisor, self.sink).status()
 
     async def end(self) -> None:
         self.task.cancel()

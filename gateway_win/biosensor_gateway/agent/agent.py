@@ -14,18 +14,14 @@ from biosensor_common.lsl_config import LslOverrides
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.control import Command
+from biosensor_gateway.agent.device import Device
 from biosensor_gateway.agent.pauses.commands import PauseCommands
-from biosensor_gateway.agent.pauses.selection import device_name
-from biosensor_gateway.agent.supervisor import Supervisor
-from biosensor_gateway.devices.registry import declaration, driver
-from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings, LslSettings
+from biosensor_gateway.settings.models import GatewaySettings, LslSettings
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
-from biosensor_gateway.streaming.events.device import DeviceEvents
 from biosensor_gateway.streaming.gateway import GATEWAY
 from biosensor_gateway.streaming.outlets import Outlet, configure_lsl
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.keep_awake import KeepAwake, system_inhibitor
 
 REPORT_INTERVAL_S = 1.0
@@ -55,8 +51,8 @@ class Agent:
         if taken_over is not None:
             _log.info("LSL configuration taken over", file=str(taken_over))
         enabled = [device for device in settings.devices if device.enabled]
-        self.devices = [_supervised(device) for device in enabled]
-        self._desk = PauseCommands(folder, [sink for _, sink in self.devices])
+        self.devices = [Device.from_settings(device) for device in enabled]
+        self._pauses = PauseCommands(folder, [device.sink for device in self.devices])
         self._heartbeat_s = settings.events.heartbeat_s
         self._unwritable = False
         self._awake = KeepAwake(system_inhibitor() if settings.power.keep_awake else None)
@@ -64,15 +60,15 @@ class Agent:
     @property
     def commands(self) -> dict[str, Command]:
         """What a running agent can be asked for, besides its end."""
-        return self._desk.commands
+        return self._pauses.commands
 
     async def run(self) -> None:
         """Stream until cancelled, then close every device and outlet."""
         counters = _counters_outlet()
         announcer = Announcer(self._heartbeat_s, self._states)
-        for supervisor, sink in self.devices:
-            supervisor.on_drop = DeviceEvents(sink, announcer).dropped
-        tasks = [asyncio.create_task(supervisor.run()) for supervisor, _ in self.devices]
+        for device in self.devices:
+            device.announce_to(announcer)
+        tasks = [asyncio.create_task(device.supervisor.run()) for device in self.devices]
         tasks.append(asyncio.create_task(self._report(counters, announcer)))
         tasks.append(asyncio.create_task(announcer.run()))
         try:
@@ -83,17 +79,14 @@ class Agent:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
             self._awake.close()
-            for _, sink in self.devices:
-                sink.close()
+            for device in self.devices:
+                device.sink.close()
             await announcer.end()
             counters.close()
             status_file.remove_status(self._folder)
 
     def _states(self) -> dict[str, str]:
-        return {
-            device_name(sink.identity): "paused" if sink.is_paused else supervisor.state.value
-            for supervisor, sink in self.devices
-        }
+        return {device.name: device.state for device in self.devices}
 
     async def _report(self, outlet: Outlet, announcer: Announcer) -> None:
         """Once a second: waiting states and counters into LSL, state into the status file.
@@ -104,19 +97,19 @@ class Agent:
         due = loop.time()
         while True:
             merged: dict[str, Counters] = dict(announcer.counters)
-            for _, sink in self.devices:
-                sink.release()
-                merged |= sink.counters
+            for device in self.devices:
+                device.sink.release()
+                merged |= device.sink.counters
             outlet.push_text(counters_text(merged, self._clocks()), pylsl.local_clock())
             self._write_status()
-            self._awake.hold(any(each.is_connected for each, _ in self.devices))
+            self._awake.hold(any(each.supervisor.is_connected for each in self.devices))
             # After a computer's sleep the missed reports are not made up for.
             due = max(due + REPORT_INTERVAL_S, loop.time())
             await asyncio.sleep(max(0.0, due - loop.time()))
 
     def _clocks(self) -> dict[str, ClockState]:
         """Clocks of the devices, each by the source_id of the first of its streams."""
-        opened = (sink for _, sink in self.devices if sink.counters)
+        opened = (each.sink for each in self.devices if each.sink.counters)
         return {next(iter(sink.counters)): sink.clock_state for sink in opened}
 
     def _write_status(self) -> None:
@@ -132,13 +125,6 @@ class Agent:
 
 def _overrides(settings: LslSettings) -> LslOverrides:
     return LslOverrides(settings.session_id, settings.known_peers, settings.port_range)
-
-
-def _supervised(settings: DeviceSettings) -> tuple[Supervisor, DeviceSink]:
-    identity = DeviceIdentity(settings.sensor, settings.unit, settings.participant, settings.label)
-    sink = DeviceSink(identity, declaration(settings.sensor))
-    make_driver = driver(settings.sensor).make(settings, sink)
-    return Supervisor(make_driver, sink), sink
 
 
 def _counters_outlet() -> Outlet:

@@ -7,54 +7,27 @@ import json
 import os
 import time
 from collections.abc import Iterable
-from dataclasses import asdict
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from pylsl import local_clock
 
-from biosensor_common import naming
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.agent.supervisor import Supervisor
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.agent.device import Device
 from biosensor_gateway.system import state_file
 
 STATUS_FILE = "status.json"
 STALE_AFTER_S = 5.0
 
 
-def snapshot(devices: Iterable[tuple[Supervisor, DeviceSink]]) -> dict[str, Any]:
-    """Describe every device: state, last error, clock and the counters of each stream."""
+def snapshot(devices: Iterable[Device]) -> dict[str, Any]:
+    """Describe the agent and every device of it."""
     return {
         "written": time.time(),
         # On which the clocks' `newest_s` and the streams' `last_stamp` are.
         "lsl_time": local_clock(),
         "process": os.getpid(),
-        "devices": [_device(supervisor, sink) for supervisor, sink in devices],
-    }
-
-
-def _device(supervisor: Supervisor, sink: DeviceSink) -> dict[str, Any]:
-    identity, clock = sink.identity, asdict(sink.clock_state)
-    silent = {naming.source_id(identity, data_name) for data_name in sink.silent}
-    return {
-        **asdict(identity),
-        "state": supervisor.state.value,
-        "paused": sink.is_paused,
-        "connections": supervisor.connections,
-        "error": supervisor.last_error,
-        "dropped_bytes": sink.dropped_bytes,
-        # JSON knows no NaN; before the first packet there is nothing to say.
-        "clock": clock if isfinite(clock["offset_s"]) else None,
-        "streams": {
-            source: {
-                **asdict(counters),
-                "rate_hz": sink.nominal_rates[source],
-                "silent": source in silent,
-            }
-            for source, counters in sink.counters.items()
-        },
+        "devices": [device.status() for device in devices],
     }
 
 

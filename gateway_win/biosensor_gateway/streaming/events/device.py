@@ -24,7 +24,7 @@ class DeviceEvents:
     Parameters
     ----------
     sink
-        The device's; it gets this observer.
+        The device's.
     announcer
         Where the events go.
     """
@@ -42,8 +42,6 @@ class DeviceEvents:
         self._connections = 0
         self._is_connected = False
         self._is_paused = sink.is_paused
-        sink.observer = self
-        announcer.watch(self.tick)
         if self._is_paused:
             self._say(EventKind.PAUSED, facts={"kept": True})
 
@@ -142,3 +140,11 @@ class DeviceEvents:
         self, kind: EventKind, at: float | None = None, facts: Mapping[str, object] | None = None
     ) -> None:
         self._announcer.announce(kind, self._names | dict(facts or {}), at)
+
+
+def follow(sink: DeviceSink, announcer: Announcer) -> DeviceEvents:
+    """Announce what happens to a device from now on."""
+    events = DeviceEvents(sink, announcer)
+    sink.observer = events
+    announcer.watch(events.tick)
+    return events

@@ -1,0 +1,82 @@
+"""Joins what belongs to one device of the settings while the agent runs."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from math import isfinite
+from typing import Any
+
+from biosensor_common import naming
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.agent.pauses.selection import device_name
+from biosensor_gateway.agent.supervisor import Supervisor
+from biosensor_gateway.devices.registry import declaration, driver
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.streaming.events.announcer import Announcer
+from biosensor_gateway.streaming.events.device import follow
+from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.system.clock import LSL_CLOCK, Clock
+
+
+class Device:
+    """A device: who keeps it connected, and where its samples go.
+
+    Attributes
+    ----------
+    supervisor
+        Connects it, again and again.
+    sink
+        Its clock, outlets and counters.
+    """
+
+    def __init__(self, supervisor: Supervisor, sink: DeviceSink) -> None:
+        self.supervisor = supervisor
+        self.sink = sink
+
+    @classmethod
+    def from_settings(cls, settings: DeviceSettings, clock: Clock = LSL_CLOCK) -> Device:
+        """Make what a table of the settings asks for."""
+        identity = DeviceIdentity(
+            settings.sensor, settings.unit, settings.participant, settings.label
+        )
+        sink = DeviceSink(identity, declaration(settings.sensor), clock)
+        make_driver = driver(settings.sensor).make(settings, sink)
+        return cls(Supervisor(make_driver, sink), sink)
+
+    @property
+    def name(self) -> str:
+        """What commands and events call it, ``sensor/unit``."""
+        return device_name(self.sink.identity)
+
+    @property
+    def state(self) -> str:
+        """Where it is on its way to streaming, or ``paused``."""
+        return "paused" if self.sink.is_paused else self.supervisor.state.value
+
+    def announce_to(self, announcer: Announcer) -> None:
+        """Make events of what happens to it from now on."""
+        self.supervisor.on_drop = follow(self.sink, announcer).dropped
+
+    def status(self) -> dict[str, Any]:
+        """Describe it for the status file: state, last error, clock, counters of each stream."""
+        supervisor, sink = self.supervisor, self.sink
+        clock = asdict(sink.clock_state)
+        silent = {naming.source_id(sink.identity, data_name) for data_name in sink.silent}
+        return {
+            **asdict(sink.identity),
+            "state": supervisor.state.value,
+            "paused": sink.is_paused,
+            "connections": supervisor.connections,
+            "error": supervisor.last_error,
+            "dropped_bytes": sink.dropped_bytes,
+            # JSON knows no NaN; before the first packet there is nothing to say.
+            "clock": clock if isfinite(clock["offset_s"]) else None,
+            "streams": {
+                source: {
+                    **asdict(counters),
+                    "rate_hz": sink.nominal_rates[source],
+                    "silent": source in silent,
+                }
+                for source, counters in sink.counters.items()
+            },
+        }
