@@ -8,7 +8,7 @@ from typing import Any
 
 from std_msgs.msg import String
 
-from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
+from tests.rigs.zephyr import SteeredBioHarness
 
 
 def test_events_are_a_topic_of_strings(
@@ -16,7 +16,7 @@ def test_events_are_a_topic_of_strings(
 ) -> None:
     messages = listener.listen(String, "/biosensors/gateway/events")
     programs.node()
-    with SimulatedBioHarness() as device:
+    with SteeredBioHarness() as device:
         programs.agent(
             f'[[device]]\nsensor = "zephyr"\nunit = "SIM3"\nport = "{device.port}"\n'
             "[events]\nheartbeat_s = 1\n"

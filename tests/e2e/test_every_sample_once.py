@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from std_msgs.msg import Float32, Float32MultiArray
 
-from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
-from biosensor_gateway.devices.zephyr.simulator.sources import SyntheticSource
+from biosensor_gateway.devices.zephyr.simulator.synthetic import SyntheticSource
 from biosensor_gateway.devices.zephyr.simulator.wire import Packet
+from tests.rigs.zephyr import SteeredBioHarness
 
 Values = NDArray[np.float32]
 
@@ -31,7 +31,7 @@ _TOPIC_OF = {Packet.ECG: "ecg", Packet.BREATHING: "breathing", Packet.ACCELERATI
 _CHUNK_OF = {"ecg": "ecg_chunk", "breathing": "br_chunk"}
 
 
-def _truth(device: SimulatedBioHarness, packet: Packet) -> tuple[NDArray[np.int64], Values]:
+def _truth(device: SteeredBioHarness, packet: Packet) -> tuple[NDArray[np.int64], Values]:
     rows = device.sent_samples(packet)
     values = rows[:, 1:].astype(np.float64)
     if packet is Packet.ACCELERATION:
@@ -106,7 +106,7 @@ def test_every_sample_arrives_once(
         topic: listener.listen(kind, f"/biosensors/zephyr/{topic}")
         for topic, kind in topics.items()
     }
-    with SimulatedBioHarness(SyntheticSource(seed=7)) as device:
+    with SteeredBioHarness(SyntheticSource(seed=7)) as device:
         programs.agent(f'[[device]]\nsensor = "zephyr"\nunit = "SIM1"\nport = "{device.port}"\n')
         programs.node("Chunk_Length:=50")
         wait_until(lambda: all(received.values()), f"all of {list(topics)}")

@@ -13,9 +13,9 @@ import pyxdf
 
 from biosensor_common.quantities import ChannelFormat
 from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
-from biosensor_gateway.devices.zephyr.simulator.sources import SyntheticSource
+from biosensor_gateway.devices.zephyr.simulator.synthetic import SyntheticSource
 from tests.rigs.lab_recorder import LabRecorder
+from tests.rigs.zephyr import SteeredBioHarness
 
 RECORD_S = 12.0
 # A BioHarness 3 has no skin sensor, so this stream is there and stays empty.
@@ -43,7 +43,7 @@ def test_labrecorder_records_what_the_agent_declares(
     declared = {stream.data_name: stream for stream in declaration("zephyr").streams}
     names = {*declared, "counters", "events"}
     source = SyntheticSource(seed=3, hrv_after_s=0)
-    with SimulatedBioHarness(source) as device:
+    with SteeredBioHarness(source) as device:
         programs.agent(
             f'[[device]]\nsensor = "zephyr"\nunit = "SIM2"\nport = "{device.port}"\n'
             'participant = "p01"\n'

@@ -29,9 +29,9 @@ from biosensor_gateway.agent.device import Device
 from biosensor_gateway.agent.supervisor import State, Supervisor
 from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
 from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.streaming.sink import DeviceSink
+from tests.rigs.zephyr import SteeredBioHarness
 
 ENDED_WITHIN_S = 15.0
 OPENING_TAKES_A_MINUTE = """
@@ -86,13 +86,13 @@ def test_it_ends_while_streaming_and_its_streams_vanish(
     number: signal.Signals,
 ) -> None:
     with (
-        SimulatedBioHarness() as device,
+        SteeredBioHarness() as device,
         cli_process(tmp_path, *write_settings(tmp_path, device.port, unit)) as process,
     ):
         until(lambda: is_streaming(tmp_path))
         assert visible(f"zephyr-{unit}-ecg")
         end(process, number, tmp_path)
-        until(lambda: device.enabled == frozenset())
+        until(lambda: device.switched_on == frozenset())
     until(lambda: not visible(f"zephyr-{unit}-ecg"))
 
 
@@ -140,7 +140,7 @@ def test_it_ends_while_the_device_is_out_of_reach(
     cli_process: StartCli, until: Until, tmp_path: Path, unit: str, number: signal.Signals
 ) -> None:
     with (
-        SimulatedBioHarness() as device,
+        SteeredBioHarness() as device,
         cli_process(tmp_path, *write_settings(tmp_path, device.port, unit)) as process,
     ):
         until(lambda: is_streaming(tmp_path))
@@ -153,7 +153,7 @@ def test_an_impatient_second_signal_cuts_nothing_short(
     cli_process: StartCli, until: Until, tmp_path: Path, unit: str
 ) -> None:
     with (
-        SimulatedBioHarness() as device,
+        SteeredBioHarness() as device,
         cli_process(tmp_path, *write_settings(tmp_path, device.port, unit)) as process,
     ):
         until(lambda: is_streaming(tmp_path))
@@ -223,7 +223,7 @@ def test_a_state_folder_that_cannot_be_written_stops_nothing(
     in_the_way.touch()
     before = f"import os\nos.environ['BIOSENSOR_GATEWAY_STATE'] = {str(in_the_way)!r}"
     with (
-        SimulatedBioHarness() as device,
+        SteeredBioHarness() as device,
         cli_process(tmp_path, *write_settings(tmp_path, device.port, unit), before=before) as agent,
     ):
         until(lambda: visible(f"zephyr-{unit}-ecg"))

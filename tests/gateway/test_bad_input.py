@@ -17,7 +17,7 @@ import serial
 
 from biosensor_common.errors import ConfigError
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
+from tests.rigs.zephyr import SteeredBioHarness
 
 # What a serial line of 115200 baud carries in a twentieth of a second.
 GARBAGE_BYTES, GARBAGE_EVERY_S = 576, 0.05
@@ -58,7 +58,7 @@ def ports(tmp_path_factory: pytest.TempPathFactory) -> Generator[dict[str, str]]
     over = threading.Event()
     babble = threading.Thread(target=babbling, args=(masters[4], over))
     babble.start()
-    with serial.Serial(held, exclusive=True), SimulatedBioHarness() as good:
+    with serial.Serial(held, exclusive=True), SteeredBioHarness() as good:
         yield {
             "good": good.port,
             "absent": str(tmp_path_factory.mktemp("ports") / "ttyUSB9"),
@@ -128,7 +128,7 @@ def test_a_bad_device_is_named_with_its_fault_and_disturbs_no_other(
 
 
 def test_a_device_that_was_put_right_streams_without_anybody_s_help(lab: Lab, until: Until) -> None:
-    with SimulatedBioHarness() as repaired:
+    with SteeredBioHarness() as repaired:
         Path(lab.ports["absent"]).symlink_to(repaired.port)
         until(lambda: lab.device("absent").get("state") == "streaming")
 

@@ -18,10 +18,10 @@ from biosensor_common.errors import ConfigError
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import control, status_file
 from biosensor_gateway.agent.control import CONTROL_FILE
-from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
 from biosensor_gateway.devices.zephyr.simulator.wire import Packet
 from biosensor_gateway.system.logs import LOG_FILE_NAME
 from tests.rigs.held_console import HeldConsole
+from tests.rigs.zephyr import SteeredBioHarness
 
 DEADLINE_S = 30.0
 # How long it may take to obey, as the commands themselves allow it; before, it took for ever.
@@ -77,7 +77,7 @@ def pull(stream: pylsl.StreamInlet, received: list[float]) -> int:
     return len(received)
 
 
-def assert_without_gap(received: list[float], device: SimulatedBioHarness) -> None:
+def assert_without_gap(received: list[float], device: SteeredBioHarness) -> None:
     """Everything that came stands in what the device has sent, in one piece."""
     sent = device.sent_samples(Packet.ECG)[:, 1].astype(np.float32)
     windows = np.lib.stride_tricks.sliding_window_view(sent, len(received))
@@ -90,7 +90,7 @@ def test_a_held_console_holds_up_neither_streams_nor_commands_nor_the_end(
 ) -> None:
     console = HeldConsole(is_stopped=is_stopped)
     with (
-        SimulatedBioHarness() as device,
+        SteeredBioHarness() as device,
         console.program(run(tmp_path, device.port, unit), environment(tmp_path)) as agent,
     ):
         until(lambda: pushed(tmp_path) > 0)

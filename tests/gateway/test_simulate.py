@@ -6,10 +6,11 @@ import contextlib
 import json
 import subprocess
 import threading
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import AbstractContextManager
 from math import inf, nan
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -19,6 +20,7 @@ from hypothesis import strategies as st
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.simulation import virtual_device
+from biosensor_gateway.simulation.effects import Effect
 from biosensor_gateway.simulation.faults import Fault, FaultKind, ScheduledFault, parse_fault
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
@@ -157,11 +159,22 @@ def test_real_devices_are_given_no_faults(run: Run) -> None:
     assert "--simulate" in err
 
 
+def _noted(kinds: Iterable[FaultKind]) -> Mapping[FaultKind, Effect[Recording]]:
+    return MappingProxyType({kind: _effect(kind.value) for kind in kinds})
+
+
+def _effect(name: str) -> Effect[Recording]:
+    return Effect(
+        lambda device, value: device.tell(f"begin {name} {value:g}"),
+        lambda device: device.tell(f"end {name}"),
+    )
+
+
 class Recording(VirtualDevice):
     """Notes what it is told."""
 
     sensor = "recording"
-    faults = frozenset(FaultKind) - {FaultKind.REFUSE}
+    effects = _noted(frozenset(FaultKind) - {FaultKind.REFUSE})
 
     def __init__(self, world: World) -> None:
         super().__init__(world)
@@ -178,13 +191,12 @@ class Recording(VirtualDevice):
     async def _stop(self) -> None:
         pass
 
-    def _begin(self, fault: Fault) -> None:
-        self.thread_names.add(threading.current_thread().name)
-        self.told.append(f"begin {fault.kind.value} {fault.value:g}")
+    def stall(self, _: float) -> None:
+        self.tell("stalled")
 
-    def _end(self, kind: FaultKind) -> None:
+    def tell(self, what: str) -> None:
         self.thread_names.add(threading.current_thread().name)
-        self.told.append(f"end {kind.value}")
+        self.told.append(what)
 
 
 @pytest.fixture
@@ -285,3 +297,13 @@ def test_a_virtual_device_that_is_dropped_streams_again(
     records = [json.loads(line) for line in lines]
     said = [record for record in records if record.get("reason") == "lost"]
     assert [(record["sensor"], record["level"]) for record in said] == [("polar_h10", "warning")]
+
+
+def test_a_device_has_the_faults_that_it_says_what_they_do() -> None:
+    assert Recording.faults == frozenset(FaultKind) - {FaultKind.REFUSE}
+    assert VirtualDevice.faults == frozenset()
+
+
+def test_a_fault_that_lasts_must_have_an_end() -> None:
+    with pytest.raises(TypeError, match="Endless has no end for the faults stall"):
+        type("Endless", (Recording,), {"effects": {FaultKind.STALL: Effect(Recording.stall)}})

@@ -17,8 +17,8 @@ import pytest
 from biosensor_common.errors import ConfigError
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.pauses.store import PAUSED_FILE
-from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
 from biosensor_gateway.system.logs import LOG_FILE_NAME
+from tests.rigs.zephyr import SteeredBioHarness
 
 NO_AGENT = "biosensor-gateway: no agent is running; start one with: biosensor-gateway run\n"
 DEADLINE_S = 30.0
@@ -52,13 +52,13 @@ def counted(folder: Path, key: str) -> int:
 
 
 @pytest.fixture
-def harness() -> Generator[SimulatedBioHarness]:
-    with SimulatedBioHarness() as running:
+def harness() -> Generator[SteeredBioHarness]:
+    with SteeredBioHarness() as running:
         yield running
 
 
 @pytest.fixture
-def run(tmp_path: Path, harness: SimulatedBioHarness, unit: str) -> tuple[str, ...]:
+def run(tmp_path: Path, harness: SteeredBioHarness, unit: str) -> tuple[str, ...]:
     path = tmp_path / "settings.toml"
     text = f'[[device]]\nsensor = "zephyr"\nunit = "{unit}"\nport = "{harness.port}"\n'
     path.write_text(f'{text}participant = "p01"\n')
@@ -207,7 +207,7 @@ def test_a_pause_that_cannot_be_kept_holds_and_is_said(
 
 
 def test_if_it_cannot_be_read_who_has_withdrawn_nothing_is_streamed(
-    tmp_path: Path, run: tuple[str, ...], harness: SimulatedBioHarness
+    tmp_path: Path, run: tuple[str, ...], harness: SteeredBioHarness
 ) -> None:
     (tmp_path / PAUSED_FILE).write_text("{")
     code, out, err = command(tmp_path, *run)

@@ -8,8 +8,7 @@ from collections.abc import Callable, Iterator
 import pytest
 import serial
 
-from biosensor_gateway.simulation.async_serial import serial_port
-from biosensor_gateway.simulation.serial_links import AsyncSerialPort
+from biosensor_gateway.simulation.async_serial import AsyncSerialPort, serial_port
 from biosensor_gateway.simulation.world import World
 
 DEADLINE_S = 20.0

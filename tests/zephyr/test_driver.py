@@ -27,15 +27,14 @@ from biosensor_gateway.devices.zephyr.driver import driver as module
 from biosensor_gateway.devices.zephyr.driver.driver import DRIVER, ZephyrDriver, ZephyrSettings
 from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
 from biosensor_gateway.devices.zephyr.simulator import wire
-from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
-from biosensor_gateway.devices.zephyr.simulator.sources import (
-    DEFAULT_CLOCK,
-    Outgoing,
-    SyntheticSource,
-)
+from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing
+from biosensor_gateway.devices.zephyr.simulator.synthetic import DEFAULT_CLOCK, SyntheticSource
 from biosensor_gateway.devices.zephyr.simulator.wire import Packet
+from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.system.clock import Clock
+from tests.rigs.zephyr import SteeredBioHarness, is_damaged
 
 DEADLINE_S = 30.0
 WAVEFORMS = {"ecg": Packet.ECG, "breathing": Packet.BREATHING, "acc": Packet.ACCELERATION}
@@ -94,7 +93,7 @@ class NotedSink(DeviceSink):
 class Run:
     """A device and the supervisor that keeps it connected."""
 
-    def __init__(self, device: SimulatedBioHarness) -> None:
+    def __init__(self, device: SteeredBioHarness) -> None:
         self.device, self.sink = device, NotedSink()
         self.states: list[State] = []
         settings = ZephyrSettings(sensor="zephyr", unit=self.sink.identity.unit, port=device.port)
@@ -124,7 +123,7 @@ def in_units(data_name: str, counts: Any) -> Floats:
 
 
 @asynccontextmanager
-async def streaming(device: SimulatedBioHarness) -> AsyncGenerator[Run]:
+async def streaming(device: SteeredBioHarness) -> AsyncGenerator[Run]:
     """Run until the block ends; then nothing may have been refused or be half closed."""
     with device:
         run = Run(device)
@@ -145,11 +144,11 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def fast() -> SyntheticSource:
-    return SyntheticSource(seed=3, speed=10, hrv_after_s=0, heart_rate_bpm=75)
+    return SyntheticSource(seed=3, speed=10, hrv_after_s=0, wearer=Wearer(3, 75))
 
 
 async def test_every_stream_fills_with_what_the_device_sent() -> None:
-    async with streaming(SimulatedBioHarness(fast())) as run:
+    async with streaming(SteeredBioHarness(fast())) as run:
         # This strap has no thermometer.
         names = [stream.data_name for stream in SPEC.streams if stream.data_name != "st"]
         await eventually(run.sink.has(*names, blocks=5))
@@ -173,7 +172,7 @@ async def test_every_stream_fills_with_what_the_device_sent() -> None:
 
 
 async def test_intervals_are_those_of_the_body() -> None:
-    async with streaming(SimulatedBioHarness(fast())) as run:
+    async with streaming(SteeredBioHarness(fast())) as run:
         await eventually(run.sink.has("ibi", blocks=25))
         readings = run.device.sent_samples(Packet.RR)[:, 1]
     beats = np.flatnonzero(np.diff(readings)) + 1
@@ -185,7 +184,7 @@ async def test_intervals_are_those_of_the_body() -> None:
 
 
 async def test_an_inlet_gets_the_device_s_samples_at_their_times() -> None:
-    async with streaming(SimulatedBioHarness(SyntheticSource(seed=4))) as run:
+    async with streaming(SteeredBioHarness(SyntheticSource(seed=4))) as run:
         await eventually(run.sink.has("ecg"))
         found = pylsl.resolve_byprop("source_id", run.sink.source_id("ecg"), timeout=DEADLINE_S)
         inlet = pylsl.StreamInlet(found[0], recover=False)
@@ -201,7 +200,7 @@ async def test_an_inlet_gets_the_device_s_samples_at_their_times() -> None:
     first = next(k for k in range(len(truth)) if list(truth[k : k + 63, 1]) == received[:63])
     np.testing.assert_array_equal(received, truth[first : first + len(received), 1])
     assert all(a < b for a, b in pairwise(stamps))
-    # Monotonic and LSL clock are the same here; what is left is the way of the fastest packet.
+    # What is left is the way of the fastest packet.
     measured = [(out.measured_at or 0.0) + 0.004 * k for out in packets for k in range(63)]
     errors = np.array(stamps) - measured[first : first + len(stamps)]
     assert np.all(errors > -0.005)
@@ -211,7 +210,7 @@ async def test_an_inlet_gets_the_device_s_samples_at_their_times() -> None:
 async def test_it_enables_keeps_awake_and_disables(monkeypatch: pytest.MonkeyPatch) -> None:
     assert module.LIFESIGN_PERIOD_S == 2.0
     monkeypatch.setattr(module, "LIFESIGN_PERIOD_S", 0.1)
-    device = SimulatedBioHarness(fast(), host_timeout_s=2.0)
+    device = SteeredBioHarness(fast(), host_timeout_s=2.0)
     async with streaming(device) as run:
 
         def lifesigns() -> int:  # fmt: skip
@@ -227,14 +226,13 @@ async def test_it_enables_keeps_awake_and_disables(monkeypatch: pytest.MonkeyPat
     assert {(request.request_id, any(request.payload)) for request in stopped} == {
         (request_id, False) for request_id in ENABLES
     }
-    assert device.enabled == frozenset()
     assert all(request.intact for request in device.requests)
 
 
 @pytest.mark.usefixtures("hasty")
 async def test_refused_packets_leave_the_others() -> None:
     with capture_logs() as logs:
-        async with streaming(SimulatedBioHarness(fast(), refused=[0x15, 0x1E])) as run:
+        async with streaming(SteeredBioHarness(fast(), refused=[0x15, 0x1E])) as run:
             await eventually(run.sink.has("ecg", "hr", "ibi", blocks=3))
             assert run.device.enabled == ALL_PACKETS - {Packet.BREATHING, Packet.ACCELERATION}
     assert run.sink.blocks["breathing"] == run.sink.blocks["acc"] == []
@@ -244,14 +242,14 @@ async def test_refused_packets_leave_the_others() -> None:
 
 @pytest.mark.usefixtures("hasty")
 async def test_a_device_that_refuses_everything_is_left_alone() -> None:
-    device = SimulatedBioHarness(fast(), refused=[*ENABLES, 0x14])
+    device = SteeredBioHarness(fast(), refused=[*ENABLES, 0x14])
     async with streaming(device) as run:
         await eventually(lambda: run.supervisor.state is State.BACKOFF)
         assert "refuses every packet" in (run.supervisor.last_error or "")
 
 
 async def test_without_summaries_general_data_take_their_place() -> None:
-    async with streaming(SimulatedBioHarness(fast(), summary_supported=False)) as run:
+    async with streaming(SteeredBioHarness(fast(), summary_supported=False)) as run:
         await eventually(run.sink.has("hr", "br", "posture", "activity", "bat", "quality"))
         sent = [out.values for out in run.device.sent if out.packet is Packet.GENERAL]
     assert sent[0] is not None
@@ -272,16 +270,16 @@ async def test_general_data_are_asked_for_only_if_summaries_stay_away(
     monkeypatch: pytest.MonkeyPatch, source: SyntheticSource
 ) -> None:
     monkeypatch.setattr(module, "SUMMARY_PATIENCE_S", 0.5)
-    async with streaming(SimulatedBioHarness(source)) as run:
+    async with streaming(SteeredBioHarness(source)) as run:
         await eventually(run.sink.has("hr", blocks=8))
         general = Packet.GENERAL in run.device.enabled
     assert general == isinstance(source, NoSummaries)
-    assert run.device.enabled == frozenset()
+    assert run.device.switched_on == frozenset()
 
 
 @pytest.mark.usefixtures("hasty")
 async def test_a_request_that_is_ignored_is_repeated_then_given_up() -> None:
-    with SimulatedBioHarness(fast(), ignored=[0x16]) as device:
+    with SteeredBioHarness(fast(), ignored=[0x16]) as device:
         sink = NotedSink()
         settings = ZephyrSettings(sensor="zephyr", unit="1", port=device.port)
         driver = ZephyrDriver(settings, sink, ZephyrEmitter(sink))
@@ -299,7 +297,7 @@ async def test_a_request_that_is_ignored_is_repeated_then_given_up() -> None:
 @pytest.mark.usefixtures("hasty")
 async def test_a_late_answer_answers_only_its_own_request() -> None:
     with capture_logs() as logs:
-        device = SimulatedBioHarness(fast(), answer_delay_s=0.4, refused=[0x15])
+        device = SteeredBioHarness(fast(), answer_delay_s=0.4, refused=[0x15])
         async with streaming(device) as run:
             await eventually(lambda: run.supervisor.state is State.STREAMING)
             requests = [request.request_id for request in device.requests]
@@ -310,14 +308,14 @@ async def test_a_late_answer_answers_only_its_own_request() -> None:
 
 @pytest.mark.usefixtures("hasty")
 async def test_a_stop_while_connecting_disables_what_may_have_been_enabled() -> None:
-    device = SimulatedBioHarness(fast(), answer_delay_s=inf)
+    device = SteeredBioHarness(fast(), answer_delay_s=inf)
     async with streaming(device):
         await eventually(lambda: Packet.ECG in device.enabled)
-    assert device.enabled == frozenset()
+    assert device.switched_on == frozenset()
 
 
 async def test_samples_that_came_while_connecting_are_not_lost() -> None:
-    device = SimulatedBioHarness(fast(), answer_delay_s=0.4)
+    device = SteeredBioHarness(fast(), answer_delay_s=0.4)
     async with streaming(device) as run:
         await eventually(run.sink.has("breathing", "acc", blocks=3))
         first = next(out for out in device.sent if out.packet is Packet.ECG)
@@ -340,7 +338,7 @@ async def assert_only_counted_losses(run: Run) -> None:
 
 @pytest.mark.usefixtures("hasty")
 async def test_a_link_drop_is_a_gap_of_counted_length() -> None:
-    async with streaming(SimulatedBioHarness(SyntheticSource(seed=5))) as run:
+    async with streaming(SteeredBioHarness(SyntheticSource(seed=5))) as run:
         await eventually(run.sink.has("breathing", "acc", blocks=2))
         run.device.drop_link(seconds=2.0)
         await eventually(lambda: State.DISCOVERING in run.states)
@@ -361,7 +359,7 @@ async def test_a_device_that_falls_silent_is_connected_anew(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(ZephyrDriver, "silence_limit_s", 0.7)
-    async with streaming(SimulatedBioHarness(SyntheticSource(), host_timeout_s=None)) as run:
+    async with streaming(SteeredBioHarness(SyntheticSource(), host_timeout_s=None)) as run:
         await eventually(run.sink.has("ecg", "acc", "breathing"))
         run.device.stall()
         await eventually(lambda: State.DISCOVERING in run.states)
@@ -372,7 +370,7 @@ async def test_a_device_that_falls_silent_is_connected_anew(
 
 
 async def test_garbage_between_frames_costs_nothing_else() -> None:
-    async with streaming(SimulatedBioHarness(fast(), seed=11)) as run:
+    async with streaming(SteeredBioHarness(fast(), seed=11)) as run:
         for number in range(1, 6):
             await eventually(run.sink.has("ecg", blocks=5 * number))
             run.device.garbage(100)
@@ -384,17 +382,17 @@ async def test_garbage_between_frames_costs_nothing_else() -> None:
 
 
 async def test_the_samples_of_a_damaged_frame_are_counted_as_lost() -> None:
-    async with streaming(SimulatedBioHarness(fast())) as run:
+    async with streaming(SteeredBioHarness(fast())) as run:
         await eventually(run.sink.has(*WAVEFORMS))
         damaged: set[Packet | None] = set()
         while not damaged >= {Packet.ECG, Packet.ACCELERATION}:
             run.device.corrupt_next()
             count = len(run.sink.blocks["ecg"])
             await eventually(run.sink.has("ecg", blocks=count + 2))
-            damaged = {out.packet for out in run.device.sent if out.corrupted}
+            damaged = {out.packet for out in run.device.sent if is_damaged(out)}
         for name in WAVEFORMS:
             await eventually(run.sink.has(name, blocks=len(run.sink.blocks[name]) + 2))
-        spoilt = [len(out.data) for out in run.device.sent if out.corrupted]
+        spoilt = [len(out.data) for out in run.device.sent if is_damaged(out)]
     assert run.lost["ecg"] >= 63
     assert run.sink.dropped_bytes == sum(spoilt)
     await assert_only_counted_losses(run)
@@ -402,7 +400,7 @@ async def test_the_samples_of_a_damaged_frame_are_counted_as_lost() -> None:
 
 async def test_more_packets_than_sequence_numbers_make_no_gap() -> None:
     source = SyntheticSource(speed=40)
-    async with streaming(SimulatedBioHarness(source)) as run:
+    async with streaming(SteeredBioHarness(source)) as run:
         await eventually(run.sink.has("ecg", blocks=600))
     assert run.lost == {}
     await assert_only_counted_losses(run)
@@ -410,7 +408,7 @@ async def test_more_packets_than_sequence_numbers_make_no_gap() -> None:
 
 @pytest.mark.parametrize("step_s", [None, 3600.0, -3600.0], ids=["midnight", "ahead", "back"])
 async def test_the_device_s_clock_may_turn_midnight_or_be_set(step_s: float | None) -> None:
-    async with streaming(SimulatedBioHarness(SyntheticSource())) as run:
+    async with streaming(SteeredBioHarness(SyntheticSource())) as run:
         await eventually(run.sink.has("breathing", "hr"))
         if step_s is None:
             run.device.midnight(seconds=0.5)
@@ -424,7 +422,7 @@ async def test_the_device_s_clock_may_turn_midnight_or_be_set(step_s: float | No
 
 
 async def test_the_strap_may_be_taken_off_and_put_on_again() -> None:
-    async with streaming(SimulatedBioHarness(fast())) as run:
+    async with streaming(SteeredBioHarness(fast())) as run:
         worn: Callable[[], list[float]] = lambda: list(run.sink.values("quality")[:, 0])  # noqa: E731
         await eventually(lambda: 1 in worn())
         run.device.off_body()
@@ -447,7 +445,7 @@ class Script:
     def __init__(self) -> None:
         self.pieces: list[bytes] = []
 
-    def power_on(self, now: float) -> None: ...
+    def power_on(self, clock: Clock) -> None: ...
     def connection_ended(self) -> None: ...
 
     def poll(self, now: float, enabled: frozenset[Packet]) -> Iterable[Outgoing]:
@@ -456,7 +454,7 @@ class Script:
         return [Outgoing(piece) for piece in pieces]
 
     def next_due(self) -> float:
-        return time.monotonic() + 0.01
+        return pylsl.local_clock() + 0.01
 
     def hangs_up(self, now: float) -> bool:
         del now
@@ -471,7 +469,7 @@ def ecg_frame(number: int) -> bytes:
 async def test_a_torn_frame_is_given_up_and_hides_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "TORN_FRAME_S", 0.3)
     script = Script()
-    async with streaming(SimulatedBioHarness(script)) as run:
+    async with streaming(SteeredBioHarness(script)) as run:
         await eventually(lambda: run.supervisor.state is State.STREAMING)
         torn = ecg_frame(1)[:10]
         # The rest never comes, and the frame behind is too short not to pass for it.
@@ -491,7 +489,7 @@ async def test_a_pause_within_a_frame_is_no_loss(monkeypatch: pytest.MonkeyPatch
     assert module.TORN_FRAME_S > 0.51
     monkeypatch.setattr(module, "TORN_FRAME_S", 2 * DEADLINE_S)
     script = Script()
-    async with streaming(SimulatedBioHarness(script)) as run:
+    async with streaming(SteeredBioHarness(script)) as run:
         await eventually(lambda: run.supervisor.state is State.STREAMING)
         script.pieces.append(ecg_frame(0)[:50])
         await asyncio.sleep(0.4)
@@ -502,7 +500,7 @@ async def test_a_pause_within_a_frame_is_no_loss(monkeypatch: pytest.MonkeyPatch
 
 async def test_samples_in_the_same_read_as_an_answer_are_not_lost() -> None:
     script = Script()
-    device = SimulatedBioHarness(script, ignored=[0x15])
+    device = SteeredBioHarness(script, ignored=[0x15])
     async with streaming(device) as run:
         await eventually(lambda: 0x15 in [request.request_id for request in device.requests])
         script.pieces.append(ecg_frame(0) + wire.response(0x15, accepted=True) + ecg_frame(1))
@@ -519,7 +517,7 @@ def without_a_date(frame: bytes) -> bytes:
 
 async def test_a_device_whose_clock_was_never_set_is_stamped_by_arrival() -> None:
     script = Script()
-    async with streaming(SimulatedBioHarness(script)) as run:
+    async with streaming(SteeredBioHarness(script)) as run:
         await eventually(lambda: run.supervisor.state is State.STREAMING)
         for number in (0, 1, 2, 5, 6):
             script.pieces.append(without_a_date(ecg_frame(number)))

@@ -1,11 +1,11 @@
-"""The virtual BioHarness's two sources, asked without a link, a thread or a clock."""
+"""The virtual BioHarness's two sources, asked without a port, on a clock that is set."""
 
 from datetime import date
 
 import numpy as np
 import pytest
 
-from biosensor_gateway.devices.zephyr.simulator.body import Body
+from biosensor_gateway.devices.zephyr.simulator.inputs import Inputs
 from biosensor_gateway.devices.zephyr.simulator.recording import (
     RECORDING_150_S,
     RECORDING_WITH_GAP,
@@ -14,7 +14,8 @@ from biosensor_gateway.devices.zephyr.simulator.recording import (
     read_timing,
     split,
 )
-from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing, SyntheticSource
+from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing
+from biosensor_gateway.devices.zephyr.simulator.synthetic import SyntheticSource
 from biosensor_gateway.devices.zephyr.simulator.wire import (
     REQUESTS,
     WAVEFORMS,
@@ -25,13 +26,28 @@ from biosensor_gateway.devices.zephyr.simulator.wire import (
     response,
     waveform,
 )
+from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.system.clock import LslClock
 
 ALL = frozenset(REQUESTS.values())
 MONDAY = DeviceStamp(date(2026, 3, 2), 86_390_000)
 
 
-def produce(source: SyntheticSource, until_s: float, step_s: float = 0.1) -> list[Outgoing]:
-    source.power_on(100.0)
+class SetClock(LslClock):
+    def __init__(self, now_s: float) -> None:
+        self.now_s = now_s
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def produce(
+    source: SyntheticSource,
+    until_s: float,
+    step_s: float = 0.1,
+    clock: SetClock | None = None,
+) -> list[Outgoing]:
+    source.power_on(clock or SetClock(100.0))
     times = 100.0 + np.arange(0, until_s + step_s / 2, step_s)
     return [out for now in times for out in source.poll(float(now), ALL)]
 
@@ -77,14 +93,14 @@ def test_packets_follow_each_other_without_a_gap(packet: Packet) -> None:
 
 def test_a_packet_leaves_when_its_last_sample_is_measured_or_later() -> None:
     source = SyntheticSource(jitter_s=0.2)
-    source.power_on(0.0)
+    source.power_on(SetClock(0.0))
     assert of(Packet.ECG, source.poll(0.2519, ALL)) == []
     assert [out.sequence for out in of(Packet.ECG, source.poll(0.4521, ALL))] == [0]
 
 
 def test_packets_that_nobody_enabled_are_measured_but_not_given() -> None:
     source = SyntheticSource()
-    source.power_on(0.0)
+    source.power_on(SetClock(0.0))
     assert source.poll(10.0, frozenset()) == []
     later = source.poll(12.0, frozenset({Packet.ECG}))
     assert [out.sequence for out in later] == list(range(39, 47))
@@ -98,7 +114,9 @@ def test_a_fast_crystal_measures_its_samples_sooner() -> None:
 
 
 def test_ecg_has_as_many_r_peaks_as_the_heart_beats() -> None:
-    ecg = joined(Packet.ECG, produce(SyntheticSource(heart_rate_bpm=72), 61))[: 250 * 60, 0]
+    ecg = joined(Packet.ECG, produce(SyntheticSource(wearer=Wearer(heart_rate_bpm=72)), 61))[
+        : 250 * 60, 0
+    ]
     above = ecg > 512 + 65
     assert np.count_nonzero(above[1:] & ~above[:-1]) in {71, 72, 73}
     assert ecg.min() >= 0
@@ -106,7 +124,7 @@ def test_ecg_has_as_many_r_peaks_as_the_heart_beats() -> None:
 
 
 def test_rr_flips_its_sign_at_each_beat_and_is_the_beat_interval() -> None:
-    rr = joined(Packet.RR, produce(SyntheticSource(heart_rate_bpm=60), 62))[:, 0]
+    rr = joined(Packet.RR, produce(SyntheticSource(wearer=Wearer(heart_rate_bpm=60)), 62))[:, 0]
     changes = np.flatnonzero(np.diff(rr))
     np.testing.assert_array_equal(np.sign(rr[changes]), -np.sign(rr[changes + 1]))
     assert len(changes) in {60, 61, 62}
@@ -124,10 +142,10 @@ def test_a_wearer_at_rest_feels_one_g() -> None:
     assert np.linalg.norm(tenths / 10, axis=1).mean() == pytest.approx(1.0, abs=0.05)
 
 
-def test_a_body_knows_any_packet_without_those_before() -> None:
+def test_any_packet_is_known_without_those_before() -> None:
     frames = of(Packet.BREATHING, produce(SyntheticSource(7), 10))
     assert frames[8].samples is not None
-    np.testing.assert_array_equal(frames[8].samples, Body(7).samples(Packet.BREATHING, 8))
+    np.testing.assert_array_equal(frames[8].samples, Inputs(Wearer(7)).samples(Packet.BREATHING, 8))
 
 
 def test_hrv_is_unreliable_until_it_is_valid() -> None:
@@ -138,13 +156,14 @@ def test_hrv_is_unreliable_until_it_is_valid() -> None:
 
 
 def test_the_clock_turns_midnight_and_can_be_set() -> None:
-    source = SyntheticSource(clock_start=MONDAY)
-    frames = of(Packet.SUMMARY, produce(source, 12))
+    source, clock = SyntheticSource(clock_start=MONDAY), SetClock(100.0)
+    frames = of(Packet.SUMMARY, produce(source, 12, clock=clock))
     stamps = [out.stamp for out in frames if out.stamp]
     assert stamps[8].day == date(2026, 3, 2)
     assert stamps[10].day == date(2026, 3, 3)
     assert stamps[10].ms_of_day < 1100
-    source.midnight_in(500, now=112.0)
+    clock.now_s = 112.0
+    source.midnight_in(500)
     (turned,) = [out.stamp for out in of(Packet.SUMMARY, source.poll(113.0, ALL))]
     assert turned is not None
     assert turned.day == date(2026, 3, 4)

@@ -13,18 +13,17 @@ from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.devices.zephyr.driver.driver import DRIVER, ZephyrSettings
-from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
-from biosensor_gateway.devices.zephyr.simulator.sources import SyntheticSource
-from biosensor_gateway.simulation.tcp_link import TcpHostLink
+from biosensor_gateway.devices.zephyr.simulator.synthetic import SyntheticSource
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.tcp_link import TcpLink
+from tests.rigs.zephyr import SteeredBioHarness
 
 DEADLINE_S = 30.0
 
 
 @pytest.fixture
-def device() -> Generator[SimulatedBioHarness]:
-    with SimulatedBioHarness(SyntheticSource(seed=2), link=TcpHostLink()) as running:
+def device() -> Generator[SteeredBioHarness]:
+    with SteeredBioHarness(SyntheticSource(seed=2), tcp=True) as running:
         yield running
 
 
@@ -40,7 +39,7 @@ def _pushed(sink: DeviceSink) -> int:
 
 
 async def test_a_driver_streams_and_comes_back_after_a_hang_up(
-    device: SimulatedBioHarness,
+    device: SteeredBioHarness,
 ) -> None:
     settings = ZephyrSettings(sensor="zephyr", unit="TCP", port=device.port)
     sink = DeviceSink(DeviceIdentity("zephyr", "TCP"), declaration("zephyr"))
@@ -58,7 +57,7 @@ async def test_a_driver_streams_and_comes_back_after_a_hang_up(
         sink.close()
 
 
-async def test_while_it_hangs_up_connections_are_refused(device: SimulatedBioHarness) -> None:
+async def test_while_it_hangs_up_connections_are_refused(device: SteeredBioHarness) -> None:
     await asyncio.to_thread(device.drop_link)
     host, _, port = device.port.removeprefix("socket://").partition(":")
     link = TcpLink(host, int(port))

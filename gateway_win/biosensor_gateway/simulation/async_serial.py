@@ -1,130 +1,68 @@
-"""The serial port of a virtual device that lives in an asyncio loop.
+"""The serial port of a virtual device: a pseudo-terminal, or TCP where there are none.
 
-A pseudo-terminal where the system has them, else, or on request, a TCP server on
-loopback, which pyserial opens as ``socket://127.0.0.1:PORT``. Neither tells that a
-host opened the port, as a Bluetooth module does not tell it to its firmware: a device
-speaks after the first command. That a host left ends the radio link and is told.
+Neither tells that a host opened the port, as a Bluetooth module does not tell it to its
+firmware: a device speaks after the first command. That a host left ends the radio link and
+is told.
 """
 
 from __future__ import annotations
 
-import asyncio
-import select
 import sys
+from collections.abc import Callable
+from typing import Protocol
 
-from biosensor_gateway.simulation.serial_links import AsyncSerialPort, Heard, Left, PtyLink
+from biosensor_gateway.simulation.pty_port import PtyPort
 from biosensor_gateway.simulation.tcp_serial import TcpPort
 
-_HOST_CHECK_S = 0.02
 
-
-class PtyPort:
-    """A pseudo-terminal under one stable path.
-
-    Parameters
-    ----------
-    heard, left
-        Called with the host's bytes, and when a host closed the port; not after
-        `hang_up`.
-    buffer_bytes
-        What is kept for a host that does not read, beyond the 16-20 KiB that the
-        operating system keeps.
-    """
-
-    def __init__(self, heard: Heard, left: Left, buffer_bytes: int) -> None:
-        self._heard = heard
-        self._left = left
-        self._link = PtyLink(buffer_bytes)
-        self._loop = asyncio.get_running_loop()
-        self._host_check: asyncio.TimerHandle | None = None
-        self._hosted = False
+class AsyncSerialPort(Protocol):
+    """The device's end of a serial port; every method is for the loop's thread."""
 
     @property
     def name(self) -> str:
-        """Path of the port."""
-        return self._link.port
+        """What a host opens; the same over hang-ups."""
+        ...
 
     def open(self) -> None:
-        """Make a terminal; see `PtyLink.open` for the error."""
-        if self._link.handle is None:
-            self._link.open()
-            self._link.leave_host_end()
-            self._await_host()
+        """Become reachable."""
+        ...
 
     def write(self, data: bytes) -> bool:
-        """Take all of ``data`` or nothing."""
-        taken = self._hosted and self._link.write(data)
-        if self._link.unsent and self._link.handle is not None:
-            self._loop.add_writer(self._link.handle, self._flush)
-        return taken
+        """Take the whole of ``data`` without blocking; False without host or room."""
+        ...
+
+    def drained(self) -> bool:
+        """Tell whether nothing is left that a host could still read, as far as is known."""
+        ...
 
     def hang_up(self) -> None:
-        """Close the terminal and remove its path."""
-        self._stop_watching()
-        self._link.close()
+        """Cut the link and be unreachable until `open`; unread bytes are lost."""
+        ...
 
     def dispose(self) -> None:
-        """Hang up and remove the path's folder."""
-        self._stop_watching()
-        self._link.dispose()
-
-    def _await_host(self) -> None:
-        """Look whether a host has the port open: of that there is no event."""
-        handle = self._link.handle
-        if handle is None:
-            return
-        if _host_is_gone(handle):
-            self._host_check = self._loop.call_later(_HOST_CHECK_S, self._await_host)
-            return
-        self._hosted = True
-        self._loop.add_reader(handle, self._read)
-
-    def _read(self) -> None:
-        try:
-            data = self._link.exchange(0.0)
-        except OSError:  # how a terminal says that its other end was closed
-            self._stop_watching()
-            self._link.forget()
-            self._await_host()
-            self._left()
-            return
-        if data:
-            self._heard(data)
-
-    def _flush(self) -> None:
-        self._link.flush()
-        if not self._link.unsent and self._link.handle is not None:
-            self._loop.remove_writer(self._link.handle)
-
-    def _stop_watching(self) -> None:
-        self._hosted = False
-        if self._host_check is not None:
-            self._host_check.cancel()
-        if self._link.handle is not None:
-            self._loop.remove_reader(self._link.handle)
-            self._loop.remove_writer(self._link.handle)
-
-
-def _host_is_gone(handle: int) -> bool:
-    if sys.platform == "win32":  # pragma: no cover - no port gets this far there
-        return True
-    poll = select.poll()
-    poll.register(handle, select.POLLIN)
-    # Bytes of a host that has already left are still to be heard.
-    return any(event & select.POLLHUP and not event & select.POLLIN for _, event in poll.poll(0))
+        """Hang up and remove what is left of the port; it cannot be opened again."""
+        ...
 
 
 def serial_port(
-    heard: Heard, left: Left, *, buffer_bytes: int, tcp: bool = sys.platform == "win32"
+    heard: Callable[[bytes], None],
+    left: Callable[[], None],
+    *,
+    buffer_bytes: int,
+    tcp: bool = sys.platform == "win32",
 ) -> AsyncSerialPort:
     """Make the port of a virtual device; call it in the device's loop.
 
     Parameters
     ----------
-    heard, left, buffer_bytes
-        See `PtyPort`.
+    heard, left
+        Called with the host's bytes, and when a host closed the port; not after
+        `AsyncSerialPort.hang_up`.
+    buffer_bytes
+        What is kept for a host that does not read, beyond what the operating system keeps.
     tcp
-        A TCP server instead of a pseudo-terminal; by default where there is none.
+        A TCP server instead of a pseudo-terminal, which pyserial opens as
+        ``socket://127.0.0.1:PORT``; by default where there is none.
 
     Raises
     ------

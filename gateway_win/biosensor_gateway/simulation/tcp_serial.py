@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 import socket
 import sys
+from collections.abc import Callable
 
 from biosensor_common.errors import TransportError, TransportReason
-from biosensor_gateway.simulation.serial_links import Heard, Left
 
 LOOPBACK = "127.0.0.1"
 # The smallest that systems allow, near what a pseudo-terminal keeps.
@@ -33,7 +33,9 @@ class TcpPort:
         BUSY if no port of loopback can be had.
     """
 
-    def __init__(self, heard: Heard, left: Left, buffer_bytes: int) -> None:
+    def __init__(
+        self, heard: Callable[[bytes], None], left: Callable[[], None], buffer_bytes: int
+    ) -> None:
         self._heard = heard
         self._left = left
         self._buffer_bytes = buffer_bytes
@@ -57,6 +59,10 @@ class TcpPort:
     def write(self, data: bytes) -> bool:
         """Take all of ``data`` or nothing."""
         return self._host is not None and self._host.write(data)
+
+    def drained(self) -> bool:
+        """Tell whether everything was handed to the system."""
+        return self._host is None or self._host.drained()
 
     def hang_up(self) -> None:
         """Close the connection and refuse others; the port's number stays taken."""
@@ -142,6 +148,10 @@ class _Host(asyncio.Protocol):
             return False
         self._transport.write(data)
         return True
+
+    def drained(self) -> bool:
+        """Tell whether nothing waits for room in the system's buffers."""
+        return self._transport is None or not self._transport.get_write_buffer_size()
 
     def abort(self) -> None:
         """End the connection at once, or as soon as it is made."""

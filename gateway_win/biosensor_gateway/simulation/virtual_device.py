@@ -9,6 +9,7 @@ from math import isfinite
 from types import MappingProxyType, TracebackType
 from typing import Any, ClassVar, NamedTuple, Self
 
+from biosensor_gateway.simulation.effects import Effects
 from biosensor_gateway.simulation.expected import Expected
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.truth import Truth
@@ -37,8 +38,8 @@ class VirtualDevice(ABC):
     """A virtual device that lives in a world's loop; a context manager.
 
     The public methods may be called from any thread but the world's, and return
-    when they are carried out. A subclass implements the underscored ones, which
-    all run in the world's loop.
+    when they are carried out. A subclass implements the underscored ones, and what
+    its `effects` name; they all run in the world's loop.
 
     Parameters
     ----------
@@ -50,8 +51,10 @@ class VirtualDevice(ABC):
 
     sensor: ClassVar[str]
     """Name of the sensor in the declarations."""
-    faults: ClassVar[frozenset[FaultKind]]
-    """Which faults it can have."""
+    effects: ClassVar[Effects[Any]] = MappingProxyType({})
+    """What each fault does that it can have; those that last have an end."""
+    faults: ClassVar[frozenset[FaultKind]] = frozenset()
+    """Which faults it can have: those of `effects`."""
     on_air: ClassVar[bool] = False
     """Whether it is made with a :class:`~biosensor_gateway.simulation.radio.Radio`, too."""
     filled: ClassVar[Mapping[str, Filled]] = MappingProxyType({})
@@ -60,6 +63,17 @@ class VirtualDevice(ABC):
     """By data name, the rates that the device says when it is connected."""
     expected: ClassVar[Expected] = Expected()
     """What an agent can know of it."""
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        endless = [
+            kind.value
+            for kind, effect in cls.effects.items()
+            if effect.end is None and kind not in _AT_ONCE
+        ]
+        if endless:
+            raise TypeError(f"{cls.__name__} has no end for the faults {', '.join(endless)}")
+        cls.faults = frozenset(cls.effects)
 
     def __init__(self, world: World, kept: int | None = None) -> None:
         self.world = world
@@ -120,7 +134,7 @@ class VirtualDevice(ABC):
 
     def _apply(self, fault: Fault) -> None:
         self._clear(fault.kind)
-        self._begin(fault)
+        self.effects[fault.kind].begin(self, fault.value)
         if fault.kind in _AT_ONCE:
             return
         # A late answer has its delay as value, so the fault lasts for a fixed time.
@@ -132,11 +146,14 @@ class VirtualDevice(ABC):
         )
 
     def _clear(self, kind: FaultKind) -> None:
-        if kind in self._lasting:
-            end = self._lasting.pop(kind)
-            if end is not None:
-                end.cancel()
-            self._end(kind)
+        if kind not in self._lasting:
+            return
+        timer = self._lasting.pop(kind)
+        if timer is not None:
+            timer.cancel()
+        end = self.effects[kind].end
+        if end is not None:
+            end(self)
 
     @abstractmethod
     async def _start(self) -> None:
@@ -145,11 +162,3 @@ class VirtualDevice(ABC):
     @abstractmethod
     async def _stop(self) -> None:
         """Switch the device off."""
-
-    @abstractmethod
-    def _begin(self, fault: Fault) -> None:
-        """Begin one of `faults`; it must not block."""
-
-    @abstractmethod
-    def _end(self, kind: FaultKind) -> None:
-        """End one that lasts."""

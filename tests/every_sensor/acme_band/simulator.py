@@ -6,15 +6,16 @@ import asyncio
 import struct
 from collections.abc import Mapping
 from math import nan
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from biosensor_gateway.simulation.async_serial import serial_port
+from biosensor_gateway.simulation.async_serial import AsyncSerialPort, serial_port
 from biosensor_gateway.simulation.crystal import Crystal
+from biosensor_gateway.simulation.effects import Effect, lasting
 from biosensor_gateway.simulation.expected import Expected
-from biosensor_gateway.simulation.faults import Fault, FaultKind
-from biosensor_gateway.simulation.serial_links import AsyncSerialPort
+from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
@@ -27,16 +28,6 @@ class SimulatedAcmeBand(VirtualDevice):
     """It measures all the time, and sends while a host wants it."""
 
     sensor = "acme_band"
-    faults = frozenset(
-        {
-            FaultKind.DROP,
-            FaultKind.STALL,
-            FaultKind.GARBAGE,
-            FaultKind.LOW_BATTERY,
-            FaultKind.OFF_BODY,
-            FaultKind.DRIFT,
-        }
-    )
     expected = Expected(
         without_contact=("force",),
         by_agent=frozenset({"bat", "quality"}),
@@ -104,27 +95,44 @@ class SimulatedAcmeBand(VirtualDevice):
         frame = struct.pack("<BHhBB", 0xAC, number % 2**16, counts, self._worn, self._battery)
         return frame + bytes([sum(frame) % 256])
 
-    def _begin(self, fault: Fault) -> None:
-        assert self._port is not None
-        match fault.kind:
-            case FaultKind.DROP:
-                self._left()
-                self._port.hang_up()
-            case FaultKind.STALL:
-                self._stalled = True
-            case FaultKind.GARBAGE:
-                self._port.write(self._rng.bytes(int(fault.value)))
-            case FaultKind.LOW_BATTERY:
-                self._battery = round(fault.value)
-            case FaultKind.OFF_BODY:
-                self._worn = False
-            case _:
-                self._crystal.set_drift(fault.value)
+    def _hang_up(self) -> None:
+        self._left()
+        if self._port is not None:
+            self._port.hang_up()
 
-    def _end(self, kind: FaultKind) -> None:
-        if kind is FaultKind.OFF_BODY:
-            self._worn = True
-        elif kind is FaultKind.STALL:
-            self._stalled = False
-        elif kind is FaultKind.DROP and self._port is not None:
+    def _reopen(self) -> None:
+        if self._port is not None:
             self._port.open()
+
+    def _stall(self) -> None:
+        self._stalled = True
+
+    def _resume(self) -> None:
+        self._stalled = False
+
+    def _babble(self, count: float) -> None:
+        if self._port is not None:
+            self._port.write(self._rng.bytes(int(count)))
+
+    def _discharge(self, percent: float) -> None:
+        self._battery = round(percent)
+
+    def _take_off(self) -> None:
+        self._worn = False
+
+    def _put_on(self) -> None:
+        self._worn = True
+
+    def _drift(self, ppm: float) -> None:
+        self._crystal.set_drift(ppm)
+
+    effects = MappingProxyType(
+        {
+            FaultKind.DROP: lasting(_hang_up, _reopen),
+            FaultKind.STALL: lasting(_stall, _resume),
+            FaultKind.GARBAGE: Effect(_babble),
+            FaultKind.LOW_BATTERY: Effect(_discharge),
+            FaultKind.OFF_BODY: lasting(_take_off, _put_on),
+            FaultKind.DRIFT: Effect(_drift),
+        }
+    )

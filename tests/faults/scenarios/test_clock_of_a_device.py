@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from pylsl import local_clock
 
 from biosensor_gateway.devices.shimmer3_gsr.simulator import SimulatedShimmer3
-from biosensor_gateway.devices.zephyr.simulator.bioharness import SimulatedBioHarness
-from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing, SyntheticSource
+from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing
+from biosensor_gateway.devices.zephyr.simulator.synthetic import SyntheticSource
 from biosensor_gateway.devices.zephyr.simulator.wire import DeviceStamp, Packet
 from biosensor_gateway.simulation.world import World
 from tests.faults.agent import AgentProcess
@@ -30,6 +30,7 @@ from tests.faults.matching import match
 from tests.faults.recorder import Recorded, Recorder
 from tests.faults.scenarios.figures import Record
 from tests.rigs.lab_client import Samples
+from tests.rigs.zephyr import SteeredBioHarness
 
 pytestmark = pytest.mark.timeout(180)
 
@@ -93,7 +94,7 @@ def observed(tmp_path_factory: pytest.TempPathFactory) -> Observed:
     body = SyntheticSource(clock_start=MIDNIGHT, drift_ppm=DRIFT_PPM[ZEPHYR], jitter_s=JITTER_S)
     with ExitStack() as stack:
         world = stack.enter_context(World())
-        zephyr = stack.enter_context(SimulatedBioHarness(body))
+        zephyr = stack.enter_context(SteeredBioHarness(body))
         shimmer = stack.enter_context(
             SimulatedShimmer3(
                 world,
@@ -144,7 +145,7 @@ def _await_streams(agent: AgentProcess, recorder: Recorder, sources: Iterable[st
         time.sleep(0.1)
 
 
-def _jump(zephyr: SimulatedBioHarness, agent: AgentProcess) -> Iterator[int]:
+def _jump(zephyr: SteeredBioHarness, agent: AgentProcess) -> Iterator[int]:
     """Set the clock of the BioHarness; give its re-anchors before and after each time."""
     yield agent.status()[ZEPHYR]["clock"]["reanchors"]
     for jump_s in JUMPS_S:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 from biosensor_gateway.devices.ble_heart_rate.simulator.expected import EXPECTED
 from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
-from biosensor_gateway.devices.ble_heart_rate.simulator.strap import STRAP_FAULTS, Strap
-from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.devices.ble_heart_rate.simulator.strap import STRAP_EFFECTS, Strap
+from biosensor_gateway.simulation.effects import on_part
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
@@ -43,7 +44,7 @@ class SimulatedHeartRateStrap(VirtualDevice):
     """
 
     sensor = "ble_heart_rate"
-    faults = STRAP_FAULTS
+    effects = MappingProxyType(on_part("_strap", STRAP_EFFECTS))
     expected = EXPECTED
     on_air = True
 
@@ -84,9 +85,3 @@ class SimulatedHeartRateStrap(VirtualDevice):
 
     async def _stop(self) -> None:
         await self._strap.stop()
-
-    def _begin(self, fault: Fault) -> None:
-        self._strap.begin(fault)
-
-    def _end(self, kind: FaultKind) -> None:
-        self._strap.end(kind)

@@ -9,6 +9,7 @@ import asyncio
 from collections.abc import Callable, Coroutine, Sequence
 from itertools import count
 from math import inf, isfinite
+from types import MappingProxyType
 
 import numpy as np
 from bumble.gatt import Characteristic, Service
@@ -23,25 +24,13 @@ from biosensor_gateway.devices.ble_heart_rate.simulator.services import (
     Identity,
 )
 from biosensor_gateway.simulation.crystal import Crystal
-from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.effects import Effect, Effects, lasting
+from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.power import PowerSwitch
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.wearer import Wearer
 
-STRAP_FAULTS = frozenset(
-    {
-        FaultKind.DROP,
-        FaultKind.STALL,
-        FaultKind.GARBAGE,
-        FaultKind.FORGET,
-        FaultKind.RESTART,
-        FaultKind.LOW_BATTERY,
-        FaultKind.OFF_BODY,
-        FaultKind.DRIFT,
-    }
-)
-"""What can happen to a `Strap`."""
 _BATTERY_PERCENT = 87
 
 
@@ -139,43 +128,66 @@ class Strap:
         """Switch it off for good."""
         await self._power.want(False)
 
-    def begin(self, fault: Fault) -> None:
-        """Begin one of `STRAP_FAULTS`."""
-        match fault.kind:
-            case FaultKind.DROP:
-                self.peripheral.drop()
-            case FaultKind.STALL:
-                self.peripheral.stalled = True
-            case FaultKind.GARBAGE:
-                self.run(self._send_garbage(round(fault.value)))
-            case FaultKind.FORGET:
-                self.peripheral.forget_subscription(self._heart_rate.measurement)
-            case FaultKind.LOW_BATTERY:
-                self.run(self._set_battery(round(fault.value)))
-            case FaultKind.OFF_BODY:
-                self._take_off()
-            case FaultKind.DRIFT:
-                self._drift_ppm = fault.value
-                self.crystal.set_drift(fault.value)
-            case _:
-                self._power.hold_off(fault.kind)
+    def drop(self) -> None:
+        """Be out of reach."""
+        self.peripheral.drop()
 
-    def end(self, kind: FaultKind) -> None:
-        """End one that lasts."""
-        match kind:
-            case FaultKind.DROP:
-                self.peripheral.restore()
-            case FaultKind.STALL:
-                self.peripheral.stalled = False
-            case FaultKind.OFF_BODY:
-                self._put_on()
-            case _:
-                self._power.release(kind)
+    def restore(self) -> None:
+        """Be in reach again."""
+        self.peripheral.restore()
+
+    def stall(self) -> None:
+        """Neither send nor hear, with the link standing."""
+        self.peripheral.stalled = True
+
+    def resume(self) -> None:
+        """End a `stall`."""
+        self.peripheral.stalled = False
+
+    def babble(self, packets: float) -> None:
+        """Send so many damaged heart rate measurements."""
+        self.run(self._send_garbage(round(packets)))
+
+    def forget(self, _: float = 0.0) -> None:
+        """Take it that nobody has subscribed to the heart rate."""
+        self.peripheral.forget_subscription(self._heart_rate.measurement)
+
+    def go_down(self) -> None:
+        """Switch itself off."""
+        self._power.hold_off(FaultKind.RESTART)
+
+    def come_up(self) -> None:
+        """Switch itself on again, with all forgotten."""
+        self._power.release(FaultKind.RESTART)
+
+    def discharge(self, percent: float) -> None:
+        """Have so much charge left, and say so."""
+        self.run(self._set_battery(round(percent)))
+
+    def take_off(self) -> None:
+        """Be taken off the skin."""
+        self.worn = False
+        if isfinite(self._off_body_drop_s):
+            self._leaving = asyncio.get_running_loop().call_later(
+                self._off_body_drop_s, self._power.hold_off, FaultKind.OFF_BODY
+            )
+
+    def put_on(self) -> None:
+        """Be put on again, which switches it on."""
+        self.worn = True
+        if self._leaving is not None:
+            self._leaving.cancel()
+        self._power.release(FaultKind.OFF_BODY)
+
+    def drift(self, ppm: float) -> None:
+        """Let the crystal run so much too fast."""
+        self._drift_ppm = ppm
+        self.crystal.set_drift(ppm)
 
     def break_link(self) -> None:
         """Lose the host, and be there again at once."""
-        self.peripheral.drop()
-        self.peripheral.restore()
+        self.drop()
+        self.restore()
 
     def run(self, coroutine: Coroutine[None, None, None]) -> asyncio.Task[None]:
         """Run a coroutine beside everything else, until power-off at the longest."""
@@ -237,18 +249,20 @@ class Strap:
     def _note(self, data_name: str, value: float) -> None:
         self.truth.sent(data_name, [self.peripheral.clock()], [(value,)])
 
-    def _take_off(self) -> None:
-        self.worn = False
-        if isfinite(self._off_body_drop_s):
-            self._leaving = asyncio.get_running_loop().call_later(
-                self._off_body_drop_s, self._power.hold_off, FaultKind.OFF_BODY
-            )
 
-    def _put_on(self) -> None:
-        self.worn = True
-        if self._leaving is not None:
-            self._leaving.cancel()
-        self._power.release(FaultKind.OFF_BODY)
+STRAP_EFFECTS: Effects[Strap] = MappingProxyType(
+    {
+        FaultKind.DROP: lasting(Strap.drop, Strap.restore),
+        FaultKind.STALL: lasting(Strap.stall, Strap.resume),
+        FaultKind.GARBAGE: Effect(Strap.babble),
+        FaultKind.FORGET: Effect(Strap.forget),
+        FaultKind.RESTART: lasting(Strap.go_down, Strap.come_up),
+        FaultKind.LOW_BATTERY: Effect(Strap.discharge),
+        FaultKind.OFF_BODY: lasting(Strap.take_off, Strap.put_on),
+        FaultKind.DRIFT: Effect(Strap.drift),
+    }
+)
+"""What can happen to every strap."""
 
 
 def _call(functions: Sequence[Callable[[], None]]) -> None:

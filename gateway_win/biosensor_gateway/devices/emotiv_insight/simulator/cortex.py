@@ -18,12 +18,12 @@ from biosensor_gateway.devices.emotiv_insight.simulator.account import App, Lice
 from biosensor_gateway.devices.emotiv_insight.simulator.certificates import Leaf
 from biosensor_gateway.devices.emotiv_insight.simulator.errors import Code
 from biosensor_gateway.devices.emotiv_insight.simulator.expected import EXPECTED
-from biosensor_gateway.devices.emotiv_insight.simulator.faults import begin, end
+from biosensor_gateway.devices.emotiv_insight.simulator.faults import EFFECTS
 from biosensor_gateway.devices.emotiv_insight.simulator.headset import Timing
 from biosensor_gateway.devices.emotiv_insight.simulator.models import INSIGHT_1, Model
 from biosensor_gateway.devices.emotiv_insight.simulator.release import Metrics, Release
 from biosensor_gateway.devices.emotiv_insight.simulator.service import Service, Setup
-from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.effects import on_part
 from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
@@ -77,7 +77,7 @@ class SimulatedCortex(VirtualDevice):
     """
 
     sensor = "emotiv_insight"
-    faults = frozenset(FaultKind)
+    effects = MappingProxyType(on_part("_service", EFFECTS))
     expected = EXPECTED
     filled = MappingProxyType({"gyro": Filled(None, "only headsets with older firmware have it")})
     client_id = _APP.client_id
@@ -271,12 +271,6 @@ class SimulatedCortex(VirtualDevice):
 
     async def _stop(self) -> None:
         await self._service.stop()
-
-    def _begin(self, fault: Fault) -> None:
-        begin(self._service, fault)
-
-    def _end(self, kind: FaultKind) -> None:
-        end(self._service, kind)
 
     def _warn(self, code: int, message: str) -> None:
         self._do(lambda: self._service.warn(code, message))

@@ -1,50 +1,61 @@
-"""Applies each kind of fault to a virtual Cortex."""
+"""What each fault does to a virtual Cortex."""
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 from biosensor_gateway.devices.emotiv_insight.simulator.service import Service
-from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.effects import Effect, Effects, lasting
+from biosensor_gateway.simulation.faults import FaultKind
 
 
-def begin(service: Service, fault: Fault) -> None:
-    """Begin a fault."""
-    match fault.kind:
-        case FaultKind.DROP:
-            service.drop()
-        case FaultKind.STALL:
-            service.listener.stall()
-        case FaultKind.GARBAGE:
-            service.send_garbage(round(fault.value))
-        case FaultKind.REFUSE:
-            service.refuse()
-        case FaultKind.LATE:
-            service.delay(fault.value)
-        case FaultKind.FORGET:
-            service.sessions.forget_subscriptions()
-        case FaultKind.RESTART:
-            service.go_down()
-        case FaultKind.LOW_BATTERY:
-            service.set_battery(round(fault.value))
-        case FaultKind.OFF_BODY:
-            service.set_worn(is_worn=False)
-        case FaultKind.DRIFT:
-            service.set_drift(fault.value)
+def _stall(service: Service) -> None:
+    service.listener.stall()
 
 
-def end(service: Service, kind: FaultKind) -> None:
-    """End one that lasts."""
-    match kind:
-        case FaultKind.DROP:
-            service.restore()
-        case FaultKind.STALL:
-            service.listener.resume()
-        case FaultKind.REFUSE:
-            service.manners.refusal = None
-        case FaultKind.LATE:
-            service.manners.late_s = 0.0
-        case FaultKind.RESTART:
-            service.come_up()
-        case FaultKind.OFF_BODY:
-            service.set_worn(is_worn=True)
-        case _:
-            raise AssertionError(f"{kind} does not last")
+def _resume(service: Service) -> None:
+    service.listener.resume()
+
+
+def _babble(service: Service, messages: float) -> None:
+    service.send_garbage(round(messages))
+
+
+def _comply(service: Service) -> None:
+    service.manners.refusal = None
+
+
+def _answer_in_time(service: Service) -> None:
+    service.manners.late_s = 0.0
+
+
+def _forget(service: Service, _: float) -> None:
+    service.sessions.forget_subscriptions()
+
+
+def _discharge(service: Service, percent: float) -> None:
+    service.set_battery(round(percent))
+
+
+def _take_off(service: Service) -> None:
+    service.set_worn(is_worn=False)
+
+
+def _put_on(service: Service) -> None:
+    service.set_worn(is_worn=True)
+
+
+EFFECTS: Effects[Service] = MappingProxyType(
+    {
+        FaultKind.DROP: lasting(Service.drop, Service.restore),
+        FaultKind.STALL: lasting(_stall, _resume),
+        FaultKind.GARBAGE: Effect(_babble),
+        FaultKind.REFUSE: lasting(Service.refuse, _comply),
+        FaultKind.LATE: Effect(Service.delay, _answer_in_time),
+        FaultKind.FORGET: Effect(_forget),
+        FaultKind.RESTART: lasting(Service.go_down, Service.come_up),
+        FaultKind.LOW_BATTERY: Effect(_discharge),
+        FaultKind.OFF_BODY: lasting(_take_off, _put_on),
+        FaultKind.DRIFT: Effect(Service.set_drift),
+    }
+)

@@ -15,12 +15,12 @@ from typing import Any
 
 from biosensor_gateway.devices.empatica_e4.simulator.delivery import Mishaps, Tear
 from biosensor_gateway.devices.empatica_e4.simulator.expected import EXPECTED
-from biosensor_gateway.devices.empatica_e4.simulator.faults import begin, end
+from biosensor_gateway.devices.empatica_e4.simulator.faults import EFFECTS
 from biosensor_gateway.devices.empatica_e4.simulator.number_format import NumberFormat
 from biosensor_gateway.devices.empatica_e4.simulator.radio_link import Timing
 from biosensor_gateway.devices.empatica_e4.simulator.server import Server
 from biosensor_gateway.devices.empatica_e4.simulator.wristband import Wristband
-from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.effects import on_part
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer
@@ -62,7 +62,7 @@ class SimulatedE4(VirtualDevice):
     """
 
     sensor = "empatica_e4"
-    faults = frozenset(FaultKind)
+    effects = MappingProxyType(on_part("_server", EFFECTS))
     expected = EXPECTED
     filled = MappingProxyType(
         {
@@ -119,7 +119,7 @@ class SimulatedE4(VirtualDevice):
                 truth=Truth(kept) if number else self.truth,
                 deliver=self._server.delivery.deliver,
             )
-        self._first = self._server.wristbands[device_id.lower()]
+        self._first = self._server.first
 
     @property
     def settings(self) -> Mapping[str, Any]:
@@ -220,12 +220,6 @@ class SimulatedE4(VirtualDevice):
 
     async def _stop(self) -> None:
         await self._server.stop()
-
-    def _begin(self, fault: Fault) -> None:
-        begin(self._server, self._first, fault)
-
-    def _end(self, kind: FaultKind) -> None:
-        end(self._server, self._first, kind)
 
     def _find(self, device_id: str | None) -> Wristband:
         return self._server.wristbands[device_id.lower()] if device_id else self._first

@@ -1,51 +1,73 @@
-"""Applies each kind of fault to a virtual server and its first wristband."""
+"""What each fault does to a virtual server and its first wristband."""
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 from biosensor_gateway.devices.empatica_e4.simulator.server import Server
-from biosensor_gateway.devices.empatica_e4.simulator.wristband import Wristband
-from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.effects import Effect, Effects, lasting
+from biosensor_gateway.simulation.faults import FaultKind
 
 
-def begin(server: Server, wristband: Wristband, fault: Fault) -> None:
-    """Begin a fault."""
-    match fault.kind:
-        case FaultKind.DROP:
-            server.lose(wristband)
-        case FaultKind.STALL:
-            server.listener.stall()
-        case FaultKind.GARBAGE:
-            server.send_garbage(round(fault.value))
-        case FaultKind.REFUSE:
-            server.refuse()
-        case FaultKind.LATE:
-            server.answer_late(fault.value)
-        case FaultKind.FORGET:
-            server.forget_subscriptions()
-        case FaultKind.RESTART:
-            server.go_down()
-        case FaultKind.LOW_BATTERY:
-            wristband.signals.battery = fault.value / 100
-        case FaultKind.OFF_BODY:
-            wristband.signals.is_worn = False
-        case FaultKind.DRIFT:
-            wristband.crystal.set_drift(fault.value)
+def _lose(server: Server) -> None:
+    server.lose(server.first)
 
 
-def end(server: Server, wristband: Wristband, kind: FaultKind) -> None:
-    """End one that lasts."""
-    match kind:
-        case FaultKind.DROP:
-            server.come_back(wristband)
-        case FaultKind.STALL:
-            server.listener.resume()
-        case FaultKind.REFUSE:
-            server.manners.refuses_binding = False
-        case FaultKind.LATE:
-            server.manners.late_s = 0.0
-        case FaultKind.RESTART:
-            server.come_up()
-        case FaultKind.OFF_BODY:
-            wristband.signals.is_worn = True
-        case _:
-            raise AssertionError(f"{kind} does not last")
+def _come_back(server: Server) -> None:
+    server.come_back(server.first)
+
+
+def _stall(server: Server) -> None:
+    server.listener.stall()
+
+
+def _resume(server: Server) -> None:
+    server.listener.resume()
+
+
+def _babble(server: Server, lines: float) -> None:
+    server.send_garbage(round(lines))
+
+
+def _let_bind(server: Server) -> None:
+    server.manners.refuses_binding = False
+
+
+def _answer_in_time(server: Server) -> None:
+    server.manners.late_s = 0.0
+
+
+def _forget(server: Server, _: float) -> None:
+    server.forget_subscriptions()
+
+
+def _discharge(server: Server, percent: float) -> None:
+    server.first.signals.battery = percent / 100
+
+
+def _take_off(server: Server) -> None:
+    server.first.signals.is_worn = False
+
+
+def _put_on(server: Server) -> None:
+    server.first.signals.is_worn = True
+
+
+def _drift(server: Server, ppm: float) -> None:
+    server.first.crystal.set_drift(ppm)
+
+
+EFFECTS: Effects[Server] = MappingProxyType(
+    {
+        FaultKind.DROP: lasting(_lose, _come_back),
+        FaultKind.STALL: lasting(_stall, _resume),
+        FaultKind.GARBAGE: Effect(_babble),
+        FaultKind.REFUSE: lasting(Server.refuse, _let_bind),
+        FaultKind.LATE: Effect(Server.answer_late, _answer_in_time),
+        FaultKind.FORGET: Effect(_forget),
+        FaultKind.RESTART: lasting(Server.go_down, Server.come_up),
+        FaultKind.LOW_BATTERY: Effect(_discharge),
+        FaultKind.OFF_BODY: lasting(_take_off, _put_on),
+        FaultKind.DRIFT: Effect(_drift),
+    }
+)

@@ -61,6 +61,11 @@ class Server:
         self._is_up = self._is_over = False
         self._rng = np.random.default_rng((seed, 0x6A))
 
+    @property
+    def first(self) -> Wristband:
+        """The first wristband: the one that faults hit."""
+        return next(iter(self.wristbands.values()))
+
     def start(self) -> None:
         """Open the port and, where the server does it, connect the wristbands."""
         self._clock = WallClock(self._lsl)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import inf
+from types import MappingProxyType
 from typing import Any
 
 from bumble.att import Attribute
@@ -11,7 +12,7 @@ from bumble.core import UUID
 from bumble.gatt import Characteristic, Service
 
 from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
-from biosensor_gateway.devices.ble_heart_rate.simulator.strap import STRAP_FAULTS, Strap
+from biosensor_gateway.devices.ble_heart_rate.simulator.strap import STRAP_EFFECTS, Strap
 from biosensor_gateway.devices.polar_h10.simulator.advertisement import (
     POLAR_COMPANY_ID,
     SERVICE_UUIDS,
@@ -19,10 +20,11 @@ from biosensor_gateway.devices.polar_h10.simulator.advertisement import (
 )
 from biosensor_gateway.devices.polar_h10.simulator.expected import EXPECTED
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
-from biosensor_gateway.devices.polar_h10.simulator.pmd_service import PMD_FAULTS, PmdService
+from biosensor_gateway.devices.polar_h10.simulator.pmd_service import PmdService
 from biosensor_gateway.devices.polar_h10.simulator.products import H10, Product
 from biosensor_gateway.devices.polar_h10.simulator.quirks import Firmware, Quirks
-from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.effects import Effect, lasting, on_part
+from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
@@ -73,7 +75,6 @@ class SimulatedPolarH10(VirtualDevice):
     """
 
     sensor = "polar_h10"
-    faults = STRAP_FAULTS | PMD_FAULTS
     expected = EXPECTED
     on_air = True
 
@@ -134,7 +135,7 @@ class SimulatedPolarH10(VirtualDevice):
 
     def forget_heart_rate(self) -> None:
         """Have the device take it that nobody has subscribed to its heart rate."""
-        self.world.call(lambda: self._strap.begin(Fault(FaultKind.FORGET, 0.0)))
+        self.world.call(self._strap.forget)
 
     async def _start(self) -> None:
         await self._strap.start()
@@ -142,23 +143,39 @@ class SimulatedPolarH10(VirtualDevice):
     async def _stop(self) -> None:
         await self._strap.stop()
 
-    def _begin(self, fault: Fault) -> None:
-        if fault.kind is FaultKind.FORGET and self._pmd is not None:
+    def _babble(self, packets: float) -> None:
+        self._strap.babble(packets)
+        if self._pmd is not None:
+            self._pmd.babble(packets)
+
+    def _forget(self, _: float) -> None:
+        if self._pmd is not None:
             # Its heart rate goes on.
             self._pmd.forget()
-            return
-        if fault.kind in PMD_FAULTS:
-            self._strap.break_link()
         else:
-            self._strap.begin(fault)
-        if self._pmd is not None:
-            self._pmd.begin(fault)
+            self._strap.forget()
 
-    def _end(self, kind: FaultKind) -> None:
-        if kind not in PMD_FAULTS:
-            self._strap.end(kind)
-        elif self._pmd is not None:
-            self._pmd.end(kind)
+    def _refuse(self) -> None:
+        self._strap.break_link()
+        self._set_refusing(refuses=True)
+
+    def _comply(self) -> None:
+        self._set_refusing(refuses=False)
+
+    def _set_refusing(self, *, refuses: bool) -> None:
+        if self._pmd is not None:
+            self._pmd.refuses = refuses
+
+    def _answer_late(self, seconds: float) -> None:
+        self._strap.break_link()
+        self._set_delay(seconds)
+
+    def _answer_in_time(self) -> None:
+        self._set_delay(0.0)
+
+    def _set_delay(self, seconds: float) -> None:
+        if self._pmd is not None:
+            self._pmd.answer_delay_s = seconds
 
     def _advertise(self) -> None:
         peripheral = self._strap.peripheral
@@ -174,6 +191,16 @@ class SimulatedPolarH10(VirtualDevice):
             bpm=self._shown_bpm,
         )
         peripheral.set_manufacturer_data({POLAR_COMPANY_ID: payload})
+
+    effects = MappingProxyType(
+        {
+            **on_part("_strap", STRAP_EFFECTS),
+            FaultKind.GARBAGE: Effect(_babble),
+            FaultKind.FORGET: Effect(_forget),
+            FaultKind.REFUSE: lasting(_refuse, _comply),
+            FaultKind.LATE: Effect(_answer_late, _answer_in_time),
+        }
+    )
 
 
 def _peripheral(radio: Radio, address: str, name: str, rssi_dbm: int, quirks: Quirks) -> Peripheral:

@@ -21,10 +21,7 @@ from biosensor_gateway.devices.polar_h10.simulator.streams import (
     WaveformStream,
 )
 from biosensor_gateway.devices.polar_h10.simulator.waveforms import waveform
-from biosensor_gateway.simulation.faults import Fault, FaultKind
 
-PMD_FAULTS = frozenset({FaultKind.REFUSE, FaultKind.LATE})
-"""What can happen to a control point; both begin with the loss of the link."""
 _Permissions = Attribute.Permissions
 _Properties = Characteristic.Properties
 
@@ -39,6 +36,10 @@ class PmdService:
     product, quirks
         What can be measured, and how.
 
+    Attributes
+    ----------
+    answer_delay_s
+        Every command is answered so late.
     """
 
     def __init__(self, strap: Strap, product: Product, quirks: Quirks) -> None:
@@ -49,7 +50,7 @@ class PmdService:
             short_errors=quirks.short_errors,
             announces_stops=quirks.announces_stops,
         )
-        self._answer_delay_s = 0.0
+        self.answer_delay_s = 0.0
         self._strap = strap
         self._product = product
         self._quirks = quirks
@@ -71,29 +72,23 @@ class PmdService:
         self._end_streams()
         await self._strap.peripheral.notify(self._control_point, packet)
 
-    def begin(self, fault: Fault) -> None:
-        """Begin a fault, as far as it concerns this service."""
-        match fault.kind:
-            case FaultKind.REFUSE:
-                self._control.refuses = True
-            case FaultKind.LATE:
-                self._answer_delay_s = fault.value
-            case FaultKind.GARBAGE:
-                self._strap.run(self._send_garbage(round(fault.value)))
-            case _:
-                pass
+    @property
+    def refuses(self) -> bool:
+        """Whether every command is refused."""
+        return self._control.refuses
+
+    @refuses.setter
+    def refuses(self, refuses: bool) -> None:
+        self._control.refuses = refuses
+
+    def babble(self, packets: float) -> None:
+        """Send so many damaged frames."""
+        self._strap.run(self._send_garbage(round(packets)))
 
     def forget(self) -> None:
         """Stop all measurements without a word."""
         self._control.running.clear()
         self._end_streams()
-
-    def end(self, kind: FaultKind) -> None:
-        """End one of `PMD_FAULTS`."""
-        if kind is FaultKind.REFUSE:
-            self._control.refuses = False
-        else:
-            self._answer_delay_s = 0.0
 
     async def _send_garbage(self, packets: int) -> None:
         for frame in frames.damaged(self._strap.rng, packets):
@@ -120,7 +115,7 @@ class PmdService:
 
     async def _answer(self, command: bytes) -> None:
         async with self._conversation:
-            await asyncio.sleep(self._answer_delay_s)
+            await asyncio.sleep(self.answer_delay_s)
             packets = self._control.answer(command, self._strap.peripheral.host_mtu)
             self._end_streams()
             for packet in packets:

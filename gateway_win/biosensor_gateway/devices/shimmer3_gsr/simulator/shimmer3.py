@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from math import isnan, nan
 from types import MappingProxyType
 from typing import Any
 
@@ -21,10 +20,11 @@ from biosensor_gateway.devices.shimmer3_gsr.simulator.conversation import Conver
 from biosensor_gateway.devices.shimmer3_gsr.simulator.expected import EXPECTED
 from biosensor_gateway.devices.shimmer3_gsr.simulator.inputs import Conditions
 from biosensor_gateway.devices.shimmer3_gsr.simulator.interpreter import Flash, Interpreter
+from biosensor_gateway.devices.shimmer3_gsr.simulator.notes import Notes
 from biosensor_gateway.devices.shimmer3_gsr.simulator.streaming import (
     Sample,
     Sampling,
-    Streamer,
+    Streams,
     samples,
 )
 from biosensor_gateway.devices.shimmer3_gsr.simulator.wire import (
@@ -33,10 +33,10 @@ from biosensor_gateway.devices.shimmer3_gsr.simulator.wire import (
     Opcode,
     channels_of,
 )
-from biosensor_gateway.simulation.async_serial import serial_port
+from biosensor_gateway.simulation.async_serial import AsyncSerialPort, serial_port
 from biosensor_gateway.simulation.crystal import Crystal
-from biosensor_gateway.simulation.faults import Fault, FaultKind
-from biosensor_gateway.simulation.serial_links import AsyncSerialPort
+from biosensor_gateway.simulation.effects import Effect, lasting
+from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
@@ -76,7 +76,6 @@ class SimulatedShimmer3(VirtualDevice):
     """
 
     sensor = "shimmer3_gsr"
-    faults = frozenset(FaultKind)
     expected = EXPECTED
     filled = MappingProxyType({"hr": Filled(7, "it takes five heart beats")})
 
@@ -112,11 +111,10 @@ class SimulatedShimmer3(VirtualDevice):
         self._crystal = Crystal(world.clock, drift_ppm)
         self._started_s = self.world.clock()
         self._port: AsyncSerialPort | None = None
-        self._streams = False
-        self._streamers: list[Streamer] = []
+        self._notes = Notes(self.truth)
+        self._streams = Streams(world.clock, self._send, self._notes.kept_back)
         self._worn = True
         self._stalled = False
-        self._quality: tuple[float, int] | None = None
 
     @property
     def port(self) -> str:
@@ -165,53 +163,6 @@ class SimulatedShimmer3(VirtualDevice):
         if self._port is not None:
             self._port.dispose()
 
-    def _begin(self, fault: Fault) -> None:
-        match fault.kind:
-            case FaultKind.DROP | FaultKind.RESTART:
-                self._hang_up()
-            case FaultKind.STALL:
-                self._stalled = True
-            case FaultKind.GARBAGE:
-                self._babble(int(fault.value))
-            case FaultKind.REFUSE:
-                self._conversation.refusing = True
-                self._break_link()
-            case FaultKind.LATE:
-                self._conversation.answer_delay_s = fault.value
-                self._break_link()
-            case FaultKind.FORGET:
-                self._interpreter.sensing = False
-                self._follow_sensing()
-            case FaultKind.LOW_BATTERY:
-                self._battery_percent = fault.value
-            case FaultKind.OFF_BODY:
-                self._worn = False
-            case FaultKind.DRIFT:
-                self._crystal.set_drift(fault.value)
-
-    def _end(self, kind: FaultKind) -> None:
-        match kind:
-            case FaultKind.DROP:
-                self._reopen()
-            case FaultKind.RESTART:
-                self._power_on()
-                self._reopen()
-            case FaultKind.STALL:
-                self._stalled = False
-            case FaultKind.REFUSE:
-                self._conversation.refusing = False
-            case FaultKind.LATE:
-                self._conversation.answer_delay_s = 0.0
-            case FaultKind.OFF_BODY:
-                self._worn = True
-            case _:
-                pass
-
-    def _power_on(self) -> None:
-        self._crystal = Crystal(self.world.clock, self._crystal.drift_ppm)
-        self._first_tick = 0
-        self._interpreter.power_on()
-
     def _break_link(self) -> None:
         self._hang_up()
         self._reopen()
@@ -227,10 +178,7 @@ class SimulatedShimmer3(VirtualDevice):
 
     def _link_lost(self) -> None:
         self._conversation.link_lost()
-        for streamer in self._streamers:
-            streamer.cut()
-        self._streamers.clear()
-        self._streams = False
+        self._streams.cut()
 
     def _heard(self, data: bytes) -> None:
         if not self._stalled:
@@ -243,15 +191,10 @@ class SimulatedShimmer3(VirtualDevice):
         self._follow_sensing()
 
     def _follow_sensing(self) -> None:
-        if self._interpreter.sensing == self._streams:
-            return
-        self._streams = self._interpreter.sensing
-        self._streamers = [streamer for streamer in self._streamers if not streamer.done]
-        for streamer in self._streamers:
-            streamer.stop()
-        if self._streams:
-            source = samples(self._sampling())
-            self._streamers.append(Streamer(source, self.world.clock, self._send, self._keep_back))
+        if not self._interpreter.sensing:
+            self._streams.stop()
+        elif not self._streams.running:
+            self._streams.start(samples(self._sampling()))
 
     def _sampling(self) -> Sampling:
         return Sampling(
@@ -271,30 +214,71 @@ class SimulatedShimmer3(VirtualDevice):
         return Conditions(self._worn, bool(self._flash.expansion_power), self.battery_counts())
 
     def _send(self, sample: Sample) -> None:
-        if not self._conversation.say(sample.packet):
-            self._keep_back(sample)
-            return
-        if sample.gsr_us is not None and sample.gsr_range is not None:
-            self.truth.sent("gsr", [sample.measured_s], [[sample.gsr_us]])
-            self._note_quality(sample.measured_s, sample.gsr_us, sample.gsr_range)
-        if sample.ppg_mv is not None:
-            self.truth.sent("ppg", [sample.measured_s], [[sample.ppg_mv]])
-
-    def _note_quality(self, time: float, gsr_us: float, gsr_range: int) -> None:
-        quality = (float(not isnan(gsr_us)), gsr_range)
-        if quality != self._quality:
-            self._quality = quality
-            self.truth.sent("quality", [time], [[*quality, nan]])
-
-    def _keep_back(self, sample: Sample) -> None:
-        if sample.gsr_us is not None:
-            self.truth.unsent("gsr", 1)
-        if sample.ppg_mv is not None:
-            self.truth.unsent("ppg", 1)
-
-    def _babble(self, count: int) -> None:
-        if self._conversation.spoken_to:
-            self._write(self._rng.bytes(count))
+        if self._conversation.say(sample.packet):
+            self._notes.sent(sample)
+        else:
+            self._notes.kept_back(sample)
 
     def _write(self, data: bytes) -> bool:
         return self._port is not None and not self._stalled and self._port.write(data)
+
+    def _stall(self) -> None:
+        self._stalled = True
+
+    def _resume(self) -> None:
+        self._stalled = False
+
+    def _babble(self, count: float) -> None:
+        if self._conversation.spoken_to:
+            self._write(self._rng.bytes(int(count)))
+
+    def _refuse(self) -> None:
+        self._conversation.refusing = True
+        self._break_link()
+
+    def _comply(self) -> None:
+        self._conversation.refusing = False
+
+    def _answer_late(self, seconds: float) -> None:
+        self._conversation.answer_delay_s = seconds
+        self._break_link()
+
+    def _answer_in_time(self) -> None:
+        self._conversation.answer_delay_s = 0.0
+
+    def _forget(self, _: float) -> None:
+        self._interpreter.sensing = False
+        self._follow_sensing()
+
+    def _power_cycle(self) -> None:
+        self._crystal = Crystal(self.world.clock, self._crystal.drift_ppm)
+        self._first_tick = 0
+        self._interpreter.power_on()
+        self._reopen()
+
+    def _discharge(self, percent: float) -> None:
+        self._battery_percent = percent
+
+    def _take_off(self) -> None:
+        self._worn = False
+
+    def _put_on(self) -> None:
+        self._worn = True
+
+    def _drift(self, ppm: float) -> None:
+        self._crystal.set_drift(ppm)
+
+    effects = MappingProxyType(
+        {
+            FaultKind.DROP: lasting(_hang_up, _reopen),
+            FaultKind.RESTART: lasting(_hang_up, _power_cycle),
+            FaultKind.STALL: lasting(_stall, _resume),
+            FaultKind.GARBAGE: Effect(_babble),
+            FaultKind.REFUSE: lasting(_refuse, _comply),
+            FaultKind.LATE: Effect(_answer_late, _answer_in_time),
+            FaultKind.FORGET: Effect(_forget),
+            FaultKind.LOW_BATTERY: Effect(_discharge),
+            FaultKind.OFF_BODY: lasting(_take_off, _put_on),
+            FaultKind.DRIFT: Effect(_drift),
+        }
+    )

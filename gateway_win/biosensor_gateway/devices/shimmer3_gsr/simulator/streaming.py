@@ -180,3 +180,47 @@ class Streamer:
             if self._next.measured_s <= self._stopped_s:
                 sample, self._next = self._next, next(self._source)
                 self._send(sample)
+
+
+class Streams:
+    """The stream that a device measures, and those before it of which samples still leave.
+
+    Parameters
+    ----------
+    clock, send, keep_back
+        As for `Streamer`.
+    """
+
+    def __init__(
+        self, clock: Clock, send: Callable[[Sample], None], keep_back: Callable[[Sample], None]
+    ) -> None:
+        self._clock = clock
+        self._send = send
+        self._keep_back = keep_back
+        self._streamers: list[Streamer] = []
+        self._running = False
+
+    @property
+    def running(self) -> bool:
+        """Whether it was started, and neither stopped nor cut since."""
+        return self._running
+
+    def start(self, source: Iterator[Sample]) -> None:
+        """Send the samples of a new stream."""
+        self.stop()
+        self._streamers = [streamer for streamer in self._streamers if not streamer.done]
+        self._streamers.append(Streamer(source, self._clock, self._send, self._keep_back))
+        self._running = True
+
+    def stop(self) -> None:
+        """Measure no more; what is on its way still leaves."""
+        for streamer in self._streamers:
+            streamer.stop()
+        self._running = False
+
+    def cut(self) -> None:
+        """End at once; what is on its way is kept back."""
+        for streamer in self._streamers:
+            streamer.cut()
+        self._streamers.clear()
+        self._running = False

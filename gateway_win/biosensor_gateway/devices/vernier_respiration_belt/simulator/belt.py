@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Coroutine, Mapping
 from types import MappingProxyType
 from typing import Any
@@ -12,13 +11,18 @@ import numpy as np
 from bumble.att import Attribute
 from bumble.device import Connection
 from bumble.gatt import Characteristic, CharacteristicValue, Service
-from numpy.typing import NDArray
 
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.expected import EXPECTED
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.firmware import BeltFirmware
+from biosensor_gateway.devices.vernier_respiration_belt.simulator.signals import (
+    RATE_WARM_UP_S,
+    Signals,
+    note,
+)
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import Command
 from biosensor_gateway.simulation.crystal import Crystal
-from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.effects import Effect, lasting
+from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.power import PowerSwitch
 from biosensor_gateway.simulation.radio import Radio
@@ -30,12 +34,8 @@ SERVICE_UUID = "D91714EF-28B9-4F91-BA16-F0D9A604F112"
 COMMAND_UUID = "F4BF14A6-C7D5-4B6D-8AA8-DF1A7C83ADCB"
 RESPONSE_UUID = "B41E6675-A329-40E0-AA01-44D2F444BABE"
 
-RATE_WARM_UP_S = 25.0
-"""The belt needs some breaths before it knows a rate."""
-RATE_UPDATE_S = 10.0
 PACKET_S = 0.1
 """Samples wait for each other about so long, as with a slow connection interval."""
-_SLACK_N = -0.53
 _ORDER_CODE = "GDX-RB"
 _FRAGMENT_BYTES = 20
 _GARBAGE_BYTES = 16
@@ -72,7 +72,6 @@ class SimulatedBelt(VirtualDevice):
     """
 
     sensor = "vernier_respiration_belt"
-    faults = frozenset(FaultKind)
     expected = EXPECTED
     on_air = True
     rates_hz = MappingProxyType({"force": 10.0, "bpm": 10.0})
@@ -96,16 +95,12 @@ class SimulatedBelt(VirtualDevice):
         super().__init__(world, kept)
         self._serial = serial
         self._firmware = BeltFirmware(_ORDER_CODE, serial)
-        self._wearer = wearer or Wearer(seed)
+        self._signals = Signals(wearer or Wearer(seed), warm_up_s, world.clock)
         self._rng = np.random.default_rng(seed)
         self._drift_ppm = drift_ppm
         self._jitter_s = jitter_s
-        self._warm_up_s = warm_up_s
         self._rssi_dbm = rssi_dbm
         self._answer_delay_s = 0.0
-        self._worn_since_s = 0.0
-        self._worn = True
-        self._origin_s = self.world.clock()
         self._crystal = Crystal(world.clock, drift_ppm)
         self._power = PowerSwitch(self._power_on, self._power_off)
         self._tasks: set[asyncio.Task[None]] = set()
@@ -126,53 +121,11 @@ class SimulatedBelt(VirtualDevice):
         return {"device": self._serial}
 
     async def _start(self) -> None:
-        self._origin_s = self._worn_since_s = self.world.clock()
+        self._signals.begin()
         await self._power.want(True)
 
     async def _stop(self) -> None:
         await self._power.want(False)
-
-    def _begin(self, fault: Fault) -> None:
-        match fault.kind:
-            case FaultKind.DROP:
-                self._peripheral.drop()
-            case FaultKind.STALL:
-                self._peripheral.stalled = True
-            case FaultKind.GARBAGE:
-                self._run(self._send_garbage(round(fault.value)))
-            case FaultKind.REFUSE:
-                self._firmware.refuses = True
-                self._break_link()
-            case FaultKind.LATE:
-                self._answer_delay_s = fault.value
-                self._break_link()
-            case FaultKind.FORGET:
-                self._firmware.mask = 0
-                self._stop_measuring()
-            case FaultKind.RESTART:
-                self._power.hold_off(fault.kind)
-            case FaultKind.LOW_BATTERY:
-                self._firmware.battery_percent = round(fault.value)
-            case FaultKind.OFF_BODY:
-                self._worn = False
-            case FaultKind.DRIFT:
-                self._drift_ppm = fault.value
-                self._crystal.set_drift(fault.value)
-
-    def _end(self, kind: FaultKind) -> None:
-        match kind:
-            case FaultKind.DROP:
-                self._peripheral.restore()
-            case FaultKind.STALL:
-                self._peripheral.stalled = False
-            case FaultKind.REFUSE:
-                self._firmware.refuses = False
-            case FaultKind.LATE:
-                self._answer_delay_s = 0.0
-            case FaultKind.OFF_BODY:
-                self._worn, self._worn_since_s = True, self.world.clock()
-            case _:
-                self._power.release(kind)
 
     async def _power_on(self) -> None:
         self._crystal = Crystal(self.world.clock, self._drift_ppm)
@@ -221,46 +174,14 @@ class SimulatedBelt(VirtualDevice):
             times = np.array([self._crystal.true_time(float(time)) for time in device_times])
             if self._jitter_s:
                 await asyncio.sleep(self._rng.uniform(0, self._jitter_s))
-            rows = self._rows(times, started_s)
+            rows = self._signals.rows(times, started_s)
             mask = self._firmware.mask
             if not mask:
                 return
             columns = [channel for channel in range(rows.shape[1]) if mask & (1 << channel)]
             sent = await self._send(self._firmware.pack(rows[:, columns]))
-            self._note(times, rows, mask, sent=sent)
+            note(self.truth, times, rows, mask, sent=sent)
             first += count
-
-    def _rows(self, times: NDArray[np.float64], started_s: float) -> NDArray[np.float32]:
-        """Values of channels 0 to 5 at some LSL times."""
-        wearer_times = times - self._origin_s
-        rows = np.zeros((len(times), 6), np.float32)
-        if self._worn:
-            rows[:, 1] = self._wearer.chest_force_n(wearer_times)
-        else:
-            rows[:, 1] = _SLACK_N + self._wearer.noise(wearer_times, 0.003, "slack")
-        rows[:, 2] = self._rate(times[-1], started_s)
-        return rows
-
-    def _rate(self, time_s: float, started_s: float) -> float:
-        known_since_s = max(started_s, self._worn_since_s) + self._warm_up_s
-        if not self._worn or time_s < known_since_s:
-            return math.nan
-        updates = math.floor((time_s - known_since_s) / RATE_UPDATE_S)
-        # The belt's own rate is a little off, differently each time.
-        error = 0.3 * math.sin(1.7 * updates)
-        return round(self._wearer.respiration_rate_bpm + error, 1)
-
-    def _note(
-        self, times: NDArray[np.float64], rows: NDArray[np.float32], mask: int, *, sent: bool
-    ) -> None:
-        for channel, data_name in ((1, "force"), (2, "bpm")):
-            if not mask & (1 << channel):
-                continue
-            if sent:
-                values = rows[:, channel : channel + 1].astype(np.float64)
-                self.truth.sent(data_name, times.tolist(), values.tolist())
-            else:
-                self.truth.unsent(data_name, len(times))
 
     async def _send(self, packet: bytes) -> bool:
         """Send a packet in as many notifications as it takes; False if the host misses any."""
@@ -301,3 +222,70 @@ class SimulatedBelt(VirtualDevice):
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
         return task
+
+    def _drop(self) -> None:
+        self._peripheral.drop()
+
+    def _restore(self) -> None:
+        self._peripheral.restore()
+
+    def _stall(self) -> None:
+        self._peripheral.stalled = True
+
+    def _resume(self) -> None:
+        self._peripheral.stalled = False
+
+    def _babble(self, count: float) -> None:
+        self._run(self._send_garbage(round(count)))
+
+    def _refuse(self) -> None:
+        self._firmware.refuses = True
+        self._break_link()
+
+    def _comply(self) -> None:
+        self._firmware.refuses = False
+
+    def _answer_late(self, seconds: float) -> None:
+        self._answer_delay_s = seconds
+        self._break_link()
+
+    def _answer_in_time(self) -> None:
+        self._answer_delay_s = 0.0
+
+    def _forget(self, _: float) -> None:
+        self._firmware.mask = 0
+        self._stop_measuring()
+
+    def _go_down(self) -> None:
+        self._power.hold_off(FaultKind.RESTART)
+
+    def _come_up(self) -> None:
+        self._power.release(FaultKind.RESTART)
+
+    def _discharge(self, percent: float) -> None:
+        self._firmware.battery_percent = round(percent)
+
+    def _take_off(self) -> None:
+        self._signals.take_off()
+
+    def _put_on(self) -> None:
+        self._signals.put_on()
+
+    def _drift(self, ppm: float) -> None:
+        self._drift_ppm = ppm
+        self._crystal.set_drift(ppm)
+
+    effects = MappingProxyType(
+        {
+            FaultKind.DROP: lasting(_drop, _restore),
+            FaultKind.STALL: lasting(_stall, _resume),
+            FaultKind.GARBAGE: Effect(_babble),
+            FaultKind.REFUSE: lasting(_refuse, _comply),
+            FaultKind.LATE: Effect(_answer_late, _answer_in_time),
+            FaultKind.FORGET: Effect(_forget),
+            FaultKind.RESTART: lasting(_go_down, _come_up),
+            FaultKind.LOW_BATTERY: Effect(_discharge),
+            FaultKind.OFF_BODY: lasting(_take_off, _put_on),
+            FaultKind.DRIFT: Effect(_drift),
+        }
+    )

@@ -1,308 +1,183 @@
-"""A virtual BioHarness 3 that speaks the vendor's protocol on a serial port.
+"""A virtual BioHarness 3 on a serial port, whatever its packets come from.
 
-::
-
-    with SimulatedBioHarness(SyntheticSource(seed=1)) as device:
-        serial.Serial(device.port, 115200)
-
-A pseudo-terminal does not tell that a host opened or closed it. So the device says
-nothing before the host's first byte, and notices a host that left without a word
-only by its silence.
+It says nothing before the host's first byte, measures whether or not anybody listens, and
+forgets what a host switched on when that leaves, or is silent for too long.
 """
 
 from __future__ import annotations
 
+import asyncio
 import sys
-import threading
-import time
-from collections.abc import Callable, Iterable
-from concurrent.futures import Future
-from math import inf
-from queue import SimpleQueue
-from types import TracebackType
-from typing import Self
+from collections.abc import Mapping
+from math import isfinite
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
-from biosensor_gateway.devices.zephyr.simulator.body import Integers
-from biosensor_gateway.devices.zephyr.simulator.device import PutOnLink, SimulatedDevice
 from biosensor_gateway.devices.zephyr.simulator.session import Session
-from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing, Source, SyntheticSource
-from biosensor_gateway.devices.zephyr.simulator.wire import WAVEFORMS, Packet, Request
-from biosensor_gateway.simulation.serial_links import Link, PtyLink
-from biosensor_gateway.simulation.tcp_link import TcpHostLink
+from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing, Source
+from biosensor_gateway.devices.zephyr.simulator.wire import Packet
+from biosensor_gateway.simulation.async_serial import AsyncSerialPort, serial_port
+from biosensor_gateway.simulation.effects import Effect, lasting
+from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.virtual_device import VirtualDevice
+from biosensor_gateway.simulation.world import World
 
-_ORDER_TIMEOUT_S = 10.0
+_BUFFER_BYTES = 4096
+_DRAIN_CHECK_S = 0.02
+_HANG_UP_S = 1.0
+_UNREACHABLE = frozenset({FaultKind.DROP, FaultKind.RESTART})
 
 
-class SimulatedBioHarness:
-    """The device: a source of packets, a conversation and a link, with faults.
-
-    One thread owns all state; the methods hand it their orders and return when
-    they are carried out. What was sent can be asked for at any time.
+class BioHarness(VirtualDevice):
+    """A source of packets, a conversation and a port, with the faults of the link.
 
     Parameters
     ----------
+    world
+        Where it lives.
     source
-        `SyntheticSource` (default) or a recording.
-    link
-        Where the host is; a pseudo-terminal by default, TCP on Windows.
-    summary_supported
-        False: an old device, which refuses 0xBD and has general data (0x20) instead.
-    host_timeout_s
-        A host that is silent for so long is forgotten with its enables; None = never.
-    lifesign_s
-        Between two lifesigns.
-    answer_delay_s, refused, ignored
-        Faults to begin with, as `delay_answers`, `refuse` and `ignore` set them.
+        Of its packets.
+    session
+        How it converses; as new firmware does by default.
     seed
-        Of garbage and flipped bits.
-    kept_packets
-        How many of the last sent packets and requests are kept for `sent` and
-        `requests`; None = all, which is for tests and not for days of running.
-    put_on_link
-        See `SimulatedDevice`.
+        Of garbage.
+    kept
+        Limit of `truth`; None = all.
+    buffer_bytes
+        What the radio keeps for a host that does not read.
+    tcp
+        A TCP server instead of a pseudo-terminal; by default where there is none.
+
+    Attributes
+    ----------
+    source, session
+        To be changed in the world's loop only.
     """
+
+    sensor = "zephyr"
 
     def __init__(
         self,
-        source: Source | None = None,
+        world: World,
+        source: Source,
+        session: Session | None = None,
         *,
-        link: Link | None = None,
-        summary_supported: bool = True,
-        host_timeout_s: float | None = 10.0,
-        lifesign_s: float = 3.0,
-        answer_delay_s: float = 0.0,
-        refused: Iterable[int] = (),
-        ignored: Iterable[int] = (),
         seed: int = 0,
-        kept_packets: int | None = None,
-        put_on_link: PutOnLink | None = None,
+        kept: int | None = None,
+        buffer_bytes: int = _BUFFER_BYTES,
+        tcp: bool = sys.platform == "win32",
     ) -> None:
-        session = Session(
-            summary_supported,
-            host_timeout_s,
-            lifesign_s,
-            answer_delay_s,
-            set(refused),
-            set(ignored),
-        )
-        self._device = SimulatedDevice(
-            source or SyntheticSource(),
-            session,
-            link or _usual_link(),
-            seed,
-            kept_packets,
-            put_on_link,
-        )
-        self._stopping = False
-        self._orders: SimpleQueue[tuple[Callable[[], None], Future[None]]] = SimpleQueue()
-        self._thread = threading.Thread(target=self._run, name="virtual BioHarness", daemon=True)
-
-    def __enter__(self) -> Self:
-        self.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.stop()
+        super().__init__(world, kept)
+        self.source = source
+        self.session = session or Session()
+        self._rng = np.random.default_rng(seed)
+        self._buffer_bytes = buffer_bytes
+        self._tcp = tcp
+        self._port: AsyncSerialPort | None = None
+        self._stalled = False
+        self._next_turn: asyncio.TimerHandle | None = None
+        self._reopening: asyncio.TimerHandle | None = None
 
     @property
     def port(self) -> str:
-        """What a host opens; it stays the same over link drops."""
-        return self._device.link.port
+        """What a host opens as a serial port; the same over drops."""
+        if self._port is None:
+            raise RuntimeError("the virtual BioHarness is not switched on")
+        return self._port.name
 
     @property
-    def enabled(self) -> frozenset[Packet]:
-        """The periodic packets that the host has switched on."""
-        return self._device.session.enabled
+    def settings(self) -> Mapping[str, Any]:
+        """The field ``port``."""
+        return {"port": self.port}
 
-    @property
-    def requests(self) -> tuple[Request, ...]:
-        """Every request heard, broken ones and lifesigns included, in order."""
-        return tuple(self._device.requests.copy())
+    async def _start(self) -> None:
+        self._port = serial_port(
+            self._heard, self._link_lost, buffer_bytes=self._buffer_bytes, tcp=self._tcp
+        )
+        self._port.open()
+        self.source.power_on(self.world.clock)
+        self._take_turn()
 
-    @property
-    def sent(self) -> tuple[Outgoing, ...]:
-        """Every frame of the source that the link took, in order.
+    async def _stop(self) -> None:
+        for timer in (self._next_turn, self._reopening):
+            if timer is not None:
+                timer.cancel()
+        if self._port is not None:
+            self._port.dispose()
 
-        Answers, the conversation's lifesigns and garbage are not among them. Bytes
-        that the host had not read when the link dropped were sent all the same, so
-        at a drop this is more than what the host received. Never is it less: what a
-        host has read is among them.
-        """
-        sent: list[Outgoing] = []
-        # Between two steps: a frame is recorded only after its bytes are on the link.
-        self.carry_out(lambda: sent.extend(self._device.sent))
-        return tuple(sent)
+    def _note(self, frame: Outgoing, *, sent: bool) -> None:
+        """Hear of each frame of the source that was due and enabled, and whether it left."""
 
-    @property
-    def dropped_frames(self) -> int:
-        """Frames that the link had no room for, because the host did not read."""
-        return self._device.dropped_frames
+    def _heard(self, data: bytes) -> None:
+        if not self._stalled:
+            self.session.hear(data, self.world.clock())
+            self._take_turn()
 
-    def sent_samples(self, packet: Packet) -> Integers:
-        """Return every sample of a waveform kind that was sent intact, in order.
+    def _take_turn(self) -> None:
+        """Say what is due, and be back when more is."""
+        now = self.world.clock()
+        if self.session.host_is_lost(now):
+            self._link_lost()
+        self._speak(now)
+        self._hang_up_if_over(now)
+        if self._next_turn is not None:
+            self._next_turn.cancel()
+        due_s = self._next_due(now)
+        self._next_turn = (
+            self.world.loop.call_later(max(0.0, due_s - now), self._take_turn)
+            if isfinite(due_s)
+            else None
+        )
 
-        Returns
-        -------
-        ndarray of int64, shape (samples, 1 + channels)
-            Number of the sample since power-on, then its values as `Body.samples`
-            has them. Empty for a recording, whose frames are not decoded.
-        """
-        blocks = [np.empty((0, 1 + WAVEFORMS[packet].channels), np.int64)]
-        for frame in self.sent:
-            if frame.packet is packet and not frame.corrupted and frame.samples is not None:
-                index = np.arange(len(frame.samples)) + (frame.first_index or 0)
-                blocks.append(np.column_stack((index, frame.samples)))
-        return np.concatenate(blocks)
+    def _next_due(self, now: float) -> float:
+        if self.source.hangs_up(now):
+            return now + _DRAIN_CHECK_S
+        return min(self.session.next_due(), self.source.next_due())
 
-    def start(self) -> None:
-        """Make the port and switch the device on.
+    def _speak(self, now: float) -> None:
+        for data in self.session.say(now):
+            if data[1] != Packet.LIFESIGN or not self.source.speaks_lifesigns:
+                self._write(data)
+        for frame in self.source.poll(now, self.session.enabled):
+            self._note(frame, sent=self._write(frame.data))
 
-        Raises
-        ------
-        TransportError
-            UNAVAILABLE if this system has no pseudo-terminals.
-        """
-        self._device.power_on()
-        self._thread.start()
+    def _write(self, data: bytes) -> bool:
+        reaches_host = self._port is not None and self.session.active and not self._stalled
+        return reaches_host and self._port is not None and self._port.write(data)
 
-    def stop(self) -> None:
-        """Switch the device off and remove the port; also for one that was never started."""
+    def _hang_up_if_over(self, now: float) -> None:
+        if self._port is not None and self.source.hangs_up(now) and self._port.drained():
+            self._hang_up()
+            self._reopening = self.world.loop.call_later(_HANG_UP_S, self._reopen)
 
-        def order() -> None:
-            self._stopping = True
+    def _hang_up(self) -> None:
+        self._link_lost()
+        if self._port is not None:
+            self._port.hang_up()
 
-        if self._thread.is_alive():
-            self.carry_out(order)
-            self._thread.join()
-        self._device.link.dispose()
+    def _reopen(self) -> None:
+        if self._port is not None and not _UNREACHABLE & self._lasting.keys():
+            self._port.open()
 
-    def drop_link(self, seconds: float = inf) -> None:
-        """Hang up and be unreachable for ``seconds``, or until `restore_link`."""
-        self.carry_out(lambda: self._device.hang_up(seconds))
+    def _link_lost(self) -> None:
+        self.session.forget()
+        self.source.connection_ended()
 
-    def restore_link(self) -> None:
-        """End a `drop_link` now; without effect on a link that is up."""
-        self.carry_out(self._device.restore)
+    def _stall(self) -> None:
+        self._stalled = True
 
-    def stall(self) -> None:
-        """Go out of reach with the link open: nothing is sent, nothing is heard."""
-        self._set_stalled(True)
+    def _resume(self) -> None:
+        self._stalled = False
 
-    def resume(self) -> None:
-        """End a `stall`; what was measured meanwhile is missing."""
-        self._set_stalled(False)
+    def _babble(self, count: float) -> None:
+        self._write(self._rng.bytes(int(count)))
 
-    def forget_enables(self) -> None:
-        """Send lifesigns only, until the host enables packets again."""
-        self.carry_out(self._device.session.forget_enables)
-
-    def garbage(self, count: int) -> None:
-        """Send so many random bytes between two frames."""
-        self.carry_out(lambda: self._device.send_garbage(count))
-
-    def corrupt_next(self) -> None:
-        """Flip one bit in the payload or check of the next frame."""
-
-        def order() -> None:
-            self._device.corrupts_next = True
-
-        self.carry_out(order)
-
-    def refuse(self, request_id: int) -> None:
-        """Answer this request with NAK until `allow`."""
-        self.carry_out(lambda: self._device.session.refused.add(request_id))
-
-    def ignore(self, request_id: int) -> None:
-        """Leave this request without an answer until `allow`."""
-        self.carry_out(lambda: self._device.session.ignored.add(request_id))
-
-    def allow(self, request_id: int) -> None:
-        """End `refuse` and `ignore` of this request."""
-
-        def order() -> None:
-            self._device.session.refused.discard(request_id)
-            self._device.session.ignored.discard(request_id)
-
-        self.carry_out(order)
-
-    def delay_answers(self, seconds: float) -> None:
-        """Answer every request so much later; 0 ends it."""
-
-        def order() -> None:
-            self._device.session.answer_delay_s = seconds
-
-        self.carry_out(order)
-
-    def off_body(self) -> None:
-        """Take the strap off: status, vitals and event; not for a recording."""
-        self.carry_out(lambda: self._synthetic.set_worn(False))
-
-    def on_body(self) -> None:
-        """Put the strap on again; not for a recording."""
-        self.carry_out(lambda: self._synthetic.set_worn(True))
-
-    def battery(self, percent: int) -> None:
-        """Set the battery's charge [percent]; not for a recording."""
-        self.carry_out(lambda: self._synthetic.set_battery(percent))
-
-    def event(self, code: int, data: bytes = b"") -> None:
-        """Have an event happen (0x0040 is the button); not for a recording."""
-        self.carry_out(lambda: self._synthetic.add_event(code, data))
-
-    def step_clock(self, seconds: float) -> None:
-        """Set the device's clock forward or back; not for a recording."""
-        self.carry_out(lambda: self._synthetic.step_clock(round(1000 * seconds)))
-
-    def midnight(self, seconds: float = 1.0) -> None:
-        """Set the clock so many device seconds before midnight; not for a recording."""
-        self.carry_out(lambda: self._synthetic.midnight_in(round(1000 * seconds), time.monotonic()))
-
-    def carry_out(self, order: Callable[[], None]) -> None:
-        """Run ``order`` in the device's thread and wait for it; raise what it raises."""
-        if not self._thread.is_alive():
-            order()
-            return
-        outcome: Future[None] = Future()
-        self._orders.put((order, outcome))
-        self._device.link.wake()
-        outcome.result(_ORDER_TIMEOUT_S)
-
-    @property
-    def _synthetic(self) -> SyntheticSource:
-        if not isinstance(self._device.source, SyntheticSource):
-            raise TypeError("a recording's body and clock cannot be changed")
-        return self._device.source
-
-    def _set_stalled(self, stalled: bool) -> None:
-        def order() -> None:
-            self._device.stalled = stalled
-
-        self.carry_out(order)
-
-    def _run(self) -> None:
-        while not self._stopping:
-            heard = self._device.wait()
-            self._obey_orders()
-            self._device.step(heard)
-
-    def _obey_orders(self) -> None:
-        while not self._orders.empty():
-            order, outcome = self._orders.get()
-            try:
-                order()
-            except Exception as error:  # noqa: BLE001 - whoever gave the order gets its error
-                outcome.set_exception(error)
-            else:
-                outcome.set_result(None)
-
-
-def _usual_link() -> Link:
-    # Windows has no pseudo-terminals.
-    return TcpHostLink() if sys.platform == "win32" else PtyLink()
+    effects = MappingProxyType(
+        {
+            FaultKind.DROP: lasting(_hang_up, _reopen),
+            FaultKind.STALL: lasting(_stall, _resume),
+            FaultKind.GARBAGE: Effect(_babble),
+        }
+    )

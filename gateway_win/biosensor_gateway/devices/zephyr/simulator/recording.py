@@ -25,6 +25,7 @@ from biosensor_gateway.devices.zephyr.simulator.wire import (
     crc8,
     duration_ms,
 )
+from biosensor_gateway.system.clock import Clock
 
 RECORDING_150_S = "zephyr_bh3_2012-09-26_150s"
 """1 479 frames with the arrival times of their reads."""
@@ -206,7 +207,7 @@ class RecordedSource:
         """From the begin of the playback on, also when it has ended."""
         return self._began_at is not None
 
-    def power_on(self, now: float) -> None:
+    def power_on(self, clock: Clock) -> None:
         """Nothing to do: a recording waits for its host."""
 
     def poll(self, now: float, enabled: frozenset[Packet]) -> list[Outgoing]:
