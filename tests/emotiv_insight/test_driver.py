@@ -17,8 +17,10 @@ from biosensor_gateway.devices.emotiv_insight.simulator import (
     EPOC_X,
     INSIGHT_1_GYRO,
     INSIGHT_2,
+    Circumstances,
     Licence,
     Metrics,
+    Release,
     SimulatedCortex,
     Timing,
 )
@@ -141,7 +143,9 @@ async def test_other_headsets(
 async def test_other_versions(
     world: World, kept: Kept, eventually: Eventually, version: str, metrics: Metrics | None
 ) -> None:
-    with SimulatedCortex(world, version=version, metrics=metrics, timing=QUICK, seed=4) as cortex:
+    with SimulatedCortex(
+        world, Circumstances(release=Release(version, metrics)), timing=QUICK, seed=4
+    ) as cortex:
         async with kept(cortex) as run:
             await eventually(has(run, 2, "eeg", "met", "dev"))
         assert_true(run, cortex, "eeg", "met", "dev")
@@ -151,7 +155,7 @@ async def test_other_versions(
 async def test_licences(world: World, kept: Kept, eventually: Eventually, licence: Licence) -> None:
     with (
         SimulatedCortex(
-            world, licence=licence, unlicensed_metrics_s=0.5, timing=QUICK, seed=5
+            world, Circumstances(licence=licence, unlicensed_metrics_s=0.5), timing=QUICK, seed=5
         ) as cortex,
         capture_logs() as logs,
     ):
@@ -168,7 +172,7 @@ async def test_licences(world: World, kept: Kept, eventually: Eventually, licenc
 async def test_a_counted_licence_is_drawn_from_once(
     world: World, kept: Kept, eventually: Eventually
 ) -> None:
-    with SimulatedCortex(world, session_quota=12, timing=QUICK) as cortex:
+    with SimulatedCortex(world, Circumstances(session_quota=12), timing=QUICK) as cortex:
         async with kept(cortex) as run:
             for connections in (1, 2):
                 await eventually(has(run, 10 * connections, "eeg"))
@@ -326,7 +330,9 @@ async def test_battery_and_contact_are_seen(
 async def test_a_reply_that_comes_twice_answers_once(
     world: World, kept: Kept, eventually: Eventually, method: str
 ) -> None:
-    with SimulatedCortex(world, timing=QUICK, data_before_reply=True, seed=15) as cortex:
+    with SimulatedCortex(
+        world, Circumstances(data_before_reply=True), timing=QUICK, seed=15
+    ) as cortex:
         cortex.duplicate_reply(method)
         async with kept(cortex) as run:
             await eventually(has(run, 50, "eeg"))
@@ -340,7 +346,9 @@ async def test_a_reply_that_comes_twice_answers_once(
 async def test_the_user_logs_in_and_approves(
     world: World, kept: Kept, eventually: Eventually
 ) -> None:
-    with SimulatedCortex(world, logged_in=False, approved=False, timing=QUICK) as cortex:
+    with SimulatedCortex(
+        world, Circumstances(logged_in=False, approved=False), timing=QUICK
+    ) as cortex:
         async with kept(cortex) as run:
             await eventually(lambda: "getUserLogin" in cortex.calls)
             cortex.log_in()

@@ -12,7 +12,10 @@ import pytest
 from biosensor_gateway.devices.emotiv_insight.simulator import (
     EPOC_X,
     INSIGHT_2,
+    App,
+    Circumstances,
     Licence,
+    Release,
     SimulatedCortex,
     Timing,
 )
@@ -100,7 +103,7 @@ async def test_the_way_from_the_first_request_to_data(world: World) -> None:
 
 async def test_replies_have_the_shape_of_the_vectors(world: World) -> None:
     with SimulatedCortex(
-        world, model=INSIGHT_2, other_os_user=True, version="3.8.1", seed=2
+        world, Circumstances(release=Release("3.8.1"), other_os_user=True), model=INSIGHT_2, seed=2
     ) as cortex:
         async with CortexClient(cortex.settings) as client:
             replies = {
@@ -134,7 +137,7 @@ async def test_warnings_have_the_shape_of_the_vectors(
 
 @pytest.mark.parametrize(("decide", "code"), [("approve", 9), ("reject", 10)])
 async def test_an_app_waits_for_the_users_decision(world: World, decide: str, code: int) -> None:
-    with SimulatedCortex(world, approved=False) as cortex:
+    with SimulatedCortex(world, Circumstances(approved=False)) as cortex:
         async with CortexClient(cortex.settings) as client:
             assert not (await client.ask("hasAccessRight", **CREDENTIALS))["accessGranted"]
             assert not (await client.ask("requestAccess", **CREDENTIALS))["accessGranted"]
@@ -148,12 +151,12 @@ async def test_an_app_waits_for_the_users_decision(world: World, decide: str, co
 
 
 def test_the_credentials_are_offered_as_environment(world: World) -> None:
-    with SimulatedCortex(world, client_id="a", client_secret="b") as cortex:
+    with SimulatedCortex(world, Circumstances(app=App("a", "b"))) as cortex:
         assert cortex.environment == {"EMOTIV_CLIENT_ID": "a", "EMOTIV_CLIENT_SECRET": "b"}
 
 
 async def test_nothing_goes_without_a_login(world: World) -> None:
-    with SimulatedCortex(world, logged_in=False) as cortex:
+    with SimulatedCortex(world, Circumstances(logged_in=False)) as cortex:
         async with CortexClient(cortex.settings) as client:
             assert await client.ask("getUserLogin") == []
             assert await refusal(client, "authorize", **CREDENTIALS) == -32033
@@ -227,7 +230,7 @@ async def test_an_expired_token_stops_requests_but_no_stream(world: World) -> No
 async def test_a_licence_decides_about_eeg(
     world: World, licence: Licence, active: int | None, has_eeg: bool
 ) -> None:
-    with SimulatedCortex(world, licence=licence) as cortex:
+    with SimulatedCortex(world, Circumstances(licence=licence)) as cortex:
         async with CortexClient(cortex.settings) as client:
             token = await client.authorize(*APP)
             info = await client.ask("getLicenseInfo", cortexToken=token)
@@ -251,7 +254,7 @@ async def test_a_licence_decides_about_eeg(
 
 
 async def test_a_counted_licence_gives_the_sessions_that_were_debited(world: World) -> None:
-    with SimulatedCortex(world, session_quota=3) as cortex:
+    with SimulatedCortex(world, Circumstances(session_quota=3)) as cortex:
         async with CortexClient(cortex.settings) as client:
             token = await client.authorize(*APP)
             await client.connect_headset()
@@ -267,7 +270,7 @@ async def test_a_counted_licence_gives_the_sessions_that_were_debited(world: Wor
 
 
 async def test_a_session_ends_with_its_connection_and_there_is_one_an_app(world: World) -> None:
-    with SimulatedCortex(world, other_apps={"other": "o"}) as cortex:
+    with SimulatedCortex(world, Circumstances(other_apps={"other": "o"})) as cortex:
         async with CortexClient(cortex.settings) as client:
             async with CortexClient(cortex.settings) as first:
                 token, session = await first.begin(*APP, "mot")
@@ -289,7 +292,9 @@ async def test_a_session_ends_with_its_connection_and_there_is_one_an_app(world:
 
 
 async def test_older_releases_list_headsets_without_a_scan(world: World) -> None:
-    with SimulatedCortex(world, version="2.2.0", neighbours=["EPOCX-01234567"]) as cortex:
+    with SimulatedCortex(
+        world, Circumstances(release=Release("2.2.0"), neighbours=("EPOCX-01234567",))
+    ) as cortex:
         async with CortexClient(cortex.settings) as client:
             listed = await client.ask("queryHeadsets")
             assert [one["id"] for one in listed] == ["INSIGHT-A1B2C3D4", "EPOCX-01234567"]
@@ -298,7 +303,7 @@ async def test_older_releases_list_headsets_without_a_scan(world: World) -> None
 
 
 async def test_missing_bluetooth_is_noted_in_the_list(world: World) -> None:
-    with SimulatedCortex(world, bluetooth_permitted=False) as cortex:
+    with SimulatedCortex(world, Circumstances(bluetooth_permitted=False)) as cortex:
         async with CortexClient(cortex.settings) as client:
             reply = await (await client.send("queryHeadsets"))
             assert reply["attention"]["code"] == 31

@@ -13,7 +13,12 @@ import pytest
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosedError
 
-from biosensor_gateway.devices.emotiv_insight.simulator import Leaf, SimulatedCortex, Timing
+from biosensor_gateway.devices.emotiv_insight.simulator import (
+    Circumstances,
+    Leaf,
+    SimulatedCortex,
+    Timing,
+)
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
 from tests.rigs.cortex_client import DEADLINE_S, CortexClient, CortexError
@@ -41,7 +46,7 @@ async def samples_before_reply(client: CortexClient, token: str, session: str) -
 
 @pytest.mark.parametrize("leaf", [Leaf.EXPIRED, Leaf.WRONG_NAME, Leaf.UNTRUSTED])
 async def test_a_wrong_certificate_is_not_trusted(world: World, leaf: Leaf) -> None:
-    with SimulatedCortex(world, leaf=leaf) as cortex:
+    with SimulatedCortex(world, Circumstances(leaf=leaf)) as cortex:
         with pytest.raises(ssl.SSLCertVerificationError):
             async with CortexClient(cortex.settings):
                 pass
@@ -60,7 +65,7 @@ async def test_the_authority_of_another_cortex_is_not_trusted(world: World) -> N
 async def test_strict_clients_want_the_key_usage_of_the_authority(
     world: World, lacks: bool
 ) -> None:
-    with SimulatedCortex(world, ca_without_key_usage=lacks) as cortex:
+    with SimulatedCortex(world, Circumstances(ca_without_key_usage=lacks)) as cortex:
         async with CortexClient(cortex.settings) as client:
             assert await client.ask("getUserLogin")
         strict = ssl.create_default_context(cafile=cortex.settings["ca_file"])
@@ -175,7 +180,7 @@ async def test_garbage_stands_between_samples(world: World) -> None:
 
 
 async def test_a_refusing_cortex_breaks_off_and_refuses_what_leads_to_data(world: World) -> None:
-    with SimulatedCortex(world, refusal_code=-32122) as cortex:
+    with SimulatedCortex(world, Circumstances(refusal_code=-32122)) as cortex:
         async with CortexClient(cortex.settings) as client:
             token, _ = await client.begin(*APP)
             cortex.apply(Fault(FaultKind.REFUSE, FOREVER))
@@ -252,14 +257,14 @@ async def test_connections_are_closed_with_any_code(world: World, code: int) -> 
 
 
 async def test_data_may_come_before_the_reply(world: World) -> None:
-    with SimulatedCortex(world, data_before_reply=True) as cortex:
+    with SimulatedCortex(world, Circumstances(data_before_reply=True)) as cortex:
         async with CortexClient(cortex.settings) as client:
             token, session = await client.begin(*APP)
             assert await samples_before_reply(client, token, session) > 0
 
 
 async def test_answers_overtake_each_other(world: World) -> None:
-    with SimulatedCortex(world, reply_delays_s={"getUserLogin": 0.3}) as cortex:
+    with SimulatedCortex(world, Circumstances(reply_delays_s={"getUserLogin": 0.3})) as cortex:
         async with CortexClient(cortex.settings) as client:
             order: list[str] = []
             first = await client.send("getUserLogin")

@@ -16,9 +16,11 @@ from biosensor_gateway.devices.emotiv_insight.simulator import (
     INSIGHT_1,
     INSIGHT_1_GYRO,
     INSIGHT_2,
+    Circumstances,
     Licence,
     Metrics,
     Model,
+    Release,
     SimulatedCortex,
     Timing,
 )
@@ -98,7 +100,9 @@ async def record(cortex: SimulatedCortex, eeg_samples: int, *streams: str) -> Re
     [(INSIGHT_1, "4.8.32"), (INSIGHT_1_GYRO, "2.2.0"), (INSIGHT_2, "3.6.5")],
 )
 async def test_data_are_the_truth(world: World, model: Model, version: str) -> None:
-    with SimulatedCortex(world, model=model, version=version, seed=4, jitter_s=0.02) as cortex:
+    with SimulatedCortex(
+        world, Circumstances(release=Release(version)), model=model, seed=4, jitter_s=0.02
+    ) as cortex:
         recording = await record(cortex, 200, *STREAMS)
         truth = cortex.truth
         names = {"eeg": "eeg", "eeg_status": "eeg", "pow": "pow", "met": "met", "dev": "dev"}
@@ -167,7 +171,7 @@ async def test_columns_are_those_of_the_release(
     world: World, version: str, metrics: Metrics | None, eeg_last: str, dev: list[Any],
     met: list[str],
 ) -> None:  # fmt: skip
-    with SimulatedCortex(world, version=version, metrics=metrics) as cortex:
+    with SimulatedCortex(world, Circumstances(release=Release(version, metrics))) as cortex:
         recording = await record(cortex, 5, *STREAMS)
     assert recording.columns["eeg"][-1] == eeg_last
     assert recording.columns["dev"] == dev
@@ -200,7 +204,9 @@ async def test_messages_are_built_like_the_vectors(world: World, model: Model, v
 
 
 async def test_without_licence_the_metrics_come_rarely(world: World) -> None:
-    with SimulatedCortex(world, licence=Licence.EEG, unlicensed_metrics_s=1.5) as cortex:
+    with SimulatedCortex(
+        world, Circumstances(licence=Licence.EEG, unlicensed_metrics_s=1.5)
+    ) as cortex:
         async with CortexClient(cortex.settings) as client:
             await client.begin(*APP, "met")
             await client.until_data("met", 3)

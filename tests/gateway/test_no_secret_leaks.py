@@ -24,7 +24,12 @@ from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.emotiv_insight.driver import cortex as cortex_client
 from biosensor_gateway.devices.emotiv_insight.driver.driver import DRIVER
 from biosensor_gateway.devices.emotiv_insight.driver.requests import request_text
-from biosensor_gateway.devices.emotiv_insight.simulator import SimulatedCortex, Timing
+from biosensor_gateway.devices.emotiv_insight.simulator import (
+    App,
+    Circumstances,
+    SimulatedCortex,
+    Timing,
+)
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.simulation.faults import Fault, FaultKind
@@ -47,7 +52,7 @@ def cortex() -> Iterator[SimulatedCortex]:
     with (
         World() as world,
         SimulatedCortex(
-            world, client_id=CLIENT_ID, client_secret=CLIENT_SECRET, timing=QUICK, seed=1
+            world, Circumstances(app=App(CLIENT_ID, CLIENT_SECRET)), timing=QUICK, seed=1
         ) as service,
     ):
         yield service

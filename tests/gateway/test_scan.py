@@ -18,7 +18,11 @@ import keyring
 import pytest
 from keyring.backends import fail
 
-from biosensor_gateway.devices.emotiv_insight.simulator import SimulatedCortex, Timing
+from biosensor_gateway.devices.emotiv_insight.simulator import (
+    Circumstances,
+    SimulatedCortex,
+    Timing,
+)
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.doctor import scan as search
@@ -143,7 +147,9 @@ def test_what_a_service_lacks_is_one_line_each(run: Run, radio: Radio) -> None:
 def test_a_headset_is_found_where_the_settings_say_that_its_service_is(
     run: Run, world: World, radio: Radio, settings: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with SimulatedCortex(world, timing=QUICK, neighbours=("INSIGHT-00000002",)) as cortex:
+    with SimulatedCortex(
+        world, Circumstances(neighbours=("INSIGHT-00000002",)), timing=QUICK
+    ) as cortex:
         for variable, text in cortex.environment.items():
             monkeypatch.setenv(variable, text)
         settings.parent.mkdir()

@@ -2,6 +2,7 @@
 
 from biosensor_gateway.devices.emotiv_insight.simulator.account import App, Licence
 from biosensor_gateway.devices.emotiv_insight.simulator.certificates import Leaf
+from biosensor_gateway.devices.emotiv_insight.simulator.circumstances import Circumstances
 from biosensor_gateway.devices.emotiv_insight.simulator.cortex import SimulatedCortex
 from biosensor_gateway.devices.emotiv_insight.simulator.headset import Timing
 from biosensor_gateway.devices.emotiv_insight.simulator.models import (
@@ -11,7 +12,7 @@ from biosensor_gateway.devices.emotiv_insight.simulator.models import (
     INSIGHT_2,
     Model,
 )
-from biosensor_gateway.devices.emotiv_insight.simulator.release import Metrics
+from biosensor_gateway.devices.emotiv_insight.simulator.release import Metrics, Release
 
 __all__ = [
     "EPOC_X",
@@ -19,10 +20,12 @@ __all__ = [
     "INSIGHT_1_GYRO",
     "INSIGHT_2",
     "App",
+    "Circumstances",
     "Leaf",
     "Licence",
     "Metrics",
     "Model",
+    "Release",
     "SimulatedCortex",
     "Timing",
 ]

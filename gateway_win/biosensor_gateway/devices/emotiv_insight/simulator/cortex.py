@@ -14,22 +14,18 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from biosensor_gateway.devices.emotiv_insight.simulator.account import App, Licence
-from biosensor_gateway.devices.emotiv_insight.simulator.certificates import Leaf
-from biosensor_gateway.devices.emotiv_insight.simulator.errors import Code
+from biosensor_gateway.devices.emotiv_insight.simulator.account import Licence
+from biosensor_gateway.devices.emotiv_insight.simulator.circumstances import APP, Circumstances
 from biosensor_gateway.devices.emotiv_insight.simulator.expected import EXPECTED
 from biosensor_gateway.devices.emotiv_insight.simulator.faults import EFFECTS
 from biosensor_gateway.devices.emotiv_insight.simulator.headset import Timing
 from biosensor_gateway.devices.emotiv_insight.simulator.models import INSIGHT_1, Model
-from biosensor_gateway.devices.emotiv_insight.simulator.release import Metrics, Release
 from biosensor_gateway.devices.emotiv_insight.simulator.service import Service, Setup
 from biosensor_gateway.simulation.effects import on_part
 from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
-_APP = App("virtual-app", "virtual-secret-0123456789")
-_LICENSED = Licence.EEG | Licence.METRICS
 _USER_LOGGED_IN, _USER_LOGGED_OUT = 2, 3
 _ACCESS_GRANTED, _ACCESS_REJECTED = 9, 10
 _UNKNOWN_WARNING = 999
@@ -42,74 +38,34 @@ class SimulatedCortex(VirtualDevice):
     ----------
     world, wearer, seed, drift_ppm, jitter_s, kept
         As for every virtual device; the drift is that of the clock of Cortex.
+    circumstances
+        Of the user, the computer and the version of Cortex.
     headset
         Id; None = ``A1B2C3D4`` after the model's prefix.
     model
         `INSIGHT_1`, `INSIGHT_1_GYRO` (older firmware), `INSIGHT_2`, `EPOC_X` or another.
     is_virtual
         The headset is one of the vendor's simulator: its end is never noticed.
-    neighbours
-        Ids of other headsets in the list.
-    version, metrics
-        Of Cortex; the layout of ``met`` where it is not the usual one of the version.
-    client_id, client_secret
-        Of the registered app.
-    other_apps
-        Secrets of further apps by client id; the user has approved them.
-    approved, logged_in, other_os_user, eula_accepted
-        What the user has done.
-    licence, session_quota
-        What it covers, and for a counted one how many sessions are left.
-    unlicensed_metrics_s
-        Between two samples of ``met`` where the licence does not cover it [s].
-    bluetooth_permitted
-        False: the operating system keeps Cortex from Bluetooth.
     timing
         How long Cortex takes for what it does.
-    reply_delays_s
-        By method; answers overtake each other where these differ.
-    data_before_reply
-        Samples come before the reply to the subscription that asks for them.
-    refusal_code
-        Error of the fault REFUSE.
-    leaf, ca_without_key_usage
-        What the server's certificate and that of its authority look like.
     """
 
     sensor = "emotiv_insight"
     effects = MappingProxyType(on_part("_service", EFFECTS))
     expected = EXPECTED
     filled = MappingProxyType({"gyro": Filled(None, "only headsets with older firmware have it")})
-    client_id = _APP.client_id
-    client_secret = _APP.client_secret
+    client_id = APP.client_id
+    client_secret = APP.client_secret
 
     def __init__(
         self,
         world: World,
+        circumstances: Circumstances | None = None,
         *,
         headset: str | None = None,
         model: Model = INSIGHT_1,
         is_virtual: bool = False,
-        neighbours: Sequence[str] = (),
-        version: str = "4.8.32",
-        metrics: Metrics | None = None,
-        client_id: str = _APP.client_id,
-        client_secret: str = _APP.client_secret,
-        other_apps: Mapping[str, str] | None = None,
-        approved: bool = True,
-        logged_in: bool = True,
-        other_os_user: bool = False,
-        eula_accepted: bool = True,
-        licence: Licence = _LICENSED,
-        session_quota: int | None = None,
-        unlicensed_metrics_s: float = 10.0,
-        bluetooth_permitted: bool = True,
         timing: Timing | None = None,
-        reply_delays_s: Mapping[str, float] | None = None,
-        data_before_reply: bool = False,
-        refusal_code: int = Code.INTERNAL,
-        leaf: Leaf = Leaf.VALID,
-        ca_without_key_usage: bool = False,
         wearer: Wearer | None = None,
         seed: int = 0,
         drift_ppm: float = 0.0,
@@ -117,33 +73,15 @@ class SimulatedCortex(VirtualDevice):
         kept: int | None = None,
     ) -> None:
         super().__init__(world, kept)
-        self.client_id = client_id
-        self.client_secret = client_secret
-        delays = dict(reply_delays_s or {})
-        if data_before_reply:
-            delays.setdefault("subscribe", 0.3)
+        circumstances = circumstances or Circumstances()
+        self.client_id, self.client_secret = circumstances.app
         self._service = Service(
             Setup(
+                circumstances=circumstances,
                 headset_id=headset or f"{model.prefix}-A1B2C3D4",
                 model=model,
                 is_virtual=is_virtual,
-                neighbours=tuple(neighbours),
-                release=Release(version, metrics),
-                app=App(client_id, client_secret),
-                other_apps=dict(other_apps or {}),
-                approved=approved,
-                logged_in=logged_in,
-                other_os_user=other_os_user,
-                eula_accepted=eula_accepted,
-                licence=licence,
-                session_quota=session_quota,
-                unlicensed_metrics_s=unlicensed_metrics_s,
-                bluetooth_permitted=bluetooth_permitted,
                 timing=timing or Timing(),
-                delays_s=delays,
-                refusal_code=refusal_code,
-                leaf=leaf,
-                has_key_usage=not ca_without_key_usage,
                 wearer=wearer or Wearer(seed),
                 seed=seed,
                 drift_ppm=drift_ppm,

@@ -6,21 +6,21 @@ import asyncio
 import shutil
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from biosensor_gateway.devices.emotiv_insight.simulator.account import Account, App, Licence
-from biosensor_gateway.devices.emotiv_insight.simulator.certificates import Authority, Leaf
+from biosensor_gateway.devices.emotiv_insight.simulator.account import Account, Licence
+from biosensor_gateway.devices.emotiv_insight.simulator.certificates import Authority
+from biosensor_gateway.devices.emotiv_insight.simulator.circumstances import Circumstances
 from biosensor_gateway.devices.emotiv_insight.simulator.garbage import damaged_message
 from biosensor_gateway.devices.emotiv_insight.simulator.headset import Headset, Timing
 from biosensor_gateway.devices.emotiv_insight.simulator.listener import Client, Listener
 from biosensor_gateway.devices.emotiv_insight.simulator.methods import Methods
 from biosensor_gateway.devices.emotiv_insight.simulator.mishaps import Mishaps
 from biosensor_gateway.devices.emotiv_insight.simulator.models import Model
-from biosensor_gateway.devices.emotiv_insight.simulator.release import Release
 from biosensor_gateway.devices.emotiv_insight.simulator.replies import Manners, Replies
 from biosensor_gateway.devices.emotiv_insight.simulator.sessions import Session, Sessions
 from biosensor_gateway.devices.emotiv_insight.simulator.signals import Signals
@@ -39,26 +39,11 @@ _GOING_AWAY = 1001
 class Setup:
     """How a virtual Cortex begins; the fields are those of `SimulatedCortex`."""
 
+    circumstances: Circumstances
     headset_id: str
     model: Model
     is_virtual: bool
-    neighbours: tuple[str, ...]
-    release: Release
-    app: App
-    other_apps: dict[str, str]
-    approved: bool
-    logged_in: bool
-    other_os_user: bool
-    eula_accepted: bool
-    licence: Licence
-    session_quota: int | None
-    unlicensed_metrics_s: float
-    bluetooth_permitted: bool
     timing: Timing
-    delays_s: Mapping[str, float]
-    refusal_code: int
-    leaf: Leaf
-    has_key_usage: bool
     wearer: Wearer
     seed: int
     drift_ppm: float
@@ -81,6 +66,7 @@ class Service:
 
     def __init__(self, setup: Setup, truth: Truth, world: World) -> None:
         self._setup = setup
+        self._around = setup.circumstances
         self._truth = truth
         self._loop = world.loop
         self._clock = world.clock
@@ -98,20 +84,20 @@ class Service:
             setup.model,
             setup.timing,
             is_virtual=setup.is_virtual,
-            must_scan=setup.release.must_scan,
+            must_scan=self._around.release.must_scan,
             loop=self._loop,
             warn=self.warn,
             lost=self.sessions.lose_all,
         )
         self.manners = Manners(
-            delays_s=setup.delays_s, lacks_bluetooth=not setup.bluetooth_permitted
+            delays_s=self._around.delays_s, lacks_bluetooth=not self._around.bluetooth_permitted
         )
         methods = Methods(
             self.account,
             self.headset,
             self.sessions,
-            setup.release,
-            setup.neighbours,
+            self._around.release,
+            self._around.neighbours,
             self._subscribed,
         )
         self.replies = Replies(methods, self.manners, self._loop)
@@ -123,12 +109,12 @@ class Service:
 
     def start(self) -> None:
         """Open the port and let the headset measure."""
-        authority = Authority(has_key_usage=self._setup.has_key_usage)
+        authority = Authority(has_key_usage=not self._around.ca_without_key_usage)
         self._folder = Path(tempfile.mkdtemp(prefix="virtual-cortex-"))
         self._ca_file = self._folder / "ca.pem"
         self._ca_file.write_bytes(authority.pem)
         self.listener = Listener(
-            authority.server_context(self._setup.leaf), self.replies.hear, self.sessions.end_with
+            authority.server_context(self._around.leaf), self.replies.hear, self.sessions.end_with
         )
         self.listener.open()
         self._begin_s = self._clock()
@@ -185,7 +171,7 @@ class Service:
     def refuse(self) -> None:
         """Break the connections off and refuse whatever leads to data."""
         self.listener.abort_all()
-        self.manners.refusal = self._setup.refusal_code
+        self.manners.refusal = self._around.refusal_code
 
     def delay(self, seconds: float) -> None:
         """Break the connections off and answer late."""
@@ -235,19 +221,16 @@ class Service:
         self._unix_begin_s += seconds
 
     def _make_account(self) -> Account:
-        setup = self._setup
-        approved = set(setup.other_apps)
-        if setup.approved:
-            approved.add(setup.app.client_id)
+        around = self._around
         return Account(
-            {**setup.other_apps, setup.app.client_id: setup.app.client_secret},
-            approved,
-            logged_in=setup.logged_in,
-            other_os_user=setup.other_os_user,
-            eula_accepted=setup.eula_accepted,
-            licence=setup.licence,
-            session_quota=setup.session_quota,
-            seed=setup.seed,
+            around.secrets,
+            around.approved_apps,
+            logged_in=around.logged_in,
+            other_os_user=around.other_os_user,
+            eula_accepted=around.eula_accepted,
+            licence=around.licence,
+            session_quota=around.session_quota,
+            seed=self._setup.seed,
         )
 
     def _make_streams(self) -> dict[str, Stream]:
@@ -266,7 +249,12 @@ class Service:
         )
         return {
             name: Stream(
-                name, rate, signal, setup.release.columns(name, setup.model), self.mishaps, stage
+                name,
+                rate,
+                signal,
+                self._around.release.columns(name, setup.model),
+                self.mishaps,
+                stage,
             )
             for name, (rate, signal) in self._signals.sources().items()
         }
@@ -278,7 +266,7 @@ class Service:
         if stream != "met" or (session.is_active and Licence.METRICS in self.account.licence):
             return True
         rate, _ = self._signals.sources()[stream]
-        return number % round(self._setup.unlicensed_metrics_s * rate) == 0
+        return number % round(self._around.unlicensed_metrics_s * rate) == 0
 
     def _obstruct(self, reason: str) -> None:
         self._obstacles.add(reason)
