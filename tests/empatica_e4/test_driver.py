@@ -15,7 +15,7 @@ from structlog.testing import capture_logs
 from biosensor_gateway.agent.supervisor import State
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.empatica_e4.driver.driver import DRIVER, E4Settings
-from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4
+from biosensor_gateway.devices.empatica_e4.simulator import NumberFormat, SimulatedE4, Timing
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
 
@@ -32,7 +32,9 @@ Running = Callable[[Mapping[str, Any]], AbstractAsyncContextManager[Any]]
 async def test_every_stream_says_the_truth_at_the_time_of_measuring(
     world: World, running: Running
 ) -> None:
-    with SimulatedE4(world, jitter_s=0.05, drift_ppm=200, seed=2, battery_interval_s=2) as server:
+    with SimulatedE4(
+        world, timing=Timing(battery_interval_s=2), jitter_s=0.05, drift_ppm=200, seed=2
+    ) as server:
         async with running(server.settings) as run:
             await run.until(run.sink.has("bvp", rows=64 * 16))
             await run.until(run.sink.has("ibi", rows=12))
@@ -56,7 +58,7 @@ async def test_every_stream_says_the_truth_at_the_time_of_measuring(
     ("mark", "minus"), [(".", "-"), (",", "\u2212")], ids=["dot", "comma and U+2212"]
 )
 async def test_any_locale_is_read(world: World, running: Running, mark: str, minus: str) -> None:
-    with SimulatedE4(world, decimal_mark=mark, minus_sign=minus) as server:
+    with SimulatedE4(world, style=NumberFormat(mark, minus)) as server:
         async with running(server.settings) as run:
             await run.until_more("bvp", "acc", rows=70)
             run.assert_all_arrived(server.truth, "bvp", "acc")
@@ -87,7 +89,7 @@ async def test_the_wristband_may_be_taken_off_and_put_on_again(
 
 
 async def test_a_low_battery_is_told(world: World, running: Running) -> None:
-    with SimulatedE4(world, battery_interval_s=0.5) as server:
+    with SimulatedE4(world, timing=Timing(battery_interval_s=0.5)) as server:
         async with running(server.settings) as run:
             await run.until(run.sink.has("bat"))
             server.apply(Fault(FaultKind.LOW_BATTERY, 4))
@@ -211,7 +213,7 @@ async def test_a_connection_that_is_bound_already_goes_on(running: Running) -> N
 
 
 async def test_one_refused_stream_costs_only_itself(world: World, running: Running) -> None:
-    with SimulatedE4(world, burst=1) as server:
+    with SimulatedE4(world, timing=Timing(burst=1)) as server:
         server.refuse_stream("gsr")
         with capture_logs() as logs:
             async with running(server.settings) as run:

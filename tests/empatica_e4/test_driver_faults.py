@@ -13,7 +13,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from biosensor_gateway.agent.supervisor import State
-from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4
+from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4, Timing
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
 
@@ -29,7 +29,7 @@ Running = Callable[[Mapping[str, Any]], AbstractAsyncContextManager[Any]]
 async def test_a_lost_radio_link_that_comes_back_needs_no_new_connection(
     world: World, running: Running
 ) -> None:
-    with SimulatedE4(world, beat_delay_s=0.5) as server:
+    with SimulatedE4(world, timing=Timing(beat_delay_s=0.5)) as server:
         with capture_logs() as logs:
             async with running(server.settings) as run:
                 await run.until_more(rows=64)

@@ -12,7 +12,7 @@ from structlog.testing import capture_logs
 
 from biosensor_gateway.devices.empatica_e4.driver import emitter as emitter_module
 from biosensor_gateway.devices.empatica_e4.driver import loss as loss_module
-from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4
+from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4, Timing
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
 
@@ -34,7 +34,7 @@ def short_window(monkeypatch: pytest.MonkeyPatch) -> float:
 async def test_radio_loss_is_estimated_and_moves_the_stamps_back_to_their_place(
     world: World, running: Running, short_window: float
 ) -> None:
-    with SimulatedE4(world, burst=1) as server, capture_logs() as logs:
+    with SimulatedE4(world, timing=Timing(burst=1)) as server, capture_logs() as logs:
         async with running(server.settings) as run:
             await run.until_more(rows=64)
             server.lose_packets(1.0, 0.4)

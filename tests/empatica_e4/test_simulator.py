@@ -274,7 +274,7 @@ def test_what_is_written_is_what_is_noted(number: float) -> None:
 )
 def test_lines_follow_the_locale(world: World, line_client: Any, mark: str, minus: str) -> None:
     with (
-        SimulatedE4(world, decimal_mark=mark, minus_sign=minus) as server,
+        SimulatedE4(world, style=NumberFormat(mark, minus)) as server,
         line_client(server.settings) as client,
     ):
         client.begin(streams="bvp acc")

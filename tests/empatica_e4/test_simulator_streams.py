@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pylsl import local_clock
 
-from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4
+from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4, Timing
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
@@ -62,7 +62,7 @@ def assert_equals_truth(server: SimulatedE4, client: Any, *words: str) -> None:
 
 def test_every_stream_says_the_truth(world: World, line_client: Any) -> None:
     with (
-        SimulatedE4(world, battery_interval_s=1.0, seed=3) as server,
+        SimulatedE4(world, timing=Timing(battery_interval_s=1.0), seed=3) as server,
         line_client(server.settings) as client,
     ):
         gather(client)
@@ -133,7 +133,7 @@ def test_beats_come_late_and_the_rate_before_the_interval(world: World, line_cli
 def test_beats_are_those_of_the_wearer(world: World, line_client: Any) -> None:
     wearer = Wearer(1, heart_rate_bpm=90)
     with (
-        SimulatedE4(world, wearer=wearer, beat_delay_s=0.0) as server,
+        SimulatedE4(world, timing=Timing(beat_delay_s=0.0), wearer=wearer) as server,
         line_client(server.settings) as client,
     ):
         client.begin(streams="ibi")
@@ -145,7 +145,7 @@ def test_beats_are_those_of_the_wearer(world: World, line_client: Any) -> None:
 
 def test_bvp_may_come_later_than_conductance(world: World, line_client: Any) -> None:
     with (
-        SimulatedE4(world, bvp_delay_s=0.065) as server,
+        SimulatedE4(world, timing=Timing(bvp_delay_s=0.065)) as server,
         line_client(server.settings) as client,
     ):
         client.begin(streams="bvp gsr")
@@ -159,7 +159,7 @@ def test_bvp_may_come_later_than_conductance(world: World, line_client: Any) -> 
 
 def test_the_charge_comes_at_its_interval(world: World, line_client: Any) -> None:
     with (
-        SimulatedE4(world, battery_interval_s=0.5) as server,
+        SimulatedE4(world, timing=Timing(battery_interval_s=0.5)) as server,
         line_client(server.settings) as client,
     ):
         client.begin(streams="bat")
@@ -234,7 +234,7 @@ def test_a_wristband_that_is_taken_off_reads_exactly_no_conductance(
     world: World, line_client: Any
 ) -> None:
     with (
-        SimulatedE4(world, beat_delay_s=0.0, burst=1) as server,
+        SimulatedE4(world, timing=Timing(beat_delay_s=0.0, burst=1)) as server,
         line_client(server.settings) as client,
     ):
         client.begin()

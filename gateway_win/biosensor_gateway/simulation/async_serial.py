@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from biosensor_gateway.simulation.pty_port import PtyPort
-from biosensor_gateway.simulation.tcp_serial import TcpPort
+from biosensor_gateway.simulation.tcp_serial import TcpSerialPort
 
 
 class AsyncSerialPort(Protocol):
@@ -69,4 +69,4 @@ def serial_port(
     TransportError
         BUSY if no port of loopback can be had.
     """
-    return TcpPort(heard, left, buffer_bytes) if tcp else PtyPort(heard, left, buffer_bytes)
+    return TcpSerialPort(heard, left, buffer_bytes) if tcp else PtyPort(heard, left, buffer_bytes)

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import socket
-import sys
 from collections.abc import Callable
 
-from biosensor_common.errors import TransportError, TransportReason
+from biosensor_gateway.simulation.tcp_port import LOOPBACK, TcpPort
 
-LOOPBACK = "127.0.0.1"
 # The smallest that systems allow, near what a pseudo-terminal keeps.
 _SEND_BUFFER_BYTES = 4096
-_HOST_CHECK_S = 0.02
 
 
-class TcpPort:
+class TcpSerialPort:
     """A TCP server on loopback in the place of a serial port; one host at a time.
 
     Parameters
@@ -39,22 +36,18 @@ class TcpPort:
         self._heard = heard
         self._left = left
         self._buffer_bytes = buffer_bytes
-        self._loop = asyncio.get_running_loop()
         self._host: _Host | None = None
-        self._socket = bound_socket(0)
-        self._number = int(self._socket.getsockname()[1])
-        self._host_check: asyncio.TimerHandle | None = None
+        self._port = TcpPort(self._connected, _SEND_BUFFER_BYTES)
+        self._port.bind()
 
     @property
     def name(self) -> str:
         """URL of the port, as `serial.serial_for_url` takes it."""
-        return f"socket://{LOOPBACK}:{self._number}"
+        return f"socket://{LOOPBACK}:{self._port.number}"
 
     def open(self) -> None:
         """Accept a host."""
-        if self._host_check is None:
-            self._socket.listen()
-            self._accept()
+        self._port.open()
 
     def write(self, data: bytes) -> bool:
         """Take all of ``data`` or nothing."""
@@ -66,13 +59,13 @@ class TcpPort:
 
     def hang_up(self) -> None:
         """Close the connection and refuse others; the port's number stays taken."""
-        if self._host_check is not None:
-            self._close()
-            self._socket = bound_socket(self._number)
+        self._port.shut()
+        self._abort_host()
 
     def dispose(self) -> None:
         """Hang up and give the port's number back."""
-        self._close()
+        self._port.close()
+        self._abort_host()
 
     def received(self, host: _Host, data: bytes) -> None:
         """Pass on the present host's bytes."""
@@ -85,37 +78,22 @@ class TcpPort:
             self._host = None
             self._left()
 
-    def _accept(self) -> None:
-        """Look for a host.
-
-        An asyncio server that is closed between a host's coming and its own notice of
-        it leaves that connection open, and nobody could hang up.
-        """
-        self._host_check = self._loop.call_later(_HOST_CHECK_S, self._accept)
-        try:
-            connection, _ = self._socket.accept()
-        except BlockingIOError:
-            return
+    def _connected(self, connection: socket.socket) -> None:
         if self._host is None:
-            connection.setblocking(False)
             self._host = _Host(self, connection, self._buffer_bytes)
         else:
             connection.close()
 
-    def _close(self) -> None:
-        if self._host_check is not None:
-            self._host_check.cancel()
-            self._host_check = None
+    def _abort_host(self) -> None:
         if self._host is not None:
             host, self._host = self._host, None
             host.abort()
-        self._socket.close()
 
 
 class _Host(asyncio.Protocol):
-    """One connection to a `TcpPort`."""
+    """One connection to a `TcpSerialPort`."""
 
-    def __init__(self, port: TcpPort, connection: socket.socket, buffer_bytes: int) -> None:
+    def __init__(self, port: TcpSerialPort, connection: socket.socket, buffer_bytes: int) -> None:
         self._port = port
         self._buffer_bytes = buffer_bytes
         self._transport: asyncio.Transport | None = None
@@ -158,19 +136,3 @@ class _Host(asyncio.Protocol):
         self._aborted = True
         if self._transport is not None:
             self._transport.abort()
-
-
-def bound_socket(number: int) -> socket.socket:
-    """Take a port of loopback without listening on it: connections are refused."""
-    bound = socket.socket()
-    if sys.platform != "win32":  # there it would let others take the same port
-        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    bound.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
-    bound.setblocking(False)
-    try:
-        bound.bind((LOOPBACK, number))
-    except OSError as error:
-        bound.close()
-        message = f"port {number} of {LOOPBACK} cannot be had for a virtual device: {error}"
-        raise TransportError(TransportReason.BUSY, message) from error
-    return bound

@@ -6,7 +6,6 @@ import asyncio
 import logging
 import socket
 import ssl
-import struct
 from collections.abc import Callable, Coroutine, Sequence
 from contextlib import suppress
 from typing import Any
@@ -17,7 +16,8 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request
 from websockets.protocol import State
 
-_HOST = "127.0.0.1"
+from biosensor_gateway.simulation.tcp_port import LOOPBACK, break_off
+
 _CLOSE_TIMEOUT_S = 1.0
 # What TLS has not handed on to the socket; it hands on all, until the socket has enough.
 _ROOM_BYTES = 1 << 15
@@ -26,7 +26,6 @@ _WRITE_LIMIT_BYTES = 1 << 24
 # Whoever runs a virtual service wants to read what its clients say, not what it says.
 _wire_log = logging.getLogger("websockets.server.virtual_cortex")
 _wire_log.setLevel(logging.WARNING)
-_RESET_AT_CLOSE = struct.pack("ii", 1, 0)
 
 
 class Client:
@@ -71,11 +70,7 @@ class Client:
 
     def abort(self) -> None:
         """Break the connection off, as a process does that is killed."""
-        transport = self._connection.transport
-        transport.get_extra_info("socket").setsockopt(
-            socket.SOL_SOCKET, socket.SO_LINGER, _RESET_AT_CLOSE
-        )
-        transport.abort()
+        break_off(self._connection.transport)
 
     async def close(self, code: int) -> None:
         """Close by the protocol."""
@@ -123,7 +118,7 @@ class Listener:
 
     def open(self) -> None:
         """Accept connections from now on."""
-        listening = socket.create_server((_HOST, self._port))
+        listening = socket.create_server((LOOPBACK, self._port))
         self._port = listening.getsockname()[1]
         self._is_open = True
         self._spawn(self._serve_on(listening))

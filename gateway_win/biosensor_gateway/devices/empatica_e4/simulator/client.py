@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import socket
-import struct
 from collections.abc import Callable
 from typing import Protocol
 
+from biosensor_gateway.simulation.tcp_port import break_off
+
 _ROOM_BYTES = 1 << 20
 _REQUEST_BYTES = 4096
-_RESET_AT_CLOSE = struct.pack("ii", 1, 0)
 
 Hear = Callable[["Client", str], None]
 
@@ -143,9 +142,7 @@ class Client(asyncio.Protocol):
     def reset(self) -> None:
         """Break the connection off with an RST, as a process does that is killed."""
         if self._transport is not None:
-            connection = self._transport.get_extra_info("socket")
-            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET_AT_CLOSE)
-            self._transport.abort()
+            break_off(self._transport)
 
     def _send_held(self) -> None:
         held, self._held = self._held, None

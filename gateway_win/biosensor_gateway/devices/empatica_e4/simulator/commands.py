@@ -43,6 +43,10 @@ class Manners:
     hides_all: bool = False
 
 
+_RADIO_CONNECT_S = 0.3
+"""From a client's request for a radio link to the link."""
+
+
 class Commands:
     """Carries requests out.
 
@@ -53,8 +57,6 @@ class Commands:
     manners
     connect
         Makes the radio link of a wristband.
-    radio_connect_s
-        How long that takes.
 
     Attributes
     ----------
@@ -67,13 +69,11 @@ class Commands:
         wristbands: dict[str, Wristband],
         manners: Manners,
         connect: Callable[[Wristband, float], None],
-        radio_connect_s: float,
     ) -> None:
         self.requests: list[str] = []
         self._wristbands = wristbands
         self._manners = manners
         self._connect = connect
-        self._radio_connect_s = radio_connect_s
         self._known: dict[str, Callable[[Client, list[str]], str | None]] = {
             "device_discover_list": self._discover_list,
             "device_list": self._list,
@@ -146,7 +146,7 @@ class Commands:
         if patience_s is None:
             return "ERR could not connect device over BTLE"
         finish = partial(self._finish_radio, client, wristband, patience_s)
-        asyncio.get_running_loop().call_later(self._radio_connect_s, finish)
+        asyncio.get_running_loop().call_later(_RADIO_CONNECT_S, finish)
         return None
 
     def _finish_radio(self, client: Client, wristband: Wristband, patience_s: float) -> None:

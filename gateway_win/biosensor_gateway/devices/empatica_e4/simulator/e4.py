@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from math import inf
 from types import MappingProxyType
 from typing import Any
@@ -21,6 +22,7 @@ from biosensor_gateway.devices.empatica_e4.simulator.radio_link import Timing
 from biosensor_gateway.devices.empatica_e4.simulator.server import Server
 from biosensor_gateway.devices.empatica_e4.simulator.wristband import Wristband
 from biosensor_gateway.simulation.effects import on_part
+from biosensor_gateway.simulation.tcp_port import LOOPBACK
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer
@@ -40,25 +42,15 @@ class SimulatedE4(VirtualDevice):
         Of the first wristband.
     others
         Ids of further ones; each has a wearer of another seed.
-    host
-        Address to listen on.
     automatic
         The server connects wristbands by itself, as its window has it by default;
         False: clients do, as where it was started without its window.
     allowed
         The first wristband is registered to the owner of the server's key.
-    decimal_mark, minus_sign
-        Of the Windows locale; a restart changes the decimal mark.
-    burst
-        Samples of GSR and of temperature that come together.
-    beat_delay_s
-        How late HR and IBI come.
-    bvp_delay_s
-        How much later than GSR and temperature BVP and acceleration come; 0.065 would
-        fit what was recorded, and no client can know it.
-    battery_interval_s
-    radio_connect_s
-        How long the server takes to connect a wristband for a client.
+    style
+        Of numbers, after the Windows locale; a restart changes the decimal mark.
+    timing
+        When samples leave the wristbands; their jitter is ``jitter_s``.
     """
 
     sensor = "empatica_e4"
@@ -81,16 +73,10 @@ class SimulatedE4(VirtualDevice):
         *,
         device_id: str = "9ff167",
         others: Sequence[str] = (),
-        host: str = "127.0.0.1",
         automatic: bool = True,
         allowed: bool = True,
-        decimal_mark: str = ",",
-        minus_sign: str = "-",
-        burst: int = 6,
-        beat_delay_s: float = 5.6,
-        bvp_delay_s: float = 0.0,
-        battery_interval_s: float = 10.0,
-        radio_connect_s: float = 0.3,
+        style: NumberFormat | None = None,
+        timing: Timing | None = None,
         wearer: Wearer | None = None,
         seed: int = 0,
         drift_ppm: float = 0.0,
@@ -98,16 +84,13 @@ class SimulatedE4(VirtualDevice):
         kept: int | None = None,
     ) -> None:
         super().__init__(world, kept)
-        self._host = host
+        timing = replace(timing or Timing(), jitter_s=jitter_s)
         self._server = Server(
-            host,
             is_automatic=automatic,
-            radio_connect_s=radio_connect_s,
-            style=NumberFormat(decimal_mark, minus_sign),
+            style=style or NumberFormat(),
             seed=seed,
             clock=world.clock,
         )
-        timing = Timing(burst, beat_delay_s, bvp_delay_s, battery_interval_s, jitter_s)
         for number, each in enumerate((device_id, *others)):
             self._server.wristbands[each.lower()] = Wristband(
                 each,
@@ -128,7 +111,7 @@ class SimulatedE4(VirtualDevice):
 
     def settings_of(self, device_id: str) -> Mapping[str, Any]:
         """Return what `settings` is for another wristband."""
-        return {"host": self._host, "port": self._server.listener.port, "device": device_id}
+        return {"host": LOOPBACK, "port": self._server.listener.port, "device": device_id}
 
     def truth_of(self, device_id: str) -> Truth:
         """Return what was sent on of one wristband."""

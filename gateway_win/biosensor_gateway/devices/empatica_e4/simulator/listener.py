@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import socket
-import sys
 
-from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.devices.empatica_e4.simulator.client import Client, Hear
-
-_LOOK_EVERY_S = 0.01
+from biosensor_gateway.simulation.tcp_port import TcpPort
 
 
 class Listener:
@@ -17,8 +14,6 @@ class Listener:
 
     Parameters
     ----------
-    host
-        Address to listen on.
     hear
         Gets each client's requests.
 
@@ -28,19 +23,17 @@ class Listener:
         Those that are connected.
     """
 
-    def __init__(self, host: str, hear: Hear) -> None:
+    def __init__(self, hear: Hear) -> None:
         self.clients: set[Client] = set()
-        self._host = host
         self._hear = hear
-        self._socket: socket.socket | None = None
-        self._port = 0
-        self._serving: asyncio.Task[None] | None = None
+        self._port = TcpPort(self._connected)
+        self._connecting: set[asyncio.Task[object]] = set()
         self._is_stalled = False
 
     @property
     def port(self) -> int:
         """TCP port, the same over all openings; 0 before the first."""
-        return self._port
+        return self._port.number
 
     def open(self) -> None:
         """Accept clients from now on.
@@ -50,16 +43,11 @@ class Listener:
         TransportError
             BUSY if the port cannot be had.
         """
-        listening = self._socket or self._bound()
-        # Who comes before the loop serves waits in the backlog.
-        listening.listen()
-        self._socket = listening
-        self._serving = asyncio.get_running_loop().create_task(self._serve(listening))
+        self._port.open()
 
     def shut(self) -> None:
         """Refuse clients from now on, break off those that are connected, keep the port."""
-        self._end_serving()
-        self._socket = self._bound()
+        self._port.shut()
         self.reset_all()
 
     def reset_all(self) -> None:
@@ -81,14 +69,13 @@ class Listener:
 
     async def stop(self) -> None:
         """Close every connection and give the port back."""
-        self._end_serving()
-        self._socket = None
+        self._port.close()
         for client in tuple(self.clients):
             await client.end()
 
     def let_in(self, client: Client) -> bool:
         """Take a client, unless the port was shut since it was accepted."""
-        if self._serving is None:
+        if not self._port.is_open:
             return False
         self.clients.add(client)
         if self._is_stalled:
@@ -99,38 +86,10 @@ class Listener:
         """Forget a client whose connection has ended."""
         self.clients.discard(client)
 
-    async def _serve(self, listening: socket.socket) -> None:
-        # Not by asyncio's server: it loses who is accepted as it closes (`_attach` asserts that
-        # it is open), and so does a `sock_accept` that is cancelled.
-        while True:
-            try:
-                connection, _ = listening.accept()
-            except (BlockingIOError, ConnectionAbortedError):
-                await asyncio.sleep(_LOOK_EVERY_S)
-                continue
-            connection.setblocking(False)
-            await asyncio.get_running_loop().connect_accepted_socket(
-                lambda: Client(self, self._hear), connection
-            )
-
-    def _end_serving(self) -> None:
-        if self._serving is not None:
-            self._serving.cancel()
-            self._serving = None
-        if self._socket is not None:
-            self._socket.close()
-
-    def _bound(self) -> socket.socket:
-        """Take the port without listening on it: connections are refused."""
-        bound = socket.socket()
-        if sys.platform != "win32":  # there it would let others take the same port
-            bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        bound.setblocking(False)
-        try:
-            bound.bind((self._host, self._port))
-        except OSError as error:
-            bound.close()
-            message = f"port {self._port} of {self._host} cannot be had for a virtual E4 server"
-            raise TransportError(TransportReason.BUSY, f"{message}: {error}") from error
-        self._port = int(bound.getsockname()[1])
-        return bound
+    def _connected(self, connection: socket.socket) -> None:
+        loop = asyncio.get_running_loop()
+        task = loop.create_task(
+            loop.connect_accepted_socket(lambda: Client(self, self._hear), connection)
+        )
+        self._connecting.add(task)
+        task.add_done_callback(self._connecting.discard)

@@ -39,21 +39,22 @@ class Timing:
     Attributes
     ----------
     burst
-        Samples of GSR and of temperature that leave together.
+        Samples of GSR and of temperature that come together.
     beat_delay_s
         How late a beat's HR and IBI are.
     bvp_delay_s
-        How much later than the rest BVP and acceleration are.
+        How much later than GSR and temperature BVP and acceleration come; 0.065 would
+        fit what was recorded, and no client can know it.
     battery_interval_s
     jitter_s
         Bound of a packet's delay by the radio.
     """
 
-    burst: int
-    beat_delay_s: float
-    bvp_delay_s: float
-    battery_interval_s: float
-    jitter_s: float
+    burst: int = 6
+    beat_delay_s: float = 5.6
+    bvp_delay_s: float = 0.0
+    battery_interval_s: float = 10.0
+    jitter_s: float = 0.0
 
 
 class RadioLink:

@@ -21,12 +21,8 @@ class Server:
 
     Parameters
     ----------
-    host
-        Address to listen on.
     is_automatic
         It connects wristbands by itself.
-    radio_connect_s
-        How long that takes where a client asks for it.
     style
         Of numbers, until a restart.
     seed
@@ -43,10 +39,8 @@ class Server:
 
     def __init__(
         self,
-        host: str,
         *,
         is_automatic: bool,
-        radio_connect_s: float,
         style: NumberFormat,
         seed: int,
         clock: Clock,
@@ -54,8 +48,8 @@ class Server:
         self._lsl = clock
         self.wristbands: dict[str, Wristband] = {}
         self.manners = Manners()
-        self.commands = Commands(self.wristbands, self.manners, self._connect, radio_connect_s)
-        self.listener = Listener(host, self.commands.hear)
+        self.commands = Commands(self.wristbands, self.manners, self._connect)
+        self.listener = Listener(self.commands.hear)
         self.delivery = Delivery(lambda: self.listener.clients, style)
         self._is_automatic = is_automatic
         self._is_up = self._is_over = False
