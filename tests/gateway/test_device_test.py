@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -166,11 +167,18 @@ def test_a_sensor_that_nobody_wears_is_told(
 
 
 def test_a_connection_that_breaks_is_told(
-    run: Run, configure: Any, zephyr: SimulatedZephyr
+    run: Run, configure: Any, zephyr: SimulatedZephyr, until: Callable[[Callable[[], bool]], None]
 ) -> None:
     configure(of(zephyr))
-    zephyr.schedule(Fault(FaultKind.DROP, 0.5), 2.0)
-    first = problems(run("test", "zephyr", "--seconds", "8"))[0]
+
+    def drop_once_it_streams() -> None:
+        until(lambda: len(zephyr.truth.samples("ecg").times) > 0)
+        zephyr.apply(Fault(FaultKind.DROP, 0.5))
+
+    with ThreadPoolExecutor() as pool:
+        dropped = pool.submit(drop_once_it_streams)
+        first = problems(run("test", "zephyr", "--seconds", "8"))[0]
+        dropped.result()
     assert first == "the connection broke; it was made 2 times"
 
 

@@ -22,6 +22,8 @@ from tests.rigs.zephyr import SteeredBioHarness
 
 NO_AGENT = "biosensor-gateway: no agent is running; start one with: biosensor-gateway run\n"
 DEADLINE_S = 30.0
+# More than can wait in an inlet while the commands run.
+ALL_SAMPLES = 1 << 16
 
 OpenInlet = Callable[[str], pylsl.StreamInlet]
 Until = Callable[[Callable[[], bool]], None]
@@ -92,7 +94,8 @@ def test_a_participant_withdraws_and_comes_back(
         assert f"p01 zephyr ({unit}): paused (streaming)" in " ".join(shown.split())
         withheld = counted(tmp_path, "withheld")
         until(lambda: counted(tmp_path, "withheld") > withheld + 500)
-        assert all(stamp < answered_s for stamp in reader.pull_chunk(timeout=0.0)[1])
+        before = reader.pull_chunk(timeout=0.0, max_samples=ALL_SAMPLES)[1]
+        assert all(stamp < answered_s for stamp in before)
         assert command(tmp_path, "pause", "p01")[:2] == (
             0,
             (
