@@ -77,6 +77,7 @@ class BioHarness(VirtualDevice):
         self._tcp = tcp
         self._port: AsyncSerialPort | None = None
         self._stalled = False
+        self._unheard = bytearray()
         self._next_turn: asyncio.TimerHandle | None = None
         self._reopening: asyncio.TimerHandle | None = None
 
@@ -111,9 +112,12 @@ class BioHarness(VirtualDevice):
         """Hear of each frame of the source that was due and enabled, and whether it left."""
 
     def _heard(self, data: bytes) -> None:
-        if not self._stalled:
-            self.session.hear(data, self.world.clock())
-            self._take_turn()
+        if self._stalled:
+            # RFCOMM is reliable: what the host says meanwhile waits in the radio.
+            self._unheard += data
+            return
+        self.session.hear(data, self.world.clock())
+        self._take_turn()
 
     def _take_turn(self) -> None:
         """Say what is due, and be back when more is."""
@@ -162,6 +166,7 @@ class BioHarness(VirtualDevice):
             self._port.open()
 
     def _link_lost(self) -> None:
+        self._unheard.clear()
         self.session.forget()
         self.source.connection_ended()
 
@@ -170,6 +175,10 @@ class BioHarness(VirtualDevice):
 
     def _resume(self) -> None:
         self._stalled = False
+        if self._unheard:
+            data = bytes(self._unheard)
+            self._unheard.clear()
+            self._heard(data)
 
     def _babble(self, count: float) -> None:
         self._write(self._rng.bytes(int(count)))
