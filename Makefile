@@ -23,7 +23,7 @@ DOCS_SITE := NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
 SIDE_BY_SIDE := --dist loadfile --no-loadscope-reorder --hold-budget
 # The files of the few tests with a marker; to look through all of them takes a while.
 MARKED = $(shell grep -rl --include='test_*.py' 'pytest.mark.$(1)' tests | sort)
-# These run many programs each, and more at a time would be late by their own load.
+# These run many programs each, and four at a time would be late by their own load.
 MANY_PROGRAMS := tests/e2e tests/faults tests/faults/scenarios tests/peers tests/ros
 
 .PHONY: demo test test-system tests system-tests tests-alone faults fuzz installer check bench format docs docs-site
@@ -44,7 +44,7 @@ test-system: system-tests
 # The parts of the two, as .ci/run takes them.
 tests: venv-peers
 	$(GATE) -m "not system and not alone" $(SIDE_BY_SIDE) -n 4 $(MANY_PROGRAMS:%=--ignore=%)
-	$(GATE) -m "not system and not alone" $(SIDE_BY_SIDE) -n 2 $(MANY_PROGRAMS)
+	$(GATE) -m "not system and not alone" $(SIDE_BY_SIDE) -n 3 $(MANY_PROGRAMS)
 
 system-tests: venv-dev installer
 	$(GATE) -m "system and not alone" $(SIDE_BY_SIDE) -n 3 $(call MARKED,system)

@@ -30,7 +30,7 @@ from tests.rigs.windows.arrivals import Arrivals, fault, header_errors, stamp_er
 from tests.rigs.windows.main_job import PC, SECONDS, SENSORS, UNREACHABLE, MainJob
 from tests.rigs.windows.pc import WindowsPc
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.system, pytest.mark.alone, pytest.mark.timeout(600)]
 
 OTHER = "robot"
 # How far ahead each monotonic clock is; nobody boots two computers at the same time.

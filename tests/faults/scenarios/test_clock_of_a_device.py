@@ -32,7 +32,7 @@ from tests.faults.scenarios.figures import Record
 from tests.rigs.lab_client import Samples
 from tests.rigs.zephyr import SteeredBioHarness
 
-pytestmark = pytest.mark.timeout(180)
+pytestmark = [pytest.mark.alone, pytest.mark.timeout(180)]
 
 SHIMMER, ZEPHYR = "shimmer3_gsr", "zephyr"
 STREAMS = {SHIMMER: "gsr", ZEPHYR: "ecg"}
