@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import structlog
@@ -14,6 +14,7 @@ from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.device_clock import ClockState, DeviceClock
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, SensorSpec
 from biosensor_gateway.streaming.counters import Counters
+from biosensor_gateway.streaming.observer import SinkObserver
 from biosensor_gateway.streaming.outlets import MAX_STAMP_ERROR_S, DeviceOutlets
 from biosensor_gateway.streaming.pause_gate import PauseGate
 from biosensor_gateway.streaming.silence import Silence, StreamWatch
@@ -23,46 +24,6 @@ DEVICE_RESTARTED = "device_restarted"
 """Cause of a re-anchor that a driver asks for."""
 
 _log = structlog.get_logger("biosensor_gateway.sink")
-
-
-class SinkObserver(Protocol):
-    """Is told what happens to a device's samples; must neither raise nor wait.
-
-    Of a paused device it hears nothing that was measured. All times are LSL times in
-    seconds.
-    """
-
-    def connected(self, info: DeviceInfo, changes: Mapping[str, tuple[object, object]]) -> None:
-        """Note a connection, and what differs from the one before: before and after, by name."""
-        ...
-
-    def sampled(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
-        """Note samples that were sent; of text there are stamps only."""
-        ...
-
-    def lost(self, data_name: str, count: int, since_s: float) -> None:
-        """Note samples that are missing behind the one of `since_s`."""
-        ...
-
-    def reanchored(self, cause: str, size_s: float | None) -> None:
-        """Note that the device's clock is mapped anew; None if how far it jumped is unknown."""
-        ...
-
-    def fell_silent(self, silence: Silence) -> None:
-        """Note streams that are due and do not come, and what is done about it."""
-        ...
-
-    def came_back(self, streams: frozenset[str]) -> None:
-        """Note that silent streams are heard again."""
-        ...
-
-    def paused(self) -> None:
-        """Note that nothing is sent from now on."""
-        ...
-
-    def resumed(self, send_from_s: float) -> None:
-        """Note that what is measured from then on is sent again."""
-        ...
 
 
 class DeviceSink:
@@ -167,6 +128,15 @@ class DeviceSink:
         Samples are noted by themselves, so only what comes without a value has to be told.
         """
         self.watch.heard(*data_names)
+
+    def excuse(self, *data_names: str) -> None:
+        """Expect nothing of these streams until they are heard again: there is a reason."""
+        self.watch.excuse(data_names)
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether a stream was enabled again, and has not been heard since."""
+        return self.watch.is_waiting
 
     def tell_silent(self, silence: Silence) -> None:
         """Tell the observer of streams that are due and do not come."""

@@ -30,8 +30,8 @@ from biosensor_gateway.devices.empatica_e4.driver.messages import (
     Wristband,
 )
 from biosensor_gateway.devices.empatica_e4.driver.protocol import SUBSCRIBED
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 
 PATIENCE_S = 5.0
 LOOK_S = 0.5
@@ -69,7 +69,7 @@ class E4Driver:
     # A wristband out of reach is silent for longer than its streams may be.
     silence_limit_s = RADIO_GRACE_S + 10.0
 
-    def __init__(self, settings: E4Settings, sink: DeviceSink, emitter: E4Emitter) -> None:
+    def __init__(self, settings: E4Settings, sink: Sink, emitter: E4Emitter) -> None:
         self._where = f"E4 server {settings.host}:{settings.port}"
         self._wanted = settings.device.lower()
         self._sink = sink
@@ -220,7 +220,7 @@ class E4Driver:
         if event is RadioEvent.LOST:
             self._radio_lost_at = asyncio.get_running_loop().time()
             _log.warning("the wristband is out of reach of its dongle", device=self._device)
-            self._sink.watch.excuse(DATA_NAMES.values())
+            self._sink.excuse(*DATA_NAMES.values())
         else:
             _log.info("the wristband is back", device=self._device)
         # Samples of the old link that are still on their way keep the old mapping.
@@ -235,7 +235,7 @@ class E4Driver:
             raise TransportError(TransportReason.LOST, message)
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], E4Driver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], E4Driver]:
     """Share one emitter between all connections: it follows losses across them."""
     own = own_settings(E4Settings, settings)
     emitter = E4Emitter(sink)

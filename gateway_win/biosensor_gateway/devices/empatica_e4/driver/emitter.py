@@ -10,7 +10,7 @@ import structlog
 
 from biosensor_gateway.devices.empatica_e4.driver.loss import WINDOW_S, LossEstimate
 from biosensor_gateway.devices.empatica_e4.driver.messages import Sample, Stream
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.devices.sink import Sink
 
 ACC_COUNTS_PER_G = 64.0
 RATES_HZ = {Stream.BVP: 64.0, Stream.ACC: 32.0, Stream.GSR: 4.0, Stream.TMP: 4.0}
@@ -36,7 +36,7 @@ _log = structlog.get_logger("biosensor_gateway.empatica_e4")
 class E4Emitter:
     """Turns samples into streams; one instance a wristband, over all its connections."""
 
-    def __init__(self, sink: DeviceSink) -> None:
+    def __init__(self, sink: Sink) -> None:
         self._sink = sink
         self._anchored = False
         self._early: deque[Sample] = deque(maxlen=_MAX_EARLY)

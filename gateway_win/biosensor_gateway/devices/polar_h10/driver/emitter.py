@@ -19,7 +19,7 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     parse_frame,
 )
 from biosensor_gateway.devices.polar_h10.driver.protocol.timeline import FrameTimeline
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.devices.sink import Sink
 
 DATA_NAMES = {Measurement.ECG: "ecg", Measurement.ACCELERATION: "acc"}
 """Regular streams of the declaration by measurement."""
@@ -39,7 +39,7 @@ class PolarEmitter:
         What the device has in common with every heart-rate strap.
     """
 
-    def __init__(self, sink: DeviceSink) -> None:
+    def __init__(self, sink: Sink) -> None:
         self.strap = StrapEmitter(sink)
         self._sink = sink
         self._rates: dict[Measurement, float] = {}

@@ -30,8 +30,8 @@ from biosensor_gateway.devices.shimmer3_gsr.driver.messages import (
     StatusFlag,
 )
 from biosensor_gateway.devices.shimmer3_gsr.driver.setup import Kind, Wanted, identify, set_up
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.byte_links import byte_link
 
 BATTERY_PERIOD_S = 60.0
@@ -69,9 +69,7 @@ class ShimmerDriver:
     # Silent streams are noticed long before.
     silence_limit_s = 10.0
 
-    def __init__(
-        self, settings: ShimmerSettings, sink: DeviceSink, emitter: ShimmerEmitter
-    ) -> None:
+    def __init__(self, settings: ShimmerSettings, sink: Sink, emitter: ShimmerEmitter) -> None:
         self._port = settings.port
         self._wanted = _wanted(settings)
         self._talk = Conversation(settings.port, byte_link(settings.port), self._hear)
@@ -114,7 +112,7 @@ class ShimmerDriver:
         del streams
         assert self._measurement is not None
         is_there = await self._is_there()
-        if not self._sink.watch.is_waiting:
+        if not self._sink.is_waiting:
             return  # data came before the answer
         # As far as one knows it went on measuring.
         self._emitter.kept_measuring_until(self._sink.clock())
@@ -174,7 +172,7 @@ def _wanted(settings: ShimmerSettings) -> Wanted:
     return Wanted(commands.divisor_for(settings.rate_hz), setting)
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], ShimmerDriver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ShimmerDriver]:
     """Share one emitter between all connections: it follows the device's clock across them."""
     own = own_settings(ShimmerSettings, settings)
     emitter = ShimmerEmitter(sink)

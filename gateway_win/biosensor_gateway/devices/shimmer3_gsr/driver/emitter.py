@@ -21,7 +21,7 @@ from biosensor_gateway.devices.shimmer3_gsr.driver.gsr import (
 from biosensor_gateway.devices.shimmer3_gsr.driver.messages import BatteryReading, Packet
 from biosensor_gateway.devices.shimmer3_gsr.driver.pulse import PulseDetector
 from biosensor_gateway.devices.shimmer3_gsr.driver.timeline import TickTimeline
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.devices.sink import Sink
 
 QUALITY_PERIOD_S = 10.0
 WAVEFORMS = ("gsr", "ppg")
@@ -59,7 +59,7 @@ class Measurement:
 class ShimmerEmitter:
     """Turns packets into samples; one instance a device, over all its connections."""
 
-    def __init__(self, sink: DeviceSink) -> None:
+    def __init__(self, sink: Sink) -> None:
         self._sink = sink
         self._timeline = TickTimeline()
         self._measurement: Measurement | None = None

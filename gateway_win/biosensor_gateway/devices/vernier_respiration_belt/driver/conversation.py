@@ -6,6 +6,7 @@ import asyncio
 from typing import Any, NamedTuple
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import Message, Reply
 from biosensor_gateway.devices.vernier_respiration_belt.driver.packets import encode, fragments
 from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
@@ -15,7 +16,6 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
     VernierProtocol,
 )
 from biosensor_gateway.devices.vernier_respiration_belt.driver.replies import REFUSED
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.deadlines import in_background
 
@@ -58,7 +58,7 @@ class Conversation:
         Its ``dropped_bytes`` are counted here.
     """
 
-    def __init__(self, link: BleLink, sink: DeviceSink) -> None:
+    def __init__(self, link: BleLink, sink: Sink) -> None:
         self._link = link
         self._sink = sink
         self._protocol = VernierProtocol()

@@ -18,6 +18,7 @@ from biosensor_common.errors import (
 )
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.vernier_respiration_belt.driver import protocol, replies
 from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import (
     BeltChannels,
@@ -35,7 +36,6 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.discovery import 
 )
 from biosensor_gateway.devices.vernier_respiration_belt.driver.emitter import VernierEmitter
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
 
@@ -72,7 +72,7 @@ class VernierDriver:
     silence_limit_s = 60.0
 
     def __init__(
-        self, settings: VernierSettings, choice: Choice, sink: DeviceSink, emitter: VernierEmitter
+        self, settings: VernierSettings, choice: Choice, sink: Sink, emitter: VernierEmitter
     ) -> None:
         self._period_us = settings.period_ms * 1000
         self._sink = sink
@@ -195,7 +195,7 @@ def _device_info(identity: replies.Identity | None) -> DeviceInfo:
     return DeviceInfo("", identity.order_code, identity.serial_number, identity.firmware)
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], VernierDriver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], VernierDriver]:
     """Share the choice and the emitter between all connections of the device."""
     own = own_settings(VernierSettings, settings)
     choice = Choice(identify, KIND, own.device, ADVICE)

@@ -6,6 +6,7 @@ import math
 
 import structlog
 
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import BeltChannels
 from biosensor_gateway.devices.vernier_respiration_belt.driver.fit import Fit
 from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import (
@@ -20,7 +21,6 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.numbering import 
     Placed,
 )
 from biosensor_gateway.devices.vernier_respiration_belt.driver.replies import Status
-from biosensor_gateway.streaming.sink import DeviceSink
 
 QUALITY_PERIOD_S = 10.0
 
@@ -30,7 +30,7 @@ _log = structlog.get_logger("biosensor_gateway.vernier")
 class VernierEmitter:
     """Turns messages into samples; one instance a device, over all its connections."""
 
-    def __init__(self, sink: DeviceSink) -> None:
+    def __init__(self, sink: Sink) -> None:
         self._sink = sink
         self._numbering = Numbering(lambda: sink.clock_state)
         self._force = self._rate = -1

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.zephyr.driver.discovery import recognise
 from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
 from biosensor_gateway.devices.zephyr.driver.messages import Message, Reply, RrIntervals, Summary
@@ -20,7 +21,6 @@ from biosensor_gateway.devices.zephyr.driver.protocol import (
     enable,
 )
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.byte_links import byte_link
 
 # The order in which the recorded device was started.
@@ -70,7 +70,7 @@ class ZephyrDriver:
     # The device sends a lifesign every 3 s whatever is enabled.
     silence_limit_s = 10.0
 
-    def __init__(self, settings: ZephyrSettings, sink: DeviceSink, emitter: ZephyrEmitter) -> None:
+    def __init__(self, settings: ZephyrSettings, sink: Sink, emitter: ZephyrEmitter) -> None:
         self._port = settings.port
         self._link = byte_link(settings.port)
         self._sink = sink
@@ -195,7 +195,7 @@ def _names(packets: list[Request]) -> list[str]:
     return [packet.name.lower() for packet in packets]
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], ZephyrDriver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ZephyrDriver]:
     """Share one emitter between all connections: it follows gaps across them."""
     own = own_settings(ZephyrSettings, settings)
     emitter = ZephyrEmitter(sink)

@@ -6,6 +6,7 @@ import math
 
 import structlog
 
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.zephyr.driver.frames import MessageId
 from biosensor_gateway.devices.zephyr.driver.messages import (
     Acceleration,
@@ -24,7 +25,6 @@ from biosensor_gateway.devices.zephyr.driver.protocol import (
     RR_PERIOD_S,
 )
 from biosensor_gateway.devices.zephyr.driver.tracking import BeatDetector, PacketTrack
-from biosensor_gateway.streaming.sink import DeviceSink
 
 _log = structlog.get_logger("biosensor_gateway.zephyr")
 
@@ -36,7 +36,7 @@ _NAN = math.nan
 class ZephyrEmitter:
     """Turns messages into samples; one instance a device, over all its connections."""
 
-    def __init__(self, sink: DeviceSink) -> None:
+    def __init__(self, sink: Sink) -> None:
         self._sink = sink
         self._tracks = {
             "ecg": PacketTrack(63, ECG_PERIOD_S),
