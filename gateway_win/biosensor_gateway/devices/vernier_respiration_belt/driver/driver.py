@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 import structlog
@@ -27,6 +27,7 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import (
 from biosensor_gateway.devices.vernier_respiration_belt.driver.conversation import (
     REPLY_LIMIT_S,
     Conversation,
+    Heard,
 )
 from biosensor_gateway.devices.vernier_respiration_belt.driver.discovery import (
     ADVICE,
@@ -110,7 +111,7 @@ class VernierDriver:
         self._emitter.take_rssi(*self._rssi)
         self._take_status(*self._status)
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(self._pass_on(belt))
+            tasks.create_task(belt.stream(self._take))
             tasks.create_task(self._ask_status(belt))
 
     async def enable_again(self, streams: frozenset[str]) -> None:
@@ -135,7 +136,7 @@ class VernierDriver:
                 async with asyncio.timeout(GOODBYE_LIMIT_S):
                     await self._conversation.tell(protocol.STOP)
                     await self._conversation.tell(protocol.DISCONNECT)
-            self._conversation.end()
+            await self._conversation.close()
         await self._link.close()
 
     async def _ask_channels(self, belt: Conversation) -> BeltChannels:
@@ -154,9 +155,8 @@ class VernierDriver:
         self._emitter.started(channels, self._period_us / 1e6)
         await belt.order(protocol.start(channels.mask), limit_s)
 
-    async def _pass_on(self, belt: Conversation) -> None:
-        while True:
-            message, arrival_s = await belt.next()
+    def _take(self, found: Sequence[Heard]) -> None:
+        for message, arrival_s in found:
             self._sink.heard()
             self._emitter.take(message, arrival_s)
 
