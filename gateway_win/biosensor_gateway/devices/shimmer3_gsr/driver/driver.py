@@ -72,10 +72,9 @@ class ShimmerDriver:
     def __init__(self, settings: ShimmerSettings, sink: Sink, emitter: ShimmerEmitter) -> None:
         self._port = settings.port
         self._wanted = _wanted(settings)
-        self._talk = Conversation(settings.port, byte_link(settings.port), self._hear)
+        self._talk = Conversation(settings.port, byte_link(settings.port))
         self._sink = sink
         self._emitter = emitter
-        self._early: list[Stamped] | None = []
         self._dropped_bytes = 0
         self._measurement: Measurement | None = None
         self._is_docked: bool | None = None
@@ -101,10 +100,8 @@ class ShimmerDriver:
 
     async def stream(self) -> None:
         """Emit what came while connecting, then all that comes."""
-        early, self._early = self._early or [], None
-        self._hear(early)
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(self._talk.ended())
+            tasks.create_task(self._talk.stream(self._hear))
             tasks.create_task(self._ask_for_the_battery())
 
     async def enable_again(self, streams: frozenset[str]) -> None:
@@ -124,15 +121,11 @@ class ShimmerDriver:
 
     async def close(self) -> None:
         """Stop the device, without waiting for its answer."""
+        self._count_dropped()
         await self._talk.close()
 
     def _hear(self, found: Sequence[Stamped]) -> None:
-        dropped = self._talk.dropped_bytes
-        self._sink.dropped_bytes += dropped - self._dropped_bytes
-        self._dropped_bytes = dropped
-        if self._early is not None:
-            self._early += found
-            return
+        self._count_dropped()
         packets: list[tuple[Packet, float]] = []
         for message, arrival_s in found:
             match message:
@@ -147,6 +140,11 @@ class ShimmerDriver:
         if packets:
             self._sink.heard()
             self._emitter.take(packets)
+
+    def _count_dropped(self) -> None:
+        dropped = self._talk.dropped_bytes
+        self._sink.dropped_bytes += dropped - self._dropped_bytes
+        self._dropped_bytes = dropped
 
     def _note(self, status: Status) -> None:
         is_docked = StatusFlag.DOCKED in status.flags
