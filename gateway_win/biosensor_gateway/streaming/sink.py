@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -57,7 +58,7 @@ class DeviceSink:
         self.silent: frozenset[str] = frozenset()
         self._clock = DeviceClock()
         self._outlets = DeviceOutlets(identity, spec, clock)
-        self._stamps: dict[str, MonotonicStamps] = {}
+        self._stamps: defaultdict[str, MonotonicStamps] = defaultdict(MonotonicStamps)
         self._refusals: set[tuple[str, str]] = set()
         self._gate = PauseGate()
         self._newest: dict[str, float] = {}
@@ -181,7 +182,7 @@ class DeviceSink:
         device_times : sequence of float, length n_samples
             Device clock of each sample in seconds.
         """
-        self.emit_at(data_name, samples, [self._clock.to_lsl(time) for time in device_times])
+        self.emit_at(data_name, samples, self._clock.all_to_lsl(device_times))
 
     def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
         """Push samples that the device does not stamp, with times on the LSL clock already.
@@ -194,13 +195,13 @@ class DeviceSink:
             LSL clock at each sample, as near as can be told, in seconds.
         """
         if len(lsl_times):
-            self.heard(data_name)
+            self.watch.heard(data_name)
         samples, stamps = self._sendable(data_name, samples, lsl_times)
         if len(lsl_times) and not len(stamps):
             return
         if max(stamps, default=0.0) < self.clock() + MAX_STAMP_ERROR_S:
             # One from the future is refused; guarded, it would push all later ones there, too.
-            stamps = self._guarded(data_name, stamps)
+            stamps = self._stamps[data_name].apply(stamps)
         refusal = self._outlets[data_name].push(samples, stamps)
         if refusal is None:
             self._tell_sampled(data_name, samples, stamps)
@@ -218,7 +219,7 @@ class DeviceSink:
         """Push one string sample measured at a time of the device's clock."""
         self.heard(data_name)
         _, stamps = self._sendable(data_name, [0.0], [self._clock.to_lsl(device_s)])
-        for stamp in self._guarded(data_name, stamps):
+        for stamp in self._stamps[data_name].apply(stamps):
             self._outlets[data_name].push_text(text, stamp)
             self._tell_sampled(data_name, (), [stamp])
 
@@ -268,9 +269,6 @@ class DeviceSink:
     def _tell_sampled(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
         if self.observer is not None and len(stamps):
             self.observer.sampled(data_name, samples, stamps)
-
-    def _guarded(self, data_name: str, stamps: Sequence[float]) -> list[float]:
-        return self._stamps.setdefault(data_name, MonotonicStamps()).apply(stamps)
 
     def _names(self) -> dict[str, Any]:
         return {"sensor": self.identity.sensor, "unit": self.identity.unit}

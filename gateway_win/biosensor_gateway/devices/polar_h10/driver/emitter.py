@@ -16,6 +16,7 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     Ppg,
     PulseIntervals,
     Rejected,
+    measurement_of,
     parse_frame,
 )
 from biosensor_gateway.devices.polar_h10.driver.protocol.timeline import FrameTimeline
@@ -26,6 +27,7 @@ DATA_NAMES = {Measurement.ECG: "ecg", Measurement.ACCELERATION: "acc"}
 RECKONINGS_AGREE_S = 1.0
 """How exactly a device that stayed on agrees with the host on the length of a pause."""
 _NS = 1e9
+_MEASUREMENTS = frozenset(Measurement)
 
 _log = structlog.get_logger("biosensor_gateway.polar_h10")
 
@@ -42,6 +44,7 @@ class PolarEmitter:
     def __init__(self, sink: Sink) -> None:
         self.strap = StrapEmitter(sink)
         self._sink = sink
+        self._running: set[int] = set()
         self._rates: dict[Measurement, float] = {}
         self._factors: dict[int, float] = {}
         self._timelines: dict[tuple[int, int], FrameTimeline] = {}
@@ -58,6 +61,7 @@ class PolarEmitter:
     def reconnected(self) -> None:
         """Prepare for a new connection of the same device."""
         self.strap.reconnected()
+        self._running.clear()
         self._beats = BeatClock()
         self._clock_runs = False
 
@@ -72,6 +76,7 @@ class PolarEmitter:
         factor
             Physical units a count, for compressed frames.
         """
+        self._running.add(measurement)
         self._factors[measurement] = factor
         if rate_hz is None:
             return
@@ -79,6 +84,14 @@ class PolarEmitter:
         for (owner, _), timeline in self._timelines.items():
             if owner == measurement:
                 timeline.restart(rate_hz)
+
+    def is_foreign(self, data: bytes) -> bool:
+        """Whether a frame is of a measurement that we have not started on this connection.
+
+        A host before us did, with settings that nobody knows.
+        """
+        measurement = measurement_of(data)
+        return measurement not in self._running and measurement in _MEASUREMENTS
 
     def frame(self, data: bytes, arrival_s: float) -> None:
         """Emit what a frame holds; a frame that makes no sense is counted and dropped.
@@ -124,7 +137,9 @@ class PolarEmitter:
             self._sink.restart_clock()
         self._clock_runs, self._last = True, (stamp_s, arrival_s)
         key = (header.measurement, header.frame_type)
-        timeline = self._timelines.setdefault(key, FrameTimeline(self._rates[measurement]))
+        timeline = self._timelines.get(key)
+        if timeline is None:
+            timeline = self._timelines[key] = FrameTimeline(self._rates[measurement])
         placed = timeline.place(header.timestamp_ns, len(samples), arrival_s)
         name = DATA_NAMES[measurement]
         if placed.steps_back:

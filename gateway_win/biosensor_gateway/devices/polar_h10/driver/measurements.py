@@ -87,7 +87,7 @@ class Measurements:
             raise ProtocolError(ProtocolReason.REFUSED, f"{message}; take it off for a minute")
         _log.warning(message)
 
-    def runs(self, measurement: int | None) -> bool:
+    def runs(self, measurement: int) -> bool:
         """Whether a measurement is one that we started."""
         return measurement in self._running
 

@@ -27,7 +27,7 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     Stopped,
     parse_indication,
 )
-from biosensor_gateway.devices.polar_h10.driver.protocol.frames import DATA, measurement_of
+from biosensor_gateway.devices.polar_h10.driver.protocol.frames import DATA
 from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.ble_errors import AttError
 from biosensor_gateway.transports.nearby import Advertisement
@@ -37,7 +37,6 @@ GOODBYE_LIMIT_S = 0.45
 _NOT_PAIRED = frozenset({0x05, 0x0F})
 """ATT errors "insufficient authentication" and "insufficient encryption"."""
 _UNLIKELY_ERROR = 0x0E
-_MEASUREMENTS = frozenset(Measurement)
 
 _log = structlog.get_logger("biosensor_gateway.polar_h10")
 
@@ -177,12 +176,9 @@ class PolarSession:
 
     async def _receive(self) -> Sequence[Notification]:
         notification = await self._link.next()
-        if notification.uuid == DATA:
-            measurement = measurement_of(notification.data)
-            if not self._measurements.runs(measurement) and measurement in _MEASUREMENTS:
-                # Started by a host before us, with settings that nobody knows.
-                return ()
-        return (notification,)
+        # Now, not when it is emitted: the measurement may be started anew meanwhile.
+        is_foreign = notification.uuid == DATA and self._emitter.is_foreign(notification.data)
+        return () if is_foreign else (notification,)
 
     def _take(self, found: Sequence[Notification]) -> None:
         for notification in found:
