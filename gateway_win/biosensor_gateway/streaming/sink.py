@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
-import structlog
 from numpy.typing import ArrayLike
 
 from biosensor_common.clocks import MonotonicStamps
@@ -20,11 +18,10 @@ from biosensor_gateway.streaming.outlets import MAX_STAMP_ERROR_S, DeviceOutlets
 from biosensor_gateway.streaming.pause_gate import PauseGate
 from biosensor_gateway.streaming.silence import Silence, StreamWatch
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
+from biosensor_gateway.system.device_log import DeviceLog, Once
 
 DEVICE_RESTARTED = "device_restarted"
 """Cause of a re-anchor that a driver asks for."""
-
-_log = structlog.get_logger("biosensor_gateway.sink")
 
 
 class DeviceSink:
@@ -59,7 +56,8 @@ class DeviceSink:
         self._clock = DeviceClock()
         self._outlets = DeviceOutlets(identity, spec, clock)
         self._stamps: defaultdict[str, MonotonicStamps] = defaultdict(MonotonicStamps)
-        self._refusals: set[tuple[str, str]] = set()
+        self._log = DeviceLog("biosensor_gateway.sink", identity)
+        self._is_new = Once()
         self._gate = PauseGate()
         self._newest: dict[str, float] = {}
         self._steps: dict[str, tuple[float, float]] = {}
@@ -153,9 +151,8 @@ class DeviceSink:
         """Take in the device time of a packet's last sample and its LSL time of arrival."""
         jump = self._clock.observe(device_s, arrival_s)
         if jump is not None:
-            _log.warning(
+            self._log.warning(
                 "the device's clock jumped; its stamps are re-anchored",
-                **self._names(),
                 cause=jump.reason.value,
                 seconds=round(jump.size_s, 3),
             )
@@ -205,10 +202,9 @@ class DeviceSink:
         refusal = self._outlets[data_name].push(samples, stamps)
         if refusal is None:
             self._tell_sampled(data_name, samples, stamps)
-        elif (data_name, refusal) not in self._refusals:
+        elif self._is_new(data_name, refusal):
             # Once per cause: the counter tells how often.
-            self._refusals.add((data_name, refusal))
-            _log.error("samples were refused", **self._names(), data=data_name, cause=refusal)
+            self._log.error("samples were refused", data=data_name, cause=refusal)
 
     def emit_value(self, data_name: str, value: float | None, device_s: float) -> None:
         """Push one value of a one-channel stream; None is "no value", which sends nothing."""
@@ -269,9 +265,6 @@ class DeviceSink:
     def _tell_sampled(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
         if self.observer is not None and len(stamps):
             self.observer.sampled(data_name, samples, stamps)
-
-    def _names(self) -> dict[str, Any]:
-        return {"sensor": self.identity.sensor, "unit": self.identity.unit}
 
 
 def _differences(before: DeviceInfo, after: DeviceInfo) -> dict[str, tuple[object, object]]:

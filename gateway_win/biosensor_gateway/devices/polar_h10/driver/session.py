@@ -83,7 +83,7 @@ class PolarSession:
         if self._link.has(CONTROL_POINT):
             await self._start_measurements()
         elif self._link.has(HEART_RATE_MEASUREMENT):
-            self._emitter.tell_once(
+            self._emitter.log.warn_once(
                 "heart rate and intervals only: the firmware has no PMD service; "
                 "update it with Polar Flow",
                 firmware=info.firmware_version,
@@ -167,7 +167,9 @@ class PolarSession:
         missing = [each.measurement for each in self._wanted if each.measurement not in offered]
         if missing:
             names = [measurement.name.lower() for measurement in missing]
-            self._emitter.tell_once("the device cannot measure all that is wanted", missing=names)
+            self._emitter.log.warn_once(
+                "the device cannot measure all that is wanted", missing=names
+            )
         wanted = [each for each in self._wanted if each.measurement in offered]
         if Measurement.PULSE_INTERVALS in offered:
             # Optical sensors have no intervals in their heart rate measurement.

@@ -6,7 +6,6 @@ import asyncio
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
-import structlog
 from pydantic import Field
 
 from biosensor_common.errors import (
@@ -45,8 +44,6 @@ RESTART_LIMIT_S = 2.0
 GOODBYE_LIMIT_S = 0.4
 STATUS_PERIOD_S = 60.0
 PATIENCE_S = 2.0
-
-_log = structlog.get_logger("biosensor_gateway.vernier")
 
 
 class VernierSettings(DeviceSettings):
@@ -167,16 +164,13 @@ class VernierDriver:
                 answer = await belt.ask(protocol.GET_STATUS)
             except ProtocolError as error:
                 # The measurements may go on all the same.
-                _log.warning(str(error), **self._names())
+                self._emitter.log.warning(str(error))
             else:
                 self._take_status(replies.parse_status(answer.payload), answer.arrival_s)
 
     def _take_status(self, status: replies.Status | None, arrival_s: float) -> None:
         if status is not None:
             self._emitter.take_status(status, arrival_s)
-
-    def _names(self) -> dict[str, str]:
-        return {"sensor": self._sink.identity.sensor, "unit": self._sink.identity.unit}
 
 
 async def _wake(belt: Conversation) -> None:
