@@ -1,4 +1,4 @@
-"""Unwraps counters, spreads packets evenly over time, keeps stamps from running back.
+"""Follows packet numbers, spreads packets evenly over time, keeps stamps from running back.
 
 The other clock arithmetic: `biosensor_common.device_clock` maps a device's clock to
 the LSL clock, `biosensor_common.ros_clock` the LSL clock to ROS time. None of it
@@ -18,79 +18,67 @@ MONOTONIC_STEP_S = 1e-6
 """Survives a float of any LSL clock and the rounding to ROS nanoseconds."""
 
 
-def lost_packets(previous: int, current: int, modulus: int) -> int:
-    """Count the packets missing between two sequence numbers.
+class PacketTimeline:
+    """Follows the numbers that a device gives its packets, over roll-overs and gaps.
+
+    A number hides whole turns, so time has to say about how far it should have come: of the
+    steps that the number allows, the one nearest to that is taken.
 
     Parameters
     ----------
-    previous, current : int
-        Sequence numbers of two packets received one after the other.
     modulus : int
-        Number of different sequence numbers: 256 for one byte.
+        Number of different numbers: 256 for one byte.
 
-    Returns
-    -------
-    int
-        0 to ``modulus - 1``. Whole cycles are invisible, and a repeated number
-        counts as ``modulus - 1``: drop duplicates first.
-
-    Raises
-    ------
-    ValueError
-        If a sequence number is outside ``0 .. modulus - 1``.
-    """
-    for number in (previous, current):
-        if not 0 <= number < modulus:
-            raise ValueError(f"sequence number {number} is outside 0..{modulus - 1}")
-    return (current - previous - 1) % modulus
-
-
-class CounterUnwrapper:
-    """Turns a counter of a few bits into one that never wraps.
-
-    A value up to 1/16 of the range behind the newest is a late packet: it gets its
-    own earlier count, and the newest stays. Anything else is ahead, so gaps of up
-    to 15/16 of the range are bridged. Longer gaps cannot be seen in the counter.
-
-    Parameters
+    Attributes
     ----------
-    bits : int
-        Width of the counter, at least 1.
-
-    Raises
-    ------
-    ValueError
-        If `bits` is less than 1.
+    newest : int or None
+        Count of the newest packet, without roll-overs; None before the first.
     """
 
-    def __init__(self, bits: int) -> None:
-        if bits < 1:
-            raise ValueError(f"a counter has at least one bit, not {bits}")
-        self._modulus = 1 << bits
-        self._newest: int | None = None
+    def __init__(self, modulus: int) -> None:
+        self._modulus = modulus
+        self.newest: int | None = None
 
-    def unwrap(self, value: int) -> int:
-        """Return the count without wraps; the first value is returned as it is.
+    def steps(self, number: int, expected: float = 1.0, least: int | None = 1) -> int | None:
+        """Return how many numbers a packet is behind the newest one: 1 if nothing is missing.
+
+        Parameters
+        ----------
+        number : int
+            The packet's number.
+        expected : float
+            How many it should be, by time.
+        least : int or None
+            The smallest possible; None if a packet may come late, or twice.
+
+        Returns
+        -------
+        int or None
+            None before the first packet.
 
         Raises
         ------
         ValueError
-            If `value` does not fit the counter's bits.
+            If `number` is outside ``0 .. modulus - 1``.
         """
-        if not 0 <= value < self._modulus:
-            raise ValueError(f"counter value {value} is outside 0..{self._modulus - 1}")
-        if self._newest is None:
-            self._newest = value
-            return value
-        behind = (self._newest - value) % self._modulus
-        if behind <= self._modulus // 16:
-            return self._newest - behind
-        self._newest += self._modulus - behind
-        return self._newest
+        if not 0 <= number < self._modulus:
+            raise ValueError(f"packet number {number} is outside 0..{self._modulus - 1}")
+        if self.newest is None:
+            return None
+        base = least or 0
+        steps = base + (number - self.newest - base) % self._modulus
+        turns = round((expected - steps) / self._modulus)
+        return steps + (turns if least is None else max(0, turns)) * self._modulus
 
-    def reset(self) -> None:
-        """Forget the past, as after a restart of the counter."""
-        self._newest = None
+    def place(self, number: int, expected: float = 1.0, least: int | None = 1) -> int | None:
+        """Do the same, and take the packet for the newest one."""
+        steps = self.steps(number, expected, least)
+        self.newest = number if self.newest is None or steps is None else self.newest + steps
+        return steps
+
+    def forget(self) -> None:
+        """Begin anew with the next packet."""
+        self.newest = None
 
 
 class SampleTimeline:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, unique
 
@@ -185,10 +186,14 @@ class DeviceClock:
         RuntimeError
             Before the first observation, also after `restart`.
         """
-        _require_readings(device_s)
-        if self._envelope is None:
+        return self.all_to_lsl([device_s])[0]
+
+    def all_to_lsl(self, device_times: Sequence[float]) -> list[float]:
+        """Do the same for the times of many samples; for none, nothing need be observed."""
+        _require_readings(*device_times)
+        if device_times and self._envelope is None:
             raise RuntimeError("a device clock maps nothing before its first observation")
-        return self._lsl_origin + self._mapping.at(device_s - self._device_origin)
+        return self._mapping.all_at(device_times, self._device_origin, self._lsl_origin)
 
     @property
     def state(self) -> ClockState:
@@ -280,8 +285,17 @@ class _SlewedMapping:
         self._rates = [rate, rate]
 
     def at(self, x: float) -> float:
-        piece = max(bisect_right(self._starts, x) - 1, 0)
-        return self._values[piece] + self._rates[piece] * (x - self._starts[piece])
+        return self.all_at([x])[0]
+
+    def all_at(self, times: Sequence[float], x0: float = 0.0, y0: float = 0.0) -> list[float]:
+        """Map times that count from `x0`, to such that count from `y0`."""
+        starts, values, rates = self._starts, self._values, self._rates
+        mapped: list[float] = []
+        for time in times:
+            x = time - x0
+            piece = max(bisect_right(starts, x) - 1, 0)
+            mapped.append(y0 + (values[piece] + rates[piece] * (x - starts[piece])))
+        return mapped
 
     def advance(self, x: float, target: LowerEnvelope) -> None:
         """Fix the map up to `x`, on the way to the target line."""

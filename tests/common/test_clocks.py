@@ -1,4 +1,4 @@
-"""Counters, timelines of regular samples, monotonic stamps."""
+"""Packet numbers, timelines of regular samples, monotonic stamps."""
 
 from __future__ import annotations
 
@@ -11,81 +11,76 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_common.clocks import (
-    CounterUnwrapper,
-    MonotonicStamps,
-    SampleTimeline,
-    lost_packets,
-)
+from biosensor_common.clocks import MonotonicStamps, PacketTimeline, SampleTimeline
 
 ECG_PERIOD_S = 0.004
 ECG_SAMPLES = 63
 ECG_PACKET_S = ECG_PERIOD_S * ECG_SAMPLES
 
 
+def timeline_at(number: int, modulus: int = 256) -> PacketTimeline:
+    timeline = PacketTimeline(modulus)
+    assert timeline.place(number) is None
+    return timeline
+
+
 @pytest.mark.parametrize(
     ("previous", "current", "lost"),
     [(0, 1, 0), (255, 0, 0), (254, 1, 2), (10, 14, 3), (7, 7, 255)],
 )
-def test_lost_packets(previous: int, current: int, lost: int) -> None:
-    assert lost_packets(previous, current, 256) == lost
+def test_numbers_tell_lost_packets(previous: int, current: int, lost: int) -> None:
+    assert timeline_at(previous).steps(current) == lost + 1
 
 
-@pytest.mark.parametrize(("previous", "current"), [(256, 0), (0, 256), (-1, 0)])
-def test_lost_packets_refuses_impossible_numbers(previous: int, current: int) -> None:
+@pytest.mark.parametrize("number", [256, -1])
+def test_numbers_that_cannot_be_are_refused(number: int) -> None:
     with pytest.raises(ValueError, match="outside"):
-        lost_packets(previous, current, 256)
+        PacketTimeline(256).steps(number)
 
 
 @given(
     st.integers(1, 32).flatmap(
         lambda bits: st.tuples(
-            st.just(bits),
-            st.integers(0, 2**40),
-            st.lists(st.integers(0, (1 << bits) - (1 << bits) // 16 - 1)),
+            st.just(1 << bits), st.integers(0, 2**40), st.lists(st.integers(1, 2**40))
         )
-    )
+    ),
+    st.floats(-0.49, 0.49),
 )
-def test_unwrapping_restores_the_counts(case: tuple[int, int, list[int]]) -> None:
-    bits, start, steps = case
-    unwrapper = CounterUnwrapper(bits)
-    count = start
-    first = unwrapper.unwrap(count % (1 << bits))
-    for step in steps:
-        count += step
-        assert unwrapper.unwrap(count % (1 << bits)) - first == count - start
+def test_numbers_and_time_restore_the_counts_over_any_gap(
+    case: tuple[int, int, list[int]], error: float
+) -> None:
+    modulus, start, gaps = case
+    timeline = timeline_at(start % modulus, modulus)
+    first, count = start % modulus, start
+    for gap in gaps:
+        count += gap
+        # Time need not be exact: half a turn either way is enough.
+        assert timeline.place(count % modulus, gap + error * modulus) == gap
+        assert timeline.newest == count - start + first
 
 
-def test_a_late_value_gets_its_own_count_and_the_newest_stays() -> None:
-    unwrapper = CounterUnwrapper(8)
-
-    counts = [unwrapper.unwrap(value) for value in (250, 255, 3, 254, 4)]
-
-    assert counts == [250, 255, 259, 254, 260]
+@pytest.mark.parametrize(("number", "steps"), [(250, 0), (249, -1), (200, -50), (5, 11)])
+def test_a_packet_may_come_late_or_twice(number: int, steps: int) -> None:
+    assert timeline_at(250).steps(number, 1.0, None) == steps
 
 
-def test_a_value_too_far_behind_is_ahead() -> None:
-    unwrapper = CounterUnwrapper(8)
-
-    assert [unwrapper.unwrap(value) for value in (100, 84, 83)] == [100, 84, 339]
-
-
-def test_reset_starts_over() -> None:
-    unwrapper = CounterUnwrapper(8)
-    unwrapper.unwrap(200)
-    unwrapper.unwrap(10)
-
-    unwrapper.reset()
-
-    assert unwrapper.unwrap(5) == 5
+@pytest.mark.parametrize(("number", "steps"), [(5, 261), (0, 256), (255, 511)])
+def test_a_packet_is_no_nearer_than_it_can_be(number: int, steps: int) -> None:
+    assert timeline_at(0).steps(number, 0.0, 256) == steps
 
 
-def test_unwrapper_refuses_what_does_not_fit() -> None:
-    with pytest.raises(ValueError, match="at least one bit"):
-        CounterUnwrapper(0)
-    for value in (-1, 256):
-        with pytest.raises(ValueError, match="outside"):
-            CounterUnwrapper(8).unwrap(value)
+def test_to_look_at_a_packet_changes_nothing() -> None:
+    timeline = timeline_at(200)
+    assert [timeline.steps(201), timeline.steps(202)] == [1, 2]
+    assert timeline.newest == 200
+
+
+def test_a_timeline_that_forgets_begins_anew() -> None:
+    timeline = timeline_at(200)
+    timeline.place(10)
+    timeline.forget()
+    assert timeline.place(5) is None
+    assert timeline.newest == 5
 
 
 @pytest.mark.parametrize("drift_ppm", [-200, 0, 160, 200])

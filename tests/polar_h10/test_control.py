@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import AsyncGenerator, Callable, Sequence
+from contextlib import asynccontextmanager
 from typing import cast
 
 import pytest
@@ -100,9 +101,21 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(control_module, "REPLY_TIMEOUT_S", 0.2)
 
 
-def control_of(link: ScriptedLink) -> tuple[ControlPoint, list[Notification]]:
+@asynccontextmanager
+async def control_of(
+    link: ScriptedLink,
+) -> AsyncGenerator[tuple[ControlPoint, list[Notification]]]:
     passed_on: list[Notification] = []
-    return ControlPoint(cast("BleLink", link), passed_on.append), passed_on
+
+    async def receive() -> list[Notification]:
+        return [await link.next()]
+
+    control = ControlPoint(cast("BleLink", link), receive)
+    control.dialogue.begin()
+    streaming = asyncio.create_task(control.dialogue.stream(passed_on.extend))
+    yield control, passed_on
+    streaming.cancel()
+    await control.dialogue.close()
 
 
 def driver_of(*links: ScriptedLink) -> PolarH10Driver:
@@ -119,36 +132,57 @@ def driver_of(*links: ScriptedLink) -> PolarH10Driver:
 
 
 async def test_a_reply_may_come_in_several_packets() -> None:
-    control, _ = control_of(ScriptedLink(["f0010200 01 00 02 1900", "f0010200 00 3200"]))
-    reply = await control.request(ASK)
+    link = ScriptedLink(["f0010200 01 00 02 1900", "f0010200 00 3200"])
+    async with control_of(link) as (control, _):
+        reply = await control.request(ASK)
     assert parse_settings(reply.parameters) == {Setting.SAMPLE_RATE: (25, 50)}
     assert not reply.more
 
 
 async def test_only_the_reply_to_the_command_is_taken() -> None:
     foreign = ["0f05000000", "f0010000000001 8200", "f0020200", "0102", "", "f0"]
-    control, passed_on = control_of(ScriptedLink([*foreign, RATES]))
-    reply = await control.request(ASK)
+    async with control_of(ScriptedLink([*foreign, RATES])) as (control, passed_on):
+        reply = await control.request(ASK)
     assert parse_settings(reply.parameters) == {Setting.SAMPLE_RATE: (25, 50, 100, 200)}
-    assert [each.data for each in passed_on] == [bytes.fromhex(text) for text in foreign]
+    assert [each.data for each in passed_on[:-1]] == [bytes.fromhex(text) for text in foreign]
 
 
 async def test_data_that_come_before_the_reply_are_passed_on() -> None:
     link = ScriptedLink([RATES])
-    control, passed_on = control_of(link)
-    link.say(DATA, "00" * 13)
-    await control.request(ASK)
-    assert [(each.uuid, len(each.data)) for each in passed_on] == [(DATA, 13)]
+    async with control_of(link) as (control, passed_on):
+        link.say(DATA, "00" * 13)
+        await control.request(ASK)
+    first, _ = passed_on
+    assert (first.uuid, len(first.data)) == (DATA, 13)
 
 
 async def test_a_late_reply_does_not_answer_for_the_next_command() -> None:
     link = ScriptedLink([], [RATES])
-    control, _ = control_of(link)
-    with pytest.raises(ProtocolError) as caught:
-        await control.request(ASK)
-    assert caught.value.reason is ProtocolReason.NO_REPLY
-    link.say(CONTROL_POINT, "f0010206")
-    assert (await control.request(ASK)).status == 0
+    async with control_of(link) as (control, _):
+        with pytest.raises(ProtocolError) as caught:
+            await control.request(ASK)
+        assert caught.value.reason is ProtocolReason.NO_REPLY
+        link.say(CONTROL_POINT, "f0010206")
+        assert (await control.request(ASK)).status == 0
+
+
+async def test_what_a_reply_changes_holds_for_the_data_behind_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    link = ScriptedLink([RATES])
+    async with control_of(link) as (control, passed_on):
+        before: list[int] = []
+
+        async def write(uuid: str, data: bytes) -> None:
+            del uuid, data
+            link.say(DATA, "00" * 13)
+            link.say(CONTROL_POINT, RATES)
+            link.say(DATA, "01" * 13)
+
+        monkeypatch.setattr(link, "write", write)
+        await control.request(ASK, lambda _: before.append(len(passed_on)))
+    assert before == [1]
+    assert [each.uuid for each in passed_on] == [DATA, CONTROL_POINT, DATA]
 
 
 STARTED = (["f0010000 00 00 01 8200 01 01 0e00"], ["f0020000 00"])

@@ -78,9 +78,9 @@ class Talk:
     def __init__(self, script: Script) -> None:
         self.link = ScriptedLink(script)
         self.heard: list[Stamped] = []
-        self.conversation = Conversation("COM7", self.link, self._hear)
+        self.conversation = Conversation("COM7", self.link)
 
-    def _hear(self, found: Sequence[Stamped]) -> None:
+    def hear(self, found: Sequence[Stamped]) -> None:
         self.heard += found
 
     @property
@@ -92,7 +92,10 @@ class Talk:
 async def talking(script: Script) -> AsyncGenerator[Talk]:
     talk = Talk(script)
     await talk.conversation.open()
+    streaming = asyncio.create_task(talk.conversation.stream(talk.hear))
     yield talk
+    streaming.cancel()
+    await asyncio.wait({streaming})
     await talk.conversation.close()
     assert talk.link.closed
     assert talk.link.written[-1] == commands.STOP_STREAMING
@@ -236,7 +239,7 @@ async def test_a_cut_ends_a_question_and_all_that_follow() -> None:
                 await talk.conversation.ask(commands.GET_HARDWARE, Hardware)
             assert caught.value.reason is TransportReason.LOST
         with pytest.raises(TransportError):
-            await talk.conversation.ended()
+            await talk.conversation.stream(talk.hear)
     assert talk.asked.count(commands.GET_HARDWARE) == 1
 
 

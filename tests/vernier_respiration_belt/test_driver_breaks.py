@@ -134,7 +134,7 @@ async def test_garbage_costs_no_sample(belt: SimulatedBelt) -> None:
 async def test_a_link_lost_while_asking_is_one_loss(
     belt: SimulatedBelt, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(driver_module, "STATUS_PERIOD_S", 0.0)
+    monkeypatch.setattr(driver_module, "STATUS_PERIOD_S", 0.001)
     async with streaming(belt) as run:
         await until(run.sink.has(5, "force"))
         belt.apply(Fault(FaultKind.DROP, 0.5))

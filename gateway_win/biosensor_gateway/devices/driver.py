@@ -8,10 +8,10 @@ from typing import NamedTuple, Protocol, TypeVar, runtime_checkable
 
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.discovery import Found
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.settings.secrets import SecretName
 from biosensor_gateway.streaming.silence import PATIENCE_S
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 _Settings = TypeVar("_Settings", bound=DeviceSettings)
@@ -129,7 +129,7 @@ class DriverEntry(NamedTuple):
     """
 
     settings: type[DeviceSettings]
-    make: Callable[[DeviceSettings, DeviceSink], Callable[[], Driver]]
+    make: Callable[[DeviceSettings, Sink], Callable[[], Driver]]
     recognise: Callable[[Advertisement | SerialPort], Found | None] | None = None
     find: Callable[[Sequence[DeviceSettings]], Awaitable[Sequence[Found]]] | None = None
     secrets: tuple[SecretName, ...] = ()

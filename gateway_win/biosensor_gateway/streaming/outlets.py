@@ -74,6 +74,9 @@ class Outlet:
         self._clock = clock
         self.stream = stream
         self.nominal_rate = stream.rate
+        self._is_regular, self._is_float = stream.is_regular, stream.format.is_float
+        single = stream.format is ChannelFormat.FLOAT32
+        self._largest = np.finfo(np.float32 if single else np.float64).max
         self.source_id = naming.source_id(identity, stream.data_name)
         self.name = naming.lsl_name(identity, stream.data_name)
         self.counters = Counters()
@@ -119,11 +122,12 @@ class Outlet:
         if len(stamps):
             dtype = _DTYPES[self.stream.format]
             data = np.ascontiguousarray(values, dtype=dtype)
-            if not self._has_audience():
+            if self._waits and not self._has_audience():
                 self._waiting.extend(zip(data, stamps, strict=True))
                 self.counters.waited += len(stamps)
                 return None
-            self.release()
+            if self._waiting:
+                self.release()
             self._outlet.push_chunk(data, list(stamps))
             self._count(stamps)
         return None
@@ -178,26 +182,22 @@ class Outlet:
         return self._stamp_fault(stamps) or self._value_fault(values)
 
     def _stamp_fault(self, stamps: Sequence[float]) -> str | None:
-        if not _is_sorted([self.counters.last_stamp, *stamps]):
+        neighbours = pairwise([self.counters.last_stamp, *stamps])
+        if not all(math.isfinite(b) and a <= b for a, b in neighbours):
             return "stamps run backwards"
         now = self._clock()
         if max(abs(stamps[0] - now), abs(stamps[-1] - now)) > MAX_STAMP_ERROR_S:
             return "stamps are not on the LSL clock"
         return None
 
-    def _is_too_large(self, values: NDArray[np.float64]) -> bool:
-        """Whether a value is infinite, or would become so in the stream's format."""
-        single = self.stream.format is ChannelFormat.FLOAT32
-        largest = np.finfo(np.float32 if single else np.float64).max
-        return bool((np.abs(values) > largest).any())
-
     def _value_fault(self, values: NDArray[np.float64]) -> str | None:
         missing = np.isnan(values)
-        if self._is_too_large(values):
+        # A value may become infinite in the stream's format.
+        if (np.abs(values) > self._largest).any():
             return "infinite values"
-        if not self.stream.is_regular and missing.all(axis=1).any():
+        if not self._is_regular and missing.all(axis=1).any():
             return "no value in an irregular stream"
-        if self.stream.format.is_float:
+        if self._is_float:
             return None
         if missing.any():
             return "no value in an integer stream"
@@ -206,10 +206,6 @@ class Outlet:
         if (values < low).any() or (values > high).any():
             return f"values outside {low}..{high}"
         return None
-
-
-def _is_sorted(stamps: Sequence[float]) -> bool:
-    return all(math.isfinite(b) and a <= b for a, b in pairwise(stamps))
 
 
 def _append(parent: pylsl.XMLElement, element: Element) -> None:

@@ -2,67 +2,26 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Any, Protocol
 
 import numpy as np
-import structlog
 from numpy.typing import ArrayLike
 
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.device_clock import ClockState, DeviceClock
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, SensorSpec
 from biosensor_gateway.streaming.counters import Counters
+from biosensor_gateway.streaming.observer import SinkObserver
 from biosensor_gateway.streaming.outlets import MAX_STAMP_ERROR_S, DeviceOutlets
 from biosensor_gateway.streaming.pause_gate import PauseGate
 from biosensor_gateway.streaming.silence import Silence, StreamWatch
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
+from biosensor_gateway.system.device_log import DeviceLog, Once
 
 DEVICE_RESTARTED = "device_restarted"
 """Cause of a re-anchor that a driver asks for."""
-
-_log = structlog.get_logger("biosensor_gateway.sink")
-
-
-class SinkObserver(Protocol):
-    """Is told what happens to a device's samples; must neither raise nor wait.
-
-    Of a paused device it hears nothing that was measured. All times are LSL times in
-    seconds.
-    """
-
-    def connected(self, info: DeviceInfo, changes: Mapping[str, tuple[object, object]]) -> None:
-        """Note a connection, and what differs from the one before: before and after, by name."""
-        ...
-
-    def sampled(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
-        """Note samples that were sent; of text there are stamps only."""
-        ...
-
-    def lost(self, data_name: str, count: int, since_s: float) -> None:
-        """Note samples that are missing behind the one of `since_s`."""
-        ...
-
-    def reanchored(self, cause: str, size_s: float | None) -> None:
-        """Note that the device's clock is mapped anew; None if how far it jumped is unknown."""
-        ...
-
-    def fell_silent(self, silence: Silence) -> None:
-        """Note streams that are due and do not come, and what is done about it."""
-        ...
-
-    def came_back(self, streams: frozenset[str]) -> None:
-        """Note that silent streams are heard again."""
-        ...
-
-    def paused(self) -> None:
-        """Note that nothing is sent from now on."""
-        ...
-
-    def resumed(self, send_from_s: float) -> None:
-        """Note that what is measured from then on is sent again."""
-        ...
 
 
 class DeviceSink:
@@ -96,8 +55,9 @@ class DeviceSink:
         self.silent: frozenset[str] = frozenset()
         self._clock = DeviceClock()
         self._outlets = DeviceOutlets(identity, spec, clock)
-        self._stamps: dict[str, MonotonicStamps] = {}
-        self._refusals: set[tuple[str, str]] = set()
+        self._stamps: defaultdict[str, MonotonicStamps] = defaultdict(MonotonicStamps)
+        self._log = DeviceLog("biosensor_gateway.sink", identity)
+        self._is_new = Once()
         self._gate = PauseGate()
         self._newest: dict[str, float] = {}
         self._steps: dict[str, tuple[float, float]] = {}
@@ -168,6 +128,15 @@ class DeviceSink:
         """
         self.watch.heard(*data_names)
 
+    def excuse(self, *data_names: str) -> None:
+        """Expect nothing of these streams until they are heard again: there is a reason."""
+        self.watch.excuse(data_names)
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether a stream was enabled again, and has not been heard since."""
+        return self.watch.is_waiting
+
     def tell_silent(self, silence: Silence) -> None:
         """Tell the observer of streams that are due and do not come."""
         if self.observer is not None:
@@ -182,9 +151,8 @@ class DeviceSink:
         """Take in the device time of a packet's last sample and its LSL time of arrival."""
         jump = self._clock.observe(device_s, arrival_s)
         if jump is not None:
-            _log.warning(
+            self._log.warning(
                 "the device's clock jumped; its stamps are re-anchored",
-                **self._names(),
                 cause=jump.reason.value,
                 seconds=round(jump.size_s, 3),
             )
@@ -211,7 +179,7 @@ class DeviceSink:
         device_times : sequence of float, length n_samples
             Device clock of each sample in seconds.
         """
-        self.emit_at(data_name, samples, [self._clock.to_lsl(time) for time in device_times])
+        self.emit_at(data_name, samples, self._clock.all_to_lsl(device_times))
 
     def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
         """Push samples that the device does not stamp, with times on the LSL clock already.
@@ -224,20 +192,19 @@ class DeviceSink:
             LSL clock at each sample, as near as can be told, in seconds.
         """
         if len(lsl_times):
-            self.heard(data_name)
+            self.watch.heard(data_name)
         samples, stamps = self._sendable(data_name, samples, lsl_times)
         if len(lsl_times) and not len(stamps):
             return
         if max(stamps, default=0.0) < self.clock() + MAX_STAMP_ERROR_S:
             # One from the future is refused; guarded, it would push all later ones there, too.
-            stamps = self._guarded(data_name, stamps)
+            stamps = self._stamps[data_name].apply(stamps)
         refusal = self._outlets[data_name].push(samples, stamps)
         if refusal is None:
             self._tell_sampled(data_name, samples, stamps)
-        elif (data_name, refusal) not in self._refusals:
+        elif self._is_new(data_name, refusal):
             # Once per cause: the counter tells how often.
-            self._refusals.add((data_name, refusal))
-            _log.error("samples were refused", **self._names(), data=data_name, cause=refusal)
+            self._log.error("samples were refused", data=data_name, cause=refusal)
 
     def emit_value(self, data_name: str, value: float | None, device_s: float) -> None:
         """Push one value of a one-channel stream; None is "no value", which sends nothing."""
@@ -248,7 +215,7 @@ class DeviceSink:
         """Push one string sample measured at a time of the device's clock."""
         self.heard(data_name)
         _, stamps = self._sendable(data_name, [0.0], [self._clock.to_lsl(device_s)])
-        for stamp in self._guarded(data_name, stamps):
+        for stamp in self._stamps[data_name].apply(stamps):
             self._outlets[data_name].push_text(text, stamp)
             self._tell_sampled(data_name, (), [stamp])
 
@@ -298,12 +265,6 @@ class DeviceSink:
     def _tell_sampled(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
         if self.observer is not None and len(stamps):
             self.observer.sampled(data_name, samples, stamps)
-
-    def _guarded(self, data_name: str, stamps: Sequence[float]) -> list[float]:
-        return self._stamps.setdefault(data_name, MonotonicStamps()).apply(stamps)
-
-    def _names(self) -> dict[str, Any]:
-        return {"sensor": self.identity.sensor, "unit": self.identity.unit}
 
 
 def _differences(before: DeviceInfo, after: DeviceInfo) -> dict[str, tuple[object, object]]:

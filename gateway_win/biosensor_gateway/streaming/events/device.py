@@ -17,7 +17,7 @@ from biosensor_gateway.streaming.sink import DeviceSink
 
 
 class DeviceEvents:
-    """Observes one device; see :class:`~biosensor_gateway.streaming.sink.SinkObserver`.
+    """Observes one device; see :class:`~biosensor_gateway.streaming.observer.SinkObserver`.
 
     Gaps are followed only while the device is not paused.
 

@@ -18,8 +18,8 @@ from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
 from biosensor_gateway.devices.ble_heart_rate.driver.protocol import HEART_RATE_MEASUREMENT
 from biosensor_gateway.devices.ble_heart_rate.driver.strap import DUE, Strap
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.nearby import Advertisement
@@ -86,7 +86,7 @@ class HeartRateStrapDriver:
             self._strap.take(await self._link.next())
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], HeartRateStrapDriver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], HeartRateStrapDriver]:
     """Share emitter and choice of the device between all connections."""
     own = own_settings(HeartRateStrapSettings, settings)
     emitter = StrapEmitter(sink)

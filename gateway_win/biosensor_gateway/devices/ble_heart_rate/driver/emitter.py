@@ -8,7 +8,7 @@ from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
     parse_battery_level,
     parse_measurement,
 )
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.devices.sink import Sink
 
 NO_INTERVAL_LIMIT_S = 5.0
 """A heart that beats makes an interval within this time."""
@@ -27,7 +27,7 @@ class StrapEmitter:
         measurement are passed over.
     """
 
-    def __init__(self, sink: DeviceSink) -> None:
+    def __init__(self, sink: Sink) -> None:
         self._sink = sink
         self._beats = BeatClock()
         self._sends_intervals = False
@@ -59,7 +59,7 @@ class StrapEmitter:
         in_contact = self._in_contact(measured, arrival_s)
         if not in_contact:
             # Some stop measuring while nobody wears them.
-            self._sink.watch.excuse(("hr",))
+            self._sink.excuse("hr")
         self._sink.emit_at("quality", [[float(in_contact)]], [arrival_s])
 
     def battery(self, data: bytes, arrival_s: float) -> None:

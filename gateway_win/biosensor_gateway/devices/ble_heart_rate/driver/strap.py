@@ -61,15 +61,12 @@ class Strap:
             await self._link.subscribe(HEART_RATE_MEASUREMENT)
         return info
 
-    def take(self, notification: Notification) -> bool:
-        """Emit what a notification holds; return whether it was one of the strap's."""
+    def take(self, notification: Notification) -> None:
+        """Emit what a notification holds; one that is not the strap's is passed over."""
         if notification.uuid == HEART_RATE_MEASUREMENT:
             self._emitter.measurement(notification.data, notification.arrival)
         elif notification.uuid == BATTERY_LEVEL:
             self._emitter.battery(notification.data, notification.arrival)
-        else:
-            return False
-        return True
 
     async def watch_battery(self) -> None:
         """Emit the battery's level now, and then as often as the device notifies or 5 min pass.

@@ -20,6 +20,7 @@ from biosensor_gateway.devices.emotiv_insight.driver.cortex import CortexClient,
 from biosensor_gateway.devices.emotiv_insight.driver.messages import Warned
 from biosensor_gateway.devices.emotiv_insight.driver.waiting import until
 from biosensor_gateway.settings.secrets import Secret, SecretName, find_secret
+from biosensor_gateway.system.device_log import Once
 from biosensor_gateway.transports.threads import in_daemon_thread
 
 PATIENCE_S = 60.0
@@ -85,7 +86,7 @@ class Account:
         self._token: Secret | None = None
         self._credentials: Credentials | None = None
         self._authorizing = asyncio.Lock()
-        self._said: set[str] = set()
+        self._is_new = Once()
 
     async def sign_in(self, client: CortexClient, patience_s: float) -> None:
         """Wait for a user and the user's approval, and get a token.
@@ -140,9 +141,7 @@ class Account:
 
     def say_once(self, sentence: str, **details: object) -> None:
         """Log a sentence, the first time with these details for this device."""
-        key = f"{sentence} {details}"
-        if key not in self._said:
-            self._said.add(key)
+        if self._is_new(sentence, str(details)):
             _log.warning(sentence, **details)
 
     async def _call_patiently(

@@ -33,8 +33,8 @@ from biosensor_gateway.devices.emotiv_insight.driver.protocol import Decoder
 from biosensor_gateway.devices.emotiv_insight.driver.results import Headset, Subscription
 from biosensor_gateway.devices.emotiv_insight.driver.session import Session, open_session
 from biosensor_gateway.devices.emotiv_insight.driver.settings import EmotivInsightSettings
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.websocket import WebSocketLink
 
 PATIENCE_S = 10.0
@@ -55,7 +55,7 @@ class EmotivInsightDriver:
     def __init__(
         self,
         settings: EmotivInsightSettings,
-        sink: DeviceSink,
+        sink: Sink,
         emitter: EmotivEmitter,
         account: Account,
     ) -> None:
@@ -196,7 +196,7 @@ def _has_gyroscope(subscription: Subscription) -> bool:
     return motion is not None and not motion.labels.isdisjoint(GYROSCOPE)
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], EmotivInsightDriver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], EmotivInsightDriver]:
     """Share token and emitter between all connections."""
     own = own_settings(EmotivInsightSettings, settings)
     emitter = EmotivEmitter(sink)

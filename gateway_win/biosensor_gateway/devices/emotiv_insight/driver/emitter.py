@@ -10,7 +10,7 @@ import structlog
 from biosensor_gateway.devices.emotiv_insight.declaration import SPEC
 from biosensor_gateway.devices.emotiv_insight.driver.gaps import SampleCount
 from biosensor_gateway.devices.emotiv_insight.driver.protocol import Sample
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.devices.sink import Sink
 
 _log = structlog.get_logger("biosensor_gateway.emotiv_insight")
 
@@ -47,7 +47,7 @@ class EmotivEmitter:
     declaration does not have is left out. EEG keeps its offset of about 4200 uV.
     """
 
-    def __init__(self, sink: DeviceSink) -> None:
+    def __init__(self, sink: Sink) -> None:
         self._sink = sink
         self._counts = {
             "eeg": SampleCount(EEG_RATE_HZ),
@@ -115,7 +115,7 @@ class EmotivEmitter:
                 self._emit_known("dev", values, sample.time_s)
                 if sample.numbers.get("OVERALL") == 0:
                     # Nobody wears it: nothing may be left to compute powers from.
-                    self._sink.watch.excuse(("pow",))
+                    self._sink.excuse("pow")
             case _:
                 pass
         if lost:

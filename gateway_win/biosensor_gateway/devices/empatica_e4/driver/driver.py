@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Collection
-from contextlib import suppress
+from collections.abc import Callable, Collection, Sequence
 
 import structlog
 from pydantic import Field
@@ -17,24 +16,22 @@ from biosensor_common.errors import (
 )
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
-from biosensor_gateway.devices.empatica_e4.driver.conversation import Conversation
+from biosensor_gateway.devices.empatica_e4.driver.conversation import Conversation, Heard
 from biosensor_gateway.devices.empatica_e4.driver.discovery import DEFAULT_HOST, DEFAULT_PORT, find
 from biosensor_gateway.devices.empatica_e4.driver.emitter import DATA_NAMES, E4Emitter
 from biosensor_gateway.devices.empatica_e4.driver.messages import (
     Event,
     Malformed,
-    Message,
     RadioEvent,
     Sample,
     Stream,
     Wristband,
 )
 from biosensor_gateway.devices.empatica_e4.driver.protocol import SUBSCRIBED
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 
 PATIENCE_S = 5.0
-LOOK_S = 0.5
 RADIO_GRACE_S = 30.0
 LIST_TIMEOUT_S, BIND_TIMEOUT_S, RADIO_TIMEOUT_S = 3.0, 5.0, 30.0
 DISCOVERABLE_MINUTES = "208"
@@ -69,16 +66,15 @@ class E4Driver:
     # A wristband out of reach is silent for longer than its streams may be.
     silence_limit_s = RADIO_GRACE_S + 10.0
 
-    def __init__(self, settings: E4Settings, sink: DeviceSink, emitter: E4Emitter) -> None:
+    def __init__(self, settings: E4Settings, sink: Sink, emitter: E4Emitter) -> None:
         self._where = f"E4 server {settings.host}:{settings.port}"
         self._wanted = settings.device.lower()
         self._sink = sink
         self._emitter = emitter
         self._talk = Conversation(settings.host, settings.port)
         self._device = ""
-        self._unsubscribed: set[Stream] = set()
-        self._has_asked = asyncio.Event()
-        self._radio_lost_at: float | None = None
+        self._is_given_up = asyncio.Event()
+        self._giving_up: asyncio.TimerHandle | None = None
 
     async def connect(self) -> Connected:
         """Bind this TCP connection to the wristband and subscribe every stream."""
@@ -94,21 +90,22 @@ class E4Driver:
         return Connected(info, refused=names, patience_s=PATIENCE_S)
 
     async def stream(self) -> None:
-        """Pass on samples, and subscribe again to what `enable_again` names."""
-        while True:
-            with suppress(TimeoutError):
-                async with asyncio.timeout(LOOK_S):
-                    self._take(*await self._talk.receive())
-            self._require_radio()
-            if self._unsubscribed:
-                await self._subscribe_again()
-                self._has_asked.set()
+        """Emit what came while connecting, then all that comes."""
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._talk.stream(self._take))
+            tasks.create_task(self._require_radio())
 
     async def enable_again(self, streams: frozenset[str]) -> None:
-        """Have `stream`, which alone can read replies, subscribe to silent streams again."""
-        self._unsubscribed |= {each for each in SUBSCRIBED if DATA_NAMES.get(each) in streams}
-        self._has_asked.clear()
-        await self._has_asked.wait()
+        """Subscribe to silent streams again; see the protocol class."""
+        silent = [each for each in SUBSCRIBED if DATA_NAMES.get(each) in streams]
+        try:
+            await self._subscribe(silent)
+        except ProtocolError as error:
+            says = "says nothing any more"
+            if error.reason is not ProtocolReason.NO_REPLY:
+                says = f"gives no data of wristband {self._device}; is it still on?"
+            message = f"{self._where}: it {says}; the connection is started anew"
+            raise TransportError(TransportReason.SILENT, message) from error
 
     async def close(self) -> None:
         """Unbind, which makes the server close the connection, and close."""
@@ -180,22 +177,12 @@ class E4Driver:
             _log.warning("the server refuses streams", where=self._where, streams=names)
         return refused
 
-    async def _subscribe_again(self) -> None:
-        streams, self._unsubscribed = self._unsubscribed, set()
-        try:
-            await self._subscribe([each for each in SUBSCRIBED if each in streams])
-        except ProtocolError as error:
-            says = "says nothing any more"
-            if error.reason is not ProtocolReason.NO_REPLY:
-                says = f"gives no data of wristband {self._device}; is it still on?"
-            message = f"{self._where}: it {says}; the connection is started anew"
-            raise TransportError(TransportReason.SILENT, message) from error
-
-    def _take(self, messages: list[Message], arrival: float) -> None:
+    def _take(self, found: Sequence[Heard]) -> None:
         """Act on what came, in its order: an event divides the samples around it."""
         self._sink.dropped_bytes += self._talk.take_dropped_bytes()
         samples: list[Sample] = []
-        for message in messages:
+        arrival = found[-1].arrival_s if found else 0.0
+        for message, _ in found:
             if isinstance(message, Sample):
                 samples.append(message)
             elif isinstance(message, Event) and message.device == self._device:
@@ -208,7 +195,7 @@ class E4Driver:
 
     def _pass_on(self, samples: list[Sample], arrival: float) -> None:
         if samples:
-            self._radio_lost_at = None
+            self._wait_for_radio(None)
             self._sink.heard()
             self._emitter.take(samples, arrival)
 
@@ -218,24 +205,31 @@ class E4Driver:
             message = f"wristband {self._device} was switched off; press its button for 2 s"
             raise TransportError(TransportReason.ABSENT, message)
         if event is RadioEvent.LOST:
-            self._radio_lost_at = asyncio.get_running_loop().time()
+            self._wait_for_radio(RADIO_GRACE_S)
             _log.warning("the wristband is out of reach of its dongle", device=self._device)
-            self._sink.watch.excuse(DATA_NAMES.values())
+            self._sink.excuse(*DATA_NAMES.values())
         else:
             _log.info("the wristband is back", device=self._device)
         # Samples of the old link that are still on their way keep the old mapping.
         if event is RadioEvent.RESTORED:
             self._emitter.new_epoch()
 
-    def _require_radio(self) -> None:
+    def _wait_for_radio(self, limit_s: float | None) -> None:
+        if self._giving_up is not None:
+            self._giving_up.cancel()
+            self._giving_up = None
+        if limit_s is not None:
+            loop = asyncio.get_running_loop()
+            self._giving_up = loop.call_later(limit_s, self._is_given_up.set)
+
+    async def _require_radio(self) -> None:
         """Raise ``LOST`` when waiting for the wristband has no sense any more."""
-        now = asyncio.get_running_loop().time()
-        if self._radio_lost_at is not None and now - self._radio_lost_at > RADIO_GRACE_S:
-            message = f"wristband {self._device} stays out of reach; bring it to the dongle"
-            raise TransportError(TransportReason.LOST, message)
+        await self._is_given_up.wait()
+        message = f"wristband {self._device} stays out of reach; bring it to the dongle"
+        raise TransportError(TransportReason.LOST, message)
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], E4Driver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], E4Driver]:
     """Share one emitter between all connections: it follows losses across them."""
     own = own_settings(E4Settings, settings)
     emitter = E4Emitter(sink)

@@ -6,11 +6,10 @@ import math
 from collections import deque
 from collections.abc import Iterable
 
-import structlog
-
 from biosensor_gateway.devices.empatica_e4.driver.loss import WINDOW_S, LossEstimate
 from biosensor_gateway.devices.empatica_e4.driver.messages import Sample, Stream
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.devices.sink import Sink
+from biosensor_gateway.system.device_log import DeviceLog
 
 ACC_COUNTS_PER_G = 64.0
 RATES_HZ = {Stream.BVP: 64.0, Stream.ACC: 32.0, Stream.GSR: 4.0, Stream.TMP: 4.0}
@@ -30,14 +29,13 @@ _OFF_WRIST_SAMPLES = 8
 _MAX_EARLY = 4096
 _TAG = "button"
 
-_log = structlog.get_logger("biosensor_gateway.empatica_e4")
-
 
 class E4Emitter:
     """Turns samples into streams; one instance a wristband, over all its connections."""
 
-    def __init__(self, sink: DeviceSink) -> None:
+    def __init__(self, sink: Sink) -> None:
         self._sink = sink
+        self._log = DeviceLog("biosensor_gateway.empatica_e4", sink.identity)
         self._anchored = False
         self._early: deque[Sample] = deque(maxlen=_MAX_EARLY)
         self._last_times: dict[Stream, float] = {}
@@ -139,13 +137,8 @@ class E4Emitter:
             whole = math.floor(self._owed[stream] + 0.5)
             self._owed[stream] -= whole
             self._sink.lost(DATA_NAMES[stream], whole)
-        identity = self._sink.identity
-        _log.warning(
-            "samples lost on the radio, estimated from their number",
-            sensor=identity.sensor,
-            unit=identity.unit,
-            seconds=round(lost_s, 2),
-        )
+        seconds = round(lost_s, 2)
+        self._log.warning("samples lost on the radio, estimated from their number", seconds=seconds)
 
     def _emit_quality(self, time_s: float) -> None:
         worn = math.nan if self._worn is None else float(self._worn)

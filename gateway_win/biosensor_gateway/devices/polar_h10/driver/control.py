@@ -1,9 +1,8 @@
-"""Commands and replies on a connection that also carries data."""
+"""Commands to the control point, and their replies."""
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import replace
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
@@ -15,25 +14,30 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
 )
 from biosensor_gateway.devices.polar_h10.driver.protocol.frames import DATA
 from biosensor_gateway.transports.ble import BleLink, Notification
+from biosensor_gateway.transports.dialogue import Dialogue
 
 REPLY_TIMEOUT_S = 5.0
 
 
-class ControlPoint:
-    """The control point of one connection; one command at a time.
+def _unnoted(_reply: Reply) -> None:
+    """Change nothing because of a reply."""
 
-    While it waits for a reply it is the one who reads the link.
+
+class ControlPoint:
+    """The control point of one connection.
 
     Parameters
     ----------
     link
-    pass_on
-        Gets every other notification that comes meanwhile.
+    receive
+        Waits for what the device sends, by its replies and by itself.
     """
 
-    def __init__(self, link: BleLink, pass_on: Callable[[Notification], None]) -> None:
+    def __init__(
+        self, link: BleLink, receive: Callable[[], Awaitable[Sequence[Notification]]]
+    ) -> None:
         self._link = link
-        self._pass_on = pass_on
+        self.dialogue = Dialogue(receive, self._write)
         self._knocking = False
         self._open = False
 
@@ -63,8 +67,14 @@ class ControlPoint:
         await self._link.subscribe(DATA)
         return features
 
-    async def request(self, command: bytes) -> Reply:
+    async def request(self, command: bytes, note: Callable[[Reply], None] = _unnoted) -> Reply:
         """Send a command and return its reply, whatever its status, with all parameters.
+
+        Parameters
+        ----------
+        command
+        note
+            Gets the reply before anybody gets what the device sends behind it.
 
         Raises
         ------
@@ -75,15 +85,11 @@ class ControlPoint:
         ProtocolError
             ``NO_REPLY``.
         """
-        await self._flush()
-        await self._link.write(CONTROL_POINT, command)
-        self._open = True
-        try:
-            async with asyncio.timeout(REPLY_TIMEOUT_S):
-                return await self._reply(command)
-        except TimeoutError as error:
+        reply = await self.dialogue.ask(command, _ReplyTo(command, note).take, REPLY_TIMEOUT_S)
+        if reply is None:
             message = f"{self._link.what}: no answer to a command; take it off for a minute"
-            raise ProtocolError(ProtocolReason.NO_REPLY, message) from error
+            raise ProtocolError(ProtocolReason.NO_REPLY, message)
+        return reply
 
     async def send(self, command: bytes) -> None:
         """Send a command and wait for no reply; raises as `open` does."""
@@ -94,32 +100,28 @@ class ControlPoint:
         await self._link.unsubscribe(DATA)
         await self._link.unsubscribe(CONTROL_POINT)
 
-    async def _flush(self) -> None:
-        """Pass on what has arrived: a reply that came too late must not answer for the next."""
-        try:
-            async with asyncio.timeout(0):
-                while True:
-                    self._pass_on(await self._link.next())
-        except TimeoutError:
-            return
-
-    async def _reply(self, command: bytes) -> Reply:
-        parameters = b""
-        while True:
-            notification = await self._link.next()
-            reply = _reply_to(command, notification)
-            if reply is None:
-                self._pass_on(notification)
-                continue
-            parameters += reply.parameters
-            if not reply.more:
-                return replace(reply, parameters=parameters)
+    async def _write(self, command: bytes) -> None:
+        await self._link.write(CONTROL_POINT, command)
+        self._open = True
 
 
-def _reply_to(command: bytes, notification: Notification) -> Reply | None:
-    if notification.uuid != CONTROL_POINT:
-        return None
-    message = parse_indication(notification.data)
-    if not isinstance(message, Reply):
-        return None
-    return message if bytes([message.operation, message.measurement]) == command[:2] else None
+class _ReplyTo:
+    """Finds the reply to a command, which may come in several packets."""
+
+    def __init__(self, command: bytes, note: Callable[[Reply], None]) -> None:
+        self._asked = command[:2]
+        self._note = note
+        self._parameters = b""
+
+    def take(self, notification: Notification) -> Reply | None:
+        if notification.uuid != CONTROL_POINT:
+            return None
+        part = parse_indication(notification.data)
+        if not isinstance(part, Reply) or bytes([part.operation, part.measurement]) != self._asked:
+            return None
+        self._parameters += part.parameters
+        if part.more:
+            return None
+        reply = replace(part, parameters=self._parameters)
+        self._note(reply)
+        return reply

@@ -24,8 +24,8 @@ from biosensor_gateway.devices.polar_h10.driver.emitter import DATA_NAMES, Polar
 from biosensor_gateway.devices.polar_h10.driver.measurements import Wanted
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement, Setting
 from biosensor_gateway.devices.polar_h10.driver.session import PolarSession
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
 
@@ -152,7 +152,7 @@ def _wanted(settings: PolarH10Settings) -> Sequence[Wanted]:
     return [*([ecg] if settings.ecg else []), *([acceleration] if settings.acc else [])]
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], PolarH10Driver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], PolarH10Driver]:
     """Share emitter and choice of the device between all connections."""
     own = own_settings(PolarH10Settings, settings)
     emitter = PolarEmitter(sink)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import structlog
-
 from biosensor_gateway.devices.ble_heart_rate.driver.beats import BeatClock, walk_back
 from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement
@@ -16,18 +14,19 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     Ppg,
     PulseIntervals,
     Rejected,
+    measurement_of,
     parse_frame,
 )
 from biosensor_gateway.devices.polar_h10.driver.protocol.timeline import FrameTimeline
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.devices.sink import Sink
+from biosensor_gateway.system.device_log import DeviceLog
 
 DATA_NAMES = {Measurement.ECG: "ecg", Measurement.ACCELERATION: "acc"}
 """Regular streams of the declaration by measurement."""
 RECKONINGS_AGREE_S = 1.0
 """How exactly a device that stayed on agrees with the host on the length of a pause."""
 _NS = 1e9
-
-_log = structlog.get_logger("biosensor_gateway.polar_h10")
+_MEASUREMENTS = frozenset(Measurement)
 
 
 class PolarEmitter:
@@ -37,18 +36,21 @@ class PolarEmitter:
     ----------
     strap
         What the device has in common with every heart-rate strap.
+    log
+        Also for what is to be said once, and not at every connection.
     """
 
-    def __init__(self, sink: DeviceSink) -> None:
+    def __init__(self, sink: Sink) -> None:
         self.strap = StrapEmitter(sink)
+        self.log = DeviceLog("biosensor_gateway.polar_h10", sink.identity)
         self._sink = sink
+        self._running: set[int] = set()
         self._rates: dict[Measurement, float] = {}
         self._factors: dict[int, float] = {}
         self._timelines: dict[tuple[int, int], FrameTimeline] = {}
         self._beats = BeatClock()
         self._clock_runs = False
         self._last: tuple[float, float] | None = None
-        self._told: set[str] = set()
 
     @property
     def rates(self) -> Mapping[str, float]:
@@ -58,6 +60,7 @@ class PolarEmitter:
     def reconnected(self) -> None:
         """Prepare for a new connection of the same device."""
         self.strap.reconnected()
+        self._running.clear()
         self._beats = BeatClock()
         self._clock_runs = False
 
@@ -72,6 +75,7 @@ class PolarEmitter:
         factor
             Physical units a count, for compressed frames.
         """
+        self._running.add(measurement)
         self._factors[measurement] = factor
         if rate_hz is None:
             return
@@ -79,6 +83,14 @@ class PolarEmitter:
         for (owner, _), timeline in self._timelines.items():
             if owner == measurement:
                 timeline.restart(rate_hz)
+
+    def is_foreign(self, data: bytes) -> bool:
+        """Whether a frame is of a measurement that we have not started on this connection.
+
+        A host before us did, with settings that nobody knows.
+        """
+        measurement = measurement_of(data)
+        return measurement not in self._running and measurement in _MEASUREMENTS
 
     def frame(self, data: bytes, arrival_s: float) -> None:
         """Emit what a frame holds; a frame that makes no sense is counted and dropped.
@@ -103,15 +115,10 @@ class PolarEmitter:
                 return
             case Rejected():
                 self._sink.dropped_bytes += len(data)
-                self.tell_once("data frames are dropped", cause=frame.value, start=data[:10].hex())
+                start = data[:10].hex()
+                self.log.warn_once("data frames are dropped", cause=frame.value, start=start)
                 return
         self._sink.heard()
-
-    def tell_once(self, event: str, **facts: object) -> None:
-        """Log a warning about this device, once and not at every connection."""
-        if event not in self._told:
-            self._told.add(event)
-            self._warn(event, **facts)
 
     def _regular(self, header: Header, samples: list[list[float]], arrival_s: float) -> None:
         measurement = Measurement(header.measurement)
@@ -119,19 +126,21 @@ class PolarEmitter:
             return
         stamp_s = header.timestamp_ns / _NS
         if not self._clock_runs and self._counts_anew(stamp_s, arrival_s):
-            _log.info("the device was switched off and counts anew", **self._names())
+            self.log.info("the device was switched off and counts anew")
             self._timelines.clear()
             self._sink.restart_clock()
         self._clock_runs, self._last = True, (stamp_s, arrival_s)
         key = (header.measurement, header.frame_type)
-        timeline = self._timelines.setdefault(key, FrameTimeline(self._rates[measurement]))
+        timeline = self._timelines.get(key)
+        if timeline is None:
+            timeline = self._timelines[key] = FrameTimeline(self._rates[measurement])
         placed = timeline.place(header.timestamp_ns, len(samples), arrival_s)
         name = DATA_NAMES[measurement]
         if placed.steps_back:
-            self.tell_once("the device's clock did not advance between two frames", data=name)
+            self.log.warn_once("the device's clock did not advance between two frames", data=name)
         if placed.lost:
             self._sink.lost(name, placed.lost)
-            self._warn("samples were lost", data=name, count=placed.lost, estimated=True)
+            self.log.warning("samples were lost", data=name, count=placed.lost, estimated=True)
         self._sink.observe(stamp_s, arrival_s)
         self._sink.emit(name, samples, [time_ns / _NS for time_ns in placed.times_ns])
 
@@ -159,9 +168,3 @@ class PolarEmitter:
         for interval_s, time_s, is_valid in zip(seconds, times, valid, strict=True):
             if is_valid:
                 emit("ibi", [interval_s], [time_s])
-
-    def _warn(self, event: str, **facts: object) -> None:
-        _log.warning(event, **self._names(), **facts)
-
-    def _names(self) -> Mapping[str, str]:
-        return {"sensor": self._sink.identity.sensor, "unit": self._sink.identity.unit}

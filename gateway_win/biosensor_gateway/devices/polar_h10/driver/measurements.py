@@ -87,7 +87,7 @@ class Measurements:
             raise ProtocolError(ProtocolReason.REFUSED, f"{message}; take it off for a minute")
         _log.warning(message)
 
-    def runs(self, measurement: int | None) -> bool:
+    def runs(self, measurement: int) -> bool:
         """Whether a measurement is one that we started."""
         return measurement in self._running
 
@@ -117,12 +117,8 @@ class Measurements:
             if reply.status != Status.SUCCESS:
                 return _refusal(wanted, reply)
             settings = choose(parse_settings(reply.parameters), wanted.settings)
-        started = _Running(wanted, settings)
-        reply = await self._set_going(started)
-        if reply.status != Status.SUCCESS:
-            return _refusal(wanted, reply)
-        self._running[wanted.measurement] = started
-        return ""
+        reply = await self._set_going(_Running(wanted, settings))
+        return "" if reply.status == Status.SUCCESS else _refusal(wanted, reply)
 
     async def _restart(self, each: _Running) -> None:
         try:
@@ -137,18 +133,23 @@ class Measurements:
     async def _set_going(self, each: _Running) -> Reply:
         measurement = each.wanted.measurement
         command = control_point.start(measurement, each.settings)
-        reply = await self._control.request(command)
+
+        def note(reply: Reply) -> None:
+            if reply.status == Status.SUCCESS:
+                self._note_started(each, reply)
+
+        reply = await self._control.request(command, note)
         if reply.status == Status.ALREADY_IN_STATE:
             # A host that died left it running, with settings of its own.
             await self._control.request(control_point.stop(measurement))
-            reply = await self._control.request(command)
-        if reply.status == Status.SUCCESS:
-            (factor,) = parse_settings(reply.parameters).get(Setting.FACTOR, (1.0,))[:1] or (1.0,)
-            rate = each.settings.get(
-                Setting.SAMPLE_RATE, each.wanted.settings.get(Setting.SAMPLE_RATE)
-            )
-            self._emitter.started(measurement, rate, factor)
+            reply = await self._control.request(command, note)
         return reply
+
+    def _note_started(self, each: _Running, reply: Reply) -> None:
+        (factor,) = parse_settings(reply.parameters).get(Setting.FACTOR, (1.0,))[:1] or (1.0,)
+        rate = each.settings.get(Setting.SAMPLE_RATE, each.wanted.settings.get(Setting.SAMPLE_RATE))
+        self._emitter.started(each.wanted.measurement, rate, factor)
+        self._running[each.wanted.measurement] = each
 
 
 def _refusal(wanted: Wanted, reply: Reply) -> str:

@@ -27,18 +27,16 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     Stopped,
     parse_indication,
 )
-from biosensor_gateway.devices.polar_h10.driver.protocol.frames import DATA, measurement_of
+from biosensor_gateway.devices.polar_h10.driver.protocol.frames import DATA
 from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.ble_errors import AttError
 from biosensor_gateway.transports.nearby import Advertisement
 
-WATCH_PERIOD_S = 0.5
 GOODBYE_LIMIT_S = 0.45
 
 _NOT_PAIRED = frozenset({0x05, 0x0F})
 """ATT errors "insufficient authentication" and "insufficient encryption"."""
 _UNLIKELY_ERROR = 0x0E
-_MEASUREMENTS = frozenset(Measurement)
 
 _log = structlog.get_logger("biosensor_gateway.polar_h10")
 
@@ -59,12 +57,9 @@ class PolarSession:
         self._emitter = emitter
         self._wanted = wanted
         self._strap = Strap(link, emitter.strap)
-        self._control = ControlPoint(link, self._take)
+        self._control = ControlPoint(link, self._receive)
         self._measurements = Measurements(link.what, self._control, emitter)
         self._seen: tuple[Advertisement, float] | None = None
-        self._early: list[Notification] | None = []
-        self._silent: frozenset[str] = frozenset()
-        self._has_restarted = asyncio.Event()
 
     async def open(self, *, pair: bool = False) -> DeviceInfo:
         """Connect, start everything, and return what the device says of itself.
@@ -80,6 +75,7 @@ class PolarSession:
             The device cannot be used now.
         """
         self._seen = await self._link.open(), self._link.clock()
+        self._control.dialogue.begin()
         if pair:
             await self._link.pair()
         self._emitter.reconnected()
@@ -87,7 +83,7 @@ class PolarSession:
         if self._link.has(CONTROL_POINT):
             await self._start_measurements()
         elif self._link.has(HEART_RATE_MEASUREMENT):
-            self._emitter.tell_once(
+            self._emitter.log.warn_once(
                 "heart rate and intervals only: the firmware has no PMD service; "
                 "update it with Polar Flow",
                 firmware=info.firmware_version,
@@ -124,12 +120,9 @@ class PolarSession:
         if self._seen is not None:
             advertisement, seen_s = self._seen
             self._emitter.strap.signal_strength(advertisement.rssi_dbm, seen_s)
-        early, self._early = self._early or [], None
-        for notification in early:
-            self._emit(notification)
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._strap.watch_battery())
-            tasks.create_task(self._read_forever())
+            tasks.create_task(self._control.dialogue.stream(self._take))
 
     @property
     def running(self) -> frozenset[str]:
@@ -142,10 +135,19 @@ class PolarSession:
         return DUE if self._link.has(HEART_RATE_MEASUREMENT) else {}
 
     async def enable_again(self, streams: frozenset[str]) -> None:
-        """Have `stream` start anew what is behind streams that are silent."""
-        self._silent |= streams
-        self._has_restarted.clear()
-        await self._has_restarted.wait()
+        """Start anew what is behind streams that are silent.
+
+        Raises
+        ------
+        TransportError
+            ``LOST``, or ``SILENT`` of the heart rate.
+        AttError
+            The device refuses to send its heart rate.
+        """
+        names = {name: measurement for measurement, name in DATA_NAMES.items()}
+        await self._measurements.restart({names[each] for each in streams & names.keys()})
+        if not streams <= names.keys():
+            await self._strap.subscribe_again()
 
     async def close(self) -> None:
         """Stop everything, for a moment, and disconnect; never raises.
@@ -157,6 +159,7 @@ class PolarSession:
                 await self._measurements.stop()
                 await self._strap.stop()
                 await self._control.close()
+        await self._control.dialogue.close()
         await self._link.close()
 
     async def _start_measurements(self) -> None:
@@ -164,47 +167,28 @@ class PolarSession:
         missing = [each.measurement for each in self._wanted if each.measurement not in offered]
         if missing:
             names = [measurement.name.lower() for measurement in missing]
-            self._emitter.tell_once("the device cannot measure all that is wanted", missing=names)
+            self._emitter.log.warn_once(
+                "the device cannot measure all that is wanted", missing=names
+            )
         wanted = [each for each in self._wanted if each.measurement in offered]
         if Measurement.PULSE_INTERVALS in offered:
             # Optical sensors have no intervals in their heart rate measurement.
             wanted.append(Wanted(Measurement.PULSE_INTERVALS))
         await self._measurements.start(wanted)
 
-    async def _read_forever(self) -> None:
-        while True:
-            with suppress(TimeoutError):
-                async with asyncio.timeout(WATCH_PERIOD_S):
-                    self._take(await self._link.next())
-            # Only the reader can wait for replies.
-            if self._silent:
-                silent, self._silent = self._silent, frozenset()
-                await self._restart(silent)
-                self._has_restarted.set()
+    async def _receive(self) -> Sequence[Notification]:
+        notification = await self._link.next()
+        # Now, not when it is emitted: the measurement may be started anew meanwhile.
+        is_foreign = notification.uuid == DATA and self._emitter.is_foreign(notification.data)
+        return () if is_foreign else (notification,)
 
-    async def _restart(self, silent: frozenset[str]) -> None:
-        names = {name: measurement for measurement, name in DATA_NAMES.items()}
-        await self._measurements.restart({names[each] for each in silent & names.keys()})
-        if not silent <= names.keys():
-            await self._strap.subscribe_again()
-
-    def _take(self, notification: Notification) -> None:
-        if notification.uuid == DATA:
-            measurement = measurement_of(notification.data)
-            if not self._measurements.runs(measurement) and measurement in _MEASUREMENTS:
-                # Started by a host before us, with settings that nobody knows.
-                return
-        if self._early is None:
-            self._emit(notification)
-        else:
-            self._early.append(notification)
-
-    def _emit(self, notification: Notification) -> None:
-        if self._strap.take(notification):
-            return
-        if notification.uuid == DATA:
-            self._emitter.frame(notification.data, notification.arrival)
-        elif isinstance(stopped := parse_indication(notification.data), Stopped):
-            # If it is not for good, the watchdog gets it going again.
-            _log.warning("the device stopped measuring", device=self._link.what,
-                         measurements=stopped.measurements)  # fmt: skip
+    def _take(self, found: Sequence[Notification]) -> None:
+        for notification in found:
+            if notification.uuid == DATA:
+                self._emitter.frame(notification.data, notification.arrival)
+            elif notification.uuid != CONTROL_POINT:
+                self._strap.take(notification)
+            elif isinstance(stopped := parse_indication(notification.data), Stopped):
+                # If it is not for good, the watchdog gets it going again.
+                _log.warning("the device stopped measuring", device=self._link.what,
+                             measurements=stopped.measurements)  # fmt: skip

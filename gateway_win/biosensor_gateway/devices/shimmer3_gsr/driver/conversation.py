@@ -22,13 +22,13 @@ from biosensor_gateway.devices.shimmer3_gsr.driver.messages import (
     GsrRange,
     Hardware,
     Nack,
-    Packet,
     Reply,
     Stamped,
 )
 from biosensor_gateway.devices.shimmer3_gsr.driver.protocol import ShimmerProtocol
 from biosensor_gateway.devices.shimmer3_gsr.driver.replies import ReplyForm
 from biosensor_gateway.devices.shimmer3_gsr.driver.stopping import stop_streaming
+from biosensor_gateway.transports.dialogue import Dialogue
 from biosensor_gateway.transports.link import ByteLink
 
 REPLY_TIMEOUT_S = 2.0
@@ -59,21 +59,15 @@ class Conversation:
         What error messages call the device.
     link
         Not yet open.
-    listener
-        Called with the messages of every read.
     """
 
-    def __init__(
-        self, name: str, link: ByteLink, listener: Callable[[Sequence[Stamped]], None]
-    ) -> None:
+    def __init__(self, name: str, link: ByteLink) -> None:
         self._name = name
         self._link = link
-        self._listener = listener
         self._protocol = ShimmerProtocol()
-        self._replies: asyncio.Queue[Reply | TransportError] = asyncio.Queue()
+        self._dialogue = Dialogue(self._receive, link.write)
+        # Asking once more belongs to the first time.
         self._turn = asyncio.Lock()
-        self._is_asking = False
-        self._reading: asyncio.Task[None] | None = None
         self._has_heard_bytes = False
         self._has_heard_messages = False
 
@@ -97,7 +91,7 @@ class Conversation:
         """
         await self._link.open()
         streamed_until_s = await stop_streaming(self._link)
-        self._reading = asyncio.create_task(self._read_forever())
+        self._dialogue.begin()
         return streamed_until_s
 
     async def ask(self, command: bytes, wanted: type[_ReplyT]) -> _ReplyT:
@@ -143,48 +137,40 @@ class Conversation:
         await self.tell(commands.set_crc(mode))
 
     async def start_streaming(self, layout: Layout, divisor: int) -> None:
-        """Start; raises as `ask`. Packets go to the listener."""
+        """Start; raises as `ask`."""
         self._protocol.expect_data(layout, divisor)
         await self.tell(commands.START_STREAMING)
 
-    async def ended(self) -> None:
-        """Wait for the end of the connection; raises ``LOST`` then."""
-        assert self._reading is not None
-        await self._reading
+    async def stream(self, listener: Callable[[Sequence[Stamped]], None]) -> None:
+        """Pass on all messages since `open`, those of a read at a time.
+
+        Raises
+        ------
+        TransportError
+            ``LOST``.
+        """
+        await self._dialogue.stream(listener)
 
     async def close(self) -> None:
         """Stop the device without waiting for it, and close the link."""
         self._link.write(commands.STOP_STREAMING)
-        if self._reading is not None:
-            self._reading.cancel()
-            await asyncio.gather(self._reading, return_exceptions=True)
+        await self._dialogue.close()
         await self._link.close()
 
     async def _exchange(self, command: bytes, wanted: type[_ReplyT]) -> _ReplyT | None:
         """Send, and wait for the answer; None if it does not come in time."""
-        assert self._reading is not None
-        if self._reading.done():
-            self._reading.result()
-        # What came behind the last answer is none to this command.
-        self._replies = asyncio.Queue()
-        self._is_asking = True
-        self._link.write(command)
-        try:
-            async with asyncio.timeout(REPLY_TIMEOUT_S):
-                while not isinstance(reply := await self._replies.get(), wanted):
-                    if isinstance(reply, TransportError):
-                        raise reply
-                    if isinstance(reply, Nack):
-                        raise self._refusal(command)
-                return reply
-        except TimeoutError:
-            return None
-        finally:
-            self._is_asking = False
+
+        def answer(stamped: Stamped) -> _ReplyT | Nack | None:
+            return stamped.message if isinstance(stamped.message, (wanted, Nack)) else None
+
+        reply = await self._dialogue.ask(command, answer, REPLY_TIMEOUT_S)
+        if isinstance(reply, Nack):
+            raise self._refusal(command)
+        return reply
 
     async def _resynchronise(self, unanswered: bytes) -> None:
         """Wait until every answer that is still owed has come or cannot come any more."""
-        self._hear(self._protocol.give_up())
+        self._dialogue.hear(self._noted(self._protocol.give_up()))
         barriers = [barrier for barrier in _BARRIERS if barrier[0] != unanswered]
         for question, answer in barriers[:RESYNC_ATTEMPTS]:
             # It may still wait for arguments that got lost on the way; this becomes one.
@@ -213,26 +199,15 @@ class Conversation:
         message = f"{self._name}: the device does not answer; switch it off and on"
         return ProtocolError(ProtocolReason.NO_REPLY, message)
 
-    async def _read_forever(self) -> None:
-        try:
-            while True:
-                self._hear(await self._read())
-        except TransportError as error:
-            self._replies.put_nowait(error)
-            raise
-
-    async def _read(self) -> list[Stamped]:
+    async def _receive(self) -> list[Stamped]:
         try:
             async with asyncio.timeout(SETTLE_S if self._protocol.undecided else None):
                 data, arrival_s = await self._link.read()
         except TimeoutError:
-            return self._protocol.settle()
+            return self._noted(self._protocol.settle())
         self._has_heard_bytes = True
-        return self._protocol.feed(data, arrival_s)
+        return self._noted(self._protocol.feed(data, arrival_s))
 
-    def _hear(self, found: Sequence[Stamped]) -> None:
+    def _noted(self, found: list[Stamped]) -> list[Stamped]:
         self._has_heard_messages = self._has_heard_messages or bool(found)
-        for message, _ in found:
-            if self._is_asking and not isinstance(message, Packet):
-                self._replies.put_nowait(message)
-        self._listener(found)
+        return found

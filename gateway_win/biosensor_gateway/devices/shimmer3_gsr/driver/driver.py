@@ -30,8 +30,8 @@ from biosensor_gateway.devices.shimmer3_gsr.driver.messages import (
     StatusFlag,
 )
 from biosensor_gateway.devices.shimmer3_gsr.driver.setup import Kind, Wanted, identify, set_up
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.byte_links import byte_link
 
 BATTERY_PERIOD_S = 60.0
@@ -69,15 +69,12 @@ class ShimmerDriver:
     # Silent streams are noticed long before.
     silence_limit_s = 10.0
 
-    def __init__(
-        self, settings: ShimmerSettings, sink: DeviceSink, emitter: ShimmerEmitter
-    ) -> None:
+    def __init__(self, settings: ShimmerSettings, sink: Sink, emitter: ShimmerEmitter) -> None:
         self._port = settings.port
         self._wanted = _wanted(settings)
-        self._talk = Conversation(settings.port, byte_link(settings.port), self._hear)
+        self._talk = Conversation(settings.port, byte_link(settings.port))
         self._sink = sink
         self._emitter = emitter
-        self._early: list[Stamped] | None = []
         self._dropped_bytes = 0
         self._measurement: Measurement | None = None
         self._is_docked: bool | None = None
@@ -103,10 +100,8 @@ class ShimmerDriver:
 
     async def stream(self) -> None:
         """Emit what came while connecting, then all that comes."""
-        early, self._early = self._early or [], None
-        self._hear(early)
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(self._talk.ended())
+            tasks.create_task(self._talk.stream(self._hear))
             tasks.create_task(self._ask_for_the_battery())
 
     async def enable_again(self, streams: frozenset[str]) -> None:
@@ -114,7 +109,7 @@ class ShimmerDriver:
         del streams
         assert self._measurement is not None
         is_there = await self._is_there()
-        if not self._sink.watch.is_waiting:
+        if not self._sink.is_waiting:
             return  # data came before the answer
         # As far as one knows it went on measuring.
         self._emitter.kept_measuring_until(self._sink.clock())
@@ -126,15 +121,11 @@ class ShimmerDriver:
 
     async def close(self) -> None:
         """Stop the device, without waiting for its answer."""
+        self._count_dropped()
         await self._talk.close()
 
     def _hear(self, found: Sequence[Stamped]) -> None:
-        dropped = self._talk.dropped_bytes
-        self._sink.dropped_bytes += dropped - self._dropped_bytes
-        self._dropped_bytes = dropped
-        if self._early is not None:
-            self._early += found
-            return
+        self._count_dropped()
         packets: list[tuple[Packet, float]] = []
         for message, arrival_s in found:
             match message:
@@ -149,6 +140,11 @@ class ShimmerDriver:
         if packets:
             self._sink.heard()
             self._emitter.take(packets)
+
+    def _count_dropped(self) -> None:
+        dropped = self._talk.dropped_bytes
+        self._sink.dropped_bytes += dropped - self._dropped_bytes
+        self._dropped_bytes = dropped
 
     def _note(self, status: Status) -> None:
         is_docked = StatusFlag.DOCKED in status.flags
@@ -174,7 +170,7 @@ def _wanted(settings: ShimmerSettings) -> Wanted:
     return Wanted(commands.divisor_for(settings.rate_hz), setting)
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], ShimmerDriver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ShimmerDriver]:
     """Share one emitter between all connections: it follows the device's clock across them."""
     own = own_settings(ShimmerSettings, settings)
     emitter = ShimmerEmitter(sink)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from math import isfinite
 
 import numpy as np
-import structlog
 
 from biosensor_gateway.devices.shimmer3_gsr.driver.battery import charge_percent
 from biosensor_gateway.devices.shimmer3_gsr.driver.channels import Channel, Layout
@@ -21,12 +20,11 @@ from biosensor_gateway.devices.shimmer3_gsr.driver.gsr import (
 from biosensor_gateway.devices.shimmer3_gsr.driver.messages import BatteryReading, Packet
 from biosensor_gateway.devices.shimmer3_gsr.driver.pulse import PulseDetector
 from biosensor_gateway.devices.shimmer3_gsr.driver.timeline import TickTimeline
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.devices.sink import Sink
+from biosensor_gateway.system.device_log import DeviceLog
 
 QUALITY_PERIOD_S = 10.0
 WAVEFORMS = ("gsr", "ppg")
-
-_log = structlog.get_logger("biosensor_gateway.shimmer3_gsr")
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,8 +57,9 @@ class Measurement:
 class ShimmerEmitter:
     """Turns packets into samples; one instance a device, over all its connections."""
 
-    def __init__(self, sink: DeviceSink) -> None:
+    def __init__(self, sink: Sink) -> None:
         self._sink = sink
+        self._log = DeviceLog("biosensor_gateway.shimmer3_gsr", sink.identity)
         self._timeline = TickTimeline()
         self._measurement: Measurement | None = None
         self._newest_arrival_s: float | None = None
@@ -122,8 +121,7 @@ class ShimmerEmitter:
         if count > 0:
             for data_name in WAVEFORMS:
                 self._sink.lost(data_name, count)
-            names = {"sensor": self._sink.identity.sensor, "unit": self._sink.identity.unit}
-            _log.warning("samples were lost in a gap", **names, estimated_samples=count)
+            self._log.warning("samples were lost in a gap", estimated_samples=count)
 
     def _emit(self, batch: list[tuple[Packet, float, float]]) -> None:
         if not batch or self._measurement is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from biosensor_common.clocks import PacketTimeline
 from biosensor_common.device_clock import LONGEST_DELAY_S
 from biosensor_gateway.devices.shimmer3_gsr.driver.commands import TICKS_PER_S
 from biosensor_gateway.devices.shimmer3_gsr.driver.protocol import TICK_MODULUS
@@ -39,7 +40,7 @@ class TickTimeline:
     """
 
     def __init__(self) -> None:
-        self._ticks: int | None = None
+        self._ticks = PacketTimeline(TICK_MODULUS)
         self._arrival_s = 0.0
         self._divisor = 1
         self._is_new_connection = True
@@ -59,31 +60,25 @@ class TickTimeline:
         arrival_s
             LSL clock at its arrival.
         """
-        if self._ticks is None:
-            placed = Placed(ticks / TICKS_PER_S, 0)
-            self._ticks = ticks
-        else:
-            placed = self._placed_after(self._ticks, ticks, arrival_s)
-        if placed is not None:
-            self._arrival_s = arrival_s
-            self._is_new_connection = False
-        return placed
-
-    def _placed_after(self, newest: int, ticks: int, arrival_s: float) -> Placed | None:
         expected = (arrival_s - self._arrival_s) * TICKS_PER_S
-        step = (ticks - newest) % TICK_MODULUS
-        step += round((expected - step) / TICK_MODULUS) * TICK_MODULUS
+        step = self._ticks.steps(ticks, expected, None)
         if step == 0 and not self._is_new_connection:
             return None
-        agree_s = SURVIVED_AGREE_S if self._is_new_connection else LONGEST_DELAY_S
-        restarted = step <= 0 or abs(step - expected) > agree_s * TICKS_PER_S
+        lost, restarted = (0, False) if step is None else self._judged(step, expected)
         if restarted:
             # Time goes on, so that no sample seems older than those before it.
-            step = max(self._divisor, round(expected))
-            self._ticks = newest + step + (ticks - newest - step) % TICK_MODULUS
+            least = max(self._divisor, round(expected))
+            self._ticks.place(ticks, least, least)
         else:
-            self._ticks = newest + step
+            self._ticks.place(ticks, expected, None)
+        self._arrival_s = arrival_s
+        self._is_new_connection = False
+        return Placed((self._ticks.newest or 0) / TICKS_PER_S, lost, restarted)
+
+    def _judged(self, step: int, expected: float) -> tuple[int, bool]:
+        """Return how many samples are missing, and whether the counter was restarted."""
+        agree_s = SURVIVED_AGREE_S if self._is_new_connection else LONGEST_DELAY_S
+        restarted = step <= 0 or abs(step - expected) > agree_s * TICKS_PER_S
         # A device that was started anew has measured nothing in between.
         is_counted = not restarted and not self._is_new_connection
-        lost = max(0, round(step / self._divisor) - 1) if is_counted else 0
-        return Placed(self._ticks / TICKS_PER_S, lost, restarted)
+        return max(0, round(step / self._divisor) - 1) if is_counted else 0, restarted

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import Message, Reply
 from biosensor_gateway.devices.vernier_respiration_belt.driver.packets import encode, fragments
 from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
@@ -15,9 +17,8 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
     VernierProtocol,
 )
 from biosensor_gateway.devices.vernier_respiration_belt.driver.replies import REFUSED
-from biosensor_gateway.streaming.sink import DeviceSink
-from biosensor_gateway.transports.ble import BleLink, Notification
-from biosensor_gateway.transports.deadlines import in_background
+from biosensor_gateway.transports.ble import BleLink
+from biosensor_gateway.transports.dialogue import Dialogue
 
 REPLY_LIMIT_S = 5.0
 SETTLE_S = 0.1
@@ -41,10 +42,18 @@ class Answer(NamedTuple):
     arrival_s: float
 
 
-class _Question(NamedTuple):
-    command: int
+class _Command(NamedTuple):
     counter: int
-    answer: asyncio.Future[Answer]
+    body: bytes
+
+    def answer(self, heard: Heard) -> Answer | None:
+        message = heard.message
+        if isinstance(message, Reply) and (message.command, message.echo) == (
+            self.body[0],
+            self.counter,
+        ):
+            return Answer(message.payload, heard.arrival_s)
+        return None
 
 
 class Conversation:
@@ -58,37 +67,30 @@ class Conversation:
         Its ``dropped_bytes`` are counted here.
     """
 
-    def __init__(self, link: BleLink, sink: DeviceSink) -> None:
+    def __init__(self, link: BleLink, sink: Sink) -> None:
         self._link = link
         self._sink = sink
         self._protocol = VernierProtocol()
         self._arrival_s = 0.0
-        self._heard: asyncio.Queue[Heard | Exception] = asyncio.Queue()
-        self._listening: asyncio.Task[None] | None = None
-        self._asking = asyncio.Lock()
-        self._question: _Question | None = None
+        self._dialogue = Dialogue(self._receive, self._send)
         self._counter = _FIRST_COUNTER
         self._with_response = "write" in link.properties(COMMAND_UUID)
 
     async def begin(self) -> None:
         """Listen, which must come before any command."""
         await self._link.subscribe(RESPONSE_UUID)
-        self._listening = in_background(self._listen())
+        self._dialogue.begin()
         await asyncio.sleep(SETTLE_S)
 
-    async def next(self) -> Heard:
-        """Wait for the next message, replies included.
+    async def stream(self, listener: Callable[[Sequence[Heard]], None]) -> None:
+        """Pass on all messages since `begin`, replies included.
 
         Raises
         ------
         TransportError
-            ``LOST``, once everything that had arrived was taken.
+            ``LOST``, once everything that had arrived was passed on.
         """
-        heard = await self._heard.get()
-        if isinstance(heard, Exception):
-            self._heard.put_nowait(heard)
-            raise heard
-        return heard
+        await self._dialogue.stream(listener)
 
     async def ask(self, body: bytes, limit_s: float = REPLY_LIMIT_S) -> Answer:
         """Give a command and wait for its reply.
@@ -100,18 +102,12 @@ class Conversation:
         TransportError
             ``LOST`` or ``SILENT``.
         """
-        async with self._asking:
-            answer: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
-            self._question = _Question(body[0], self._next_counter(), answer)
-            try:
-                await self._send(self._counter, body)
-                await self._wait_for(answer, limit_s)
-            finally:
-                self._question = None
-        if answer.done():
-            return answer.result()
-        message = f"{self._link.what} does not answer {_name(body)}; press its button"
-        raise ProtocolError(ProtocolReason.NO_REPLY, message)
+        command = self._numbered(body)
+        answer = await self._dialogue.ask(command, command.answer, limit_s)
+        if answer is None:
+            message = f"{self._link.what} does not answer {_name(body)}; press its button"
+            raise ProtocolError(ProtocolReason.NO_REPLY, message)
+        return answer
 
     async def order(self, body: bytes, limit_s: float = REPLY_LIMIT_S) -> None:
         """Give a command whose reply is a status; raises as :meth:`ask` does.
@@ -135,39 +131,24 @@ class Conversation:
         TransportError
             ``LOST`` or ``SILENT``.
         """
-        await self._send(self._next_counter(), body)
+        await self._send(self._numbered(body))
 
-    def end(self) -> None:
+    async def close(self) -> None:
         """Listen no more."""
-        if self._listening is not None:
-            self._listening.cancel()
+        await self._dialogue.close()
 
-    async def _send(self, counter: int, body: bytes) -> None:
-        for fragment in fragments(encode(counter, body)):
+    async def _send(self, command: _Command) -> None:
+        for fragment in fragments(encode(command.counter, command.body)):
             await self._link.write(COMMAND_UUID, fragment, response=self._with_response)
 
-    def _next_counter(self) -> int:
+    def _numbered(self, body: bytes) -> _Command:
         self._counter = (self._counter - 1) % 256
-        return self._counter
+        return _Command(self._counter, body)
 
-    async def _wait_for(self, answer: asyncio.Future[Answer], limit_s: float) -> None:
-        listening = self._listening
-        awaited: set[asyncio.Future[Any]] = {answer} if listening is None else {answer, listening}
-        await asyncio.wait(awaited, timeout=limit_s, return_when=asyncio.FIRST_COMPLETED)
-        if listening is not None and listening.done() and not answer.done():
-            listening.result()
-
-    async def _listen(self) -> None:
-        try:
-            while True:
-                notification = await self._link.next()
-                if notification.uuid == RESPONSE_UUID:
-                    self._take(notification)
-        except Exception as error:  # handed on to whoever waits for a reply
-            self._heard.put_nowait(error)
-            raise
-
-    def _take(self, notification: Notification) -> None:
+    async def _receive(self) -> list[Heard]:
+        notification = await self._link.next()
+        if notification.uuid != RESPONSE_UUID:
+            return []
         before = self._protocol.dropped_bytes
         arrival_s = notification.arrival
         messages: list[Message] = []
@@ -176,17 +157,7 @@ class Conversation:
         messages += self._protocol.feed(notification.data)
         self._arrival_s = arrival_s
         self._sink.dropped_bytes += self._protocol.dropped_bytes - before
-        for message in messages:
-            if isinstance(message, Reply):
-                self._answer(message, arrival_s)
-            self._heard.put_nowait(Heard(message, arrival_s))
-
-    def _answer(self, reply: Reply, arrival_s: float) -> None:
-        asked = self._question
-        if asked is None or (reply.command, reply.echo) != (asked.command, asked.counter):
-            return
-        if not asked.answer.done():
-            asked.answer.set_result(Answer(reply.payload, arrival_s))
+        return [Heard(message, arrival_s) for message in messages]
 
 
 def _name(body: bytes) -> str:

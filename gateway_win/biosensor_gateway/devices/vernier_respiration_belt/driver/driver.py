@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 
-import structlog
 from pydantic import Field
 
 from biosensor_common.errors import (
@@ -18,6 +17,7 @@ from biosensor_common.errors import (
 )
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.vernier_respiration_belt.driver import protocol, replies
 from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import (
     BeltChannels,
@@ -26,6 +26,7 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import (
 from biosensor_gateway.devices.vernier_respiration_belt.driver.conversation import (
     REPLY_LIMIT_S,
     Conversation,
+    Heard,
 )
 from biosensor_gateway.devices.vernier_respiration_belt.driver.discovery import (
     ADVICE,
@@ -35,7 +36,6 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.discovery import 
 )
 from biosensor_gateway.devices.vernier_respiration_belt.driver.emitter import VernierEmitter
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
 
@@ -44,8 +44,6 @@ RESTART_LIMIT_S = 2.0
 GOODBYE_LIMIT_S = 0.4
 STATUS_PERIOD_S = 60.0
 PATIENCE_S = 2.0
-
-_log = structlog.get_logger("biosensor_gateway.vernier")
 
 
 class VernierSettings(DeviceSettings):
@@ -72,7 +70,7 @@ class VernierDriver:
     silence_limit_s = 60.0
 
     def __init__(
-        self, settings: VernierSettings, choice: Choice, sink: DeviceSink, emitter: VernierEmitter
+        self, settings: VernierSettings, choice: Choice, sink: Sink, emitter: VernierEmitter
     ) -> None:
         self._period_us = settings.period_ms * 1000
         self._sink = sink
@@ -110,7 +108,7 @@ class VernierDriver:
         self._emitter.take_rssi(*self._rssi)
         self._take_status(*self._status)
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(self._pass_on(belt))
+            tasks.create_task(belt.stream(self._take))
             tasks.create_task(self._ask_status(belt))
 
     async def enable_again(self, streams: frozenset[str]) -> None:
@@ -135,7 +133,7 @@ class VernierDriver:
                 async with asyncio.timeout(GOODBYE_LIMIT_S):
                     await self._conversation.tell(protocol.STOP)
                     await self._conversation.tell(protocol.DISCONNECT)
-            self._conversation.end()
+            await self._conversation.close()
         await self._link.close()
 
     async def _ask_channels(self, belt: Conversation) -> BeltChannels:
@@ -154,9 +152,8 @@ class VernierDriver:
         self._emitter.started(channels, self._period_us / 1e6)
         await belt.order(protocol.start(channels.mask), limit_s)
 
-    async def _pass_on(self, belt: Conversation) -> None:
-        while True:
-            message, arrival_s = await belt.next()
+    def _take(self, found: Sequence[Heard]) -> None:
+        for message, arrival_s in found:
             self._sink.heard()
             self._emitter.take(message, arrival_s)
 
@@ -167,16 +164,13 @@ class VernierDriver:
                 answer = await belt.ask(protocol.GET_STATUS)
             except ProtocolError as error:
                 # The measurements may go on all the same.
-                _log.warning(str(error), **self._names())
+                self._emitter.log.warning(str(error))
             else:
                 self._take_status(replies.parse_status(answer.payload), answer.arrival_s)
 
     def _take_status(self, status: replies.Status | None, arrival_s: float) -> None:
         if status is not None:
             self._emitter.take_status(status, arrival_s)
-
-    def _names(self) -> dict[str, str]:
-        return {"sensor": self._sink.identity.sensor, "unit": self._sink.identity.unit}
 
 
 async def _wake(belt: Conversation) -> None:
@@ -195,7 +189,7 @@ def _device_info(identity: replies.Identity | None) -> DeviceInfo:
     return DeviceInfo("", identity.order_code, identity.serial_number, identity.firmware)
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], VernierDriver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], VernierDriver]:
     """Share the choice and the emitter between all connections of the device."""
     own = own_settings(VernierSettings, settings)
     choice = Choice(identify, KIND, own.device, ADVICE)

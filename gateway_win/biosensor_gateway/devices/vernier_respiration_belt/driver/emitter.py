@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-import structlog
-
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import BeltChannels
 from biosensor_gateway.devices.vernier_respiration_belt.driver.fit import Fit
 from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import (
@@ -20,18 +19,22 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.numbering import 
     Placed,
 )
 from biosensor_gateway.devices.vernier_respiration_belt.driver.replies import Status
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.system.device_log import DeviceLog
 
 QUALITY_PERIOD_S = 10.0
 
-_log = structlog.get_logger("biosensor_gateway.vernier")
-
 
 class VernierEmitter:
-    """Turns messages into samples; one instance a device, over all its connections."""
+    """Turns messages into samples; one instance a device, over all its connections.
 
-    def __init__(self, sink: DeviceSink) -> None:
+    Attributes
+    ----------
+    log
+    """
+
+    def __init__(self, sink: Sink) -> None:
         self._sink = sink
+        self.log = DeviceLog("biosensor_gateway.vernier", sink.identity)
         self._numbering = Numbering(lambda: sink.clock_state)
         self._force = self._rate = -1
         self._period_s = 1.0
@@ -64,7 +67,7 @@ class VernierEmitter:
         """
         self._numbering.count(message.counter)
         if isinstance(message, Notice) and message.kind is MeasurementKind.DROPPED:
-            _log.warning("the belt dropped samples", **self._names())
+            self.log.warning("the belt dropped samples")
             self._numbering.suspect()
         if isinstance(message, Measurement):
             self._measurement(message, arrival_s)
@@ -114,12 +117,9 @@ class VernierEmitter:
             self._sink.emit("quality", [quality], [time_s])
 
     def _lost(self, count: int) -> None:
-        _log.warning("samples were lost", **self._names(), samples=count, estimated=True)
+        self.log.warning("samples were lost", samples=count, estimated=True)
         for data_name in ("force", "bpm"):
             self._sink.lost(data_name, count)
 
     def _times(self, count: int, last_s: float) -> list[float]:
         return [last_s - ahead * self._period_s for ahead in range(count - 1, -1, -1)]
-
-    def _names(self) -> dict[str, str]:
-        return {"sensor": self._sink.identity.sensor, "unit": self._sink.identity.unit}

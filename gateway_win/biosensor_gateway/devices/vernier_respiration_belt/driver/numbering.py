@@ -16,6 +16,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
+from biosensor_common.clocks import PacketTimeline
 from biosensor_common.device_clock import ClockState
 from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import Measurement
 
@@ -173,13 +174,12 @@ class _PacketCounter:
     """Finds jumps of the packet counter, once it has shown that it counts packets."""
 
     def __init__(self) -> None:
-        self._last: int | None = None
-        self._steps = 0
+        self._numbers = PacketTimeline(256)
+        self._in_a_row = 0
 
     def jumps(self, counter: int) -> bool:
-        is_next = self._last is None or counter == (self._last + 1) % 256
-        self._last = counter
-        is_trusted = self._steps >= _TRUSTED_STEPS
+        is_next = self._numbers.place(counter) in (None, 1)
+        is_trusted = self._in_a_row >= _TRUSTED_STEPS
         if not is_trusted:
-            self._steps = self._steps + 1 if is_next else 0
+            self._in_a_row = self._in_a_row + 1 if is_next else 0
         return is_trusted and not is_next

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import structlog
 from pydantic import Field
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.zephyr.driver.discovery import recognise
 from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
 from biosensor_gateway.devices.zephyr.driver.messages import Message, Reply, RrIntervals, Summary
@@ -20,8 +22,8 @@ from biosensor_gateway.devices.zephyr.driver.protocol import (
     enable,
 )
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.transports.byte_links import byte_link
+from biosensor_gateway.transports.dialogue import Dialogue
 
 # The order in which the recorded device was started.
 PACKETS = (
@@ -64,26 +66,35 @@ class ZephyrSettings(DeviceSettings):
     )
 
 
+class Heard(NamedTuple):
+    """A message and the LSL time at which its last byte arrived."""
+
+    message: Message
+    arrival_s: float
+
+
 class ZephyrDriver:
     """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
 
     # The device sends a lifesign every 3 s whatever is enabled.
     silence_limit_s = 10.0
 
-    def __init__(self, settings: ZephyrSettings, sink: DeviceSink, emitter: ZephyrEmitter) -> None:
+    def __init__(self, settings: ZephyrSettings, sink: Sink, emitter: ZephyrEmitter) -> None:
         self._port = settings.port
         self._link = byte_link(settings.port)
         self._sink = sink
         self._emitter = emitter
         self._protocol = ZephyrProtocol()
-        self._early: list[tuple[Message, float]] = []
+        self._dialogue = Dialogue(self._receive, self._link.write)
         self._enabled: list[Request] = []
+        self._has_heard = False
         self._summary_seen = False
-        self._arrival = 0.0
+        self._arrival_s = 0.0
 
     async def connect(self) -> Connected:
         """Open the port and enable every packet; see the protocol class."""
         await self._link.open()
+        self._dialogue.begin()
         self._emitter.reconnected()
         refused = [packet for packet in PACKETS if not await self._enable(packet)]
         if Request.SUMMARY in refused and await self._enable(Request.GENERAL):
@@ -97,24 +108,22 @@ class ZephyrDriver:
         return Connected(refused=frozenset(streams), due=DUE)
 
     async def enable_again(self, streams: frozenset[str]) -> None:
-        """Enable the packets of streams that are silent; the reader passes over the replies."""
+        """Enable the packets of streams that are silent; their replies pass by."""
         for packet in [each for each in self._enabled if not streams.isdisjoint(STREAMS[each])]:
             self._link.write(enable(packet, on=True))
 
     async def stream(self) -> None:
         """Emit what came while connecting, then all that comes."""
-        for message, arrival in self._early:
-            self._take(message, arrival)
-        self._early.clear()
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._stay_awake())
             tasks.create_task(self._fall_back_to_general())
-            tasks.create_task(self._read_forever())
+            tasks.create_task(self._dialogue.stream(self._take))
 
     async def close(self) -> None:
         """Disable what was enabled, without waiting for the replies."""
         for packet in self._enabled:
             self._link.write(enable(packet, on=False))
+        await self._dialogue.close()
         await self._link.close()
 
     async def _enable(self, packet: Request) -> bool:
@@ -127,14 +136,18 @@ class ZephyrDriver:
         """
         # Noted before the answer, which may come when nobody waits for it any more.
         self._enabled.append(packet)
+
+        def is_reply(heard: Heard) -> Reply | None:
+            message = heard.message
+            return message if isinstance(message, Reply) and message.request_id == packet else None
+
         for _ in range(ATTEMPTS):
-            self._link.write(enable(packet, on=True))
-            reply = await self._reply_to(packet)
+            reply = await self._dialogue.ask(enable(packet, on=True), is_reply, REPLY_TIMEOUT_S)
             if reply is not None:
                 if not reply.accepted:
                     self._enabled.remove(packet)
                 return reply.accepted
-        if self._protocol.dropped_bytes and not self._early:
+        if self._protocol.dropped_bytes and not self._has_heard:
             message = (
                 f"{self._port}: what answers is no BioHarness; choose its port in the settings"
             )
@@ -142,41 +155,24 @@ class ZephyrDriver:
         message = f"{self._port}: the device does not answer; switch it off and on"
         raise ProtocolError(ProtocolReason.NO_REPLY, message)
 
-    async def _reply_to(self, packet: Request) -> Reply | None:
-        try:
-            async with asyncio.timeout(REPLY_TIMEOUT_S):
-                while True:
-                    received = await self._receive()
-                    # All of it first: samples may follow the reply in the same read.
-                    self._early += [each for each in received if not isinstance(each[0], Reply)]
-                    for message, _ in received:
-                        if isinstance(message, Reply) and message.request_id == packet:
-                            return message
-        except TimeoutError:
-            return None
-
-    async def _receive(self) -> list[tuple[Message, float]]:
+    async def _receive(self) -> list[Heard]:
         """Wait for bytes, at most until a torn frame has to be given up."""
         before = self._protocol.dropped_bytes
         try:
             async with asyncio.timeout(TORN_FRAME_S if self._protocol.buffered else None):
-                data, arrival = await self._link.read()
-            self._arrival = arrival
+                data, self._arrival_s = await self._link.read()
             messages = self._protocol.feed(data)
         except TimeoutError:
-            messages, arrival = self._protocol.give_up(), self._arrival
+            messages = self._protocol.give_up()
         self._sink.dropped_bytes += self._protocol.dropped_bytes - before
-        return [(message, arrival) for message in messages]
+        self._has_heard = self._has_heard or bool(messages)
+        return [Heard(message, self._arrival_s) for message in messages]
 
-    async def _read_forever(self) -> None:
-        while True:
-            for message, arrival in await self._receive():
-                self._take(message, arrival)
-
-    def _take(self, message: Message, arrival: float) -> None:
-        self._sink.heard(*(("ibi",) if isinstance(message, RrIntervals) else ()))
-        self._summary_seen = self._summary_seen or isinstance(message, Summary)
-        self._emitter.take(message, arrival)
+    def _take(self, found: Sequence[Heard]) -> None:
+        for message, arrival_s in found:
+            self._sink.heard(*(("ibi",) if isinstance(message, RrIntervals) else ()))
+            self._summary_seen = self._summary_seen or isinstance(message, Summary)
+            self._emitter.take(message, arrival_s)
 
     async def _stay_awake(self) -> None:
         while True:
@@ -195,7 +191,7 @@ def _names(packets: list[Request]) -> list[str]:
     return [packet.name.lower() for packet in packets]
 
 
-def _make(settings: DeviceSettings, sink: DeviceSink) -> Callable[[], ZephyrDriver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ZephyrDriver]:
     """Share one emitter between all connections: it follows gaps across them."""
     own = own_settings(ZephyrSettings, settings)
     emitter = ZephyrEmitter(sink)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-import structlog
-
+from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.zephyr.driver.frames import MessageId
 from biosensor_gateway.devices.zephyr.driver.messages import (
     Acceleration,
@@ -24,9 +23,7 @@ from biosensor_gateway.devices.zephyr.driver.protocol import (
     RR_PERIOD_S,
 )
 from biosensor_gateway.devices.zephyr.driver.tracking import BeatDetector, PacketTrack
-from biosensor_gateway.streaming.sink import DeviceSink
-
-_log = structlog.get_logger("biosensor_gateway.zephyr")
+from biosensor_gateway.system.device_log import DeviceLog
 
 _WAVEFORMS = {MessageId.ECG: "ecg", MessageId.BREATHING: "breathing"}
 _VITALS_PERIOD_S = 1.0
@@ -36,8 +33,9 @@ _NAN = math.nan
 class ZephyrEmitter:
     """Turns messages into samples; one instance a device, over all its connections."""
 
-    def __init__(self, sink: DeviceSink) -> None:
+    def __init__(self, sink: Sink) -> None:
         self._sink = sink
+        self._log = DeviceLog("biosensor_gateway.zephyr", sink.identity)
         self._tracks = {
             "ecg": PacketTrack(63, ECG_PERIOD_S),
             "breathing": PacketTrack(18, BREATHING_PERIOD_S),
@@ -156,8 +154,7 @@ class ZephyrEmitter:
         self._emit_vitals(values, self._vitals_time(message.header, arrival_s))
 
     def _event(self, message: Event) -> None:
-        identity = self._sink.identity
-        _log.info("event", sensor=identity.sensor, unit=identity.unit, name=message.name)
+        self._log.info("event", name=message.name)
         if message.name == "worn_change" and len(message.data) >= 2:
             self._quality[0] = float(message.data[1] > 0)
             if message.header.device_s is not None and self._vitals:

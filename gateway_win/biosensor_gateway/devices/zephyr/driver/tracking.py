@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from biosensor_common.clocks import SampleTimeline, lost_packets
+from biosensor_common.clocks import PacketTimeline, SampleTimeline
 from biosensor_common.device_clock import LONGEST_DELAY_S
 from biosensor_gateway.devices.zephyr.driver.messages import Header, RrIntervals
 
@@ -53,13 +53,13 @@ class PacketTrack:
         self._period_s = period_s
         self._age_s = 0.0 if stamped_at_end else self._duration_s
         self._timeline = SampleTimeline(period_s)
-        self._sequence: int | None = None
+        self._numbers = PacketTimeline(_SEQUENCE_MODULUS)
         self._next_s: float | None = None
         self._arrival_s = 0.0
 
     def reconnected(self) -> None:
         """Forget the sequence number: nothing says that it survives a connection."""
-        self._sequence = None
+        self._numbers.forget()
 
     def place(self, header: Header, arrival_s: float) -> Placed:
         """Place the next packet on the device's clock.
@@ -72,7 +72,7 @@ class PacketTrack:
             stamp = self._counted_stamp(header.sequence, arrival_s)
         lost = self._lost(header.sequence, stamp, arrival_s)
         first = self._timeline.place(stamp, self._samples, lost * self._samples)
-        self._sequence, self._arrival_s = header.sequence, arrival_s
+        self._arrival_s = arrival_s
         self._next_s = first + self._duration_s
         return Placed(stamp, first, lost)
 
@@ -81,18 +81,15 @@ class PacketTrack:
         return [first_s + index * self._period_s for index in range(self._samples)]
 
     def _counted_stamp(self, sequence: int, arrival_s: float) -> float:
-        if self._sequence is None or self._next_s is None:
+        steps = self._numbers.steps(sequence)
+        if steps is None or self._next_s is None:
             return arrival_s - self._age_s
-        lost = lost_packets(self._sequence, sequence, _SEQUENCE_MODULUS)
-        return self._next_s + lost * self._duration_s
+        return self._next_s + (steps - 1) * self._duration_s
 
     def _lost(self, sequence: int, stamp_s: float, arrival_s: float) -> int:
         by_time = self._lost_by_time(stamp_s, arrival_s)
-        if self._sequence is None:
-            return by_time
-        by_sequence = lost_packets(self._sequence, sequence, _SEQUENCE_MODULUS)
-        cycles = max(0, round((by_time - by_sequence) / _SEQUENCE_MODULUS))
-        return by_sequence + cycles * _SEQUENCE_MODULUS
+        steps = self._numbers.place(sequence, by_time + 1)
+        return by_time if steps is None else steps - 1
 
     def _lost_by_time(self, stamp_s: float, arrival_s: float) -> int:
         if self._next_s is None:

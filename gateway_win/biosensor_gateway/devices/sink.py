@@ -1,0 +1,105 @@
+"""What a driver hands its device's samples to, and all that it sees of the agent."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from numpy.typing import ArrayLike
+
+from biosensor_common.device_clock import ClockState
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.system.clock import Clock
+
+
+class Sink(Protocol):
+    """Takes what one device sends; there is one for each device, over all its connections.
+
+    A driver reports packets with :meth:`observe`, then hands over their samples with times on
+    the device's own clock. The agent's is :class:`~biosensor_gateway.streaming.sink.DeviceSink`.
+
+    Attributes
+    ----------
+    dropped_bytes
+        Bytes that made no valid message; drivers add to it.
+    """
+
+    dropped_bytes: int
+
+    @property
+    def identity(self) -> DeviceIdentity:
+        """Which device it is, for the log."""
+        ...
+
+    @property
+    def clock(self) -> Clock:
+        """Tells LSL time."""
+        ...
+
+    @property
+    def clock_state(self) -> ClockState:
+        """Offset and drift of the device's clock, as far as they are known."""
+        ...
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether a stream was enabled again, and has not been heard since."""
+        ...
+
+    def observe(self, device_s: float, arrival_s: float) -> None:
+        """Take in the device time of a packet's last sample and its LSL time of arrival."""
+        ...
+
+    def restart_clock(self) -> None:
+        """Map device times anew from the next observation on: the device counts anew.
+
+        Nothing can be emitted with device times before that observation.
+        """
+        ...
+
+    def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
+        """Push samples.
+
+        Parameters
+        ----------
+        samples : array_like, shape (n_samples, n_channels) or (n_samples,)
+            In the units of the declaration.
+        device_times : sequence of float, length n_samples
+            Device clock of each sample in seconds.
+        """
+        ...
+
+    def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
+        """Push samples that the device does not stamp, with times on the LSL clock already.
+
+        Parameters
+        ----------
+        samples : array_like, shape (n_samples, n_channels) or (n_samples,)
+            In the units of the declaration.
+        lsl_times : sequence of float, length n_samples
+            LSL clock at each sample, as near as can be told, in seconds.
+        """
+        ...
+
+    def emit_value(self, data_name: str, value: float | None, device_s: float) -> None:
+        """Push one value of a one-channel stream; None is "no value", which sends nothing."""
+        ...
+
+    def emit_text(self, data_name: str, text: str, device_s: float) -> None:
+        """Push one string sample measured at a time of the device's clock."""
+        ...
+
+    def lost(self, data_name: str, count: int) -> None:
+        """Count samples that the device measured and that never arrived."""
+        ...
+
+    def heard(self, *data_names: str) -> None:
+        """Note that the device said something valid: about these streams, or in general.
+
+        Samples are noted by themselves, so only what comes without a value has to be told.
+        """
+        ...
+
+    def excuse(self, *data_names: str) -> None:
+        """Expect nothing of these streams until they are heard again: there is a reason."""
+        ...

@@ -1,0 +1,159 @@
+"""Asks a device for something while it sends data: one reader for answers and data alike."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Sequence
+from typing import Any, Generic, TypeVar
+
+from biosensor_gateway.transports.deadlines import in_background
+
+KEPT_READS = 8192
+"""Reads that wait for a listener; a device may talk for half a minute before there is one."""
+
+_MessageT = TypeVar("_MessageT")
+_CommandT = TypeVar("_CommandT")
+_AnswerT = TypeVar("_AnswerT")
+
+
+class Dialogue(Generic[_MessageT, _CommandT]):
+    """Questions and answers on a link that carries data as well; one question at a time.
+
+    One task reads, from `begin` to `close`. The listener gets all that comes, in order, and
+    answers, too: devices number them together with their data, and some answers are readings.
+    What comes before there is a listener is kept for it.
+
+    Parameters
+    ----------
+    receive
+        Waits for the next messages; what it raises ends the dialogue.
+    send
+        Sends a command, at once or when it is awaited.
+    """
+
+    def __init__(
+        self,
+        receive: Callable[[], Awaitable[Sequence[_MessageT]]],
+        send: Callable[[_CommandT], Awaitable[None] | None],
+    ) -> None:
+        self._receive = receive
+        self._send = send
+        self._listener: Callable[[Sequence[_MessageT]], None] = self._keep
+        self._early: list[Sequence[_MessageT]] = []
+        self._turn = asyncio.Lock()
+        self._is_answer: Callable[[_MessageT], bool] | None = None
+        self._reading: asyncio.Task[None] | None = None
+
+    def begin(self) -> None:
+        """Begin to read."""
+        self._reading = in_background(self._read_forever())
+
+    async def ask(
+        self, command: _CommandT, match: Callable[[_MessageT], _AnswerT | None], limit_s: float
+    ) -> _AnswerT | None:
+        """Send a command, and wait for its answer.
+
+        Parameters
+        ----------
+        command
+        match
+            Gets each message, before the listener and before anything that came later, and
+            returns the answer once it is complete.
+        limit_s
+            How long the answer may take once the command is sent.
+
+        Returns
+        -------
+        object or None
+            What `match` returned; None if there was no answer in time.
+
+        Raises
+        ------
+        Exception
+            What `send` raised, or what ended the reading.
+        """
+        async with self._turn:
+            # What has arrived by now answers something else: let the reader pass it on.
+            await asyncio.sleep(0)
+            reading = self._require_reader()
+            answer: asyncio.Future[_AnswerT] = asyncio.get_running_loop().create_future()
+
+            def is_answer(message: _MessageT) -> bool:
+                found = match(message)
+                if found is not None:
+                    answer.set_result(found)
+                return found is not None
+
+            self._is_answer = is_answer
+            try:
+                await self._tell(command)
+                awaited: set[asyncio.Future[Any]] = {answer, reading}
+                await asyncio.wait(awaited, timeout=limit_s, return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                self._is_answer = None
+        if answer.done():
+            return answer.result()
+        self._require_reader()
+        return None
+
+    async def stream(self, listener: Callable[[Sequence[_MessageT]], None]) -> None:
+        """Pass on what came so far, and all that comes, until the reading ends.
+
+        Parameters
+        ----------
+        listener
+            Gets the messages of each read.
+
+        Raises
+        ------
+        Exception
+            What `receive` or the listener raised.
+        """
+        early, self._early = self._early, []
+        for messages in early:
+            listener(messages)
+        self._listener = listener
+        reading = self._require_reader()
+        try:
+            await asyncio.wait({reading})
+        finally:
+            self._listener = _pass_over
+        reading.result()
+
+    def hear(self, messages: Sequence[_MessageT]) -> None:
+        """Take messages as if they had just been read."""
+        for message in messages:
+            if self._is_answer is not None and self._is_answer(message):
+                self._is_answer = None
+        self._listener(messages)
+
+    async def close(self) -> None:
+        """Stop reading; never raises."""
+        if self._reading is not None:
+            self._reading.cancel()
+            await asyncio.wait({self._reading})
+
+    async def _read_forever(self) -> None:
+        while True:
+            self.hear(await self._receive())
+
+    async def _tell(self, command: _CommandT) -> None:
+        sending = self._send(command)
+        if sending is not None:
+            await sending
+
+    def _require_reader(self) -> asyncio.Task[None]:
+        """Return the task that reads; raise what has ended it."""
+        if self._reading is None:
+            raise RuntimeError("nobody reads before a dialogue has begun")
+        if self._reading.done():
+            self._reading.result()
+        return self._reading
+
+    def _keep(self, messages: Sequence[_MessageT]) -> None:
+        if messages and len(self._early) < KEPT_READS:
+            self._early.append(messages)
+
+
+def _pass_over(_messages: Sequence[object]) -> None:
+    """Take what comes while nobody streams any more."""
