@@ -134,9 +134,12 @@ async def test_garbage_costs_no_sample(belt: SimulatedBelt) -> None:
 async def test_a_link_lost_while_asking_is_one_loss(
     belt: SimulatedBelt, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(driver_module, "STATUS_PERIOD_S", 0.0)
+    monkeypatch.setattr(driver_module, "STATUS_PERIOD_S", 0.01)
     async with streaming(belt) as run:
         await until(run.sink.has(5, "force"))
+        # A question is on its way before the link is lost.
+        belt.apply(Fault(FaultKind.STALL, inf))
+        await asyncio.sleep(0.1)
         belt.apply(Fault(FaultKind.DROP, 0.5))
         await until(lambda: run.supervisor.last_error)
         assert "the connection was cut" in str(run.supervisor.last_error)
