@@ -17,7 +17,7 @@ from concurrent.futures import Executor, Future
 from contextlib import contextmanager
 from contextvars import Context
 from time import monotonic
-from typing import NamedTuple, TypeVar, TypeVarTuple, Unpack
+from typing import NamedTuple, TypeVar, TypeVarTuple
 
 import pytest
 from pylsl import local_clock
@@ -124,9 +124,7 @@ class _Selector(selectors.DefaultSelector):
         super().__init__()
         self.clock: VirtualTime | None = None
 
-    def select(
-        self, timeout: float | None = None
-    ) -> list[tuple[selectors.SelectorKey, selectors._EventMask]]:
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         """Return what is ready."""
         if self.clock is None:
             return super().select(timeout)
@@ -155,7 +153,7 @@ class SwitchableLoop(asyncio.SelectorEventLoop):
         self._waiting.clock = clock
 
     def run_in_executor(
-        self, executor: Executor | None, func: Callable[[Unpack[_Ts]], _T], *args: Unpack[_Ts]
+        self, executor: Executor | None, func: Callable[[*_Ts], _T], *args: *_Ts
     ) -> asyncio.Future[_T]:
         """Run a job in another thread; time waits for it."""
         clock = self._waiting.clock
@@ -185,8 +183,8 @@ class _WorldLoop(SwitchableLoop):
 
     def call_soon_threadsafe(
         self,
-        callback: Callable[[Unpack[_Ts]], object],
-        *args: Unpack[_Ts],
+        callback: Callable[[*_Ts], object],
+        *args: *_Ts,
         context: Context | None = None,
     ) -> asyncio.Handle:
         """Ask for a call; time waits for a thread that has not come yet."""
