@@ -23,8 +23,9 @@ from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
 from tests.rigs.driver_run import NotedSink, connected, streaming
-from tests.rigs.polar_h10 import assert_once_and_in_order, assert_only_gaps
+from tests.rigs.polar_h10 import assert_only_gaps
 from tests.rigs.polling import until
+from tests.rigs.truth import assert_once_and_in_order
 
 MakeSensor = Callable[..., SimulatedPolarH10]
 

@@ -96,7 +96,7 @@ class Run:
     def __init__(self, device: VirtualDevice, /, **fields: Any) -> None:
         self.sink = NotedSink(device.sensor, device.world.clock)
         self.states: list[State] = []
-        make = _maker(device, self.sink, fields)
+        make = driver_maker(device, self.sink, **fields)
         self.supervisor = Supervisor(make, self.sink, self.states.append)
 
     async def goes_on(self, count: int, *data_names: str) -> None:
@@ -126,16 +126,15 @@ async def streaming(device: VirtualDevice, /, **fields: Any) -> AsyncGenerator[R
 @asynccontextmanager
 async def connected(device: VirtualDevice, /, **fields: Any) -> AsyncGenerator[Connected]:
     """Connect once, without a supervisor."""
-    driver = _maker(device, NotedSink(device.sensor, device.world.clock), fields)()
+    driver = driver_maker(device, NotedSink(device.sensor, device.world.clock), **fields)()
     try:
         yield await driver.connect()
     finally:
         await driver.close()
 
 
-def _maker(
-    device: VirtualDevice, sink: NotedSink, fields: Mapping[str, Any]
-) -> Callable[[], Driver]:
+def driver_maker(device: VirtualDevice, sink: NotedSink, /, **fields: Any) -> Callable[[], Driver]:
+    """Return what makes a driver for each connection to a virtual device."""
     entry = driver_of(device.sensor)
     named = {"sensor": device.sensor, "unit": sink.identity.unit}
     settings = entry.settings.model_validate({**named, **device.settings, **fields})
