@@ -171,11 +171,6 @@ async def test_a_restart_ends_the_link_and_begins_anew(strap: SimulatedHeartRate
         decode(host.all(MEASUREMENT)[-1])
 
 
-async def test_a_fault_that_it_cannot_have_is_refused(strap: SimulatedHeartRateStrap) -> None:
-    with pytest.raises(ValueError, match="refuse"):
-        strap.apply(Fault(FaultKind.REFUSE, 1.0))
-
-
 async def test_a_fast_crystal_makes_its_seconds_short(
     radio: Radio, strap: SimulatedHeartRateStrap
 ) -> None:

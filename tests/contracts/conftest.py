@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import AsyncGenerator, Callable, Generator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
+from functools import partial
 from typing import cast
 
 import pytest
@@ -58,6 +59,12 @@ def is_recording(name: str) -> bool:
     return name.endswith(":recording")
 
 
+ON_AIR = pytest.mark.parametrize(
+    "name", [each for each in NAMES if class_of(each).on_air], indirect=True
+)
+"""For what only Bluetooth LE does."""
+
+
 def every(*kinds: FaultKind) -> pytest.MarkDecorator:
     """Run a test for each device and each fault of these that it can have."""
     cells = [(name, kind) for name in NAMES for kind in kinds if kind in class_of(name).faults]
@@ -86,23 +93,23 @@ async def world(name: str) -> AsyncGenerator[World]:
 
 
 @pytest.fixture
-def make(name: str, world: World, monkeypatch: pytest.MonkeyPatch) -> Generator[Make]:
+def radio(name: str, world: World) -> Generator[Radio | None]:
+    """The air, for whom it is there."""
+    if not class_of(name).on_air:
+        yield None
+        return
+    air = Radio(world)
+    with virtual_bluetooth(air):
+        yield air
+
+
+@pytest.fixture
+def make(name: str, world: World, radio: Radio | None, monkeypatch: pytest.MonkeyPatch) -> Make:
     """Make devices of a kind, which are found without long pauses."""
     monkeypatch.setattr(supervisor_module, "PROBE_INTERVAL_S", 0.05)
     monkeypatch.setattr(supervisor_module, "BACKOFF_FIRST_S", 0.1)
-    found = class_of(name)
-    constructor = cast("Make", found)
-    with ExitStack() as stack:
-        place: tuple[object, ...] = (world,)
-        if found.on_air:
-            radio = Radio(world)
-            stack.enter_context(virtual_bluetooth(radio))
-            place = (world, radio)
-
-        def made(**options: object) -> VirtualDevice:
-            return constructor(*place, **options)
-
-        yield made
+    place = (world,) if radio is None else (world, radio)
+    return partial(cast("Make", class_of(name)), *place)
 
 
 @pytest.fixture

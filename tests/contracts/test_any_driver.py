@@ -10,15 +10,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from biosensor_common.errors import GatewayError
+from biosensor_common.errors import GatewayError, TransportError, TransportReason
 from biosensor_common.quantities import ChannelRole
 from biosensor_gateway.agent.supervisor import State
 from biosensor_gateway.devices.registry import declaration, driver
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.simulation.expected import Contact
 from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
-from tests.contracts.conftest import class_of, every
+from biosensor_gateway.transports import ble_choice
+from tests.contracts.conftest import ON_AIR, class_of, every
 from tests.rigs.driver_run import NotedSink, Run, connected, driver_maker, streaming
 from tests.rigs.polling import until
 from tests.rigs.truth import assert_once_and_in_order
@@ -60,12 +62,17 @@ async def told_the_truth(device: VirtualDevice) -> AsyncGenerator[Run]:
     # A recording knows no truth, and its clock begins anew with it.
     for name in measured(device) if device.truth.data_names else ():
         assert np.all(np.diff(run.sink.times[name]) > 0)
-        if run.sink.rows[name]:
-            # What has no value at all needs no place in the stream.
-            measured_ones = device.truth.samples(name).values
-            is_there = ~np.isnan(measured_ones).all(axis=1)
-            received = [row for row in run.sink.rows[name] if not np.isnan(row).all()]
-            assert_once_and_in_order(received, measured_ones[is_there])
+        places(device, run, name)
+
+
+def places(device: VirtualDevice, run: Run, data_name: str) -> list[int]:
+    """Assert that values are measured ones, each once and in order; return which they are."""
+    if not run.sink.rows[data_name]:
+        return []
+    # What has no value at all needs no place in the stream.
+    values = device.truth.samples(data_name).values
+    received = [row for row in run.sink.rows[data_name] if not np.isnan(row).all()]
+    return assert_once_and_in_order(received, values[~np.isnan(values).all(axis=1)])
 
 
 def is_silent(run: Run, data_name: str) -> bool:
@@ -99,6 +106,13 @@ async def test_it_goes_on_after_a_fault_and_makes_nothing_up(
         await run.goes_on(COUNT, name)
         if kind in HARMLESS:
             assert run.supervisor.connections == 1
+        elif kind in BREAKS and device.on_air:
+            assert run.supervisor.connections == 2
+        if kind is FaultKind.GARBAGE:
+            assert {run.sink.lost_count(each) for each in measured(device)} == {0}
+    if kind is FaultKind.GARBAGE and device.truth.data_names:
+        for each in measured(device):
+            assert set(np.diff(places(device, run, each))) <= {1}
 
 
 def role_of(device: VirtualDevice, role: ChannelRole) -> tuple[str, int]:
@@ -175,6 +189,28 @@ async def test_a_device_that_is_gone_is_a_known_error(device: VirtualDevice) -> 
     with pytest.raises(GatewayError):
         await made.connect()
     await made.close()
+
+
+@ON_AIR
+async def test_bluetooth_that_is_off_is_said(device: VirtualDevice, radio: Radio) -> None:
+    radio.available = False
+    with pytest.raises(TransportError) as caught:
+        async with connected(device):
+            pass
+    assert caught.value.reason is TransportReason.UNAVAILABLE
+
+
+@ON_AIR
+async def test_who_is_not_there_yet_is_waited_for(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ble_choice, "SCAN_S", 0.3)
+    device = make()
+    async with streaming(device) as run:
+        await until(lambda: run.supervisor.last_error)
+        assert run.supervisor.connections == 0
+        with device:
+            await until(run.sink.has(1, measured(device)[0]))
 
 
 def test_settings_of_another_sensor_are_a_mistake(name: str) -> None:

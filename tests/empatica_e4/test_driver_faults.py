@@ -223,17 +223,6 @@ async def test_a_refusal_to_bind_is_overcome(world: World, running: Running) -> 
             run.assert_none_doubled(server.truth)
 
 
-async def test_late_answers_are_waited_for(world: World, running: Running) -> None:
-    with SimulatedE4(world) as server:
-        async with running(server.settings) as run:
-            await run.until_more()
-            server.apply(Fault(FaultKind.LATE, 0.3))
-            await run.until(run.has_reconnected)
-            await run.until_more()
-            assert run.supervisor.connections == 2
-            run.assert_none_doubled(server.truth)
-
-
 async def test_answers_that_come_too_late_answer_nothing_else(
     world: World, running: Running
 ) -> None:
