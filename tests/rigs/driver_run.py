@@ -6,10 +6,10 @@ import asyncio
 import uuid
 from collections.abc import AsyncGenerator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent.supervisor import State, Supervisor
@@ -70,6 +70,11 @@ class NotedSink(DeviceSink):
         """Return the first channel of a stream."""
         return [row[0] for row in self.rows[data_name]]
 
+    def array(self, data_name: str) -> NDArray[np.float64]:
+        """Return all samples of a stream; shape (samples, channels)."""
+        width = len(self._spec.stream(data_name).channels)
+        return np.array(self.rows[data_name], np.float64).reshape(-1, width)
+
     def has(self, count: int, *data_names: str) -> Callable[[], bool]:
         """Return a condition: so many samples of each have come."""
         return lambda: all(len(self.rows[name]) >= count for name in data_names)
@@ -99,10 +104,19 @@ class Run:
         make = driver_maker(device, self.sink, **fields)
         self.supervisor = Supervisor(make, self.sink, self.states.append)
 
+    @property
+    def lost(self) -> dict[str, int]:
+        """How many samples are counted as lost, by data name of the streams that lost any."""
+        names = [stream.data_name for stream in self.sink.spec.streams]
+        return {name: count for name in names if (count := self.sink.lost_count(name))}
+
     async def goes_on(self, count: int, *data_names: str) -> None:
         """Wait until so many further samples of each have come."""
         wanted = {name: len(self.sink.rows[name]) + count for name in data_names}
         await until(lambda: all(len(self.sink.rows[name]) >= wanted[name] for name in wanted))
+
+
+_R = TypeVar("_R", bound=Run)
 
 
 @asynccontextmanager
@@ -111,7 +125,13 @@ async def streaming(device: VirtualDevice, /, **fields: Any) -> AsyncGenerator[R
 
     Fields are those of the device's settings, besides the ones that lead to the virtual device.
     """
-    run = Run(device, **fields)
+    async with supervised(Run(device, **fields)) as run:
+        yield run
+
+
+@asynccontextmanager
+async def supervised(run: _R) -> AsyncGenerator[_R]:
+    """Run what is made already; see :func:`streaming`."""
     task = asyncio.create_task(run.supervisor.run())
     try:
         yield run
