@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent.supervisor import State, Supervisor
 from biosensor_gateway.devices.driver import Connected, Driver
@@ -30,6 +31,8 @@ class NotedSink(DeviceSink):
     ----------
     rows, times
         Samples of each stream, and their LSL times [s].
+    texts
+        Of all streams of text; their times are in `times`.
     info, rates
         Of the newest connection.
     """
@@ -40,6 +43,7 @@ class NotedSink(DeviceSink):
         names = [stream.data_name for stream in self._spec.streams]
         self.rows: dict[str, list[list[float]]] = {name: [] for name in names}
         self.times: dict[str, list[float]] = {name: [] for name in names}
+        self.texts: list[str] = []
         self.info = DeviceInfo()
         self.rates: Mapping[str, float] = {}
         self._kept: dict[str, Counters] = {}
@@ -66,6 +70,12 @@ class NotedSink(DeviceSink):
         self.rows[data_name] += np.asarray(samples, np.float64).reshape(-1, width).tolist()
         self.times[data_name] += lsl_times
 
+    def emit_text(self, data_name: str, text: str, device_s: float) -> None:
+        """Note a text."""
+        super().emit_text(data_name, text, device_s)
+        self.texts.append(text)
+        self.times[data_name].append(self._clock.to_lsl(device_s))
+
     def values(self, data_name: str) -> list[float]:
         """Return the first channel of a stream."""
         return [row[0] for row in self.rows[data_name]]
@@ -79,12 +89,13 @@ class NotedSink(DeviceSink):
         """Return a condition: so many samples of each have come."""
         return lambda: all(len(self.rows[name]) >= count for name in data_names)
 
+    def counted(self, data_name: str) -> Counters:
+        """Return the counters of a stream."""
+        return self.counters[source_id(self.identity, data_name)]
+
     def lost_count(self, data_name: str) -> int:
         """Return how many samples of a stream are counted as lost."""
-        (lost,) = (
-            each.lost for source, each in self.counters.items() if source.endswith(f"-{data_name}")
-        )
-        return lost
+        return self.counted(data_name).lost
 
 
 class Run:
