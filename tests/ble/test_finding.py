@@ -131,7 +131,7 @@ async def test_a_scan_that_hears_nothing_any_more_is_started_anew(
     monkeypatch.setattr(BleakScanner, "start", noted)
     async with advertisements() as early:
         assert (await anext(early)).address == probe.address
-        monkeypatch.setattr(ble_scanner, "SILENT_S", 0.0)
+        monkeypatch.setattr(ble_scanner, "SILENT_S", -1.0)
         async with advertisements() as late:
             assert (await asyncio.wait_for(anext(late), DEADLINE_S)).address == probe.address
             assert (await asyncio.wait_for(anext(early), DEADLINE_S)).address == probe.address

@@ -13,13 +13,11 @@ from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.supervisor import State
 from biosensor_gateway.devices.ble_heart_rate.driver import driver as driver_module
 from biosensor_gateway.devices.ble_heart_rate.driver import strap as strap_module
-from biosensor_gateway.devices.ble_heart_rate.driver.driver import DRIVER, HeartRateStrapDriver
+from biosensor_gateway.devices.ble_heart_rate.driver.driver import HeartRateStrapDriver
 from biosensor_gateway.devices.ble_heart_rate.simulator import SimulatedHeartRateStrap
-from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.transports import ble_choice
-from tests.rigs.driver_run import NotedSink, connected, streaming
+from tests.rigs.driver_run import connected, streaming
 from tests.rigs.polling import until
 
 
@@ -111,24 +109,6 @@ async def test_a_battery_that_notifies_is_not_polled(strap: SimulatedHeartRateSt
     assert run.sink.values("bat") == [87, 4]
 
 
-@pytest.mark.parametrize("kind", [FaultKind.DROP, FaultKind.RESTART])
-async def test_the_strap_is_back_after_a_break(
-    strap: SimulatedHeartRateStrap, kind: FaultKind
-) -> None:
-    async with streaming(strap) as run:
-        await until(run.sink.has(2, "hr"))
-        strap.apply(Fault(kind, 0.5))
-        await until(lambda: State.DISCOVERING in run.states)
-        count = len(run.sink.rows["ibi"])
-        await until(run.sink.has(count + 3, "ibi"))
-        assert run.supervisor.connections == 2
-    truth = strap.truth.samples("ibi").values[:, 0]
-    beats = run.sink.values("ibi")
-    assert_part(beats[:count], truth)
-    assert_part(beats[count:], truth)
-    assert len(beats) <= len(truth)
-
-
 async def test_a_silent_strap_is_connected_anew(
     strap: SimulatedHeartRateStrap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -144,41 +124,6 @@ async def test_a_silent_strap_is_connected_anew(
         assert run.supervisor.connections >= 2
 
 
-async def test_garbage_is_counted_and_never_emitted(strap: SimulatedHeartRateStrap) -> None:
-    async with streaming(strap) as run:
-        await until(run.sink.has(1, "hr"))
-        strap.apply(Fault(FaultKind.GARBAGE, 20))
-        await until(lambda: run.sink.dropped_bytes > 0)
-        await run.goes_on(2, "hr", "ibi")
-        assert run.supervisor.connections == 1
-    for name in ("hr", "ibi"):
-        assert_part(run.sink.values(name), strap.truth.samples(name).values[:, 0])
-
-
-async def test_an_absent_strap_is_waited_for(radio: Radio, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(supervisor_module, "PROBE_INTERVAL_S", 0.05)
-    monkeypatch.setattr(ble_choice, "SCAN_S", 0.3)
-    strap = SimulatedHeartRateStrap(radio.world, radio)
-    async with streaming(strap) as run:
-        await until(lambda: run.supervisor.last_error)
-        assert run.supervisor.connections == 0
-        with strap:
-            await until(run.sink.has(1, "quality"))
-
-
-async def test_closing_disconnects(strap: SimulatedHeartRateStrap) -> None:
-    async with connected(strap):
-        pass
-    # Only who is not connected advertises.
-    async with connected(strap):
-        pass
-
-
 def test_limits() -> None:
     assert strap_module.BATTERY_PERIOD_S == 300.0
     assert driver_module.GOODBYE_LIMIT_S < supervisor_module.CLOSE_TIMEOUT_S / 2
-
-
-def test_settings_of_another_sensor_are_a_mistake() -> None:
-    with pytest.raises(TypeError, match="Strap"):
-        DRIVER.make(DeviceSettings(sensor="zephyr", unit="x"), NotedSink("ble_heart_rate"))

@@ -2,140 +2,119 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import ArrayLike
 
-from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.devices.ble_heart_rate.declaration import SPEC
 from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
-from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.streaming.sink import DeviceSink
+from tests.rigs.emitter_sink import EmitterSink
 
 ARRIVAL_S = 5_000.0
 
 
-class NotedSink(DeviceSink):
-    """Notes what it is told instead of telling LSL."""
-
-    def __init__(self) -> None:
-        super().__init__(DeviceIdentity("ble_heart_rate", "noted"), declaration("ble_heart_rate"))
-        self.emitted: dict[str, list[float]] = {}
-        self.times: dict[str, list[float]] = {}
-        self.heard_count = 0
-
-    def heard(self, *data_names: str) -> None:
-        del data_names
-        self.heard_count += 1
-
-    def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
-        width = len(SPEC.stream(data_name).channels)
-        rows = np.asarray(samples, np.float64).reshape(-1, width)
-        assert len(rows) == len(lsl_times)
-        assert not np.isnan(rows).any()
-        self.emitted.setdefault(data_name, []).extend(rows[:, 0])
-        self.times.setdefault(data_name, []).extend(lsl_times)
+@pytest.fixture
+def sink() -> EmitterSink:
+    return EmitterSink("ble_heart_rate")
 
 
 @pytest.fixture
-def sink() -> NotedSink:
-    return NotedSink()
-
-
-@pytest.fixture
-def emitter(sink: NotedSink) -> StrapEmitter:
+def emitter(sink: EmitterSink) -> StrapEmitter:
     return StrapEmitter(sink)
 
 
+def firsts(sink: EmitterSink) -> dict[str, list[float]]:
+    return {name: sink.values(name) for name in sink.emitted}
+
+
 def test_a_measurement_fills_rate_intervals_and_quality(
-    emitter: StrapEmitter, sink: NotedSink
+    emitter: StrapEmitter, sink: EmitterSink
 ) -> None:
     emitter.measurement(bytes.fromhex("108e9d01a801"), ARRIVAL_S)
-    assert sink.emitted == {"hr": [142], "ibi": [413 / 1024, 424 / 1024], "quality": [1]}
+    assert firsts(sink) == {"hr": [142], "ibi": [413 / 1024, 424 / 1024], "quality": [1]}
     assert sink.times["hr"] == sink.times["quality"] == [ARRIVAL_S]
     assert sink.times["ibi"] == [ARRIVAL_S - 424 / 1024, ARRIVAL_S]
     assert (sink.heard_count, sink.dropped_bytes) == (1, 0)
 
 
 def test_beats_keep_their_distances_although_packets_jitter(
-    emitter: StrapEmitter, sink: NotedSink
+    emitter: StrapEmitter, sink: EmitterSink
 ) -> None:
     for packet, late in enumerate([0.0, 0.08, 0.03, 0.1]):
         emitter.measurement(bytes.fromhex("103c0004"), ARRIVAL_S + packet + late)
     assert np.diff(sink.times["ibi"]) == pytest.approx([1.0] * 3, abs=0.01)
 
 
-def test_no_rate_and_no_interval_send_nothing(emitter: StrapEmitter, sink: NotedSink) -> None:
+def test_no_rate_and_no_interval_send_nothing(emitter: StrapEmitter, sink: EmitterSink) -> None:
     emitter.measurement(bytes.fromhex("10000000"), ARRIVAL_S)
-    assert sink.emitted == {"quality": [0]}
+    assert firsts(sink) == {"quality": [0]}
 
 
 @pytest.mark.parametrize(("flags", "contact"), [(0x16, 1), (0x14, 0)])
 def test_contact_is_what_the_strap_tells(
-    emitter: StrapEmitter, sink: NotedSink, flags: int, contact: float
+    emitter: StrapEmitter, sink: EmitterSink, flags: int, contact: float
 ) -> None:
     emitter.measurement(bytes([flags, 60, 0, 4]), ARRIVAL_S)
-    assert sink.emitted["quality"] == [contact]
+    assert sink.values("quality") == [contact]
     # Quality filters nothing.
-    assert sink.emitted["hr"] == [60]
+    assert sink.values("hr") == [60]
 
 
-def test_contact_is_inferred_from_missing_intervals(emitter: StrapEmitter, sink: NotedSink) -> None:
+def test_contact_is_inferred_from_missing_intervals(
+    emitter: StrapEmitter, sink: EmitterSink
+) -> None:
     emitter.measurement(bytes.fromhex("103c0004"), ARRIVAL_S)
     for second in range(1, 9):
         emitter.measurement(bytes.fromhex("103c"), ARRIVAL_S + second)
     emitter.measurement(bytes.fromhex("103c0004"), ARRIVAL_S + 9)
-    assert sink.emitted["quality"] == [1] * 6 + [0] * 3 + [1]
+    assert sink.values("quality") == [1] * 6 + [0] * 3 + [1]
 
 
-def test_a_strap_without_intervals_may_be_worn(emitter: StrapEmitter, sink: NotedSink) -> None:
+def test_a_strap_without_intervals_may_be_worn(emitter: StrapEmitter, sink: EmitterSink) -> None:
     for second in range(9):
         emitter.measurement(bytes.fromhex("003c"), ARRIVAL_S + second)
-    assert sink.emitted["quality"] == [1] * 9
+    assert sink.values("quality") == [1] * 9
 
 
-def test_a_connection_starts_without_a_past(emitter: StrapEmitter, sink: NotedSink) -> None:
+def test_a_connection_starts_without_a_past(emitter: StrapEmitter, sink: EmitterSink) -> None:
     emitter.measurement(bytes.fromhex("103c0004"), ARRIVAL_S)
     emitter.reconnected()
     emitter.measurement(bytes.fromhex("103c"), ARRIVAL_S + 60)
     emitter.measurement(bytes.fromhex("103c00040004"), ARRIVAL_S + 61)
-    assert sink.emitted["quality"] == [1, 1, 1]
+    assert sink.values("quality") == [1, 1, 1]
     assert sink.times["ibi"] == [ARRIVAL_S, ARRIVAL_S + 60, ARRIVAL_S + 61]
 
 
 def test_intervals_that_come_better_elsewhere_are_passed_over(
-    emitter: StrapEmitter, sink: NotedSink
+    emitter: StrapEmitter, sink: EmitterSink
 ) -> None:
     emitter.has_better_intervals = True
     emitter.measurement(bytes.fromhex("103c0004"), ARRIVAL_S)
     assert sink.emitted.keys() == {"hr", "quality"}
 
 
-def test_battery_and_signal_strength(emitter: StrapEmitter, sink: NotedSink) -> None:
+def test_battery_and_signal_strength(emitter: StrapEmitter, sink: EmitterSink) -> None:
     emitter.battery(b"\x57", ARRIVAL_S)
     emitter.battery(b"\xff", ARRIVAL_S + 1)
     emitter.signal_strength(-61, ARRIVAL_S)
     emitter.signal_strength(None, ARRIVAL_S + 1)
-    assert sink.emitted == {"bat": [87], "rssi": [-61]}
+    assert firsts(sink) == {"bat": [87], "rssi": [-61]}
 
 
-def test_what_is_cut_short_is_counted(emitter: StrapEmitter, sink: NotedSink) -> None:
+def test_what_is_cut_short_is_counted(emitter: StrapEmitter, sink: EmitterSink) -> None:
     emitter.measurement(b"\x01\x48", ARRIVAL_S)
     assert (sink.emitted, sink.dropped_bytes, sink.heard_count) == ({}, 2, 0)
 
 
 @given(st.lists(st.binary(max_size=40), max_size=20))
 def test_any_values_are_emitted_or_counted(values: list[bytes]) -> None:
-    sink = NotedSink()
+    sink = EmitterSink("ble_heart_rate")
     emitter = StrapEmitter(sink)
     for second, data in enumerate(values):
         emitter.measurement(data, ARRIVAL_S + second)
         emitter.battery(data, ARRIVAL_S + second)
-    assert sink.heard_count == len(sink.emitted.get("quality", []))
+    assert sink.heard_count == len(sink.values("quality"))
     dropped = len(values) - sink.heard_count
     assert dropped <= sum(len(data) < 5 for data in values)
     assert sink.dropped_bytes <= 4 * dropped
+    assert not any(np.isnan(rows).any() for rows in sink.emitted.values())

@@ -283,17 +283,6 @@ async def test_a_fault_that_passes_leaves_a_gap(
         assert_true(run, cortex, "eeg", "mot")
 
 
-async def test_late_answers_are_waited_for(
-    world: World, kept: Kept, eventually: Eventually
-) -> None:
-    with SimulatedCortex(world, timing=QUICK, seed=12) as cortex:
-        async with kept(cortex) as run:
-            await eventually(has(run, 20, "eeg"))
-            cortex.apply(Fault(FaultKind.LATE, 0.5))
-            await eventually(lambda: run.states.count(State.STREAMING) >= 2)
-        assert_true(run, cortex, "eeg")
-
-
 async def test_garbage_hides_nothing(world: World, kept: Kept, eventually: Eventually) -> None:
     with SimulatedCortex(world, timing=QUICK, seed=13) as cortex:
         async with kept(cortex) as run:

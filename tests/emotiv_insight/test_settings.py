@@ -7,14 +7,11 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from biosensor_gateway.devices.emotiv_insight.driver.driver import DRIVER
 from biosensor_gateway.devices.emotiv_insight.driver.settings import (
     DEFAULT_URL,
     EmotivInsightSettings,
     is_loopback,
 )
-from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.streaming.sink import DeviceSink
 
 
 def settings(**fields: Any) -> EmotivInsightSettings:
@@ -64,8 +61,3 @@ def test_a_debit_is_not_negative() -> None:
 @pytest.mark.parametrize(("host", "loopback"), [("localhost", True), ("::1", True), ("", False)])
 def test_loopback_is_told_by_name_or_address(host: str, loopback: bool) -> None:
     assert is_loopback(host) is loopback
-
-
-def test_the_settings_of_another_sensor_are_refused(noted_sink: type[DeviceSink]) -> None:
-    with pytest.raises(TypeError):
-        DRIVER.make(DeviceSettings(sensor="emotiv_insight", unit="u"), noted_sink())  # pyright: ignore[reportCallIssue] - the fixture's sink names itself

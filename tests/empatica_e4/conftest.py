@@ -6,8 +6,7 @@ import asyncio
 import json
 import socket
 import time
-import uuid
-from collections.abc import AsyncGenerator, Callable, Iterator, Mapping, Sequence
+from collections.abc import AsyncGenerator, Callable, Iterator, Mapping
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pathlib import Path
 from types import TracebackType
@@ -15,20 +14,16 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.supervisor import State, Supervisor
-from biosensor_gateway.devices.empatica_e4.declaration import SPEC
 from biosensor_gateway.devices.empatica_e4.driver import driver as driver_module
 from biosensor_gateway.devices.empatica_e4.driver.driver import DRIVER, E4Settings
-from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.streaming import silence as silence_module
-from biosensor_gateway.streaming.counters import Counters
-from biosensor_gateway.streaming.sink import DeviceSink
+from tests.rigs.driver_run import NotedSink
 
 DEADLINE_S = 40.0
 REGULAR = ("bvp", "acc", "gsr", "st")
@@ -138,45 +133,11 @@ def vectors() -> dict[str, Any]:
     return loaded
 
 
-class NotedSink(DeviceSink):
-    """Notes what drivers emit on its way into LSL."""
-
-    def __init__(self) -> None:
-        super().__init__(
-            DeviceIdentity("empatica_e4", uuid.uuid4().hex), declaration("empatica_e4")
-        )
-        names = [stream.data_name for stream in SPEC.streams]
-        self.rows: dict[str, list[Floats]] = {name: [] for name in names}
-        self.stamps: dict[str, list[float]] = {name: [] for name in names}
-        self.tags: list[str] = []
-
-    def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
-        super().emit_at(data_name, samples, lsl_times)
-        width = len(SPEC.stream(data_name).channels)
-        self.rows[data_name].extend(np.asarray(samples, np.float64).reshape(-1, width))
-        self.stamps[data_name].extend(lsl_times)
-
-    def emit_text(self, data_name: str, text: str, device_s: float) -> None:
-        super().emit_text(data_name, text, device_s)
-        self.tags.append(text)
-        self.stamps[data_name].append(self._clock.to_lsl(device_s))
-
-    def values(self, data_name: str) -> Floats:
-        width = len(SPEC.stream(data_name).channels)
-        return np.array(self.rows[data_name], np.float64).reshape(-1, width)
-
-    def counted(self, data_name: str) -> Counters:
-        return self.counters[f"empatica_e4-{self.identity.unit}-{data_name}"]
-
-    def has(self, *data_names: str, rows: int = 1) -> Callable[[], bool]:
-        return lambda: all(len(self.rows[name]) >= rows for name in data_names)
-
-
 class Run:
     """A driver and the supervisor that keeps it connected."""
 
     def __init__(self, settings: Mapping[str, Any]) -> None:
-        self.sink = NotedSink()
+        self.sink = NotedSink("empatica_e4")
         self.states: list[State] = []
         unit = self.sink.identity.unit
         made = E4Settings.model_validate({"sensor": "empatica_e4", "unit": unit, **settings})
@@ -209,14 +170,14 @@ class Run:
         in its order; the noise makes every BVP unlike all others.
         """
         sent: list[list[float]] = truth.samples(data_name).values.tolist()
-        emitted: list[list[float]] = self.sink.values(data_name).tolist()
+        emitted: list[list[float]] = self.sink.array(data_name).tolist()
         numbered = iter(enumerate(sent))
         return [next(number for number, row in numbered if row == each) for each in emitted]
 
     def assert_all_arrived(self, truth: Truth, *data_names: str) -> None:
         """What was sent is what was emitted, but for what is on its way."""
         for name in data_names or MEASURED:
-            emitted, sent = self.sink.values(name), truth.samples(name).values
+            emitted, sent = self.sink.array(name), truth.samples(name).values
             assert 0 < len(emitted) <= len(sent), name
             np.testing.assert_allclose(emitted, sent[: len(emitted)], err_msg=name)
 
@@ -232,7 +193,7 @@ class Run:
     def stamp_errors(self, truth: Truth, data_name: str, after_s: float = 0.0) -> Floats:
         """Stamps against the time of measuring, where everything that was sent arrived."""
         times = truth.samples(data_name).times
-        stamps = np.array(self.sink.stamps[data_name])
+        stamps = np.array(self.sink.times[data_name])
         errors = stamps - times[: len(stamps)]
         return errors[stamps > times[0] + after_s]
 

@@ -36,20 +36,20 @@ async def test_every_stream_says_the_truth_at_the_time_of_measuring(
         world, timing=Timing(battery_interval_s=2), jitter_s=0.05, drift_ppm=200, seed=2
     ) as server:
         async with running(server.settings) as run:
-            await run.until(run.sink.has("bvp", rows=64 * 16))
-            await run.until(run.sink.has("ibi", rows=12))
+            await run.until(run.sink.has(64 * 16, "bvp"))
+            await run.until(run.sink.has(12, "ibi"))
             server.press_button()
-            await run.until(lambda: run.sink.tags)
+            await run.until(lambda: run.sink.texts)
             run.assert_all_arrived(server.truth)
             for name in MEASURED:
                 errors = run.stamp_errors(server.truth, name, after_s=10.0)
                 assert len(errors) or name in ("hr", "ibi", "bat"), name
                 assert np.all(np.abs(errors) < STAMP_LIMIT_S), (name, np.abs(errors).max())
             (pressed,) = server.truth.samples("tag").times
-            assert abs(run.sink.stamps["tag"][0] - pressed) < STAMP_LIMIT_S
+            assert abs(run.sink.times["tag"][0] - pressed) < STAMP_LIMIT_S
             assert run.sink.dropped_bytes == 0
             assert {run.sink.counted(name).lost for name in MEASURED} == {0}
-            assert run.sink.tags == ["button"]
+            assert run.sink.texts == ["button"]
     assert server.requests[:3] == ("device_list", f"device_connect {ID}", "pause ON")
     assert server.requests[10:] == ("pause OFF", "device_disconnect")
 
@@ -62,7 +62,7 @@ async def test_any_locale_is_read(world: World, running: Running, mark: str, min
         async with running(server.settings) as run:
             await run.until_more("bvp", "acc", rows=70)
             run.assert_all_arrived(server.truth, "bvp", "acc")
-            assert run.sink.values("bvp").min() < 0
+            assert run.sink.array("bvp").min() < 0
 
 
 async def test_the_wristband_may_be_taken_off_and_put_on_again(
@@ -80,7 +80,7 @@ async def test_the_wristband_may_be_taken_off_and_put_on_again(
             server.clear(FaultKind.OFF_BODY)
             await run.until(lambda: worn()[-1] == 1)
             run.assert_all_arrived(server.truth, *REGULAR)
-        open_ = np.isnan(run.sink.values("gsr")[:, 0])
+        open_ = np.isnan(run.sink.array("gsr")[:, 0])
         assert open_.any()
         assert not open_[0]
         assert not open_[-1]
@@ -91,10 +91,10 @@ async def test_the_wristband_may_be_taken_off_and_put_on_again(
 async def test_a_low_battery_is_told(world: World, running: Running) -> None:
     with SimulatedE4(world, timing=Timing(battery_interval_s=0.5)) as server:
         async with running(server.settings) as run:
-            await run.until(run.sink.has("bat"))
+            await run.until(run.sink.has(1, "bat"))
             server.apply(Fault(FaultKind.LOW_BATTERY, 4))
-            await run.until(lambda: run.sink.values("bat")[-1, 0] == pytest.approx(4))
-            assert run.sink.values("bat")[0, 0] == pytest.approx(82)
+            await run.until(lambda: run.sink.array("bat")[-1, 0] == pytest.approx(4))
+            assert run.sink.array("bat")[0, 0] == pytest.approx(82)
 
 
 async def test_manual_radio_is_connected_by_the_driver(world: World, running: Running) -> None:
@@ -208,7 +208,7 @@ async def test_a_connection_that_is_bound_already_goes_on(running: Running) -> N
     async with await asyncio.start_server(answer, "127.0.0.1") as server:
         port = server.sockets[0].getsockname()[1]
         async with running({"port": port}) as run:
-            await run.until(run.sink.has("bvp", rows=1))
+            await run.until(run.sink.has(1, "bvp"))
             assert run.supervisor.connections == 1
 
 

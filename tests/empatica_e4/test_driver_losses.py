@@ -46,11 +46,11 @@ async def test_radio_loss_is_estimated_and_moves_the_stamps_back_to_their_place(
             assert run.sink.counted("bvp").lost == pytest.approx(true["bvp"], abs=4)
             assert run.sink.counted("acc").lost == pytest.approx(true["acc"], abs=2)
             assert run.sink.counted("gsr").lost == pytest.approx(true["gsr"], abs=1)
-            losses = run.sink.values("quality")[:, 1]
+            losses = run.sink.array("quality")[:, 1]
             assert np.nanmax(losses) == pytest.approx(0.4 / short_window, abs=0.05)
             run.assert_all_arrived(server.truth, "bvp", "acc")
-            errors = server.truth.samples("bvp").times[: len(run.sink.stamps["bvp"])]
-            errors = run.sink.stamps["bvp"] - errors
+            errors = server.truth.samples("bvp").times[: len(run.sink.times["bvp"])]
+            errors = run.sink.times["bvp"] - errors
             assert errors.min() < -0.3
             assert abs(errors[-1]) < NEAR_S
     assert sum("estimated" in entry["event"] for entry in logs) == 1
@@ -67,10 +67,10 @@ async def test_a_share_of_lost_packets_shows_in_quality(
             count = len(run.sink.rows["quality"])
             await run.until(lambda: len(run.sink.rows["quality"]) > count + 9)
             # Of a few packets a window: two windows alone were off by 0.18.
-            assert run.sink.values("quality")[-6:, 1].mean() == pytest.approx(0.3, abs=0.12)
+            assert run.sink.array("quality")[-6:, 1].mean() == pytest.approx(0.3, abs=0.12)
             run.assert_all_arrived(server.truth, "bvp")
             server.lose_packets(0.0)
-            await run.until(lambda: run.sink.values("quality")[-1, 1] == 0)
+            await run.until(lambda: run.sink.array("quality")[-1, 1] == 0)
 
 
 async def test_what_was_measured_while_the_server_was_away_is_counted(
@@ -82,6 +82,6 @@ async def test_what_was_measured_while_the_server_was_away_is_counted(
             server.apply(Fault(FaultKind.REFUSE, 0.8))
             await run.until(run.has_reconnected)
             await run.until(lambda: run.sink.counted("bvp").lost)
-            (gap,) = [step for step in np.diff(run.sink.stamps["bvp"]) if step > 0.05]
+            (gap,) = [step for step in np.diff(run.sink.times["bvp"]) if step > 0.05]
             assert run.sink.counted("bvp").lost == pytest.approx(64 * gap, abs=6)
             run.assert_none_doubled(server.truth)

@@ -7,67 +7,24 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 from structlog.testing import capture_logs
 
-from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.devices.empatica_e4.declaration import SPEC
 from biosensor_gateway.devices.empatica_e4.driver.emitter import E4Emitter
 from biosensor_gateway.devices.empatica_e4.driver.loss import WINDOW_S
 from biosensor_gateway.devices.empatica_e4.driver.messages import Sample, Stream
-from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.streaming.sink import DeviceSink
+from tests.rigs.emitter_sink import EmitterSink
 
 UNIX_S = 1_680_442_024.0
 ARRIVAL_S = 5_000.0
 NAN = math.nan
 
 
-class NotedSink(DeviceSink):
-    """Notes what it is told instead of telling LSL."""
-
-    def __init__(self) -> None:
-        super().__init__(DeviceIdentity("empatica_e4", "noted"), declaration("empatica_e4"))
-        self.emitted: dict[str, list[list[float]]] = {}
-        self.times: dict[str, list[float]] = {}
-        self.texts: list[tuple[str, str, float]] = []
-        self.observed: list[tuple[float, float]] = []
-        self.restarts: list[int] = []
-        self.losses: dict[str, int] = {}
-
-    def observe(self, device_s: float, arrival_s: float) -> None:
-        super().observe(device_s, arrival_s)
-        self.observed.append((device_s, arrival_s))
-
-    def mapped(self, device_s: float) -> float:
-        return self._clock.to_lsl(device_s)
-
-    def restart_clock(self) -> None:
-        super().restart_clock()
-        self.restarts.append(len(self.observed))
-
-    def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
-        for time in device_times:
-            self.mapped(time)
-        width = len(SPEC.stream(data_name).channels)
-        rows = np.asarray(samples, np.float64).reshape(-1, width).tolist()
-        assert len(rows) == len(device_times)
-        self.emitted.setdefault(data_name, []).extend(rows)
-        self.times.setdefault(data_name, []).extend(device_times)
-
-    def emit_text(self, data_name: str, text: str, device_s: float) -> None:
-        self.mapped(device_s)
-        self.texts.append((data_name, text, device_s))
-
-    def lost(self, data_name: str, count: int) -> None:
-        self.losses[data_name] = self.losses.get(data_name, 0) + count
-
-
 class Bench:
     """An emitter that has been told of a new radio link, and its sink."""
 
     def __init__(self) -> None:
-        self.sink = NotedSink()
+        self.sink = EmitterSink("empatica_e4")
         self.emitter = E4Emitter(self.sink)
         self.emitter.new_epoch()
 

@@ -263,13 +263,3 @@ def test_equal_wearers_measure_equal_things(world: World, line_client: Any) -> N
         readings = [line.values[0] for line in client.lines("E4_Temperature")]
     true = np.rint(wearer.skin_temperature_c(t) * 50) / 50
     assert set(np.round(readings, 4)) <= set(np.round(true, 4))
-
-
-def test_only_so_many_samples_are_kept(world: World, line_client: Any) -> None:
-    with (
-        SimulatedE4(world, kept=5) as server,
-        line_client(server.settings) as client,
-    ):
-        client.begin(streams="bvp")
-        client.until_lines("E4_Bvp", 30)
-        assert len(server.truth.samples("bvp").times) == 5

@@ -25,6 +25,9 @@ from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.system.logs import flush_logs
+from tests.rigs.virtual_time import pytest_asyncio_loop_factories, virtual_clock
+
+__all__ = ["pytest_asyncio_loop_factories", "virtual_clock"]
 
 DEADLINE_S = 30.0
 _POLL_S = 0.01

@@ -7,7 +7,6 @@ import json
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator
 from typing import Any
 
-import pylsl
 import pytest
 from structlog.testing import capture_logs
 
@@ -24,6 +23,7 @@ from biosensor_gateway.streaming.events.announcer import Announcer
 from biosensor_gateway.streaming.events.device import follow
 from biosensor_gateway.streaming.silence import Remedy, Silence
 from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.system.clock import Clock
 
 LIMIT_S = 0.2
 LONG_S = 3600.0
@@ -47,7 +47,7 @@ class Sender:
     async def stream(self) -> None:
         while True:
             for data_name in self.bench.sends:
-                self.bench.sink.emit_at(data_name, [1.0], [pylsl.local_clock()])
+                self.bench.sink.emit_at(data_name, [1.0], [self.bench.sink.clock()])
             self.bench.sink.heard()
             await asyncio.sleep(LIMIT_S / 10)
 
@@ -68,8 +68,8 @@ class Reviver(Sender):
 class NotedSink(DeviceSink):
     """Notes what is told of silences besides telling it."""
 
-    def __init__(self, unit: str) -> None:
-        super().__init__(DeviceIdentity("polar_h10", unit), declaration("polar_h10"))
+    def __init__(self, unit: str, clock: Clock) -> None:
+        super().__init__(DeviceIdentity("polar_h10", unit), declaration("polar_h10"), clock)
         self.told: list[tuple[Remedy, set[str]]] = []
         self.on_back: Callable[[], None] = lambda: None
 
@@ -85,14 +85,14 @@ class NotedSink(DeviceSink):
 class Bench:
     """A supervised driver, and what it shall do."""
 
-    def __init__(self, unit: str, kind: type[Sender]) -> None:
+    def __init__(self, unit: str, clock: Clock, kind: type[Sender]) -> None:
         self.sends = {"hr", "ibi"}
         self.can_be_enabled: set[str] = set()
         self.sends_after_new_connection: set[str] = set()
         self.refusal: ProtocolError | None = None
         self.asked: list[set[str]] = []
         self.states: list[State] = []
-        self.sink = NotedSink(unit)
+        self.sink = NotedSink(unit, clock)
         self.announcer = Announcer(0.0, dict)
         self.supervisor = Supervisor(lambda: kind(self), self.sink, self.states.append)
         self.supervisor.on_drop = follow(self.sink, self.announcer).dropped
@@ -117,7 +117,7 @@ Start = Callable[[type[Sender]], Awaitable[Bench]]
 
 @pytest.fixture
 async def start(
-    unit: str, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
+    unit: str, virtual_clock: Clock, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
 ) -> AsyncGenerator[Start]:
     monkeypatch.setattr(supervisor_module, "PROBE_INTERVAL_S", 0.01)
     monkeypatch.setattr(reviving, "TICK_S", 0.01)
@@ -125,7 +125,7 @@ async def start(
     benches: list[Bench] = []
 
     async def begin(kind: type[Sender]) -> Bench:
-        benches.append(Bench(unit, kind))
+        benches.append(Bench(unit, virtual_clock, kind))
         await eventually(lambda: benches[-1].supervisor.state is State.STREAMING)
         return benches[-1]
 

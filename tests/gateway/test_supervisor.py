@@ -23,6 +23,7 @@ from biosensor_gateway.agent.supervisor import State, Supervisor
 from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.system.clock import Clock
 
 DISCOVERING, CONNECTING, STREAMING = State.DISCOVERING, State.CONNECTING, State.STREAMING
 BACKOFF, STOPPED = State.BACKOFF, State.STOPPED
@@ -84,10 +85,10 @@ class ScriptedDriver:
 class Rig:
     """A supervisor, the drivers that it is given one after the other, what it did."""
 
-    def __init__(self, unit: str, drivers: Iterator[ScriptedDriver]) -> None:
+    def __init__(self, unit: str, clock: Clock, drivers: Iterator[ScriptedDriver]) -> None:
         self.made: list[ScriptedDriver] = []
         self.states: list[State] = []
-        self.sink = DeviceSink(DeviceIdentity("gateway", unit), declaration("gateway"))
+        self.sink = DeviceSink(DeviceIdentity("gateway", unit), declaration("gateway"), clock)
         self._drivers = drivers
         self.supervisor = Supervisor(self._make, self.sink, self.states.append)
         self.task = asyncio.create_task(self.supervisor.run())
@@ -108,11 +109,11 @@ Start = Callable[..., Rig]
 
 
 @pytest.fixture
-async def start(unit: str) -> AsyncGenerator[Start]:
+async def start(unit: str, virtual_clock: Clock) -> AsyncGenerator[Start]:
     rigs: list[Rig] = []
 
     def begin(*drivers: ScriptedDriver) -> Rig:
-        rigs.append(Rig(f"{unit}{len(rigs)}", iter(drivers)))
+        rigs.append(Rig(f"{unit}{len(rigs)}", virtual_clock, iter(drivers)))
         return rigs[-1]
 
     yield begin
@@ -350,7 +351,9 @@ async def test_the_same_sentence_is_logged_once(start: Start, eventually: Eventu
 
 
 @pytest.mark.usefixtures("hasty")
-async def test_a_driver_that_cannot_be_made_is_retried(unit: str, eventually: Eventually) -> None:
+async def test_a_driver_that_cannot_be_made_is_retried(
+    unit: str, virtual_clock: Clock, eventually: Eventually
+) -> None:
     attempts = 0
 
     def make() -> ScriptedDriver:
@@ -360,7 +363,7 @@ async def test_a_driver_that_cannot_be_made_is_retried(unit: str, eventually: Ev
             raise ImportError("a library is missing")
         return ScriptedDriver()
 
-    sink = DeviceSink(DeviceIdentity("gateway", unit), declaration("gateway"))
+    sink = DeviceSink(DeviceIdentity("gateway", unit), declaration("gateway"), virtual_clock)
     supervisor = Supervisor(make, sink)
     task = asyncio.create_task(supervisor.run())
     await eventually(lambda: supervisor.state is STREAMING)

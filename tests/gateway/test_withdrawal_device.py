@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Callable, Generator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 
 import numpy as np
@@ -15,13 +15,18 @@ from biosensor_common import naming
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.supervisor import State
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
+from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.simulation.world import World
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.pause_gate import RESUME_GUARD_S
+from tests.rigs.bluetooth import virtual_world
 from tests.rigs.driver_run import Run, streaming
 from tests.rigs.polling import until
+
+__all__ = ["virtual_world"]
 
 ECG_RATE_HZ = 130.0
 JITTER_S = 0.05
@@ -53,7 +58,7 @@ class Stage:
         stamps: list[float] = []
 
         def is_complete() -> bool:
-            stamps.extend(self._reader.pull_chunk(timeout=0.0)[1])
+            stamps.extend(self._reader.pull_chunk(timeout=0.2)[1])
             return bool(stamps) and stamps[-1] >= self.counters.last_stamp
 
         await until(is_complete)
@@ -68,6 +73,13 @@ class Stage:
 
 
 Open = Callable[[str], AbstractAsyncContextManager[tuple[Stage, SimulatedPolarH10]]]
+
+
+@pytest.fixture
+def radio(virtual_world: World) -> Generator[Radio]:
+    radio = Radio(virtual_world)
+    with virtual_bluetooth(radio):
+        yield radio
 
 
 @pytest.fixture
@@ -91,14 +103,14 @@ def stage(radio: Radio, inlet: OpenInlet, monkeypatch: pytest.MonkeyPatch) -> Op
 async def test_nothing_measured_in_the_pause_is_ever_sent(stage: Open, name: str) -> None:
     async with stage(name) as (stream, _):
         sink = stream.run.sink
-        attached_s = pylsl.local_clock()
+        attached_s = stream.run.sink.clock()
         await stream.run.goes_on(3, "hr")
         before = len(stream.emitted)
-        paused_s = pylsl.local_clock()
+        paused_s = stream.run.sink.clock()
         sink.pause()
         await stream.run.goes_on(3, "hr")
         assert (stream.counters.pushed, stream.counters.withheld > 0) == (before, True)
-        resumed_s = pylsl.local_clock()
+        resumed_s = stream.run.sink.clock()
         sink.resume()
         await stream.run.goes_on(4, "hr")
         emitted = stream.emitted
@@ -120,7 +132,7 @@ async def test_it_stays_paused_over_a_drop_out_and_goes_on_in_the_same_outlets(
     async with stage("ecg") as (stream, strap):
         await stream.run.goes_on(2, "hr")
         before = stream.counters.pushed
-        in_work_s = pylsl.local_clock() - stream.emitted[-1]
+        in_work_s = stream.run.sink.clock() - stream.emitted[-1]
         stream.run.sink.pause()
         strap.apply(Fault(FaultKind.DROP, 1.0))
         await until(lambda: stream.run.supervisor.connections == 2)
@@ -130,7 +142,7 @@ async def test_it_stays_paused_over_a_drop_out_and_goes_on_in_the_same_outlets(
         # What was measured just before the pause did get lost; of the pause nothing did.
         assert stream.counters.lost <= in_work_s * ECG_RATE_HZ + 2
         stream.run.sink.resume()
-        resumed_s = pylsl.local_clock()
+        resumed_s = stream.run.sink.clock()
         await until(lambda: stream.counters.pushed > before + 200)
         stamps = await stream.received()
         assert stream.counters.refused == 0
@@ -148,11 +160,11 @@ async def test_of_a_drop_out_that_outlasts_the_pause_only_the_end_is_lost(
         stream.run.sink.pause()
         strap.apply(Fault(FaultKind.DROP, float("inf")))
         await until(lambda: stream.run.supervisor.state is State.DISCOVERING)
-        paused_s = pylsl.local_clock()
-        await until(lambda: pylsl.local_clock() > paused_s + 4.0)
+        paused_s = stream.run.sink.clock()
+        await until(lambda: stream.run.sink.clock() > paused_s + 4.0)
         stream.run.sink.resume()
-        resumed_s = pylsl.local_clock()
-        await until(lambda: pylsl.local_clock() > resumed_s + 3.0)
+        resumed_s = stream.run.sink.clock()
+        await until(lambda: stream.run.sink.clock() > resumed_s + 3.0)
         strap.clear(FaultKind.DROP)
         await until(lambda: stream.counters.pushed > before + 100)
         stamps = await stream.received()

@@ -11,20 +11,17 @@ import pytest
 from numpy.typing import NDArray
 from structlog.testing import capture_logs
 
-from biosensor_common.errors import GatewayError
 from biosensor_gateway.agent.supervisor import State
 from biosensor_gateway.devices.polar_h10.declaration import SPEC
 from biosensor_gateway.devices.polar_h10.driver import session as session_module
-from biosensor_gateway.devices.polar_h10.driver.driver import DRIVER
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.polar_h10.simulator.products import VERITY_SENSE
 from biosensor_gateway.devices.polar_h10.simulator.quirks import Firmware, Quirks
-from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.simulation.faults import Fault, FaultKind
-from biosensor_gateway.simulation.radio import Radio
-from tests.rigs.driver_run import NotedSink, connected, streaming
-from tests.rigs.polar_h10 import assert_once_and_in_order, assert_only_gaps
+from tests.rigs.driver_run import connected, streaming
+from tests.rigs.polar_h10 import assert_only_gaps
 from tests.rigs.polling import until
+from tests.rigs.truth import assert_once_and_in_order
 
 MakeSensor = Callable[..., SimulatedPolarH10]
 
@@ -149,18 +146,5 @@ async def test_a_verity_sense_delivers_what_it_has(sensor: MakeSensor) -> None:
         assert info.rates == {"acc": 52}
 
 
-async def test_an_error_while_connecting_is_one_of_the_known_ones(radio: Radio) -> None:
-    # Nothing is on this air, and soon not even the air.
-    radio.available = False
-    with pytest.raises(GatewayError):
-        async with connected(SimulatedPolarH10(radio.world, radio)):
-            pass
-
-
 def test_limits() -> None:
     assert session_module.GOODBYE_LIMIT_S < 0.5
-
-
-def test_settings_of_another_sensor_are_a_mistake() -> None:
-    with pytest.raises(TypeError, match="Polar"):
-        DRIVER.make(DeviceSettings(sensor="zephyr", unit="x"), NotedSink("polar_h10"))

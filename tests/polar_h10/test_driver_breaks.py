@@ -119,19 +119,6 @@ async def test_a_short_stall_only_delays(sensor: MakeSensor) -> None:
     assert lost == unsent
 
 
-async def test_garbage_is_counted_and_never_emitted(sensor: MakeSensor) -> None:
-    h10 = sensor()
-    async with streaming(h10) as run:
-        await until(run.sink.has(73, "ecg"))
-        h10.apply(Fault(FaultKind.GARBAGE, 20))
-        await until(lambda: run.sink.dropped_bytes > 0)
-        await run.goes_on(146, "ecg")
-        assert run.supervisor.connections == 1
-        lost = run.sink.lost_count("ecg")
-    assert_only_gaps(h10, run.sink)
-    assert lost == 0
-
-
 async def test_a_heart_rate_that_stops_alone_is_subscribed_to_again(
     sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -112,16 +112,6 @@ async def test_an_mtu_that_is_too_small_for_all_is_an_error(sensor: MakeSensor) 
     assert caught.value.reason is ProtocolReason.REFUSED
 
 
-async def test_late_answers_are_waited_for(sensor: MakeSensor) -> None:
-    h10 = sensor()
-    async with streaming(h10) as run:
-        await until(run.sink.has(73, "ecg"))
-        h10.apply(Fault(FaultKind.LATE, 0.4))
-        await until(lambda: run.supervisor.connections == 2)
-        await run.goes_on(73, "ecg")
-    assert_only_gaps(h10, run.sink)
-
-
 async def test_a_device_that_never_answers_is_an_error(
     sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:

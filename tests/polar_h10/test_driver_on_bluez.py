@@ -45,21 +45,6 @@ def attempts(monkeypatch: pytest.MonkeyPatch) -> list[BleakClient]:
     return asked
 
 
-async def test_an_adapter_that_is_switched_off_is_waited_for(
-    sensor: MakeSensor, bluez: FakeBluez
-) -> None:
-    h10 = sensor()
-    async with streaming(h10) as run:
-        await until(run.sink.has(FRAME, "ecg"))
-        bluez.set_powered(False)
-        await until(lambda: State.BACKOFF in run.states)
-        assert "Bluetooth is unavailable" in str(run.supervisor.last_error)
-        bluez.set_powered(True)
-        await run.goes_on(FRAME, "ecg")
-        assert run.supervisor.connections == 2
-    assert_only_gaps(h10, run.sink)
-
-
 async def test_a_daemon_that_dies_without_a_word_is_noticed_and_waited_for(
     sensor: MakeSensor, bluez: FakeBluez, monkeypatch: pytest.MonkeyPatch
 ) -> None:

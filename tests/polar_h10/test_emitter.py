@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import ArrayLike
 from structlog.testing import capture_logs
 
-from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.devices.polar_h10.declaration import SPEC
 from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement
-from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.streaming.sink import DeviceSink
+from tests.rigs.emitter_sink import EmitterSink
 
 START_NS = 599_616_000_000_000_000
 START_S = START_NS / 1e9
@@ -27,55 +22,13 @@ ECG_PERIOD_NS = 1e9 / 130
 ECG, ACC, PPI = Measurement.ECG, Measurement.ACCELERATION, Measurement.PULSE_INTERVALS
 
 
-class NotedSink(DeviceSink):
-    """Notes what it is told instead of telling LSL."""
-
-    def __init__(self) -> None:
-        super().__init__(DeviceIdentity("polar_h10", "noted"), declaration("polar_h10"))
-        self.emitted: dict[str, list[list[float]]] = {}
-        self.device_times: dict[str, list[float]] = {}
-        self.lsl_times: dict[str, list[float]] = {}
-        self.observed: list[tuple[float, float]] = []
-        self.losses: dict[str, int] = {}
-        self.heard_count = 0
-        self.clock_restarts = 0
-
-    def heard(self, *data_names: str) -> None:
-        del data_names
-        self.heard_count += 1
-
-    def restart_clock(self) -> None:
-        self.clock_restarts += 1
-
-    def observe(self, device_s: float, arrival_s: float) -> None:
-        self.observed.append((device_s, arrival_s))
-
-    def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
-        assert self.observed
-        self._note(data_name, samples)
-        self.device_times.setdefault(data_name, []).extend(device_times)
-
-    def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
-        self._note(data_name, samples)
-        self.lsl_times.setdefault(data_name, []).extend(lsl_times)
-
-    def lost(self, data_name: str, count: int) -> None:
-        assert count > 0
-        self.losses[data_name] = self.losses.get(data_name, 0) + count
-
-    def _note(self, data_name: str, samples: ArrayLike) -> None:
-        width = len(SPEC.stream(data_name).channels)
-        rows = np.asarray(samples, np.float64).reshape(-1, width).tolist()
-        self.emitted.setdefault(data_name, []).extend(rows)
+@pytest.fixture
+def sink() -> EmitterSink:
+    return EmitterSink("polar_h10")
 
 
 @pytest.fixture
-def sink() -> NotedSink:
-    return NotedSink()
-
-
-@pytest.fixture
-def emitter(sink: NotedSink) -> PolarEmitter:
+def emitter(sink: EmitterSink) -> PolarEmitter:
     emitter = PolarEmitter(sink)
     emitter.started(ECG, 130, 1.0)
     emitter.started(ACC, 50, 1.0)
@@ -98,7 +51,9 @@ def ppi(stamp_ns: int, *samples: tuple[int, int]) -> bytes:
     return struct.pack("<BQB", PPI, stamp_ns, 0) + values
 
 
-def test_ecg_stays_microvolts_on_the_device_s_clock(emitter: PolarEmitter, sink: NotedSink) -> None:
+def test_ecg_stays_microvolts_on_the_device_s_clock(
+    emitter: PolarEmitter, sink: EmitterSink
+) -> None:
     emitter.frame(ecg(0), arrival(0))
     emitter.frame(ecg(1), arrival(1))
     assert sink.emitted == {"ecg": [[0]] * COUNT + [[1]] * COUNT}
@@ -110,7 +65,7 @@ def test_ecg_stays_microvolts_on_the_device_s_clock(emitter: PolarEmitter, sink:
     assert (sink.losses, sink.heard_count) == ({}, 2)
 
 
-def test_acceleration_becomes_g(emitter: PolarEmitter, sink: NotedSink) -> None:
+def test_acceleration_becomes_g(emitter: PolarEmitter, sink: EmitterSink) -> None:
     samples = struct.pack("<6h", -9, -1, 999, 32767, -32768, 0)
     emitter.frame(struct.pack("<BQB", ACC, START_NS, 1) + samples, ARRIVAL_S)
     np.testing.assert_allclose(
@@ -120,7 +75,7 @@ def test_acceleration_becomes_g(emitter: PolarEmitter, sink: NotedSink) -> None:
 
 
 def test_compressed_acceleration_is_scaled_as_the_device_said(
-    emitter: PolarEmitter, sink: NotedSink
+    emitter: PolarEmitter, sink: EmitterSink
 ) -> None:
     emitter.started(ACC, 52, 0.000244)
     reference = struct.pack("<3h", -48, 357, 4068)
@@ -130,7 +85,7 @@ def test_compressed_acceleration_is_scaled_as_the_device_said(
 
 
 def test_lost_frames_are_counted_in_samples_and_said(
-    emitter: PolarEmitter, sink: NotedSink
+    emitter: PolarEmitter, sink: EmitterSink
 ) -> None:
     emitter.frame(ecg(0), arrival(0))
     with capture_logs() as logs:
@@ -141,7 +96,7 @@ def test_lost_frames_are_counted_in_samples_and_said(
     ]
 
 
-def test_a_reconnection_is_a_gap_of_known_length(emitter: PolarEmitter, sink: NotedSink) -> None:
+def test_a_reconnection_is_a_gap_of_known_length(emitter: PolarEmitter, sink: EmitterSink) -> None:
     emitter.frame(ecg(0), arrival(0))
     emitter.reconnected()
     emitter.started(ECG, 130, 1.0)
@@ -152,7 +107,7 @@ def test_a_reconnection_is_a_gap_of_known_length(emitter: PolarEmitter, sink: No
 
 @pytest.mark.parametrize("off_s", [0.5, 3.0, 3600.0])
 def test_a_device_that_was_off_counts_anew(
-    emitter: PolarEmitter, sink: NotedSink, off_s: float
+    emitter: PolarEmitter, sink: EmitterSink, off_s: float
 ) -> None:
     for number in range(4):
         emitter.frame(ecg(number), arrival(number))
@@ -160,19 +115,19 @@ def test_a_device_that_was_off_counts_anew(
     emitter.started(ECG, 130, 1.0)
     emitter.frame(ecg(0), arrival(4) + off_s)
     emitter.frame(ecg(1), arrival(5) + off_s)
-    assert sink.clock_restarts == 1
+    assert len(sink.restarts) == 1
     assert sink.losses == {}
 
 
-def test_a_device_that_stayed_on_goes_on_counting(emitter: PolarEmitter, sink: NotedSink) -> None:
+def test_a_device_that_stayed_on_goes_on_counting(emitter: PolarEmitter, sink: EmitterSink) -> None:
     emitter.frame(ecg(0), arrival(0))
     emitter.reconnected()
     # An hour, in which the device's clock loses half a second.
     emitter.frame(ecg(6400), arrival(6400) + 0.5)
-    assert sink.clock_restarts == 0
+    assert sink.restarts == []
 
 
-def test_a_frame_without_samples_says_nothing(emitter: PolarEmitter, sink: NotedSink) -> None:
+def test_a_frame_without_samples_says_nothing(emitter: PolarEmitter, sink: EmitterSink) -> None:
     emitter.frame(ecg(0, 0), arrival(0))
     emitter.frame(ecg(1), arrival(1))
     assert len(sink.emitted["ecg"]) == COUNT
@@ -184,7 +139,7 @@ def test_a_frame_without_samples_says_nothing(emitter: PolarEmitter, sink: Noted
     [(ecg(0)[:-1], "damaged"), (ecg(0)[:9], "damaged"), (b"\x00" * 9 + b"\x03abc", "unknown")],
 )
 def test_a_frame_that_makes_no_sense_is_dropped_and_counted(
-    emitter: PolarEmitter, sink: NotedSink, data: bytes, cause: str
+    emitter: PolarEmitter, sink: EmitterSink, data: bytes, cause: str
 ) -> None:
     with capture_logs() as logs:
         emitter.frame(data, ARRIVAL_S)
@@ -195,7 +150,7 @@ def test_a_frame_that_makes_no_sense_is_dropped_and_counted(
 
 
 def test_a_dropped_frame_is_a_loss_once_the_next_one_comes(
-    emitter: PolarEmitter, sink: NotedSink
+    emitter: PolarEmitter, sink: EmitterSink
 ) -> None:
     emitter.frame(ecg(0), arrival(0))
     emitter.frame(ecg(1)[:-1], arrival(1))
@@ -203,7 +158,7 @@ def test_a_dropped_frame_is_a_loss_once_the_next_one_comes(
     assert sink.losses == {"ecg": COUNT}
 
 
-def test_a_clock_that_stands_still_is_said_once(emitter: PolarEmitter, sink: NotedSink) -> None:
+def test_a_clock_that_stands_still_is_said_once(emitter: PolarEmitter, sink: EmitterSink) -> None:
     with capture_logs() as logs:
         for number in range(3):
             emitter.frame(ecg(0), arrival(number))
@@ -211,7 +166,7 @@ def test_a_clock_that_stands_still_is_said_once(emitter: PolarEmitter, sink: Not
     assert len(sink.emitted["ecg"]) == 3 * COUNT
 
 
-def test_what_was_not_started_is_not_emitted(sink: NotedSink) -> None:
+def test_what_was_not_started_is_not_emitted(sink: EmitterSink) -> None:
     emitter = PolarEmitter(sink)
     emitter.frame(ecg(0), ARRIVAL_S)
     emitter.frame(struct.pack("<BQB", Measurement.PPG, START_NS, 0) + bytes(12), ARRIVAL_S)
@@ -219,7 +174,7 @@ def test_what_was_not_started_is_not_emitted(sink: NotedSink) -> None:
 
 
 def test_pulse_intervals_without_stamps_are_placed_by_their_arrival(
-    emitter: PolarEmitter, sink: NotedSink
+    emitter: PolarEmitter, sink: EmitterSink
 ) -> None:
     emitter.frame(ppi(0, (800, 6), (900, 7), (1000, 4), (700, 0)), ARRIVAL_S)
     # Those of a moving or lifted sensor are no intervals, but they take their time.
@@ -229,7 +184,7 @@ def test_pulse_intervals_without_stamps_are_placed_by_their_arrival(
 
 
 def test_pulse_intervals_with_stamps_are_placed_on_the_device_s_clock(
-    emitter: PolarEmitter, sink: NotedSink
+    emitter: PolarEmitter, sink: EmitterSink
 ) -> None:
     emitter.frame(ecg(0), arrival(0))
     emitter.frame(ppi(START_NS, (800, 6), (700, 6)), ARRIVAL_S)
@@ -238,7 +193,7 @@ def test_pulse_intervals_with_stamps_are_placed_on_the_device_s_clock(
 
 
 def test_stamped_pulse_intervals_do_not_wait_for_the_device_s_clock(
-    emitter: PolarEmitter, sink: NotedSink
+    emitter: PolarEmitter, sink: EmitterSink
 ) -> None:
     emitter.frame(ecg(0), arrival(0))
     emitter.reconnected()
@@ -246,7 +201,7 @@ def test_stamped_pulse_intervals_do_not_wait_for_the_device_s_clock(
     assert sink.lsl_times["ibi"] == [ARRIVAL_S]
 
 
-def test_intervals_come_once(emitter: PolarEmitter, sink: NotedSink) -> None:
+def test_intervals_come_once(emitter: PolarEmitter, sink: EmitterSink) -> None:
     emitter.frame(ppi(0), ARRIVAL_S)
     emitter.strap.measurement(bytes.fromhex("103c0004"), ARRIVAL_S)
     assert sink.emitted.keys() == {"hr", "quality"}
@@ -254,7 +209,7 @@ def test_intervals_come_once(emitter: PolarEmitter, sink: NotedSink) -> None:
 
 @given(st.lists(st.tuples(st.sampled_from([0, 1, 2, 3, 9]), st.binary(max_size=60)), max_size=10))
 def test_any_frames_are_emitted_or_counted(frames: list[tuple[int, bytes]]) -> None:
-    sink = NotedSink()
+    sink = EmitterSink("polar_h10")
     emitter = PolarEmitter(sink)
     for measurement in Measurement:
         emitter.started(measurement, 50, 1.0)

@@ -6,11 +6,12 @@ import asyncio
 import uuid
 from collections.abc import AsyncGenerator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent.supervisor import State, Supervisor
 from biosensor_gateway.devices.driver import Connected, Driver
@@ -30,6 +31,8 @@ class NotedSink(DeviceSink):
     ----------
     rows, times
         Samples of each stream, and their LSL times [s].
+    texts
+        Of all streams of text; their times are in `times`.
     info, rates
         Of the newest connection.
     """
@@ -40,6 +43,7 @@ class NotedSink(DeviceSink):
         names = [stream.data_name for stream in self._spec.streams]
         self.rows: dict[str, list[list[float]]] = {name: [] for name in names}
         self.times: dict[str, list[float]] = {name: [] for name in names}
+        self.texts: list[str] = []
         self.info = DeviceInfo()
         self.rates: Mapping[str, float] = {}
         self._kept: dict[str, Counters] = {}
@@ -66,20 +70,32 @@ class NotedSink(DeviceSink):
         self.rows[data_name] += np.asarray(samples, np.float64).reshape(-1, width).tolist()
         self.times[data_name] += lsl_times
 
+    def emit_text(self, data_name: str, text: str, device_s: float) -> None:
+        """Note a text."""
+        super().emit_text(data_name, text, device_s)
+        self.texts.append(text)
+        self.times[data_name].append(self._clock.to_lsl(device_s))
+
     def values(self, data_name: str) -> list[float]:
         """Return the first channel of a stream."""
         return [row[0] for row in self.rows[data_name]]
+
+    def array(self, data_name: str) -> NDArray[np.float64]:
+        """Return all samples of a stream; shape (samples, channels)."""
+        width = len(self._spec.stream(data_name).channels)
+        return np.array(self.rows[data_name], np.float64).reshape(-1, width)
 
     def has(self, count: int, *data_names: str) -> Callable[[], bool]:
         """Return a condition: so many samples of each have come."""
         return lambda: all(len(self.rows[name]) >= count for name in data_names)
 
+    def counted(self, data_name: str) -> Counters:
+        """Return the counters of a stream."""
+        return self.counters[source_id(self.identity, data_name)]
+
     def lost_count(self, data_name: str) -> int:
         """Return how many samples of a stream are counted as lost."""
-        (lost,) = (
-            each.lost for source, each in self.counters.items() if source.endswith(f"-{data_name}")
-        )
-        return lost
+        return self.counted(data_name).lost
 
 
 class Run:
@@ -96,13 +112,22 @@ class Run:
     def __init__(self, device: VirtualDevice, /, **fields: Any) -> None:
         self.sink = NotedSink(device.sensor, device.world.clock)
         self.states: list[State] = []
-        make = _maker(device, self.sink, fields)
+        make = driver_maker(device, self.sink, **fields)
         self.supervisor = Supervisor(make, self.sink, self.states.append)
+
+    @property
+    def lost(self) -> dict[str, int]:
+        """How many samples are counted as lost, by data name of the streams that lost any."""
+        names = [stream.data_name for stream in self.sink.spec.streams]
+        return {name: count for name in names if (count := self.sink.lost_count(name))}
 
     async def goes_on(self, count: int, *data_names: str) -> None:
         """Wait until so many further samples of each have come."""
         wanted = {name: len(self.sink.rows[name]) + count for name in data_names}
         await until(lambda: all(len(self.sink.rows[name]) >= wanted[name] for name in wanted))
+
+
+_R = TypeVar("_R", bound=Run)
 
 
 @asynccontextmanager
@@ -111,7 +136,13 @@ async def streaming(device: VirtualDevice, /, **fields: Any) -> AsyncGenerator[R
 
     Fields are those of the device's settings, besides the ones that lead to the virtual device.
     """
-    run = Run(device, **fields)
+    async with supervised(Run(device, **fields)) as run:
+        yield run
+
+
+@asynccontextmanager
+async def supervised(run: _R) -> AsyncGenerator[_R]:
+    """Run what is made already; see :func:`streaming`."""
     task = asyncio.create_task(run.supervisor.run())
     try:
         yield run
@@ -126,16 +157,15 @@ async def streaming(device: VirtualDevice, /, **fields: Any) -> AsyncGenerator[R
 @asynccontextmanager
 async def connected(device: VirtualDevice, /, **fields: Any) -> AsyncGenerator[Connected]:
     """Connect once, without a supervisor."""
-    driver = _maker(device, NotedSink(device.sensor, device.world.clock), fields)()
+    driver = driver_maker(device, NotedSink(device.sensor, device.world.clock), **fields)()
     try:
         yield await driver.connect()
     finally:
         await driver.close()
 
 
-def _maker(
-    device: VirtualDevice, sink: NotedSink, fields: Mapping[str, Any]
-) -> Callable[[], Driver]:
+def driver_maker(device: VirtualDevice, sink: NotedSink, /, **fields: Any) -> Callable[[], Driver]:
+    """Return what makes a driver for each connection to a virtual device."""
     entry = driver_of(device.sensor)
     named = {"sensor": device.sensor, "unit": sink.identity.unit}
     settings = entry.settings.model_validate({**named, **device.settings, **fields})

@@ -1,7 +1,8 @@
 """A clock that stands still while anybody works, for a test and the worlds of its devices.
 
 Threads take turns: only when all of them wait, time moves on to whatever comes first. So half
-a minute of streaming takes as long as the work in it, and is the same each time. It holds for
+a minute of streaming takes as long as the work in it, and is the same each time. A job of
+:func:`asyncio.to_thread` takes no turn, but holds the time until it is done. It holds for
 what is in this process alone: nobody can tell a socket, a terminal or a bus to wait.
 """
 
@@ -11,15 +12,18 @@ import asyncio
 import math
 import selectors
 import threading
-from collections.abc import Callable, Generator, Mapping
-from concurrent.futures import Future
+from collections.abc import AsyncGenerator, Callable, Generator, Mapping
+from concurrent.futures import Executor, Future
 from contextlib import contextmanager
+from contextvars import Context
 from time import monotonic
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar, TypeVarTuple
 
+import pytest
 from pylsl import local_clock
 
 _T = TypeVar("_T")
+_Ts = TypeVarTuple("_Ts")
 # Somebody who takes no turns, such as a thread of a library, may have what all wait for.
 _OUTSIDE_S = 0.001
 
@@ -37,6 +41,8 @@ class VirtualTime:
         self._changed = threading.Condition()
         self._waits: dict[int, _Wait] = {}
         self._at_work: int | None = threading.get_ident()
+        # By job, the thread that does it, once one does.
+        self._jobs: dict[object, int | None] = {}
 
     def __call__(self) -> float:
         """Return the time now, in seconds."""
@@ -64,10 +70,31 @@ class VirtualTime:
                     self._choose()
             del self._waits[me]
 
+    def come_in(self, job: object) -> None:
+        """Take turns from now on; time is not held for the job any more."""
+        self.wait(-math.inf, lambda: True)
+        self.done(job)
+
     def leave(self) -> None:
         """Take no turns any more."""
         with self._changed:
             self._pass_on(threading.get_ident())
+
+    def hold(self, job: object) -> None:
+        """Keep the time from moving on until the job is done, or its thread waits."""
+        with self._changed:
+            self._jobs[job] = None
+
+    def begin(self, job: object) -> None:
+        """Say that this thread does the job."""
+        with self._changed:
+            if job in self._jobs:
+                self._jobs[job] = threading.get_ident()
+
+    def done(self, job: object) -> None:
+        """Let the time go."""
+        with self._changed:
+            self._jobs.pop(job, None)
 
     def _pass_on(self, me: int) -> None:
         # Who comes in has no turn to pass on.
@@ -83,7 +110,7 @@ class VirtualTime:
         if self._at_work is None:
             first = min(self._waits, key=lambda one: self._waits[one].until_s)
             until_s = self._waits[first].until_s
-            if math.isinf(until_s):
+            if math.isinf(until_s) or any(one not in self._waits for one in self._jobs.values()):
                 return
             self._now_s = max(self._now_s, until_s)
             self._at_work = first
@@ -97,9 +124,7 @@ class _Selector(selectors.DefaultSelector):
         super().__init__()
         self.clock: VirtualTime | None = None
 
-    def select(
-        self, timeout: float | None = None
-    ) -> list[tuple[selectors.SelectorKey, selectors._EventMask]]:
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         """Return what is ready."""
         if self.clock is None:
             return super().select(timeout)
@@ -127,15 +152,50 @@ class SwitchableLoop(asyncio.SelectorEventLoop):
         """Go by a clock from now on; None for the system's."""
         self._waiting.clock = clock
 
+    def run_in_executor(
+        self, executor: Executor | None, func: Callable[[*_Ts], _T], *args: *_Ts
+    ) -> asyncio.Future[_T]:
+        """Run a job in another thread; time waits for it."""
+        clock = self._waiting.clock
+        if clock is None:
+            return super().run_in_executor(executor, func, *args)
+        job = object()
+
+        def work() -> _T:
+            clock.begin(job)
+            try:
+                return func(*args)
+            finally:
+                clock.leave()
+
+        clock.hold(job)
+        result = super().run_in_executor(executor, work)
+        result.add_done_callback(lambda _: clock.done(job))
+        return result
+
 
 class _WorldLoop(SwitchableLoop):
     def __init__(self, clock: VirtualTime) -> None:
         super().__init__()
         self._clock = clock
+        self._has_come = False
         self.switch(clock)
+
+    def call_soon_threadsafe(
+        self,
+        callback: Callable[[*_Ts], object],
+        *args: *_Ts,
+        context: Context | None = None,
+    ) -> asyncio.Handle:
+        """Ask for a call; time waits for a thread that has not come yet."""
+        if not self._has_come:
+            self._clock.hold(self)
+        return super().call_soon_threadsafe(callback, *args, context=context)
 
     def run_forever(self) -> None:
         """Run until stopped."""
+        self._has_come = True
+        self._clock.come_in(self)
         try:
             super().run_forever()
         finally:
@@ -150,6 +210,13 @@ def virtual_time() -> Generator[VirtualTime]:
     loop.switch(clock)
     yield clock
     loop.switch(None)
+
+
+@pytest.fixture
+async def virtual_clock() -> AsyncGenerator[VirtualTime]:
+    """Let a test go by a clock of its own; for folders whose loops can be switched."""
+    with virtual_time() as clock:
+        yield clock
 
 
 def pytest_asyncio_loop_factories() -> Mapping[str, Callable[[], asyncio.AbstractEventLoop]]:

@@ -4,87 +4,34 @@ from __future__ import annotations
 
 import asyncio
 import os
-import time
-import uuid
-from collections.abc import AsyncGenerator, Callable, Generator, Sequence
+from collections.abc import AsyncGenerator, Callable, Generator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import supervisor as supervisor_module
-from biosensor_gateway.agent.supervisor import State, Supervisor
-from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.devices.shimmer3_gsr.declaration import SPEC
+from biosensor_gateway.agent.supervisor import State
 from biosensor_gateway.devices.shimmer3_gsr.driver import conversation, stopping
 from biosensor_gateway.devices.shimmer3_gsr.driver import driver as module
 from biosensor_gateway.devices.shimmer3_gsr.driver.driver import DRIVER, ShimmerSettings
 from biosensor_gateway.devices.shimmer3_gsr.simulator import SimulatedShimmer3
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
-from biosensor_gateway.streaming.counters import Counters
-from biosensor_gateway.streaming.sink import DeviceSink
+from tests.rigs import driver_run
+from tests.rigs.driver_run import supervised
+from tests.rigs.polling import until
 
 DEADLINE_S = 30.0
 WAVEFORMS = ("gsr", "ppg")
 NEVER = float("inf")
 
 Floats = NDArray[np.float64]
-
-
-async def eventually(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        await asyncio.sleep(0.01)
-
-
-class NotedSink(DeviceSink):
-    """Notes what drivers emit on its way into LSL."""
-
-    def __init__(self) -> None:
-        super().__init__(
-            DeviceIdentity("shimmer3_gsr", uuid.uuid4().hex), declaration("shimmer3_gsr")
-        )
-        names = [stream.data_name for stream in SPEC.streams]
-        self.rows: dict[str, list[list[float]]] = {name: [] for name in names}
-        self.stamps: dict[str, list[float]] = {name: [] for name in names}
-        self.rates: dict[str, float] = {}
-        self._kept: dict[str, Counters] = {}
-
-    @property
-    def counters(self) -> dict[str, Counters]:
-        return super().counters or self._kept
-
-    def open(self, info: Any, rates: Any) -> None:
-        super().open(info, rates)
-        self.rates = dict(rates)
-
-    def close(self) -> None:
-        self._kept = self.counters
-        super().close()
-
-    def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
-        super().emit_at(data_name, samples, lsl_times)
-        width = len(SPEC.stream(data_name).channels)
-        self.rows[data_name] += np.asarray(samples, np.float64).reshape(-1, width).tolist()
-        self.stamps[data_name] += lsl_times
-
-    def counted(self, data_name: str) -> Counters:
-        return self.counters[f"shimmer3_gsr-{self.identity.unit}-{data_name}"]
-
-    def values(self, data_name: str) -> Floats:
-        width = len(SPEC.stream(data_name).channels)
-        return np.array(self.rows[data_name], np.float64).reshape(-1, width)
-
-    def has(self, *data_names: str, samples: int = 1) -> Callable[[], bool]:
-        return lambda: all(len(self.rows[name]) >= samples for name in data_names)
 
 
 async def is_idle(device: SimulatedShimmer3) -> bool:
@@ -95,32 +42,16 @@ async def is_idle(device: SimulatedShimmer3) -> bool:
     return len(device.truth.samples("ppg").times) == before
 
 
-class Run:
+class Run(driver_run.Run):
     """A device and the supervisor that keeps it connected."""
 
-    def __init__(self, device: SimulatedShimmer3, **settings: Any) -> None:
-        self.device, self.sink = device, NotedSink()
-        self.states: list[State] = []
-        unit = self.sink.identity.unit
-        fields: dict[str, Any] = {
-            "sensor": "shimmer3_gsr",
-            "unit": unit,
-            "port": device.port,
-            **settings,
-        }
-        self.supervisor = Supervisor(
-            DRIVER.make(ShimmerSettings(**fields), self.sink), self.sink, self.states.append
-        )
-
-    @property
-    def lost(self) -> dict[str, int]:
-        losses = {stream.data_name: self.sink.counted(stream.data_name).lost
-                  for stream in SPEC.streams}  # fmt: skip
-        return {name: count for name, count in losses.items() if count}
+    def __init__(self, device: SimulatedShimmer3, **fields: Any) -> None:
+        super().__init__(device, **fields)
+        self.device = device
 
     async def more(self, samples: int = 60) -> None:
         wanted = len(self.sink.rows["gsr"]) + samples
-        await eventually(self.sink.has(*WAVEFORMS, samples=wanted))
+        await until(self.sink.has(wanted, *WAVEFORMS))
 
     def measured(self) -> Floats:
         """Return what the device sent: gsr and ppg of each sample."""
@@ -128,13 +59,13 @@ class Run:
         return rows_of(*truth)
 
     def received(self) -> Floats:
-        return rows_of(*(self.sink.values(name)[:, 0] for name in WAVEFORMS))
+        return rows_of(*(self.sink.array(name)[:, 0] for name in WAVEFORMS))
 
     async def both(self) -> tuple[Floats, Floats]:
         """Return what has arrived so far, and what the device sent, at least as much."""
         received = self.received()
         # The device notes a sample after it has left.
-        await eventually(lambda: len(self.measured()) >= len(received))
+        await until(lambda: len(self.measured()) >= len(received))
         return received, self.measured()
 
     async def assert_nothing_invented(self) -> None:
@@ -143,7 +74,7 @@ class Run:
         sent = iter(measured.tolist())
         for row in received.tolist():
             assert any(np.allclose(row, each, rtol=1e-9, equal_nan=True) for each in sent)
-        for name, stamps in self.sink.stamps.items():
+        for name, stamps in self.sink.times.items():
             assert all(a < b for a, b in pairwise(stamps)), name
 
 
@@ -178,15 +109,8 @@ def streaming(world: World) -> Streaming:
         *, settings: dict[str, Any] | None = None, **device: Any
     ) -> AsyncGenerator[Run]:
         with SimulatedShimmer3(world, **device) as shimmer:
-            run = Run(shimmer, **(settings or {}))
-            task = asyncio.create_task(run.supervisor.run())
-            yield run
-            task.cancel()
-            await asyncio.wait({task}, timeout=DEADLINE_S)
-            assert run.states[-1] is State.STOPPED
-            refused = {name: each.refused for name, each in run.sink.counters.items()}
-            assert set(refused.values()) <= {0}
-            run.sink.close()
+            async with supervised(Run(shimmer, **(settings or {}))) as run:
+                yield run
 
     return started
 
@@ -199,7 +123,7 @@ async def test_every_firmware_delivers_every_sample(
     streaming: Streaming, firmware: tuple[int, int, int]
 ) -> None:
     async with streaming(firmware=firmware, seed=1, first_tick=(1 << 24) - 40_000) as run:
-        await eventually(lambda: run.supervisor.state is State.STREAMING)
+        await until(lambda: run.supervisor.state is State.STREAMING)
         await run.more(300)
         received, measured = await run.both()
         assert run.states == [State.CONNECTING, State.STREAMING]
@@ -213,16 +137,16 @@ async def test_every_stream_fills_and_the_stamps_are_those_of_the_measurement(
     streaming: Streaming,
 ) -> None:
     async with streaming(seed=2) as run:
-        await eventually(run.sink.has("hr", samples=5))
-        stamped = {name: np.array(run.sink.stamps[name]) for name in WAVEFORMS}
+        await until(run.sink.has(5, "hr"))
+        stamped = {name: np.array(run.sink.times[name]) for name in WAVEFORMS}
         await run.both()
         truth = {name: run.device.truth.samples(name) for name in ("gsr", "ppg", "bat")}
-    np.testing.assert_allclose(run.sink.values("bat"), truth["bat"].values[:1])
-    assert {tuple(row) for row in run.sink.values("quality")[:, :1]} == {(1.0,)}
-    assert run.sink.values("quality")[-1, 2] == 1
+    np.testing.assert_allclose(run.sink.array("bat"), truth["bat"].values[:1])
+    assert {tuple(row) for row in run.sink.array("quality")[:, :1]} == {(1.0,)}
+    assert run.sink.array("quality")[-1, 2] == 1
     wearer = run.device.wearer
-    beats_s = np.array(run.sink.stamps["hr"]) - run.device.started_s
-    np.testing.assert_allclose(run.sink.values("hr")[:, 0], wearer.heart_rate(beats_s), rtol=0.1)
+    beats_s = np.array(run.sink.times["hr"]) - run.device.started_s
+    np.testing.assert_allclose(run.sink.array("hr")[:, 0], wearer.heart_rate(beats_s), rtol=0.1)
     for name, stamps in stamped.items():
         errors = stamps - truth[name].times[: len(stamps)]
         assert np.all(errors > -0.005)
@@ -240,7 +164,7 @@ async def test_it_stops_the_device_at_the_end(streaming: Streaming) -> None:
 async def test_the_real_rate_is_announced(streaming: Streaming) -> None:
     async with streaming(settings={"rate_hz": 100.0}) as run:
         await run.more(100)
-        stamps = np.array(run.sink.stamps["ppg"])
+        stamps = np.array(run.sink.times["ppg"])
     assert run.sink.rates == dict.fromkeys(WAVEFORMS, 32768 / 328)
     assert 1 / np.mean(np.diff(stamps)) == pytest.approx(32768 / 328, rel=0.01)
     assert run.lost == {}
@@ -252,7 +176,7 @@ async def test_a_fixed_range_is_set(streaming: Streaming, gsr_range: int) -> Non
         await run.more()
         received, measured = await run.both()
     np.testing.assert_allclose(received, measured[: len(received)], rtol=1e-9)
-    assert set(run.sink.values("quality")[:, 1]) == {gsr_range}
+    assert set(run.sink.array("quality")[:, 1]) == {gsr_range}
 
 
 async def test_over_tcp_it_is_the_same(streaming: Streaming) -> None:
@@ -260,7 +184,7 @@ async def test_over_tcp_it_is_the_same(streaming: Streaming) -> None:
         await run.more(200)
         received, measured = await run.both()
         run.device.apply(Fault(FaultKind.DROP, 0.5))
-        await eventually(lambda: run.supervisor.connections == 2)
+        await until(lambda: run.supervisor.connections == 2)
         await run.more(100)
         await run.assert_nothing_invented()
     np.testing.assert_allclose(received, measured[: len(received)], rtol=1e-9)
@@ -270,20 +194,20 @@ async def test_electrodes_may_be_taken_off_and_put_on_again(streaming: Streaming
     async with streaming(seed=4) as run:
 
         def electrodes() -> list[float]:  # fmt: skip
-            return run.sink.values("quality")[:, 0].tolist()
+            return run.sink.array("quality")[:, 0].tolist()
 
-        await eventually(lambda: electrodes()[-1:] == [1.0])
+        await until(lambda: electrodes()[-1:] == [1.0])
         run.device.apply(Fault(FaultKind.OFF_BODY, NEVER))
-        await eventually(lambda: electrodes()[-1:] == [0.0])
+        await until(lambda: electrodes()[-1:] == [0.0])
         await run.more(20)
-        assert np.isnan(run.sink.values("gsr")[-1, 0])
-        assert np.isfinite(run.sink.values("ppg")).all()
+        assert np.isnan(run.sink.array("gsr")[-1, 0])
+        assert np.isfinite(run.sink.array("ppg")).all()
         run.device.clear(FaultKind.OFF_BODY)
-        await eventually(lambda: electrodes()[-1:] == [1.0])
+        await until(lambda: electrodes()[-1:] == [1.0])
         await run.more(20)
         received, measured = await run.both()
     np.testing.assert_allclose(received, measured[: len(received)], rtol=1e-9)
-    assert 0.0 not in run.sink.values("gsr")
+    assert 0.0 not in run.sink.array("gsr")
     assert run.lost == {}
 
 
@@ -294,7 +218,7 @@ async def test_a_link_drop_is_a_gap_and_the_counter_goes_on(
     async with streaming(firmware=firmware, seed=5) as run:
         await run.more()
         run.device.apply(Fault(FaultKind.DROP, 1.0))
-        await eventually(lambda: run.supervisor.connections == 2)
+        await until(lambda: run.supervisor.connections == 2)
         await run.more()
         await run.assert_nothing_invented()
         # A device without a link does not measure, so there was nothing to lose.
@@ -306,12 +230,12 @@ async def test_a_restarted_device_is_followed_with_a_new_clock(streaming: Stream
     async with streaming(seed=6, first_tick=5_000_000) as run:
         await run.more()
         run.device.apply(Fault(FaultKind.RESTART, 0.5))
-        await eventually(lambda: run.supervisor.connections == 2)
+        await until(lambda: run.supervisor.connections == 2)
         await run.more(200)
         await run.assert_nothing_invented()
         assert run.lost == {}
         assert run.sink.clock_state.reanchors == 1
-        errors = run.sink.stamps["gsr"][-1] - run.device.truth.samples("gsr").times
+        errors = run.sink.times["gsr"][-1] - run.device.truth.samples("gsr").times
         assert np.abs(errors).min() < 0.1
 
 
@@ -319,7 +243,7 @@ async def test_samples_that_a_stall_costs_are_counted(streaming: Streaming) -> N
     async with streaming(seed=7) as run:
         await run.more()
         run.device.apply(Fault(FaultKind.STALL, 0.7))
-        await eventually(lambda: run.device.truth.unsent_count("gsr") > 50)
+        await until(lambda: run.device.truth.unsent_count("gsr") > 50)
         await run.more()
         await run.assert_nothing_invented()
         unsent = run.device.truth.unsent_count("gsr")
@@ -335,10 +259,10 @@ async def test_a_device_that_falls_silent_is_asked_then_connected_anew(
     async with streaming(seed=8) as run:
         await run.more()
         run.device.apply(Fault(FaultKind.STALL, NEVER))
-        await eventually(lambda: State.DISCOVERING in run.states)
+        await until(lambda: State.DISCOVERING in run.states)
         assert "fallen silent" in (run.supervisor.last_error or "")
         run.device.clear(FaultKind.STALL)
-        await eventually(lambda: run.supervisor.connections == 2)
+        await until(lambda: run.supervisor.connections == 2)
         await run.more()
         await run.assert_nothing_invented()
         unsent = run.device.truth.unsent_count("gsr")
@@ -350,10 +274,10 @@ async def test_a_refusing_device_is_left_alone_until_it_obeys(streaming: Streami
     async with streaming(seed=9) as run:
         await run.more()
         run.device.apply(Fault(FaultKind.REFUSE, NEVER))
-        await eventually(lambda: State.BACKOFF in run.states)
+        await until(lambda: State.BACKOFF in run.states)
         assert "refuses" in (run.supervisor.last_error or "")
         run.device.clear(FaultKind.REFUSE)
-        await eventually(lambda: run.supervisor.connections == 2)
+        await until(lambda: run.supervisor.connections == 2)
         await run.more()
         await run.assert_nothing_invented()
 
@@ -362,7 +286,7 @@ async def test_late_answers_are_waited_for(streaming: Streaming) -> None:
     async with streaming(seed=10) as run:
         await run.more()
         run.device.apply(Fault(FaultKind.LATE, 0.3))
-        await eventually(lambda: run.supervisor.connections == 2)
+        await until(lambda: run.supervisor.connections == 2)
         await run.more()
         await run.assert_nothing_invented()
         assert run.lost == {}
@@ -375,9 +299,9 @@ async def test_answers_that_come_too_late_never_pass_for_others(
     async with streaming(seed=11) as run:
         await run.more()
         run.device.apply(Fault(FaultKind.LATE, 0.5))
-        await eventually(lambda: "does not answer" in (run.supervisor.last_error or ""))
+        await until(lambda: "does not answer" in (run.supervisor.last_error or ""))
         run.device.clear(FaultKind.LATE)
-        await eventually(lambda: run.supervisor.connections == 2)
+        await until(lambda: run.supervisor.connections == 2)
         await run.more()
         await run.assert_nothing_invented()
 
@@ -387,7 +311,7 @@ async def test_garbage_costs_no_sample_and_makes_none(streaming: Streaming) -> N
         for number in range(1, 6):
             await run.more(20)
             run.device.apply(Fault(FaultKind.GARBAGE, 100))
-            await eventually(lambda: run.sink.dropped_bytes >= 80 * number)  # noqa: B023 - awaited here
+            await until(lambda: run.sink.dropped_bytes >= 80 * number)  # noqa: B023 - awaited here
         await run.more(40)
         received, measured = await run.both()
     np.testing.assert_allclose(received, measured[: len(received)], rtol=1e-9)
@@ -401,11 +325,11 @@ async def test_the_battery_is_asked_for_while_streaming(
     assert module.BATTERY_PERIOD_S == 60
     monkeypatch.setattr(module, "BATTERY_PERIOD_S", 0.2)
     async with streaming(seed=13) as run:
-        await eventually(run.sink.has("bat", samples=3))
+        await until(run.sink.has(3, "bat"))
         run.device.apply(Fault(FaultKind.LOW_BATTERY, 4.0))
-        await eventually(lambda: run.sink.values("bat")[-1, 0] < 6)
+        await until(lambda: run.sink.array("bat")[-1, 0] < 6)
         truth = run.device.truth.samples("bat").values
-        received = run.sink.values("bat")
+        received = run.sink.array("bat")
     np.testing.assert_allclose(received, truth[: len(received)])
     assert run.lost == {}
 
@@ -446,7 +370,7 @@ async def test_a_device_that_was_left_streaming_is_stopped_first(world: World) -
             for command in ("08842100", "05 20 00", "8b01", "07"):
                 os.write(other, bytes.fromhex(command))
                 await asyncio.sleep(0.2)
-            await eventually(lambda: len(device.truth.samples("gsr").times) > 200)
+            await until(lambda: len(device.truth.samples("gsr").times) > 200)
             run = Run(device)
             task = asyncio.create_task(run.supervisor.run())
             await run.more(100)

@@ -7,16 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 from structlog.testing import capture_logs
 
-from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.devices.shimmer3_gsr.declaration import SPEC
 from biosensor_gateway.devices.shimmer3_gsr.driver.channels import Layout
 from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import Measurement, ShimmerEmitter
 from biosensor_gateway.devices.shimmer3_gsr.driver.messages import BatteryReading, Charging, Packet
-from biosensor_gateway.streaming.sink import DeviceSink
+from tests.rigs.emitter_sink import EmitterSink
 
 DIVISOR = 256
 RATE_HZ = 128.0
@@ -31,47 +27,13 @@ PPG_MV = 1820 * 3000 / 4095
 NAN = math.nan
 
 
-class NotedSink(DeviceSink):
-    """Notes what it is told instead of telling LSL."""
-
-    def __init__(self) -> None:
-        super().__init__(DeviceIdentity("shimmer3_gsr", "noted"), declaration("shimmer3_gsr"))
-        self.calls: list[str] = []
-        self.emitted: dict[str, list[list[float]]] = {}
-        self.times: dict[str, list[float]] = {}
-        self.observed: list[tuple[float, float]] = []
-        self.losses: dict[str, int] = {}
-
-    def observe(self, device_s: float, arrival_s: float) -> None:
-        self.calls.append("observe")
-        self.observed.append((device_s, arrival_s))
-
-    def restart_clock(self) -> None:
-        self.calls.append("restart_clock")
-
-    def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
-        width = len(SPEC.stream(data_name).channels)
-        rows = np.asarray(samples, np.float64).reshape(-1, width).tolist()
-        assert len(rows) == len(device_times) > 0
-        self.calls.append(data_name)
-        self.emitted.setdefault(data_name, []).extend(rows)
-        self.times.setdefault(data_name, []).extend(device_times)
-
-    def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
-        self.emit(data_name, samples, lsl_times)
-
-    def lost(self, data_name: str, count: int) -> None:
-        assert count > 0
-        self.losses[data_name] = self.losses.get(data_name, 0) + count
+@pytest.fixture
+def sink() -> EmitterSink:
+    return EmitterSink("shimmer3_gsr")
 
 
 @pytest.fixture
-def sink() -> NotedSink:
-    return NotedSink()
-
-
-@pytest.fixture
-def emitter(sink: NotedSink) -> ShimmerEmitter:
+def emitter(sink: EmitterSink) -> ShimmerEmitter:
     made = ShimmerEmitter(sink)
     made.started(Measurement(Layout([0x12, 0x1C]), DIVISOR, AUTO))
     return made
@@ -90,7 +52,7 @@ def read(numbers: Sequence[int], gsr: int = FINGER_RAW, first: int = 0) -> Read:
 
 
 def test_samples_are_in_units_and_one_chunk_a_read(
-    emitter: ShimmerEmitter, sink: NotedSink
+    emitter: ShimmerEmitter, sink: EmitterSink
 ) -> None:
     emitter.take(read(range(5)))
     assert sink.calls == ["observe", "gsr", "ppg", "quality"]
@@ -102,7 +64,7 @@ def test_samples_are_in_units_and_one_chunk_a_read(
     assert sink.losses == {}
 
 
-def test_the_order_of_the_channels_is_that_of_the_inquiry(sink: NotedSink) -> None:
+def test_the_order_of_the_channels_is_that_of_the_inquiry(sink: EmitterSink) -> None:
     emitter = ShimmerEmitter(sink)
     emitter.started(Measurement(Layout([0x1C, 0x03, 0x12]), DIVISOR, AUTO))
     emitter.take([(Packet(0, (FINGER_RAW, 2852, PPG_RAW)), ARRIVAL_S)])
@@ -111,7 +73,7 @@ def test_the_order_of_the_channels_is_that_of_the_inquiry(sink: NotedSink) -> No
 
 
 def test_open_electrodes_are_no_value_and_show_in_quality(
-    emitter: ShimmerEmitter, sink: NotedSink
+    emitter: ShimmerEmitter, sink: EmitterSink
 ) -> None:
     emitter.take(read([0]))
     emitter.take(read([1, 2], OPEN_RAW))
@@ -126,14 +88,14 @@ def test_open_electrodes_are_no_value_and_show_in_quality(
 
 
 @pytest.mark.parametrize("raw", [0x0000, 0x02AA, 0x4000, 0x82AA, 0xC000, 0xC2AB])
-def test_no_current_is_never_0(emitter: ShimmerEmitter, sink: NotedSink, raw: int) -> None:
+def test_no_current_is_never_0(emitter: ShimmerEmitter, sink: EmitterSink, raw: int) -> None:
     emitter.take(read([0], raw))
     np.testing.assert_array_equal(sink.emitted["gsr"], [[NAN]])
     assert sink.emitted["quality"][0][0] == 0
 
 
 @pytest.mark.parametrize("setting", range(4))
-def test_a_fixed_range_goes_before_the_bits(sink: NotedSink, setting: int) -> None:
+def test_a_fixed_range_goes_before_the_bits(sink: EmitterSink, setting: int) -> None:
     emitter = ShimmerEmitter(sink)
     emitter.started(Measurement(Layout([0x12, 0x1C]), DIVISOR, setting))
     emitter.take(read([0]))
@@ -142,7 +104,7 @@ def test_a_fixed_range_goes_before_the_bits(sink: NotedSink, setting: int) -> No
     assert sink.emitted["quality"][0][1] == setting
 
 
-def test_quality_is_told_every_ten_seconds(emitter: ShimmerEmitter, sink: NotedSink) -> None:
+def test_quality_is_told_every_ten_seconds(emitter: ShimmerEmitter, sink: EmitterSink) -> None:
     for number in range(0, 128 * 31, 8):
         emitter.take(read(range(number, number + 8)))
     assert sink.emitted["quality"] == [[1, 1, 0]] * 4
@@ -155,7 +117,7 @@ def pulse(number: int) -> Packet:
     return packet(number, ppg=ppg)
 
 
-def test_heart_rate_comes_from_the_pulse(emitter: ShimmerEmitter, sink: NotedSink) -> None:
+def test_heart_rate_comes_from_the_pulse(emitter: ShimmerEmitter, sink: EmitterSink) -> None:
     for number in range(0, 128 * 30, 8):
         arrival_s = ARRIVAL_S + (number + 8) * PERIOD_S
         emitter.take([(pulse(each), arrival_s) for each in range(number, number + 8)])
@@ -171,14 +133,14 @@ def test_heart_rate_comes_from_the_pulse(emitter: ShimmerEmitter, sink: NotedSin
     assert sink.times["quality"][-1] == pytest.approx(sink.times["hr"][-1] + 2, abs=0.1)
 
 
-def test_missing_packets_are_counted(emitter: ShimmerEmitter, sink: NotedSink) -> None:
+def test_missing_packets_are_counted(emitter: ShimmerEmitter, sink: EmitterSink) -> None:
     emitter.take(read([0, 1, 4, 5]))
     emitter.take(read([9]))
     assert sink.losses == {"gsr": 5, "ppg": 5}
     assert sink.times["gsr"] == [number * PERIOD_S for number in (0, 1, 4, 5, 9)]
 
 
-def test_a_repeated_packet_is_emitted_once(emitter: ShimmerEmitter, sink: NotedSink) -> None:
+def test_a_repeated_packet_is_emitted_once(emitter: ShimmerEmitter, sink: EmitterSink) -> None:
     emitter.take(read([0, 1]))
     emitter.take([(packet(1), ARRIVAL_S + PERIOD_S)])
     emitter.take(read([2]))
@@ -190,7 +152,7 @@ def again(emitter: ShimmerEmitter) -> None:
 
 
 def test_after_a_reconnection_time_goes_on_and_nothing_is_lost(
-    emitter: ShimmerEmitter, sink: NotedSink
+    emitter: ShimmerEmitter, sink: EmitterSink
 ) -> None:
     emitter.take(read([0]))
     again(emitter)
@@ -200,7 +162,7 @@ def test_after_a_reconnection_time_goes_on_and_nothing_is_lost(
     assert "restart_clock" not in sink.calls
 
 
-def test_a_restarted_counter_restarts_the_clock(emitter: ShimmerEmitter, sink: NotedSink) -> None:
+def test_a_restarted_counter_restarts_the_clock(emitter: ShimmerEmitter, sink: EmitterSink) -> None:
     emitter.take(read([60_000]))
     again(emitter)
     emitter.take([(packet(number), ARRIVAL_S + 475 + 0.01 * number) for number in (10, 11)])
@@ -214,7 +176,7 @@ def test_a_restarted_counter_restarts_the_clock(emitter: ShimmerEmitter, sink: N
 
 
 def test_a_device_that_kept_streaming_lost_what_nobody_heard(
-    emitter: ShimmerEmitter, sink: NotedSink
+    emitter: ShimmerEmitter, sink: EmitterSink
 ) -> None:
     emitter.take(read([0]))
     emitter.kept_measuring_until(ARRIVAL_S + 2.0)
@@ -229,7 +191,7 @@ def test_a_device_that_kept_streaming_lost_what_nobody_heard(
 
 
 def test_a_device_that_was_switched_off_lost_nothing_that_one_knows_of(
-    emitter: ShimmerEmitter, sink: NotedSink
+    emitter: ShimmerEmitter, sink: EmitterSink
 ) -> None:
     emitter.take(read([60_000]))
     emitter.kept_measuring_until(ARRIVAL_S + 471)
@@ -240,21 +202,21 @@ def test_a_device_that_was_switched_off_lost_nothing_that_one_knows_of(
 
 
 def test_a_device_that_streamed_to_somebody_else_lost_nothing(
-    emitter: ShimmerEmitter, sink: NotedSink
+    emitter: ShimmerEmitter, sink: EmitterSink
 ) -> None:
     emitter.kept_measuring_until(ARRIVAL_S)
     emitter.take(read([0, 1]))
     assert sink.losses == {}
 
 
-def test_battery_is_stamped_by_arrival(emitter: ShimmerEmitter, sink: NotedSink) -> None:
+def test_battery_is_stamped_by_arrival(emitter: ShimmerEmitter, sink: EmitterSink) -> None:
     emitter.battery(BatteryReading(2618, Charging.UNKNOWN), ARRIVAL_S)
     emitter.battery(BatteryReading(3200, Charging.SUSPENDED), ARRIVAL_S + 60)
     assert sink.emitted["bat"] == [[pytest.approx(57.317, abs=1e-3)]]
     assert sink.times["bat"] == [ARRIVAL_S]
 
 
-def test_a_pulse_signal_of_unknown_scale_has_no_value(sink: NotedSink) -> None:
+def test_a_pulse_signal_of_unknown_scale_has_no_value(sink: EmitterSink) -> None:
     emitter = ShimmerEmitter(sink)
     emitter.started(Measurement(Layout([0x12, 0x1C]), DIVISOR, AUTO, has_ppg_scale=False))
     for number in range(0, 1280, 8):

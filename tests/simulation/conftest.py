@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import AsyncGenerator, Iterator
 
 import pytest
 
@@ -10,11 +10,14 @@ from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.world import World
 from tests.rigs.probe import Probe
+from tests.rigs.virtual_time import pytest_asyncio_loop_factories, virtual_clock, virtual_time
+
+__all__ = ["pytest_asyncio_loop_factories", "virtual_clock"]
 
 
 @pytest.fixture
-def world() -> Iterator[World]:
-    with World() as world:
+async def world() -> AsyncGenerator[World]:
+    with virtual_time() as clock, World(clock) as world:
         yield world
 
 

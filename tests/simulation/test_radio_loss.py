@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import threading
+from collections.abc import Coroutine
+from typing import Any
 
 import pytest
 from bleak import BleakClient, BleakScanner
@@ -264,7 +265,7 @@ async def test_switching_the_device_off_and_on(probe: Probe) -> None:
         assert await client.read_gatt_char(SERIAL) == b"0815"
 
 
-def test_pairing_needs_something_to_protect(radio: Radio) -> None:
+async def test_pairing_needs_something_to_protect(radio: Radio) -> None:
     peripheral = Peripheral(radio, "A0:9E:1A:00:00:04", "Open")
     peripheral.demand_pairing = True
     reading = Characteristic[bytes](
@@ -272,6 +273,11 @@ def test_pairing_needs_something_to_protect(radio: Radio) -> None:
     )
     with pytest.raises(ValueError, match="authentication"):
         radio.world.await_(peripheral.power_on([Service("180a", [reading])]))
+
+
+def run_in_loop_of_its_own(probe: Probe, call: Coroutine[Any, Any, None]) -> None:
+    with asyncio.Runner(loop_factory=probe.radio.world.clock.new_event_loop) as runner:
+        runner.run(call)
 
 
 async def test_clients_of_several_loops_share_the_radio(probe: Probe) -> None:
@@ -283,17 +289,15 @@ async def test_clients_of_several_loops_share_the_radio(probe: Probe) -> None:
         async with BleakClient(other.address) as client:
             read.append(bytes(await client.read_gatt_char(SERIAL)))
 
-    thread = threading.Thread(target=lambda: asyncio.run(elsewhere()))
     async with BleakClient(probe.address) as client:
-        thread.start()
-        await until(lambda: not thread.is_alive())
+        await asyncio.to_thread(run_in_loop_of_its_own, probe, elsewhere())
         assert await client.read_gatt_char(SERIAL) == b"0815"
     assert read == [b"0815"]
 
 
 async def test_a_loop_that_ends_with_a_link_harms_nobody(probe: Probe) -> None:
     def forget_to_disconnect() -> None:
-        asyncio.run(BleakClient(probe.address).connect())
+        run_in_loop_of_its_own(probe, BleakClient(probe.address).connect())
 
     await asyncio.to_thread(forget_to_disconnect)
     assert probe.peripheral.connected

@@ -153,7 +153,7 @@ async def test_a_scanner_starts_once(probe: Probe) -> None:
             await scanner.start()
 
 
-def test_bleak_gets_its_own_backends_back(radio: Radio) -> None:
+async def test_bleak_gets_its_own_backends_back(radio: Radio) -> None:
     assert BleakScanner().backend_id == "virtual"
     inner = bleak.backends.scanner.get_platform_scanner_backend_type
     with virtual_bluetooth(radio):
@@ -161,7 +161,7 @@ def test_bleak_gets_its_own_backends_back(radio: Radio) -> None:
     assert bleak.backends.scanner.get_platform_scanner_backend_type is inner
 
 
-def test_another_bleak_is_refused(radio: Radio, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_another_bleak_is_refused(radio: Radio, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(bleak, "get_platform_client_backend_type")
     with (
         pytest.raises(RuntimeError, match="get_platform_client_backend_type"),
@@ -173,7 +173,7 @@ def test_another_bleak_is_refused(radio: Radio, monkeypatch: pytest.MonkeyPatch)
 @pytest.mark.parametrize(
     ("name", "data"), [("N" * 30, b""), ("short", bytes(30))], ids=["name", "data"]
 )
-def test_what_does_not_fit_into_an_advertisement_is_refused(
+async def test_what_does_not_fit_into_an_advertisement_is_refused(
     radio: Radio, name: str, data: bytes
 ) -> None:
     with pytest.raises(ValueError, match="do not fit"):

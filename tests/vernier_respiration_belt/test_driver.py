@@ -7,18 +7,16 @@ from math import inf
 import numpy as np
 import pytest
 
-from biosensor_common.errors import TransportError, TransportReason
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.agent.supervisor import State
 from biosensor_gateway.devices.vernier_respiration_belt.driver import driver as driver_module
-from biosensor_gateway.devices.vernier_respiration_belt.driver.driver import DRIVER, VernierSettings
+from biosensor_gateway.devices.vernier_respiration_belt.driver.driver import VernierSettings
 from biosensor_gateway.devices.vernier_respiration_belt.simulator import SimulatedBelt
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import Command
-from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.transports import ble_choice
-from tests.rigs.driver_run import NotedSink, connected, streaming
+from tests.rigs.driver_run import connected, streaming
 from tests.rigs.polling import until
 from tests.rigs.vernier_respiration_belt import assert_true
 
@@ -102,27 +100,6 @@ async def test_a_belt_that_is_taken_off_becomes_loose_and_loses_its_rate(
         await until(lambda: run.sink.rows["quality"][-1] == [1.0, 0.0])
 
 
-def test_settings_of_another_sensor_are_refused() -> None:
-    with pytest.raises(TypeError):
-        DRIVER.make(
-            DeviceSettings(sensor="zephyr", unit="1"), NotedSink("vernier_respiration_belt")
-        )
-
-
 def test_defaults_are_enough() -> None:
     settings = VernierSettings(sensor="vernier_respiration_belt", unit="0K2002Z5")
     assert (settings.device, settings.period_ms) == ("", 100)
-
-
-async def test_closing_before_connecting_does_nothing() -> None:
-    model = VernierSettings(sensor="vernier_respiration_belt", unit="0K2002Z5")
-    driver = DRIVER.make(model, NotedSink("vernier_respiration_belt"))()
-    await driver.close()
-
-
-async def test_a_radio_that_is_off_is_said(radio: Radio) -> None:
-    radio.available = False
-    with pytest.raises(TransportError) as caught:
-        async with connected(SimulatedBelt(radio.world, radio)):
-            pass
-    assert caught.value.reason is TransportReason.UNAVAILABLE

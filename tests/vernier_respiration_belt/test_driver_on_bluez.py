@@ -19,20 +19,6 @@ if TYPE_CHECKING:
 pytestmark = ON_BLUEZ
 
 
-async def test_an_adapter_that_is_switched_off_is_waited_for(
-    belt: SimulatedBelt, bluez: FakeBluez
-) -> None:
-    async with streaming(belt) as run:
-        await until(run.sink.has(5, "force"))
-        bluez.set_powered(False)
-        await until(lambda: State.BACKOFF in run.states)
-        assert "Bluetooth is unavailable" in str(run.supervisor.last_error)
-        bluez.set_powered(True)
-        await run.goes_on(5, "force")
-        assert run.supervisor.connections == 2
-    assert_true(run.sink, belt)
-
-
 async def test_a_daemon_that_dies_without_a_word_is_noticed_and_waited_for(
     belt: SimulatedBelt, bluez: FakeBluez
 ) -> None:

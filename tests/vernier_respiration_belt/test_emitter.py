@@ -7,11 +7,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 from structlog.testing import capture_logs
 
-from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.devices.vernier_respiration_belt.declaration import SPEC
 from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import BeltChannels
 from biosensor_gateway.devices.vernier_respiration_belt.driver.emitter import VernierEmitter
@@ -23,7 +20,7 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import (
     Unknown,
 )
 from biosensor_gateway.devices.vernier_respiration_belt.driver.replies import Channel, Status
-from biosensor_gateway.streaming.sink import DeviceSink
+from tests.rigs.emitter_sink import EmitterSink
 
 NAN = math.nan
 PERIOD_S = 0.1
@@ -32,44 +29,10 @@ FORCE, RATE = 1, 2
 LOOSE, GOOD, TIGHT = -1.0, 0.0, 1.0
 
 
-class NotedSink(DeviceSink):
-    """Notes what it is told instead of telling LSL; its clock is real."""
-
-    def __init__(self) -> None:
-        super().__init__(
-            DeviceIdentity("vernier_respiration_belt", "noted"),
-            declaration("vernier_respiration_belt"),
-        )
-        self.emitted: dict[str, list[list[float]]] = {}
-        self.device_times: dict[str, list[float]] = {}
-        self.lsl_times: dict[str, list[float]] = {}
-        self.losses: dict[str, int] = {}
-
-    def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
-        self._note(data_name, samples, len(device_times))
-        self.device_times.setdefault(data_name, []).extend(device_times)
-
-    def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
-        self._note(data_name, samples, len(lsl_times))
-        self.lsl_times.setdefault(data_name, []).extend(lsl_times)
-
-    def lost(self, data_name: str, count: int) -> None:
-        self.losses[data_name] = self.losses.get(data_name, 0) + count
-
-    def _note(self, data_name: str, samples: ArrayLike, count: int) -> None:
-        width = len(SPEC.stream(data_name).channels)
-        rows = np.asarray(samples, np.float64).reshape(-1, width).tolist()
-        assert len(rows) == count
-        self.emitted.setdefault(data_name, []).extend(rows)
-
-    def values(self, data_name: str) -> list[float]:
-        return [row[0] for row in self.emitted.get(data_name, [])]
-
-
 class Belt:
     """Sends packets at the pace of measuring to an emitter."""
 
-    def __init__(self, sink: NotedSink) -> None:
+    def __init__(self, sink: EmitterSink) -> None:
         self.emitter = VernierEmitter(sink)
         self.counter = 0
         self.measured = 0
@@ -97,16 +60,16 @@ class Belt:
 
 
 @pytest.fixture
-def sink() -> NotedSink:
-    return NotedSink()
+def sink() -> EmitterSink:
+    return EmitterSink("vernier_respiration_belt")
 
 
 @pytest.fixture
-def belt(sink: NotedSink) -> Belt:
+def belt(sink: EmitterSink) -> Belt:
     return Belt(sink)
 
 
-def test_every_sample_of_a_packet_goes_into_both_streams(belt: Belt, sink: NotedSink) -> None:
+def test_every_sample_of_a_packet_goes_into_both_streams(belt: Belt, sink: EmitterSink) -> None:
     belt.send({FORCE: [11.5, 11.75], RATE: [14.0, 14.0]})
     belt.send({FORCE: [12.0], RATE: [14.5]})
     assert sink.values("force") == [11.5, 11.75, 12.0]
@@ -116,38 +79,42 @@ def test_every_sample_of_a_packet_goes_into_both_streams(belt: Belt, sink: Noted
     assert np.diff(times).tolist() == pytest.approx([PERIOD_S] * 2)
 
 
-def test_a_rate_that_is_not_known_yet_keeps_its_place(belt: Belt, sink: NotedSink) -> None:
+def test_a_rate_that_is_not_known_yet_keeps_its_place(belt: Belt, sink: EmitterSink) -> None:
     belt.send({FORCE: [-0.529, -0.532], RATE: [NAN, 14.0]})
     assert sink.values("bpm") == pytest.approx([NAN, 14.0], nan_ok=True)
     assert sink.values("force") == [-0.529, -0.532]
 
 
-def test_a_missing_force_keeps_its_place(belt: Belt, sink: NotedSink) -> None:
+def test_a_missing_force_keeps_its_place(belt: Belt, sink: EmitterSink) -> None:
     belt.send({FORCE: [NAN], RATE: [14.0]})
     assert sink.values("force") == pytest.approx([NAN], nan_ok=True)
 
 
-def test_the_device_clock_gets_the_last_sample_of_a_packet(belt: Belt, sink: NotedSink) -> None:
+def test_the_device_clock_gets_the_last_sample_of_a_packet(belt: Belt, sink: EmitterSink) -> None:
     belt.send({FORCE: [1.0, 2.0, 3.0], RATE: [NAN] * 3})
     newest = sink.device_times["force"][-1]
     assert newest + sink.clock_state.offset_s == pytest.approx(ARRIVAL_S + 0.3)
 
 
-def test_channels_that_are_not_declared_are_passed_over(belt: Belt, sink: NotedSink) -> None:
+def test_channels_that_are_not_declared_are_passed_over(belt: Belt, sink: EmitterSink) -> None:
     belt.send({FORCE: [10.0], RATE: [15.0], 4: [3.0], 5: [0.0]})
     belt.send({4: [3.0]}, MeasurementKind.APERIODIC_REAL32)
     assert sink.values("force") == [10.0]
     assert sink.values("bpm") == [15.0]
 
 
-def test_a_rate_that_comes_alone_is_placed_at_the_newest_force(belt: Belt, sink: NotedSink) -> None:
+def test_a_rate_that_comes_alone_is_placed_at_the_newest_force(
+    belt: Belt, sink: EmitterSink
+) -> None:
     belt.send({FORCE: [10.0, 11.0]}, MeasurementKind.SINGLE_REAL32)
     belt.send({RATE: [15.0]}, MeasurementKind.APERIODIC_REAL32)
     assert sink.values("bpm") == [15.0]
     assert sink.device_times["bpm"] == sink.device_times["force"][-1:]
 
 
-def test_a_rate_before_the_first_force_has_no_time_and_is_lost(belt: Belt, sink: NotedSink) -> None:
+def test_a_rate_before_the_first_force_has_no_time_and_is_lost(
+    belt: Belt, sink: EmitterSink
+) -> None:
     belt.send({RATE: [15.0, 16.0]}, MeasurementKind.APERIODIC_REAL32)
     assert sink.emitted == {}
     assert sink.losses == {"bpm": 2}
@@ -165,13 +132,13 @@ def test_a_rate_before_the_first_force_has_no_time_and_is_lost(belt: Belt, sink:
     ],
 )
 def test_what_holds_no_samples_emits_nothing(
-    message: Reply | Notice | Unknown | Measurement, belt: Belt, sink: NotedSink
+    message: Reply | Notice | Unknown | Measurement, belt: Belt, sink: EmitterSink
 ) -> None:
     belt.emitter.take(message, ARRIVAL_S)
     assert sink.emitted == {}
 
 
-def test_replies_in_between_are_no_lost_packets(belt: Belt, sink: NotedSink) -> None:
+def test_replies_in_between_are_no_lost_packets(belt: Belt, sink: EmitterSink) -> None:
     belt.breathe(5.0)
     belt.counter += 1
     belt.emitter.take(Reply(belt.counter, 0x10, 0xFD, b"\0"), ARRIVAL_S)
@@ -181,7 +148,7 @@ def test_replies_in_between_are_no_lost_packets(belt: Belt, sink: NotedSink) -> 
 
 
 def test_lost_packets_are_counted_for_both_streams_and_called_an_estimate(
-    belt: Belt, sink: NotedSink
+    belt: Belt, sink: EmitterSink
 ) -> None:
     belt.breathe(5.0)
     belt.counter += 3
@@ -195,7 +162,7 @@ def test_lost_packets_are_counted_for_both_streams_and_called_an_estimate(
     assert sink.device_times["force"][50] - sink.device_times["force"][49] == pytest.approx(0.4)
 
 
-def test_samples_that_the_belt_says_it_dropped_are_counted(belt: Belt, sink: NotedSink) -> None:
+def test_samples_that_the_belt_says_it_dropped_are_counted(belt: Belt, sink: EmitterSink) -> None:
     belt.breathe(5.0)
     belt.counter += 1
     belt.emitter.take(Notice(belt.counter, MeasurementKind.DROPPED), ARRIVAL_S)
@@ -205,7 +172,7 @@ def test_samples_that_the_belt_says_it_dropped_are_counted(belt: Belt, sink: Not
 
 
 @pytest.mark.parametrize("end", ["ended", "start"])
-def test_what_is_held_back_is_emitted_at_the_end(end: str, belt: Belt, sink: NotedSink) -> None:
+def test_what_is_held_back_is_emitted_at_the_end(end: str, belt: Belt, sink: EmitterSink) -> None:
     belt.breathe(5.0)
     belt.counter += 1
     belt.breathe(0.2)
@@ -214,7 +181,7 @@ def test_what_is_held_back_is_emitted_at_the_end(end: str, belt: Belt, sink: Not
     assert len(sink.values("force")) == 52
 
 
-def test_a_new_start_goes_on_in_time(belt: Belt, sink: NotedSink) -> None:
+def test_a_new_start_goes_on_in_time(belt: Belt, sink: EmitterSink) -> None:
     belt.breathe(5.0)
     belt.measured += 20
     belt.counter = 0
@@ -226,7 +193,7 @@ def test_a_new_start_goes_on_in_time(belt: Belt, sink: NotedSink) -> None:
     assert sink.losses["force"] == 20
 
 
-def test_battery_and_signal_strength_are_stamped_by_the_host(belt: Belt, sink: NotedSink) -> None:
+def test_battery_and_signal_strength_are_stamped_by_the_host(belt: Belt, sink: EmitterSink) -> None:
     belt.emitter.take_status(Status("1.7.220", "1.9.31", 76, 0), ARRIVAL_S)
     belt.emitter.take_rssi(-61, ARRIVAL_S + 1.0)
     belt.emitter.take_rssi(None, ARRIVAL_S + 2.0)
@@ -235,7 +202,7 @@ def test_battery_and_signal_strength_are_stamped_by_the_host(belt: Belt, sink: N
 
 
 def test_quality_comes_at_first_on_change_and_every_ten_seconds(
-    belt: Belt, sink: NotedSink
+    belt: Belt, sink: EmitterSink
 ) -> None:
     belt.send({FORCE: [12.0], RATE: [NAN]})
     assert sink.emitted["quality"] == [[0.0, GOOD]]
@@ -252,7 +219,7 @@ def test_quality_comes_at_first_on_change_and_every_ten_seconds(
     [(0.4, 0.1, LOOSE), (12.0, 2.0, GOOD), (45.0, 2.0, TIGHT), (12.0, 0.001, LOOSE)],
 )
 def test_tension_is_judged_by_the_last_seconds(
-    mean: float, size: float, tension: float, belt: Belt, sink: NotedSink
+    mean: float, size: float, tension: float, belt: Belt, sink: EmitterSink
 ) -> None:
     belt.breathe(11.0)
     belt.breathe(11.0, mean=mean, size=size)
@@ -261,20 +228,20 @@ def test_tension_is_judged_by_the_last_seconds(
     assert sink.emitted["quality"][-1] == [1.0, GOOD]
 
 
-def test_a_single_slack_sample_is_not_a_loose_belt(belt: Belt, sink: NotedSink) -> None:
+def test_a_single_slack_sample_is_not_a_loose_belt(belt: Belt, sink: EmitterSink) -> None:
     belt.breathe(5.0)
     belt.send({FORCE: [0.0], RATE: [14.0]})
     belt.breathe(5.0)
     assert all(quality[1] == GOOD for quality in sink.emitted["quality"])
 
 
-def test_tension_without_any_force_is_unknown_and_said_once(belt: Belt, sink: NotedSink) -> None:
+def test_tension_without_any_force_is_unknown_and_said_once(belt: Belt, sink: EmitterSink) -> None:
     belt.send({FORCE: [NAN], RATE: [NAN]})
     belt.send({FORCE: [NAN], RATE: [NAN]})
     assert sink.emitted["quality"] == [pytest.approx([0.0, NAN], nan_ok=True)]
 
 
-def test_every_declared_stream_is_emitted(belt: Belt, sink: NotedSink) -> None:
+def test_every_declared_stream_is_emitted(belt: Belt, sink: EmitterSink) -> None:
     belt.breathe(1.0)
     belt.emitter.take_status(Status("", "", 50, 0), ARRIVAL_S)
     belt.emitter.take_rssi(-60, ARRIVAL_S)

@@ -68,11 +68,10 @@ def test_a_damaged_command_is_not_obeyed() -> None:
 
 
 @pytest.fixture
-def radio() -> Generator[Radio]:
-    with World() as world:
-        air = Radio(world)
-        with virtual_bluetooth(air):
-            yield air
+def radio(virtual_world: World) -> Generator[Radio]:
+    air = Radio(virtual_world)
+    with virtual_bluetooth(air):
+        yield air
 
 
 class Host:
@@ -150,7 +149,7 @@ async def test_the_status_shows_the_battery(radio: Radio) -> None:
     with SimulatedBelt(radio.world, radio) as belt:
         async with _host() as host:
             assert (await host.ask("10"))[10] == 76
-            await asyncio.to_thread(belt.apply, Fault(FaultKind.LOW_BATTERY, 4))
+            belt.apply(Fault(FaultKind.LOW_BATTERY, 4))
             assert (await host.ask("10"))[10] == 4
 
 
@@ -160,22 +159,22 @@ async def test_a_belt_that_is_taken_off_is_slack_and_knows_no_rate(radio: Radio)
             await host.start()
             worn = await host.samples(10)
             assert worn[:, 0].min() > 5
-            await asyncio.to_thread(belt.apply, Fault(FaultKind.OFF_BODY, float("inf")))
+            belt.apply(Fault(FaultKind.OFF_BODY, float("inf")))
             await host.samples(3)
             off = await host.samples(8)
             assert off[:, 0].max() < 0
             assert np.isnan(off[:, 1]).all()
-            await asyncio.to_thread(belt.clear, FaultKind.OFF_BODY)
+            belt.clear(FaultKind.OFF_BODY)
             await host.samples(3)
             assert (await host.samples(5))[:, 0].min() > 5
 
 
 async def test_a_refusing_belt_ignores_commands(radio: Radio) -> None:
     with SimulatedBelt(radio.world, radio) as belt:
-        await asyncio.to_thread(belt.apply, Fault(FaultKind.REFUSE, float("inf")))
+        belt.apply(Fault(FaultKind.REFUSE, float("inf")))
         async with _host() as host:
             assert await host.ask(INIT) == b"\x02"
-            await asyncio.to_thread(belt.clear, FaultKind.REFUSE)
+            belt.clear(FaultKind.REFUSE)
             assert await host.ask(INIT) == b"\0"
 
 
@@ -187,7 +186,7 @@ async def test_a_lost_belt_comes_back_and_has_forgotten_its_modes(
         async with _host() as host:
             await host.start()
             await host.samples(5)
-            await asyncio.to_thread(belt.apply, Fault(kind, 1.0))
+            belt.apply(Fault(kind, 1.0))
         sent = len(belt.truth.samples("force").times)
         async with _host() as host:
             await host.ask("10")

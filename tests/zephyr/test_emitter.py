@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import datetime as dt
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 from structlog.testing import capture_logs
 
-from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.devices.zephyr.declaration import SPEC
 from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
 from biosensor_gateway.devices.zephyr.driver.fields import Number
 from biosensor_gateway.devices.zephyr.driver.frames import MessageId
@@ -33,7 +28,7 @@ from biosensor_gateway.devices.zephyr.driver.messages import (
     Unknown,
     Waveform,
 )
-from biosensor_gateway.streaming.sink import DeviceSink
+from tests.rigs.emitter_sink import EmitterSink
 
 NOON = dt.datetime(2026, 1, 30, 12)  # noqa: DTZ001 - naive, as the device means it
 NOON_S = (NOON - dt.datetime(2000, 1, 1)).total_seconds()  # noqa: DTZ001 - the device's epoch
@@ -56,38 +51,13 @@ NUMBERS: dict[str, Number] = {
 }
 
 
-class NotedSink(DeviceSink):
-    """Notes what it is told instead of telling LSL."""
-
-    def __init__(self) -> None:
-        super().__init__(DeviceIdentity("zephyr", "noted"), declaration("zephyr"))
-        self.emitted: dict[str, list[list[float]]] = {}
-        self.times: dict[str, list[float]] = {}
-        self.observed: list[tuple[float, float]] = []
-        self.losses: dict[str, int] = {}
-
-    def observe(self, device_s: float, arrival_s: float) -> None:
-        self.observed.append((device_s, arrival_s))
-
-    def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
-        width = len(SPEC.stream(data_name).channels)
-        rows = np.asarray(samples, np.float64).reshape(-1, width).tolist()
-        assert len(rows) == len(device_times)
-        self.emitted.setdefault(data_name, []).extend(rows)
-        self.times.setdefault(data_name, []).extend(device_times)
-
-    def lost(self, data_name: str, count: int) -> None:
-        assert count > 0
-        self.losses[data_name] = self.losses.get(data_name, 0) + count
+@pytest.fixture
+def sink() -> EmitterSink:
+    return EmitterSink("zephyr")
 
 
 @pytest.fixture
-def sink() -> NotedSink:
-    return NotedSink()
-
-
-@pytest.fixture
-def emitter(sink: NotedSink) -> ZephyrEmitter:
+def emitter(sink: EmitterSink) -> ZephyrEmitter:
     return ZephyrEmitter(sink)
 
 
@@ -117,7 +87,7 @@ def worn_event(code: bytes, seconds: float) -> Event:
     return Event(header(0, seconds), WORN_CHANGE, "worn_change", code)
 
 
-def test_ecg_stays_counts_at_4_ms(emitter: ZephyrEmitter, sink: NotedSink) -> None:
+def test_ecg_stays_counts_at_4_ms(emitter: ZephyrEmitter, sink: EmitterSink) -> None:
     emitter.take(ecg(7, 0.0), ARRIVAL_S)
     assert sink.emitted == {"ecg": [[float(value)] for value in range(7, 70)]}
     expected = [NOON_S + 0.004 * index for index in range(63)]
@@ -126,7 +96,7 @@ def test_ecg_stays_counts_at_4_ms(emitter: ZephyrEmitter, sink: NotedSink) -> No
     assert sink.observed == [(sink.times["ecg"][-1], ARRIVAL_S)]
 
 
-def test_breathing_stays_counts_at_56_ms(emitter: ZephyrEmitter, sink: NotedSink) -> None:
+def test_breathing_stays_counts_at_56_ms(emitter: ZephyrEmitter, sink: EmitterSink) -> None:
     samples = tuple(range(500, 518))
     emitter.take(Waveform(MessageId.BREATHING, header(), samples, 0.056), ARRIVAL_S)
     assert sink.emitted == {"breathing": [[float(value)] for value in samples]}
@@ -137,7 +107,7 @@ def test_breathing_stays_counts_at_56_ms(emitter: ZephyrEmitter, sink: NotedSink
     ("counts", "scale"), [({}, (512, 20.75)), ({"counts_per_g": 10.0, "zero": 0}, (0, 10))]
 )
 def test_acceleration_becomes_g(
-    emitter: ZephyrEmitter, sink: NotedSink, counts: dict[str, Any], scale: tuple[int, float]
+    emitter: ZephyrEmitter, sink: EmitterSink, counts: dict[str, Any], scale: tuple[int, float]
 ) -> None:
     samples = tuple((490 + k, 512, 533 - k) for k in range(20))
     emitter.take(Acceleration(header(), samples, **counts), ARRIVAL_S)
@@ -147,21 +117,21 @@ def test_acceleration_becomes_g(
 
 
 def test_intervals_become_seconds_at_the_time_of_their_beat(
-    emitter: ZephyrEmitter, sink: NotedSink
+    emitter: ZephyrEmitter, sink: EmitterSink
 ) -> None:
     emitter.take(RrIntervals(header(), (800,) * 10 + (-812,) * 8), ARRIVAL_S)
     assert sink.emitted == {"ibi": [[0.812]]}
     assert sink.times["ibi"] == pytest.approx([NOON_S + 10 * 0.056], abs=1e-6)
 
 
-def test_a_gap_makes_no_beat_and_no_guess(emitter: ZephyrEmitter, sink: NotedSink) -> None:
+def test_a_gap_makes_no_beat_and_no_guess(emitter: ZephyrEmitter, sink: EmitterSink) -> None:
     emitter.take(RrIntervals(header(0), (800,) * 18), ARRIVAL_S)
     emitter.take(RrIntervals(header(2, 2 * 1.008), (-900,) * 18), ARRIVAL_S + 2)
     assert sink.emitted == {}
     assert sink.losses == {}
 
 
-def test_a_summary_fills_the_vitals(emitter: ZephyrEmitter, sink: NotedSink) -> None:
+def test_a_summary_fills_the_vitals(emitter: ZephyrEmitter, sink: EmitterSink) -> None:
     emitter.take(summary(), ARRIVAL_S)
     assert sink.emitted == {
         "hr": [[71]],
@@ -191,7 +161,7 @@ def test_a_summary_fills_the_vitals(emitter: ZephyrEmitter, sink: NotedSink) -> 
     ],
 )
 def test_no_value_is_not_published(
-    emitter: ZephyrEmitter, sink: NotedSink, data_name: str, number: str
+    emitter: ZephyrEmitter, sink: EmitterSink, data_name: str, number: str
 ) -> None:
     emitter.take(replace(summary(), numbers={**NUMBERS, number: None}), ARRIVAL_S)
     assert sink.emitted.keys() == VITALS - {data_name}
@@ -209,7 +179,7 @@ def test_no_value_is_not_published(
     ],
 )
 def test_the_status_word_goes_into_quality_and_filters_only_respiration(
-    emitter: ZephyrEmitter, sink: NotedSink, status: int, quality: list[float]
+    emitter: ZephyrEmitter, sink: EmitterSink, status: int, quality: list[float]
 ) -> None:
     emitter.take(summary(status=status), ARRIVAL_S)
     assert sink.emitted["quality"] == [quality]
@@ -217,14 +187,14 @@ def test_the_status_word_goes_into_quality_and_filters_only_respiration(
     assert missing == ({"br"} if status == 0x0020 else set())
 
 
-def test_unknown_confidence_is_nan(emitter: ZephyrEmitter, sink: NotedSink) -> None:
+def test_unknown_confidence_is_nan(emitter: ZephyrEmitter, sink: EmitterSink) -> None:
     emitter.take(summary(heart_rate_confidence=None, link_quality=None), ARRIVAL_S)
     np.testing.assert_array_equal(sink.emitted["quality"], [[1, NAN, 0, 0, 0, NAN]])
 
 
 @pytest.mark.parametrize(("worn", "low"), [(True, False), (False, True)])
 def test_general_data_fill_what_they_hold(
-    emitter: ZephyrEmitter, sink: NotedSink, worn: bool, low: bool
+    emitter: ZephyrEmitter, sink: EmitterSink, worn: bool, low: bool
 ) -> None:
     emitter.take(general(worn=worn, low=low), ARRIVAL_S)
     np.testing.assert_array_equal(
@@ -236,21 +206,21 @@ def test_general_data_fill_what_they_hold(
     }  # fmt: skip
 
 
-def test_lost_packets_are_counted_in_samples(emitter: ZephyrEmitter, sink: NotedSink) -> None:
+def test_lost_packets_are_counted_in_samples(emitter: ZephyrEmitter, sink: EmitterSink) -> None:
     emitter.take(ecg(0, 0.0), ARRIVAL_S)
     emitter.take(ecg(4, 4 * 0.252), ARRIVAL_S + 1)
     assert sink.losses == {"ecg": 3 * 63}
 
 
 def test_lost_summaries_count_for_the_streams_that_the_last_one_filled(
-    emitter: ZephyrEmitter, sink: NotedSink
+    emitter: ZephyrEmitter, sink: EmitterSink
 ) -> None:
     emitter.take(summary(0, hrv_ms=None), ARRIVAL_S)
     emitter.take(summary(3), ARRIVAL_S + 3)
     assert sink.losses == dict.fromkeys(VITALS - {"hrv"}, 2)
 
 
-def test_a_reconnection_is_a_gap_of_known_length(emitter: ZephyrEmitter, sink: NotedSink) -> None:
+def test_a_reconnection_is_a_gap_of_known_length(emitter: ZephyrEmitter, sink: EmitterSink) -> None:
     emitter.take(ecg(0, 0.0), ARRIVAL_S)
     emitter.take(summary(0), ARRIVAL_S)
     emitter.take(RrIntervals(header(), (800,) * 18), ARRIVAL_S)
@@ -261,7 +231,7 @@ def test_a_reconnection_is_a_gap_of_known_length(emitter: ZephyrEmitter, sink: N
     assert "ibi" not in sink.emitted
 
 
-def test_taking_the_strap_off_shows_at_once(emitter: ZephyrEmitter, sink: NotedSink) -> None:
+def test_taking_the_strap_off_shows_at_once(emitter: ZephyrEmitter, sink: EmitterSink) -> None:
     emitter.take(summary(), ARRIVAL_S)
     emitter.take(worn_event(b"\x64\x00", 0.4), ARRIVAL_S + 0.4)
     emitter.take(worn_event(b"\x00\x64", 0.7), ARRIVAL_S + 0.7)
@@ -271,7 +241,7 @@ def test_taking_the_strap_off_shows_at_once(emitter: ZephyrEmitter, sink: NotedS
 
 @pytest.mark.parametrize("data", [b"", b"\x64"])
 def test_an_event_that_is_cut_short_changes_nothing(
-    emitter: ZephyrEmitter, sink: NotedSink, data: bytes
+    emitter: ZephyrEmitter, sink: EmitterSink, data: bytes
 ) -> None:
     emitter.take(summary(), ARRIVAL_S)
     emitter.take(worn_event(data, 0.4), ARRIVAL_S + 0.4)
@@ -279,7 +249,7 @@ def test_an_event_that_is_cut_short_changes_nothing(
 
 
 def test_an_event_before_all_data_is_kept_for_the_log(
-    emitter: ZephyrEmitter, sink: NotedSink
+    emitter: ZephyrEmitter, sink: EmitterSink
 ) -> None:
     with capture_logs() as logs:
         emitter.take(worn_event(b"\x00\x64", 0.0), ARRIVAL_S)
@@ -293,14 +263,14 @@ def test_an_event_before_all_data_is_kept_for_the_log(
     ids=lambda message: type(message).__name__,
 )
 def test_messages_without_values_emit_nothing(
-    emitter: ZephyrEmitter, sink: NotedSink, message: Message
+    emitter: ZephyrEmitter, sink: EmitterSink, message: Message
 ) -> None:
     emitter.take(message, ARRIVAL_S)
     assert (sink.emitted, sink.observed) == ({}, [])
 
 
 def test_without_a_device_clock_everything_happens_when_it_arrives(
-    emitter: ZephyrEmitter, sink: NotedSink
+    emitter: ZephyrEmitter, sink: EmitterSink
 ) -> None:
     emitter.take(Waveform(MessageId.ECG, Header(0, None), (512,) * 63, 0.004), ARRIVAL_S)
     emitter.take(summary(head=Header(0, None)), ARRIVAL_S)

@@ -1,0 +1,104 @@
+"""Where an emitter's test finds what was emitted, without LSL."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.streaming.sink import DeviceSink
+
+
+class EmitterSink(DeviceSink):
+    """Notes what it is told instead of telling LSL; its device clock is real.
+
+    Attributes
+    ----------
+    emitted
+        Samples by data name, in the declared number of channels; none for what never came.
+    times, device_times, lsl_times
+        Their times by data name [s]; in the last two, only those on that clock.
+    texts
+        Of each its data name, itself and its device time [s].
+    observed
+        Device time and arrival of each packet [s].
+    losses
+        Samples lost, by data name.
+    calls
+        ``observe``, ``restart_clock`` and data names, in the order of the calls.
+    restarts
+        For each restart of the clock, how much had been observed before.
+    heard_count
+        How often something valid without a sample was told of.
+    """
+
+    def __init__(self, sensor: str) -> None:
+        super().__init__(DeviceIdentity(sensor, "noted"), declaration(sensor))
+        self.emitted: dict[str, list[list[float]]] = {}
+        self.times: dict[str, list[float]] = {}
+        self.device_times: dict[str, list[float]] = {}
+        self.lsl_times: dict[str, list[float]] = {}
+        self.texts: list[tuple[str, str, float]] = []
+        self.observed: list[tuple[float, float]] = []
+        self.losses: dict[str, int] = {}
+        self.calls: list[str] = []
+        self.restarts: list[int] = []
+        self.heard_count = 0
+
+    def values(self, data_name: str) -> list[float]:
+        """Return the first channel of a stream."""
+        return [row[0] for row in self.emitted.get(data_name, [])]
+
+    def mapped(self, device_s: float) -> float:
+        """Return a device time on LSL's clock; it fails before anything was observed."""
+        return self._clock.to_lsl(device_s)
+
+    def heard(self, *data_names: str) -> None:
+        """Count."""
+        super().heard(*data_names)
+        self.heard_count += 1
+
+    def observe(self, device_s: float, arrival_s: float) -> None:
+        """Note the times of a packet."""
+        super().observe(device_s, arrival_s)
+        self.calls.append("observe")
+        self.observed.append((device_s, arrival_s))
+
+    def restart_clock(self) -> None:
+        """Note how much was observed before."""
+        super().restart_clock()
+        self.calls.append("restart_clock")
+        self.restarts.append(len(self.observed))
+
+    def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
+        """Note samples that the device stamps; the clock must be able to map them."""
+        for time in device_times:
+            self.mapped(time)
+        self._note(data_name, samples, device_times)
+        self.device_times.setdefault(data_name, []).extend(device_times)
+
+    def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
+        """Note samples that the device does not stamp."""
+        self._note(data_name, samples, lsl_times)
+        self.lsl_times.setdefault(data_name, []).extend(lsl_times)
+
+    def emit_text(self, data_name: str, text: str, device_s: float) -> None:
+        """Note a text."""
+        self.mapped(device_s)
+        self.texts.append((data_name, text, device_s))
+
+    def lost(self, data_name: str, count: int) -> None:
+        """Note losses, also of none: who tells of those shows in `losses`."""
+        assert count >= 0
+        self.losses[data_name] = self.losses.get(data_name, 0) + count
+
+    def _note(self, data_name: str, samples: ArrayLike, times: Sequence[float]) -> None:
+        width = len(self.spec.stream(data_name).channels)
+        rows = np.asarray(samples, np.float64).reshape(-1, width).tolist()
+        assert len(rows) == len(times) > 0
+        self.calls.append(data_name)
+        self.emitted.setdefault(data_name, []).extend(rows)
+        self.times.setdefault(data_name, []).extend(times)
