@@ -260,4 +260,5 @@ def _copy(message: Any) -> Any:  # noqa: ANN401 - any message, or its bytes
         return message
     # Its bytes would do, were they not too many: ROS gives them the length that it has
     # estimated, up to 7 more than the message has, and strict readers of bags refuse those.
-    return deserialize_message(serialize_message(message), type(message))
+    kind: type[Any] = type(message)
+    return deserialize_message(serialize_message(message), kind)
