@@ -12,7 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, cast
 
 from rclpy.serialization import deserialize_message, serialize_message
 
@@ -260,5 +260,4 @@ def _copy(message: Any) -> Any:  # noqa: ANN401 - any message, or its bytes
         return message
     # Its bytes would do, were they not too many: ROS gives them the length that it has
     # estimated, up to 7 more than the message has, and strict readers of bags refuse those.
-    kind: type[Any] = type(message)
-    return deserialize_message(serialize_message(message), kind)
+    return deserialize_message(serialize_message(message), cast("type[Any]", type(message)))
