@@ -26,7 +26,7 @@ class Lab:
 
     def __init__(self, devices: list[dict[str, Any]], stack: ExitStack) -> None:
         self._scene = BluezScene(stack)
-        self._twins = {
+        self._devices = {
             device["key"]: stack.enter_context(
                 make(device["sensor"], self._scene, **device.get("options", {}))
             )
@@ -36,36 +36,37 @@ class Lab:
     def describe(self) -> dict[str, Any]:
         bluez = self._scene.bluez
         environment = dict(bluez.environment) if bluez else {}
-        for twin in self._twins.values():
-            environment |= twin.environment
+        for virtual in self._devices.values():
+            environment |= virtual.environment
         return {
             "environment": environment,
-            "settings": {key: dict(twin.settings) for key, twin in self._twins.items()},
+            "settings": {key: dict(virtual.settings) for key, virtual in self._devices.items()},
             "faults": {
-                key: sorted(kind.value for kind in twin.faults) for key, twin in self._twins.items()
+                key: sorted(kind.value for kind in virtual.faults)
+                for key, virtual in self._devices.items()
             },
         }
 
     def obey(self, command: dict[str, Any]) -> dict[str, Any]:
-        twin = self._twins[command["key"]]
+        virtual = self._devices[command["key"]]
         match command["do"]:
             case "apply":
-                twin.apply(Fault(FaultKind(command["kind"]), command["value"]))
+                virtual.apply(Fault(FaultKind(command["kind"]), command["value"]))
             case "clear":
-                twin.clear(FaultKind(command["kind"]))
+                virtual.clear(FaultKind(command["kind"]))
             case "truth":
-                self._save_truth(twin, command["path"])
+                self._save_truth(virtual, command["path"])
             case "call":
-                getattr(twin, command["method"])(**command["options"])
+                getattr(virtual, command["method"])(**command["options"])
             case other:
                 raise ValueError(f"what is {other!r}?")
         return {}
 
     @staticmethod
-    def _save_truth(twin: VirtualDevice, path: str) -> None:
+    def _save_truth(virtual: VirtualDevice, path: str) -> None:
         arrays: dict[str, Any] = {}
-        for name in twin.truth.data_names:
-            samples = twin.truth.samples(name)
+        for name in virtual.truth.data_names:
+            samples = virtual.truth.samples(name)
             arrays[f"{name}.times"], arrays[f"{name}.values"] = samples.times, samples.values
         np.savez(path, **arrays)
 

@@ -133,38 +133,38 @@ def simulated_settings(
         virtual_class(name)
     with ExitStack() as stack:
         scene = Scene(stack)
-        twins = {name: stack.enter_context(make(name, scene, kept=_KEPT)) for name in wanted}
-        _schedule(scheduled, twins)
-        stack.enter_context(_environment(twins.values()))
-        devices = tuple(_settings(name, twin) for name, twin in twins.items())
-        yield GatewaySettings.model_validate({**environment_overrides(), "device": devices})
+        devices = {name: stack.enter_context(make(name, scene, kept=_KEPT)) for name in wanted}
+        _schedule(scheduled, devices)
+        stack.enter_context(_environment(devices.values()))
+        tables = tuple(_settings(name, device) for name, device in devices.items())
+        yield GatewaySettings.model_validate({**environment_overrides(), "device": tables})
 
 
-def _settings(name: str, twin: VirtualDevice) -> DeviceSettings:
+def _settings(name: str, device: VirtualDevice) -> DeviceSettings:
     _, _, variant = name.partition(":")
-    fields = {"sensor": twin.sensor, "unit": variant or "virtual", **twin.settings}
-    return driver(twin.sensor).settings.model_validate(fields)
+    fields = {"sensor": device.sensor, "unit": variant or "virtual", **device.settings}
+    return driver(device.sensor).settings.model_validate(fields)
 
 
-def _schedule(scheduled: Iterable[ScheduledFault], twins: dict[str, VirtualDevice]) -> None:
+def _schedule(scheduled: Iterable[ScheduledFault], devices: dict[str, VirtualDevice]) -> None:
     for each in scheduled:
         hit = [
-            twin
-            for name, twin in twins.items()
-            if each.sensor in ("", name) and each.fault.kind in twin.faults
+            device
+            for name, device in devices.items()
+            if each.sensor in ("", name) and each.fault.kind in device.faults
         ]
         if not hit:
             whom = each.sensor or "none of the virtual devices"
             message = f"{whom} cannot have the fault {each.fault.kind.value}"
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
-        for twin in hit:
-            twin.schedule(Fault(each.fault.kind, each.fault.value), each.start_s)
+        for device in hit:
+            device.schedule(Fault(each.fault.kind, each.fault.value), each.start_s)
 
 
 @contextmanager
-def _environment(twins: Iterable[VirtualDevice]) -> Generator[None]:
+def _environment(devices: Iterable[VirtualDevice]) -> Generator[None]:
     """Set what drivers look up in the environment: credentials of virtual services."""
-    wanted = {key: value for twin in twins for key, value in twin.environment.items()}
+    wanted = {key: value for device in devices for key, value in device.environment.items()}
     before = {key: os.environ.get(key) for key in wanted}
     os.environ.update(wanted)
     try:

@@ -25,7 +25,7 @@ from tests.rigs.lab_client import Samples
 from tests.system.lab_recorder import recording
 
 LIMIT_S = 0.005
-# The twins write when this computer lets them, and what it delays a clock takes for the
+# Virtual devices write when this computer lets them, and what it delays a clock takes for the
 # device's own: after a break the first packets are all that it knows.
 BUSY = 3
 DROP_S = 2.0

@@ -30,7 +30,7 @@ from tests.faults.scenarios.stage import channels_of, lab_of, wait_until, write_
 from tests.rigs.lab_client import LabProcess, Samples
 
 SECONDS = float(os.environ.get("BIOSENSOR_GATEWAY_STEADY_S") or (1800 if is_long() else 30))
-FAULT = f"steady, all {len(SENSORS)} twins, {SECONDS / 60:g} min"
+FAULT = f"steady, all {len(SENSORS)} devices, {SECONDS / 60:g} min"
 # So long the memory of both programs grows fast, and slower all the time.
 FULL_WARM_UP_S = 300.0
 WARM_UP_S = min(FULL_WARM_UP_S, SECONDS / 5)
