@@ -139,10 +139,13 @@ async def test_a_connection_that_takes_too_long_is_given_up_and_tried_again(
         assert State.BACKOFF not in run.states
 
 
-async def test_a_demand_for_pairing_that_bluez_swallows_is_understood(
-    sensor: MakeSensor, bluez: FakeBluez
+@pytest.mark.parametrize(
+    ("is_worded", "cause"), [(False, "ATT error 0x0E"), (True, "ATT error 0x05")]
+)
+async def test_a_demand_for_pairing_is_understood_however_bluez_puts_it(
+    sensor: MakeSensor, bluez: FakeBluez, is_worded: bool, cause: str
 ) -> None:
-    del bluez
+    bluez.words_security = is_worded
     h10 = sensor(Quirks(demands_pairing=True))
     with capture_logs() as logs:
         async with streaming(h10) as run:
@@ -150,7 +153,7 @@ async def test_a_demand_for_pairing_that_bluez_swallows_is_understood(
             assert run.states == [State.CONNECTING, State.STREAMING]
     causes = [entry["cause"] for entry in logs if entry["event"].startswith("pairing")]
     assert len(causes) == 1
-    assert "ATT error 0x0E" in causes[0]
+    assert cause in causes[0]
 
 
 async def test_a_value_that_is_read_is_no_answer_and_no_sample(

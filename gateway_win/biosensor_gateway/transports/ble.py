@@ -15,13 +15,13 @@ from weakref import WeakKeyDictionary
 
 from bleak import BleakClient
 from bleak.backends.characteristic import BleakGATTCharacteristic
-from bleak.exc import BleakError, BleakGATTProtocolError
+from bleak.exc import BleakError
 from bleak.uuids import normalize_uuid_str
 
 from biosensor_common.errors import ProtocolError, ProtocolReason, TransportError, TransportReason
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 from biosensor_gateway.transports.ble_choice import Choice
-from biosensor_gateway.transports.ble_errors import AttError, connect_error, is_forgotten
+from biosensor_gateway.transports.ble_errors import AttError, att_code, connect_error, is_forgotten
 from biosensor_gateway.transports.ble_scanner import Sighting, forget
 from biosensor_gateway.transports.deadlines import in_background, within
 from biosensor_gateway.transports.nearby import Advertisement
@@ -252,8 +252,9 @@ class BleLink:
         except Exception as error:  # a request may fail with any error when the link is cut
             if self._lost.done() or not client.is_connected:
                 raise self._loss() from error
-            if isinstance(error, BleakGATTProtocolError):
-                raise AttError(error.code.value, self.what) from error
+            code = att_code(error)
+            if code is not None:
+                raise AttError(code, self.what) from error
             if isinstance(error, TimeoutError):
                 message = f"{self.what}: connected, but no answer within {limit_s:.0f} s"
                 raise TransportError(TransportReason.SILENT, message) from error

@@ -11,6 +11,7 @@ from bleak.exc import (
     BleakDBusError,
     BleakDeviceNotFoundError,
     BleakError,
+    BleakGATTProtocolError,
 )
 
 from biosensor_common.errors import ProtocolError, ProtocolReason, TransportError, TransportReason
@@ -46,6 +47,12 @@ _ADVICE = {
 _NOT_IN_BLUEZ = re.compile(r"device '\w+' not found")
 
 
+# BlueZ's words for "insufficient authentication", "insufficient encryption" and "encryption key
+# too short" [src/gatt-client.c]; it tells neither the code nor which of them.
+_NOT_PAIRED = ("org.bluez.Error.NotPermitted", "Not paired")
+INSUFFICIENT_AUTHENTICATION, INSUFFICIENT_ENCRYPTION = 0x05, 0x0F
+
+
 class AttError(ProtocolError):
     """The device answered a request with an error of the attribute protocol.
 
@@ -63,6 +70,18 @@ class AttError(ProtocolError):
         message = f"{what}: the device refuses the request (ATT error 0x{code:02X}, {meaning})"
         super().__init__(ProtocolReason.REFUSED, message)
         self.code = code
+
+
+def att_code(error: Exception) -> int | None:
+    """Return the ATT error code of a device's refusal, None if the error is another one."""
+    if isinstance(error, BleakGATTProtocolError):
+        return error.code.value
+    if (
+        isinstance(error, BleakDBusError)
+        and (error.dbus_error, error.dbus_error_details) == _NOT_PAIRED
+    ):
+        return INSUFFICIENT_AUTHENTICATION
+    return None
 
 
 def scan_error(error: Exception) -> TransportError:

@@ -43,6 +43,9 @@ class FakeBluez:
     forgets_after_scan
         Whether devices that are not connected are forgotten when a scan ends, not half
         a minute later.
+    words_security
+        Whether requests that need pairing are answered with "Not paired", not with an
+        unlikely error.
     """
 
     tree: ObjectTree
@@ -60,6 +63,7 @@ class FakeBluez:
         self.connect_delay_s = 0.0
         self.connect_error = ""
         self.forgets_after_scan = False
+        self.words_security = False
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:

@@ -143,7 +143,9 @@ class FakeDevice:
         self._link = link
         link.on_lost.append(self._on_lost)
         self._tree.change(self.path, DEVICE, {"Connected": Variant("b", True)})
-        self._objects = GattObjects(self._tree, self.path, link)
+        self._objects = GattObjects(
+            self._tree, self.path, link, words_security=self._bluez.words_security
+        )
         resolved = {
             "UUIDs": Variant("as", self._objects.uuids),
             "ServicesResolved": Variant("b", True),

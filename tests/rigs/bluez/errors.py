@@ -15,9 +15,11 @@ _ATT_ERRORS = {
     0xFD: ("org.bluez.Error.ImproperlyConfigured", "Improperly Configured"),
 }
 _UNLIKELY = 0x0E
-# BlueZ does not pass these on: it tries to raise the link's security, which fails
-# where no agent is registered, as on a machine without a desktop.
+# BlueZ does not pass these on as such. It tries to raise the link's security, which fails where
+# no agent is registered, as on a machine without a desktop; then it words them, or nothing but
+# the failure.
 _INSUFFICIENT_SECURITY = frozenset({0x05, 0x0C, 0x0F})
+_NOT_PAIRED = ("org.bluez.Error.NotPermitted", "Not paired")
 
 
 class BluezError(Exception):
@@ -66,9 +68,13 @@ def unknown_object(path: str) -> BluezError:
     return BluezError("org.freedesktop.DBus.Error.UnknownObject", f"No such object path '{path}'")
 
 
-def att_error(error: ATT_Error) -> BluezError:
+def att_error(error: ATT_Error, *, words_security: bool) -> BluezError:
     """Translate an ATT error response."""
-    code = _UNLIKELY if error.error_code in _INSUFFICIENT_SECURITY else error.error_code
+    code = error.error_code
+    if code in _INSUFFICIENT_SECURITY:
+        if words_security:
+            return BluezError(*_NOT_PAIRED)
+        code = _UNLIKELY
     if code in _ATT_ERRORS:
         return BluezError(*_ATT_ERRORS[code])
     return failed(f"Operation failed with ATT error: 0x{code:02x}")

@@ -43,9 +43,14 @@ class GattObjects:
     device_path
         Above them.
     link
+    words_security
+        Whether a request that needs pairing is answered with those words.
     """
 
-    def __init__(self, tree: ObjectTree, device_path: str, link: GattLink) -> None:
+    def __init__(
+        self, tree: ObjectTree, device_path: str, link: GattLink, *, words_security: bool
+    ) -> None:
+        self._words_security = words_security
         self._tree = tree
         self._link = link
         self._notified: dict[str, set[str | None]] = {}
@@ -111,18 +116,18 @@ class GattObjects:
     async def _read(
         self, path: str, characteristic: CharacteristicProxy[bytes], _call: Message
     ) -> Reply:
-        value = await _answered(self._link.read(characteristic))
+        value = await self._answered(self._link.read(characteristic))
         # Whoever is notified hears of what was read, too.
         self._show(path, value)
         return "ay", [value]
 
     async def _read_descriptor(self, descriptor: DescriptorProxy, _call: Message) -> Reply:
-        return "ay", [await _answered(self._link.read(descriptor))]
+        return "ay", [await self._answered(self._link.read(descriptor))]
 
     async def _write(self, characteristic: CharacteristicProxy[bytes], call: Message) -> Reply:
         value, options = call.body
         response = options["type"].value == "request"
-        await _answered(self._link.write(characteristic, bytes(value), response=response))
+        await self._answered(self._link.write(characteristic, bytes(value), response=response))
         return None
 
     async def _start_notify(
@@ -134,7 +139,7 @@ class GattObjects:
         if call.sender in notified:
             raise in_progress()
         if not notified:
-            await _answered(self._link.subscribe(characteristic, partial(self._show, path)))
+            await self._answered(self._link.subscribe(characteristic, partial(self._show, path)))
         notified.add(call.sender)
         self._tree.change(path, _CHARACTERISTIC, {"Notifying": Variant("b", True)})
         return None
@@ -147,20 +152,19 @@ class GattObjects:
             raise failed("No notify session started")
         notified.remove(call.sender)
         if not notified:
-            await _answered(self._link.unsubscribe(characteristic))
+            await self._answered(self._link.unsubscribe(characteristic))
             self._tree.change(path, _CHARACTERISTIC, {"Notifying": Variant("b", False)})
         return None
 
     def _show(self, path: str, value: bytes) -> None:
         self._tree.change(path, _CHARACTERISTIC, {"Value": Variant("ay", value)})
 
-
-async def _answered(request: Awaitable[_T]) -> _T:
-    try:
-        return await request
-    except ATT_Error as error:
-        raise att_error(error) from error
-    except TransportError as error:
-        raise request_lost() from error
-    except ValueError as error:
-        raise failed("Failed to initiate write") from error
+    async def _answered(self, request: Awaitable[_T]) -> _T:
+        try:
+            return await request
+        except ATT_Error as error:
+            raise att_error(error, words_security=self._words_security) from error
+        except TransportError as error:
+            raise request_lost() from error
+        except ValueError as error:
+            raise failed("Failed to initiate write") from error

@@ -29,13 +29,16 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
 )
 from biosensor_gateway.devices.polar_h10.driver.protocol.frames import DATA
 from biosensor_gateway.transports.ble import BleLink, Notification
-from biosensor_gateway.transports.ble_errors import AttError
+from biosensor_gateway.transports.ble_errors import (
+    INSUFFICIENT_AUTHENTICATION,
+    INSUFFICIENT_ENCRYPTION,
+    AttError,
+)
 from biosensor_gateway.transports.nearby import Advertisement
 
 GOODBYE_LIMIT_S = 0.45
 
-_NOT_PAIRED = frozenset({0x05, 0x0F})
-"""ATT errors "insufficient authentication" and "insufficient encryption"."""
+_NOT_PAIRED = frozenset({INSUFFICIENT_AUTHENTICATION, INSUFFICIENT_ENCRYPTION})
 _UNLIKELY_ERROR = 0x0E
 
 _log = structlog.get_logger("biosensor_gateway.polar_h10")
@@ -96,7 +99,7 @@ class PolarSession:
     def wants_pairing(self, error: GatewayError) -> bool:
         """Whether pairing may help against what went wrong in `open`.
 
-        BlueZ keeps the device's answer to itself: there, the subscription to the control
+        BlueZ may keep the device's answer to itself: then the subscription to the control
         point or the first command fails with another error, or nothing comes of it.
         """
         if isinstance(error, AttError):
