@@ -59,6 +59,22 @@ async def test_the_device_says_who_it_is(strap: SimulatedHeartRateStrap) -> None
     assert (info.serial_number, info.firmware_version) == ("0001", "1.0")
 
 
+async def test_a_strap_that_demands_pairing_is_paired_where_the_settings_say_so(
+    strap: SimulatedHeartRateStrap, radio: Radio
+) -> None:
+    del strap
+    address = "C8:25:00:00:00:02"
+    with SimulatedHeartRateStrap(
+        radio.world, radio, address=address, name="Shy Strap", demands_pairing=True
+    ) as shy:
+        async with streaming(shy, device=address) as run:
+            await until(lambda: run.supervisor.last_error)
+            assert "answers only when paired; set pair = true" in str(run.supervisor.last_error)
+        async with streaming(shy, device=address, pair=True) as run:
+            await until(run.sink.has(2, "hr"))
+            assert run.states == [State.CONNECTING, State.STREAMING]
+
+
 async def test_without_a_device_in_the_settings_the_only_one_is_taken(
     strap: SimulatedHeartRateStrap,
 ) -> None:

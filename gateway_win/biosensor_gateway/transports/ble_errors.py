@@ -50,7 +50,9 @@ _NOT_IN_BLUEZ = re.compile(r"device '\w+' not found")
 # BlueZ's words for "insufficient authentication", "insufficient encryption" and "encryption key
 # too short" [src/gatt-client.c]; it tells neither the code nor which of them.
 _NOT_PAIRED = ("org.bluez.Error.NotPermitted", "Not paired")
-INSUFFICIENT_AUTHENTICATION, INSUFFICIENT_ENCRYPTION = 0x05, 0x0F
+_INSUFFICIENT_AUTHENTICATION, _INSUFFICIENT_ENCRYPTION = 0x05, 0x0F
+UNLIKELY_ERROR = 0x0E
+"""What is left of these where BlueZ has tried to pair by itself, and could not."""
 
 
 class AttError(ProtocolError):
@@ -71,6 +73,11 @@ class AttError(ProtocolError):
         super().__init__(ProtocolReason.REFUSED, message)
         self.code = code
 
+    @property
+    def wants_pairing(self) -> bool:
+        """Whether the device answers only who is paired."""
+        return self.code in (_INSUFFICIENT_AUTHENTICATION, _INSUFFICIENT_ENCRYPTION)
+
 
 def att_code(error: Exception) -> int | None:
     """Return the ATT error code of a device's refusal, None if the error is another one."""
@@ -80,7 +87,7 @@ def att_code(error: Exception) -> int | None:
         isinstance(error, BleakDBusError)
         and (error.dbus_error, error.dbus_error_details) == _NOT_PAIRED
     ):
-        return INSUFFICIENT_AUTHENTICATION
+        return _INSUFFICIENT_AUTHENTICATION
     return None
 
 

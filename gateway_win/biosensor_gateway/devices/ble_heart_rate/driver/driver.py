@@ -9,6 +9,7 @@ from contextlib import suppress
 from pydantic import Field
 
 from biosensor_common.errors import GatewayError, ProtocolError, ProtocolReason
+from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.ble_heart_rate.driver.discovery import (
     identify,
     identify_any,
@@ -22,6 +23,7 @@ from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
+from biosensor_gateway.transports.ble_errors import UNLIKELY_ERROR, AttError
 from biosensor_gateway.transports.nearby import Advertisement
 
 GOODBYE_LIMIT_S = 0.4
@@ -36,6 +38,9 @@ class HeartRateStrapSettings(DeviceSettings):
         max_length=64,
         description="Bluetooth address or name of the strap; empty takes the only one in range.",
         examples=["C0:FF:EE:12:34:56"],
+    )
+    pair: bool = Field(
+        default=False, description="Pair before connecting, for straps that demand it."
     )
 
 
@@ -58,7 +63,7 @@ class HeartRateStrapDriver:
         if not self._link.has(HEART_RATE_MEASUREMENT):
             message = f"{self._link.what} measures no heart rate; choose another `device`"
             raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
-        return Connected(await self._strap.start(), due=DUE)
+        return Connected(await self._start(), due=DUE)
 
     async def enable_again(self, streams: frozenset[str]) -> None:
         """Subscribe to the heart rate once more."""
@@ -81,6 +86,15 @@ class HeartRateStrapDriver:
                 await self._strap.stop()
         await self._link.close()
 
+    async def _start(self) -> DeviceInfo:
+        try:
+            return await self._strap.start()
+        except AttError as error:
+            if not error.wants_pairing and error.code != UNLIKELY_ERROR:
+                raise
+            message = f"{self._link.what} answers only when paired; set pair = true for it"
+            raise ProtocolError(ProtocolReason.REFUSED, message) from error
+
     async def _read_forever(self) -> None:
         while True:
             self._strap.take(await self._link.next())
@@ -92,7 +106,7 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], HeartRateStrapDr
     emitter = StrapEmitter(sink)
     kind = identify_any if own.device else identify
     choice = Choice(kind, "heart-rate strap", own.device, _ADVICE)
-    return lambda: HeartRateStrapDriver(BleLink(choice, sink.clock), emitter)
+    return lambda: HeartRateStrapDriver(BleLink(choice, sink.clock, pair_first=own.pair), emitter)
 
 
 DRIVER = DriverEntry(HeartRateStrapSettings, _make, recognise=recognise)

@@ -39,6 +39,8 @@ class SimulatedHeartRateStrap(VirtualDevice):
         Packets leave up to so much late.
     rssi_dbm
         How strongly it is heard.
+    demands_pairing
+        Tells its heart rate only to a host that has paired.
     kept
         Limit of the truth; None = all.
     """
@@ -60,12 +62,14 @@ class SimulatedHeartRateStrap(VirtualDevice):
         drift_ppm: float = 0.0,
         jitter_s: float = 0.0,
         rssi_dbm: int = -61,
+        demands_pairing: bool = False,
         kept: int | None = None,
     ) -> None:
         super().__init__(world, kept)
         self._address = address
+        peripheral = Peripheral(radio, address, name, service_uuids=("180d",), rssi_dbm=rssi_dbm)
         self._strap = Strap(
-            Peripheral(radio, address, name, service_uuids=("180d",), rssi_dbm=rssi_dbm),
+            peripheral,
             self.truth,
             identity=Identity("Virtual Straps", "Heart Strap", "0001", firmware="1.0"),
             rssi_dbm=rssi_dbm,
@@ -74,6 +78,9 @@ class SimulatedHeartRateStrap(VirtualDevice):
             drift_ppm=drift_ppm,
             jitter_s=jitter_s,
         )
+        if demands_pairing:
+            peripheral.demand_pairing = True
+            self._strap.heart_rate.demand_pairing()
 
     @property
     def settings(self) -> Mapping[str, Any]:

@@ -70,6 +70,10 @@ class HeartRateService:
         where = _characteristic(0x2A38, _READ, bytes((location,)))
         self.service = Service(UUID.from_16_bits(0x180D), [self.measurement, where])
 
+    def demand_pairing(self) -> None:
+        """Let only a host that has paired subscribe to the measurement."""
+        self.measurement.permissions |= Attribute.Permissions.WRITE_REQUIRES_AUTHENTICATION
+
 
 class BatteryService:
     """Service 0x180F.

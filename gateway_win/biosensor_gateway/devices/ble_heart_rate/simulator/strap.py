@@ -102,9 +102,9 @@ class Strap:
         self.on_power_on: list[Callable[[], None]] = []
         self.on_power_off: list[Callable[[], None]] = []
         self.on_second: list[Callable[[], None]] = []
-        self._heart_rate = HeartRateService(location)
+        self.heart_rate = HeartRateService(location)
         self._battery = BatteryService(self._read_battery)
-        services = (self._heart_rate.service, self._battery.service, identity.service())
+        services = (self.heart_rate.service, self._battery.service, identity.service())
         self.services: list[Service] = list(services)
         self._rssi_dbm = rssi_dbm
         self._drift_ppm = drift_ppm
@@ -150,7 +150,7 @@ class Strap:
 
     def forget(self, _: float = 0.0) -> None:
         """Take it that nobody has subscribed to the heart rate."""
-        self.peripheral.forget_subscription(self._heart_rate.measurement)
+        self.peripheral.forget_subscription(self.heart_rate.measurement)
 
     def go_down(self) -> None:
         """Switch itself off."""
@@ -223,7 +223,7 @@ class Strap:
         for second in count(1):
             measured_s = await self.crystal.reach(second)
             value = encode(self.pulse.measure(measured_s, worn=self.worn))
-            characteristic = self._heart_rate.measurement
+            characteristic = self.heart_rate.measurement
             expected = self.peripheral.subscribed(characteristic)
             sent = await self.send(characteristic, value)
             if sent or expected:
@@ -232,7 +232,7 @@ class Strap:
 
     async def _send_garbage(self, packets: int) -> None:
         for value in damaged(packets):
-            await self.peripheral.notify(self._heart_rate.measurement, value)
+            await self.peripheral.notify(self.heart_rate.measurement, value)
 
     def _read_battery(self) -> int:
         self._note("bat", self.battery_percent)

@@ -29,17 +29,11 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
 )
 from biosensor_gateway.devices.polar_h10.driver.protocol.frames import DATA
 from biosensor_gateway.transports.ble import BleLink, Notification
-from biosensor_gateway.transports.ble_errors import (
-    INSUFFICIENT_AUTHENTICATION,
-    INSUFFICIENT_ENCRYPTION,
-    AttError,
-)
+from biosensor_gateway.transports.ble_errors import UNLIKELY_ERROR, AttError
 from biosensor_gateway.transports.nearby import Advertisement
 
 GOODBYE_LIMIT_S = 0.45
 
-_NOT_PAIRED = frozenset({INSUFFICIENT_AUTHENTICATION, INSUFFICIENT_ENCRYPTION})
-_UNLIKELY_ERROR = 0x0E
 
 _log = structlog.get_logger("biosensor_gateway.polar_h10")
 
@@ -103,9 +97,7 @@ class PolarSession:
         point or the first command fails with another error, or nothing comes of it.
         """
         if isinstance(error, AttError):
-            return error.code in _NOT_PAIRED or (
-                error.code == _UNLIKELY_ERROR and self._control.knocking
-            )
+            return error.wants_pairing or (error.code == UNLIKELY_ERROR and self._control.knocking)
         return (
             isinstance(error, TransportError)
             and error.reason is TransportReason.SILENT
