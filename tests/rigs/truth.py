@@ -15,14 +15,22 @@ def assert_once_and_in_order(part: list[list[float]], whole: Floats) -> list[int
     begin = 0
     while len(places) < len(received):
         rest = received[len(places) :]
-        # Values repeat; five in a row do not.
-        enough = min(5, len(rest))
-        begin = next((k for k in range(begin, len(whole)) if _same(rest, whole[k:]) >= enough), -1)
+        begin = _place(rest, whole, begin)
         assert begin >= 0, "what was emitted is no part of what was sent"
         count = _same(rest, whole[begin:])
         places += range(begin, begin + count)
         begin += count
     return places
+
+
+def _place(rest: Floats, whole: Floats, begin: int) -> int:
+    """Return where the next samples lie, not before `begin`; -1 if nowhere."""
+    # Values repeat; five in a row do not. Between two losses there may be fewer.
+    for enough in range(min(5, len(rest)), 0, -1):
+        for k in range(begin, len(whole)):
+            if _same(rest[:enough], whole[k : k + enough]) >= enough:
+                return k
+    return -1
 
 
 def _same(received: Floats, sent: Floats) -> int:
