@@ -50,6 +50,17 @@ def test_no_rate_and_no_interval_send_nothing(emitter: StrapEmitter, sink: Emitt
     assert firsts(sink) == {"quality": [0]}
 
 
+def test_an_interval_of_unknown_length_is_not_sent_and_moves_no_beat(
+    emitter: StrapEmitter, sink: EmitterSink
+) -> None:
+    emitter.measurement(bytes.fromhex("103c0004"), ARRIVAL_S)
+    emitter.measurement(bytes.fromhex("103cffff"), ARRIVAL_S + 1)
+    emitter.measurement(bytes.fromhex("103c0004ffff0002"), ARRIVAL_S + 2)
+    emitter.measurement(bytes.fromhex("103c0002"), ARRIVAL_S + 2.5)
+    assert sink.values("ibi") == [1.0, 0.5, 0.5]
+    assert sink.times["ibi"] == pytest.approx([ARRIVAL_S, ARRIVAL_S + 2, ARRIVAL_S + 2.5], abs=0.01)
+
+
 @pytest.mark.parametrize(("flags", "contact"), [(0x16, 1), (0x14, 0)])
 def test_contact_is_what_the_strap_tells(
     emitter: StrapEmitter, sink: EmitterSink, flags: int, contact: float

@@ -168,6 +168,16 @@ def test_no_value_is_not_published(
 
 
 @pytest.mark.parametrize(
+    ("data_name", "number"), [("hr", "heart_rate_bpm"), ("br", "respiration_rate_bpm")]
+)
+def test_a_rate_of_0_is_no_value(
+    emitter: ZephyrEmitter, sink: EmitterSink, data_name: str, number: str
+) -> None:
+    emitter.take(replace(summary(), numbers={**NUMBERS, number: 0.0}), ARRIVAL_S)
+    assert sink.emitted.keys() == VITALS - {data_name}
+
+
+@pytest.mark.parametrize(
     ("status", "quality"),
     [
         (0x0000, [1, 95, 0, 0, 0, 254]),

@@ -76,8 +76,13 @@ class StrapEmitter:
     def _intervals(self, measured: HeartRateMeasurement, arrival_s: float) -> None:
         if self.has_better_intervals:
             return
-        times = self._beats.place(measured.intervals_s, arrival_s)
-        for interval_s, time_s in zip(measured.intervals_s, times, strict=True):
+        intervals_s = measured.intervals_s
+        if measured.is_saturated:
+            # Nobody knows how long it was: beats are counted anew from the one that ended it.
+            self._beats = BeatClock()
+            intervals_s = measured.intervals_s_since_saturation
+        times = self._beats.place(intervals_s, arrival_s)
+        for interval_s, time_s in zip(intervals_s, times, strict=True):
             if interval_s:
                 self._sink.emit_at("ibi", [interval_s], [time_s])
 

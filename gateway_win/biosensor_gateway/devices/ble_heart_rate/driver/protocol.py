@@ -25,6 +25,7 @@ SERIAL_NUMBER = _assigned(0x2A25)
 FIRMWARE_REVISION = _assigned(0x2A26)
 
 INTERVALS_PER_SECOND = 1024
+_SATURATED = 0xFFFF
 
 _RATE_IS_16_BIT = 1 << 0
 _IN_CONTACT = 1 << 1
@@ -57,7 +58,22 @@ class HeartRateMeasurement:
     @property
     def intervals_s(self) -> tuple[float, ...]:
         """R-R intervals in seconds."""
-        return tuple(interval / INTERVALS_PER_SECOND for interval in self.intervals)
+        return _in_seconds(self.intervals)
+
+    @property
+    def is_saturated(self) -> bool:
+        """Whether an interval was longer than the field can tell, 64 s, or has no value."""
+        return _SATURATED in self.intervals
+
+    @property
+    def intervals_s_since_saturation(self) -> tuple[float, ...]:
+        """R-R intervals in seconds behind the last one of unknown length."""
+        from_end = self.intervals[::-1]
+        return _in_seconds(self.intervals[len(from_end) - from_end.index(_SATURATED) :])
+
+
+def _in_seconds(intervals: tuple[int, ...]) -> tuple[float, ...]:
+    return tuple(interval / INTERVALS_PER_SECOND for interval in intervals)
 
 
 def parse_measurement(data: bytes) -> HeartRateMeasurement | None:

@@ -127,10 +127,10 @@ class ZephyrEmitter:
             _number(numbers["link_quality"]),
         ]
         values = {
-            "hr": numbers["heart_rate_bpm"],
+            "hr": _rate(numbers["heart_rate_bpm"]),
             "hrv": numbers["hrv_ms"],
             # The one flag that makes a value "no value"; the others only go into quality.
-            "br": None if flags["rr_unreliable"] else numbers["respiration_rate_bpm"],
+            "br": None if flags["rr_unreliable"] else _rate(numbers["respiration_rate_bpm"]),
             "posture": numbers["posture_deg"],
             "activity": numbers["activity_vmu_g"],
             "st": numbers.get("skin_temperature_c"),
@@ -144,8 +144,8 @@ class ZephyrEmitter:
         unreliable = float(message.hr_signal_low)
         self._quality = [float(message.worn), _NAN, unreliable, _NAN, _NAN, _NAN]
         values = {
-            "hr": numbers["heart_rate_bpm"],
-            "br": numbers["respiration_rate_bpm"],
+            "hr": _rate(numbers["heart_rate_bpm"]),
+            "br": _rate(numbers["respiration_rate_bpm"]),
             "posture": numbers["posture_deg"],
             "activity": numbers["activity_vmu_g"],
             "st": numbers["skin_temperature_c"],
@@ -159,6 +159,11 @@ class ZephyrEmitter:
             self._quality[0] = float(message.data[1] > 0)
             if message.header.device_s is not None and self._vitals:
                 self._sink.emit("quality", [self._quality], [message.header.device_s])
+
+
+def _rate(value: float | None) -> float | None:
+    """Return a rate; the device says 0 while it has found none."""
+    return value or None
 
 
 def _number(value: float | None) -> float:
