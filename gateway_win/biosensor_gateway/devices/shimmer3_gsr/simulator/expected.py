@@ -18,6 +18,7 @@ EXPECTED = Expected(
         # It answers and sends nothing: whether it measures, nobody knows.
         FaultKind.FORGET: Gap.UNKNOWN,
     },
-    # There may be samples in its radio when that breaks.
-    loss_tolerance=LossTolerance(over_break=4),
+    # A quarter of a second may be on its way when the link breaks: in its radio, and in the
+    # host's system, from which a busy host has not yet taken it.
+    loss_tolerance=LossTolerance(over_break=32),
 )
