@@ -177,6 +177,17 @@ def test_a_backlog_goes_out_while_its_stream_goes_on(samples: int) -> None:
     topic.expect_all()
 
 
+@pytest.mark.parametrize("rate", [64.0, 250.0, 512.0])
+def test_what_5_s_have_held_up_is_gone_within_2_s(rate: float) -> None:
+    bench = Bench()
+    topic = bench.topic(rate)
+    topic.come(round(5 * rate))
+    for _ in range(20):
+        topic.come(round(rate / 10))
+        bench.run(0.1)
+    assert topic.lane.waiting <= rate / 10
+
+
 def test_without_pacing_all_goes_out_at_once() -> None:
     bench = Bench(0.0)
     topic = bench.topic()
