@@ -27,9 +27,9 @@ HEADROOM = 2.0
 USUAL_S, LATE_S = 0.002, 0.010
 # Of what waits, a turn that comes late may send so much, lest many of them leave it behind.
 LATE_SHARE = 0.02
-# The longer a backlog, the faster it goes out: beside what comes, so long would empty it. What
-# 5 s have held up is gone within 2 s; the bursts of devices are too short to go any faster.
-BACKLOG_S = 0.6
+# More than devices send at once is a backlog: the longer, the faster it goes out, for beside
+# what comes, so long would empty it. What 5 s have held up is gone within 2 s.
+BACKLOG, BACKLOG_S = 256, 0.5
 # Beyond so many messages, or a second's, the rest is left in LSL's buffer.
 MOST_WAITING = 10_000
 # A publisher's queue is finite, too. When a backlog has filled half of it, the subscribers
@@ -58,7 +58,8 @@ class Pace:
         """Return the seconds between two messages of a topic of *rate* Hz with a backlog."""
         if self.per_ms <= 0.0:
             return 0.0
-        return 1.0 / max(1000.0 * self.per_ms, HEADROOM * rate, rate + waiting / BACKLOG_S)
+        hurry = rate + waiting / BACKLOG_S if waiting > BACKLOG else 0.0
+        return 1.0 / max(1000.0 * self.per_ms, HEADROOM * rate, hurry)
 
 
 class Lane:
