@@ -9,31 +9,9 @@ import pytest
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.transports import ble_choice
 from biosensor_gateway.transports.ble import BleLink
-from tests.rigs.bluetooth import (
-    bluetooth,
-    bluez,
-    clock,
-    host_mtu,
-    pytest_asyncio_loop_factories,
-    radio,
-    rig,
-    virtual_world,
-    world,
-)
+from tests.rigs.bluetooth import *  # noqa: F403 - its fixtures and its hook
 from tests.rigs.probe import Probe
 from tests.rigs.probe_link import choice, switched_on
-
-__all__ = [
-    "bluetooth",
-    "bluez",
-    "clock",
-    "host_mtu",
-    "pytest_asyncio_loop_factories",
-    "radio",
-    "rig",
-    "virtual_world",
-    "world",
-]
 
 
 @pytest.fixture

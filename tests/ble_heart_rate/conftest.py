@@ -11,29 +11,7 @@ from biosensor_gateway.devices.ble_heart_rate.simulator import SimulatedHeartRat
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.transports import ble_choice
-from tests.rigs.bluetooth import (
-    bluetooth,
-    bluez,
-    clock,
-    host_mtu,
-    pytest_asyncio_loop_factories,
-    radio,
-    rig,
-    virtual_world,
-    world,
-)
-
-__all__ = [
-    "bluetooth",
-    "bluez",
-    "clock",
-    "host_mtu",
-    "pytest_asyncio_loop_factories",
-    "radio",
-    "rig",
-    "virtual_world",
-    "world",
-]
+from tests.rigs.bluetooth import *  # noqa: F403 - its fixtures and its hook
 
 
 @pytest.fixture

@@ -14,30 +14,7 @@ from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.polar_h10.simulator.quirks import Quirks
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.wearer import Wearer
-from tests.rigs.bluetooth import (
-    bluetooth,
-    bluez,
-    clock,
-    host_mtu,
-    pytest_asyncio_loop_factories,
-    radio,
-    rig,
-    virtual_world,
-    world,
-)
-
-__all__ = [
-    "bluetooth",
-    "bluez",
-    "clock",
-    "host_mtu",
-    "pytest_asyncio_loop_factories",
-    "radio",
-    "rig",
-    "virtual_world",
-    "world",
-]
-
+from tests.rigs.bluetooth import *  # noqa: F403 - its fixtures and its hook
 
 Make = Callable[..., SimulatedPolarH10]
 

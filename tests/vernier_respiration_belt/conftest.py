@@ -11,29 +11,7 @@ from biosensor_gateway.devices.vernier_respiration_belt.simulator import Simulat
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.firmware import BeltFirmware
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import Command
 from biosensor_gateway.simulation.radio import Radio
-from tests.rigs.bluetooth import (
-    bluetooth,
-    bluez,
-    clock,
-    host_mtu,
-    pytest_asyncio_loop_factories,
-    radio,
-    rig,
-    virtual_world,
-    world,
-)
-
-__all__ = [
-    "bluetooth",
-    "bluez",
-    "clock",
-    "host_mtu",
-    "pytest_asyncio_loop_factories",
-    "radio",
-    "rig",
-    "virtual_world",
-    "world",
-]
+from tests.rigs.bluetooth import *  # noqa: F403 - its fixtures and its hook
 
 
 @pytest.fixture

@@ -29,7 +29,7 @@ class DeviceLog:
     Parameters
     ----------
     name
-        Whose sentences they are: ``biosensor_gateway.polar_h10``.
+        Whose sentences they are: ``biosensor_gateway.`` and the sensor.
     identity
     """
 
