@@ -190,10 +190,10 @@ def test_full_files_are_rotated_and_the_oldest_dropped(tmp_path: Path) -> None:
     configure_logs(LogSettings(max_bytes=10_000, keep_files=2), tmp_path)
     for number in range(400):
         LOG.info("filling", number=number, padding="x" * 100)
+    assert records(tmp_path)[-1]["number"] == 399
     names = sorted(path.name for path in tmp_path.iterdir())
     assert names == [LOG_FILE_NAME, f"{LOG_FILE_NAME}.1", f"{LOG_FILE_NAME}.2"]
     assert all(path.stat().st_size <= 10_000 for path in tmp_path.iterdir())
-    assert records(tmp_path)[-1]["number"] == 399
 
 
 def test_a_second_call_replaces_the_first(
