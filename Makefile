@@ -11,8 +11,6 @@
 SHELL := /bin/sh
 PYTHON_FILES := common gateway_win installer ros_side tests typings
 RUN := .venv/bin/python -m
-# What fails is run once more, by itself, and named: decision 27.
-GATE := $(RUN) tests.gate
 SECONDS :=
 # Not --quiet, which would silence the warnings that strict mode counts. The theme tells of MkDocs 2.0;
 # the lock has 1.6.
@@ -26,31 +24,35 @@ MARKED = $(shell grep -rl --include='test_*.py' 'pytest.mark.$(1)' tests | sort)
 # These run many programs each, and four at a time would be late by their own load.
 MANY_PROGRAMS := tests/e2e tests/faults tests/faults/scenarios tests/peers tests/ros
 
-.PHONY: demo test test-system tests system-tests tests-alone faults fuzz installer check bench format docs docs-site
-.PHONY: pictures lock venv-ros venv-dev venv-peers
+.PHONY: demo test test-system tests tests-of-parts tests-of-programs system-tests tests-alone
+.PHONY: faults fuzz installer check bench format docs docs-site pictures lock venv-ros venv-dev venv-peers
 
 demo: venv-ros
 	.venv/bin/biosensor-gateway demo $(if $(SECONDS),--seconds $(SECONDS))
 
 test: check tests
-	$(GATE) -m "alone and not system" $(call MARKED,alone)
+	$(RUN) pytest -m "alone and not system" $(call MARKED,alone)
 	@echo
 	@echo "Not run here, only by 'make test-system' (needs root and system packages):"
 	@$(RUN) pytest -m system --collect-only -qq $(call MARKED,system) | sed 's/^/  /'
 
 test-system: system-tests
-	$(GATE) -m "alone and system" $(call MARKED,alone)
+	$(RUN) pytest -m "alone and system" $(call MARKED,alone)
 
 # The parts of the two, as .ci/run takes them.
-tests: venv-peers
-	$(GATE) -m "not system and not alone" $(SIDE_BY_SIDE) -n 4 $(MANY_PROGRAMS:%=--ignore=%)
-	$(GATE) -m "not system and not alone" $(SIDE_BY_SIDE) -n 3 $(MANY_PROGRAMS)
+tests: tests-of-parts tests-of-programs
+
+tests-of-parts: venv-dev
+	$(RUN) pytest -m "not system and not alone" $(SIDE_BY_SIDE) -n 4 $(MANY_PROGRAMS:%=--ignore=%)
+
+tests-of-programs: venv-peers
+	$(RUN) pytest -m "not system and not alone" $(SIDE_BY_SIDE) -n 3 $(MANY_PROGRAMS)
 
 system-tests: venv-dev installer
-	$(GATE) -m "system and not alone" $(SIDE_BY_SIDE) -n 3 $(call MARKED,system)
+	$(RUN) pytest -m "system and not alone" $(SIDE_BY_SIDE) -n 3 $(call MARKED,system)
 
 tests-alone: venv-dev
-	$(GATE) -m alone $(call MARKED,alone)
+	$(RUN) pytest -m alone $(call MARKED,alone)
 
 faults: venv-dev
 	BIOSENSOR_GATEWAY_FAULTS=long $(if $(LONG),BIOSENSOR_GATEWAY_STEADY_S=43200) $(RUN) pytest tests/faults
