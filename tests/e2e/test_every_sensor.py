@@ -41,6 +41,7 @@ LATEST_S = 6.5
 # What has come by LSL has come by ROS, too.
 AT_NODE_S = 1.0
 STAMP_LIMIT_S = 0.020
+READ_LATE_S = 0.25
 SPACING_LIMIT_S = 0.001
 _DRIFTS_PPM = (-80.0, 120.0, -150.0, 150.0, 60.0, 100.0, -100.0)
 _MARKS = {name: DeviceIdentity(name, name.upper()) for name in SENSORS}
@@ -145,21 +146,22 @@ def _check_stamps(name: str, stream: StreamSpec, lsl: Recorded, truth: Samples) 
     settled = lsl.times > truth.times[0] + SETTLED_S
     if not settled.any():
         return f"{what}: too few samples"
-    worst = float(np.abs(errors[settled]).max())
-    limit = _stamp_limit_s(name, stream.data_name)
-    assert worst <= limit, f"{what}: a stamp is {1000 * worst:.1f} ms off"
+    off = np.abs(errors[settled])
+    worst, typical = float(off.max()), float(np.median(off))
+    uncertain_s = device_of(name).expected.unstamped_s.get(stream.data_name)
+    if uncertain_s is not None:
+        # It is stamped when it is read, by a host that may be busy now and then.
+        limit = STAMP_LIMIT_S + JITTER_S + uncertain_s
+        assert typical <= limit, f"{what}: stamps are {1000 * typical:.1f} ms off"
+        assert worst <= limit + READ_LATE_S, f"{what}: a stamp is {1000 * worst:.1f} ms off"
+    else:
+        assert worst <= STAMP_LIMIT_S, f"{what}: a stamp is {1000 * worst:.1f} ms off"
     if stream.rate == 0:
         return f"{what}: worst {1000 * worst:.2f} ms"
     spacing = np.diff(errors[settled])
     rms = float(np.sqrt(np.mean(spacing**2)))
     assert rms < SPACING_LIMIT_S, f"{what}: spacing RMS {1000 * rms:.2f} ms"
     return f"{what}: worst {1000 * worst:.2f} ms, spacing RMS {1000 * rms:.3f} ms"
-
-
-def _stamp_limit_s(name: str, data_name: str) -> float:
-    """What a device does not stamp is no better than its radio."""
-    uncertain_s = device_of(name).expected.unstamped_s.get(data_name)
-    return STAMP_LIMIT_S if uncertain_s is None else STAMP_LIMIT_S + JITTER_S + uncertain_s
 
 
 def _flat(messages: list[Any]) -> Floats:
