@@ -18,7 +18,8 @@ from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.devices.zephyr.declaration import SPEC
 from biosensor_gateway.streaming import outlets as module
 from biosensor_gateway.streaming.counters import Counters, counters_text
-from biosensor_gateway.streaming.outlets import DeviceOutlets, Outlet
+from biosensor_gateway.streaming.device_outlets import DeviceOutlets
+from biosensor_gateway.streaming.outlets import Outlet
 
 FORMATS = {
     "float32": pylsl.cf_float32,
@@ -245,6 +246,37 @@ def test_only_the_outlet_whose_rate_changed_is_rebuilt_under_its_source_id(
     assert info.nominal_srate() == 20.0
     assert info.uid() != uid
     assert {name: device[name].source_id for name in ids} == ids
+
+
+KNOWN = DeviceInfo(firmware_version="2.4")
+
+
+def test_expected_outlets_are_kept_if_the_device_is_as_it_was(device: DeviceOutlets) -> None:
+    assert device.expect(KNOWN, RATES)
+    force = device["force"]
+    assert device.open(KNOWN, RATES) == {}
+    assert device["force"] is force
+
+
+def test_expected_outlets_are_replaced_if_the_device_is_another(
+    device: DeviceOutlets, inlet: OpenInlet
+) -> None:
+    assert device.expect(KNOWN, RATES)
+    before = inlet(device["bat"].source_id).info(20.0).uid()
+    assert device.open(DeviceInfo(firmware_version="2.5"), RATES | {"force": 20.0}) == {
+        "force": (10.0, 20.0)
+    }
+    info = inlet(device["bat"].source_id).info(20.0)
+    assert info.uid() != before
+    assert "<firmware_version>2.5<" in info.as_xml()
+    battery = device["bat"]
+    device.open(KNOWN, RATES | {"force": 20.0})
+    assert device["bat"] is battery
+
+
+def test_nothing_is_expected_without_the_rates_that_a_device_sets(device: DeviceOutlets) -> None:
+    assert not device.expect(KNOWN, {"bpm": 0.1})
+    assert device.counters == {}
 
 
 def test_the_declaration_fills_what_the_device_does_not_say(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import socket
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.control import Command
 from biosensor_gateway.agent.device import Device
+from biosensor_gateway.agent.known_streams import KnownStreams
 from biosensor_gateway.agent.pauses.commands import PauseCommands
 from biosensor_gateway.settings.models import GatewaySettings, LslSettings
 from biosensor_gateway.streaming.counters import Counters, counters_text
@@ -22,6 +24,7 @@ from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
 from biosensor_gateway.streaming.gateway import GATEWAY
 from biosensor_gateway.streaming.outlets import Outlet, configure_lsl
+from biosensor_gateway.system.keep_alive import restart_facts
 from biosensor_gateway.system.keep_awake import KeepAwake, system_inhibitor
 
 REPORT_INTERVAL_S = 1.0
@@ -52,7 +55,9 @@ class Agent:
             _log.info("LSL configuration taken over", file=str(taken_over))
         enabled = [device for device in settings.devices if device.enabled]
         self.devices = [Device.from_settings(device) for device in enabled]
-        self._pauses = PauseCommands(folder, [device.sink for device in self.devices])
+        sinks = [device.sink for device in self.devices]
+        self._known = KnownStreams(folder, sinks)
+        self._pauses = PauseCommands(folder, sinks)
         self._heartbeat_s = settings.events.heartbeat_s
         self._unwritable = False
         self._awake = KeepAwake(system_inhibitor() if settings.power.keep_awake else None)
@@ -64,8 +69,12 @@ class Agent:
 
     async def run(self) -> None:
         """Stream until cancelled, then close every device and outlet."""
+        self._known.expect()
         counters = _counters_outlet()
-        announcer = Announcer(self._heartbeat_s, self._states)
+        start = restart_facts(os.environ)
+        if start:
+            _log.warning("the agent had died and was started again", **start)
+        announcer = Announcer(self._heartbeat_s, self._states, start)
         for device in self.devices:
             device.announce_to(announcer)
         tasks = [asyncio.create_task(device.supervisor.run()) for device in self.devices]
@@ -83,6 +92,7 @@ class Agent:
                 device.sink.close()
             await announcer.end()
             counters.close()
+            self._known.forget()
             status_file.remove_status(self._folder)
 
     def _states(self) -> dict[str, str]:
@@ -102,6 +112,7 @@ class Agent:
                 merged |= device.sink.counters
             outlet.push_text(counters_text(merged, self._clocks()), pylsl.local_clock())
             self._write_status()
+            self._known.keep()
             self._awake.hold(any(each.supervisor.is_connected for each in self.devices))
             # After a computer's sleep the missed reports are not made up for.
             due = max(due + REPORT_INTERVAL_S, loop.time())

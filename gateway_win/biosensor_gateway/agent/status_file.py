@@ -15,6 +15,7 @@ from pylsl import local_clock
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent.device import Device
 from biosensor_gateway.system import state_file
+from biosensor_gateway.system.keep_alive import restart_facts
 
 STATUS_FILE = "status.json"
 STALE_AFTER_S = 5.0
@@ -27,6 +28,7 @@ def snapshot(devices: Iterable[Device]) -> dict[str, Any]:
         # On which the clocks' `newest_s` and the streams' `last_stamp` are.
         "lsl_time": local_clock(),
         "process": os.getpid(),
+        **restart_facts(os.environ),
         "devices": [device.status() for device in devices],
     }
 

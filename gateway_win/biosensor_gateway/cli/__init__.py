@@ -7,11 +7,18 @@ import sys
 
 __all__ = ["main"]
 
+KEEP_ALIVE = "--keep-alive"
+
 
 def main() -> None:
     """Run the command line; see `biosensor_gateway.cli.app`."""
     _say_anything()
     if sys.argv[1:2] == ["run"]:
+        if KEEP_ALIVE in sys.argv:
+            from biosensor_gateway.system.keep_alive import keep_alive  # noqa: PLC0415 - only then
+
+            # Here, because who waits for an agent to die needs nothing that an agent needs.
+            sys.exit(keep_alive([each for each in sys.argv[1:] if each != KEEP_ALIVE]))
         from biosensor_gateway.system.shutdown import end_quietly_until_running  # noqa: PLC0415 - asyncio
 
         # What it needs takes a second to import, and a service may be stopped as it starts.

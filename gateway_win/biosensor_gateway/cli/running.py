@@ -19,6 +19,7 @@ from biosensor_gateway.agent import control
 from biosensor_gateway.agent.agent import Agent
 from biosensor_gateway.agent.control import ControlServer
 from biosensor_gateway.agent.single_instance import single_instance, wait_until_free
+from biosensor_gateway.cli import KEEP_ALIVE
 from biosensor_gateway.cli.options import FaultOption, SettingsOption, SimulateOption
 from biosensor_gateway.demo import demonstration
 from biosensor_gateway.devices.registry import settings_models
@@ -38,6 +39,9 @@ def run(
     simulate: SimulateOption = "",
     fault: FaultOption = None,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every detail.")] = False,
+    _keep_alive: Annotated[
+        bool, typer.Option(KEEP_ALIVE, help="Start the agent again whenever it dies.")
+    ] = False,
 ) -> None:
     """Stream all devices of the settings until Ctrl-C, or until it is told to stop."""
     if fault and not simulate:

@@ -29,6 +29,9 @@ def status(as_json: JsonOption = False) -> None:
 
 def _print_status(current: dict[str, Any]) -> None:
     terminal = console()
+    if "restarts" in current:
+        times = "once" if current["restarts"] == 1 else f"{current['restarts']} times"
+        say(f"started again {times}, last after: {current['last_end']}")
     for device in current["devices"]:
         name = " ".join(
             part for part in (device["participant"], device["sensor"], device["label"]) if part

@@ -1,12 +1,11 @@
-"""LSL outlets: check, count and push what drivers emit."""
+"""One LSL outlet: checks, counts and pushes what a driver emits."""
 
 from __future__ import annotations
 
 import math
 import os
 from collections import deque
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from biosensor_common import naming
 from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
 from biosensor_common.lsl_header import describe
 from biosensor_common.quantities import TYPES_OF_DEVICE, ChannelFormat
-from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, SensorSpec, StreamSpec
+from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, StreamSpec
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 
@@ -214,84 +213,3 @@ def _append(parent: pylsl.XMLElement, element: Element) -> None:
             _append(parent.append_child(child.tag), child)
         else:
             parent.append_child_value(child.tag, child.text or "")
-
-
-class DeviceOutlets:
-    """All outlets of one device; they outlive its connections.
-
-    They are created at the first successful connection and live until the
-    agent ends: a drop-out is a gap, not a vanished stream.
-    """
-
-    def __init__(
-        self, identity: DeviceIdentity, spec: SensorSpec, clock: Clock = LSL_CLOCK
-    ) -> None:
-        self.identity = identity
-        self._clock = clock
-        self._sensor = spec
-        self._outlets: dict[str, Outlet] = {}
-
-    def open(
-        self, info: DeviceInfo, rates: Mapping[str, float]
-    ) -> dict[str, tuple[float | FromDevice, float | FromDevice]]:
-        """Create the outlets that do not exist yet; rebuild those whose rate changed.
-
-        Parameters
-        ----------
-        info
-            What the device says of itself; the declaration fills the blanks.
-        rates
-            Nominal rate in Hz by data name, for streams whose rate the device sets.
-
-        Returns
-        -------
-        dict
-            Rate before and after, by data name, of those that were rebuilt.
-        """
-        changed: dict[str, tuple[float | FromDevice, float | FromDevice]] = {}
-        info = replace(
-            info,
-            manufacturer=info.manufacturer or self._sensor.manufacturer,
-            model=info.model or self._sensor.model,
-        )
-        for declared in self._sensor.streams:
-            stream = replace(declared, rate=rates.get(declared.data_name, declared.rate))
-            present = self._outlets.get(stream.data_name)
-            if present is None or present.stream != stream:
-                if present is not None:
-                    changed[stream.data_name] = (present.stream.rate, stream.rate)
-                # The old outlet must be gone before one of the same source_id appears.
-                self._outlets.pop(stream.data_name, None)
-                del present
-                self._outlets[stream.data_name] = Outlet(stream, self.identity, info, self._clock)
-        return changed
-
-    def close(self) -> None:
-        """Destroy all outlets."""
-        for outlet in self._outlets.values():
-            outlet.close()
-        self._outlets.clear()
-
-    def release(self) -> None:
-        """Push what waits for a receiver; see :class:`Outlet`."""
-        for outlet in self._outlets.values():
-            outlet.release()
-
-    def withhold_waiting(self) -> None:
-        """Drop what waits for a receiver; see :class:`Outlet`."""
-        for outlet in self._outlets.values():
-            outlet.withhold_waiting()
-
-    def __getitem__(self, data_name: str) -> Outlet:
-        return self._outlets[data_name]
-
-    @property
-    def counters(self) -> dict[str, Counters]:
-        """Counters by source_id."""
-        return {outlet.source_id: outlet.counters for outlet in self._outlets.values()}
-
-    @property
-    def rates(self) -> dict[str, float]:
-        """Nominal rates in Hz by source_id, 0 of irregular streams."""
-        outlets = self._outlets.values()
-        return {each.source_id: each.nominal_rate for each in outlets}

@@ -13,8 +13,9 @@ from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.device_clock import ClockState, DeviceClock
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, SensorSpec
 from biosensor_gateway.streaming.counters import Counters
+from biosensor_gateway.streaming.device_outlets import DeviceOutlets
 from biosensor_gateway.streaming.observer import SinkObserver
-from biosensor_gateway.streaming.outlets import MAX_STAMP_ERROR_S, DeviceOutlets
+from biosensor_gateway.streaming.outlets import MAX_STAMP_ERROR_S
 from biosensor_gateway.streaming.pause_gate import PauseGate
 from biosensor_gateway.streaming.silence import Silence, StreamWatch
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
@@ -42,6 +43,9 @@ class DeviceSink:
         Knows which streams are due and do not come.
     clock
         The LSL time that everything of the device goes by.
+    info, told_rates
+        What the device says of itself, and nominal rates in Hz that it sets; empty before its
+        outlets exist.
     """
 
     def __init__(
@@ -61,7 +65,8 @@ class DeviceSink:
         self._gate = PauseGate()
         self._newest: dict[str, float] = {}
         self._steps: dict[str, tuple[float, float]] = {}
-        self._info = DeviceInfo()
+        self.info = DeviceInfo()
+        self.told_rates: Mapping[str, float] = {}
         self.dropped_bytes = 0
 
     @property
@@ -85,13 +90,23 @@ class DeviceSink:
         rates = {each.data_name: told.get(each.data_name, each.rate) for each in streams}
         return {name: rate for name, rate in rates.items() if not isinstance(rate, FromDevice)}
 
+    @property
+    def is_open(self) -> bool:
+        """Whether the outlets exist."""
+        return bool(self._outlets.counters)
+
+    def expect(self, info: DeviceInfo, rates: Mapping[str, float]) -> None:
+        """Create the outlets ahead of the connection; see :meth:`DeviceOutlets.expect`."""
+        if self._outlets.expect(info, rates):
+            self.info, self.told_rates = info, rates
+
     def open(self, info: DeviceInfo, rates: Mapping[str, float]) -> None:
         """Create the outlets, at the first connection; see :meth:`DeviceOutlets.open`."""
         rebuilt = self._outlets.open(info, rates)
         if self.observer is not None:
             changes = {f"{name}.rate_hz": rate for name, rate in rebuilt.items()}
-            self.observer.connected(info, {**changes, **_differences(self._info, info)})
-        self._info = info
+            self.observer.connected(info, {**changes, **_differences(self.info, info)})
+        self.info, self.told_rates = info, rates
 
     def close(self) -> None:
         """Destroy the outlets."""

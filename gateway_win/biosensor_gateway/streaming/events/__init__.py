@@ -17,7 +17,8 @@ sensor, unit, participant, label
 Besides these:
 
 =================== =========================================================================
-``agent_started``   ``version``
+``agent_started``   ``version``; ``restarts`` and ``last_end``, in words, if it had died and
+                    was started again (``run --keep-alive``), as in each heartbeat
 ``agent_stopped``   Comes when the agent is asked to end; a killed one says nothing.
 ``heartbeat``       ``agent_started``: LSL time; ``devices``: state of each by
                     ``sensor/unit``, as ``biosensor-gateway status`` has it, or ``paused``

@@ -40,9 +40,16 @@ class Announcer:
         Period in seconds; 0 for none.
     states
         Tells the state of every device by ``sensor/unit``, for the heartbeat.
+    start
+        What there is to say of the agent's start, in each heartbeat, too.
     """
 
-    def __init__(self, heartbeat_s: float, states: Callable[[], Mapping[str, str]]) -> None:
+    def __init__(
+        self,
+        heartbeat_s: float,
+        states: Callable[[], Mapping[str, str]],
+        start: Mapping[str, object] | None = None,
+    ) -> None:
         self._period_s = heartbeat_s
         self._states = states
         self._watchers: list[Callable[[float], None]] = []
@@ -51,7 +58,9 @@ class Announcer:
         self._due_s = -math.inf
         self._had_consumers = False
         self._outlet = _outlet()
-        self.announce(EventKind.AGENT_STARTED, {"version": version("biosensor-gateway")})
+        self._start = dict(start or {})
+        facts = {"version": version("biosensor-gateway"), **self._start}
+        self.announce(EventKind.AGENT_STARTED, facts)
         self._tick()
 
     @property
@@ -112,7 +121,8 @@ class Announcer:
         self._had_consumers = has_consumers
         if has_come or now >= self._due_s:
             self._due_s = now + self._period_s
-            facts = {"agent_started": self._started_s, "devices": dict(self._states())}
+            states = dict(self._states())
+            facts = {"agent_started": self._started_s, **self._start, "devices": states}
             self.announce(EventKind.HEARTBEAT, facts)
 
 

@@ -1,0 +1,94 @@
+"""A killed agent comes back by itself, says so, and ends when it is asked to."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from subprocess import Popen
+from typing import Any
+
+import pylsl
+import pytest
+
+from biosensor_common import naming
+from biosensor_common.errors import ConfigError
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.agent import status_file
+from biosensor_gateway.agent.known_streams import STREAMS_FILE
+from biosensor_gateway.system.logs import LOG_FILE_NAME
+from tests.gateway.test_stop_command import command, stop
+
+DEADLINE_S = 30.0
+
+Until = Callable[[Callable[[], bool]], None]
+StartCli = Callable[..., AbstractContextManager["Popen[bytes]"]]
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="kills by signals")
+
+
+def status(folder: Path) -> dict[str, Any]:
+    try:
+        return status_file.read_status(folder)
+    except ConfigError:
+        return {"devices": []}
+
+
+def pushed(folder: Path) -> int:
+    devices = status(folder)["devices"]
+    return sum(each["pushed"] for device in devices for each in device["streams"].values())
+
+
+class Events:
+    """The heartbeats in the agent's stream of events, over its lives."""
+
+    def __init__(self) -> None:
+        source = naming.source_id(DeviceIdentity("gateway", os.uname().nodename), "events")
+        (info,) = pylsl.resolve_byprop("source_id", source, timeout=DEADLINE_S)
+        self._inlet = pylsl.StreamInlet(info, recover=True)
+        self._heartbeats: list[dict[str, Any]] = []
+
+    def heartbeats(self) -> list[dict[str, Any]]:
+        while (sample := self._inlet.pull_sample(0.0)[0]) is not None:
+            event = json.loads(sample[0])
+            if event["event"] == "heartbeat":
+                self._heartbeats.append(event)
+        return self._heartbeats
+
+    def close(self) -> None:
+        self._inlet.close_stream()
+
+
+def test_a_killed_agent_comes_back_says_so_and_ends_when_asked(
+    cli_process: StartCli, until: Until, tmp_path: Path
+) -> None:
+    with cli_process(tmp_path, "run", "--keep-alive", "--simulate", "zephyr") as keeper:
+        until(lambda: pushed(tmp_path) > 0 and (tmp_path / STREAMS_FILE).exists())
+        killed = status(tmp_path)["process"]
+        assert killed != keeper.pid
+        events = Events()
+        until(lambda: len(events.heartbeats()) > 0)
+        first = events.heartbeats()[-1]
+        assert "restarts" not in first
+        os.kill(killed, signal.SIGKILL)
+        until(lambda: status(tmp_path).get("process", killed) != killed and pushed(tmp_path) > 0)
+        assert status(tmp_path)["restarts"] == 1
+        shown = command(tmp_path, "status").stdout
+        assert "started again once, last after: killed by SIGKILL" in shown
+        # Recorders hear it from a heartbeat: they are not back yet when the agent starts.
+        until(lambda: events.heartbeats()[-1]["agent_started"] > first["agent_started"])
+        second = events.heartbeats()[-1]
+        assert (second["restarts"], second["last_end"]) == (1, "killed by SIGKILL")
+        events.close()
+        assert stop(tmp_path)[0] == 0
+        assert keeper.wait(DEADLINE_S) == 0
+    said = (tmp_path / "stderr.txt").read_text()
+    assert "the agent has died (killed by SIGKILL) and is started again now" in said
+    log = [json.loads(line) for line in (tmp_path / LOG_FILE_NAME).read_text().splitlines()]
+    (restart,) = [each for each in log if "was started again" in each["event"]]
+    assert (restart["restarts"], restart["last_end"]) == (1, "killed by SIGKILL")
+    assert not (tmp_path / STREAMS_FILE).exists()
