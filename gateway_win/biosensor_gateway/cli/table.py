@@ -74,6 +74,7 @@ COMMANDS = (
     ),
     _command("config", "settings:app", "The settings file."),
     _command("secrets", "secrets:app", "Secrets in the keyring of the system."),
+    _command("service", "service:app", "The agent as a service of this user (Linux)."),
     _command("record", "record:app", "Start and stop recordings of LabRecorder."),
     _command("xdf", "xdf:app", "Recordings of LabRecorder (XDF files)."),
     _hidden("installation", "installation:app", "Used by the Windows installer."),

@@ -32,17 +32,22 @@ def restart_facts(environment: Mapping[str, str]) -> dict[str, int | str]:
     return {"restarts": int(count), "last_end": environment.get(LAST_END, "")}
 
 
+def own_command(arguments: Sequence[str]) -> list[str]:
+    """Return the command line that runs this program with arguments."""
+    is_frozen = bool(getattr(sys, "frozen", False))
+    program = [sys.executable] if is_frozen else [sys.executable, "-m", "biosensor_gateway.cli"]
+    return [*program, *arguments]
+
+
 def keep_alive(arguments: Sequence[str]) -> int:
     """Keep this program running with other arguments; see :class:`KeepAlive`."""
     console = relay.console(relay.STDERR, "console")
-    is_frozen = bool(getattr(sys, "frozen", False))
-    program = [sys.executable] if is_frozen else [sys.executable, "-m", "biosensor_gateway.cli"]
 
     def tell(sentence: str) -> None:
         if console is not None:
             console.put(f"biosensor-gateway: {sentence}\n".encode())
 
-    return KeepAlive([*program, *arguments], tell).run()
+    return KeepAlive(own_command(arguments), tell).run()
 
 
 class KeepAlive:

@@ -1,0 +1,141 @@
+"""Has systemd, on Linux, run the agent for this user whenever they are logged in."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from biosensor_common.errors import TransportError, TransportReason
+from biosensor_gateway.system import state_file
+from biosensor_gateway.system.keep_alive import own_command
+
+UNIT = "biosensor-gateway.service"
+
+_SYSTEM_FOLDERS = "/usr/bin:/bin:/usr/local/bin:/run/current-system/sw/bin"
+_TIME_LIMIT_S = 20.0
+
+
+def unit_text(arguments: Sequence[str]) -> str:
+    """Return the unit that runs this program with arguments; see ``systemd.service(5)``."""
+    command = " ".join(_quoted(each) for each in own_command(arguments))
+    return f"""\
+# Written by: biosensor-gateway service install
+[Unit]
+Description=Biosensor Gateway capture agent
+StartLimitIntervalSec=0
+
+[Service]
+ExecStart={command}
+# The program starts a dead agent again by itself; this is for the case that both were killed.
+Restart=on-failure
+RestartSec=5
+# Wrong settings are wrong the next time, too.
+RestartPreventExitStatus=2
+TimeoutStopSec=20
+
+[Install]
+WantedBy=default.target
+"""
+
+
+def unit_path(environment: Mapping[str, str], home: Path) -> Path:
+    """Return where this user's units are, by the XDG base directory specification."""
+    folder = environment.get("XDG_CONFIG_HOME", "")
+    base = Path(folder) if folder.startswith("/") else home / ".config"
+    return base / "systemd" / "user" / UNIT
+
+
+def install(arguments: Sequence[str]) -> Path:
+    """Write the unit, and have it run now and at each login; return its path.
+
+    Raises
+    ------
+    TransportError
+        ``ABSENT`` if there is no systemd, ``DENIED`` if the unit cannot be written,
+        ``UNAVAILABLE`` if systemd does not do it.
+    """
+    systemctl = _systemctl()
+    path = unit_path(os.environ, Path.home())
+    try:
+        state_file.replace(path, unit_text(arguments))
+    except OSError as error:
+        message = f"cannot write {path}: {error.strerror or error}"
+        raise TransportError(TransportReason.DENIED, message) from error
+    for command in (["daemon-reload"], ["enable", UNIT], ["restart", UNIT]):
+        problem = _problem(systemctl, *command)
+        if problem is not None:
+            message = (
+                f"{path} is written, but systemd does not start it ({problem}); log in to a "
+                f"session of this computer, and then: systemctl --user enable --now {UNIT}"
+            )
+            raise TransportError(TransportReason.UNAVAILABLE, message)
+    return path
+
+
+def remove() -> bool:
+    """Stop the service and remove its unit; return whether there was one.
+
+    Raises
+    ------
+    TransportError
+        As for :func:`install`.
+    """
+    systemctl = _systemctl()
+    path = unit_path(os.environ, Path.home())
+    if not path.exists():
+        return False
+    problem = _problem(systemctl, "disable", "--now", UNIT)
+    with contextlib.suppress(FileNotFoundError):
+        path.unlink()
+    if problem is not None:
+        message = (
+            f"{path} is removed, but systemd may still run what it started ({problem}); end it "
+            "with: biosensor-gateway stop"
+        )
+        raise TransportError(TransportReason.UNAVAILABLE, message)
+    return True
+
+
+def _systemctl() -> str:
+    path = shutil.which("systemctl", path=_SYSTEM_FOLDERS)
+    if path is None or sys.platform == "win32":
+        message = (
+            "there is no systemd here, which runs services on Linux; on Windows choose "
+            "'start with Windows' in the installer"
+        )
+        raise TransportError(TransportReason.ABSENT, message)
+    return path
+
+
+def _problem(systemctl: str, *arguments: str) -> str | None:
+    """Call systemctl; return what it complains of, None if it did what it should."""
+    try:
+        done = subprocess.run(  # noqa: S603 - from the system's folders
+            [systemctl, "--user", *arguments],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=_TIME_LIMIT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return f"it does not answer within {_TIME_LIMIT_S:g} s"
+    except OSError as error:
+        return error.strerror or str(error)
+    if done.returncode == 0:
+        return None
+    lines = done.stderr.strip().splitlines()
+    return lines[-1] if lines else f"exit code {done.returncode}"
+
+
+def _quoted(word: str) -> str:
+    """Write a word so that systemd reads it as it is: quotes, variables, specifiers."""
+    for special, escaped in (("\\", "\\\\"), ('"', '\\"'), ("$", "$$"), ("%", "%%")):
+        word = word.replace(special, escaped)
+    return f'"{word}"'
