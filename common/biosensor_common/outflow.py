@@ -43,6 +43,8 @@ class Outflow:
     ----------
     notice
         Makes the line that takes the place of so many others. It must not call this object.
+    shape
+        Makes what is written of what was put, in the thread; it may keep some back, or add.
     """
 
     def __init__(
@@ -55,6 +57,7 @@ class Outflow:
     ) -> None:
         self.name = name
         self.notice: Callable[[int], bytes] = self._plain_notice
+        self.shape: Callable[[bytes], bytes] = lambda lines: lines
         self._write, self._end = write, end
         self._most_bytes = most_bytes
         # Reentrant: a signal handler may log in the middle of a call.
@@ -78,6 +81,23 @@ class Outflow:
                 self._append(self._take_notice())
             self._append(lines)
             self._changed.notify_all()
+
+    def put_if_idle(self, lines: bytes) -> bool:
+        """Have lines written now, or leave them out, uncounted, if anything else is waiting.
+
+        For what is soon outdated. Of empty lines `shape` may make something.
+        """
+        with self._changed:
+            if not self._is_idle():
+                return False
+            self._append(lines)
+            self._changed.notify_all()
+            return True
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether there is more to write than what is being written."""
+        return bool(self._waiting)
 
     @property
     def held_for_s(self) -> float:
@@ -119,7 +139,7 @@ class Outflow:
     def _run(self) -> None:
         while (lines := self._next()) is not None:
             try:
-                self._write(lines)
+                self._write(self.shape(lines))
             except (OSError, ValueError):
                 # Its reader has gone, or it was closed; there is nobody to tell here.
                 continue

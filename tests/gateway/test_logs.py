@@ -76,18 +76,88 @@ def test_an_event_arrives_at_both_outputs(
     assert "\x1b" not in console.err
 
 
-@pytest.mark.parametrize(("no_color", "coloured"), [("", True), ("1", False)])
+def at_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "coloured"),
+    [("NO_COLOR", "", True), ("NO_COLOR", "1", False), ("TERM", "dumb", False)],
+)
 def test_a_terminal_gets_colours(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
-    no_color: str,
+    variable: str,
+    value: str,
     coloured: bool,
 ) -> None:
-    monkeypatch.setenv("NO_COLOR", no_color)
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    at_a_terminal(monkeypatch)
+    monkeypatch.setenv(variable, value)
     configure_logs(LogSettings(), None)
-    LOG.info("seen")
+    LOG.warning("seen")
     assert ("\x1b[" in captured(capsys).err) is coloured
+
+
+LOST = {"sensor": "zephyr", "unit": "B1", "data": "ecg", "count": 73, "estimated": True}
+
+
+@pytest.mark.parametrize(
+    ("event", "facts", "line"),
+    [
+        ("it streams", {}, "  it streams"),
+        ("lost", LOST, "  Sensor zephyr B1: lost (data ecg, count 73, estimated)"),
+        ("kept awake", {"way": "execution state", "error": None}, "  kept awake"),
+        ("tells", {"event_name": "x", "code": 7, "text": "Charge it."}, "  Charge it."),
+        ("a command came", {"command": "stop", "for_people": "asked to stop"}, "  asked to stop"),
+        ("Sensor zephyr is away", {"sensor": "zephyr", "unit": "B1"}, "  Sensor zephyr is away"),
+        (
+            "packets",
+            {"names": ["a", "b"], "seconds": 0.123456789},
+            "  packets (names a b, seconds 0.123457)",
+        ),
+    ],
+)
+def test_a_terminal_gets_sentences_with_the_local_time_and_the_file_everything(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    event: str,
+    facts: dict[str, Any],
+    line: str,
+) -> None:
+    at_a_terminal(monkeypatch)
+    configure_logs(LogSettings(), tmp_path, title=lambda sensor: f"Sensor {sensor}")
+    LOG.info(event, **facts)
+    (record,) = records(tmp_path)
+    kept = {key: value for key, value in facts.items() if key != "for_people"}
+    stamp = datetime.fromisoformat(record.pop("timestamp"))
+    assert stamp.utcoffset() == datetime.now(UTC).utcoffset()
+    assert record == {"event": event, "level": "info", "logger": "biosensor_gateway.test"} | kept
+    shown = captured(capsys).err
+    assert shown == f"{stamp.astimezone():%H:%M:%S} {line}\n"
+
+
+def test_on_request_a_terminal_gets_all_facts_too(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at_a_terminal(monkeypatch)
+    configure_logs(LogSettings(), None, verbose=True)
+    LOG.debug("a command came", command="stop", for_people="asked to stop", way="pipe")
+    assert "a command came (command='stop', way='pipe')" in captured(capsys).err
+
+
+def test_a_secret_does_not_reach_a_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at_a_terminal(monkeypatch)
+    configure_logs(LogSettings(), None)
+    LOG.warning("told", text="password='hidden' for visible", token="hidden")
+    LOG.warning("told", for_people="token: hidden and visible")
+    shown = captured(capsys).err
+    assert "hidden" not in shown
+    assert shown.count("visible") == 2
 
 
 def test_a_library_goes_the_same_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -104,7 +104,7 @@ def test_device_test(terminal: io.StringIO, name: str) -> None:
     info = DeviceInfo(manufacturer="Manufacturer of it", model="Model 12", serial_number=UNIT)
     outcome = DeviceTest(info, streams, [REASON])
     with redirect_stdout(terminal):
-        device_test._print_outcome(outcome, name)  # pyright: ignore[reportPrivateUsage]
+        device_test.print_outcome(outcome, name)
     words = fits(terminal.getvalue()).split()
     assert set(streams) <= set(words)
     assert UNIT in words

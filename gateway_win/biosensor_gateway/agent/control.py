@@ -164,7 +164,7 @@ class ControlServer:
         return hmac.compare_digest(text, self._token.encode())
 
     async def _outcome(self, name: str, arguments: Mapping[str, Any]) -> bytes:
-        _log.info("a command came", command=name)
+        _log.info("a command came", command=name, for_people=f"asked to {name}")
         try:
             async with asyncio.timeout(TIME_LIMIT_S):
                 answer = await self._commands[name](arguments)

@@ -38,12 +38,13 @@ def test(
     if as_json:
         typer.echo(json.dumps(device_test.as_json(outcome), indent=2))
     else:
-        _print_outcome(outcome, sensor)
+        print_outcome(outcome, sensor)
     if outcome.problems:
         raise typer.Exit(1)
 
 
-def _print_outcome(outcome: DeviceTest, sensor: str) -> None:
+def print_outcome(outcome: DeviceTest, sensor: str) -> None:
+    """Say what a test of a device of this sensor has shown."""
     info = outcome.info
     if info is not None:
         details = (info.manufacturer, info.model, info.serial_number, info.firmware_version)

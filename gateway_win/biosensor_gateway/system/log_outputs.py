@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import os
 import sys
 import threading
 from logging.handlers import RotatingFileHandler
@@ -14,6 +15,7 @@ import structlog
 
 from biosensor_common import relay
 from biosensor_common.outflow import Outflow, missing
+from biosensor_gateway.system.terminal import terminal_size
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -30,15 +32,28 @@ class QueuedHandler(logging.StreamHandler["_Lines"]):
 
     An output that is held is said once, in all outputs; lines that did not fit are counted
     in a line of the log in their place.
+
+    Attributes
+    ----------
+    terminal
+        A descriptor of the terminal that the output is, its own; None if it is none.
     """
 
-    def __init__(self, name: str, outflow: Outflow, encoding: str) -> None:
+    def __init__(
+        self, name: str, outflow: Outflow, encoding: str, terminal: int | None = None
+    ) -> None:
         super().__init__(_Lines(outflow, encoding))
         self.set_name(name)
         self.outflow = outflow
-        self._encoding = encoding
+        self.encoding = encoding
+        self.terminal = terminal
         self._is_held = False
         outflow.notice = self._notice
+
+    def columns(self) -> int | None:
+        """How wide the terminal is; None if it is none."""
+        size = None if self.terminal is None else terminal_size(self.terminal)
+        return None if size is None else size.columns
 
     def handle(self, record: logging.LogRecord) -> bool:
         """Format and queue the record, and say so if the output has come to be held."""
@@ -55,12 +70,15 @@ class QueuedHandler(logging.StreamHandler["_Lines"]):
     def close(self) -> None:
         """Give the last lines a moment, at the first call."""
         self.outflow.close(relay.LAST_LINES_S)
+        if self.terminal is not None:
+            os.close(self.terminal)
+            self.terminal = None
         super().close()
 
     def _notice(self, count: int) -> bytes:
         text = missing(count, self.outflow.name)
         record = logging.LogRecord(_LOGGER, logging.WARNING, "", 0, text, None, None)
-        return f"{self.format(record)}{self.terminator}".encode(self._encoding, "backslashreplace")
+        return f"{self.format(record)}{self.terminator}".encode(self.encoding, "backslashreplace")
 
 
 class _Lines:
@@ -80,11 +98,17 @@ def console_handler(name: str) -> QueuedHandler | None:
     if stream is None:
         return None
     try:
-        outflow = relay.console(stream.fileno(), "console")
+        descriptor = stream.fileno()
     except io.UnsupportedOperation:
         # It is an object of Python alone, as in tests.
         outflow = Outflow("console", lambda lines: stream.write(lines.decode(stream.encoding)))
-    return None if outflow is None else QueuedHandler(name, outflow, stream.encoding)
+        return QueuedHandler(name, outflow, stream.encoding)
+    outflow = relay.console(descriptor, "console")
+    if outflow is None:
+        return None
+    # What the descriptor leads to changes while the console is relayed.
+    terminal = os.dup(descriptor) if os.isatty(descriptor) else None
+    return QueuedHandler(name, outflow, stream.encoding, terminal)
 
 
 def file_handler(name: str, path: Path, max_bytes: int, keep_files: int) -> QueuedHandler:

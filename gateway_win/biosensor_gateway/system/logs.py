@@ -1,5 +1,7 @@
 """Sets up logging: sentences on the console, JSON lines in a rotating file, no secrets.
 
+A terminal gets lines for people, any other console those that it has always had.
+
 The gateway's modules log through ``structlog.stdlib.get_logger(__name__)``,
 libraries through :mod:`logging`; both arrive at the same two outputs. Whoever logs
 waits for neither of them: see `biosensor_gateway.system.log_outputs`.
@@ -12,7 +14,8 @@ import logging
 import os
 import re
 import sys
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import cast
 
@@ -22,7 +25,14 @@ from structlog.typing import EventDict, Processor, WrappedLogger
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.relay import LAST_LINES_S, STDERR, STDOUT, console, relayed
 from biosensor_gateway.settings.models import STATE_VARIABLE, LogSettings
+from biosensor_gateway.system.console_lines import (
+    LinesForPeople,
+    on_one_line,
+    without_line_for_people,
+)
 from biosensor_gateway.system.log_outputs import QueuedHandler, console_handler, file_handler
+from biosensor_gateway.system.panel import Panel
+from biosensor_gateway.system.terminal import cursor_moves, shows_colours, terminal_size
 
 LOG_FILE_NAME = "biosensor-gateway.log"
 
@@ -37,7 +47,8 @@ _SENSITIVE_TEXT = re.compile(
          (?:\\*"[^"]*"|\\*'[^']*'|(?:bearer\s+)?[^\s,;&)}}\]]+)""",
     re.IGNORECASE | re.VERBOSE,
 )
-_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
+# A file that is opened before its size is known is not rotated: that could cost an old one.
+_NEVER_FULL = 0
 
 _COMMON: tuple[Processor, ...] = (
     structlog.contextvars.merge_contextvars,
@@ -47,7 +58,13 @@ _COMMON: tuple[Processor, ...] = (
 )
 
 
-def configure_logs(settings: LogSettings, folder: Path | None, *, verbose: bool = False) -> None:
+def configure_logs(
+    settings: LogSettings,
+    folder: Path | None,
+    *,
+    verbose: bool = False,
+    title: Callable[[str], str] = str,
+) -> None:
     """Send all logging to the console and to a file; what was set up before is replaced.
 
     Libraries are never logged below ``info``: their debug lines hold samples
@@ -62,6 +79,8 @@ def configure_logs(settings: LogSettings, folder: Path | None, *, verbose: bool 
         for the console alone.
     verbose
         Log at ``debug``, whatever the settings say.
+    title
+        Returns what people call a sensor, for a terminal.
 
     Raises
     ------
@@ -69,14 +88,32 @@ def configure_logs(settings: LogSettings, folder: Path | None, *, verbose: bool 
         ``UNREADABLE`` if the file cannot be written. The logging that was set
         up before stays, so the caller can go on with ``folder=None``.
     """
-    file = _file_handler(settings, folder) if folder else None
+    file = _file_handler(folder, settings.max_bytes, settings.keep_files) if folder else None
     _remove_own_handlers()
     root = logging.getLogger()
-    for handler in (_console_handler(), file):
+    for handler in (_console_handler(title, verbose=verbose), file):
         if handler is not None:
             root.addHandler(handler)
     level = logging.DEBUG if verbose else logging.getLevelNamesMapping()[settings.level.upper()]
-    root.setLevel(max(level, logging.INFO))
+    _configure(level)
+
+
+def log_to_file_alone(folder: Path) -> None:
+    """Send all logging to the file, before the settings say what else is wanted.
+
+    Raises
+    ------
+    ConfigError
+        As for `configure_logs`.
+    """
+    file = _file_handler(folder, _NEVER_FULL, 0)
+    _remove_own_handlers()
+    logging.getLogger().addHandler(file)
+    _configure(logging.INFO)
+
+
+def _configure(level: int) -> None:
+    logging.getLogger().setLevel(max(level, logging.INFO))
     logging.getLogger(_OWN_LOGGER).setLevel(level)
     structlog.configure(
         processors=[
@@ -96,18 +133,47 @@ def flush_logs(limit_s: float = LAST_LINES_S) -> bool:
     return all(flushed)
 
 
+def end_logs() -> None:
+    """Write the last lines, in `LAST_LINES_S` at most for each output, and log no more."""
+    _remove_own_handlers()
+
+
 @contextlib.contextmanager
-def console_relayed() -> Generator[None]:
+def console_relayed() -> Generator[Panel | None]:
     """Let nothing in this process wait for the console, whoever writes to it and how.
 
     To be used after `configure_logs`. At the end the console gets the last lines, for
     `LAST_LINES_S` at most, and the logging is over.
+
+    Yields
+    ------
+    Panel or None
+        What can be kept below the log; None where the log goes to no terminal whose cursor
+        can be moved.
     """
-    outflows = [each.outflow for each in _own_handlers() if each.get_name() == _CONSOLE]
-    stdout = console(STDOUT, "console")
-    with relayed([(STDOUT, stdout), *((STDERR, outflow) for outflow in outflows)]):
-        yield
+    handler = next((each for each in _own_handlers() if each.get_name() == _CONSOLE), None)
+    with contextlib.ExitStack() as stack:
+        panel = stack.enter_context(_panel(handler))
+        stderr = handler.outflow if handler is not None else None
+        # What anybody else writes to the same terminal goes above the panel, too.
+        is_shared = panel is not None and os.isatty(STDOUT)
+        stdout = stderr if is_shared else console(STDOUT, "console")
+        stack.enter_context(relayed([(STDOUT, stdout), *([(STDERR, stderr)] if stderr else [])]))
+        if panel is not None:
+            stack.callback(panel.close)
+        yield panel
     _remove_own_handlers()
+
+
+@contextlib.contextmanager
+def _panel(handler: QueuedHandler | None) -> Generator[Panel | None]:
+    if handler is None or handler.terminal is None:
+        yield None
+        return
+    terminal = handler.terminal
+    with cursor_moves(terminal) as can_move:
+        size = partial(terminal_size, terminal)
+        yield Panel(handler.outflow, size, handler.encoding) if can_move else None
 
 
 def _own_handlers() -> list[QueuedHandler]:
@@ -120,25 +186,32 @@ def _remove_own_handlers() -> None:
         handler.close()
 
 
-def _console_handler() -> QueuedHandler | None:
+def _console_handler(title: Callable[[str], str], *, verbose: bool) -> QueuedHandler | None:
     handler = console_handler(_CONSOLE)
-    if handler is not None:
-        renderer = structlog.dev.ConsoleRenderer(
-            colors=sys.stderr.isatty() and not os.environ.get("NO_COLOR"),
+    if handler is None:
+        return None
+    processors = (_exception_in_short, _mask_secrets)
+    if not sys.stderr.isatty():
+        plain = structlog.dev.ConsoleRenderer(
+            colors=False,
             sort_keys=False,
             repr_native_str=True,
             exception_formatter=structlog.dev.plain_traceback,
         )
-        handler.setFormatter(
-            _formatter(_exception_in_short, _mask_secrets, _event_on_one_line, renderer)
-        )
+        processors = (*processors, without_line_for_people, _event_on_one_line, plain)
+    else:
+        # A Windows console takes them only while a panel is drawn.
+        colours = shows_colours() and sys.platform != "win32"
+        lines = LinesForPeople(title, handler.columns, colours=colours, verbose=verbose)
+        processors = (*processors, lines)
+    handler.setFormatter(_formatter(*processors))
     return handler
 
 
-def _file_handler(settings: LogSettings, folder: Path) -> QueuedHandler:
+def _file_handler(folder: Path, max_bytes: int, keep_files: int) -> QueuedHandler:
     path = folder / LOG_FILE_NAME
     try:
-        handler = file_handler(_FILE, path, settings.max_bytes, settings.keep_files)
+        handler = file_handler(_FILE, path, max_bytes, keep_files)
     except OSError as error:
         message = (
             f"cannot write the log file in {folder}: {error.strerror or error}; let "
@@ -146,7 +219,8 @@ def _file_handler(settings: LogSettings, folder: Path) -> QueuedHandler:
         )
         raise ConfigError(ConfigReason.UNREADABLE, message) from error
     renderer = structlog.processors.JSONRenderer()
-    handler.setFormatter(_formatter(structlog.processors.format_exc_info, _mask_secrets, renderer))
+    processors = (structlog.processors.format_exc_info, without_line_for_people, _mask_secrets)
+    handler.setFormatter(_formatter(*processors, renderer))
     return handler
 
 
@@ -189,6 +263,5 @@ def _masked(key: object, value: object) -> object:
 
 def _event_on_one_line(_logger: WrappedLogger, _method: str, event_dict: EventDict) -> EventDict:
     """Escape line ends and terminal commands, as the renderer does for the values."""
-    event = str(event_dict.get("event", ""))
-    event_dict["event"] = _CONTROL.sub(lambda found: repr(found[0])[1:-1], event)
+    event_dict["event"] = on_one_line(str(event_dict.get("event", "")))
     return event_dict
