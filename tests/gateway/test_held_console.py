@@ -52,7 +52,9 @@ def environment(folder: Path) -> Mapping[str, str]:
     usual = Path(os.environ["LSLAPICFG"]).read_text()
     config.write_text(usual.replace("level = -2", "level = 9"))
     state = {"BIOSENSOR_GATEWAY_STATE": str(folder)}
-    return os.environ | state | {"LSLAPICFG": str(config), "NO_COLOR": "1"}
+    # There is a table below the log.
+    terminal = {"NO_COLOR": "1", "TERM": "xterm"}
+    return os.environ | state | terminal | {"LSLAPICFG": str(config)}
 
 
 def ask(folder: Path, command: str, unit: str) -> dict[str, Any]:
@@ -140,4 +142,5 @@ def test_a_released_console_shows_all_that_was_said_meanwhile_and_the_last_lines
         until(lambda: "command='stop'" in console.shown)
     # What liblsl says, which says it by itself, comes the same way.
     assert ".cpp:" in console.shown
+    assert "Press Ctrl-C to end it." in console.shown
     assert "Traceback" not in console.shown

@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import os
 import socket
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import pylsl
 import structlog
@@ -42,6 +44,11 @@ class Agent:
     folder
         Where the status file goes, and where it is kept who has withdrawn.
 
+    Attributes
+    ----------
+    on_status
+        Called once a second with what the status file then says.
+
     Raises
     ------
     ConfigError
@@ -52,13 +59,15 @@ class Agent:
         self._folder = folder
         taken_over = configure_lsl(_overrides(settings.lsl))
         if taken_over is not None:
-            _log.info("LSL configuration taken over", file=str(taken_over))
+            people = f"LSL's own settings are heeded: {taken_over}"
+            _log.info("LSL configuration taken over", file=str(taken_over), for_people=people)
         enabled = [device for device in settings.devices if device.enabled]
         self.devices = [Device.from_settings(device) for device in enabled]
         sinks = [device.sink for device in self.devices]
         self._known = KnownStreams(folder, sinks)
         self._pauses = PauseCommands(folder, sinks)
         self._heartbeat_s = settings.events.heartbeat_s
+        self.on_status: Callable[[Mapping[str, Any]], None] = lambda status: None
         self._unwritable = False
         self._awake = KeepAwake(system_inhibitor() if settings.power.keep_awake else None)
 
@@ -111,7 +120,9 @@ class Agent:
                 device.sink.release()
                 merged |= device.sink.counters
             outlet.push_text(counters_text(merged, self._clocks()), pylsl.local_clock())
-            self._write_status()
+            status = status_file.snapshot(self.devices)
+            self.on_status(status)
+            self._write_status(status)
             self._known.keep()
             self._awake.hold(any(each.supervisor.is_connected for each in self.devices))
             # After a computer's sleep the missed reports are not made up for.
@@ -123,9 +134,9 @@ class Agent:
         opened = (each.sink for each in self.devices if each.sink.counters)
         return {next(iter(sink.counters)): sink.clock_state for sink in opened}
 
-    def _write_status(self) -> None:
+    def _write_status(self, status: dict[str, Any]) -> None:
         try:
-            status_file.write_status(self._folder, status_file.snapshot(self.devices))
+            status_file.write_status(self._folder, status)
         except OSError as error:
             if not self._unwritable:
                 self._unwritable = True

@@ -69,6 +69,7 @@ class Device:
             "connections": supervisor.connections,
             "error": supervisor.last_error,
             "dropped_bytes": sink.dropped_bytes,
+            "battery_percent": sink.charge.percent,
             # JSON knows no NaN; before the first packet there is nothing to say.
             "clock": clock if isfinite(clock["offset_s"]) else None,
             "streams": {

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import io
 import sys
+from typing import TextIO
+
+from biosensor_gateway.system.own_window import HeldOpen, is_own_window
 
 __all__ = ["main"]
 
@@ -12,7 +15,15 @@ KEEP_ALIVE = "--keep-alive"
 
 def main() -> None:
     """Run the command line; see `biosensor_gateway.cli.app`."""
+    with HeldOpen():
+        _run()
+
+
+def _run() -> None:
     _say_anything()
+    if len(sys.argv) == 1 and is_own_window():
+        # Started by a double click: there is nobody who would read a list of commands.
+        sys.argv += ["run", "--ask"]
     if sys.argv[1:2] == ["run"]:
         if KEEP_ALIVE in sys.argv:
             from biosensor_gateway.system.keep_alive import keep_alive  # noqa: PLC0415 - only then
@@ -29,7 +40,13 @@ def main() -> None:
 
 
 def _say_anything() -> None:
-    """Write what an output has no letter for as an escape: Windows' pipes know 256 letters."""
+    """Write what an output has no letter for as an escape: Windows' pipes know 256 letters.
+
+    What is typed and is no letter is a wrong answer like any other.
+    """
+    typed: TextIO | None = sys.stdin
+    if isinstance(typed, io.TextIOWrapper):
+        typed.reconfigure(errors="replace")
     for stream in (sys.stdout, sys.stderr):
         # A program without a console on Windows has neither.
         if isinstance(stream, io.TextIOWrapper):

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
-import contextlib
-import ctypes
 import os
 import shlex
 import shutil
@@ -39,25 +36,6 @@ def open_in_editor(path: Path) -> None:
     else:
         message = f"no editor was found; set EDITOR to yours, or open {path} by hand"
         raise ConfigError(ConfigReason.NOT_FOUND, message)
-
-
-def hold_window() -> None:
-    """Let a console window that ends with this process wait for the Enter key first."""
-    if _owns_console():
-        atexit.register(_await_enter)
-
-
-def _await_enter() -> None:
-    with contextlib.suppress(EOFError, KeyboardInterrupt):
-        input("Press Enter to close this window. ")
-
-
-def _owns_console() -> bool:
-    if sys.platform != "win32":
-        return False
-    processes = (ctypes.c_uint32 * 2)()
-    # It counts all processes on the console, also those that do not fit into the array.
-    return ctypes.windll.kernel32.GetConsoleProcessList(processes, 2) == 1
 
 
 if sys.platform == "win32":

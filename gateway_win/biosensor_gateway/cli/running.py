@@ -20,14 +20,18 @@ from biosensor_gateway.agent.agent import Agent
 from biosensor_gateway.agent.control import ControlServer
 from biosensor_gateway.agent.single_instance import single_instance, wait_until_free
 from biosensor_gateway.cli import KEEP_ALIVE
+from biosensor_gateway.cli.live_table import LiveTable, sensor_title
 from biosensor_gateway.cli.options import FaultOption, SettingsOption, SimulateOption
+from biosensor_gateway.cli.questions import can_ask
+from biosensor_gateway.cli.start_log import StartLog
 from biosensor_gateway.demo import demonstration
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.models import GatewaySettings, settings_path, state_folder
-from biosensor_gateway.system.logs import configure_logs, console_relayed
+from biosensor_gateway.system.logs import console_relayed
 from biosensor_gateway.system.quick_edit import quick_edit_off
 from biosensor_gateway.system.shutdown import until_signalled
+from biosensor_gateway.system.terminal import shows_colours
 
 _ASK_AGAIN_S = 0.2
 
@@ -38,6 +42,9 @@ def run(
     settings: SettingsOption = None,
     simulate: SimulateOption = "",
     fault: FaultOption = None,
+    ask: Annotated[
+        bool, typer.Option("--ask", help="Ask first: stream, look for sensors, virtual ones.")
+    ] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every detail.")] = False,
     _keep_alive: Annotated[
         bool, typer.Option(KEEP_ALIVE, help="Start the agent again whenever it dies.")
@@ -46,10 +53,30 @@ def run(
     """Stream all devices of the settings until Ctrl-C, or until it is told to stop."""
     if fault and not simulate:
         raise typer.BadParameter("only virtual devices can be given faults; add --simulate")
-    source = _virtual_devices(simulate, fault or ()) if simulate else _settings_file(settings)
-    with ExitStack() as stack:
-        unguarded = _claim(stack, state_folder())
-        _run_agent(stack.enter_context(source), unguarded, verbose=verbose)
+    if ask and (simulate or not can_ask()):
+        raise typer.BadParameter("--ask needs a terminal, and does without --simulate")
+    folder = state_folder()
+    with StartLog(folder) as log, ExitStack() as stack:
+        unguarded = _claim(stack, folder)
+        if ask or _is_guide_wanted(settings, simulate):
+            simulate = _guided(settings or settings_path())
+        source = _virtual_devices(simulate, fault or ()) if simulate else _settings_file(settings)
+        _run_agent(stack.enter_context(source), log, unguarded, verbose=verbose)
+
+
+def _is_guide_wanted(settings: Path | None, simulate: str) -> bool:
+    # Who names a file, or virtual devices, knows what is wanted.
+    if simulate or settings is not None or not can_ask():
+        return False
+    from biosensor_gateway.cli import guide  # noqa: PLC0415 - only at a terminal
+
+    return guide.is_wanted(settings_path())
+
+
+def _guided(path: Path) -> str:
+    from biosensor_gateway.cli import guide  # noqa: PLC0415 - only on request
+
+    return guide.lead(path)
 
 
 def _settings_file(path: Path | None) -> AbstractContextManager[GatewaySettings]:
@@ -73,22 +100,23 @@ def _claim(stack: ExitStack, folder: Path) -> ConfigError | None:
     return None
 
 
-def _run_agent(loaded: GatewaySettings, unguarded: ConfigError | None, *, verbose: bool) -> None:
+def _run_agent(
+    loaded: GatewaySettings, log: StartLog, unguarded: ConfigError | None, *, verbose: bool
+) -> None:
     folder = state_folder()
-    try:
-        configure_logs(loaded.log, folder, verbose=verbose)
-    except ConfigError as error:
-        # Recording goes on without a log file; it does not go on unsaid.
-        configure_logs(loaded.log, None, verbose=verbose)
-        _log.warning(str(error))
-    with quick_edit_off(), console_relayed():
+    log.go_on(loaded.log, verbose=verbose, title=sensor_title)
+    with quick_edit_off(), console_relayed() as panel:
         if unguarded is not None:
             _log.warning(str(unguarded))
         if not any(device.enabled for device in loaded.devices):
             _log.warning("no device is enabled in the settings; nothing will be streamed")
         agent = Agent(loaded, folder)
+        if panel is not None:
+            agent.on_status = LiveTable(panel, colours=shows_colours()).report
         controlled = partial(_run_controlled, agent, folder)
         asyncio.run(until_signalled(agent.run if unguarded else controlled))
+        if panel is not None:
+            panel.close("Ended. Nothing is streamed any more.")
 
 
 async def _run_controlled(agent: Agent, folder: Path) -> None:

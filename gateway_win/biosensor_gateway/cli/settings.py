@@ -33,14 +33,10 @@ def write_template(settings: SettingsOption = None) -> None:
 def edit(settings: SettingsOption = None) -> None:
     """Open the settings file in your editor; write it first if there is none."""
     path = (settings or settings_path()).absolute()
-    try:
-        if not path.exists():
-            settings_template.write_template(path, settings_models())
-            typer.echo(f"wrote {path}")
-        editor.open_in_editor(path)
-    except Exception:  # raised again: the window of the Start menu would be gone unread
-        editor.hold_window()
-        raise
+    if not path.exists():
+        settings_template.write_template(path, settings_models())
+        typer.echo(f"wrote {path}")
+    editor.open_in_editor(path)
 
 
 @app.command("check")

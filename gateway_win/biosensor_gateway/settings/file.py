@@ -44,7 +44,13 @@ def load_settings(path: Path, device_models: Mapping[str, type[DeviceSettings]])
         with its file and line or its environment variable; the reason is that
         of the first.
     """
-    text = _read(path)
+    return settings_of(path, read_text(path), device_models)
+
+
+def settings_of(
+    path: Path, text: str, device_models: Mapping[str, type[DeviceSettings]]
+) -> GatewaySettings:
+    """Validate what stands in the settings file, or would; see `load_settings`."""
     data = _parse(path, text)
     sections = {key: value for key, value in data.items() if key in _top_level_keys()}
     problems = [unknown_key((key,), GatewaySettings) for key in data if key not in sections]
@@ -65,7 +71,14 @@ def _top_level_keys() -> frozenset[str]:
     return frozenset(field.alias or name for name, field in fields.items())
 
 
-def _read(path: Path) -> str:
+def read_text(path: Path) -> str:
+    """Return what stands in the settings file.
+
+    Raises
+    ------
+    ConfigError
+        ``NOT_FOUND`` or ``UNREADABLE``.
+    """
     try:
         # Windows editors put a byte order mark first, which TOML does not know.
         return path.read_text(encoding="utf-8-sig")

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.device_clock import ClockState, DeviceClock
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, SensorSpec
+from biosensor_gateway.streaming.charge import Charge
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.device_outlets import DeviceOutlets
 from biosensor_gateway.streaming.observer import SinkObserver
@@ -46,6 +47,8 @@ class DeviceSink:
     info, told_rates
         What the device says of itself, and nominal rates in Hz that it sets; empty before its
         outlets exist.
+    charge
+        What is known of its battery.
     """
 
     def __init__(
@@ -57,6 +60,7 @@ class DeviceSink:
         self.spec = spec
         self.observer: SinkObserver | None = None
         self.silent: frozenset[str] = frozenset()
+        self.charge = Charge(spec)
         self._clock = DeviceClock()
         self._outlets = DeviceOutlets(identity, spec, clock)
         self._stamps: defaultdict[str, MonotonicStamps] = defaultdict(MonotonicStamps)
@@ -216,6 +220,7 @@ class DeviceSink:
             stamps = self._stamps[data_name].apply(stamps)
         refusal = self._outlets[data_name].push(samples, stamps)
         if refusal is None:
+            self.charge.sampled(data_name, samples, stamps)
             self._tell_sampled(data_name, samples, stamps)
         elif self._is_new(data_name, refusal):
             # Once per cause: the counter tells how often.

@@ -1,0 +1,230 @@
+"""The table that ``run`` renews in place: each device, how it does, and how to end it."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from time import monotonic
+from typing import Any, NamedTuple
+
+from rich.cells import cell_len, set_cell_size
+
+from biosensor_common.errors import SpecError
+from biosensor_common.terminal import shortened, wrapped
+from biosensor_gateway.agent.supervisor import State
+from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.system.panel import Line, Panel, Size
+
+RATE_OVER_S = 10.0
+"""A rate is measured over so long, by the samples' own times."""
+STALE_AFTER_S = 5.0
+"""Samples of some devices come in lumps of seconds; later, there is no rate any more."""
+
+_STATES = {
+    State.DISCOVERING.value: "looking for it",
+    State.CONNECTING.value: "connecting",
+    State.STREAMING.value: "streaming",
+    State.ENABLING.value: "no data yet",
+    State.BACKOFF.value: "will try again",
+    State.STOPPED.value: "stopped",
+}
+_WELL = frozenset({"streaming", "paused"})
+_HEADINGS = ("Device", "State", "Rate", "Lost", "Battery")
+_GAP = 2
+_LEAST_NAME = 12
+_MOST_LINES_OF_ERROR = 2
+_AND_MORE = " ..."
+_BOLD, _YELLOW = "\x1b[1m", "\x1b[33m"
+
+
+class Row(NamedTuple):
+    """A device, in words."""
+
+    name: str
+    state: str
+    rate: str
+    lost: str
+    battery: str
+    error: str
+
+
+def sensor_title(sensor: str) -> str:
+    """Return what people call a sensor; its name if nothing is known of it."""
+    try:
+        return declaration(sensor).title
+    except SpecError:
+        return sensor
+
+
+class _Meter:
+    """Measures how fast one stream advances, by the stamps of its samples."""
+
+    def __init__(self) -> None:
+        self._seen: deque[tuple[int, float]] = deque()
+
+    def rate_hz(self, pushed: int, last_stamp: float, now: float) -> float | None:
+        """Take in a count and the LSL time of its newest sample; None while nothing comes."""
+        if self._seen and pushed < self._seen[-1][0]:
+            self._seen.clear()
+        if not self._seen or pushed > self._seen[-1][0]:
+            self._seen.append((pushed, last_stamp))
+        while len(self._seen) > 2 and now - self._seen[0][1] > RATE_OVER_S:
+            self._seen.popleft()
+        (first, since), (newest, until) = self._seen[0], self._seen[-1]
+        if now - until > STALE_AFTER_S:
+            self._seen.clear()
+            return None
+        return (newest - first) / (until - since) if until > since else None
+
+
+class LiveTable:
+    """Shows the agent's devices on a panel, with each report of the agent.
+
+    Parameters
+    ----------
+    panel
+    colours
+        Whether the terminal shows any.
+    """
+
+    def __init__(self, panel: Panel, *, colours: bool) -> None:
+        self._panel, self._colours = panel, colours
+        self._meters: dict[str, _Meter] = {}
+        self._begun_s = monotonic()
+
+    def report(self, status: Mapping[str, Any]) -> None:
+        """Show what the agent's status says; see `status_file.snapshot`."""
+        rows = self.rows(status)
+        running_s = int(monotonic() - self._begun_s)
+        self._panel.show(partial(picture, rows, running_s, colours=self._colours))
+
+    def rows(self, status: Mapping[str, Any]) -> list[Row]:
+        """Put the devices into words."""
+        names = _names(status["devices"])
+        now = float(status["lsl_time"])
+        return [
+            self._row(name, device, now)
+            for name, device in zip(names, status["devices"], strict=True)
+        ]
+
+    def _row(self, name: str, device: Mapping[str, Any], now: float) -> Row:
+        state = "paused" if device["paused"] else _STATES[device["state"]]
+        rate = self._rate(device, now)
+        battery = device["battery_percent"]
+        return Row(
+            name,
+            state,
+            "-" if rate is None else f"{rate:.1f} Hz",
+            str(sum(each["lost"] for each in device["streams"].values())),
+            "-" if battery is None else f"{battery:.0f} %",
+            " ".join((device["error"] or "").split()),
+        )
+
+    def _rate(self, device: Mapping[str, Any], now: float) -> float | None:
+        """Return the rate of the fastest stream; None while nothing of it is sent."""
+        sending = {
+            source: each
+            for source, each in device["streams"].items()
+            if each["pushed"] and not each["silent"]
+        }
+        if not sending:
+            return None
+        main = max(sending, key=lambda source: sending[source]["rate_hz"])
+        each = sending[main]
+        meter = self._meters.setdefault(main, _Meter())
+        return meter.rate_hz(each["pushed"], each["last_stamp"], now)
+
+
+def _names(devices: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Return what people call the devices; with the unit where it takes one to tell them apart."""
+    known = list(devices)
+    short = [" ".join(part for part in _parts(each) if part) for each in known]
+    counts = Counter(short)
+    return [
+        f"{name} {each['unit']}" if counts[name] > 1 else name
+        for name, each in zip(short, known, strict=True)
+    ]
+
+
+def _parts(device: Mapping[str, Any]) -> tuple[str, ...]:
+    return device["participant"], sensor_title(device["sensor"]), device["label"]
+
+
+def picture(rows: Sequence[Row], running_s: int, size: Size, *, colours: bool) -> list[Line]:
+    """Draw the table for a terminal of this size; what does not fit is counted."""
+    width = size.columns - 1
+    foot = _foot(running_s, width)
+    # A line above tells it from the log.
+    room = size.lines - 1 - len(foot) - 2
+    if room < 1:
+        return [Line(each) for each in foot[:1]]
+    body = list(_body(rows, width, room))
+    lines = [Line(""), *body, *(Line(each) for each in foot)]
+    return lines if colours else [Line(each.text) for each in lines]
+
+
+def _body(rows: Sequence[Row], width: int, room: int) -> Iterator[Line]:
+    columns = _columns(rows, width)
+    yield Line(_line(_HEADINGS, columns), _BOLD)
+    drawn = [list(_device(row, columns, width)) for row in rows]
+    if sum(map(len, drawn)) > room:
+        drawn = [lines[:1] for lines in drawn]
+    hidden = len(drawn) - room
+    if hidden > 0:
+        drawn = drawn[: room - 1]
+    for lines in drawn:
+        yield from lines
+    if hidden > 0:
+        yield Line(f"... and {hidden + 1} more")
+    if not rows:
+        yield Line("no device is enabled in the settings", _YELLOW)
+
+
+def _device(row: Row, columns: Mapping[int, int], width: int) -> Iterator[Line]:
+    is_well = row.state in _WELL and not row.error
+    colour = "" if is_well else _YELLOW
+    yield Line(_line(row, columns), colour)
+    if row.error:
+        told = wrapped(f"  {row.error}", width, 2).splitlines()
+        if len(told) > _MOST_LINES_OF_ERROR:
+            last = told[_MOST_LINES_OF_ERROR - 1][: width - len(_AND_MORE)]
+            told = [*told[: _MOST_LINES_OF_ERROR - 1], last + _AND_MORE]
+        yield from (Line(each, colour) for each in told)
+
+
+def _columns(rows: Sequence[Row], width: int) -> dict[int, int]:
+    """Return the width of each column that fits; those on the right go first."""
+    sizes = [
+        max(cell_len(row[column]) for row in (_HEADINGS, *rows)) for column in range(len(_HEADINGS))
+    ]
+    shown = len(sizes)
+    while shown > 1 and width - _wide(sizes[1:shown]) < min(_LEAST_NAME, sizes[0]):
+        shown -= 1
+    name = max(1, min(sizes[0], width - _wide(sizes[1:shown])))
+    return {0: name, **{column: sizes[column] for column in range(1, shown)}}
+
+
+def _wide(sizes: Sequence[int]) -> int:
+    return sum(sizes) + _GAP * len(sizes)
+
+
+def _line(cells: Sequence[str], columns: Mapping[int, int]) -> str:
+    parts: list[str] = []
+    for column, size in columns.items():
+        text = shortened(cells[column], size) if column == 0 else cells[column]
+        # Names and states begin, figures end, at their column's edge.
+        is_figure = column > 1
+        blank = " " * (size - cell_len(text))
+        parts.append(blank + text if is_figure else set_cell_size(text, size))
+    return (" " * _GAP).join(parts).rstrip()
+
+
+def _foot(running_s: int, width: int) -> list[str]:
+    minutes, seconds = divmod(running_s, 60)
+    hours, minutes = divmod(minutes, 60)
+    sentences = (
+        f"Running for {hours}:{minutes:02}:{seconds:02}. Press Ctrl-C to end it.",
+        "More, in another window: biosensor-gateway status",
+    )
+    return [line for each in sentences for line in wrapped(each, width).splitlines()]

@@ -1,0 +1,165 @@
+"""``run`` without settings: it leads to a stream, whatever is typed at each question."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.cli import guide
+from biosensor_gateway.devices.discovery import Found
+from biosensor_gateway.devices.registry import settings_models
+from biosensor_gateway.settings.file import load_settings
+from tests.rigs.terminal import Terminal, at_terminal
+
+# Virtual devices are in the air around the program, as real ones would be.
+_CODE = """
+import sys
+from biosensor_gateway.cli import main
+from biosensor_gateway.demo.virtual_devices import simulated_settings
+with simulated_settings({names!r}):
+    sys.argv = ["biosensor-gateway", "run", *{arguments!r}]
+    main()
+"""
+MENU, WHICH = "Type a number, then Enter [1]:", "Enter to go back:"
+STREAMING = re.compile(r"^Polar H10 +streaming", re.MULTILINE)
+NO_ANSWERS = ["0", "4", "-1", "1.5", "one", "9" * 5000, "1 2", b"\xff\xfe", "\u0661", "\x1b[A"]
+
+
+def program(*names: str, arguments: tuple[str, ...] = ()) -> list[str]:
+    return [sys.executable, "-c", _CODE.format(names=list(names), arguments=list(arguments))]
+
+
+def environment(folder: Path) -> Mapping[str, str]:
+    return os.environ | {
+        "BIOSENSOR_GATEWAY_STATE": str(folder / "state"),
+        "BIOSENSOR_GATEWAY_SETTINGS": str(folder / "config" / "settings.toml"),
+        "TERM": "xterm",
+        "PYTHONUTF8": "1",
+    }
+
+
+def answer(terminal: Terminal, prompt: str, text: str | bytes) -> None:
+    """Answer the question that was asked last."""
+    asked = terminal.until(lambda seen: seen.endswith(prompt))
+    terminal.type((text if isinstance(text, bytes) else text.encode()) + b"\n")
+    terminal.until(lambda seen: seen != asked)
+
+
+def test_it_leads_from_nothing_to_a_stream_and_knows_the_way_the_next_time(tmp_path: Path) -> None:
+    settings = tmp_path / "config" / "settings.toml"
+    with at_terminal(program("polar_h10"), environment(tmp_path)) as terminal:
+        terminal.until_seen("No sensor is set up yet")
+        for wrong in NO_ANSWERS:
+            answer(terminal, MENU, wrong)
+        answer(terminal, MENU, "")
+        assert terminal.until_seen(WHICH).count("is not in the list") == len(NO_ANSWERS)
+        assert not settings.exists()
+        answer(terminal, WHICH, "2")
+        answer(terminal, WHICH, "1 x")
+        answer(terminal, WHICH, "1, 1")
+        shown = terminal.until(STREAMING.search)
+        assert shown.count("is not in the list") == len(NO_ANSWERS) + 2
+        assert "no problem found" in shown
+        assert "Traceback" not in shown
+        terminal.type("\x03")
+        assert terminal.exit_code() == 0
+    (device,) = load_settings(settings, settings_models()).devices
+    assert (device.sensor, device.unit) == ("polar_h10", "A1B2C3D4")
+    with at_terminal(program("polar_h10"), environment(tmp_path)) as terminal:
+        shown = terminal.until(STREAMING.search)
+        assert MENU not in shown
+        terminal.type("\x03")
+        assert terminal.exit_code() == 0
+
+
+def test_whoever_has_no_sensor_gets_virtual_ones_and_no_settings(tmp_path: Path) -> None:
+    with at_terminal([*_plain(), "run"], environment(tmp_path)) as terminal:
+        answer(terminal, MENU, "2")
+        answer(terminal, "Enter for all:", "0")
+        answer(terminal, "Enter for all:", "8")
+        shown = terminal.until(lambda seen: seen.endswith("Enter for all:"))
+        (number,) = re.findall(r"^ +(\d) +Polar H10$", shown, re.MULTILINE)
+        answer(terminal, "Enter for all:", number)
+        terminal.until(STREAMING.search)
+        terminal.type("\x03")
+        assert terminal.exit_code() == 0
+    assert not (tmp_path / "config").exists()
+
+
+@pytest.mark.parametrize(
+    ("typed", "code"), [("3\n", 0), ("\x03", 0), ("\x04", 1)], ids=["End", "Ctrl-C", "Ctrl-D"]
+)
+def test_it_can_be_left(tmp_path: Path, typed: str, code: int) -> None:
+    with at_terminal([*_plain(), "run"], environment(tmp_path)) as terminal:
+        terminal.until(lambda seen: seen.endswith(MENU))
+        terminal.type(typed)
+        assert terminal.exit_code() == code
+    assert "Traceback" not in terminal.screen.text
+    assert not (tmp_path / "config").exists()
+
+
+def test_whoever_asks_is_asked_although_the_settings_have_a_device(tmp_path: Path) -> None:
+    settings = tmp_path / "config" / "settings.toml"
+    settings.parent.mkdir()
+    settings.write_text('[[device]]\nsensor = "zephyr"\nunit = "B1"\nport = "/dev/no-such-port"\n')
+    with at_terminal([*_plain(), "run", "--ask"], environment(tmp_path)) as terminal:
+        terminal.until_seen("Stream what the settings name: Zephyr BioHarness 3 B1")
+        answer(terminal, MENU, "")
+        terminal.until(lambda seen: re.search(r"^Zephyr BioHarness 3 +looking", seen, re.M))
+        terminal.type("\x03")
+        assert terminal.exit_code() == 0
+
+
+def test_settings_that_are_wrong_are_said_and_nobody_is_asked(tmp_path: Path) -> None:
+    settings = tmp_path / "config" / "settings.toml"
+    settings.parent.mkdir()
+    settings.write_text("[[device]]\nsensor = 1\n")
+    with at_terminal([*_plain(), "run"], environment(tmp_path)) as terminal:
+        assert terminal.exit_code() == 2
+    assert str(settings) in terminal.screen.text.replace("\n", "")
+    assert MENU not in terminal.screen.text
+
+
+def _plain() -> list[str]:
+    return [sys.executable, "-m", "biosensor_gateway.cli"]
+
+
+FOUND = Found("polar_h10", "Polar H10 A1B2C3D4", {"unit": "A1B2C3D4", "device": "A1B2C3D4"})
+
+
+def test_a_device_is_added_and_what_stands_there_stays(tmp_path: Path) -> None:
+    path = tmp_path / "settings.toml"
+    path.write_bytes(b'# mine\r\n[lsl]\r\nsession_id = "lab"')
+    path.chmod(0o600)
+    guide.add_device(path, FOUND)
+    assert path.read_bytes().startswith(b'# mine\r\n[lsl]\r\nsession_id = "lab"\n')
+    assert path.stat().st_mode & 0o777 == 0o600
+    loaded = load_settings(path, settings_models())
+    assert loaded.lsl.session_id == "lab"
+    assert [each.unit for each in loaded.devices] == ["A1B2C3D4"]
+
+
+@pytest.mark.parametrize("before", ["device = []\n", "[lsl]\nsesion_id = 1\n", "[[device"])
+def test_a_file_that_would_be_wrong_stays_as_it_is(tmp_path: Path, before: str) -> None:
+    path = tmp_path / "settings.toml"
+    path.write_text(before)
+    with pytest.raises(ConfigError) as caught:
+        guide.add_device(path, FOUND)
+    assert str(path) in str(caught.value)
+    assert path.read_text() == before
+
+
+def test_a_second_time_the_same_device_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "settings.toml"
+    guide.add_device(path, FOUND)
+    with pytest.raises(ConfigError, match="a second polar_h10") as caught:
+        guide.add_device(path, FOUND)
+    assert caught.value.reason is ConfigReason.WRONG_VALUE
+    assert len(tomllib.loads(path.read_text())["device"]) == 1

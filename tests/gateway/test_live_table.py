@@ -1,0 +1,159 @@
+"""The table of ``run``: what it says of each device, and that it fits any window."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from biosensor_common.outflow import Outflow
+from biosensor_gateway.agent.supervisor import State
+from biosensor_gateway.cli.live_table import LiveTable, Row, picture, sensor_title
+from biosensor_gateway.devices.registry import sensor_names
+from biosensor_gateway.system.panel import Panel, Size
+
+WIDE = Size(80, 24)
+REASON = "COM17: the port is in use by another program; close the program that has it open"
+
+
+def table() -> LiveTable:
+    return LiveTable(Panel(Outflow("nowhere", lambda _lines: None), lambda: None), colours=False)
+
+
+def stream(
+    pushed: int, last_stamp: float, rate_hz: float, lost: int = 0, *, silent: bool = False
+) -> dict[str, Any]:
+    return {
+        "pushed": pushed,
+        "lost": lost,
+        "last_stamp": last_stamp,
+        "rate_hz": rate_hz,
+        "silent": silent,
+    }
+
+
+def device(sensor: str = "polar_h10", **changes: Any) -> dict[str, Any]:
+    usual: dict[str, Any] = {
+        "sensor": sensor,
+        "unit": "A1B2C3D4",
+        "participant": "",
+        "label": "",
+        "state": "streaming",
+        "paused": False,
+        "error": None,
+        "battery_percent": None,
+        "streams": {},
+    }
+    return usual | changes
+
+
+def status(*devices: dict[str, Any], at: float = 100.0) -> dict[str, Any]:
+    return {"lsl_time": at, "devices": list(devices)}
+
+
+def row(**changes: Any) -> Row:
+    (shown,) = table().rows(status(device(**changes)))
+    return shown
+
+
+@pytest.mark.parametrize("state", State)
+def test_every_state_has_words_for_people(state: State) -> None:
+    words = row(state=state.value).state
+    assert words
+    assert words not in {"discovering", "enabling", "backoff"}
+    assert row(state=state.value, paused=True).state == "paused"
+
+
+def test_the_rate_is_that_of_the_fastest_stream_by_the_stamps_of_its_samples() -> None:
+    shown = table()
+    streams: dict[str, Any] = {}
+    told: Row | None = None
+    for second in range(4):
+        # In bursts, as Bluetooth sends: what counts is when it was measured.
+        streams = {
+            "hr": stream(10 + second, 100.0 + second, 0),
+            "acc": stream(5_000, 100.0, 500, silent=True),
+            "ecg": stream(73 * (second + 1), 100.0 + 73 * (second + 1) / 130, 130),
+        }
+        (told,) = shown.rows(status(device(streams=streams), at=101.0 + second))
+    assert told is not None
+    assert told.rate == "130.0 Hz"
+    # Nothing has come since.
+    (told,) = shown.rows(status(device(streams=streams), at=120.0))
+    assert told.rate == "-"
+    streams["ecg"] |= {"pushed": 73 * 5, "last_stamp": 121.0}
+    assert shown.rows(status(device(streams=streams), at=121.0))[0].rate == "-"
+    streams["ecg"] |= {"pushed": 73 * 6, "last_stamp": 121.0 + 73 / 130}
+    assert shown.rows(status(device(streams=streams), at=122.0))[0].rate == "130.0 Hz"
+
+
+def test_a_device_without_a_rate_shows_how_often_it_tells_something() -> None:
+    shown = table()
+    told: Row | None = None
+    for second in range(3):
+        streams = {"hr": stream(1 + second, 100.0 + second, 0), "bat": stream(1, 100.0, 0)}
+        (told,) = shown.rows(status(device(streams=streams), at=100.0 + second))
+    assert told is not None
+    assert told.rate == "1.0 Hz"
+
+
+def test_losses_of_all_streams_and_the_battery() -> None:
+    streams = {"ecg": stream(10, 100.0, 130, lost=73), "acc": stream(5, 100.0, 50, lost=3)}
+    shown = row(streams=streams, battery_percent=86.6)
+    assert (shown.lost, shown.battery) == ("76", "87 %")
+    assert row().battery == "-"
+
+
+def test_two_of_a_name_are_told_apart_and_others_need_no_number() -> None:
+    devices = [device(), device(unit="B"), device("zephyr"), device(label="left", participant="p1")]
+    title = sensor_title("polar_h10")
+    assert [each.name for each in table().rows(status(*devices))] == [
+        f"{title} A1B2C3D4",
+        f"{title} B",
+        sensor_title("zephyr"),
+        f"p1 {title} left",
+    ]
+
+
+def drawn(rows: list[Row], size: Size = WIDE) -> list[str]:
+    return [line.text for line in picture(rows, 3661, size, colours=False)]
+
+
+def test_a_reason_stands_below_its_device_and_how_to_end_it_below_all() -> None:
+    rows = table().rows(status(device(state="discovering", error=REASON), device("zephyr")))
+    assert drawn(rows) == [
+        "",
+        "Device               State           Rate  Lost  Battery",
+        "Polar H10            looking for it     -     0        -",
+        "  COM17: the port is in use by another program; close the program that has it",
+        "  open",
+        "Zephyr BioHarness 3  streaming          -     0        -",
+        "Running for 1:01:01. Press Ctrl-C to end it.",
+        "More, in another window: biosensor-gateway status",
+    ]
+
+
+def test_without_a_device_it_says_so() -> None:
+    assert "no device is enabled in the settings" in drawn([])
+
+
+@pytest.mark.parametrize("columns", [*range(2, 40), 60, 80, 200])
+@pytest.mark.parametrize("lines", [2, 3, 5, 8, 12, 24, 60])
+def test_it_fits_every_window_and_names_what_is_left_out(columns: int, lines: int) -> None:
+    rows = table().rows(
+        status(*(device(name, state="backoff", error=REASON) for name in sensor_names()))
+    )
+    shown = drawn(rows, Size(columns, lines))
+    assert len(shown) < lines
+    if columns >= 30:
+        assert max(map(len, shown)) < columns
+    if columns == 80 and lines >= 8:
+        named = sum(any(line.startswith(each.name) for line in shown) for each in rows)
+        left_out = [line for line in shown if line.startswith("... and ")]
+        assert named + sum(int(line.split()[2]) for line in left_out) == len(rows)
+
+
+def test_trouble_has_a_colour_only_where_there_are_colours() -> None:
+    rows = table().rows(status(device(state="backoff", error=REASON)))
+    assert any(line.colour for line in picture(rows, 0, WIDE, colours=True))
+    assert not any(line.colour for line in picture(rows, 0, WIDE, colours=False))
