@@ -14,6 +14,8 @@ from biosensor_gateway.transports.nearby import Advertisement
 
 _SERVICE = "org.bluez"
 _DEVICE = "org.bluez.Device1"
+_CHARACTERISTIC = "org.bluez.GattCharacteristic1"
+_NOTIFIED = ("Notifying", "NotifyAcquired")
 _TIMEOUT_S = 3.0
 
 
@@ -29,12 +31,16 @@ class KnownDevice(NamedTuple):
     is_connected
         By whichever program, one that has ended included.
     is_paired
+    is_listened_to
+        A program is notified of what the device measures; also while the connection is being
+        set up. BlueZ ends the notifications of a program that has ended.
     """
 
     path: str
     advertisement: Advertisement
     is_connected: bool
     is_paired: bool
+    is_listened_to: bool
 
 
 async def known_devices() -> list[KnownDevice]:
@@ -42,7 +48,7 @@ async def known_devices() -> list[KnownDevice]:
     body = await _call("/", "org.freedesktop.DBus.ObjectManager", "GetManagedObjects", "a{")
     objects: Mapping[str, Mapping[str, Any]] = body[0] if body else {}
     return [
-        _known(path, interfaces[_DEVICE])
+        _known(path, interfaces[_DEVICE], _notifying(path, objects))
         for path, interfaces in objects.items()
         if "Address" in interfaces.get(_DEVICE, {})
     ]
@@ -53,7 +59,14 @@ async def disconnect(path: str) -> None:
     await _call(path, _DEVICE, "Disconnect", "")
 
 
-def _known(path: str, properties: Mapping[str, Any]) -> KnownDevice:
+def _notifying(path: str, objects: Mapping[str, Mapping[str, Any]]) -> bool:
+    """Tell whether a characteristic of a device notifies somebody."""
+    below = [each for name, each in objects.items() if name.startswith(f"{path}/")]
+    characteristics = [each[_CHARACTERISTIC] for each in below if _CHARACTERISTIC in each]
+    return any(name in each and each[name].value for each in characteristics for name in _NOTIFIED)
+
+
+def _known(path: str, properties: Mapping[str, Any], is_notifying: bool) -> KnownDevice:
     told = {name: variant.value for name, variant in properties.items()}
     advertisement = Advertisement(
         told["Address"],
@@ -63,7 +76,15 @@ def _known(path: str, properties: Mapping[str, Any]) -> KnownDevice:
             company: bytes(data.value) for company, data in told.get("ManufacturerData", {}).items()
         },
     )
-    return KnownDevice(path, advertisement, bool(told.get("Connected")), bool(told.get("Paired")))
+    is_connected = bool(told.get("Connected"))
+    is_being_set_up = is_connected and not told.get("ServicesResolved")
+    return KnownDevice(
+        path,
+        advertisement,
+        is_connected,
+        is_paired=bool(told.get("Paired")),
+        is_listened_to=is_notifying or is_being_set_up,
+    )
 
 
 async def _call(path: str, interface: str, member: str, signature: str) -> list[Any]:

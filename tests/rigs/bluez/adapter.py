@@ -12,6 +12,7 @@ from dbus_fast.signature import Variant
 
 from biosensor_gateway.simulation.central import Central, Heard
 from biosensor_gateway.simulation.radio import Radio
+from tests.rigs.bluez.clients import watch_clients
 from tests.rigs.bluez.device import FakeDevice
 from tests.rigs.bluez.errors import BluezError, failed, not_ready
 from tests.rigs.bluez.objects import ObjectTree, Properties, Reply
@@ -112,6 +113,7 @@ class FakeBluez:
         self._radio.on_switched_off.append(self._on_switched_off)
         self._bus = await MessageBus(bus_address=self._private_bus.address).connect()
         self.tree = ObjectTree(self._bus)
+        await watch_clients(self._bus, self._end_client)
         methods = {
             "SetDiscoveryFilter": self._set_filter,
             "StartDiscovery": self._start_discovery,
@@ -186,6 +188,10 @@ class FakeBluez:
                 device.forget()
                 return None
         raise BluezError("org.bluez.Error.DoesNotExist", "Does Not Exist")
+
+    async def _end_client(self, name: str) -> None:
+        for device in list(self._devices.values()):
+            await device.end_client(name)
 
     def _on_heard(self, heard: Heard) -> None:
         device = self._devices.get(heard.address)

@@ -84,6 +84,11 @@ class FakeDevice:
         if self._link:
             await self._link.unpair()
 
+    async def end_client(self, name: str) -> None:
+        """Keep the connection of a program that has left the bus, and end what it was told."""
+        if self._objects:
+            await self._objects.end_client(name)
+
     def _methods(self) -> dict[str, Method]:
         return {"Connect": self._connect, "Disconnect": self._disconnect, "Pair": self._pair}
 

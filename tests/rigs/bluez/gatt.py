@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable
+from contextlib import suppress
 from functools import partial
 from typing import TypeVar
 
@@ -16,6 +17,7 @@ from biosensor_common.errors import TransportError
 from biosensor_gateway.simulation.advertising import uuid_string
 from biosensor_gateway.simulation.gatt_link import GattLink
 from tests.rigs.bluez.errors import (
+    BluezError,
     att_error,
     failed,
     in_progress,
@@ -54,6 +56,7 @@ class GattObjects:
         self._tree = tree
         self._link = link
         self._notified: dict[str, set[str | None]] = {}
+        self._proxies: dict[str, CharacteristicProxy[bytes]] = {}
         self._paths: list[str] = []
         self.uuids = [uuid_string(service.uuid) for service in link.services]
         for service in link.services:
@@ -64,6 +67,13 @@ class GattObjects:
         """Withdraw them all."""
         for path in self._paths:
             self._tree.remove(path)
+
+    async def end_client(self, name: str) -> None:
+        """End the notifications of a program that has left the bus."""
+        for path, notified in self._notified.items():
+            if name in notified:
+                with suppress(BluezError):
+                    await self._unnotify(path, name)
 
     def _add_service(self, device_path: str, service: ServiceProxy) -> None:
         path = f"{device_path}/service{service.handle:04x}"
@@ -98,7 +108,7 @@ class GattObjects:
         if _NOTIFYING_PROPERTIES & set(flags):
             properties["Notifying"] = Variant("b", False)
         methods["StartNotify"] = partial(self._start_notify, path, characteristic)
-        methods["StopNotify"] = partial(self._stop_notify, path, characteristic)
+        methods["StopNotify"] = partial(self._stop_notify, path)
         self._tree.add(path, _CHARACTERISTIC, properties, methods)
         for descriptor in characteristic.descriptors:
             self._add_descriptor(path, descriptor)
@@ -139,22 +149,24 @@ class GattObjects:
         if call.sender in notified:
             raise in_progress()
         if not notified:
+            self._proxies[path] = characteristic
             await self._answered(self._link.subscribe(characteristic, partial(self._show, path)))
         notified.add(call.sender)
         self._tree.change(path, _CHARACTERISTIC, {"Notifying": Variant("b", True)})
         return None
 
-    async def _stop_notify(
-        self, path: str, characteristic: CharacteristicProxy[bytes], call: Message
-    ) -> Reply:
-        notified = self._notified.get(path, set())
-        if call.sender not in notified:
+    async def _stop_notify(self, path: str, call: Message) -> Reply:
+        if call.sender not in self._notified.get(path, set()):
             raise failed("No notify session started")
-        notified.remove(call.sender)
-        if not notified:
-            await self._answered(self._link.unsubscribe(characteristic))
-            self._tree.change(path, _CHARACTERISTIC, {"Notifying": Variant("b", False)})
+        await self._unnotify(path, call.sender)
         return None
+
+    async def _unnotify(self, path: str, name: str | None) -> None:
+        notified = self._notified[path]
+        notified.remove(name)
+        if not notified:
+            await self._answered(self._link.unsubscribe(self._proxies[path]))
+            self._tree.change(path, _CHARACTERISTIC, {"Notifying": Variant("b", False)})
 
     def _show(self, path: str, value: bytes) -> None:
         self._tree.change(path, _CHARACTERISTIC, {"Value": Variant("ay", value)})
