@@ -14,7 +14,7 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.transports import ble_scanner
+from biosensor_gateway.transports import ble_choice, ble_scanner
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_scanner import advertisements, scan
 from tests.rigs.bluetooth import ON_BUMBLE
@@ -39,8 +39,9 @@ async def test_an_absent_device_is_absent_with_advice(probe: Probe) -> None:
 
 @pytest.mark.parametrize("device", ["2", "probe 2", "a0-9e-1a-00-00-02", "A0:9E:1A:00:00:02"])
 async def test_a_device_is_chosen_by_id_name_or_address(
-    device: str, radio: Radio, probe: Probe
+    device: str, radio: Radio, probe: Probe, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(ble_choice, "RIVALS_S", 0.5)
     other = switched_on(radio, 2)
     link = BleLink(choice(device))
     assert (await link.open()).address == other.address

@@ -88,6 +88,8 @@ async def test_it_is_taken_once(link: BleLink) -> None:
     chosen = choice("1")
     first = BleLink(chosen)
     await first.open()
-    assert (await refusal(BleLink(chosen).open())).reason is TransportReason.ABSENT
+    error = await refusal(BleLink(chosen).open())
+    assert error.reason is TransportReason.ABSENT
+    assert "is connected to this computer already" in str(error)
     assert await first.read(SERIAL) == b"0815"
     await first.close()

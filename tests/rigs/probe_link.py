@@ -16,9 +16,10 @@ from tests.rigs.probe import Probe
 DEADLINE_S = 20.0
 
 
-def switched_on(radio: Radio, number: int, *, rssi_dbm: int = -58) -> Probe:
-    """Switch on one of several probes."""
-    probe = Probe(radio, f"A0:9E:1A:00:00:{number:02X}", f"Probe {number}", rssi_dbm=rssi_dbm)
+def switched_on(radio: Radio, number: int, name: str = "", *, rssi_dbm: int = -58) -> Probe:
+    """Switch on one of several probes, by default called by its number."""
+    address = f"A0:9E:1A:00:00:{number:02X}"
+    probe = Probe(radio, address, name or f"Probe {number}", rssi_dbm=rssi_dbm)
     probe.power_on()
     return probe
 
@@ -26,6 +27,11 @@ def switched_on(radio: Radio, number: int, *, rssi_dbm: int = -58) -> Probe:
 def choice(device: str = "") -> Choice:
     """Choose a probe by its number."""
     return Choice(_number_of, "Probe", device, "press its button")
+
+
+def generic_choice(device: str = "") -> Choice:
+    """Choose any device, as one of a kind that has others in it."""
+    return Choice(lambda seen: seen.address, "thing", device, "press its button", is_generic=True)
 
 
 async def refusal(attempt: Awaitable[object]) -> GatewayError:

@@ -1,10 +1,11 @@
-"""Chooses the device in range that a driver connects to."""
+"""Chooses the device in range that a driver connects to, and keeps to it."""
 
 from __future__ import annotations
 
 import asyncio
 import re
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
+from weakref import WeakKeyDictionary, WeakSet
 
 import structlog
 
@@ -24,9 +25,10 @@ _SEPARATORS = re.compile(r"[\W_]+")
 class Choice:
     """One device of a kind; shared by all connections of a driver.
 
-    Without an id, the only device in range is taken. From then on it is the
-    chosen one: a second device of the kind that is switched on later must never
-    take its place.
+    A device that is not told by its id or address, but by its name or as the only one in
+    range, is taken if no other fits and no other choice of the event loop wants it. The
+    one that was connected stays the chosen one, by its address: a second device of the
+    kind, or of the name, must never take its place.
 
     Parameters
     ----------
@@ -40,6 +42,9 @@ class Choice:
         matter. Empty takes the only one in range.
     advice
         What to do when it cannot be found, for the end of a sentence.
+    is_generic
+        The kind has devices in it for which there are other kinds: those are left to
+        choices of these.
     """
 
     def __init__(
@@ -48,12 +53,19 @@ class Choice:
         kind: str,
         device: str = "",
         advice: str = "switch it on and bring it nearer",
+        *,
+        is_generic: bool = False,
     ) -> None:
         self._identify = identify
         self._kind = kind
         self._device = device
         self._advice = advice
+        self._is_generic = is_generic
         self._has_let_go = False
+        self._kept = ""
+        self._found = ""
+        self._passed_over: dict[str, Advertisement] = {}
+        self._warned_of: set[str] = set()
 
     @property
     def what(self) -> str:
@@ -62,7 +74,29 @@ class Choice:
 
     def keep(self, seen: Advertisement) -> None:
         """Keep to this device from now on."""
+        if not self._kept and not self._is_certain(seen):
+            say = _log.warning if self._device else _log.info
+            say(
+                f'{self.what}: connected to {_shown(seen)}; set device = "{seen.address}" in its '
+                "table, so that no other one can be taken in its place at the next start"
+            )
         self._device = self._device or self._identify(seen) or seen.address
+        self._kept = seen.address
+
+    def claims(self, seen: Advertisement, *, from_generic: bool) -> bool:
+        """Whether a device is this choice's, and not that of one that tells it less exactly.
+
+        Parameters
+        ----------
+        seen
+        from_generic
+            The other one is of a generic kind.
+        """
+        if self._found:
+            return seen.address == self._found
+        if self._device:
+            return self._answers(seen)
+        return from_generic and not self._is_generic and self._answers(seen)
 
     async def find(self) -> Sighting:
         """Scan until the device is heard.
@@ -72,49 +106,59 @@ class Choice:
         TransportError
             ``ABSENT`` after 10 s; ``UNAVAILABLE`` or ``DENIED`` without a radio.
         ProtocolError
-            ``REFUSED``: several are in range and none is chosen.
+            ``REFUSED``: several are in range and it is not told which.
         """
+        self._found = self._kept
+        self._passed_over.clear()
+        _of_this_loop().add(self)
         await self._let_go_once()
         async with sightings() as heard:
             try:
                 async with asyncio.timeout(SCAN_S):
-                    first = await self._next(heard)
+                    found = await self._next(heard)
             except TimeoutError as error:
-                message = f"{self.what} is not in range; {self._advice}"
-                raise TransportError(TransportReason.ABSENT, message) from error
-            return first if self._device else await self._without_rivals(first, heard)
+                raise await self._absence() from error
+            if not self._is_certain(found.advertisement):
+                found = await self._without_rivals(found, heard)
+            # Before the scan ends, which takes its time: others must not come to it meanwhile.
+            self._found = found.advertisement.address
+        return found
 
     async def _let_go_once(self) -> None:
-        """Free the chosen device of a connection that an agent which was killed has left.
+        """Free the device of a connection that an agent which was killed has left.
 
         BlueZ keeps it, and a device that is connected does not advertise. Later on the
-        connection is one of this agent, and a device that was not named may be somebody's.
+        connection is one of this agent, and a device that was not told by its id or address
+        may be somebody's who listens to it.
         """
-        if self._has_let_go or not self._device:
+        if self._has_let_go:
             return
         self._has_let_go = True
         for known in await bluez.known_devices():
-            if known.is_connected and self._wants(known.advertisement):
+            seen = known.advertisement
+            is_free = self._is_certain(seen) or not known.is_listened_to
+            if known.is_connected and is_free and self._wants(seen):
                 _log.warning(
-                    f"{self.what} is still connected to this computer, perhaps by an agent that "
-                    "was killed; it is disconnected first"
+                    f"{self.what} is still connected to this computer ({_shown(seen)}), perhaps "
+                    "by an agent that was killed; it is disconnected first"
                 )
                 await bluez.disconnect(known.path)
 
     async def _without_rivals(self, first: Sighting, heard: AsyncIterator[Sighting]) -> Sighting:
-        found = {first.advertisement.address: first}
+        newest = {first.advertisement.address: first}
         try:
             async with asyncio.timeout(RIVALS_S):
-                while True:
-                    sighting = await self._next(heard)
-                    found[sighting.advertisement.address] = sighting
+                async for sighting in heard:
+                    newest[sighting.advertisement.address] = sighting
         except TimeoutError:
             pass
-        if len(found) > 1:
-            names = ", ".join(sorted(self._id(each.advertisement) for each in found.values()))
-            message = f"more than one {self._kind} is in range ({names})"
-            raise ProtocolError(ProtocolReason.REFUSED, f"{message}; set `device` to one of them")
-        return found[first.advertisement.address]
+        # Its name may have come later, or another choice to it.
+        left = [each for each in newest.values() if self._wants(each.advertisement)]
+        if len(left) > 1:
+            raise self._too_many([each.advertisement for each in left])
+        if not left:
+            raise await self._absence()
+        return left[0]
 
     async def _next(self, heard: AsyncIterator[Sighting]) -> Sighting:
         while True:
@@ -123,14 +167,99 @@ class Choice:
                 return sighting
 
     def _wants(self, seen: Advertisement) -> bool:
+        if self._is_certain(seen):
+            return True
+        if not self._answers(seen):
+            return False
+        if self._kept:
+            self._warn_of(seen)
+        elif not self._is_of_another(seen):
+            return True
+        self._passed_over[seen.address] = seen
+        return False
+
+    def _answers(self, seen: Advertisement) -> bool:
+        """Whether it is of the kind, and the settings may mean it."""
         identity = self._identify(seen)
         if identity is None:
             return False
         wanted = _bare(self._device)
         return not wanted or wanted in {_bare(identity), _bare(seen.name), _bare(seen.address)}
 
-    def _id(self, seen: Advertisement) -> str:
-        return self._identify(seen) or seen.address
+    def _is_certain(self, seen: Advertisement) -> bool:
+        """Whether it is told from all others: by its id, by its address, or as the one before."""
+        if self._kept:
+            return seen.address == self._kept
+        identity, wanted = self._identify(seen), _bare(self._device)
+        if identity is None or not wanted:
+            return False
+        return wanted in {_bare(identity), _bare(seen.address)}
+
+    def _is_of_another(self, seen: Advertisement) -> bool:
+        others = [each for each in _of_this_loop() if each is not self]
+        return any(each.claims(seen, from_generic=self._is_generic) for each in others)
+
+    def _warn_of(self, seen: Advertisement) -> None:
+        if seen.address not in self._warned_of:
+            self._warned_of.add(seen.address)
+            _log.warning(
+                f"another device answers to {self._device} ({_shown(seen)}); it is not taken in "
+                f"place of the one that was connected ({self._kept})"
+            )
+
+    def _too_many(self, seen: Sequence[Advertisement]) -> ProtocolError:
+        if self._device:
+            message = (
+                f"more than one device in range is called {self._device} ({_addresses(seen)}); "
+                "set `device` to the address of yours: `scan` lists the nearest first"
+            )
+        else:
+            names = ", ".join(sorted(self._identify(each) or each.address for each in seen))
+            message = (
+                f"more than one {self._kind} is in range ({names}); set `device` to one of them"
+            )
+        return ProtocolError(ProtocolReason.REFUSED, message)
+
+    async def _absence(self) -> TransportError:
+        """Tell why it is not found, as far as that is known."""
+        heard = list(self._passed_over.values())
+        for known in await bluez.known_devices():
+            if known.is_connected and self._wants(known.advertisement):
+                address = known.advertisement.address
+                message = (
+                    f"{self.what} is connected to this computer already; end the program that uses "
+                    f"it, or free it: bluetoothctl disconnect {address}"
+                )
+                return TransportError(TransportReason.ABSENT, message)
+        message = f"{self.what} is not in range; {self._advice}"
+        if heard and self._kept:
+            message = (
+                f"{self.what} ({self._kept}) is not in range, only another that answers to it "
+                f"({_addresses(heard)}); {self._advice}, or set `device` to the address of yours"
+            )
+        elif heard:
+            names = ", ".join(sorted(map(_shown, heard)))
+            message = (
+                f"{self.what} is not in range, only what other tables of the settings use "
+                f"({names}); {self._advice}"
+            )
+        return TransportError(TransportReason.ABSENT, message)
+
+
+_choices: WeakKeyDictionary[asyncio.AbstractEventLoop, WeakSet[Choice]] = WeakKeyDictionary()
+
+
+def _of_this_loop() -> WeakSet[Choice]:
+    """All choices that were looked for and may be again."""
+    return _choices.setdefault(asyncio.get_running_loop(), WeakSet())
+
+
+def _shown(seen: Advertisement) -> str:
+    return f"{seen.name} {seen.address}".strip()
+
+
+def _addresses(seen: Sequence[Advertisement]) -> str:
+    return ", ".join(sorted(each.address for each in seen))
 
 
 def _bare(name: str) -> str:

@@ -105,7 +105,7 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], HeartRateStrapDr
     own = own_settings(HeartRateStrapSettings, settings)
     emitter = StrapEmitter(sink)
     kind = identify_any if own.device else identify
-    choice = Choice(kind, "heart-rate strap", own.device, _ADVICE)
+    choice = Choice(kind, "heart-rate strap", own.device, _ADVICE, is_generic=True)
     return lambda: HeartRateStrapDriver(BleLink(choice, sink.clock, pair_first=own.pair), emitter)
 
 
