@@ -18,6 +18,8 @@ import keyring
 import pytest
 from keyring.backends import fail
 
+from biosensor_gateway.devices.ble_heart_rate.simulator import SimulatedHeartRateStrap
+from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.emotiv_insight.simulator import (
     Circumstances,
     SimulatedCortex,
@@ -39,8 +41,8 @@ Run = Callable[..., "Outcome"]
 Started = Callable[..., AbstractContextManager[subprocess.Popen[bytes]]]
 
 STRAPS = {
-    "polar_h10": {"unit": "A1B2C3D4", "device": "A1B2C3D4"},
-    "vernier_respiration_belt": {"unit": "0K2002Z5", "device": "0K2002Z5"},
+    "polar_h10": {"unit": "A1B2C3D4", "device": "A0:9E:1A:A1:B2:C3"},
+    "vernier_respiration_belt": {"unit": "0K2002Z5", "device": "E0:F5:BD:94:6A:1B"},
     "ble_heart_rate": {"unit": "C8:25:00:00:00:01", "device": "C8:25:00:00:00:01"},
 }
 FOUND = (*STRAPS, "emotiv_insight", "empatica_e4")
@@ -120,7 +122,30 @@ def test_two_of_a_kind_are_two_devices(run: Run, world: World, radio: Radio) -> 
         SimulatedPolarH10(world, radio, address="A0:9E:1A:00:00:02", device_id="BBBB0002"),
     ):
         found = sections(run("scan", "--seconds", "2", "--json"))[BLUETOOTH]["found"]
-    assert {device["settings"]["device"] for device in found} == {"AAAA0001", "BBBB0002"}
+    assert {device["settings"]["unit"] for device in found} == {"AAAA0001", "BBBB0002"}
+
+
+def test_two_of_a_name_are_told_apart_by_address(run: Run, world: World, radio: Radio) -> None:
+    name, addresses = "Strap", ("C8:25:00:00:00:01", "C8:25:00:00:00:02")
+    with (
+        SimulatedHeartRateStrap(world, radio, address=addresses[0], name=name),
+        SimulatedHeartRateStrap(world, radio, address=addresses[1], name=name),
+    ):
+        outcome = run("scan", "--seconds", "2")
+    assert all(f'device = "{each}"' in outcome.out for each in addresses)
+    assert (
+        f"  2 are called {name}: only the address under `device` tells them apart. Hold one to "
+        "this computer and scan again: the nearest comes first.\n"
+    ) in outcome.out
+
+
+def test_macos_has_identifiers_that_hold_for_one_computer() -> None:
+    identifier = "6F8D4C1E-0B7A-4D3C-9E52-1A2B3C4D5E6F"
+    strap = Found("any", "Strap", {"unit": "1", "device": identifier})
+    address = Found("any", "Strap", {"unit": "2", "device": "C8:25:00:00:00:01"})
+    (sentence,) = search.advice(search.Section(BLUETOOTH, (strap,)))
+    assert sentence.startswith("macOS shows identifiers in place of addresses: another computer")
+    assert search.advice(search.Section(BLUETOOTH, (address,))) == []
 
 
 def test_a_radio_that_is_off_is_one_line(run: Run, world: World, radio: Radio) -> None:

@@ -19,13 +19,13 @@ def seen(name: str, uuids: frozenset[str] = HEART_RATE) -> Advertisement:
 
 
 @pytest.mark.parametrize("model", ["H10", "Sense", "OH1"])
-def test_the_id_on_the_sensor_leads_to_it(model: str) -> None:
+def test_the_id_on_the_sensor_names_it_and_its_address_leads_to_it(model: str) -> None:
     found = recognise(seen(f"Polar {model} A1B2C3D4"))
     assert found is not None
     assert (found.sensor, found.rssi_dbm) == ("polar_h10", -58)
     assert found.name == f"Polar {model} A1B2C3D4"
     settings = PolarH10Settings.model_validate({"sensor": found.sensor, **found.settings})
-    assert settings.device == settings.unit == "A1B2C3D4"
+    assert (settings.unit, settings.device) == ("A1B2C3D4", "A0:9E:1A:00:00:01")
 
 
 def test_the_maker_s_number_is_as_good_as_the_service() -> None:

@@ -11,9 +11,9 @@ from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 ADDRESS = "E0:F5:BD:94:6A:1B"
 
 
-def test_a_belt_is_found_with_its_serial_number() -> None:
+def test_a_belt_is_found_with_its_serial_number_and_its_address() -> None:
     found = recognise(Advertisement(ADDRESS, "GDX-RB 0K2002Z5", -61))
-    settings = {"unit": "0K2002Z5", "device": "0K2002Z5"}
+    settings = {"unit": "0K2002Z5", "device": ADDRESS}
     assert found == Found("vernier_respiration_belt", "GDX-RB 0K2002Z5", settings, -61)
 
 

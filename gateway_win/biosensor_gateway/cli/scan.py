@@ -41,6 +41,9 @@ def _print_sections(sections: list[search.Section]) -> None:
             say(f"  {found.name}{signal}", hang=4)
             typer.echo()
             typer.echo("\n".join(f"    {line}" for line in search.toml_lines(found).splitlines()))
+        for sentence in search.advice(section):
+            typer.echo()
+            say(f"  {sentence}", hang=2)
         if section.others:
             say(f"  not known to any driver: {', '.join(section.others)}", hang=4)
         typer.echo()

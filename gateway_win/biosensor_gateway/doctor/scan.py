@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +19,10 @@ from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble_scanner import scan as scan_bluetooth
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 from biosensor_gateway.transports.serial_ports import serial_ports
+
+_ADDRESS = "device"
+_IDENTIFIER = re.compile(r"[0-9A-F]{8}(-[0-9A-F]{4}){3}-[0-9A-F]{12}", re.IGNORECASE)
+"""How macOS names a Bluetooth device."""
 
 _log = structlog.get_logger("biosensor_gateway.scan")
 
@@ -138,6 +143,26 @@ def toml_lines(found: Found) -> str:
     for key, value in found.settings.items():
         table[key] = value
     return f"[[device]]\n{tomlkit.dumps(table).strip()}"
+
+
+def advice(section: Section) -> list[str]:
+    """Say how to tell devices apart that are called alike, or only known by an identifier."""
+    addresses: dict[str, set[str]] = {}
+    for each in section.found:
+        addresses.setdefault(each.name, set()).add(str(each.settings.get(_ADDRESS, "")))
+    advice = [
+        f"{len(alike)} are called {name}: only the address under `device` tells them apart. Hold "
+        "one to this computer and scan again: the nearest comes first."
+        for name, alike in addresses.items()
+        if len(alike) > 1
+    ]
+    if any(_IDENTIFIER.fullmatch(each) for alike in addresses.values() for each in alike):
+        advice.append(
+            "macOS shows identifiers in place of addresses: another computer has others for the "
+            "same devices. To see whose is whose, hold one to this computer and scan again: the "
+            "nearest comes first."
+        )
+    return advice
 
 
 def as_json(sections: Sequence[Section]) -> list[dict[str, Any]]:

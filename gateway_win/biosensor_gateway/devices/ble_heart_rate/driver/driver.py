@@ -36,7 +36,8 @@ class HeartRateStrapSettings(DeviceSettings):
     device: str = Field(
         default="",
         max_length=64,
-        description="Bluetooth address or name of the strap; empty takes the only one in range.",
+        description="Bluetooth address of the strap, as scan shows it, or its name, which another "
+        "strap may have, too; empty takes the only one in range that no other table uses.",
         examples=["C0:FF:EE:12:34:56"],
     )
     pair: bool = Field(

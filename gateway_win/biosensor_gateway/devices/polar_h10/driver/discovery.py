@@ -28,5 +28,5 @@ def recognise(seen: Advertisement | SerialPort) -> Found | None:
     identity = identify(seen) if isinstance(seen, Advertisement) else None
     if not isinstance(seen, Advertisement) or identity is None:
         return None
-    settings = {"unit": identity, "device": identity}
+    settings = {"unit": identity, "device": seen.address}
     return Found("polar_h10", seen.name.strip(), settings, seen.rssi_dbm)

@@ -42,8 +42,8 @@ class PolarH10Settings(DeviceSettings):
     device: str = Field(
         default="",
         max_length=64,
-        description="Id printed on the sensor (8 characters), or its Bluetooth address; empty "
-        "takes the only one in range.",
+        description="Bluetooth address of the sensor, as scan shows it, or the id printed on it (8 "
+        "characters); empty takes the only one in range.",
         examples=["A1B2C3D4"],
     )
     ecg: bool = Field(default=True, description="Whether the H10 sends its ECG.")

@@ -24,6 +24,5 @@ def recognise(seen: Advertisement | SerialPort) -> Found | None:
     serial = identify(seen)
     if serial is None:
         return None
-    unit = serial or seen.address
-    settings = {"unit": unit, "device": unit}
+    settings = {"unit": serial or seen.address, "device": seen.address}
     return Found("vernier_respiration_belt", seen.name, settings, seen.rssi_dbm)

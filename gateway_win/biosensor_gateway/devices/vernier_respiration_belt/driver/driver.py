@@ -51,8 +51,8 @@ class VernierSettings(DeviceSettings):
 
     device: str = Field(
         default="",
-        description="Serial number of the belt, which ends its Bluetooth name, or its Bluetooth "
-        "address. Empty takes the only belt in range.",
+        description="Bluetooth address of the belt, as scan shows it, or its serial number, which "
+        "ends its Bluetooth name; empty takes the only belt in range.",
         examples=["0K2002Z5"],
     )
     period_ms: int = Field(
