@@ -13,6 +13,7 @@ import pylsl
 import structlog
 
 from biosensor_common.device_clock import ClockState
+from biosensor_common.heap import limit_arenas
 from biosensor_common.lsl_config import LslOverrides
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import status_file
@@ -57,6 +58,7 @@ class Agent:
 
     def __init__(self, settings: GatewaySettings, folder: Path) -> None:
         self._folder = folder
+        limit_arenas(os.environ)
         taken_over = configure_lsl(_overrides(settings.lsl))
         if taken_over is not None:
             people = f"LSL's own settings are heeded: {taken_over}"

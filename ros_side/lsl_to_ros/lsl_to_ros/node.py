@@ -18,6 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from biosensor_common.errors import ConfigError
+from biosensor_common.heap import limit_arenas
 from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
 from biosensor_common.relay import console_relayed
 from lsl_to_ros import fastdds
@@ -26,6 +27,7 @@ from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.lsl.discovery import Discovery
 from lsl_to_ros.lsl.hosts import Senders
 from lsl_to_ros.lsl.readers import Pump
+from lsl_to_ros.lsl.sender_clocks import SenderClocks
 from lsl_to_ros.parameters import node as node_parameters
 from lsl_to_ros.parameters.node import (
     BURST_PACING,
@@ -41,7 +43,6 @@ from lsl_to_ros.topics.pacing import Pace, Pacer
 
 LOOK_PERIOD_S = 0.1
 REPORT_PERIOD_S = 1.0
-CORRECTION_PERIOD_S = 1.0
 # Answers that come later count, too, so a short pause costs nothing but load: at 0.1 s, 64
 # streams answer so often that it takes a tenth of a core more. liblsl's own are 0.5 and 0.75 s.
 SEARCH_PAUSE_S = 0.2
@@ -78,13 +79,12 @@ class LslToRos(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(LOOK_PERIOD_S, self._look, clock=steady)
         self.create_timer(REPORT_PERIOD_S, self._reporting.report, clock=steady)
-        self._stopping = threading.Event()
-        threading.Thread(target=self._measure_corrections, daemon=True).start()
+        self._sender_clocks = SenderClocks(lambda: self._discovery.inlets)
         self._pacer.start()
 
     def stop(self) -> None:
         """Close every inlet, and publish what has come."""
-        self._stopping.set()
+        self._sender_clocks.stop()
         self._pump.stop()
         self._discovery.stop()
         self._pacer.stop()
@@ -114,17 +114,10 @@ class LslToRos(Node):
         if self._senders.look(self._discovery.inlets):
             self._reporting.report()
 
-    def _measure_corrections(self) -> None:
-        """Clock offsets may take a round trip each, so they are measured beside the data's path."""
-        while not self._stopping.wait(CORRECTION_PERIOD_S):
-            for inlet in self._discovery.inlets:
-                if self._stopping.is_set():
-                    return
-                inlet.measure_correction()
-
 
 def main() -> None:
     """Run the node until SIGINT or SIGTERM; exit code 0, or 2 for unusable settings."""
+    limit_arenas(os.environ)
     if sys.stderr.isatty():
         # rcutils asks at each line whether it writes to a terminal, and will find a pipe.
         os.environ.setdefault("RCUTILS_COLORIZED_OUTPUT", "1")

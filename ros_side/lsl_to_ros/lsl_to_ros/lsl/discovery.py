@@ -12,6 +12,7 @@ import pylsl
 from biosensor_common.errors import SpecError
 from biosensor_common.quantities import ContentType
 from lsl_to_ros.lsl.inlets import Inlet, InletState
+from lsl_to_ros.lsl.rivals import Rivals, Swap
 
 # An outlet that has just died is still reported by the resolver for a while.
 RETRY_S = 0.5
@@ -19,10 +20,6 @@ RETRY_FAILED_S = 5.0
 FORGET_AFTER_S = 5.0
 # An outlet that is reported for longer after another took its place is alive.
 ALIVE_AFTER_S = FORGET_AFTER_S + 2.0
-# After a cut, TCP sends again after 6.3 s or 12.7 s, with all that it kept; the tries
-# after that are so far apart that a stream which is seen again is not waited for.
-PATIENCE_S = 14.0
-SEEN_AGAIN_S = 4.0
 STOP_TIMEOUT_S = 1.0
 
 
@@ -39,7 +36,8 @@ class Discovery:
     An inlet is given up when its stream is lost or comes back under the same
     source_id, never because the resolver stopped seeing it: a cut network heals
     by itself, with its backlog. Where it does not within some seconds after the
-    resolver sees the stream again, the stream is attached anew, without it.
+    resolver sees the stream again, a second inlet is opened, and the first that
+    brings something stays (:class:`~lsl_to_ros.lsl.rivals.Rivals`).
     """
 
     def __init__(self, warn: Callable[[str], None], predicate: str = "") -> None:
@@ -54,8 +52,7 @@ class Discovery:
         self._left_out: dict[str, float] = {}
         self._refused: set[str] = set()
         self._warned: set[str] = set()
-        self._unseen: set[str] = set()
-        self._seen_again: dict[str, float] = {}
+        self._rivals = Rivals(warn)
 
     @property
     def inlets(self) -> list[Inlet]:
@@ -83,12 +80,15 @@ class Discovery:
         """Open inlets for new streams; return those that became ready or ended."""
         gone = self._ended()
         found = {info.uid(): info for info in self._resolver.results()}
-        gone += [inlet for inlet in self._stranded(found) if inlet not in gone]
+        swaps = self._swaps(gone, found)
+        gone += [swap.old for swap in swaps if swap.old not in gone]
         for uid, info in found.items():
             self._order.setdefault(uid, next(self._numbers))
             if self._is_new(uid) and not self._is_superseded(info):
                 gone += self._open(info)
-        self._forget(gone, found)
+        self._close(gone)
+        self._inlets.update((swap.new.uid, swap.new) for swap in swaps)
+        self._forget_all_but(found)
         self._warn_of_duplicates(found)
         ready = [
             inlet
@@ -102,6 +102,7 @@ class Discovery:
 
     def stop(self) -> None:
         """End all inlets."""
+        self._rivals.stop()
         closing = [inlet.stop() for inlet in self.inlets]
         deadline = monotonic() + STOP_TIMEOUT_S
         for thread in closing:
@@ -121,28 +122,11 @@ class Discovery:
                 ended.append(inlet)
         return ended
 
-    def _stranded(self, found: Mapping[str, pylsl.StreamInfo]) -> list[Inlet]:
-        """Return the inlets whose stream is seen again after a cut, and is not heard."""
-        now = monotonic()
-        for inlet in self.inlets:
-            if inlet.uid not in found:
-                self._unseen.add(inlet.uid)
-                self._seen_again.pop(inlet.uid, None)
-            elif inlet.uid in self._unseen:
-                self._unseen.discard(inlet.uid)
-                self._seen_again[inlet.uid] = now
-        silent = [
-            inlet
-            for inlet in self.inlets
-            if now - self._seen_again.get(inlet.uid, now) > SEEN_AGAIN_S
-            and now - inlet.heard_s > PATIENCE_S
-        ]
-        # What is irregular may have nothing to say; it goes with its computer's other streams.
-        hosts = {inlet.core.hostname for inlet in silent if inlet.core.rate > 0 < inlet.heard_s}
-        stranded = [inlet for inlet in silent if inlet.core.hostname in hosts]
-        for inlet in stranded:
-            self._warn(f"{inlet.core}: seen again after a cut, but not heard; it is opened anew")
-        return stranded
+    def _swaps(self, ended: list[Inlet], found: Mapping[str, pylsl.StreamInfo]) -> list[Swap]:
+        """Return who takes the place of inlets that have ended or are given up."""
+        followed = [Swap(old, new) for old in ended if (new := self._rivals.successor(old))]
+        present = {uid: inlet for uid, inlet in self._inlets.items() if inlet not in ended}
+        return followed + self._rivals.look(present, found)
 
     def _is_served_otherwise(self, inlet: Inlet) -> bool:
         """Whether the predicate has changed for a stream since it was announced."""
@@ -190,18 +174,18 @@ class Discovery:
                     f"two LSL streams {name!r} share a source_id; that on {host} is left out"
                 )
 
-    def _forget(self, gone: list[Inlet], found: Mapping[str, pylsl.StreamInfo]) -> None:
+    def _close(self, gone: list[Inlet]) -> None:
         for inlet in gone:
             inlet.stop()
+            self._rivals.close(inlet.uid)
             self._inlets.pop(inlet.uid, None)
             self._announced.discard(inlet.uid)
+
+    def _forget_all_but(self, found: Mapping[str, pylsl.StreamInfo]) -> None:
         known = found.keys() | self._inlets.keys()
         for record in (self._not_before, self._left_out, self._order):
             for uid in record.keys() - known:
                 del record[uid]
-        self._unseen.intersection_update(self._inlets)
-        for uid in self._seen_again.keys() - self._inlets.keys():
-            del self._seen_again[uid]
         self._refused.intersection_update(found)
         self._warned.intersection_update(found)
 

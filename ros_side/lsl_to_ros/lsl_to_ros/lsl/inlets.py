@@ -6,7 +6,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from enum import Enum, unique
 from typing import Protocol
 
@@ -23,9 +22,6 @@ from lsl_to_ros.lsl.liblsl import matches_query, samples_available
 from lsl_to_ros.lsl.pulls import decoded, pull, pull_one
 
 OPEN_TIMEOUT_S = 10.0
-FIRST_CORRECTION_TIMEOUT_S = 5.0
-# A first measurement that has failed is awaited so long at every look.
-CORRECTION_TIMEOUT_S = 0.05
 CORRECTIONS_KEPT = 10
 # How long a blocked pull keeps its thread from noticing that it should end.
 PULL_TIMEOUT_S = 0.2
@@ -96,6 +92,8 @@ class Inlet:
 
     Attributes
     ----------
+    info
+        As it was given.
     header
         Set once the state is ``READY``.
     is_served
@@ -109,6 +107,7 @@ class Inlet:
 
     def __init__(self, info: pylsl.StreamInfo, warn: Callable[[str], None]) -> None:
         self.uid = info.uid()
+        self.info = info
         self.state = InletState.OPENING
         self.header: StreamHeader | None = None
         self.core = read_core(info)
@@ -198,6 +197,28 @@ class Inlet:
         with self._pulling:
             self._guarded(lambda lsl: self._follow(lsl, is_to_go_on))
 
+    @property
+    def has_samples(self) -> bool:
+        """Whether samples have come that nobody has taken yet."""
+        lsl = self._lsl
+        return self.state is InletState.READY and lsl is not None and samples_available(lsl) > 0
+
+    def give_up(self, since_s: float) -> bool:
+        """End the delivery, unless something was delivered after that monotonic time.
+
+        Returns
+        -------
+        bool
+            Whether it has ended: the receiver gets nothing more.
+        """
+        with self._delivery:
+            if self.heard_s > since_s:
+                return False
+            if self._receiver is not None:
+                self._receiver.end(0)
+            self._receiver = None
+            return True
+
     def stop(self) -> threading.Thread:
         """End the inlet after what has come; the receiver gets nothing more.
 
@@ -213,22 +234,15 @@ class Inlet:
         thread.start()
         return thread
 
-    def measure_correction(self, timeout_s: float = CORRECTION_TIMEOUT_S) -> None:
-        """Refresh ``correction``."""
-        lsl = self._lsl
-        if lsl is None:
-            return
-        # Whoever reads finds a loss out and says so; the last correction still holds.
-        # Every error of pylsl is a RuntimeError.
-        with suppress(RuntimeError):
-            correction = lsl.time_correction(timeout_s)
-            is_first = self.correction is None
-            self._corrections.append(correction)
-            self.correction = correction
-            if is_first:
-                with self._delivery:
-                    if self._receiver is not None:
-                        self._receiver.clock_known()
+    def take_correction(self, correction: float) -> None:
+        """Take in a measurement of the sender's clock."""
+        is_first = self.correction is None
+        self._corrections.append(correction)
+        self.correction = correction
+        if is_first:
+            with self._delivery:
+                if self._receiver is not None:
+                    self._receiver.clock_known()
 
     def _open(self, info: pylsl.StreamInfo) -> None:
         try:
@@ -242,8 +256,6 @@ class Inlet:
             return
         self._lsl = None if self._is_stopped.is_set() else lsl
         self._guarded(self._read_descriptions)
-        if self.state is InletState.READY:
-            self.measure_correction(FIRST_CORRECTION_TIMEOUT_S)
 
     def _read_descriptions(self, lsl: pylsl.StreamInlet) -> None:
         lsl.open_stream(OPEN_TIMEOUT_S)

@@ -1,0 +1,158 @@
+"""Opens second inlets for streams that are seen again and not heard.
+
+A cut network heals by itself, with its backlog, unless the cut was so long that TCP's next
+try is far away; then only a new connection helps, and the backlog is lost. A sender that
+was merely starved of time looks the same, but goes on where it was. So both inlets stay
+open, and the first that brings something wins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from time import monotonic
+from typing import NamedTuple
+
+import pylsl
+
+from biosensor_common.errors import SpecError
+from lsl_to_ros.lsl.inlets import Inlet, InletState
+
+# After a cut, TCP sends again after 6.3 s or 12.7 s, with all that it kept; the tries
+# after that are so far apart that a stream which is seen again is not waited for.
+PATIENCE_S = 14.0
+SEEN_AGAIN_S = 4.0
+# A sender that has just got time again may serve the new connection first.
+GRACE_S = 1.0
+
+
+class Swap(NamedTuple):
+    """An inlet that is given up, and the one that takes its place."""
+
+    old: Inlet
+    new: Inlet
+
+
+@dataclass(slots=True)
+class _Rival:
+    inlet: Inlet
+    opened_s: float = field(default_factory=monotonic)
+    filled_s: float | None = None
+
+    @property
+    def has_won(self) -> bool:
+        """Whether it has had samples for a while."""
+        if self.filled_s is None and self.inlet.has_samples:
+            self.filled_s = monotonic()
+        return self.filled_s is not None and monotonic() - self.filled_s > GRACE_S
+
+    def is_behind(self, old: Inlet) -> bool:
+        """Whether it is of no use: it has failed, or the other inlet was heard meanwhile."""
+        is_well = self.inlet.state in (InletState.OPENING, InletState.READY)
+        return not is_well or old.heard_s > self.opened_s
+
+
+class Rivals:
+    """Keeps the second inlets.
+
+    Parameters
+    ----------
+    warn
+        Called with a sentence when one is opened, and as an inlet does.
+    """
+
+    def __init__(self, warn: Callable[[str], None]) -> None:
+        self._warn = warn
+        self._unseen: set[str] = set()
+        self._seen_again: dict[str, float] = {}
+        self._rivals: dict[str, _Rival] = {}
+
+    def look(
+        self, inlets: Mapping[str, Inlet], found: Mapping[str, pylsl.StreamInfo]
+    ) -> list[Swap]:
+        """Open and close second inlets; return those that have won.
+
+        Parameters
+        ----------
+        inlets, found
+            The present inlets, and what the resolver sees, by uid.
+        """
+        self._note_seen(inlets, found)
+        for inlet in self._stranded(inlets):
+            if inlet.uid not in self._rivals:
+                self._open(found[inlet.uid])
+        return [swap for uid in list(self._rivals) if (swap := self._settle(inlets[uid]))]
+
+    def successor(self, ended: Inlet) -> Inlet | None:
+        """Return the second inlet of a stream whose first one has ended, if it has one."""
+        rival = self._rivals.get(ended.uid)
+        if rival is None:
+            return None
+        if rival.is_behind(ended):
+            self.close(ended.uid)
+            return None
+        return self._swapped(ended).new
+
+    def close(self, uid: str) -> None:
+        """Close the second inlet of a stream, if it has one."""
+        rival = self._rivals.pop(uid, None)
+        if rival is not None:
+            rival.inlet.stop()
+
+    def stop(self) -> None:
+        """Close all."""
+        for uid in list(self._rivals):
+            self.close(uid)
+
+    def _note_seen(
+        self, inlets: Mapping[str, Inlet], found: Mapping[str, pylsl.StreamInfo]
+    ) -> None:
+        self._unseen.intersection_update(inlets)
+        for uid in self._seen_again.keys() - inlets.keys():
+            del self._seen_again[uid]
+        for uid in inlets:
+            if uid not in found:
+                self._unseen.add(uid)
+                self._seen_again.pop(uid, None)
+            elif uid in self._unseen:
+                self._unseen.discard(uid)
+                self._seen_again[uid] = monotonic()
+
+    def _stranded(self, inlets: Mapping[str, Inlet]) -> list[Inlet]:
+        """Return the inlets whose stream is seen again, and is not heard."""
+        now = monotonic()
+        silent = [
+            inlet
+            for uid, inlet in inlets.items()
+            if now - self._seen_again.get(uid, now) > SEEN_AGAIN_S
+            and now - inlet.heard_s > PATIENCE_S
+        ]
+        # What is irregular may have nothing to say; it goes with its computer's other streams.
+        hosts = {inlet.core.hostname for inlet in silent if inlet.core.rate > 0 < inlet.heard_s}
+        return [inlet for inlet in silent if inlet.core.hostname in hosts]
+
+    def _open(self, info: pylsl.StreamInfo) -> None:
+        try:
+            inlet = Inlet(info, self._warn)
+        except SpecError:
+            # It was fit to be used before, and the first inlet is still there.
+            return
+        self._rivals[inlet.uid] = _Rival(inlet)
+        self._warn(
+            f"{inlet.core}: seen again after a cut, but not heard; a second connection is tried"
+        )
+
+    def _settle(self, old: Inlet) -> Swap | None:
+        rival = self._rivals[old.uid]
+        if rival.is_behind(old):
+            self.close(old.uid)
+        elif rival.has_won and old.give_up(rival.opened_s):
+            return self._swapped(old)
+        return None
+
+    def _swapped(self, old: Inlet) -> Swap:
+        self._seen_again.pop(old.uid, None)
+        new = self._rivals.pop(old.uid).inlet
+        if old.correction is not None:
+            new.take_correction(old.correction)
+        return Swap(old, new)
