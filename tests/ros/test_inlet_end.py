@@ -121,22 +121,6 @@ def test_a_receiver_that_fails_ends_the_inlet_with_a_word(
     assert "by nothing" in sentence
 
 
-def test_the_senders_clock_is_measured_and_said_once(open_inlet: Open) -> None:
-    source = Source()
-    inlet, first, second = open_inlet(source.find()), Collector(), Collector()
-    inlet.deliver_to(first)
-    wait_until(lambda: inlet.correction is not None, "the first measurement")
-    wait_until(lambda: first.clocks, "word of it")
-    for _ in range(20):
-        inlet.measure_correction()
-    assert first.clocks == 1
-    inlet.deliver_to(second)
-    assert (first.clocks, second.clocks) == (1, 1)
-    # Both clocks are this machine's.
-    assert inlet.correction == pytest.approx(0.0, abs=0.01)
-    assert 0.0 <= inlet.correction_spread < 0.01
-
-
 def test_a_stream_that_ends_before_it_is_open_is_lost(warnings: list[str]) -> None:
     source = Source()
     found = source.find()
@@ -158,7 +142,6 @@ def test_a_stopped_inlet_has_delivered_what_had_come_and_leaves_no_thread(
         inlet = Inlet(found, warnings.append)
         receiver = Collector(wants_each_sample=wants_each_sample)
         wait_until(lambda inlet=inlet: inlet.state is InletState.READY, "an inlet that is open")
-        wait_until(lambda inlet=inlet: inlet.correction is not None, "a measured clock")
         inlet.deliver_to(receiver)
         if wants_each_sample:
             threading.Thread(target=inlet.follow, args=(lambda: True,)).start()
@@ -172,7 +155,6 @@ def test_a_stopped_inlet_has_delivered_what_had_come_and_leaves_no_thread(
         assert not closing.is_alive()
         inlet.drain()
         inlet.peek()
-        inlet.measure_correction()
         assert (receiver.count, receiver.ends) == (50, [0])
     wait_until(lambda: threading.active_count() <= python_threads, "no thread of ours")
     wait_until(lambda: thread_count() <= all_threads, "no thread of liblsl's")

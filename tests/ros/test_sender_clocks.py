@@ -1,0 +1,88 @@
+"""The clocks of senders are measured again and again, and nothing stays of a measurement."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from lsl_to_ros.lsl import sender_clocks
+from lsl_to_ros.lsl.inlets import Inlet
+from lsl_to_ros.lsl.sender_clocks import SenderClocks
+from tests.rigs.lsl_streams import Collector, Open, Source, inlets, thread_count, wait_until
+
+
+@pytest.fixture
+def open_inlet() -> Iterator[Open]:
+    with inlets(lambda _: None) as open_:
+        yield open_
+
+
+Watch = Callable[[list[Inlet]], SenderClocks]
+
+
+@pytest.fixture
+def watch() -> Iterator[Watch]:
+    started: list[SenderClocks] = []
+
+    def start(present: list[Inlet]) -> SenderClocks:
+        started.append(SenderClocks(lambda: present))
+        return started[-1]
+
+    yield start
+    for clocks in started:
+        clocks.stop()
+
+
+def threads_at_rest() -> int:
+    """Count the threads of this process once no inlet is being opened any more."""
+
+    def opening() -> bool:
+        return any(thread.name.startswith("open ") for thread in threading.enumerate())
+
+    wait_until(lambda: not opening(), "inlets that are open")
+    return thread_count()
+
+
+def test_a_senders_clock_is_said_once_and_measured_again_and_again(
+    open_inlet: Open, watch: Watch, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sender_clocks, "PERIOD_S", 0.2)
+    source = Source()
+    inlet, first, second = open_inlet(source.find()), Collector(), Collector()
+    corrections: list[float] = []
+    take = inlet.take_correction
+    monkeypatch.setattr(
+        inlet, "take_correction", lambda value: corrections.append(value) or take(value)
+    )
+    inlet.deliver_to(first)
+    watch([inlet])
+    wait_until(lambda: len(corrections) >= 3, "three measurements")
+    assert first.clocks == 1
+    inlet.deliver_to(second)
+    assert (first.clocks, second.clocks) == (1, 1)
+    # Both clocks are this machine's.
+    assert inlet.correction == pytest.approx(0.0, abs=0.01)
+    assert 0.0 <= inlet.correction_spread < 0.01
+
+
+def test_nothing_stays_of_a_measurement(open_inlet: Open, watch: Watch) -> None:
+    sources = [Source() for _ in range(3)]
+    opened = [open_inlet(source.find()) for source in sources]
+    threads = threads_at_rest()
+    watch(opened)
+    wait_until(lambda: all(each.correction is not None for each in opened), "all clocks")
+    # liblsl's thread that measures lives as long as the inlet that was asked.
+    wait_until(lambda: thread_count() == threads + 1, "no thread but that of the watch")
+
+
+def test_an_inlet_that_is_gone_is_not_measured_any_more(open_inlet: Open, watch: Watch) -> None:
+    source = Source()
+    inlet = open_inlet(source.find())
+    present, threads = [inlet], threads_at_rest()
+    watch(present)
+    wait_until(lambda: thread_count() == threads + 2, "a measurement")
+    present.clear()
+    wait_until(lambda: thread_count() == threads + 1, "its end")
+    assert inlet.correction is None
