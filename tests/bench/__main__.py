@@ -25,6 +25,7 @@ from tests.bench import (
     report,
     restart,
     sixteen,
+    staying,
 )
 from tests.bench.effort import FULL, QUICK, Effort
 from tests.bench.figures import Measurement
@@ -40,6 +41,7 @@ MEASUREMENTS: dict[str, Callable[[Effort], Measurement]] = {
     "publish": publish.measure,
     "restart": restart.measure,
     "churn": churn.measure,
+    "staying": staying.measure,
     "agent": agent_figures.measure_agent,
     "decoders": agent_figures.measure_decoders,
     "clock": clock_accuracy.measure,

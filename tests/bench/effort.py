@@ -21,6 +21,8 @@ class Effort:
         Of the node, and of the outlet in each way.
     rotations
         In each of them all streams have come and gone once, in 16 s.
+    staying_s
+        How long streams that stay are watched.
     published
         Chunks that are published.
     taped_s, passes
@@ -38,6 +40,7 @@ class Effort:
     bursts_s: float
     restarts: int
     rotations: int
+    staying_s: float
     published: int
     agent_s: float
     taped_s: float
@@ -56,6 +59,7 @@ FULL = Effort(
     restarts=3,
     # In ten minutes.
     rotations=38,
+    staying_s=600.0,
     published=200,
     agent_s=30.0,
     taped_s=5.0,
@@ -73,6 +77,7 @@ QUICK = Effort(
     restarts=1,
     # Fewer make no slope.
     rotations=8,
+    staying_s=112.0,
     published=50,
     agent_s=4.0,
     taped_s=1.0,

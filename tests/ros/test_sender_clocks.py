@@ -53,9 +53,12 @@ def test_a_senders_clock_is_said_once_and_measured_again_and_again(
     inlet, first, second = open_inlet(source.find()), Collector(), Collector()
     corrections: list[float] = []
     take = inlet.take_correction
-    monkeypatch.setattr(
-        inlet, "take_correction", lambda value: corrections.append(value) or take(value)
-    )
+
+    def note(correction: float) -> None:
+        corrections.append(correction)
+        take(correction)
+
+    monkeypatch.setattr(inlet, "take_correction", note)
     inlet.deliver_to(first)
     watch([inlet])
     wait_until(lambda: len(corrections) >= 3, "three measurements")
