@@ -5,11 +5,12 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 
+import pylsl
 import pytest
 
 from lsl_to_ros.lsl import sender_clocks
 from lsl_to_ros.lsl.inlets import Inlet
-from lsl_to_ros.lsl.sender_clocks import SenderClocks
+from lsl_to_ros.lsl.sender_clocks import Measurement, SenderClocks
 from tests.rigs.lsl_streams import Collector, Open, Source, inlets, thread_count, wait_until
 
 
@@ -80,12 +81,22 @@ def test_nothing_stays_of_a_measurement(open_inlet: Open, watch: Watch) -> None:
     wait_until(lambda: thread_count() == threads + 1, "no thread but that of the watch")
 
 
-def test_an_inlet_that_is_gone_is_not_measured_any_more(open_inlet: Open, watch: Watch) -> None:
+def test_an_inlet_that_is_gone_is_not_measured_any_more(
+    open_inlet: Open, watch: Watch, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[Measurement] = []
+
+    def measure(info: pylsl.StreamInfo) -> Measurement:
+        begun.append(Measurement(info))
+        present.clear()
+        return begun[-1]
+
+    monkeypatch.setattr(sender_clocks, "Measurement", measure)
     source = Source()
     inlet = open_inlet(source.find())
     present, threads = [inlet], threads_at_rest()
     watch(present)
-    wait_until(lambda: thread_count() == threads + 2, "a measurement")
-    present.clear()
+    wait_until(lambda: begun, "a measurement")
+    begun.clear()
     wait_until(lambda: thread_count() == threads + 1, "its end")
     assert inlet.correction is None

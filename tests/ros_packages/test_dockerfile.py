@@ -147,7 +147,7 @@ def test_what_is_copied_exists_and_is_sent() -> None:
 def test_a_failed_import_fails_the_build(final: list[Instruction]) -> None:
     checks = [run for run in _all(final, "RUN") if run.value.startswith("[")]
     assert [check.exec_form[-1] for check in checks] == [
-        "import lsl_to_ros.node, biosensor_msgs.msg"
+        "import lsl_to_ros.application, biosensor_msgs.msg"
     ]
 
 

@@ -55,7 +55,7 @@ def test_the_manifest_names_what_is_imported_and_nothing_else() -> None:
 def test_the_node_can_be_imported_without_what_is_optional() -> None:
     # None in sys.modules makes an import fail as that of a missing package does.
     hide = "".join(f"sys.modules[{name!r}] = None; " for name in OPTIONAL)
-    program = f"import sys; {hide}import lsl_to_ros.node"
+    program = f"import sys; {hide}import lsl_to_ros.application"
     result = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=False
     )
