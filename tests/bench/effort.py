@@ -76,8 +76,8 @@ QUICK = Effort(
     bursts_s=5.0,
     restarts=1,
     # Fewer make no slope.
-    rotations=8,
-    staying_s=112.0,
+    rotations=10,
+    staying_s=160.0,
     published=50,
     agent_s=4.0,
     taped_s=1.0,
