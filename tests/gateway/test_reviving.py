@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator, Mapping
 from typing import Any
 
 import pytest
@@ -42,7 +42,9 @@ class Sender:
     async def connect(self) -> Connected:
         # The waveforms are not due: this test would have to wait for them.
         due = {"hr": LIMIT_S, "ibi": LIMIT_S}
-        return Connected(rates={"acc": 50.0}, refused=frozenset({"ecg", "acc"}), due=due)
+        denied = dict(self.bench.denied)
+        refused = frozenset({"ecg", "acc"}) - denied.keys()
+        return Connected(rates={"acc": 50.0}, refused=refused, due=due, denied=denied)
 
     async def stream(self) -> None:
         while True:
@@ -85,11 +87,14 @@ class NotedSink(DeviceSink):
 class Bench:
     """A supervised driver, and what it shall do."""
 
-    def __init__(self, unit: str, clock: Clock, kind: type[Sender]) -> None:
+    def __init__(
+        self, unit: str, clock: Clock, kind: type[Sender], denied: Mapping[str, str]
+    ) -> None:
         self.sends = {"hr", "ibi"}
         self.can_be_enabled: set[str] = set()
         self.sends_after_new_connection: set[str] = set()
         self.refusal: ProtocolError | None = None
+        self.denied = denied
         self.asked: list[set[str]] = []
         self.states: list[State] = []
         self.sink = NotedSink(unit, clock)
@@ -112,7 +117,7 @@ class Bench:
         await self.announcer.end()
 
 
-Start = Callable[[type[Sender]], Awaitable[Bench]]
+Start = Callable[..., Awaitable[Bench]]
 
 
 @pytest.fixture
@@ -124,8 +129,8 @@ async def start(
     monkeypatch.setattr(silence_module, "RETRY_S", LONG_S)
     benches: list[Bench] = []
 
-    async def begin(kind: type[Sender]) -> Bench:
-        benches.append(Bench(unit, virtual_clock, kind))
+    async def begin(kind: type[Sender], **denied: str) -> Bench:
+        benches.append(Bench(unit, virtual_clock, kind, denied))
         await eventually(lambda: benches[-1].supervisor.state is State.STREAMING)
         return benches[-1]
 
@@ -242,6 +247,37 @@ async def test_a_device_that_refuses_to_be_enabled_is_connected_anew(
         entry["event"] == "the device does not answer" and entry["reason"] == "silent"
         for entry in logs
     )
+
+
+async def test_what_the_device_refuses_is_said_until_it_comes(
+    start: Start, eventually: Eventually, announced: list[dict[str, Any]]
+) -> None:
+    with capture_logs() as logs:
+        bench = await start(Sender, ecg="no room", acc="it is full", quality="no room")
+        await eventually(lambda: bool(bench.reason))
+        assert bench.reason == (
+            "connected, but the device refuses acc (it is full); ecg, quality (no room)"
+        )
+        # Something else that falls silent comes first, until it is back.
+        bench.sends_after_new_connection = {"hr", "ibi"}
+        bench.sends = {"hr"}
+        await eventually(lambda: bench.supervisor.connections == 2 and "refuses" in bench.reason)
+        bench.sends |= {"ecg", "acc"}
+        await eventually(lambda: "acc" not in bench.reason)
+        assert bench.reason == "connected, but the device refuses quality (no room)"
+        bench.sends |= {"quality"}
+        await eventually(lambda: bench.status()["error"] is None)
+    assert State.ENABLING not in bench.states
+    assert announced[0] == {
+        "event": "streams_silent",
+        "sensor": "polar_h10",
+        "unit": bench.sink.identity.unit,
+        "streams": ["acc"],
+        "seconds": 0.0,
+        "remedy": "none",
+        "why": "it is full",
+    }
+    assert {each["log_level"] for each in logs if "refuses" in each["event"]} == {"warning"}
 
 
 async def test_what_cannot_be_read_is_part_of_the_reason(

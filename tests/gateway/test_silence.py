@@ -150,6 +150,22 @@ def test_what_is_excused_is_not_due_until_it_is_heard() -> None:
     assert remedies(bench.run(LIMIT_S, "ecg")) == [(Remedy.ENABLE, {"hr"})]
 
 
+def test_what_the_device_refuses_is_missing_and_not_waited_for_until_it_comes() -> None:
+    bench = Bench("hr", "ecg")
+    bench.run(2 * LIMIT_S, "hr")
+    bench.watch.expect(bench.limits_s, denied={"ecg": "no room", "ibi": "no room"})
+    assert bench.watch.denied == {"ecg": "no room", "ibi": "no room"}
+    assert (bench.watch.absent, bench.watch.is_complete) == (frozenset(), False)
+    assert bench.run(2 * RETRY_S, "hr") == []
+    bench.run(TICK_S, "hr", "ecg")
+    assert (bench.watch.denied, bench.watch.take_came_back()) == ({"ibi": "no room"}, {"ecg"})
+    assert remedies(bench.run(LIMIT_S, "hr")) == [(Remedy.ENABLE, {"ecg"})]
+    bench.watch.heard("ecg", "ibi")
+    assert bench.watch.is_complete
+    # What comes when it happens is not due for having been refused once.
+    assert bench.run(RETRY_S, "hr", "ecg") == []
+
+
 def test_what_is_not_due_never_counts() -> None:
     bench = Bench("ecg")
     bench.watch.heard("ibi")

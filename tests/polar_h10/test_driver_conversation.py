@@ -5,13 +5,11 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from math import inf
 from typing import Any
 
 import pytest
 
 from biosensor_common.errors import CredentialError, ProtocolError, ProtocolReason
-from biosensor_gateway.agent.supervisor import State
 from biosensor_gateway.devices.polar_h10.driver import control as control_module
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
@@ -90,26 +88,6 @@ async def test_the_device_is_left_still(sensor: MakeSensor) -> None:
         # Longer than a frame.
         await asyncio.sleep(0.8)
         assert len(h10.truth.samples("ecg").times) == sent
-
-
-async def test_a_refusal_is_told_and_overcome(sensor: MakeSensor) -> None:
-    h10 = sensor()
-    async with streaming(h10) as run:
-        await until(run.sink.has(73, "ecg"))
-        h10.apply(Fault(FaultKind.REFUSE, inf))
-        await until(lambda: State.BACKOFF in run.states)
-        assert "refuses to measure" in str(run.supervisor.last_error)
-        h10.clear(FaultKind.REFUSE)
-        await run.goes_on(73, "ecg")
-    assert_only_gaps(h10, run.sink)
-
-
-async def test_an_mtu_that_is_too_small_for_all_is_an_error(sensor: MakeSensor) -> None:
-    h10 = sensor(Quirks(minimum_mtu=512))
-    with pytest.raises(ProtocolError, match="ecg: INVALID_MTU") as caught:
-        async with connected(h10):
-            pass
-    assert caught.value.reason is ProtocolReason.REFUSED
 
 
 async def test_a_device_that_never_answers_is_an_error(

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import structlog
 
-from biosensor_common.errors import ProtocolError, TransportError, TransportReason
+from biosensor_common.errors import (
+    ProtocolError,
+    ProtocolReason,
+    TransportError,
+    TransportReason,
+)
 from biosensor_gateway.devices.driver import Driver, EnablesAgain
 from biosensor_gateway.streaming.silence import Remedy, Silence
 from biosensor_gateway.streaming.sink import DeviceSink
@@ -53,6 +58,7 @@ class Reviver:
         TransportError
             ``SILENT``: a new connection is needed.
         """
+        self._tell_denied()
         while True:
             await asyncio.sleep(min(TICK_S, self._limit_s))
             self._welcome(self._watch.take_came_back())
@@ -76,7 +82,18 @@ class Reviver:
             self._dropped_bytes = self._sink.dropped_bytes
         if came_back and not self._watch.absent:
             self._told = None
-            self._on_change(None, False)
+            self._on_change(_denial(self._watch.denied), False)
+
+    def _tell_denied(self) -> None:
+        denied = self._watch.denied
+        if not denied:
+            return
+        for why, streams in _by_reason(denied).items():
+            self._sink.tell_silent(Silence(frozenset(streams), 0.0, Remedy.NONE, why=why))
+        text = _denial(denied)
+        _log.warning(text, **self._names, reason=ProtocolReason.REFUSED.value)
+        if not self._watch.absent:
+            self._on_change(text, False)
 
     async def _act(self, silence: Silence) -> None:
         self._sink.tell_silent(silence)
@@ -115,6 +132,21 @@ class Reviver:
         if silence.remedy is Remedy.RECONNECT:
             return f"{what}; connecting anew" + (f"; {_ADVICE}" if silence.attempts else "")
         return f"{what}, whatever the agent does; {_ADVICE}"
+
+
+def _denial(denied: Mapping[str, str]) -> str | None:
+    """Say what the device refuses; None if that is nothing."""
+    if not denied:
+        return None
+    parts = (f"{', '.join(names)} ({why})" for why, names in _by_reason(denied).items())
+    return f"connected, but the device refuses {'; '.join(parts)}"
+
+
+def _by_reason(denied: Mapping[str, str]) -> dict[str, list[str]]:
+    return {
+        why: sorted(name for name, each in denied.items() if each == why)
+        for why in sorted(set(denied.values()))
+    }
 
 
 def _kind(text: str) -> str:

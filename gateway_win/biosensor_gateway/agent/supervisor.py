@@ -127,7 +127,7 @@ class Supervisor:
             self._sink.open(connected.info, connected.rates)
             self._expect(connected, driver.silence_limit_s)
             self.connections += 1
-            if not self._sink.watch.absent:
+            if self._sink.watch.is_complete:
                 self.last_error = None
             started = self._sink.clock()
             self._enter(State.STREAMING)
@@ -172,7 +172,7 @@ class Supervisor:
         limits_s = limits(rates, connected.due, connected.patience_s)
         for data_name in connected.silent | connected.refused:
             limits_s.pop(data_name, None)
-        self._sink.watch.expect(limits_s, device_limit_s)
+        self._sink.watch.expect(limits_s, device_limit_s, connected.denied)
 
     def _note_silence(self, text: str | None, may_help: bool) -> None:
         self.last_error = text

@@ -29,6 +29,9 @@ class Connected:
         Data names of the streams that the settings switch off.
     refused
         Data names of the streams that this device does not send, or not to us.
+    denied
+        By data name, why a stream that is wanted does not come, with what to do about it; a
+        clause. It is shown until data of the stream come, and nobody else is to ask for them.
     due
         Longest absence in seconds of streams that come all the time without a rate.
     patience_s
@@ -40,6 +43,7 @@ class Connected:
     rates: Mapping[str, float] = field(default_factory=dict[str, float])
     silent: frozenset[str] = frozenset()
     refused: frozenset[str] = frozenset()
+    denied: Mapping[str, str] = field(default_factory=dict[str, str])
     due: Mapping[str, float] = field(default_factory=dict[str, float])
     patience_s: float = PATIENCE_S
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum, unique
+from types import MappingProxyType
 
 PATIENCE_S = 5.0
 """How long data that are due may be absent, unless a driver says otherwise."""
@@ -39,12 +40,15 @@ class Silence:
     remedy
     attempts
         New connections that did not help.
+    why
+        What the device says of it; empty if it says nothing.
     """
 
     streams: frozenset[str]
     seconds: float
     remedy: Remedy
     attempts: int = 0
+    why: str = ""
 
 
 @dataclass(slots=True)
@@ -97,6 +101,7 @@ class StreamWatch:
         self._device_s = -math.inf
         self._attempts: dict[str, int] = {}
         self._came_back: set[str] = set()
+        self._denied: dict[str, str] = {}
 
     @property
     def device_silence_s(self) -> float:
@@ -114,11 +119,26 @@ class StreamWatch:
         return frozenset(self._attempts)
 
     @property
+    def denied(self) -> Mapping[str, str]:
+        """By data name, why the device does not give streams; none of them is due."""
+        return self._denied
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether nothing is missing."""
+        return not self._attempts and not self._denied
+
+    @property
     def is_waiting(self) -> bool:
         """Whether a stream was enabled again and may still come."""
         return any(each.is_enabled_again for each in self._streams.values())
 
-    def expect(self, limits_s: Mapping[str, float], device_limit_s: float = math.inf) -> None:
+    def expect(
+        self,
+        limits_s: Mapping[str, float],
+        device_limit_s: float = math.inf,
+        denied: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
         """Begin with a new connection.
 
         Parameters
@@ -127,14 +147,19 @@ class StreamWatch:
             How long data of each stream that is due may be absent.
         device_limit_s
             How long the device may say nothing at all.
+        denied
+            By data name, why the device does not give streams. They are due once they are heard.
         """
         now = self._now()
         self._streams = {name: _Stream(limit, now, now) for name, limit in limits_s.items()}
         self._limit_s = device_limit_s
         self._device_s = now
         # What is not due any more is not missed.
-        for name in self._attempts.keys() - self._streams.keys():
+        for name in self._attempts.keys() - (self._streams.keys() - denied.keys()):
             del self._attempts[name]
+        self._denied = dict(denied)
+        for name in denied:
+            self._streams.setdefault(name, _Stream(math.inf, now, now)).is_excused = True
 
     def heard(self, *names: str) -> None:
         """Note that the device said something valid: about these streams, or in general.
@@ -148,7 +173,8 @@ class StreamWatch:
                 continue
             stream.heard_s = stream.waited_from_s = now
             stream.is_enabled_again = stream.is_excused = False
-            if self._attempts.pop(name, None) is not None:
+            was_denied = self._denied.pop(name, None) is not None
+            if self._attempts.pop(name, None) is not None or was_denied:
                 self._came_back.add(name)
 
     def excuse(self, names: Iterable[str]) -> None:

@@ -94,6 +94,7 @@ class DeviceEvents:
             "streams": sorted(silence.streams),
             "seconds": round(silence.seconds, 1),
             "remedy": silence.remedy.value,
+            **({"why": silence.why} if silence.why else {}),
         }
         self._say(EventKind.STREAMS_SILENT, facts=facts)
 

@@ -118,12 +118,14 @@ class PolarH10Driver:
         await self._session.enable_again(streams)
 
     def _connected(self, info: DeviceInfo) -> Connected:
-        refused = frozenset(DATA_NAMES.values()) - self._session.running
+        denied = self._session.denied
+        refused = frozenset(DATA_NAMES.values()) - self._session.running - denied.keys()
         return Connected(
             info,
-            self._emitter.rates,
+            self._session.rates,
             self._silent,
             refused=refused,
+            denied=denied,
             due=self._session.due,
             patience_s=PATIENCE_S,
         )

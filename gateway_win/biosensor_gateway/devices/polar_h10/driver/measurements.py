@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Collection, Generator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 
 import structlog
 
-from biosensor_common.errors import (
-    GatewayError,
-    ProtocolError,
-    ProtocolReason,
-    TransportError,
-    TransportReason,
-)
+from biosensor_common.errors import GatewayError, ProtocolError, TransportError, TransportReason
 from biosensor_gateway.devices.polar_h10.driver.control import ControlPoint
 from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
 from biosensor_gateway.devices.polar_h10.driver.protocol import control_point
@@ -28,6 +22,12 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
 )
 
 _log = structlog.get_logger("biosensor_gateway.polar_h10")
+
+
+_ADVICE: Mapping[int, str] = {
+    Status.INVALID_MTU: "its packets are too large for this Bluetooth adapter; use another one",
+    Status.DEVICE_IN_CHARGER: "take it out of its charger",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,41 +51,73 @@ class _Running:
     wanted: Wanted
     settings: Mapping[Setting, int]
 
+    @property
+    def rate_hz(self) -> int | None:
+        """None where samples come when they happen."""
+        return self.settings.get(Setting.SAMPLE_RATE, self.wanted.settings.get(Setting.SAMPLE_RATE))
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """A measurement that the device refuses to start.
+
+    Attributes
+    ----------
+    wanted
+    why
+        What it answers, and what to do about it; a clause.
+    rate_hz
+        That it would have; None where samples come when they happen.
+    """
+
+    wanted: Wanted
+    why: str
+    rate_hz: int | None
+
 
 class Measurements:
     """The measurements of one connection.
 
     Parameters
     ----------
-    what
-        The device's name for messages.
     control
     emitter
+
+    Attributes
+    ----------
+    refusals
+        By measurement, those that were asked for and do not run.
     """
 
-    def __init__(self, what: str, control: ControlPoint, emitter: PolarEmitter) -> None:
-        self._what = what
+    def __init__(self, control: ControlPoint, emitter: PolarEmitter) -> None:
         self._control = control
         self._emitter = emitter
+        self.refusals: dict[Measurement, Refusal] = {}
         self._running: dict[int, _Running] = {}
 
     async def start(self, wanted: Sequence[Wanted]) -> None:
-        """Start measurements that the device offers.
+        """Start measurements that the device offers, and note those that it refuses.
 
         Raises
         ------
         TransportError
             ``LOST`` or ``SILENT``.
         ProtocolError
-            ``REFUSED``: the device refuses all of them; ``NO_REPLY``.
+            ``NO_REPLY``.
         """
-        refusals = [refusal for each in wanted if (refusal := await self._start(each))]
-        if not refusals:
-            return
-        message = f"{self._what}: the device refuses to measure ({'; '.join(refusals)})"
-        if not self._running:
-            raise ProtocolError(ProtocolReason.REFUSED, f"{message}; take it off for a minute")
-        _log.warning(message)
+        for each in wanted:
+            await self._start(each)
+
+    async def ask_again(self) -> None:
+        """Try to start what was refused.
+
+        Raises
+        ------
+        TransportError
+            ``LOST``.
+        """
+        with _optional():
+            await self.start([each.wanted for each in self.refusals.values()])
 
     def runs(self, measurement: int) -> bool:
         """Whether a measurement is one that we started."""
@@ -109,26 +141,22 @@ class Measurements:
             with suppress(GatewayError):
                 await self._control.send(control_point.stop(each.wanted.measurement))
 
-    async def _start(self, wanted: Wanted) -> str:
-        """Start one; return why the device refuses, empty if it does not."""
-        settings: Mapping[Setting, int] = {}
+    async def _start(self, wanted: Wanted) -> None:
+        each = _Running(wanted, {})
         if wanted.settings:
             reply = await self._control.request(control_point.get_settings(wanted.measurement))
             if reply.status != Status.SUCCESS:
-                return _refusal(wanted, reply)
-            settings = choose(parse_settings(reply.parameters), wanted.settings)
-        reply = await self._set_going(_Running(wanted, settings))
-        return "" if reply.status == Status.SUCCESS else _refusal(wanted, reply)
+                self._note_refused(each, reply)
+                return
+            each.settings = choose(parse_settings(reply.parameters), wanted.settings)
+        reply = await self._set_going(each)
+        if reply.status != Status.SUCCESS:
+            self._note_refused(each, reply)
 
     async def _restart(self, each: _Running) -> None:
-        try:
+        with _optional():
             await self._control.request(control_point.stop(each.wanted.measurement))
             await self._set_going(each)
-        except ProtocolError as error:
-            _log.warning(str(error))
-        except TransportError as error:
-            if error.reason is not TransportReason.SILENT:
-                raise
 
     async def _set_going(self, each: _Running) -> Reply:
         measurement = each.wanted.measurement
@@ -147,10 +175,23 @@ class Measurements:
 
     def _note_started(self, each: _Running, reply: Reply) -> None:
         (factor,) = parse_settings(reply.parameters).get(Setting.FACTOR, (1.0,))[:1] or (1.0,)
-        rate = each.settings.get(Setting.SAMPLE_RATE, each.wanted.settings.get(Setting.SAMPLE_RATE))
-        self._emitter.started(each.wanted.measurement, rate, factor)
+        self._emitter.started(each.wanted.measurement, each.rate_hz, factor)
         self._running[each.wanted.measurement] = each
+        self.refusals.pop(each.wanted.measurement, None)
+
+    def _note_refused(self, each: _Running, reply: Reply) -> None:
+        advice = _ADVICE.get(reply.status, "take it off for a minute")
+        why = f"{reply.status_text}: {advice}"
+        self.refusals[each.wanted.measurement] = Refusal(each.wanted, why, each.rate_hz)
 
 
-def _refusal(wanted: Wanted, reply: Reply) -> str:
-    return f"{wanted.measurement.name.lower()}: {reply.status_text}"
+@contextmanager
+def _optional() -> Generator[None]:
+    """Pass over what goes wrong with a command while the connection stands."""
+    try:
+        yield
+    except ProtocolError as error:
+        _log.warning(str(error))
+    except TransportError as error:
+        if error.reason is not TransportReason.SILENT:
+            raise

@@ -33,8 +33,11 @@ from biosensor_gateway.transports.ble_errors import UNLIKELY_ERROR, AttError
 from biosensor_gateway.transports.nearby import Advertisement
 
 GOODBYE_LIMIT_S = 0.45
+ASK_AGAIN_FIRST_S = 1.0
+ASK_AGAIN_CAP_S = 30.0
+"""What the device refuses is asked for again, less and less often."""
 
-
+_STREAMS = {**DATA_NAMES, Measurement.PULSE_INTERVALS: "ibi"}
 _log = structlog.get_logger("biosensor_gateway.polar_h10")
 
 
@@ -55,7 +58,7 @@ class PolarSession:
         self._wanted = wanted
         self._strap = Strap(link, emitter.strap)
         self._control = ControlPoint(link, self._receive)
-        self._measurements = Measurements(link.what, self._control, emitter)
+        self._measurements = Measurements(self._control, emitter)
         self._seen: tuple[Advertisement, float] | None = None
 
     async def open(self, *, pair: bool = False) -> DeviceInfo:
@@ -117,12 +120,29 @@ class PolarSession:
             self._emitter.strap.signal_strength(advertisement.rssi_dbm, seen_s)
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._strap.watch_battery())
+            tasks.create_task(self._ask_again())
             tasks.create_task(self._control.dialogue.stream(self._take))
 
     @property
     def running(self) -> frozenset[str]:
         """Data names of the measurements that were started and come at a rate."""
         return frozenset(name for each, name in DATA_NAMES.items() if self._measurements.runs(each))
+
+    @property
+    def denied(self) -> Mapping[str, str]:
+        """By data name, why the device refuses to measure."""
+        refusals = self._measurements.refusals
+        return {_STREAMS[each]: refusal.why for each, refusal in refusals.items()}
+
+    @property
+    def rates(self) -> Mapping[str, float]:
+        """Nominal rates in Hz by data name, of what runs and of what was refused."""
+        refused = {
+            DATA_NAMES[each]: refusal.rate_hz
+            for each, refusal in self._measurements.refusals.items()
+            if refusal.rate_hz is not None
+        }
+        return refused | dict(self._emitter.rates)
 
     @property
     def due(self) -> Mapping[str, float]:
@@ -170,6 +190,17 @@ class PolarSession:
             # Optical sensors have no intervals in their heart rate measurement.
             wanted.append(Wanted(Measurement.PULSE_INTERVALS))
         await self._measurements.start(wanted)
+
+    async def _ask_again(self) -> None:
+        promised, delay_s = self.rates, ASK_AGAIN_FIRST_S
+        while self._measurements.refusals:
+            await asyncio.sleep(delay_s)
+            await self._measurements.ask_again()
+            delay_s = min(2 * delay_s, ASK_AGAIN_CAP_S)
+            if self.rates != promised:
+                # The streams have been declared with other rates.
+                message = f"{self._link.what}: it measures now, and is connected anew for its rates"
+                raise TransportError(TransportReason.LOST, message)
 
     async def _receive(self) -> Sequence[Notification]:
         notification = await self._link.next()
