@@ -12,6 +12,7 @@ import pytest
 
 from biosensor_common.errors import GatewayError, TransportError, TransportReason
 from biosensor_common.quantities import ChannelRole
+from biosensor_gateway.agent import reviving
 from biosensor_gateway.agent.supervisor import State
 from biosensor_gateway.devices.registry import declaration, driver
 from biosensor_gateway.settings.models import DeviceSettings
@@ -19,6 +20,7 @@ from biosensor_gateway.simulation.expected import Contact
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
+from biosensor_gateway.streaming.silence import PATIENCE_S
 from biosensor_gateway.transports import ble_choice
 from tests.contracts.conftest import ON_AIR, class_of, every
 from tests.rigs.driver_run import NotedSink, Run, connected, driver_maker, streaming
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
 VALUES = {FaultKind.LOW_BATTERY: 4.0, FaultKind.GARBAGE: 20.0, FaultKind.DRIFT: 150.0}
 SHORT_S = 0.5
 SILENT_S = 3.0
+MESSAGE_S = 1.0
+"""What comes most rarely of all that has to come."""
 LONG_S = 3600.0
 COUNT = 5
 LOW_PERCENT = 10.0
@@ -113,6 +117,33 @@ async def test_it_goes_on_after_a_fault_and_makes_nothing_up(
     if kind is FaultKind.GARBAGE and device.truth.data_names:
         for each in measured(device):
             assert set(np.diff(places(device, run, each))) <= {1}
+
+
+@every(FaultKind.UNREADABLE)
+async def test_data_that_nobody_can_read_are_a_state_and_a_reason(
+    device: VirtualDevice, kind: FaultKind, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = measured(device)[0]
+    if not device.on_air:
+        monkeypatch.setattr(reviving, "PATIENCE_S", 1.0)
+    async with told_the_truth(device) as run:
+        begin_s = run.sink.clock()
+        device.apply(Fault(kind, LONG_S))
+        await until(lambda: run.supervisor.state is not State.STREAMING)
+        if device.on_air:
+            # Outside time, it takes as long on any machine.
+            assert run.sink.clock() - begin_s <= PATIENCE_S + MESSAGE_S
+        assert "bytes came that cannot be read" in str(run.supervisor.last_error)
+        count = len(run.sink.rows[name])
+        # Some drivers connect only to what they can read.
+        await until(lambda: run.supervisor.connections == 2 or State.BACKOFF in run.states)
+        assert run.states.count(State.STREAMING) == 1
+        assert run.supervisor.last_error
+        assert len(run.sink.rows[name]) == count
+        device.clear(kind)
+        await run.goes_on(COUNT, name)
+        await until(lambda: run.supervisor.last_error is None)
+        assert run.supervisor.state is State.STREAMING
 
 
 def role_of(device: VirtualDevice, role: ChannelRole) -> tuple[str, int]:

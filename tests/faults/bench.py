@@ -169,8 +169,8 @@ class Bench:
                 clock = status["clock"]
                 # The seconds of a fast device are too short.
                 return clock is None or clock["drift_ppm"] < -VALUES[kind] / 2
-            case AgentFault.ASLEEP:
-                return status["state"] == "streaming" and status["error"] is None
+            case AgentFault.ASLEEP | FaultKind.UNREADABLE:
+                return self._is_well(name) == (kind is AgentFault.ASLEEP)
             case _:
                 word = "refuse" if kind is FaultKind.REFUSE else ""
                 return any(word in record["event"] for record in episode.warnings(name))
@@ -182,7 +182,9 @@ class Bench:
             recorded = self.recorder.recorded(source(name, contact.data_name)).since(end_s)
             worn = recorded.values[:, contact.channel] != contact.off
             return float(recorded.arrivals[worn].min()) if worn.any() else None
-        if not self._streams_since(name, end_s):
+        is_silent = not self._streams_since(name, end_s)
+        # What comes more rarely than the steady streams could not be read, either.
+        if is_silent or (kind is FaultKind.UNREADABLE and not self._is_well(name)):
             return None
         return min(
             float(self.recorder.recorded(source(name, each)).since(end_s).arrivals[0])
@@ -191,6 +193,10 @@ class Bench:
 
     def _status(self, name: str) -> Mapping[str, Any]:
         return self.agent.status()[name]
+
+    def _is_well(self, name: str) -> bool:
+        status = self._status(name)
+        return status["state"] == "streaming" and status["error"] is None
 
     def _streams_since(self, name: str, begin_s: float) -> bool:
         newest = (self.recorder.newest(source(name, each)) for each in steady_streams(name))

@@ -45,7 +45,7 @@ BREAKS = frozenset(
     {FaultKind.DROP, FaultKind.STALL, FaultKind.REFUSE, FaultKind.LATE, FaultKind.RESTART}
 )
 """The connection ends with these, and has to be made anew."""
-MAY_BREAK = BREAKS | {AgentFault.ASLEEP}
+MAY_BREAK = BREAKS | {AgentFault.ASLEEP, FaultKind.UNREADABLE}
 """The connection may end with these."""
 AT_ONCE = frozenset({FaultKind.GARBAGE, FaultKind.LOW_BATTERY, FaultKind.DRIFT, FaultKind.FORGET})
 """There is no end to wait for."""
@@ -63,6 +63,8 @@ VALUES = MappingProxyType(
 """Of those whose value is no duration; all others last until they are ended."""
 
 
+STARTS_OF_UNREADABLE = 4
+"""What nobody can read is enabled again and connected anew, in turns, as long as that lasts."""
 BATTERY_TOLERANCE = 1.0
 """Of a percentage: some compute it from a coarse voltage."""
 
@@ -101,11 +103,12 @@ def gap_of(kind: Kind, name: str) -> Gap:
 
 def tolerance(kind: Kind, name: str, data_name: str) -> int:
     """By how many samples the count of those that are lost may be wrong."""
-    return device_of(name).expected.loss_tolerance.of(
+    once = device_of(name).expected.loss_tolerance.of(
         data_name,
         is_break=kind in MAY_BREAK | {FaultKind.FORGET},
         is_restart=kind is FaultKind.RESTART,
     )
+    return once * STARTS_OF_UNREADABLE if kind is FaultKind.UNREADABLE else once
 
 
 def numeric_streams(name: str) -> tuple[str, ...]:

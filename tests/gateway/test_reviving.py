@@ -51,6 +51,7 @@ class Sender:
             for data_name in self.bench.sends:
                 self.bench.sink.emit_at(data_name, [1.0], [self.bench.sink.clock()])
             self.bench.sink.heard()
+            self.bench.sink.dropped_bytes += self.bench.unreadable
             await asyncio.sleep(LIMIT_S / 10)
 
     async def close(self) -> None:
@@ -65,6 +66,20 @@ class Reviver(Sender):
         if self.bench.refusal is not None:
             raise self.bench.refusal
         self.bench.sends |= streams & self.bench.can_be_enabled
+
+
+class Silent(Sender):
+    """One of which nothing is due, and nothing can be read."""
+
+    silence_limit_s = LIMIT_S
+
+    async def connect(self) -> Connected:
+        return Connected(refused=frozenset({"ecg", "acc"}))
+
+    async def stream(self) -> None:
+        await asyncio.sleep(LIMIT_S / 2)
+        self.bench.sink.dropped_bytes += 9
+        await asyncio.sleep(LONG_S)
 
 
 class NotedSink(DeviceSink):
@@ -94,6 +109,7 @@ class Bench:
         self.can_be_enabled: set[str] = set()
         self.sends_after_new_connection: set[str] = set()
         self.refusal: ProtocolError | None = None
+        self.unreadable = 0
         self.denied = denied
         self.asked: list[set[str]] = []
         self.states: list[State] = []
@@ -267,7 +283,7 @@ async def test_what_the_device_refuses_is_said_until_it_comes(
         assert bench.reason == "connected, but the device refuses quality (no room)"
         bench.sends |= {"quality"}
         await eventually(lambda: bench.status()["error"] is None)
-    assert State.ENABLING not in bench.states
+    assert bench.states[:3] == [State.CONNECTING, State.STREAMING, State.DISCOVERING]
     assert announced[0] == {
         "event": "streams_silent",
         "sensor": "polar_h10",
@@ -280,13 +296,30 @@ async def test_what_the_device_refuses_is_said_until_it_comes(
     assert {each["log_level"] for each in logs if "refuses" in each["event"]} == {"warning"}
 
 
-async def test_what_cannot_be_read_is_part_of_the_reason(
+async def test_what_cannot_be_read_is_part_of_the_reason_if_it_came_since(
     start: Start, eventually: Eventually
 ) -> None:
     bench = await start(Reviver)
+    # Of the hours before, with data among it.
+    bench.sink.dropped_bytes += 5000
+    for _ in range(40):
+        await asyncio.sleep(LIMIT_S / 10)
     bench.sends = set()
+    await asyncio.sleep(LIMIT_S / 2)
     bench.sink.dropped_bytes += 812
-    await eventually(lambda: "812 bytes came that cannot be read" in bench.reason)
+    await eventually(lambda: "(812 bytes came that cannot be read); enabling" in bench.reason)
+    bench.unreadable = 7
+    await eventually(lambda: "connecting anew; look for an update of its soft" in bench.reason)
+    # It has been enabled with everything else, and is not streaming because of that.
+    await eventually(lambda: bench.supervisor.connections > 2)
+    assert bench.states.count(State.STREAMING) == 1
+
+
+async def test_a_device_that_is_silent_at_last_says_what_came_of_it(
+    start: Start, eventually: Eventually
+) -> None:
+    bench = await start(Silent)
+    await eventually(lambda: "nothing from the device for 0 s (9 bytes came that" in bench.reason)
 
 
 async def test_nobody_misses_what_a_pause_would_withhold(

@@ -123,6 +123,18 @@ def test_where_nothing_comes_connections_go_on_being_made() -> None:
     assert attempts == [0, 0, 1, 1, 2, 2, 3, 3]
 
 
+def test_patience_with_all_streams_may_be_shorter_for_a_while() -> None:
+    bench = Bench("ecg", "acc")
+    bench.run(1, "ecg", "acc")
+    bench.now_s += 1.0
+    assert bench.watch.judge(can_enable=True) is None
+    (silence,) = [bench.watch.judge(can_enable=True, patience_s=1.0)]
+    assert silence == Silence(frozenset({"ecg", "acc"}), 1.0, Remedy.ENABLE)
+    bench.watch.heard("ecg", "acc")
+    bench.now_s += 1.0
+    assert bench.watch.judge(can_enable=True) is None
+
+
 def test_the_agent_sleeps_and_nothing_is_missed_for_it() -> None:
     bench = Bench("ecg", device_limit_s=10.0)
     bench.run(4)

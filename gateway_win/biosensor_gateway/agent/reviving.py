@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import math
+from collections import deque
 from collections.abc import Callable, Mapping
 
 import structlog
@@ -14,12 +16,16 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_gateway.devices.driver import Driver, EnablesAgain
-from biosensor_gateway.streaming.silence import Remedy, Silence
+from biosensor_gateway.streaming.silence import PATIENCE_S, Remedy, Silence
 from biosensor_gateway.streaming.sink import DeviceSink
 
 TICK_S = 0.25
 
+FRESH_S = 2.0
+"""What comes and cannot be read comes now, if some did within so long."""
+_KEPT_LOOKS = 1024
 _ADVICE = "switch the device off and on"
+_UPDATE = "look for an update of its software"
 
 _log = structlog.get_logger("biosensor_gateway.supervisor")
 
@@ -47,7 +53,7 @@ class Reviver:
         self._on_change = on_change
         self._limit_s = driver.silence_limit_s
         self._names = {"sensor": sink.identity.sensor, "unit": sink.identity.unit}
-        self._dropped_bytes = sink.dropped_bytes
+        self._unreadable = _Unreadable(sink)
         self._told: str | None = None
 
     async def run(self) -> None:
@@ -61,9 +67,11 @@ class Reviver:
         self._tell_denied()
         while True:
             await asyncio.sleep(min(TICK_S, self._limit_s))
+            self._unreadable.look()
             self._welcome(self._watch.take_came_back())
             if self._watch.is_device_silent:
                 message = f"nothing from the device for {self._limit_s:.0f} s"
+                message += self._unreadable.since(self._limit_s)
                 raise TransportError(
                     TransportReason.SILENT, f"{message}; the connection is started anew"
                 )
@@ -71,7 +79,9 @@ class Reviver:
                 # Nobody misses what would be withheld.
                 self._watch.wait_anew()
                 continue
-            silence = self._watch.judge(can_enable=isinstance(self._driver, EnablesAgain))
+            silence = self._watch.judge(
+                can_enable=isinstance(self._driver, EnablesAgain), patience_s=self._patience_s()
+            )
             if silence is not None:
                 await self._act(silence)
 
@@ -79,10 +89,16 @@ class Reviver:
         if came_back:
             self._sink.tell_came_back(came_back)
             _log.info("data come again", **self._names, streams=sorted(came_back))
-            self._dropped_bytes = self._sink.dropped_bytes
         if came_back and not self._watch.absent:
             self._told = None
             self._on_change(_denial(self._watch.denied), False)
+
+    def _patience_s(self) -> float:
+        """How long streams may be absent now: one that sends what nobody can read is not late."""
+        is_foreign = (
+            self._watch.device_silence_s >= PATIENCE_S and self._unreadable.count(FRESH_S) > 0
+        )
+        return PATIENCE_S if is_foreign else math.inf
 
     def _tell_denied(self) -> None:
         denied = self._watch.denied
@@ -124,14 +140,37 @@ class Reviver:
     def _sentence(self, silence: Silence) -> str:
         streams = ", ".join(sorted(silence.streams))
         what = f"connected, but no data of {streams} for {silence.seconds:.0f} s"
-        unreadable = self._sink.dropped_bytes - self._dropped_bytes
-        if unreadable:
-            what += f" ({unreadable} bytes came that cannot be read)"
+        unreadable = self._unreadable.since(silence.seconds)
+        what += unreadable
+        advice = _UPDATE if unreadable else _ADVICE
         if silence.remedy is Remedy.ENABLE:
             return f"{what}; enabling again"
         if silence.remedy is Remedy.RECONNECT:
-            return f"{what}; connecting anew" + (f"; {_ADVICE}" if silence.attempts else "")
-        return f"{what}, whatever the agent does; {_ADVICE}"
+            return f"{what}; connecting anew" + (f"; {advice}" if silence.attempts else "")
+        return f"{what}, whatever the agent does; {advice}"
+
+
+class _Unreadable:
+    """Bytes of a device that made no valid message, by when they came."""
+
+    def __init__(self, sink: DeviceSink) -> None:
+        self._sink = sink
+        self._seen = deque([(sink.clock(), sink.dropped_bytes)], maxlen=_KEPT_LOOKS)
+
+    def look(self) -> None:
+        """Note how many there are now."""
+        self._seen.append((self._sink.clock(), self._sink.dropped_bytes))
+
+    def count(self, seconds: float) -> int:
+        """Return how many came in the last seconds, as far as is known."""
+        begin_s = self._sink.clock() - seconds
+        before = next((n for time_s, n in reversed(self._seen) if time_s <= begin_s), None)
+        return self._sink.dropped_bytes - (self._seen[0][1] if before is None else before)
+
+    def since(self, seconds: float) -> str:
+        """Say so; empty if there were none."""
+        count = self.count(seconds)
+        return f" ({count} bytes came that cannot be read)" if count else ""
 
 
 def _denial(denied: Mapping[str, str]) -> str | None:

@@ -130,7 +130,8 @@ class Supervisor:
             if self._sink.watch.is_complete:
                 self.last_error = None
             started = self._sink.clock()
-            self._enter(State.STREAMING)
+            # What had fallen silent before has been enabled with everything else.
+            self._enter(State.ENABLING if self._sink.watch.absent else State.STREAMING)
             return self._dropped(await self._stream(driver))
         except asyncio.CancelledError:
             if _is_stopping():

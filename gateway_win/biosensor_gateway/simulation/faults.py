@@ -31,6 +31,8 @@ class FaultKind(Enum):
     """The device breaks the link, then for 30 s answers every command so late [s]."""
     FORGET = "forget"
     """It stays connected and forgets what was switched on: only what keeps it alive still comes."""
+    UNREADABLE = "unreadable"
+    """Data come in a form that nobody can read, as of another version, for so long [s]."""
     RESTART = "restart"
     """The device or its server ends and starts anew after so long [s]; all modes are lost."""
     LOW_BATTERY = "low_battery"

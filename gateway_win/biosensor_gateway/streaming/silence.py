@@ -97,7 +97,7 @@ class StreamWatch:
         self._read_s = clock()
         self._now_s = 0.0
         self._streams: dict[str, _Stream] = {}
-        self._limit_s = math.inf
+        self._limit_s = self._patience_s = math.inf
         self._device_s = -math.inf
         self._attempts: dict[str, int] = {}
         self._came_back: set[str] = set()
@@ -209,7 +209,7 @@ class StreamWatch:
         self._came_back.clear()
         return came_back
 
-    def judge(self, *, can_enable: bool) -> Silence | None:
+    def judge(self, *, can_enable: bool, patience_s: float = math.inf) -> Silence | None:
         """Return what is silent and what to do now; None if there is nothing to do.
 
         To be called several times a second. It is expected to be done: the next judgement
@@ -219,8 +219,11 @@ class StreamWatch:
         ----------
         can_enable
             Whether the driver can enable single streams again.
+        patience_s
+            No stream may be absent for longer now, whatever its own limit is.
         """
         self._now()
+        self._patience_s = patience_s
         overdue = self._overdue()
         if not overdue:
             return None
@@ -239,7 +242,8 @@ class StreamWatch:
         return {
             name: each
             for name, each in self._streams.items()
-            if not each.is_excused and self._now_s - each.waited_from_s >= share * each.limit_s
+            if not each.is_excused
+            and self._now_s - each.waited_from_s >= share * min(each.limit_s, self._patience_s)
         }
 
     def _enable(self, overdue: Mapping[str, _Stream]) -> Silence:

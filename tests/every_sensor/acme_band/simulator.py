@@ -53,6 +53,7 @@ class SimulatedAcmeBand(VirtualDevice):
         self._port: AsyncSerialPort | None = None
         self._measuring: asyncio.Task[None] | None = None
         self._sends, self._stalled, self._worn, self._battery = False, False, True, 80
+        self._check = 0
 
     @property
     def settings(self) -> Mapping[str, Any]:
@@ -87,13 +88,13 @@ class SimulatedAcmeBand(VirtualDevice):
             counts = round(100 * force) if self._worn else -(2**15)
             value = counts / 100 if self._worn else nan
             taken = self._sends and not self._stalled and port.write(self._frame(number, counts))
-            if taken:
+            if taken and not self._check:
                 self.truth.sent("force", [time_s], [[value]])
             number += 1
 
     def _frame(self, number: int, counts: int) -> bytes:
         frame = struct.pack("<BHhBB", 0xAC, number % 2**16, counts, self._worn, self._battery)
-        return frame + bytes([sum(frame) % 256])
+        return frame + bytes([(sum(frame) + self._check) % 256])
 
     def _hang_up(self) -> None:
         self._left()
@@ -114,6 +115,12 @@ class SimulatedAcmeBand(VirtualDevice):
         if self._port is not None:
             self._port.write(self._rng.bytes(int(count)))
 
+    def _check_otherwise(self) -> None:
+        self._check = 1
+
+    def _check_as_ever(self) -> None:
+        self._check = 0
+
     def _discharge(self, percent: float) -> None:
         self._battery = round(percent)
 
@@ -131,6 +138,7 @@ class SimulatedAcmeBand(VirtualDevice):
             FaultKind.DROP: lasting(_hang_up, _reopen),
             FaultKind.STALL: lasting(_stall, _resume),
             FaultKind.GARBAGE: Effect(_babble),
+            FaultKind.UNREADABLE: lasting(_check_otherwise, _check_as_ever),
             FaultKind.LOW_BATTERY: Effect(_discharge),
             FaultKind.OFF_BODY: lasting(_take_off, _put_on),
             FaultKind.DRIFT: Effect(_drift),

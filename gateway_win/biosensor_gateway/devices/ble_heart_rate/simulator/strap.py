@@ -72,6 +72,8 @@ class Strap:
         As they are now.
     pulse
         Its heart rate measurement.
+    is_unreadable
+        Whether what it measures comes in a form that nobody knows.
     on_power_on, on_power_off, on_second
         Called when it has been switched on, before it is switched off, and after
         every measurement.
@@ -98,6 +100,7 @@ class Strap:
         self.wearer = wearer or Wearer(seed)
         self.rng = np.random.default_rng(seed)
         self.worn = True
+        self.is_unreadable = False
         self.battery_percent = _BATTERY_PERCENT
         self.on_power_on: list[Callable[[], None]] = []
         self.on_power_off: list[Callable[[], None]] = []
@@ -151,6 +154,14 @@ class Strap:
     def forget(self, _: float = 0.0) -> None:
         """Take it that nobody has subscribed to the heart rate."""
         self.peripheral.forget_subscription(self.heart_rate.measurement)
+
+    def become_unreadable(self) -> None:
+        """Send heart rates that are too short for their flags, and all else likewise."""
+        self.is_unreadable = True
+
+    def become_readable(self) -> None:
+        """End that."""
+        self.is_unreadable = False
 
     def go_down(self) -> None:
         """Switch itself off."""
@@ -223,9 +234,11 @@ class Strap:
         for second in count(1):
             measured_s = await self.crystal.reach(second)
             value = encode(self.pulse.measure(measured_s, worn=self.worn))
+            is_readable = not self.is_unreadable
             characteristic = self.heart_rate.measurement
             expected = self.peripheral.subscribed(characteristic)
-            sent = await self.send(characteristic, value)
+            sent = await self.send(characteristic, value if is_readable else value[:1])
+            sent = sent and is_readable
             if sent or expected:
                 self.pulse.note(self.truth, measured_s, sent=sent)
             _call(self.on_second)
@@ -256,6 +269,7 @@ STRAP_EFFECTS: Effects[Strap] = MappingProxyType(
         FaultKind.STALL: lasting(Strap.stall, Strap.resume),
         FaultKind.GARBAGE: Effect(Strap.babble),
         FaultKind.FORGET: Effect(Strap.forget),
+        FaultKind.UNREADABLE: lasting(Strap.become_unreadable, Strap.become_readable),
         FaultKind.RESTART: lasting(Strap.go_down, Strap.come_up),
         FaultKind.LOW_BATTERY: Effect(Strap.discharge),
         FaultKind.OFF_BODY: lasting(Strap.take_off, Strap.put_on),

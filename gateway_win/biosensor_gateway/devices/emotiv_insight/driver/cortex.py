@@ -66,10 +66,11 @@ class TextLink(Protocol):
 
 
 class ArrivedData(NamedTuple):
-    """A sample and the LSL time at which it arrived."""
+    """A sample, the LSL time at which it arrived, and the length of its message."""
 
     data: Data
     arrival: float
+    size: int = 0
 
 
 class CortexError(ProtocolError):
@@ -239,7 +240,7 @@ class CortexClient:
     def _take(self, received: ReceivedText) -> None:
         match parse(received.text):
             case Data() as data:
-                self._keep(ArrivedData(data, received.arrival))
+                self._keep(ArrivedData(data, received.arrival, len(received.text)))
             case Reply() as reply:
                 self._answer(reply)
             case Warned() as warned:

@@ -167,6 +167,7 @@ class EmotivInsightDriver:
     def _take(self, arrived: ArrivedData) -> None:
         sample = self._decoder.decode(arrived.data)
         if isinstance(sample, Fault):
+            self._sink.dropped_bytes += arrived.size
             self._client.note(sample)
             return
         self._sink.heard()

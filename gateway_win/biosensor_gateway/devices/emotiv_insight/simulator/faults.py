@@ -21,6 +21,14 @@ def _babble(service: Service, messages: float) -> None:
     service.send_garbage(round(messages))
 
 
+def _send_unannounced(service: Service) -> None:
+    service.mishaps.unannounced = True
+
+
+def _send_announced(service: Service) -> None:
+    service.mishaps.unannounced = False
+
+
 def _comply(service: Service) -> None:
     service.manners.refusal = None
 
@@ -53,6 +61,7 @@ EFFECTS: Effects[Service] = MappingProxyType(
         FaultKind.REFUSE: lasting(Service.refuse, _comply),
         FaultKind.LATE: Effect(Service.delay, _answer_in_time),
         FaultKind.FORGET: Effect(_forget),
+        FaultKind.UNREADABLE: lasting(_send_unannounced, _send_announced),
         FaultKind.RESTART: lasting(Service.go_down, Service.come_up),
         FaultKind.LOW_BATTERY: Effect(_discharge),
         FaultKind.OFF_BODY: lasting(_take_off, _put_on),

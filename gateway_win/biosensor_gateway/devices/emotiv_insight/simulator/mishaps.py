@@ -15,6 +15,8 @@ class Mishaps:
 
     Attributes
     ----------
+    unannounced
+        Samples of every stream have a column that no subscription told of.
     lost
         Are not sent.
     interpolated
@@ -25,6 +27,7 @@ class Mishaps:
         Objects that go with one sample each.
     """
 
+    unannounced: bool = False
     lost: int = 0
     interpolated: int = 0
     repeated: int = 0

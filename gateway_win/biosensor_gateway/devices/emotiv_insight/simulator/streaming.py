@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import floor, nan
 from typing import Any, cast
@@ -83,7 +83,7 @@ class Stream:
     ----------
     name, rate, signal, columns
     mishaps
-        For EEG only.
+        All but ``unannounced`` for EEG only.
     stage
     """
 
@@ -150,9 +150,11 @@ class Stream:
         is_eeg = self._name == "eeg"
         lost = is_eeg and self._mishaps.loses()
         takers = [] if lost else [taker for taker in clients if taker[1].has_room]
-        if not takers:
+        if not takers or self._mishaps.unannounced:
             for data_name in self._true_names:
                 self._stage.truth.unsent(data_name, 1)
+            for session, client in takers:
+                client.send(self._write(number, sample, session.session_id, ["?"]))
             return
         if is_eeg:
             sample = self._mishaps.alter(sample)
@@ -164,8 +166,10 @@ class Stream:
             for _ in range(copies):
                 client.send(text)
 
-    def _write(self, number: int, sample: Sample, session_id: str) -> str:
-        values = _arranged(sample, self._columns)
+    def _write(
+        self, number: int, sample: Sample, session_id: str, further: Sequence[str] = ()
+    ) -> str:
+        values = [*_arranged(sample, self._columns), *further]
         time_s = round(self._stage.stamp(number / self._rate), 4)
         return json.dumps({self._name: values, "sid": session_id, "time": time_s})
 

@@ -32,6 +32,8 @@ from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 
 PATIENCE_S = 5.0
+SHOWN = 60
+"""Characters of a line of no use that the log shows."""
 RADIO_GRACE_S = 30.0
 LIST_TIMEOUT_S, BIND_TIMEOUT_S, RADIO_TIMEOUT_S = 3.0, 5.0, 30.0
 DISCOVERABLE_MINUTES = "208"
@@ -190,7 +192,9 @@ class E4Driver:
                 samples.clear()
                 self._radio(message.event)
             elif isinstance(message, Malformed):
-                _log.debug("a line makes no sense", where=self._where, why=message.flaw.value)
+                self._emitter.log.warn_once(
+                    "lines are dropped", cause=message.flaw.value, line=ascii(message.raw[:SHOWN])
+                )
         self._pass_on(samples, arrival)
 
     def _pass_on(self, samples: list[Sample], arrival: float) -> None:

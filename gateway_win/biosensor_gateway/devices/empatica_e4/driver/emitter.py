@@ -31,11 +31,17 @@ _TAG = "button"
 
 
 class E4Emitter:
-    """Turns samples into streams; one instance a wristband, over all its connections."""
+    """Turns samples into streams; one instance a wristband, over all its connections.
+
+    Attributes
+    ----------
+    log
+        Also for what is to be said once, and not at every connection.
+    """
 
     def __init__(self, sink: Sink) -> None:
         self._sink = sink
-        self._log = DeviceLog("biosensor_gateway.empatica_e4", sink.identity)
+        self.log = DeviceLog("biosensor_gateway.empatica_e4", sink.identity)
         self._anchored = False
         self._early: deque[Sample] = deque(maxlen=_MAX_EARLY)
         self._last_times: dict[Stream, float] = {}
@@ -138,7 +144,7 @@ class E4Emitter:
             self._owed[stream] -= whole
             self._sink.lost(DATA_NAMES[stream], whole)
         seconds = round(lost_s, 2)
-        self._log.warning("samples lost on the radio, estimated from their number", seconds=seconds)
+        self.log.warning("samples lost on the radio, estimated from their number", seconds=seconds)
 
     def _emit_quality(self, time_s: float) -> None:
         worn = math.nan if self._worn is None else float(self._worn)

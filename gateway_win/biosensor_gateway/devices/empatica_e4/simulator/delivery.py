@@ -10,6 +10,8 @@ from biosensor_gateway.devices.empatica_e4.simulator.number_format import Number
 from biosensor_gateway.devices.empatica_e4.simulator.samples import Packet, Sample
 from biosensor_gateway.devices.empatica_e4.simulator.wristband import Wristband
 
+_FOREIGN = NumberFormat(decimal_mark="٫", digits="٠١٢٣٤٥٦٧٨٩")  # noqa: RUF001
+
 
 @dataclass(frozen=True, slots=True)
 class Tear:
@@ -33,6 +35,8 @@ class Mishaps:
 
     Attributes
     ----------
+    foreign
+        Lines have the digits and marks of another script.
     doubled
         Are written twice.
     glued
@@ -43,6 +47,7 @@ class Mishaps:
         Lines that end in the middle, and the connection with them.
     """
 
+    foreign: bool = False
     doubled: int = 0
     glued: int = 0
     cut: int = 0
@@ -84,13 +89,14 @@ class Delivery:
         for sample in packet.samples:
             stamp_s = wristband.stamps.stamp(sample, packet.arrives_s)
             if wanted:
-                self._send(wristband, sample, sample.line(stamp_s, self.style), wanted)
+                style = _FOREIGN if self.mishaps.foreign else self.style
+                self._send(wristband, sample, sample.line(stamp_s, style), wanted)
 
     def _send(
         self, wristband: Wristband, sample: Sample, line: bytes, wanted: list[Client]
     ) -> None:
         takers = [client for client in wanted if client.has_room]
-        if not takers or self._is_to_be_spoilt:
+        if not takers or self._is_to_be_spoilt or self.mishaps.foreign:
             # Noted before it is sent: what a client has read is in the truth.
             _note_unsent(wristband, (sample,))
             self._spoil(line, takers)
@@ -128,7 +134,7 @@ class Delivery:
             self.mishaps.glued -= 1
             self._glue_to = line.rstrip()
             return
-        else:
+        elif self.mishaps.cut:
             self.mishaps.cut -= 1
             line = line[: len(line) // 2]
         for client in takers:

@@ -29,6 +29,14 @@ def _babble(server: Server, lines: float) -> None:
     server.send_garbage(round(lines))
 
 
+def _write_foreign(server: Server) -> None:
+    server.delivery.mishaps.foreign = True
+
+
+def _write_usual(server: Server) -> None:
+    server.delivery.mishaps.foreign = False
+
+
 def _let_bind(server: Server) -> None:
     server.manners.refuses_binding = False
 
@@ -65,6 +73,7 @@ EFFECTS: Effects[Server] = MappingProxyType(
         FaultKind.REFUSE: lasting(Server.refuse, _let_bind),
         FaultKind.LATE: Effect(Server.answer_late, _answer_in_time),
         FaultKind.FORGET: Effect(_forget),
+        FaultKind.UNREADABLE: lasting(_write_foreign, _write_usual),
         FaultKind.RESTART: lasting(Server.go_down, Server.come_up),
         FaultKind.LOW_BATTERY: Effect(_discharge),
         FaultKind.OFF_BODY: lasting(_take_off, _put_on),

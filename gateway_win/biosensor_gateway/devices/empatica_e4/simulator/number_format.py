@@ -6,7 +6,7 @@ below 1e-4 and from the precision on. The marks are those of the Windows locale.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,10 +24,13 @@ class NumberFormat:
         ``,`` or ``.``.
     minus_sign
         ``-``, or U+2212 as some locales have it.
+    digits
+        From nought to nine.
     """
 
     decimal_mark: str = ","
     minus_sign: str = "-"
+    digits: str = "0123456789"
 
     def value(self, number: float) -> str:
         """Write a measured value: single precision, G7."""
@@ -39,10 +42,11 @@ class NumberFormat:
 
     def with_other_mark(self) -> NumberFormat:
         """Return the format of a locale with the other decimal mark."""
-        return NumberFormat("." if self.decimal_mark == "," else ",", self.minus_sign)
+        return replace(self, decimal_mark="." if self.decimal_mark == "," else ",")
 
     def _localised(self, text: str) -> str:
-        return text.upper().replace(".", self.decimal_mark).replace("-", self.minus_sign)
+        marked = text.upper().replace(".", self.decimal_mark).replace("-", self.minus_sign)
+        return marked.translate(str.maketrans("0123456789", self.digits))
 
 
 def as_sent(number: float) -> float:

@@ -92,6 +92,11 @@ def damaged(rng: np.random.Generator, count: int) -> Iterator[bytes]:
     return islice(cycle(kinds), count)
 
 
+def in_unknown_format(frame: bytes) -> bytes:
+    """Return a frame whose header names a format that no document has."""
+    return frame[: HEADER_BYTES - 1] + bytes((_UNKNOWN_FORMAT,)) + frame[HEADER_BYTES:]
+
+
 def _flags(interval: PulseInterval) -> int:
     supported = interval.contact is not None
     return interval.moving | bool(interval.contact) << 1 | supported << 2

@@ -87,7 +87,7 @@ class WaveformStream:
         stamps = [POWER_ON_NS + round(1e9 * self._device_s(int(index))) for index in indices]
         counts = self._waveform.counts(times - self._strap.origin_s, self._strap.worn)
         for part, frame in self._waveform.split(counts, stamps, _room(self._strap)):
-            sent = await self._strap.send(self._data, frame)
+            sent = await _send(self._strap, self._data, frame)
             self._note(times[: len(part)].tolist(), part, sent=sent)
             times = times[len(part) :]
 
@@ -145,10 +145,18 @@ class IntervalStream:
                 PulseInterval(self._detector.bpm, length, _INTERVAL_ERROR_MS, contact=True)
                 for length in lengths_ms[part]
             ]
-            if await self._strap.send(self._data, frames.pulse_intervals(0, entries)):
+            if await _send(self._strap, self._data, frames.pulse_intervals(0, entries)):
                 times = [one.time for one in intervals[part]]
                 values = [(length / 1000,) for length in lengths_ms[part]]
                 self._strap.truth.sent("ppi", times, values)
+
+
+async def _send(strap: Strap, data: Characteristic[bytes], frame: bytes) -> bool:
+    """Send a frame; False if nobody can know what it holds."""
+    if strap.is_unreadable:
+        await strap.send(data, frames.in_unknown_format(frame))
+        return False
+    return await strap.send(data, frame)
 
 
 def _room(strap: Strap) -> int:

@@ -32,6 +32,7 @@ from biosensor_gateway.devices.shimmer3_gsr.simulator.wire import (
     Firmware,
     Opcode,
     channels_of,
+    in_unknown_kind,
 )
 from biosensor_gateway.simulation.async_serial import AsyncSerialPort, serial_port
 from biosensor_gateway.simulation.crystal import Crystal
@@ -114,7 +115,7 @@ class SimulatedShimmer3(VirtualDevice):
         self._notes = Notes(self.truth)
         self._streams = Streams(world.clock, self._send, self._notes.kept_back)
         self._worn = True
-        self._stalled = False
+        self._stalled = self._is_unreadable = False
 
     @property
     def port(self) -> str:
@@ -214,7 +215,10 @@ class SimulatedShimmer3(VirtualDevice):
         return Conditions(self._worn, bool(self._flash.expansion_power), self.battery_counts())
 
     def _send(self, sample: Sample) -> None:
-        if self._conversation.say(sample.packet):
+        if self._is_unreadable:
+            self._conversation.say(in_unknown_kind(sample.packet))
+            self._notes.kept_back(sample)
+        elif self._conversation.say(sample.packet):
             self._notes.sent(sample)
         else:
             self._notes.kept_back(sample)
@@ -250,6 +254,12 @@ class SimulatedShimmer3(VirtualDevice):
         self._interpreter.sensing = False
         self._follow_sensing()
 
+    def _become_unreadable(self) -> None:
+        self._is_unreadable = True
+
+    def _become_readable(self) -> None:
+        self._is_unreadable = False
+
     def _power_cycle(self) -> None:
         self._crystal = Crystal(self.world.clock, self._crystal.drift_ppm)
         self._first_tick = 0
@@ -277,6 +287,7 @@ class SimulatedShimmer3(VirtualDevice):
             FaultKind.REFUSE: lasting(_refuse, _comply),
             FaultKind.LATE: Effect(_answer_late, _answer_in_time),
             FaultKind.FORGET: Effect(_forget),
+            FaultKind.UNREADABLE: lasting(_become_unreadable, _become_readable),
             FaultKind.LOW_BATTERY: Effect(_discharge),
             FaultKind.OFF_BODY: lasting(_take_off, _put_on),
             FaultKind.DRIFT: Effect(_drift),

@@ -229,6 +229,11 @@ def data_packet(ticks: int, channels: Iterable[int], values: Sequence[int]) -> b
     return DATA + (ticks % TICKS_MODULUS).to_bytes(3, "little") + body
 
 
+def in_unknown_kind(packet: bytes) -> bytes:
+    """Return so many bytes of which none begins a message that any document has."""
+    return bytes(byte & 0x3F | 0x40 for byte in packet)
+
+
 def _encoded(channel: int, value: int) -> bytes:
     width = _WIDTHS.get(channel, 2)
     order = "big" if channel in _BIG_ENDIAN else "little"

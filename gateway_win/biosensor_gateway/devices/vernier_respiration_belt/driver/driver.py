@@ -35,6 +35,7 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.discovery import 
     recognise,
 )
 from biosensor_gateway.devices.vernier_respiration_belt.driver.emitter import VernierEmitter
+from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import Unknown
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
@@ -154,7 +155,8 @@ class VernierDriver:
 
     def _take(self, found: Sequence[Heard]) -> None:
         for message, arrival_s in found:
-            self._sink.heard()
+            if not isinstance(message, Unknown):
+                self._sink.heard()
             self._emitter.take(message, arrival_s)
 
     async def _ask_status(self, belt: Conversation) -> None:

@@ -179,8 +179,9 @@ class SimulatedBelt(VirtualDevice):
             if not mask:
                 return
             columns = [channel for channel in range(rows.shape[1]) if mask & (1 << channel)]
+            is_readable = self._firmware.knows_type
             sent = await self._send(self._firmware.pack(rows[:, columns]))
-            note(self.truth, times, rows, mask, sent=sent)
+            note(self.truth, times, rows, mask, sent=sent and is_readable)
             first += count
 
     async def _send(self, packet: bytes) -> bool:
@@ -256,6 +257,12 @@ class SimulatedBelt(VirtualDevice):
         self._firmware.mask = 0
         self._stop_measuring()
 
+    def _become_unreadable(self) -> None:
+        self._firmware.knows_type = False
+
+    def _become_readable(self) -> None:
+        self._firmware.knows_type = True
+
     def _go_down(self) -> None:
         self._power.hold_off(FaultKind.RESTART)
 
@@ -283,6 +290,7 @@ class SimulatedBelt(VirtualDevice):
             FaultKind.REFUSE: lasting(_refuse, _comply),
             FaultKind.LATE: Effect(_answer_late, _answer_in_time),
             FaultKind.FORGET: Effect(_forget),
+            FaultKind.UNREADABLE: lasting(_become_unreadable, _become_readable),
             FaultKind.RESTART: lasting(_go_down, _come_up),
             FaultKind.LOW_BATTERY: Effect(_discharge),
             FaultKind.OFF_BODY: lasting(_take_off, _put_on),

@@ -29,6 +29,8 @@ class BeltFirmware:
         Shown in the status.
     refuses
         Every command is ignored, with a status that says so.
+    knows_type
+        False: samples are of a type that no source names.
     mask
         Channels that are being measured; 0 while it is stopped.
     period_us
@@ -42,6 +44,7 @@ class BeltFirmware:
         self._serial = serial
         self.battery_percent = 76
         self.refuses = False
+        self.knows_type = True
         self.starts = 0
         self.forget()
 
@@ -72,7 +75,7 @@ class BeltFirmware:
 
     def pack(self, rows: NDArray[np.float32]) -> bytes:
         """Make the packet of the next samples of the measured channels."""
-        body = wire.measurements(self.mask, self._auxiliary, rows)
+        body = wire.measurements(self.mask, self._auxiliary, rows, known=self.knows_type)
         self._auxiliary += len(rows)
         return self._seal(wire.MEASUREMENT_HEAD, body)
 

@@ -18,6 +18,7 @@ MEASUREMENT_HEAD = 0x20
 COMMAND_HEAD = 0x58
 HEADER_BYTES = 4
 NORMAL_REAL32 = 6
+_UNKNOWN_TYPE = 0x7F
 
 
 @unique
@@ -129,7 +130,9 @@ def sensor_info(number: int) -> bytes:
     )
 
 
-def measurements(mask: int, auxiliary: int, rows: NDArray[np.float32]) -> bytes:
+def measurements(
+    mask: int, auxiliary: int, rows: NDArray[np.float32], *, known: bool = True
+) -> bytes:
     """Body of a packet of samples, type NORMAL_REAL32.
 
     Parameters
@@ -140,6 +143,9 @@ def measurements(mask: int, auxiliary: int, rows: NDArray[np.float32]) -> bytes:
         A running byte whose meaning is not known.
     rows : ndarray of float32, shape (samples, channels)
         Channels in ascending order.
+    known
+        False: the type is one that no source names.
     """
-    head = struct.pack("<BHBB", NORMAL_REAL32, mask, len(rows), auxiliary & 0xFF)
+    kind = NORMAL_REAL32 if known else _UNKNOWN_TYPE
+    head = struct.pack("<BHBB", kind, mask, len(rows), auxiliary & 0xFF)
     return head + rows.astype("<f4").tobytes()

@@ -17,7 +17,7 @@ import numpy as np
 
 from biosensor_gateway.devices.zephyr.simulator.session import Session
 from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing, Source
-from biosensor_gateway.devices.zephyr.simulator.wire import Packet
+from biosensor_gateway.devices.zephyr.simulator.wire import Packet, with_wrong_check
 from biosensor_gateway.simulation.async_serial import AsyncSerialPort, serial_port
 from biosensor_gateway.simulation.effects import Effect, lasting
 from biosensor_gateway.simulation.faults import FaultKind
@@ -76,7 +76,7 @@ class BioHarness(VirtualDevice):
         self._buffer_bytes = buffer_bytes
         self._tcp = tcp
         self._port: AsyncSerialPort | None = None
-        self._stalled = False
+        self._stalled = self._garbled = False
         self._unheard = bytearray()
         self._next_turn: asyncio.TimerHandle | None = None
         self._reopening: asyncio.TimerHandle | None = None
@@ -145,7 +145,9 @@ class BioHarness(VirtualDevice):
             if data[1] != Packet.LIFESIGN or not self.source.speaks_lifesigns:
                 self._write(data)
         for frame in self.source.poll(now, self.session.enabled):
-            self._note(frame, sent=self._write(frame.data))
+            if self._garbled:
+                self._write(with_wrong_check(frame.data))
+            self._note(frame, sent=not self._garbled and self._write(frame.data))
 
     def _write(self, data: bytes) -> bool:
         reaches_host = self._port is not None and self.session.active and not self._stalled
@@ -180,6 +182,12 @@ class BioHarness(VirtualDevice):
             self._unheard.clear()
             self._heard(data)
 
+    def _garble(self) -> None:
+        self._garbled = True
+
+    def _speak_clearly(self) -> None:
+        self._garbled = False
+
     def _babble(self, count: float) -> None:
         self._write(self._rng.bytes(int(count)))
 
@@ -188,5 +196,6 @@ class BioHarness(VirtualDevice):
             FaultKind.DROP: lasting(_hang_up, _reopen),
             FaultKind.STALL: lasting(_stall, _resume),
             FaultKind.GARBAGE: Effect(_babble),
+            FaultKind.UNREADABLE: lasting(_garble, _speak_clearly),
         }
     )

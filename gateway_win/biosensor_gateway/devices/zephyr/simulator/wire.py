@@ -104,6 +104,11 @@ def frame(message_id: int, payload: bytes = b"", end: int = ETX) -> bytes:
     return bytes((STX, message_id, len(payload), *payload, crc8(payload), end))
 
 
+def with_wrong_check(data: bytes) -> bytes:
+    """Return a frame whose check is another than that of its payload."""
+    return data[:-2] + bytes((data[-2] ^ 0xFF, data[-1]))
+
+
 def response(request_id: int, *, accepted: bool) -> bytes:
     """Return the answer to a request: ACK or NAK, without data."""
     return frame(request_id, end=ACK if accepted else NAK)
