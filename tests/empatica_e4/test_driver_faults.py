@@ -239,10 +239,28 @@ async def test_answers_that_come_too_late_answer_nothing_else(
 
 async def test_an_answer_that_never_comes_begins_anew(world: World, running: Running) -> None:
     with SimulatedE4(world) as server:
-        server.withhold_reply("pause")
+        server.withhold_reply("device_subscribe")
         async with running(server.settings) as run:
-            await run.until(lambda: "no answer to pause" in run.error)
+            await run.until(lambda: "no answer to device_subscribe" in run.error)
             await run.until_more()
+
+
+@pytest.mark.parametrize("obey", [True, False])
+async def test_a_server_that_never_answers_pause_does_without(
+    world: World, running: Running, obey: bool
+) -> None:
+    with SimulatedE4(world) as server:
+        server.never_answer("pause", obey=obey)
+        with capture_logs() as logs:
+            async with running(server.settings) as run:
+                await run.until_more("bvp", "acc", "st")
+                assert run.error == ""
+                server.close_connections()
+                await run.until(run.has_reconnected)
+                await run.until_more()
+            run.assert_none_doubled(server.truth)
+        assert run.states.count(State.STREAMING) == 2
+        assert sum("does not answer pause" in entry["event"] for entry in logs) == 1
 
 
 async def test_an_empty_list_is_waited_for(world: World, running: Running) -> None:

@@ -68,6 +68,10 @@ class Conversation:
             raise ProtocolError(ProtocolReason.NO_REPLY, message)
         return reply
 
+    def tell(self, command: str, *arguments: str) -> None:
+        """Send a request whose reply nobody waits for."""
+        self._link.write(request(command, *arguments))
+
     async def stream(self, listener: Callable[[Sequence[Heard]], None]) -> None:
         """Pass on all messages since `open`, those of a read at a time.
 
@@ -86,7 +90,7 @@ class Conversation:
 
     async def close(self) -> None:
         """Unbind without waiting, and close; never raises."""
-        self._link.write(request("device_disconnect"))
+        self.tell("device_disconnect")
         await self._dialogue.close()
         await self._link.close()
 

@@ -83,9 +83,13 @@ class E4Driver:
         await self._talk.open()
         self._device = (await self._listed() or await self._discovered()).device
         await self._bind()
-        await self._talk.ask("pause", "ON", timeout_s=LIST_TIMEOUT_S)
+        answers = await self._pause("ON")
         refused = await self._subscribe(SUBSCRIBED)
-        await self._talk.ask("pause", "OFF", timeout_s=LIST_TIMEOUT_S)
+        if answers:
+            await self._pause("OFF")
+        else:
+            # It may have paused without a word.
+            self._talk.tell("pause", "OFF")
         self._emitter.new_epoch()
         info = DeviceInfo(serial_number=self._device.upper())
         names = frozenset(DATA_NAMES[each] for each in refused if each in DATA_NAMES)
@@ -155,6 +159,18 @@ class E4Driver:
         if not reply.accepted and _ALREADY_BOUND not in reply.reason:
             message = f"{self._where}: wristband {self._device} is refused ({reply.reason})"
             raise TransportError(TransportReason.ABSENT, message)
+
+    async def _pause(self, switch: str) -> bool:
+        """Keep data from coming between replies, or end that; return whether there was a reply.
+
+        It is a nicety: replies are found among data, too.
+        """
+        try:
+            await self._talk.ask("pause", switch, timeout_s=LIST_TIMEOUT_S)
+        except ProtocolError:
+            self._emitter.log.warn_once("the server does not answer pause; it is done without")
+            return False
+        return True
 
     async def _subscribe(self, streams: Collection[Stream]) -> list[Stream]:
         """Subscribe to streams one by one; return those that are refused.

@@ -32,6 +32,8 @@ class Manners:
         So is a subscription to these.
     withheld
         Commands whose next request gets no answer.
+    never_answered
+        Commands that never get an answer, and whether they are carried out all the same.
     hides_all
         Lists are empty.
     """
@@ -40,6 +42,7 @@ class Manners:
     refuses_binding: bool = False
     refused_streams: set[str] = field(default_factory=set[str])
     withheld: set[str] = field(default_factory=set[str])
+    never_answered: dict[str, bool] = field(default_factory=dict[str, bool])
     hides_all: bool = False
 
 
@@ -92,12 +95,16 @@ class Commands:
             return
         self.requests.append(request)
         command, *arguments = request.split()
+        if not self._manners.never_answered.get(command, True):
+            return
         carry_out = self._known.get(command)
         answer = carry_out(client, arguments) if carry_out else "ERR Unknown command"
         if answer is not None:
             self._answer(client, command, answer)
 
     def _answer(self, client: Client, command: str, answer: str) -> None:
+        if command in self._manners.never_answered:
+            return
         if command in self._manners.withheld:
             self._manners.withheld.remove(command)
             return

@@ -168,6 +168,10 @@ class SimulatedE4(VirtualDevice):
         """Carry the next request of a command out without an answer."""
         self._do(lambda: self._server.manners.withheld.add(command))
 
+    def never_answer(self, command: str, *, obey: bool) -> None:
+        """Give no answer to a command, ever, whether or not it is carried out."""
+        self._do(lambda: self._server.manners.never_answered.update({command: obey}))
+
     def empty_list(self, seconds: float) -> None:
         """List no wristband for so long; data go on."""
         loop, manners = self.world.loop, self._server.manners
