@@ -315,6 +315,46 @@ async def test_no_scan_disturbs_the_headset_of_somebody_else(
     assert "controlDevice" not in cortex.methods
 
 
+MN8 = ("T7", "T8")
+EPOC = ("AF3", "F7", "F3", "FC5", "T7", "P7", "O1", "O2", "P8", "T8", "FC6", "F4", "F8", "AF4")
+
+
+@pytest.mark.parametrize(
+    ("headset_id", "sensors", "said"),
+    [
+        ("MN8-12341234", MN8, "MN8-12341234 is no Insight (2 electrodes: T7, T8);"),
+        ("EPOCX-12341234", EPOC, "EPOCX-12341234 is no Insight (14 electrodes: AF3, F7,"),
+        ("EPOCFLEX-12341234", (), "EPOCFLEX-12341234 is no Insight;"),
+        # Whatever its id is: its own list decides.
+        ("INSIGHT-12341234", EPOC, "INSIGHT-12341234 is no Insight (14 electrodes:"),
+    ],
+)
+async def test_a_headset_with_other_channels_is_refused_and_draws_no_session(
+    cortex: ScriptedCortex,
+    running: Running,
+    eventually: Eventually,
+    headset_id: str,
+    sensors: tuple[str, ...],
+    said: str,
+) -> None:
+    cortex.headsets = [cortex.headset() | {"id": headset_id, "sensors": list(sensors)}]
+    async with running(headset="") as run:
+        await eventually(lambda: said in run.error)
+        assert "set headset to an Insight" in run.error
+        await eventually(lambda: run.states.count(State.BACKOFF) == 1)
+    assert not {"createSession", "subscribe"} & set(cortex.methods)
+
+
+async def test_other_headsets_in_reach_are_no_choice_to_make(
+    cortex: ScriptedCortex, running: Running, eventually: Eventually
+) -> None:
+    own = cortex.headset() | {"sensors": ["AF3", "AF4", "T7", "T8", "Pz"]}
+    cortex.headsets = [own, {"id": "MN8-12341234", "status": "discovered", "sensors": []}]
+    async with running(headset="") as run:
+        await eventually(run.is_streaming)
+        await stream_a_second(cortex, run, eventually)
+
+
 async def test_data_before_subscribe_reply(
     cortex: ScriptedCortex, answers: Answers, running: Running, eventually: Eventually
 ) -> None:

@@ -13,6 +13,7 @@ import keyring
 import pytest
 import structlog
 from keyring.backends import null
+from structlog.testing import capture_logs
 
 from biosensor_common.errors import (
     ConfigError,
@@ -255,8 +256,11 @@ async def test_a_search_returns_the_headsets_of_cortex(
 ) -> None:
     monkeypatch.setattr(discovery, "SEARCH_S", 0.3)
     cortex.headsets = [cortex.headset("discovered"), {"id": "EPOCX-1", "status": "discovered"}]
-    first, second = await find([run.settings, run.settings])
-    assert (first.name, second.name) == ("blue", "EPOCX-1")
+    with capture_logs() as logs:
+        (first,) = await find([run.settings, run.settings])
+    assert first.name == "blue"
+    # It would be proposed for the settings, and then be refused.
+    assert [entry.get("headset") for entry in logs if "no Insight" in entry["event"]] == ["EPOCX-1"]
     assert first.settings == {
         "unit": "INSIGHT-12341234", "headset": "INSIGHT-12341234", "url": cortex.url,
         "allow_remote": False, "ca_file": str(cortex.ca_file),

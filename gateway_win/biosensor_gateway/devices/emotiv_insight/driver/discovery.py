@@ -5,17 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from urllib.parse import urlsplit
 
+import structlog
+
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.emotiv_insight.driver.account import Account, find_credentials
 from biosensor_gateway.devices.emotiv_insight.driver.cortex import CortexClient, CortexError
 from biosensor_gateway.devices.emotiv_insight.driver.failures import gateway_error
-from biosensor_gateway.devices.emotiv_insight.driver.headsets import search
+from biosensor_gateway.devices.emotiv_insight.driver.headsets import is_insight, search
 from biosensor_gateway.devices.emotiv_insight.driver.results import Headset
 from biosensor_gateway.devices.emotiv_insight.driver.settings import DEFAULT_URL, is_loopback
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.websocket import WebSocketLink
 
 SEARCH_S = 10.0
+
+_log = structlog.get_logger("biosensor_gateway.emotiv_insight")
 
 
 async def find(configured: Sequence[DeviceSettings]) -> list[Found]:
@@ -34,7 +38,11 @@ async def find(configured: Sequence[DeviceSettings]) -> list[Found]:
     services = {_service(each) for each in configured} or {(DEFAULT_URL, "")}
     found: list[Found] = []
     for url, ca_file in sorted(services):
-        found += [_found(url, ca_file, each) for each in await _headsets(url, ca_file)]
+        for each in await _headsets(url, ca_file):
+            if is_insight(each):
+                found.append(_found(url, ca_file, each))
+            else:
+                _log.warning("a headset is no Insight and cannot be used", headset=each.headset_id)
     return found
 
 

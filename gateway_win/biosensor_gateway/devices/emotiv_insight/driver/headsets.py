@@ -6,7 +6,15 @@ from collections.abc import Callable, Sequence
 from fnmatch import fnmatchcase
 from typing import NamedTuple
 
-from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
+from biosensor_common.errors import (
+    ConfigError,
+    ConfigReason,
+    ProtocolError,
+    ProtocolReason,
+    TransportError,
+    TransportReason,
+)
+from biosensor_gateway.devices.emotiv_insight.declaration import SPEC
 from biosensor_gateway.devices.emotiv_insight.driver import results
 from biosensor_gateway.devices.emotiv_insight.driver.codes import Event
 from biosensor_gateway.devices.emotiv_insight.driver.cortex import CortexClient
@@ -14,6 +22,10 @@ from biosensor_gateway.devices.emotiv_insight.driver.messages import Warned
 from biosensor_gateway.devices.emotiv_insight.driver.results import Headset
 from biosensor_gateway.devices.emotiv_insight.driver.waiting import until
 
+ELECTRODES = SPEC.stream("eeg").labels
+"""Of an Insight, and so of all that is declared."""
+_FAMILY = "INSIGHT"
+"""Ids begin with the model: ``INSIGHT-``, ``INSIGHT2-``, ``EPOCX-``, ``MN8-`` ..."""
 SCAN_PATIENCE_S = 25.0
 """A scan takes about 20 s."""
 CONNECT_PATIENCE_S = 30.0
@@ -50,9 +62,9 @@ async def reach(client: CortexClient, pattern: str) -> Reached:
     ConfigError
         ``WRONG_VALUE``: more than one headset fits.
     CortexError, ProtocolError
-        Cortex refuses or does not answer.
+        Cortex refuses or does not answer; ``UNSUPPORTED``: the headset is no Insight.
     """
-    known = await search(client, SCAN_PATIENCE_S, lambda found: bool(_fitting(found, pattern)))
+    known = await search(client, SCAN_PATIENCE_S, lambda found: _has_insight(found, pattern))
     found = chosen(known, pattern)
     if found is None:
         message = f"Cortex finds no headset {pattern or 'at all'}; switch it on, near this computer"
@@ -69,13 +81,25 @@ def chosen(headsets: Sequence[Headset], pattern: str) -> Headset | None:
     ------
     ConfigError
         ``WRONG_VALUE``: more than one fits, and which it is must not be left to chance.
+    ProtocolError
+        ``UNSUPPORTED``: none that fits is an Insight.
     """
     fitting = _fitting(headsets, pattern)
-    if len(fitting) > 1:
-        ids = ", ".join(sorted(each.headset_id for each in fitting))
-        message = f"{len(fitting)} headsets fit; set headset to one of {ids}"
+    insights = [each for each in fitting if is_insight(each)]
+    if len(insights) > 1:
+        ids = ", ".join(sorted(each.headset_id for each in insights))
+        message = f"{len(insights)} headsets fit; set headset to one of {ids}"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
-    return fitting[0] if fitting else None
+    if fitting and not insights:
+        _require_insight(fitting[0])
+    return insights[0] if insights else None
+
+
+def is_insight(headset: Headset) -> bool:
+    """Tell whether a headset has the channels of the declaration, as far as it tells its own."""
+    if headset.electrodes:
+        return set(headset.electrodes) == set(ELECTRODES)
+    return headset.headset_id.upper().startswith(_FAMILY)
 
 
 async def search(
@@ -121,6 +145,22 @@ async def _connect(client: CortexClient, found: Headset) -> Headset:
     if connected is None:
         raise TransportError(TransportReason.ABSENT, message)
     return connected
+
+
+def _require_insight(headset: Headset) -> None:
+    if is_insight(headset):
+        return
+    own = headset.electrodes
+    channels = f" ({len(own)} electrodes: {', '.join(own)})" if own else ""
+    message = (
+        f"{headset.headset_id} is no Insight{channels}; only the Insight's channels are known "
+        "here, so set headset to an Insight"
+    )
+    raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
+
+
+def _has_insight(headsets: Sequence[Headset], pattern: str) -> bool:
+    return any(is_insight(each) for each in _fitting(headsets, pattern))
 
 
 def _fitting(headsets: Sequence[Headset], pattern: str) -> list[Headset]:

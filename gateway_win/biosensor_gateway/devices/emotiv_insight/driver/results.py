@@ -56,6 +56,8 @@ class Headset:
         ``discovered``, ``connecting`` or ``connected``.
     eeg_rate_hz, motion_rate_hz
         0 while it is not connected, or the motion sensor is off.
+    electrodes
+        Of the headset's own list; empty while it is not connected.
     """
 
     headset_id: str
@@ -65,6 +67,7 @@ class Headset:
     eeg_rate_hz: float = 0.0
     motion_rate_hz: float = 0.0
     is_virtual: bool = False
+    electrodes: tuple[str, ...] = ()
 
     @property
     def is_connected(self) -> bool:
@@ -208,6 +211,7 @@ def _headset(fields: Mapping[str, object]) -> Headset:
         eeg_rate_hz=number_of(settings.get("eegRate")) or 0.0,
         motion_rate_hz=number_of(settings.get("memsRate")) or 0.0,
         is_virtual=fields.get("isVirtual") is True,
+        electrodes=tuple(text_of(each) for each in list_of(fields.get("sensors"))),
     )
 
 
