@@ -30,12 +30,19 @@ class Device:
         self.clock_is_set = clock_is_set
         self.ahead_s = 0.0
         self.first_number = 0
+        self.numbers_a_packet = 1
 
     def arrive(self, index: int, jitter_ms: int = 0, delay_s: float = 0.05) -> Placed:
+        placed = self.again(index, jitter_ms, delay_s)
+        assert placed is not None
+        return placed
+
+    def again(self, index: int, jitter_ms: int = 0, delay_s: float = 0.05) -> Placed | None:
         seconds = index * DURATION_S + self.ahead_s + jitter_ms / 1000
         time = POWER_ON + dt.timedelta(seconds=seconds) if self.clock_is_set else None
         arrival_s = LSL_AT_POWER_ON_S + (index + 1) * DURATION_S + delay_s
-        header = Header((self.first_number + index) % 256, time)
+        number = self.first_number + index * self.numbers_a_packet
+        header = Header(number % 256, time)
         return self.track.place(header, arrival_s)
 
     def reconnect(self, first_number: int = 0) -> None:
@@ -73,7 +80,56 @@ def test_over_a_reconnect_the_device_s_clock_tells_the_gap(
     assert device.arrive(301 + gap).lost_packets == 0
 
 
-@pytest.mark.parametrize("step_s", [-86_400 * 365, -3600.0, -11.0, 11.0, 3600.0, 86_400.0 * 365])
+@pytest.mark.parametrize("clock_is_set", [True, False])
+def test_a_packet_that_comes_twice_is_passed_over(clock_is_set: bool) -> None:
+    device = Device(clock_is_set)
+    for index in range(40):
+        device.arrive(index)
+        assert device.again(index, delay_s=0.1) is None
+    assert device.arrive(40).lost_packets == 0
+    assert device.arrive(42).lost_packets == 1
+
+
+def test_a_packet_that_came_before_others_is_passed_over() -> None:
+    device = Device()
+    for index in range(10):
+        device.arrive(index)
+    device.reconnect()
+    assert [device.again(index, delay_s=5.0) for index in range(10)] == [None] * 10
+    assert device.arrive(12).lost_packets == 2
+
+
+@pytest.mark.parametrize("clock_is_set", [True, False])
+@pytest.mark.parametrize("first_number", [-3, -1, 20, 128, 200])
+def test_numbers_that_begin_anew_make_no_gap(clock_is_set: bool, first_number: int) -> None:
+    device = Device(clock_is_set)
+    for index in range(300):
+        device.arrive(index)
+    device.first_number = first_number if clock_is_set else 128
+    assert [device.arrive(index).lost_packets for index in (300, 301, 305)] == [0, 0, 3]
+
+
+@pytest.mark.parametrize("clock_is_set", [True, False])
+def test_numbers_that_stand_still_make_no_gap(clock_is_set: bool) -> None:
+    device = Device(clock_is_set)
+    device.numbers_a_packet = 0
+    lost = [device.arrive(index).lost_packets for index in (*range(300), 310)]
+    assert lost == [0] * 300 + [10]
+
+
+@pytest.mark.parametrize("delay_s", [0.3, 3.0, 15.0, 60.0])
+def test_what_waited_makes_no_gap_though_numbers_begin_anew(delay_s: float) -> None:
+    device = Device()
+    for index in range(300):
+        device.arrive(index)
+    device.first_number = 128
+    held = [device.arrive(index, delay_s=delay_s) for index in range(300, 360)]
+    assert [placed.lost_packets for placed in held] == [0] * 60
+
+
+@pytest.mark.parametrize(
+    "step_s", [-86_400 * 365, -3600.0, -11.0, 11.0, 70.0, 3600.0, 86_400.0 * 365]
+)
 def test_setting_the_device_s_clock_loses_nothing(step_s: float) -> None:
     device = Device()
     device.arrive(0)
@@ -146,8 +202,8 @@ def test_a_clock_that_was_never_set_starts_anew_with_a_connection() -> None:
 
 def test_a_packet_that_is_stamped_at_its_end_happened_when_it_arrived() -> None:
     track = PacketTrack(1, 1.0, stamped_at_end=True)
-    assert track.place(Header(7, None), 100.0).stamp_s == 100.0
-    assert track.place(Header(8, None), 101.4).stamp_s == 101.0
+    assert track.place(Header(7, None), 100.0) == Placed(100.0, 100.0, 0)
+    assert track.place(Header(8, None), 101.4) == Placed(101.0, 101.0, 0)
     assert track.place(Header(10, None), 103.2) == Placed(103.0, 103.0, 1)
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+from numpy.typing import ArrayLike
+
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.zephyr.driver.frames import MessageId
 from biosensor_gateway.devices.zephyr.driver.messages import (
@@ -22,7 +24,7 @@ from biosensor_gateway.devices.zephyr.driver.protocol import (
     ECG_PERIOD_S,
     RR_PERIOD_S,
 )
-from biosensor_gateway.devices.zephyr.driver.tracking import BeatDetector, PacketTrack
+from biosensor_gateway.devices.zephyr.driver.tracking import BeatDetector, PacketTrack, Placed
 from biosensor_gateway.system.device_log import DeviceLog
 
 _WAVEFORMS = {MessageId.ECG: "ecg", MessageId.BREATHING: "breathing"}
@@ -64,13 +66,11 @@ class ZephyrEmitter:
         match message:
             case Waveform():
                 name = _WAVEFORMS[message.message_id]
-                times = self._times(name, message.header, arrival_s)
-                self._sink.emit(name, message.samples, times)
+                self._samples(name, message.header, message.samples, arrival_s)
             case Acceleration():
                 scale, zero = message.counts_per_g, message.zero
-                times = self._times("acc", message.header, arrival_s)
                 samples = [[(count - zero) / scale for count in xyz] for xyz in message.samples]
-                self._sink.emit("acc", samples, times)
+                self._samples("acc", message.header, samples, arrival_s)
             case RrIntervals():
                 self._rr(message, arrival_s)
             case Summary():
@@ -82,35 +82,51 @@ class ZephyrEmitter:
             case _:
                 pass
 
-    def _times(self, data_name: str, header: Header, arrival_s: float) -> list[float]:
-        track = self._tracks[data_name]
-        placed = track.place(header, arrival_s)
-        times = track.times(placed.first_s)
+    def _placed(self, track: str, header: Header, arrival_s: float) -> Placed | None:
+        """Return the place of a packet; None for one that came before."""
+        placed = self._tracks[track].place(header, arrival_s)
+        if placed is None:
+            self._log.warn_once("a packet came twice; from now on such are passed over in silence")
+        return placed
+
+    def _times(self, track: str, placed: Placed, arrival_s: float) -> list[float]:
+        times = self._tracks[track].times(placed.first_s)
         self._sink.observe(times[-1], arrival_s)
-        if placed.lost_packets:
-            self._sink.lost(data_name, placed.lost_packets * len(times))
         return times
 
+    def _samples(
+        self, data_name: str, header: Header, samples: ArrayLike, arrival_s: float
+    ) -> None:
+        placed = self._placed(data_name, header, arrival_s)
+        if placed is None:
+            return
+        times = self._times(data_name, placed, arrival_s)
+        if placed.lost_packets:
+            self._sink.lost(data_name, placed.lost_packets * len(times))
+        self._sink.emit(data_name, samples, times)
+
     def _rr(self, message: RrIntervals, arrival_s: float) -> None:
-        track = self._tracks["ibi"]
-        placed = track.place(message.header, arrival_s)
-        times = track.times(placed.first_s)
-        self._sink.observe(times[-1], arrival_s)
+        placed = self._placed("ibi", message.header, arrival_s)
+        if placed is None:
+            return
+        times = self._times("ibi", placed, arrival_s)
         if placed.lost_packets:
             # How many beats fell into the gap is unknown, so none is counted as lost.
             self._beats.reset()
         for index, interval_s in self._beats.beats(message):
             self._sink.emit_value("ibi", interval_s, times[index])
 
-    def _vitals_time(self, header: Header, arrival_s: float) -> float:
-        placed = self._tracks["vitals"].place(header, arrival_s)
-        self._sink.observe(placed.stamp_s, arrival_s)
+    def _emit_vitals(
+        self, header: Header, values: dict[str, float | None], arrival_s: float
+    ) -> None:
+        placed = self._placed("vitals", header, arrival_s)
+        if placed is None:
+            return
+        time_s = placed.stamp_s
+        self._sink.observe(time_s, arrival_s)
         for data_name in self._vitals if placed.lost_packets else ():
             # An estimate: what the last packet held, the lost ones will have held.
             self._sink.lost(data_name, placed.lost_packets)
-        return placed.stamp_s
-
-    def _emit_vitals(self, values: dict[str, float | None], time_s: float) -> None:
         self._vitals = {"quality", *(name for name, value in values.items() if value is not None)}
         for data_name, value in values.items():
             self._sink.emit_value(data_name, value, time_s)
@@ -137,7 +153,7 @@ class ZephyrEmitter:
             "bat": numbers["battery_percent"],
             "rssi": numbers["rssi_db"],
         }
-        self._emit_vitals(values, self._vitals_time(message.header, arrival_s))
+        self._emit_vitals(message.header, values, arrival_s)
 
     def _general(self, message: General, arrival_s: float) -> None:
         numbers = message.numbers
@@ -151,7 +167,7 @@ class ZephyrEmitter:
             "st": numbers["skin_temperature_c"],
             "bat": message.battery_percent,
         }
-        self._emit_vitals(values, self._vitals_time(message.header, arrival_s))
+        self._emit_vitals(message.header, values, arrival_s)
 
     def _event(self, message: Event) -> None:
         self._log.info("event", name=message.name)
