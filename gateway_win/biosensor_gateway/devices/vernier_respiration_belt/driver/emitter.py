@@ -98,6 +98,9 @@ class VernierEmitter:
             self._lost(placed.lost)
         forces = placed.measurement.samples[self._force]
         self._last_s = placed.last_s
+        if placed.is_first:
+            # By how much a start is late must not pass for drift.
+            self._sink.restart_clock()
         self._sink.observe(placed.last_s, placed.arrival_s)
         self._sink.emit("force", forces, self._times(len(forces), placed.last_s))
         self._emit_rate(placed.measurement, placed.last_s)

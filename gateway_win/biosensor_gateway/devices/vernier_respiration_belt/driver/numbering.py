@@ -63,12 +63,15 @@ class Placed(NamedTuple):
         Device time of the last sample.
     lost
         Estimated number of samples missing before it.
+    is_first
+        It is the first one of a start, whose place among those before it is not exact.
     """
 
     measurement: Measurement
     arrival_s: float
     last_s: float
     lost: int
+    is_first: bool = False
 
 
 class Numbering:
@@ -133,7 +136,7 @@ class Numbering:
         missing_s = reached_s - earliest_s
         lost = round(missing_s / self._period_s) if 0.0 < missing_s < LOST_LIMIT_S else 0
         self._origin_s, self._index = max(earliest_s, reached_s), 0
-        return Placed(packet.measurement, packet.arrival_s, self._origin_s, lost)
+        return Placed(packet.measurement, packet.arrival_s, self._origin_s, lost, is_first=True)
 
     def _place_next(self, packet: Arrived, lost: int = 0) -> Placed:
         self._index += lost + packet.samples
