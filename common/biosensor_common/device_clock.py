@@ -11,34 +11,35 @@ to the line without ever turning back.
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, unique
 
+from biosensor_common.late_run import LateRun, Patience
 from biosensor_common.lower_envelope import LowerEnvelope
+from biosensor_common.slewed_mapping import SlewedMapping
 
 READING_LIMIT_S = 1e11
 """64 bits of nanoseconds end at 1.8e10 s: a larger number is not a time."""
 BACKWARD_LIMIT_S = 2.5
-"""Interleaved packet kinds may lag up to 2 s behind each other; beyond, the clock stepped."""
+"""Interleaved packet kinds may lag up to 2 s behind each other; beyond, the clock stepped, or
+what comes had to wait."""
+TURNED_BACK_LIMIT_S = 0.1
+"""Packets of one kind keep their order; stamps that are counted or smoothed vary by less."""
 BELOW_LIMIT_S = 1.0
 LONGEST_DELAY_S = 90.0
 """What waited for an agent that did not run for a minute, as on a computer that slept, is late
 and no jump; links rarely outlive more."""
 FAR_ABOVE_LIMIT_S = LONGEST_DELAY_S
+SET_BACK = Patience(2.0, 5, spread=0.2)
+"""Among packets that waited there is a timely one before that, or they catch up."""
 STAYED_ABOVE_LIMIT_S = 0.5
-STAYED_ABOVE_FOR_S = 5.0
-STAYED_ABOVE_OBSERVATIONS = 10
-
-SLEW_TIME_CONSTANT_S = 1.0
-SLEW_LIMIT = 0.5
-"""Reached only by a step or a backlog at the start: usual errors make less than 1 %."""
-SLEW_SHARE = 0.25
-"""Largest part of an error taken off in one segment: keeps the spacing at one packet a second."""
-SEGMENT_MIN_S = 0.05
-HISTORY_SEGMENTS = 512
-"""At least 12 s of mapping stay valid for late samples."""
+STAYED_ABOVE = Patience(5.0, 10)
+SLIGHTLY_ABOVE_LIMIT_S = 0.1
+"""Less than the 128 ms at which time services begin to step a clock."""
+SLIGHTLY_ABOVE_DELAYS = 4.0
+"""Of mean delays: those of ten half seconds are all as long in one case of e**40."""
+SLIGHTLY_ABOVE = Patience(5.0, 20, spread=0.5)
 
 
 @unique
@@ -112,17 +113,18 @@ class DeviceClock:
     -----
     What cannot be seen from one side stays in the result: the smallest delay of
     the way (constant) and, in the first seconds, the distance of the luckiest
-    packet so far from it. A step of less than 0.5 s that delays packets is
-    followed only as old points leave the window.
+    packet so far from it. A step of less than 0.1 s that delays packets, or one of
+    less than four mean delays, is followed only as old points leave the window.
     """
 
     def __init__(self) -> None:
         self._envelope: LowerEnvelope | None = None
-        self._mapping = _SlewedMapping(0.0)
+        self._mapping = SlewedMapping(0.0)
         self._device_origin = math.nan
         self._lsl_origin = math.nan
         self._newest = 0.0
-        self._late = _LateRun()
+        self._newest_of_kind: dict[str, float] = {}
+        self._late, self._slightly_late = LateRun(), LateRun()
         self._slope = 0.0
         self._reanchors = 0
         self._observations = 0
@@ -138,7 +140,7 @@ class DeviceClock:
             self._envelope = None
             self._reanchors += 1
 
-    def observe(self, device_s: float, arrival_s: float) -> Reanchor | None:
+    def observe(self, device_s: float, arrival_s: float, kind: str = "") -> Reanchor | None:
         """Take in one packet.
 
         Parameters
@@ -148,6 +150,9 @@ class DeviceClock:
             may interleave: up to 2 s behind the newest is normal.
         arrival_s : float
             LSL clock when the packet arrived, in seconds.
+        kind : str
+            Which kind of packets it is of, if those of one kind keep their order: then
+            the first one that is behind tells at once that the clock was set back.
 
         Returns
         -------
@@ -167,12 +172,14 @@ class DeviceClock:
         x = device_s - self._device_origin
         y = (arrival_s - self._lsl_origin) - x
         distance = y - self._envelope.at(x)
-        self._late.add(distance, arrival_s)
-        reason = self._jump_reason(x, distance, (x + y) - self._mapping.at(x))
-        if reason is not None:
-            return self._reanchor(self._envelope, reason, device_s, distance)
+        self._note_late(x, distance, arrival_s, self._envelope)
+        jump = self._jump(x, distance, (x + y) - self._mapping.at(x), kind)
+        if jump is not None:
+            return self._reanchor(self._envelope, device_s, *jump)
         self._envelope.add(x, y)
         self._newest = max(self._newest, x)
+        if kind:
+            self._newest_of_kind[kind] = x
         self._mapping.advance(x, self._envelope)
         return None
 
@@ -211,24 +218,36 @@ class DeviceClock:
             newest_s=newest_lsl,
         )
 
-    def _jump_reason(self, x: float, distance: float, delay: float) -> ReanchorReason | None:
-        if x < self._newest - BACKWARD_LIMIT_S:
-            return ReanchorReason.DEVICE_BACKWARD
+    def _note_late(self, x: float, distance: float, arrival_s: float, line: LowerEnvelope) -> None:
+        is_behind = x < self._newest - BACKWARD_LIMIT_S
+        slightly_s = max(SLIGHTLY_ABOVE_LIMIT_S, SLIGHTLY_ABOVE_DELAYS * line.mean_delay)
+        self._late.add(distance, STAYED_ABOVE_LIMIT_S, arrival_s, behind=is_behind)
+        self._slightly_late.add(distance, slightly_s, arrival_s)
+
+    def _jump(
+        self, x: float, distance: float, delay: float, kind: str
+    ) -> tuple[ReanchorReason, float] | None:
+        """Return why to jump, and how late packets are by the present line; None to stay."""
         if delay < -BELOW_LIMIT_S:
-            return ReanchorReason.BELOW
+            return ReanchorReason.BELOW, distance
+        if x < self._newest_of_kind.get(kind, -math.inf) - TURNED_BACK_LIMIT_S:
+            return ReanchorReason.DEVICE_BACKWARD, distance
         if distance > FAR_ABOVE_LIMIT_S:
-            return ReanchorReason.FAR_ABOVE
-        if self._late.lasts:
-            return ReanchorReason.STAYED_ABOVE
+            is_behind = x < self._newest - BACKWARD_LIMIT_S
+            reason = ReanchorReason.DEVICE_BACKWARD if is_behind else ReanchorReason.FAR_ABOVE
+            return reason, distance
+        # The best packet of a late run, not its last one, tells the new offset.
+        if self._late.began_behind and self._late.outlasts(SET_BACK):
+            return ReanchorReason.DEVICE_BACKWARD, self._late.least
+        if self._late.outlasts(STAYED_ABOVE) or self._slightly_late.outlasts(SLIGHTLY_ABOVE):
+            return ReanchorReason.STAYED_ABOVE, self._slightly_late.least
         return None
 
     def _reanchor(
-        self, envelope: LowerEnvelope, reason: ReanchorReason, device_s: float, distance: float
+        self, envelope: LowerEnvelope, device_s: float, reason: ReanchorReason, late_s: float
     ) -> Reanchor:
         x = device_s - self._device_origin
-        # The best packet of a late run, not its last one, tells the new offset.
-        least = self._late.least if reason is ReanchorReason.STAYED_ABOVE else distance
-        target = x + envelope.at(x) + least
+        target = x + envelope.at(x) + late_s
         size = target - self._mapping.at(x)
         # The crystal is the same as before the jump, so its drift is a good first guess.
         self._envelope = self._anchor(device_s, self._lsl_origin + target, envelope.slope)
@@ -240,88 +259,10 @@ class DeviceClock:
         self._device_origin = device_s
         self._lsl_origin = lsl_s
         self._newest = 0.0
-        self._late = _LateRun()
-        self._mapping = _SlewedMapping(slope)
+        self._newest_of_kind = {}
+        self._late, self._slightly_late = LateRun(), LateRun()
+        self._mapping = SlewedMapping(slope)
         return LowerEnvelope(slope)
-
-
-class _LateRun:
-    """The present run of observations far above the line."""
-
-    def __init__(self) -> None:
-        self._since = math.nan
-        self._until = math.nan
-        self._count = 0
-        self.least = math.inf
-
-    def add(self, distance: float, arrival_s: float) -> None:
-        if distance <= STAYED_ABOVE_LIMIT_S:
-            self._count = 0
-            self.least = math.inf
-            return
-        if self._count == 0:
-            self._since = arrival_s
-        self._until = arrival_s
-        self._count += 1
-        self.least = min(self.least, distance)
-
-    @property
-    def lasts(self) -> bool:
-        """Whether this is no stall any more."""
-        return (
-            self._count >= STAYED_ABOVE_OBSERVATIONS
-            and self._until - self._since >= STAYED_ABOVE_FOR_S
-        )
-
-
-class _SlewedMapping:
-    """Continuous piecewise linear map of device to LSL time, both from the anchor."""
-
-    def __init__(self, slope: float) -> None:
-        # The piece before the anchor is separate, so that later bends leave it alone.
-        rate = 1.0 + slope
-        self._starts = [-SEGMENT_MIN_S, 0.0]
-        self._values = [-SEGMENT_MIN_S * rate, 0.0]
-        self._rates = [rate, rate]
-
-    def at(self, x: float) -> float:
-        return self.all_at([x])[0]
-
-    def all_at(self, times: Sequence[float], x0: float = 0.0, y0: float = 0.0) -> list[float]:
-        """Map times that count from `x0`, to such that count from `y0`."""
-        starts, values, rates = self._starts, self._values, self._rates
-        mapped: list[float] = []
-        for time in times:
-            x = time - x0
-            piece = max(bisect_right(starts, x) - 1, 0)
-            mapped.append(y0 + (values[piece] + rates[piece] * (x - starts[piece])))
-        return mapped
-
-    def advance(self, x: float, target: LowerEnvelope) -> None:
-        """Fix the map up to `x`, on the way to the target line."""
-        start, value = self._starts[-1], self._values[-1]
-        step = x - start
-        if step <= 0.0:
-            return
-        drift_rate = 1.0 + target.slope
-        if x - self._starts[-2] < SEGMENT_MIN_S:
-            # Packets of a few ms lengthen the piece at its rate, to bound the number of pieces.
-            value = self._values[-2] + self._rates[-2] * (x - self._starts[-2])
-            self._starts[-1], self._values[-1], self._rates[-1] = x, value, drift_rate
-            return
-        self._rates[-1] = drift_rate + _slew(start + target.at(start) - value, step)
-        self._starts.append(x)
-        self._values.append(value + self._rates[-1] * step)
-        self._rates.append(drift_rate)
-        if len(self._starts) > 2 * HISTORY_SEGMENTS:
-            for column in (self._starts, self._values, self._rates):
-                del column[:-HISTORY_SEGMENTS]
-
-
-def _slew(error: float, step: float) -> float:
-    """Return the rate, in s/s, at which to take off an error over the next `step` seconds."""
-    share = min(1.0 - math.exp(-step / SLEW_TIME_CONSTANT_S), SLEW_SHARE)
-    return min(max(error * share / step, -SLEW_LIMIT), SLEW_LIMIT)
 
 
 def _require_readings(*readings: float) -> None:

@@ -73,6 +73,11 @@ class LowerEnvelope:
         """Slope of the line, seconds per second."""
         return self._slope
 
+    @property
+    def mean_delay(self) -> float:
+        """By how much the lowest points of each half second are late in the mean, in seconds."""
+        return self._mean_delay
+
     def at(self, x: float) -> float:
         """Return the line's height at `x`, in seconds."""
         return self._intercept + self._slope * x

@@ -33,7 +33,7 @@ class ObservingSink(DeviceSink):
         super().__init__(DeviceIdentity("zephyr", "recorded"), declaration("zephyr"))
         self.packets: list[tuple[float, float]] = []
 
-    def observe(self, device_s: float, arrival_s: float) -> None:
+    def observe(self, device_s: float, arrival_s: float, kind: str = "") -> None:
         self.packets.append((device_s, arrival_s))
 
     def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
@@ -89,3 +89,28 @@ def test_stamps_of_a_real_device_keep_within_milliseconds_of_one_line(packets: F
     assert delays_ms.std() > 50.0
     assert errors_ms.std() < 5.0
     assert np.abs(errors_ms).max() < 15.0
+
+
+@pytest.mark.parametrize("begin", range(0, 600, 25))
+def test_a_real_radio_is_never_taken_for_a_clock_that_was_set(packets: Floats, begin: int) -> None:
+    clock = DeviceClock()
+    assert [clock.observe(*packet) for packet in packets[begin:].tolist()] == [None] * (
+        len(packets) - begin
+    )
+
+
+@pytest.mark.parametrize("set_back_s", [0.2, 0.307, 0.45])
+def test_over_a_real_radio_a_clock_that_was_set_back_is_found_within_seconds(
+    packets: Floats, set_back_s: float
+) -> None:
+    set_at_s = packets[0, 1] + 75.0
+    clock = DeviceClock()
+    found: list[float] = []
+    for device, arrival in packets.tolist():
+        is_set = arrival > set_at_s
+        if clock.observe(device - set_back_s * is_set, arrival) is not None:
+            found.append(arrival - set_at_s)
+    device_s = packets[-1, 0]
+    line_s = _line_in_hindsight(*packets.T)[-1]
+    assert [0.0 < after_s < 15.0 for after_s in found] == [True]
+    assert abs(clock.to_lsl(device_s - set_back_s) - line_s) < 0.015

@@ -105,6 +105,55 @@ def test_a_step_of_the_device_clock_reanchors_once(step: float, reason: Reanchor
     assert abs(error_at(clock, 89.9, step)) < 0.005
 
 
+@pytest.mark.parametrize("step", [-0.15, -0.307, -0.45])
+@pytest.mark.parametrize("rate_hz", [2, 10, 128])
+def test_a_small_step_back_is_found_within_seconds(step: float, rate_hz: int) -> None:
+    rng = random.Random(rate_hz)
+    clock, found = DeviceClock(), list[float]()
+    for packet in range(100 * rate_hz):
+        elapsed = packet / rate_hz
+        device = elapsed + step * (elapsed >= 60.0)
+        if clock.observe(device, elapsed + OFFSET_S + rng.uniform(0.0, 0.02)) is not None:
+            found.append(elapsed - 60.0)
+
+    assert [after <= max(5.0, 20 / rate_hz) + 1.0 for after in found] == [True]
+    assert abs(error_at(clock, 99.9, step)) < 0.005
+
+
+@pytest.mark.parametrize("step", [-0.15, -0.307, -3.0, -30.0, -3600.0])
+def test_a_kind_of_packets_that_turns_back_tells_a_step_at_once(step: float) -> None:
+    rng = random.Random(1)
+    clock, jumps = DeviceClock(), list[tuple[float, ReanchorReason]]()
+    for packet in range(3000):
+        elapsed = packet / 100
+        device = elapsed + step * (elapsed >= 20.0) - 0.02 * (packet % 2)
+        arrival = elapsed + OFFSET_S + rng.uniform(0.0, 0.005)
+        jump = clock.observe(device, arrival, "ab"[packet % 2])
+        jumps += [(elapsed, jump.reason)] if jump else []
+        if elapsed > 10.0:
+            assert abs(error_at(clock, elapsed, device - elapsed)) < 0.03
+
+    assert jumps == [(20.0, ReanchorReason.DEVICE_BACKWARD)]
+
+
+def test_kinds_that_lag_behind_each_other_do_not_turn_back() -> None:
+    clock = DeviceClock()
+    for packet in range(400):
+        kind, elapsed = packet % 3, packet / 10
+        device = elapsed - (0.0, 2.9, 20.0)[kind]
+        assert clock.observe(device, elapsed + OFFSET_S, "abc"[kind]) is None
+
+
+@pytest.mark.parametrize("delay_s", [0.1, 0.3, 0.45])
+@pytest.mark.parametrize("swells_s", [4.0, 10.0, 30.0])
+def test_a_way_that_is_busy_for_a_while_is_no_step(delay_s: float, swells_s: float) -> None:
+    clock = settled()
+    for packet in range(600, 1200):
+        elapsed = packet / RATE_HZ
+        way = delay_s * abs(math.sin(math.pi * (elapsed - 60.0) / swells_s))
+        assert clock.observe(elapsed, elapsed + OFFSET_S + way) is None
+
+
 def test_a_delay_beyond_any_stall_reanchors_at_once() -> None:
     late_s = LONGEST_DELAY_S + 0.5
     clock = settled()
@@ -202,6 +251,31 @@ def test_interleaved_kinds_share_one_mapping() -> None:
             assert abs(error_at(clock, device)) < 0.004
 
     assert clock.state.observations == len(packets)
+
+
+@pytest.mark.parametrize("behind_s", [3.0, 20.0, 60.0])
+@pytest.mark.parametrize("first", [0, 1])
+def test_kinds_that_come_far_apart_do_not_move_the_clock_there_and_back(
+    behind_s: float, first: int
+) -> None:
+    clock, jumps = DeviceClock(), list[Reanchor | None]()
+    for packet in range(first, 400):
+        elapsed = packet / RATE_HZ
+        late = behind_s * (packet % 2)
+        jumps.append(clock.observe(elapsed - late, elapsed + OFFSET_S))
+
+    # A clock that hears the late kind first cannot know.
+    assert sum(jump is not None for jump in jumps) == first
+    assert abs(error_at(clock, 39.8)) < 0.001
+
+
+@pytest.mark.parametrize("stall_s", [4.0, 15.0, 60.0])
+def test_what_waited_is_late_though_its_kinds_come_one_after_the_other(stall_s: float) -> None:
+    clock = settled()
+    for device in [60.0 + stall_s * number / 100 for number in range(100)] * 3:
+        assert clock.observe(device, 60.0 + stall_s + OFFSET_S) is None
+    assert run(clock, 60 + stall_s, 75 + stall_s) == []
+    assert abs(error_at(clock, 74.0 + stall_s)) < 0.005
 
 
 def test_samples_of_one_packet_are_evenly_spaced() -> None:

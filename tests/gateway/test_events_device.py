@@ -131,6 +131,20 @@ def test_jumps_of_the_clock_are_announced(sink: DeviceSink, announcer: NotedAnno
 
 
 @pytest.mark.usefixtures("events")
+def test_a_storm_of_jumps_is_a_handful_of_events(
+    sink: DeviceSink, announcer: NotedAnnouncer
+) -> None:
+    opened(sink, announcer)
+    now = pylsl.local_clock()
+    for number in range(500):
+        sink.observe(DEVICE_S + 3600.0 * (number % 2), now + 0.01 * number)
+    sink.close()
+    told = [event.get("times", 1) for event in announcer.take()]
+    assert len(told) <= 5
+    assert sum(told) == sink.clock_state.reanchors == 499
+
+
+@pytest.mark.usefixtures("events")
 def test_on_and_off_body_are_announced_when_they_change(
     sink: DeviceSink, announcer: NotedAnnouncer
 ) -> None:

@@ -61,9 +61,9 @@ class EmitterSink(DeviceSink):
         super().heard(*data_names)
         self.heard_count += 1
 
-    def observe(self, device_s: float, arrival_s: float) -> None:
+    def observe(self, device_s: float, arrival_s: float, kind: str = "") -> None:
         """Note the times of a packet."""
-        super().observe(device_s, arrival_s)
+        super().observe(device_s, arrival_s, kind)
         self.calls.append("observe")
         self.observed.append((device_s, arrival_s))
 

@@ -46,8 +46,11 @@ class Sink(Protocol):
         """Whether a stream was enabled again, and has not been heard since."""
         ...
 
-    def observe(self, device_s: float, arrival_s: float) -> None:
-        """Take in the device time of a packet's last sample and its LSL time of arrival."""
+    def observe(self, device_s: float, arrival_s: float, kind: str = "") -> None:
+        """Take in the device time of a packet's last sample and its LSL time of arrival.
+
+        If packets of a kind keep their order, its name helps; see :meth:`DeviceClock.observe`.
+        """
         ...
 
     def restart_clock(self) -> None:

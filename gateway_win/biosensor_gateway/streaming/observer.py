@@ -30,8 +30,11 @@ class SinkObserver(Protocol):
         """Note samples that are missing behind the one of `since_s`."""
         ...
 
-    def reanchored(self, cause: str, size_s: float | None) -> None:
-        """Note that the device's clock is mapped anew; None if how far it jumped is unknown."""
+    def reanchored(self, cause: str, size_s: float | None, times: int = 1) -> None:
+        """Note that the device's clock is mapped anew; None if how far it jumped is unknown.
+
+        Where it jumped several times, the cause is the last one and the size that of all.
+        """
         ...
 
     def fell_silent(self, silence: Silence) -> None:

@@ -15,6 +15,7 @@ from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, Sensor
 from biosensor_gateway.streaming.charge import Charge
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.device_outlets import DeviceOutlets
+from biosensor_gateway.streaming.jumps import JumpReports, Jumps
 from biosensor_gateway.streaming.observer import SinkObserver
 from biosensor_gateway.streaming.outlets import MAX_STAMP_ERROR_S
 from biosensor_gateway.streaming.pause_gate import PauseGate
@@ -65,6 +66,7 @@ class DeviceSink:
         self._outlets = DeviceOutlets(identity, spec, clock)
         self._stamps: defaultdict[str, MonotonicStamps] = defaultdict(MonotonicStamps)
         self._log = DeviceLog("biosensor_gateway.sink", identity)
+        self._jumps = JumpReports(clock, self._say_jumps)
         self._is_new = Once()
         self._gate = PauseGate()
         self._newest: dict[str, float] = {}
@@ -114,11 +116,13 @@ class DeviceSink:
 
     def close(self) -> None:
         """Destroy the outlets."""
+        self._jumps.finish()
         self._outlets.close()
 
     def release(self) -> None:
         """Push states that wait for a receiver; to be called once a second or so."""
         self._outlets.release()
+        self._jumps.release()
 
     @property
     def is_paused(self) -> bool:
@@ -166,17 +170,14 @@ class DeviceSink:
         if self.observer is not None:
             self.observer.came_back(streams)
 
-    def observe(self, device_s: float, arrival_s: float) -> None:
-        """Take in the device time of a packet's last sample and its LSL time of arrival."""
-        jump = self._clock.observe(device_s, arrival_s)
+    def observe(self, device_s: float, arrival_s: float, kind: str = "") -> None:
+        """Take in the device time of a packet's last sample and its LSL time of arrival.
+
+        If packets of a kind keep their order, its name helps; see :meth:`DeviceClock.observe`.
+        """
+        jump = self._clock.observe(device_s, arrival_s, kind)
         if jump is not None:
-            self._log.warning(
-                "the device's clock jumped; its stamps are re-anchored",
-                cause=jump.reason.value,
-                seconds=round(jump.size_s, 3),
-            )
-            if self.observer is not None:
-                self.observer.reanchored(jump.reason.value, jump.size_s)
+            self._jumps.note(jump.reason.value, jump.size_s)
 
     def restart_clock(self) -> None:
         """Map device times anew from the next observation on: the device counts anew.
@@ -185,8 +186,8 @@ class DeviceSink:
         """
         reanchors = self._clock.state.reanchors
         self._clock.restart()
-        if self.observer is not None and self._clock.state.reanchors > reanchors:
-            self.observer.reanchored(DEVICE_RESTARTED, None)
+        if self._clock.state.reanchors > reanchors:
+            self._jumps.note(DEVICE_RESTARTED, None)
 
     def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
         """Push samples.
@@ -281,6 +282,17 @@ class DeviceSink:
         newest = self._newest.get(data_name, now)
         spans = (newest, now), self._steps.get(data_name, (newest, newest))
         return max(spans, key=lambda span: span[1] - span[0])
+
+    def _say_jumps(self, jumps: Jumps) -> None:
+        if jumps.cause != DEVICE_RESTARTED or jumps.times > 1:
+            self._log.warning(
+                "the device's clock jumped; its stamps are re-anchored",
+                cause=jumps.cause,
+                **({} if jumps.seconds is None else {"seconds": round(jumps.seconds, 3)}),
+                **({} if jumps.times == 1 else {"times": jumps.times}),
+            )
+        if self.observer is not None:
+            self.observer.reanchored(*jumps)
 
     def _tell_sampled(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
         if self.observer is not None and len(stamps):

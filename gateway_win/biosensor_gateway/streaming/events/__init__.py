@@ -32,7 +32,8 @@ Besides these:
                     ``paused``: true, where the gap ends in a pause
 ``clock_reanchored`` ``cause``: ``device_backward``, ``below``, ``far_above``,
                     ``stayed_above`` or ``device_restarted``; ``seconds`` by which the
-                    mapping jumped, where it is known
+                    mapping jumped, where it is known; ``times``, where it was more than
+                    three times in a minute: the later ones are announced together
 ``streams_silent``  ``streams``: data names of streams that are due and do not come, while the
                     device is connected; ``seconds`` since their last data, without those in
                     which the agent did not run; ``remedy``: ``enabling again``,

@@ -80,11 +80,13 @@ class DeviceEvents:
             self._gaps.lost(data_name, count, since_s)
 
     @log_errors
-    def reanchored(self, cause: str, size_s: float | None) -> None:
-        """Announce a jump of the stamps."""
+    def reanchored(self, cause: str, size_s: float | None, times: int = 1) -> None:
+        """Announce a jump of the stamps, or several together."""
         facts: dict[str, object] = {"cause": cause}
         if size_s is not None:
             facts["seconds"] = round(size_s, 6)
+        if times > 1:
+            facts["times"] = times
         self._say(EventKind.CLOCK_REANCHORED, facts=facts)
 
     @log_errors

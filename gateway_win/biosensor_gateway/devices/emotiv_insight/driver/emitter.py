@@ -127,7 +127,7 @@ class EmotivEmitter:
             self._clock_leads = True
         elif self._clock_leads and not self._is_clock_set(sample.time_s, arrival_s):
             return
-        self._sink.observe(sample.time_s, arrival_s)
+        self._sink.observe(sample.time_s, arrival_s, sample.stream)
 
     def _is_clock_set(self, time_s: float, arrival_s: float) -> bool:
         """Tell whether Cortex's clock went ahead; whichever stream shows it first leads then."""

@@ -91,7 +91,7 @@ class ZephyrEmitter:
 
     def _times(self, track: str, placed: Placed, arrival_s: float) -> list[float]:
         times = self._tracks[track].times(placed.first_s)
-        self._sink.observe(times[-1], arrival_s)
+        self._sink.observe(times[-1], arrival_s, track)
         return times
 
     def _samples(
@@ -123,7 +123,7 @@ class ZephyrEmitter:
         if placed is None:
             return
         time_s = placed.stamp_s
-        self._sink.observe(time_s, arrival_s)
+        self._sink.observe(time_s, arrival_s, "vitals")
         for data_name in self._vitals if placed.lost_packets else ():
             # An estimate: what the last packet held, the lost ones will have held.
             self._sink.lost(data_name, placed.lost_packets)
