@@ -122,7 +122,7 @@ def test_text_arrives(unit: str, inlet: OpenInlet) -> None:
         ("ecg", [1, 2], [0, 1e6], "not on the LSL clock"),
         ("ecg", [1], [1.7e9], "not on the LSL clock"),
         ("ecg", [1], [module.MAX_STAMP_ERROR_S + 5], "not on the LSL clock"),
-        ("ecg", [1], [-module.MAX_STAMP_ERROR_S - 5], "not on the LSL clock"),
+        ("ecg", [1], [-module.MAX_STAMP_AGE_S - 5], "not on the LSL clock"),
         ("ecg", [INF], [0], "infinite"),
         ("acc", [[0, 0, -INF]], [0], "infinite"),
         ("hr", [INF], [0], "infinite"),

@@ -93,6 +93,18 @@ def test_a_cause_of_refusals_is_logged_once_and_counted_always(sink: DeviceSink)
     assert (counters(sink, "hr").refused, counters(sink, "hr").pushed) == (3, 1)
 
 
+@pytest.mark.parametrize("waited_s", [45.0, 89.0])
+def test_what_waited_for_an_agent_that_did_not_run_is_late_and_not_refused(
+    sink: DeviceSink, waited_s: float
+) -> None:
+    now = pylsl.local_clock()
+    sink.observe(DEVICE_S, now - waited_s - 1.0)
+    sink.observe(DEVICE_S + 1.0, now)
+    sink.emit("ecg", [1.0] * 63, times(63, DEVICE_S + 0.748))
+    assert (counters(sink, "ecg").refused, counters(sink, "ecg").pushed) == (0, 63)
+    assert counters(sink, "ecg").last_stamp == pytest.approx(now - waited_s, abs=0.1)
+
+
 def test_losses_are_counted_per_stream(sink: DeviceSink) -> None:
     sink.lost("ecg", 63)
     sink.lost("ecg", 126)

@@ -17,6 +17,7 @@ from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import Co
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.streaming import silence as silence_module
+from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.driver_run import streaming
 from tests.rigs.polling import until
 from tests.rigs.vernier_respiration_belt import assert_true
@@ -108,6 +109,20 @@ async def test_a_belt_that_has_just_been_woken_is_greeted_twice(
     async with streaming(belt) as run:
         await until(run.sink.has(5, "force"))
         assert run.states == [State.CONNECTING, State.STREAMING]
+
+
+@ON_BUMBLE
+async def test_a_belt_that_takes_long_to_connect_still_tells_battery_and_signal(
+    belt: SimulatedBelt,
+) -> None:
+    belt.apply(Fault(FaultKind.LATE, 4.6))
+    began_s = belt.world.clock()
+    async with streaming(belt) as run:
+        await asyncio.sleep(30.0)
+        assert not run.supervisor.is_connected
+        await until(run.sink.has(5, "force"))
+        assert (run.sink.values("bat"), run.sink.values("rssi")) == ([76.0], [-62.0])
+        assert began_s < run.sink.times["rssi"][0] < belt.world.clock() - 30.0
 
 
 async def test_a_belt_that_does_not_answer_in_time_is_left_alone(

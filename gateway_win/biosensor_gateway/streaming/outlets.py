@@ -16,6 +16,7 @@ import pylsl
 from numpy.typing import ArrayLike, NDArray
 
 from biosensor_common import naming
+from biosensor_common.device_clock import LONGEST_DELAY_S
 from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
 from biosensor_common.lsl_header import describe
 from biosensor_common.quantities import TYPES_OF_DEVICE, ChannelFormat
@@ -23,8 +24,9 @@ from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, Stream
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 
-# A stamp further off is not on the LSL clock at all (unix time, device time).
+# A stamp further off is not on the LSL clock at all; one of what had to wait may be older.
 MAX_STAMP_ERROR_S = 30.0
+MAX_STAMP_AGE_S = LONGEST_DELAY_S + MAX_STAMP_ERROR_S
 
 # How long receivers take to find a new stream and to attach to it.
 ATTACH_TIME_S = 5.0
@@ -185,7 +187,7 @@ class Outlet:
         if not all(math.isfinite(b) and a <= b for a, b in neighbours):
             return "stamps run backwards"
         now = self._clock()
-        if max(abs(stamps[0] - now), abs(stamps[-1] - now)) > MAX_STAMP_ERROR_S:
+        if stamps[0] < now - MAX_STAMP_AGE_S or stamps[-1] > now + MAX_STAMP_ERROR_S:
             return "stamps are not on the LSL clock"
         return None
 
