@@ -100,3 +100,18 @@ def test_it_gives_a_terminal_what_that_understands(
     assert bool(re.search(r"\x1b\[\d*m", terminal.raw)) is colours
     assert (ESCAPE in terminal.raw) is moves
     assert re.search(r"^\d\d:\d\d:\d\d ! .*paused", terminal.screen.text, re.MULTILINE)
+
+
+_BEHIND = "import subprocess; raise SystemExit(subprocess.Popen({run!r}, process_group=0).wait())"
+
+
+def test_it_does_not_draw_while_its_shell_has_put_it_behind(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", _BEHIND.format(run=RUN)]
+    with at_terminal(command, environment(tmp_path, NO_COLOR="1")) as terminal:
+        terminal.until(lambda _seen: (tmp_path / control.CONTROL_FILE).exists())
+        ask(tmp_path, "pause")
+        terminal.until_seen("asked to pause")
+        ask(tmp_path, "stop")
+        assert terminal.exit_code() == 0
+    assert ESCAPE not in terminal.raw
+    assert "Ended. Nothing is streamed any more." in terminal.screen.text
