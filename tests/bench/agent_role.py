@@ -37,9 +37,11 @@ class Watch:
         observe, emit_at = DeviceSink.observe, DeviceSink.emit_at
         watch = self
 
-        def noted_observe(self: DeviceSink, device_s: float, arrival_s: float) -> None:
+        def noted_observe(
+            self: DeviceSink, device_s: float, arrival_s: float, kind: str = ""
+        ) -> None:
             watch.arrived(self, arrival_s)
-            observe(self, device_s, arrival_s)
+            observe(self, device_s, arrival_s, kind)
 
         def timed_emit_at(
             self: DeviceSink, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]
