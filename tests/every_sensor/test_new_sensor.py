@@ -102,7 +102,7 @@ def test_it_is_known_to_demo_fault_matrix_settings_and_search(
     topics = {topic: missing for topic, missing in answers["demo"].items() if SENSOR in topic}
     names = ("force", "force_chunk", "bat", "quality")
     assert topics == {f"/biosensors/{SENSOR}/{name}": "" for name in names}
-    kinds = ["drop", "stall", "garbage", "low_battery", "off_body", "drift", "asleep"]
+    kinds = ["drop", "stall", "garbage", "unreadable", "low_battery", "off_body", "drift", "asleep"]
     assert answers["cells"] == kinds
     assert f'sensor = "{SENSOR}"' in answers["template"]
     assert "1 devices, no problem found" in answers["check"]
