@@ -18,7 +18,7 @@ _CODE = """
 import sys
 from biosensor_gateway import cli
 from biosensor_gateway.system import own_window
-own_window.is_own_window = cli.is_own_window = lambda: True
+own_window.is_own_window = lambda: True
 sys.argv = ["biosensor-gateway", *{arguments!r}]
 cli.main()
 """

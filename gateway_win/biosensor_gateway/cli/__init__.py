@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import sys
+from types import TracebackType
 from typing import TextIO
-
-from biosensor_gateway.system.own_window import HeldOpen, is_own_window
 
 __all__ = ["main"]
 
@@ -15,15 +15,15 @@ KEEP_ALIVE = "--keep-alive"
 
 def main() -> None:
     """Run the command line; see `biosensor_gateway.cli.app`."""
-    with HeldOpen():
+    with contextlib.ExitStack() as stack:
+        stack.push(_hold_window_of_a_failure)
         _run()
 
 
 def _run() -> None:
     _say_anything()
-    if len(sys.argv) == 1 and is_own_window():
-        # Started by a double click: there is nobody who would read a list of commands.
-        sys.argv += ["run", "--ask"]
+    if len(sys.argv) == 1:
+        _lead_after_a_double_click()
     if sys.argv[1:2] == ["run"]:
         if KEEP_ALIVE in sys.argv:
             from biosensor_gateway.system.keep_alive import keep_alive  # noqa: PLC0415 - only then
@@ -37,6 +37,24 @@ def _run() -> None:
     from biosensor_gateway.cli import app  # noqa: PLC0415 - only now
 
     app.main()
+
+
+def _lead_after_a_double_click() -> None:
+    from biosensor_gateway.system.own_window import has_a_reader, is_own_window  # noqa: PLC0415 - only now
+
+    if is_own_window() and has_a_reader():
+        # There is nobody who would read a list of commands.
+        sys.argv += ["run", "--ask"]
+
+
+def _hold_window_of_a_failure(
+    _kind: type[BaseException] | None, error: BaseException | None, _trace: TracebackType | None
+) -> None:
+    if error is None or (isinstance(error, SystemExit) and not error.code):
+        return
+    from biosensor_gateway.system.own_window import hold_open  # noqa: PLC0415 - only now
+
+    hold_open()
 
 
 def _say_anything() -> None:

@@ -56,8 +56,10 @@ def run(
     if ask and (simulate or not can_ask()):
         raise typer.BadParameter("--ask needs a terminal, and does without --simulate")
     folder = state_folder()
-    with StartLog(folder) as log, ExitStack() as stack:
+    with ExitStack() as stack:
+        # The log file is another agent's as long as that one runs.
         unguarded = _claim(stack, folder)
+        log = stack.enter_context(StartLog(folder))
         if ask or _is_guide_wanted(settings, simulate):
             simulate = _guided(settings or settings_path())
         source = _virtual_devices(simulate, fault or ()) if simulate else _settings_file(settings)

@@ -18,7 +18,7 @@ _log = structlog.get_logger("biosensor_gateway.cli")
 
 
 class StartLog:
-    """Opens the log file before anything else can fail; a context manager.
+    """Opens the log file before the settings are read; a context manager.
 
     What leaves the context is logged to the file: an error of ours as its sentence, any other
     with its traceback. The console is the caller's.

@@ -8,7 +8,6 @@ from __future__ import annotations
 import atexit
 import contextlib
 import sys
-from types import TracebackType
 
 
 def is_own_window() -> bool:
@@ -25,25 +24,15 @@ def is_own_window() -> bool:
     return ctypes.windll.kernel32.GetConsoleProcessList(processes, 2) == 1
 
 
-class HeldOpen:
-    """Lets the window of a command that fails wait for the Enter key; a context manager."""
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        is_success = error is None or (isinstance(error, SystemExit) and not error.code)
-        if not is_success and is_own_window() and _has_a_reader():
-            # A traceback is printed after this.
-            atexit.register(_await_enter)
+def hold_open() -> None:
+    """Let a window that closes with this process wait for the Enter key first."""
+    if is_own_window() and has_a_reader():
+        # A traceback is printed after this.
+        atexit.register(_await_enter)
 
 
-def _has_a_reader() -> bool:
+def has_a_reader() -> bool:
+    """Whether somebody sees what is written, and can press a key."""
     # A program without a console has neither, whatever their types say.
     return all(each is not None and each.isatty() for each in (sys.stdin, sys.stdout))
 
