@@ -7,6 +7,7 @@ where there are none; test_keep_awake_systemd.py has a real one.
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -41,7 +42,7 @@ while kill -0 "$3"; do sleep 0.05; done 2>/dev/null""",
 }
 ARGUMENTS = {
     "systemd-inhibit": "--what=sleep:idle --mode=block --who=Biosensor Gateway "
-    "--why=a biosensor is streaming cat",
+    f"--why=a biosensor is streaming {shutil.which('cat')}",
     "caffeinate": f"-i -w {os.getpid()}",
 }
 PLATFORMS = {"linux": "systemd-inhibit", "darwin": "caffeinate"}

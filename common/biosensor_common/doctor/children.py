@@ -25,7 +25,7 @@ def probe_command() -> list[str]:
     """Command line of the other process for LSL, from source or frozen."""
     if getattr(sys, "frozen", False):
         return [sys.executable, PROBE_COMMAND]
-    return [sys.executable, "-m", "biosensor_common.doctor.probe"]
+    return [sys.executable, "-P", "-m", "biosensor_common.doctor.probe"]
 
 
 class Probe:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
+
+from biosensor_common.system_programs import full_path
 
 TIME_LIMIT_S = 5.0
 
@@ -21,11 +22,11 @@ def succeeds(*command: str) -> bool | None:
 
 
 def _ended(*command: str) -> subprocess.CompletedProcess[str] | None:
-    path = shutil.which(command[0])
+    path = full_path(command[0])
     if path is None:
         return None
     try:
-        return subprocess.run(  # noqa: S603 - fixed commands, found on the path
+        return subprocess.run(  # noqa: S603 - fixed commands of the system
             [path, *command[1:]],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,

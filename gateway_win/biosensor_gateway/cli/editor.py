@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import os
 import shlex
-import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.system_programs import full_path
+
+if sys.platform == "win32":
+    from biosensor_common.system_programs import windows_folder
 
 
 def open_in_editor(path: Path) -> None:
@@ -28,11 +31,11 @@ def open_in_editor(path: Path) -> None:
     if sys.platform == "win32":
         _open_on_windows(path)
     elif sys.platform == "darwin":
-        _run(["open", "-t", str(path)], path)
+        _run(["open", "-t"], path)
     elif editor := os.environ.get("VISUAL") or os.environ.get("EDITOR"):
-        _run([*_words(editor, path), str(path)], path)
-    elif shutil.which("xdg-open"):
-        _run(["xdg-open", str(path)], path)
+        _run(_words(editor, path), path)
+    elif full_path("xdg-open"):
+        _run(["xdg-open"], path)
     else:
         message = f"no editor was found; set EDITOR to yours, or open {path} by hand"
         raise ConfigError(ConfigReason.NOT_FOUND, message)
@@ -45,7 +48,7 @@ if sys.platform == "win32":
             os.startfile(path)  # noqa: S606 - that is its purpose
         except OSError:
             # No program is known for the file's ending.
-            notepad = str(Path(os.environ.get("SYSTEMROOT", r"C:\Windows"), "notepad.exe"))
+            notepad = str(windows_folder(system=False) / "notepad.exe")
             try:
                 subprocess.Popen([notepad, path])  # noqa: S603 - no shell
             except OSError as error:
@@ -60,12 +63,16 @@ def _words(editor: str, path: Path) -> list[str]:
 
 
 def _run(command: Sequence[str], path: Path) -> None:
+    name, *options = command or [""]
+    program = name if "/" in name else full_path(name)
+    if program is None:
+        raise _failed(name, path, "no folder of PATH has it")
     try:
-        code = subprocess.run(command, check=False).returncode  # noqa: S603 - the user's own
+        code = subprocess.run([program, *options, path], check=False).returncode  # noqa: S603 - the user's own
     except OSError as error:
-        raise _failed(command[0], path, error.strerror or str(error)) from error
+        raise _failed(name, path, error.strerror or str(error)) from error
     if code:
-        raise _failed(command[0], path, f"exit code {code}")
+        raise _failed(name, path, f"exit code {code}")
 
 
 def _failed(editor: str, path: Path, why: str) -> ConfigError:

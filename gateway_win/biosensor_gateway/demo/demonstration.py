@@ -61,7 +61,8 @@ def run(seconds: float | None) -> int:
         if seconds is not None:
             options += ["--seconds", str(seconds)]
         table = subprocess.Popen(  # noqa: S603 - our own program
-            [sys.executable, "-m", "lsl_to_ros.live_table", *options], env=_environment(folder)
+            [sys.executable, "-P", "-m", "lsl_to_ros.live_table", *options],
+            env=_environment(folder),
         )
         return _wait(table, servers, folder)
 
@@ -77,7 +78,7 @@ def _servers() -> dict[str, Sequence[str]]:
 def _process(name: str, command: Sequence[str], folder: Path) -> Generator[subprocess.Popen[bytes]]:
     with (folder / f"{name}.log").open("wb") as log:
         process = subprocess.Popen(  # noqa: S603 - our own programs
-            [sys.executable, "-m", *command],
+            [sys.executable, "-P", "-m", *command],
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,

@@ -23,7 +23,6 @@ systemd-inhibit(1).
 from __future__ import annotations
 
 import os
-import shutil
 import sys
 import time
 from collections.abc import Callable
@@ -32,6 +31,7 @@ from typing import Protocol
 
 import structlog
 
+from biosensor_common.system_programs import full_path
 from biosensor_gateway.system.keep_awake.program import ProgramInhibitor
 
 if sys.platform == "win32":
@@ -168,17 +168,20 @@ def system_inhibitor(platform: str = sys.platform) -> Inhibitor | None:
 
 
 def _caffeinate() -> Inhibitor | None:
-    program = shutil.which("caffeinate")
+    program = full_path("caffeinate")
     if program is None:
         return None
     return ProgramInhibitor([program, "-i", "-w", str(os.getpid())], echoes=False)
 
 
 def _systemd_inhibit() -> Inhibitor | None:
-    program = shutil.which("systemd-inhibit")
+    program = full_path("systemd-inhibit")
+    echo = full_path("cat")
     # A container has the program, but nobody who would put it to sleep.
-    if program is None or not (_BUS_VARIABLE in os.environ or _BUS_SOCKET.exists()):
+    if program is None or echo is None:
+        return None
+    if not (_BUS_VARIABLE in os.environ or _BUS_SOCKET.exists()):
         return None
     command = [program, "--what=sleep:idle", "--mode=block", f"--who={_WHO}", f"--why={_WHY}"]
-    # It runs cat once it has the lock, and cat ends with its input, which ends with us.
-    return ProgramInhibitor([*command, "cat"], echoes=True)
+    # It runs the echo, cat, once it has the lock, and that ends with its input, which ends with us.
+    return ProgramInhibitor([*command, echo], echoes=True)

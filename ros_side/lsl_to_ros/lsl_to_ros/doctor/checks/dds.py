@@ -34,7 +34,7 @@ def examine(_context: Context) -> Iterator[Finding]:
         return
     yield from dds_environment.judge(os.environ)
     name = f"_biosensor_doctor_{uuid.uuid4().hex}"
-    command = (sys.executable, "-m", "lsl_to_ros.doctor.graph_probe")
+    command = (sys.executable, "-P", "-m", "lsl_to_ros.doctor.graph_probe")
     with (
         Probe("stay", _LIMIT_S, command=command, name=name) as node,
         Probe(

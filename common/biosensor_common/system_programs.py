@@ -1,0 +1,54 @@
+"""Finds programs of the system by their full path, never in the current folder."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+if sys.platform == "win32":
+    import ctypes
+
+    _LONGEST_PATH = 32768
+    _SUFFIX = ".exe"
+
+    def windows_folder(*, system: bool) -> Path:
+        r"""Return where Windows is, or its programs (``System32``), whatever variables say.
+
+        Raises
+        ------
+        OSError
+            Windows does not tell.
+        """
+        text = ctypes.create_unicode_buffer(_LONGEST_PATH)
+        kernel = ctypes.windll.kernel32
+        ask = kernel.GetSystemDirectoryW if system else kernel.GetSystemWindowsDirectoryW
+        if not ask(text, _LONGEST_PATH):
+            raise ctypes.WinError()
+        return Path(text.value)
+
+    def _folders() -> Iterator[Path]:
+        yield windows_folder(system=True)
+
+else:
+    _SUFFIX = ""
+
+    def _folders() -> Iterator[Path]:
+        # An entry that is empty, or relative, is the current folder, or lies in it.
+        entries = os.environ.get("PATH", os.defpath).split(os.pathsep)
+        yield from (folder for folder in map(Path, entries) if folder.is_absolute())
+
+
+def full_path(name: str) -> str | None:
+    r"""Return where a program of the system is; None if it is not there.
+
+    Windows has its own in ``System32``, and nowhere else is looked. Elsewhere they are in
+    the folders of ``PATH``, of which those are left out that depend on the current folder:
+    a study's folder may hold a program that somebody else put there (CWE-427).
+    """
+    for folder in _folders():
+        program = folder / f"{name}{_SUFFIX}"
+        if program.is_file() and os.access(program, os.X_OK):
+            return str(program)
+    return None
