@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from enum import IntEnum, unique
 
-from biosensor_common.doctor import firewall_rules, lsl_text, programs
+from biosensor_common.doctor import firewall_rules, lsl_text
 from biosensor_common.doctor.finding import Finding, note, ok, warning
+from biosensor_common.doctor.lsl_api_file import Ports
+from biosensor_gateway.doctor import firewall_policy
 from biosensor_gateway.doctor.context import Context
+from biosensor_gateway.doctor.firewall_policy import Protocol, Rule
 
 _NETWORKS = r"SOFTWARE\Microsoft\Windows NT\CurrentVersion\NetworkList\Profiles"
+# Where the installer's rule is meant to hold.
+_PROFILES = ["Private", "Domain"]
+_WHY = (
+    "Other computers see the streams of this one only if it lets them in; LabRecorder on this "
+    "computer does not need that."
+)
 
 
 @unique
@@ -23,29 +32,104 @@ class Network(IntEnum):
 
 
 def examine(context: Context) -> Iterator[Finding]:
-    """Look for the rule of the installer, and for what the network is taken for."""
+    """Look for rules that let this program in or block it, and what the network is taken for."""
     if sys.platform != "win32":
         return
-    opening = firewall_rules.windows(lsl_text.ports(context.config))
-    yield _rule(opening)
     latest = latest_network()
+    network = None if latest is None else latest[1]
+    yield from judge_rules(
+        firewall_policy.rules(), _own_program(), lsl_text.ports(context.config), network
+    )
     if latest is not None:
         yield judge_network(*latest)
 
 
-def _rule(opening: str) -> Finding:
-    name = firewall_rules.WINDOWS_RULE
-    show = ("netsh", "advfirewall", "firewall", "show", "rule", f"name={name}")
-    there = programs.succeeds(*show)
-    if there:
-        return ok(f"the firewall has the rule {name!r}")
-    what = "cannot be asked" if there is None else f"has no rule {name!r}"
-    return note(
-        f"the firewall of Windows {what}",
-        "Other computers see the streams of this one only if it lets them in; LabRecorder on this "
-        "computer does not need that.",
-        opening + "\nor install again with 'Allow it through the firewall'",
+def _own_program() -> str:
+    # The python.exe of a virtual environment only starts the one that it was made of.
+    own = sys.executable
+    return own if getattr(sys, "frozen", False) else getattr(sys, "_base_executable", own)
+
+
+def judge_rules(
+    rules: Iterable[Rule] | None, program: str, ports: Ports, network: Network | None
+) -> Iterator[Finding]:
+    """Judge which rules let a program receive what LSL needs.
+
+    Parameters
+    ----------
+    rules
+        Of the firewall; None if they cannot be read.
+    program
+        Full path.
+    ports
+        Of LSL.
+    network
+        What Windows takes the present network for; None if nobody knows.
+    """
+    opening = (
+        firewall_rules.windows(ports) + "\nor install again with 'Allow it through the firewall'"
     )
+    if rules is None:
+        yield note("the rules of Windows' firewall cannot be read", _WHY, opening)
+        return
+    profiles = _PROFILES if network is None else [network.name.capitalize()]
+    named = list(rules)
+    ours = [rule for rule in named if rule.is_active and rule.is_for(program)]
+    needs = _needs(ports)
+    blocking = [
+        rule
+        for rule in ours
+        if not rule.allows
+        and any(map(rule.holds_in, profiles))
+        and any(rule.opened(needs[each]) for each in rule.protocols)
+    ]
+    yield from (_blocked(rule) for rule in blocking)
+    allowing = [rule for rule in ours if rule.allows and any(map(rule.holds_in, profiles))]
+    closed = [each.name for each in Protocol if not _is_open(allowing, each, needs[each])]
+    if closed:
+        what = f"no rule of the firewall lets {' and '.join(closed)} in to this program"
+        yield note(what + _nearly(named, program, profiles), _WHY, opening)
+    elif not blocking:
+        names = ", ".join(dict.fromkeys(repr(rule.name) for rule in allowing))
+        yield ok(f"the firewall lets this program in: {names}")
+
+
+def _needs(ports: Ports) -> dict[Protocol, set[int]]:
+    several = set(range(ports.first, ports.last + 1))
+    return {Protocol.TCP: several, Protocol.UDP: several | {ports.discovery}}
+
+
+def _is_open(allowing: Iterable[Rule], protocol: Protocol, needed: set[int]) -> bool:
+    rules = [rule for rule in allowing if protocol in rule.protocols]
+    return needed <= set[int]().union(*(rule.opened(needed) for rule in rules))
+
+
+def _blocked(rule: Rule) -> Finding:
+    protocols = " and ".join(each.name for each in sorted(rule.protocols))
+    return warning(
+        f"the firewall's rule {rule.name!r} blocks {protocols} to this program",
+        "A rule that blocks wins over all that allow, so other computers do not see the streams. "
+        "Windows makes such rules when its question is answered with Cancel.",
+        f"as administrator: wf.msc > Inbound Rules > {rule.name} > Disable Rule",
+    )
+
+
+def _nearly(rules: Iterable[Rule], program: str, profiles: Iterable[str]) -> str:
+    """Say why the installer's rule, if it is there, is none for this program and network."""
+    rule = next((each for each in rules if each.name == firewall_rules.WINDOWS_RULE), None)
+    if rule is None:
+        return ""
+    if not rule.is_active:
+        why = "is switched off"
+    elif not rule.allows:
+        why = "blocks"
+    elif not rule.is_for(program):
+        why = f"is for {rule.program}"
+    elif not any(map(rule.holds_in, profiles)):
+        why = f"holds in {' and '.join(sorted(rule.profiles)).lower()} networks only"
+    else:
+        why = "is for other ports or protocols"
+    return f"; the rule {rule.name!r} {why}"
 
 
 def judge_network(name: str, network: Network) -> Finding:
