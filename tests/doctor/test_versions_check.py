@@ -21,7 +21,12 @@ def test_what_runs_here(examine: Examine, context: Context) -> None:
     found = examine(context, "versions")
     assert not above_ok(found)
     assert only(found, f"Python {sys.version.split()[0]}, {sys.executable}")
-    assert only(found, f"({pylsl.library_info()}), {lib._name}")
+    liblsl = only(found, f"), {lib._name}").what
+    for detail in pylsl.library_info().split("/build:")[0].split("/branch:"):
+        assert detail in liblsl
+    # Else a terminal breaks a word; a path stays whole, so that it can be copied.
+    words = [word for each in found for word in each.what.split() if "site-packages" not in word]
+    assert max(map(len, words)) <= 68, words
     for name in ("biosensor-gateway ", "pylsl ", "bleak ", "numpy "):
         assert [each for each in found if each.what.startswith(name)]
 

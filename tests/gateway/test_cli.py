@@ -13,9 +13,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import psutil
 import pytest
 
 from biosensor_gateway.agent import status_file
+from biosensor_gateway.agent.single_instance import single_instance
 from biosensor_gateway.demo import virtual_devices as simulate
 
 if TYPE_CHECKING:
@@ -53,8 +55,10 @@ def one_sentence(outcome: Outcome, code: int) -> str:
     return outcome.err
 
 
-def write_status(state: Path, *devices: dict[str, Any], age_s: float = 0.0) -> None:
-    written = {"written": time.time() - age_s, "process": 1, "devices": list(devices)}
+def write_status(
+    state: Path, *devices: dict[str, Any], age_s: float = 0.0, process: int = 1
+) -> None:
+    written = {"written": time.time() - age_s, "process": process, "devices": list(devices)}
     status_file.write_status(state, written)
 
 
@@ -189,6 +193,30 @@ def test_status_without_an_agent_fails(run: Run) -> None:
 def test_status_of_an_agent_that_is_gone_fails(run: Run, state: Path) -> None:
     write_status(state, DEVICE, age_s=90)
     assert re.search(r"\b9\d s ago", one_sentence(run("status"), 1))
+
+
+@pytest.mark.parametrize("command", ["status", "clocks"])
+def test_an_agent_that_was_killed_streams_no_more(run: Run, state: Path, command: str) -> None:
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as agent:
+        write_status(state, {**DEVICE, "clock": None}, process=agent.pid)
+        assert run(command).code == 0
+        agent.kill()
+        # Whoever started it need not have asked yet how it ended.
+        while psutil.Process(agent.pid).status() != psutil.STATUS_ZOMBIE:
+            time.sleep(0.01)
+        assert "ended without a word" in one_sentence(run(command), 1)
+    assert "ended without a word" in one_sentence(run(command), 1)
+    # In another container its number says nothing, but its lock does.
+    with single_instance(state):
+        assert run(command).code == 0
+
+
+def test_status_of_an_agent_without_devices_says_so(run: Run, state: Path) -> None:
+    write_status(state)
+    outcome = run("status")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert "no device is enabled" in outcome.out
+    assert "config edit" in outcome.out
 
 
 def test_a_damaged_status_file_fails(run: Run, state: Path) -> None:

@@ -7,8 +7,10 @@ import math
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
+from structlog.testing import capture_logs
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
@@ -72,6 +74,35 @@ def test_a_damaged_file_is_said_to_be_damaged(tmp_path: Path, text: str) -> None
     error = refusal(tmp_path)
     assert error.reason is ConfigReason.UNREADABLE
     assert str(tmp_path) in str(error)
+
+
+@pytest.mark.parametrize(
+    ("refusals", "said"),
+    [(status_file.UNWRITTEN_REPORTS - 1, 0), (2 * status_file.UNWRITTEN_REPORTS, 1)],
+)
+def test_a_reader_in_the_way_is_no_trouble_until_it_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refusals: int, said: int
+) -> None:
+    """Windows refuses to replace a file that somebody reads."""
+    writer, written = status_file.StatusWriter(tmp_path), status_file.write_status
+    left = refusals
+
+    def write(folder: Path, content: dict[str, Any]) -> None:
+        nonlocal left
+        left -= 1
+        if left >= 0:
+            raise PermissionError(13, "in use")
+        written(folder, content)
+
+    monkeypatch.setattr(status_file, "write_status", write)
+    with capture_logs() as lines:
+        for _ in range(2):
+            for _ in range(refusals + 1):
+                writer.write(status())
+            left = refusals
+    told = [each for each in lines if "cannot be written" in str(each["event"])]
+    assert len(told) == said
+    assert status_file.read_status(tmp_path)["devices"] == []
 
 
 def test_removing_says_that_the_agent_has_ended(tmp_path: Path) -> None:

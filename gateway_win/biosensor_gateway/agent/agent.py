@@ -70,7 +70,7 @@ class Agent:
         self._pauses = PauseCommands(folder, sinks)
         self._heartbeat_s = settings.events.heartbeat_s
         self.on_status: Callable[[Mapping[str, Any]], None] = lambda status: None
-        self._unwritable = False
+        self._status = status_file.StatusWriter(folder)
         self._awake = KeepAwake(system_inhibitor() if settings.power.keep_awake else None)
 
     @property
@@ -124,7 +124,7 @@ class Agent:
             outlet.push_text(counters_text(merged, self._clocks()), pylsl.local_clock())
             status = status_file.snapshot(self.devices)
             self.on_status(status)
-            self._write_status(status)
+            self._status.write(status)
             self._known.keep()
             self._awake.hold(any(each.supervisor.is_connected for each in self.devices))
             # After a computer's sleep the missed reports are not made up for.
@@ -135,16 +135,6 @@ class Agent:
         """Clocks of the devices, each by the source_id of the first of its streams."""
         opened = (each.sink for each in self.devices if each.sink.counters)
         return {next(iter(sink.counters)): sink.clock_state for sink in opened}
-
-    def _write_status(self, status: dict[str, Any]) -> None:
-        try:
-            status_file.write_status(self._folder, status)
-        except OSError as error:
-            if not self._unwritable:
-                self._unwritable = True
-                _log.warning(
-                    "the status file cannot be written; `status` will not work", error=str(error)
-                )
 
 
 def _overrides(settings: LslSettings) -> LslOverrides:

@@ -49,7 +49,7 @@ def clocks(
 
 def _status() -> dict[str, Any]:
     try:
-        return status_file.read_status(state_folder())
+        return status_file.running_status(state_folder())
     except ConfigError as error:
         # The command was right: there is no agent.
         raise TransportError(TransportReason.ABSENT, str(error)) from error

@@ -8,11 +8,13 @@ from typing import Annotated
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
-from biosensor_gateway.system import windows_path
+from biosensor_gateway.system import windows_autostart, windows_path
 
 app = typer.Typer(help="Used by the Windows installer.", no_args_is_help=True)
 
 FolderArgument = Annotated[str, typer.Argument(help="Folder of the program.")]
+EXIT_NOT_CHOSEN = 3
+"""Of ``autostart-state``; 1 would also be an error."""
 
 
 @app.command("add-to-path")
@@ -27,6 +29,28 @@ def remove_from_path(folder: FolderArgument) -> None:
     _changed(windows_path.remove_from_path, folder)
 
 
+@app.command("autostart")
+def autostart(
+    command: Annotated[str, typer.Argument(help="What is run; it may have %VARIABLES%.")],
+    on: Annotated[bool, typer.Option("--on/--off", help="Start it at logon, or do not.")] = True,
+) -> None:
+    """Choose whether the user of this session starts the program at logon."""
+    _entries(lambda: windows_autostart.choose(command, wanted=on))
+
+
+@app.command("autostart-state")
+def autostart_state() -> None:
+    """End with 0 if the user of this session starts the program at logon, else with 3."""
+    if not windows_autostart.is_chosen():
+        raise typer.Exit(EXIT_NOT_CHOSEN)
+
+
+@app.command("remove-autostart")
+def remove_autostart() -> None:
+    """Let no user start the program at logon any more."""
+    _entries(windows_autostart.remove_all)
+
+
 def _changed(change: Callable[[str], None], folder: str) -> None:
     try:
         change(folder)
@@ -35,4 +59,12 @@ def _changed(change: Callable[[str], None], folder: str) -> None:
         raise ConfigError(ConfigReason.WRONG_VALUE, message) from error
     except OSError as error:
         message = f"the PATH of this PC cannot be changed: {error.strerror or error}"
+        raise TransportError(TransportReason.DENIED, message) from error
+
+
+def _entries(change: Callable[[], None]) -> None:
+    try:
+        change()
+    except OSError as error:
+        message = f"what starts at logon cannot be changed: {error.strerror or error}"
         raise TransportError(TransportReason.DENIED, message) from error

@@ -17,7 +17,7 @@ from biosensor_gateway.settings.models import state_folder
 def status(as_json: JsonOption = False) -> None:
     """Show what the running agent does; exit code 1 if none runs."""
     try:
-        current = status_file.read_status(state_folder())
+        current = status_file.running_status(state_folder())
     except ConfigError as error:
         # The command was right: there is no agent.
         raise TransportError(TransportReason.ABSENT, str(error)) from error
@@ -32,6 +32,11 @@ def _print_status(current: dict[str, Any]) -> None:
     if "restarts" in current:
         times = "once" if current["restarts"] == 1 else f"{current['restarts']} times"
         say(f"started again {times}, last after: {current['last_end']}")
+    if not current["devices"]:
+        say(
+            "the agent runs, and no device is enabled in its settings; add one with: "
+            "biosensor-gateway config edit"
+        )
     for device in current["devices"]:
         name = " ".join(
             part for part in (device["participant"], device["sensor"], device["label"]) if part

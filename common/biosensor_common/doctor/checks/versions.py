@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import re
 import sys
 from collections.abc import Iterator
 from importlib import import_module
@@ -14,6 +15,8 @@ from biosensor_common.doctor.finding import Finding, error, ok, warning
 from biosensor_common.doctor.guide import Guide
 
 _OLDEST_LIBLSL = 117
+# Between two of what liblsl tells of its build; a branch has slashes of its own.
+_DETAIL = re.compile(r"/(?=\w+:)")
 
 
 def examine(context: Context) -> Iterator[Finding]:
@@ -54,7 +57,9 @@ def _lsl(guide: Guide) -> Iterator[Finding]:
         return
     yield ok(f"pylsl {version('pylsl')}, {Path(pylsl.__file__).parent}")
     number = pylsl.library_version()
-    what = f"liblsl {number // 100}.{number % 100} ({pylsl.library_info()}), {lib._name}"  # noqa: SLF001 - ctypes has no other name for it
+    # One word of 120 letters would be broken anywhere.
+    details = _DETAIL.sub(", ", pylsl.library_info())
+    what = f"liblsl {number // 100}.{number % 100} ({details}), {lib._name}"  # noqa: SLF001 - ctypes has no other name for it
     if number >= _OLDEST_LIBLSL and hasattr(lib, "lsl_set_config_content"):
         yield ok(what)
         return

@@ -1,0 +1,136 @@
+"""Starts the program when a user of a Windows PC logs on.
+
+An installer runs as the administrator who allowed it, often somebody else than the user who
+sits there: the user is the one of the session, and the entry goes into that user's registry.
+"""
+
+from __future__ import annotations
+
+import sys
+
+ENTRY = "Biosensor Gateway"
+_RUN = r"Software\Microsoft\Windows\CurrentVersion\Run"
+
+
+class NoUserError(OSError):
+    """Nobody is logged on in the session, as where a service installs."""
+
+
+if sys.platform == "win32":
+    import ctypes
+    import winreg
+    from collections.abc import Iterator
+
+    # Of wtsapi32.h: this server, this session, and what is asked of it.
+    _THIS_SERVER, _THIS_SESSION, _USER_NAME, _DOMAIN_NAME = None, -1, 5, 7
+    _SID_BYTES, _NAME_CHARACTERS = 68, 256
+    _ACCESS = winreg.KEY_READ | winreg.KEY_WRITE | winreg.KEY_WOW64_64KEY
+
+    def user_of_session() -> str:
+        """Return the security identifier (SID) of the user who is logged on in this session.
+
+        Raises
+        ------
+        NoUserError
+            There is none, or Windows does not tell.
+        """
+        name = _of_session(_USER_NAME)
+        if not name:
+            raise NoUserError("nobody is logged on in this session")
+        domain = _of_session(_DOMAIN_NAME)
+        return _sid(f"{domain}\\{name}" if domain else name)
+
+    def choose(command: str, *, wanted: bool) -> None:
+        """Make the entry of the session's user or remove it; others who have one get the command.
+
+        Raises
+        ------
+        OSError
+            The registry cannot be written; `NoUserError` if it is nobody's.
+        """
+        own = user_of_session()
+        for user in _users():
+            if wanted if user == own else _has(user):
+                with winreg.CreateKeyEx(winreg.HKEY_USERS, rf"{user}\{_RUN}", 0, _ACCESS) as key:
+                    winreg.SetValueEx(key, ENTRY, 0, winreg.REG_SZ, command)
+            elif user == own:
+                _remove(user)
+
+    def is_chosen() -> bool:
+        """Whether the session's user has the entry."""
+        try:
+            return _has(user_of_session())
+        except NoUserError:
+            return False
+
+    def remove_all() -> None:
+        """Remove the entries of all users who are logged on."""
+        for user in _users():
+            _remove(user)
+
+    def _of_session(what: int) -> str:
+        text, size = ctypes.c_wchar_p(), ctypes.c_uint32()
+        library = ctypes.WinDLL("wtsapi32")
+        if not library.WTSQuerySessionInformationW(
+            _THIS_SERVER, _THIS_SESSION, what, ctypes.byref(text), ctypes.byref(size)
+        ):
+            return ""
+        found = text.value or ""
+        library.WTSFreeMemory(text)
+        return found
+
+    def _sid(account: str) -> str:
+        sid, size = ctypes.create_string_buffer(_SID_BYTES), ctypes.c_uint32(_SID_BYTES)
+        domain = ctypes.create_unicode_buffer(_NAME_CHARACTERS)
+        length, kind = ctypes.c_uint32(_NAME_CHARACTERS), ctypes.c_uint32()
+        library = ctypes.WinDLL("advapi32")
+        if not library.LookupAccountNameW(
+            *(None, account, sid, ctypes.byref(size)),
+            *(domain, ctypes.byref(length), ctypes.byref(kind)),
+        ):
+            raise NoUserError(f"Windows does not know the account {account}")
+        text = ctypes.c_wchar_p()
+        if not library.ConvertSidToStringSidW(sid, ctypes.byref(text)):
+            raise NoUserError(f"Windows does not tell the identifier of {account}")
+        found = text.value or ""
+        ctypes.WinDLL("kernel32").LocalFree(text)
+        return found
+
+    def _users() -> Iterator[str]:
+        count = winreg.QueryInfoKey(winreg.HKEY_USERS)[0]
+        for name in [winreg.EnumKey(winreg.HKEY_USERS, each) for each in range(count)]:
+            # The rest are the template of new users, and what they open files with.
+            if name.startswith("S-1-") and not name.endswith("_Classes"):
+                yield name
+
+    def _has(user: str) -> bool:
+        try:
+            with winreg.OpenKey(winreg.HKEY_USERS, rf"{user}\{_RUN}") as key:
+                winreg.QueryValueEx(key, ENTRY)
+        except FileNotFoundError:
+            return False
+        return True
+
+    def _remove(user: str) -> None:
+        if _has(user):
+            with winreg.OpenKey(winreg.HKEY_USERS, rf"{user}\{_RUN}", 0, _ACCESS) as key:
+                winreg.DeleteValue(key, ENTRY)
+
+else:
+    _REFUSED = "only Windows keeps in a registry what starts at logon"
+
+    def user_of_session() -> str:
+        """Refuse: only Windows has such users."""
+        raise NoUserError(_REFUSED)
+
+    def choose(command: str, *, wanted: bool) -> None:
+        """Refuse: only Windows has such entries."""
+        del command, wanted
+        raise NoUserError(_REFUSED)
+
+    def is_chosen() -> bool:
+        """Return that there is no such entry."""
+        return False
+
+    def remove_all() -> None:
+        """Remove nothing: only Windows has such entries."""
