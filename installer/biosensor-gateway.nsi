@@ -1,11 +1,14 @@
 ; The Windows installer, for all users of a PC. Built by installer/wine and by build.ps1:
-;   makensis -DVERSION=0.1.0 -DBUNDLE=folder -DOUTPUT=setup.exe biosensor-gateway.nsi
-; BUNDLE holds biosensor-gateway.exe, _internal, licenses and sbom.cdx.json.
+;   makensis -DVERSION=0.1.0 -DPICTURES=folder -DBUNDLE=folder -DOUTPUT=setup.exe \
+;     -DUNINSTALLER=uninstall.exe -DCOPY=cp biosensor-gateway.nsi
+; BUNDLE holds bin (biosensor-gateway.exe and _internal), docs, licenses and sbom.cdx.json. Its
+; bill of materials names the uninstaller, so a first run without -DBUNDLE makes that alone:
+; UNINSTALLER gets it, by COPY ("copy /b" on Windows); it is the same in both.
 ;
-; Silent:  setup.exe /S [/FIREWALL=0|1] [/AUTOSTART=0|1] [/D=folder, last, without quotes]
-;          uninstall.exe /S [/REMOVE_SETTINGS=1]
+; Silent:  setup.exe /S [/FIREWALL=0|1] [/AUTOSTART=0|1] [/FORCE=1] [/D=folder, last, without quotes]
+;          uninstall.exe /S [/REMOVE_SETTINGS=1] [/FORCE=1]
 ; Exit codes: 0 done, 1 cancelled, 2 not done (Windows too old, the program cannot be
-; closed, or a file cannot be written).
+; closed, or a file cannot be written), 3 not done because it runs and /FORCE=1 was not given.
 
 ; The 32-bit stub does nothing on a Wine that has no 32-bit part, and still says 0. NSIS for Windows
 ; has no other one: build.ps1 defines TARGET.
@@ -19,6 +22,8 @@ RequestExecutionLevel admin
 AllowSkipFiles off
 SetCompressor /SOLID lzma
 SetCompressorDictSize 32
+; Else Windows enlarges it like a photograph on screens of a high resolution.
+ManifestDPIAware true
 
 !include MUI2.nsh
 !include FileFunc.nsh
@@ -29,11 +34,12 @@ SetCompressorDictSize 32
 !define NAME "Biosensor Gateway"
 !define PROGRAM "biosensor-gateway"
 !define EXE "${PROGRAM}.exe"
+; Nothing but the program is in the folder that PATH gets: an uninstall.exe there would be a command.
+!define BIN "$INSTDIR\bin"
 !define PUBLISHER "Biosensor Gateway contributors"
 !define OWN_KEY "Software\${PROGRAM}"
 !define UNINSTALL_KEY "Software\Microsoft\Windows\CurrentVersion\Uninstall\${PROGRAM}"
 !define APP_PATH_KEY "Software\Microsoft\Windows\CurrentVersion\App Paths\${EXE}"
-!define RUN_KEY "Software\Microsoft\Windows\CurrentVersion\Run"
 
 ; What "Check this PC" runs.
 !define CHECK_COMMAND "doctor"
@@ -53,6 +59,20 @@ VIAddVersionKey FileDescription "${NAME} installer"
 VIAddVersionKey CompanyName "${PUBLISHER}"
 VIAddVersionKey LegalCopyright "Apache License 2.0"
 
+!uninstfinalize '${COPY} "%1" "${UNINSTALLER}"'
+
+!define MUI_ICON "${PICTURES}/icon.ico"
+!define MUI_UNICON "${PICTURES}/icon.ico"
+!define MUI_HEADERIMAGE
+!define MUI_HEADERIMAGE_RIGHT
+!define MUI_HEADERIMAGE_BITMAP "${PICTURES}/header.bmp"
+!define MUI_HEADERIMAGE_BITMAP_STRETCH AspectFitHeight
+!define MUI_HEADERIMAGE_UNBITMAP "${PICTURES}/header.bmp"
+!define MUI_HEADERIMAGE_UNBITMAP_STRETCH AspectFitHeight
+!define MUI_WELCOMEFINISHPAGE_BITMAP "${PICTURES}/welcome.bmp"
+!define MUI_WELCOMEFINISHPAGE_BITMAP_STRETCH AspectFitHeight
+; The list of choices gets the whole width, so that no label is cut off.
+!define MUI_COMPONENTSPAGE_SMALLDESC
 !define MUI_ABORTWARNING
 !define MUI_FINISHPAGE_NOAUTOCLOSE
 !define MUI_FINISHPAGE_RUN
@@ -72,9 +92,9 @@ VIAddVersionKey LegalCopyright "Apache License 2.0"
 ; A program that runs cannot be opened for writing.
 !macro IsRunning result
   StrCpy ${result} 0
-  ${If} ${FileExists} "$INSTDIR\${EXE}"
+  ${If} ${FileExists} "$R8\bin\${EXE}"
     ClearErrors
-    FileOpen $R9 "$INSTDIR\${EXE}" a
+    FileOpen $R9 "$R8\bin\${EXE}" a
     ${If} ${Errors}
       StrCpy ${result} 1
     ${Else}
@@ -83,19 +103,32 @@ VIAddVersionKey LegalCopyright "Apache License 2.0"
   ${EndIf}
 !macroend
 
+; Of the folder in $R8.
 !macro CloseProgram un
 Function ${un}CloseProgram
   !insertmacro IsRunning $R0
   ${If} $R0 == 0
     Return
   ${EndIf}
-  MessageBox MB_OKCANCEL|MB_ICONEXCLAMATION \
-    "${NAME} is running. Press OK to close it: its devices are disconnected and its streams end." \
-    /SD IDOK IDOK close
-  SetErrorLevel 1
-  Quit
+  ${If} ${Silent}
+    ; Nobody can be asked, and a recording may be going on.
+    ${GetParameters} $R0
+    ClearErrors
+    ${GetOptions} $R0 "/FORCE=" $R1
+    ${If} ${Errors}
+    ${OrIf} $R1 != 1
+      SetErrorLevel 3
+      Quit
+    ${EndIf}
+  ${Else}
+    MessageBox MB_OKCANCEL|MB_ICONEXCLAMATION \
+      "${NAME} is running. Press OK to close it: its devices are disconnected and its streams end." \
+      IDOK close
+    SetErrorLevel 1
+    Quit
+  ${EndIf}
 close:
-  nsExec::Exec '"$INSTDIR\${EXE}" stop'
+  nsExec::Exec '"$R8\bin\${EXE}" stop'
   Pop $R1
   ; Its window, or a command in another one, may need a moment more.
   StrCpy $R2 0
@@ -118,11 +151,33 @@ FunctionEnd
 !insertmacro CloseProgram ""
 !insertmacro CloseProgram "un."
 
+Var EarlierAutostart
+
 ; ---- Installation ------------------------------------------------------------------------
 
 Function OpenSettings
   ; As the user who began, not as the administrator that the installer became.
   Exec '"$WINDIR\explorer.exe" "$SMPROGRAMS\${NAME}\Settings.lnk"'
+FunctionEnd
+
+; Sets $R8 to where the program is now, or will be.
+!macro FindEarlierVersion
+  ReadRegStr $R8 HKLM "${UNINSTALL_KEY}" "InstallLocation"
+  ${If} $R8 == ""
+    StrCpy $R8 $INSTDIR
+  ${EndIf}
+!macroend
+
+; Sets $R0 to 1 if only administrators can change what is in the folder: whoever can write into
+; a folder of the system's PATH can have others run what they like.
+Function IsProtected
+  StrCpy $R0 0
+  GetFullPathName $R1 $INSTDIR
+  StrLen $R2 "$PROGRAMFILES64\"
+  StrCpy $R3 $R1 $R2
+  ${If} $R3 == "$PROGRAMFILES64\"
+    StrCpy $R0 1
+  ${EndIf}
 FunctionEnd
 
 ; Files are replaced as a whole, so that none of an earlier version stays.
@@ -133,7 +188,8 @@ Function RemoveEarlierVersion
     Return
   ${EndIf}
   ; With _?= it works where it lies and can be waited for, but cannot remove itself.
-  ExecWait '"$R0\uninstall.exe" /S _?=$R0' $R1
+  ; Who starts it at logon stays as it is.
+  ExecWait '"$R0\uninstall.exe" /S /UPGRADE=1 _?=$R0' $R1
   ${If} $R1 != 0
     MessageBox MB_OK|MB_ICONSTOP \
       "The earlier version in $R0 could not be removed. Close ${NAME}, then try again." /SD IDOK
@@ -146,10 +202,13 @@ FunctionEnd
 
 Section "${NAME}" SectionProgram
   SectionIn RO
+  !insertmacro FindEarlierVersion
   Call CloseProgram
   Call RemoveEarlierVersion
   SetOutPath "$INSTDIR"
+!ifdef BUNDLE
   File /r "${BUNDLE}\*.*"
+!endif
   WriteUninstaller "$INSTDIR\uninstall.exe"
 
   CreateDirectory "$SMPROGRAMS\${NAME}"
@@ -157,26 +216,33 @@ Section "${NAME}" SectionProgram
   ; They start in the folder of whoever opens them, so the name is left to be expanded then.
   StrCpy $OUTDIR "%USERPROFILE%"
   CreateShortcut "$SMPROGRAMS\${NAME}\${NAME}.lnk" "$SYSDIR\cmd.exe" \
-    '/k ""$INSTDIR\${EXE}" run"' "$INSTDIR\${EXE}" 0
+    '/k ""${BIN}\${EXE}" run"' "${BIN}\${EXE}" 0
   CreateShortcut "$SMPROGRAMS\${NAME}\Check this PC.lnk" "$SYSDIR\cmd.exe" \
-    '/k ""$INSTDIR\${EXE}" ${CHECK_COMMAND}"' "$INSTDIR\${EXE}" 0
+    '/k ""${BIN}\${EXE}" ${CHECK_COMMAND}"' "${BIN}\${EXE}" 0
   CreateShortcut "$SMPROGRAMS\${NAME}\Settings.lnk" "$SYSDIR\cmd.exe" \
-    '/c ""$INSTDIR\${EXE}" config edit || pause"' "$INSTDIR\${EXE}" 0
+    '/c ""${BIN}\${EXE}" config edit || pause"' "${BIN}\${EXE}" 0
+  CreateShortcut "$SMPROGRAMS\${NAME}\Documentation.lnk" "$INSTDIR\docs\index.html"
   CreateShortcut "$SMPROGRAMS\${NAME}\Uninstall.lnk" "$INSTDIR\uninstall.exe"
   SetOutPath "$INSTDIR"
 
-  WriteRegStr HKLM "${APP_PATH_KEY}" "" "$INSTDIR\${EXE}"
-  WriteRegStr HKLM "${APP_PATH_KEY}" "Path" "$INSTDIR"
+  WriteRegStr HKLM "${APP_PATH_KEY}" "" "${BIN}\${EXE}"
+  WriteRegStr HKLM "${APP_PATH_KEY}" "Path" "${BIN}"
   ; App Paths serves the Run dialog and `start`; a terminal looks into PATH alone.
-  nsExec::ExecToLog '"$INSTDIR\${EXE}" installation add-to-path "$INSTDIR"'
-  Pop $R0
+  Call IsProtected
+  ${If} $R0 == 1
+    nsExec::ExecToLog '"${BIN}\${EXE}" installation add-to-path "${BIN}"'
+    Pop $R0
+  ${Else}
+    DetailPrint "Not below $PROGRAMFILES64, where only administrators can write."
+    StrCpy $R0 1
+  ${EndIf}
   ${If} $R0 != 0
     DetailPrint "PATH was not changed: terminals need the whole path of ${EXE}."
   ${EndIf}
 
   WriteRegStr HKLM "${UNINSTALL_KEY}" "DisplayName" "${NAME}"
   WriteRegStr HKLM "${UNINSTALL_KEY}" "DisplayVersion" "${VERSION}"
-  WriteRegStr HKLM "${UNINSTALL_KEY}" "DisplayIcon" "$INSTDIR\${EXE}"
+  WriteRegStr HKLM "${UNINSTALL_KEY}" "DisplayIcon" "${BIN}\${EXE}"
   WriteRegStr HKLM "${UNINSTALL_KEY}" "Publisher" "${PUBLISHER}"
   WriteRegStr HKLM "${UNINSTALL_KEY}" "InstallLocation" "$INSTDIR"
   WriteRegStr HKLM "${UNINSTALL_KEY}" "UninstallString" '"$INSTDIR\uninstall.exe"'
@@ -187,9 +253,9 @@ Section "${NAME}" SectionProgram
   WriteRegDWORD HKLM "${UNINSTALL_KEY}" "EstimatedSize" $R0
 SectionEnd
 
-Section /o "Allow it through the firewall, for the local subnet" SectionFirewall
+Section /o "Firewall rule" SectionFirewall
   nsExec::ExecToLog '"$SYSDIR\netsh.exe" advfirewall firewall add rule name="${NAME}" \
-    dir=in action=allow program="$INSTDIR\${EXE}" \
+    dir=in action=allow program="${BIN}\${EXE}" \
     remoteip=LocalSubnet profile=private,domain enable=yes'
   Pop $R0
   ${If} $R0 == 0
@@ -202,15 +268,36 @@ Section /o "Allow it through the firewall, for the local subnet" SectionFirewall
   ${EndIf}
 SectionEnd
 
-Section /o "Start it when you log on" SectionAutostart
-  WriteRegStr HKCU "${RUN_KEY}" "${NAME}" \
-    '"$SYSDIR\cmd.exe" /c start "${NAME}" /min "$INSTDIR\${EXE}" run'
+; Asks the program, which finds the user of this session: the installer's own one is the
+; administrator who allowed it.
+!macro Autostart choice
+  nsExec::ExecToLog '"${BIN}\${EXE}" installation autostart ${choice} \
+    "\"$SYSDIR\cmd.exe\" /c start \"${NAME}\" /min \"${BIN}\${EXE}\" run"'
+  Pop $R0
+!macroend
+
+Section /o "Start at logon" SectionAutostart
+  !insertmacro Autostart "--on"
+  ${If} $R0 != 0
+    DetailPrint "It will not start at logon: no user is logged on in this session."
+    MessageBox MB_OK|MB_ICONEXCLAMATION \
+      "It could not be set to start when you log on: Windows did not tell who you are." /SD IDOK
+  ${EndIf}
 SectionEnd
 
-LangString ABOUT_PROGRAM ${LANG_ENGLISH} "The capture agent, its Start-menu entries and its command."
-LangString ABOUT_FIREWALL ${LANG_ENGLISH} "Other computers of the same subnet may receive the \
-  streams, in networks that Windows calls private or domain."
-LangString ABOUT_AUTOSTART ${LANG_ENGLISH} "For your own user account only."
+Section "-"
+  ${IfNot} ${SectionIsSelected} ${SectionAutostart}
+  ${AndIf} $EarlierAutostart == 1
+    !insertmacro Autostart "--off"
+  ${EndIf}
+SectionEnd
+
+LangString ABOUT_PROGRAM ${LANG_ENGLISH} "The capture agent, its documentation, its \
+  Start-menu entries and its command."
+LangString ABOUT_FIREWALL ${LANG_ENGLISH} "Allow it through the firewall: other computers of \
+  the same subnet may receive the streams, in networks that Windows calls private or domain."
+LangString ABOUT_AUTOSTART ${LANG_ENGLISH} "When you log on to Windows, it \
+  runs in a minimised window. For your own user account only, not for others of this PC."
 !insertmacro MUI_FUNCTION_DESCRIPTION_BEGIN
   !insertmacro MUI_DESCRIPTION_TEXT ${SectionProgram} $(ABOUT_PROGRAM)
   !insertmacro MUI_DESCRIPTION_TEXT ${SectionFirewall} $(ABOUT_FIREWALL)
@@ -247,33 +334,46 @@ Function .onInit
   ReadRegDWORD $R2 HKLM "${OWN_KEY}" "Firewall"
   ClearErrors
   !insertmacro Choose ${SectionFirewall} "FIREWALL" $R2
-  StrCpy $R2 0
-  ReadRegStr $R3 HKCU "${RUN_KEY}" "${NAME}"
-  ${If} $R3 != ""
-    StrCpy $R2 1
+  StrCpy $EarlierAutostart 0
+  !insertmacro FindEarlierVersion
+  ${If} ${FileExists} "$R8\bin\${EXE}"
+    nsExec::Exec '"$R8\bin\${EXE}" installation autostart-state'
+    Pop $R3
+    ${If} $R3 == 0
+      StrCpy $EarlierAutostart 1
+    ${EndIf}
   ${EndIf}
   ClearErrors
-  !insertmacro Choose ${SectionAutostart} "AUTOSTART" $R2
+  !insertmacro Choose ${SectionAutostart} "AUTOSTART" $EarlierAutostart
   ClearErrors
 FunctionEnd
 
 ; ---- Removal -----------------------------------------------------------------------------
 
 ; First, because the program itself takes its secrets out of the system's keyring.
-Section /o "un.Settings, logs and secrets of your user account" SectionSettings
+Section /o "un.Your settings, logs and secrets" SectionSettings
+  StrCpy $R8 $INSTDIR
   Call un.CloseProgram
-  nsExec::Exec '"$INSTDIR\${EXE}" secrets forget emotiv'
+  nsExec::Exec '"${BIN}\${EXE}" secrets forget emotiv'
   Pop $R0
   SetShellVarContext current
   RMDir /r "$LOCALAPPDATA\${PROGRAM}"
   SetShellVarContext all
 SectionEnd
 
-Section "un.${NAME}"
+Section "un.${NAME}" SectionRemoval
   SectionIn RO
+  StrCpy $R8 $INSTDIR
   Call un.CloseProgram
-  nsExec::ExecToLog '"$INSTDIR\${EXE}" installation remove-from-path "$INSTDIR"'
+  nsExec::ExecToLog '"${BIN}\${EXE}" installation remove-from-path "${BIN}"'
   Pop $R0
+  ${GetParameters} $R0
+  ClearErrors
+  ${GetOptions} $R0 "/UPGRADE=" $R1
+  ${If} ${Errors}
+    nsExec::ExecToLog '"${BIN}\${EXE}" installation remove-autostart'
+    Pop $R0
+  ${EndIf}
   ReadRegDWORD $R0 HKLM "${OWN_KEY}" "Firewall"
   ${If} $R0 == 1
     nsExec::ExecToLog '"$SYSDIR\netsh.exe" advfirewall firewall delete rule name="${NAME}"'
@@ -282,22 +382,34 @@ Section "un.${NAME}"
   DeleteRegKey HKLM "${OWN_KEY}"
   DeleteRegKey HKLM "${APP_PATH_KEY}"
   DeleteRegKey HKLM "${UNINSTALL_KEY}"
-  DeleteRegValue HKCU "${RUN_KEY}" "${NAME}"
 
   Delete "$SMPROGRAMS\${NAME}\${NAME}.lnk"
   Delete "$SMPROGRAMS\${NAME}\Check this PC.lnk"
   Delete "$SMPROGRAMS\${NAME}\Settings.lnk"
+  Delete "$SMPROGRAMS\${NAME}\Documentation.lnk"
   Delete "$SMPROGRAMS\${NAME}\Uninstall.lnk"
   RMDir "$SMPROGRAMS\${NAME}"
 
   ; Only what is ours: the folder itself goes if nothing else is in it.
-  RMDir /r "$INSTDIR\_internal"
+  RMDir /r "${BIN}\_internal"
+  Delete "${BIN}\${EXE}"
+  RMDir "${BIN}"
+  RMDir /r "$INSTDIR\docs"
   RMDir /r "$INSTDIR\licenses"
   Delete "$INSTDIR\sbom.cdx.json"
-  Delete "$INSTDIR\${EXE}"
   Delete "$INSTDIR\uninstall.exe"
   RMDir "$INSTDIR"
 SectionEnd
+
+LangString ABOUT_REMOVAL ${LANG_ENGLISH} "The program, its documentation, its Start-menu \
+  entries, its command and its firewall rule. Recordings are never touched."
+LangString ABOUT_SETTINGS ${LANG_ENGLISH} "What you have set for your devices, the logs, and \
+  what is in your keyring for vendors' services. They cannot be brought back. Those of other \
+  users of this PC stay."
+!insertmacro MUI_UNFUNCTION_DESCRIPTION_BEGIN
+  !insertmacro MUI_DESCRIPTION_TEXT ${SectionRemoval} $(ABOUT_REMOVAL)
+  !insertmacro MUI_DESCRIPTION_TEXT ${SectionSettings} $(ABOUT_SETTINGS)
+!insertmacro MUI_UNFUNCTION_DESCRIPTION_END
 
 Function un.onInit
   SetRegView 64

@@ -12,7 +12,8 @@ Runs in Windows PowerShell 5.1 and in PowerShell 7. Ends with exit code 1 and on
 if something fails.
 
 .PARAMETER Python
-A python.exe to build with, 64-bit 3.11 to 3.13. Without it the newest one that is found.
+A python.exe to build with, 64-bit and of the one version that the build under Wine has, too
+(installer/layout.py). Without it the one that is found.
 
 .PARAMETER MakeNsis
 Where makensis.exe is, if it is neither on PATH nor in NSIS's usual folder.
@@ -39,6 +40,8 @@ $Root = Split-Path -Parent $PSScriptRoot
 $Work = Join-Path $Root 'build\installer-windows'
 $Dist = Join-Path $Root 'dist'
 $Lock = Join-Path $Root 'requirements\freeze.txt'
+# As in installer/layout.py: what is tested under Wine is what is released.
+$PythonVersion = '3.13.2'
 
 function Invoke-Native {
     # Run a program, show what it says, and fail if it does.
@@ -94,7 +97,7 @@ function Test-Python {
         return $false
     }
     $options = $Candidate.Options
-    $code = 'import sys, sysconfig; fits = (3, 11) <= sys.version_info[:2] <= (3, 13); ' +
+    $code = "import platform, sys, sysconfig; fits = platform.python_version() == '$PythonVersion'; " +
         "sys.exit(not (fits and sysconfig.get_platform() == 'win-amd64'))"
     # In Windows PowerShell 5.1 any line on stderr would end the script.
     $ErrorActionPreference = 'Continue'
@@ -105,8 +108,8 @@ function Test-Python {
 function Find-Python {
     # A Python to build with, as a command and its first options.
     param([string] $Chosen)
-    $candidates = @('-3.13', '-3.12', '-3.11' | ForEach-Object { @{ Command = 'py'; Options = @($_) } })
-    $candidates += @{ Command = 'python'; Options = @() }
+    $candidates = @(@{ Command = 'py'; Options = @('-3') }, @{ Command = 'python'; Options = @() })
+    $candidates += @{ Command = 'py'; Options = @("-$($PythonVersion -replace '\.\d+$', '')") }
     if ($Chosen) {
         $candidates = @(@{ Command = $Chosen; Options = @() })
     }
@@ -116,9 +119,9 @@ function Find-Python {
         }
     }
     if ($Chosen) {
-        throw "$Chosen is not a 64-bit Python 3.11 to 3.13 for Windows; name one that is, or leave -Python out."
+        throw "$Chosen is not a 64-bit Python $PythonVersion for Windows; name one that is, or leave -Python out."
     }
-    throw 'No 64-bit Python 3.11 to 3.13 was found; install one from python.org, or name its python.exe with -Python.'
+    throw "No 64-bit Python $PythonVersion was found; install it from python.org, or name its python.exe with -Python."
 }
 
 function Find-MakeNsis {
@@ -188,6 +191,7 @@ function Invoke-Freeze {
         PATH            = @("$env:SystemRoot\System32", $env:SystemRoot) -join ';'
         GATEWAY_VERSION = $Version
         GATEWAY_FROZEN  = Join-Path $PSScriptRoot 'frozen.py'
+        GATEWAY_ICON    = Join-Path $Work 'pictures\icon.ico'
     }
     $options = @('--noconfirm', '--clean', '--log-level', 'WARN')
     $folders = @('--distpath', $Folder, '--workpath', (Join-Path $Folder 'work'))
@@ -201,35 +205,58 @@ function Invoke-Freeze {
     }
 }
 
-function Complete-Bundle {
-    # Write what goes in besides the program: licences of all parts and the bill of materials.
-    param([string] $Interpreter, [string] $Program, [string] $Folder)
-    $parts = @(
-        '--bundle', (Join-Path $Work "freeze\$Program"),
-        '--packages', (Join-Path $Work 'packages'),
-        '--python', (Get-BaseFolder (Join-Path $Work 'python')),
-        '--product', (Join-Path $Work 'product'),
-        '--out', (Join-Path $Folder $Program)
-    )
+function Invoke-Own {
+    # Run a part of the build that is written in Python, with the locked packages.
+    param([string] $Interpreter, [string[]] $Arguments)
     Use-Environment @{ PYTHONPATH = Join-Path $Work 'packages' } {
-        Invoke-Native $Interpreter (@('-m', 'installer.bundle') + $parts)
+        Invoke-Native $Interpreter (@('-m') + $Arguments)
     }
 }
 
+function Complete-Bundle {
+    # What is installed: the program in a folder of its own, the pages, licences of all parts
+    # and the bill of materials. An archive has no uninstaller, and so another bill.
+    param([string] $Interpreter, [string] $Program, [string] $Folder)
+    $bundle = Join-Path $Folder $Program
+    New-Item -ItemType Directory -Path $bundle | Out-Null
+    Copy-Item -LiteralPath (Join-Path $Work "freeze\$Program") -Destination (Join-Path $bundle 'bin') -Recurse
+    Copy-Item -LiteralPath (Join-Path $Work 'manual') -Destination (Join-Path $bundle 'docs') -Recurse
+    $parts = @(
+        '--bundle', (Join-Path $bundle 'bin'),
+        '--packages', (Join-Path $Work 'packages'),
+        '--python', (Get-BaseFolder (Join-Path $Work 'python')),
+        '--product', (Join-Path $Work 'product'),
+        '--documents', (Join-Path $Work 'manual'),
+        '--below', 'bin'
+    )
+    $uninstaller = @('--uninstaller', (Join-Path $Work 'uninstaller\uninstall.exe'))
+    Invoke-Own $Interpreter (@('installer.bundle') + $parts + $uninstaller + @('--out', $bundle))
+    Invoke-Own $Interpreter (@('installer.bundle') + $parts + @('--out', (Join-Path $Folder 'portable')))
+}
+
+function New-Portable {
+    # The program as an archive, which needs no installer and no administrator.
+    param([string] $Interpreter, [string] $Program, [string] $Output)
+    $unpacked = Join-Path (Split-Path -Parent $Output) 'unpacked'
+    Copy-Item -LiteralPath (Join-Path $Work "bundle\$Program") -Destination $unpacked -Recurse
+    Copy-Item -Path (Join-Path $Work 'bundle\portable\*') -Destination $unpacked -Recurse -Force
+    Invoke-Own $Interpreter @('installer.portable', $unpacked, $Output)
+    Remove-Item -LiteralPath $unpacked -Recurse -Force
+}
+
 function New-Setup {
-    # The installer of what the stages before have made.
-    param([string] $Compiler, [string] $Version, [string] $Program, [string] $Output)
+    # The installer of what the stages before have made; with nothing to install, its uninstaller.
+    param([string] $Compiler, [string] $Version, [string] $Output, [string[]] $Bundle = @())
     $folder = Split-Path -Parent $Output
-    foreach ($stage in 'freeze', 'bundle') {
-        Copy-Item -LiteralPath (Join-Path $Work "$stage\$Program") -Destination $folder -Recurse -Force
-    }
     $definitions = @(
         # The NSIS that its authors publish for Windows has no 64-bit stubs.
         '-DTARGET=x86-unicode',
         "-DVERSION=$Version",
-        "-DBUNDLE=$(Join-Path $folder $Program)",
+        "-DPICTURES=$(Join-Path $Work 'pictures')",
+        '-DCOPY=copy /b',
+        "-DUNINSTALLER=$(Join-Path $folder 'uninstall.exe')",
         "-DOUTPUT=$Output"
-    )
+    ) + $Bundle
     $script = Join-Path $PSScriptRoot 'biosensor-gateway.nsi'
     Invoke-Native $Compiler (@('-V2', '-WX', '-INPUTCHARSET', 'UTF8') + $definitions + @($script))
     if (-not (Test-Path -LiteralPath $Output)) {
@@ -237,21 +264,37 @@ function New-Setup {
     }
 }
 
-function Publish-Setup {
+function Test-Uninstaller {
+    # The bill of materials has the hash of the one that was made alone.
+    $made = 'uninstaller', 'package' | ForEach-Object { Get-FileHash -LiteralPath (Join-Path $Work "$_\uninstall.exe") }
+    if ($made[0].Hash -ne $made[1].Hash) {
+        throw 'The installer has another uninstaller than its bill of materials; run again with -Clean.'
+    }
+}
+
+function Publish-File {
+    # Put a file and its SHA-256 into dist.
+    param([string] $File)
+    $name = Split-Path -Leaf $File
+    $target = Join-Path $Dist $name
+    Copy-Item -LiteralPath $File -Destination $target
+    $digest = (Get-FileHash -Algorithm SHA256 -LiteralPath $target).Hash.ToLowerInvariant()
+    # As sha256sum writes and checks it; Out-File of 5.1 would write UTF-16.
+    [IO.File]::WriteAllText("$target.sha256", "$digest  $name`n")
+    Write-Host "wrote $target"
+}
+
+function Publish-Release {
     # Put into dist what a release consists of, and nothing of an earlier one.
-    param([string] $Version, [string] $Program, [string] $SetupName)
+    param([string] $Version, [string] $Program, [string] $SetupName, [string] $PortableName)
     New-Item -ItemType Directory -Path $Dist -Force | Out-Null
     Get-ChildItem -LiteralPath $Dist -File |
-        Where-Object { $_.Name -match '(-setup\.exe|\.sha256|\.cdx\.json)$' } |
+        Where-Object { $_.Name -match '(-setup\.exe|-portable\.zip|\.sha256|\.cdx\.json)$' } |
         Remove-Item
-    $setup = Join-Path $Dist $SetupName
-    Copy-Item -LiteralPath (Join-Path $Work "package\$SetupName") -Destination $setup
-    $materials = Join-Path $Work "package\$Program\sbom.cdx.json"
+    Publish-File (Join-Path $Work "package\$SetupName")
+    Publish-File (Join-Path $Work "portable\$PortableName")
+    $materials = Join-Path $Work "bundle\$Program\sbom.cdx.json"
     Copy-Item -LiteralPath $materials -Destination (Join-Path $Dist "$Program-$Version.cdx.json")
-    $digest = (Get-FileHash -Algorithm SHA256 -LiteralPath $setup).Hash.ToLowerInvariant()
-    # As sha256sum writes and checks it; Out-File of 5.1 would write UTF-16.
-    [IO.File]::WriteAllText("$setup.sha256", "$digest  $SetupName`n")
-    Write-Host "wrote $setup"
 }
 
 function Invoke-Build {
@@ -268,14 +311,21 @@ function Invoke-Build {
     $version = Read-Native $interpreter @('-c', 'from installer.layout import version; print(version())')
     $program = Read-Native $interpreter @('-c', 'from installer.layout import PROGRAM; print(PROGRAM)')
     $setup = Read-Native $interpreter @('-c', 'from installer.layout import setup_file; print(setup_file().name)')
+    $portable = Read-Native $interpreter @('-c', 'from installer.layout import portable_file; print(portable_file().name)')
 
     $locked = "$release $((Get-FileHash -Algorithm SHA256 $Lock).Hash)"
     Invoke-Stage 'packages' { param($folder) Install-Lock $interpreter $folder } -Fingerprint $locked
+    Invoke-Stage 'pictures' { param($folder) Invoke-Own $interpreter @('installer.pictures', $folder) }
+    Invoke-Stage 'manual' { param($folder) Invoke-Own $interpreter @('installer.manual', $folder) }
     Invoke-Stage 'product' { param($folder) Install-Product $interpreter $folder }
     Invoke-Stage 'freeze' { param($folder) Invoke-Freeze $interpreter $version $program $folder }
+    Invoke-Stage 'uninstaller' { param($folder) New-Setup $compiler $version (Join-Path $folder 'nothing.exe') }
     Invoke-Stage 'bundle' { param($folder) Complete-Bundle $interpreter $program $folder }
-    Invoke-Stage 'package' { param($folder) New-Setup $compiler $version $program (Join-Path $folder $setup) }
-    Publish-Setup $version $program $setup
+    Invoke-Stage 'portable' { param($folder) New-Portable $interpreter $program (Join-Path $folder $portable) }
+    $bundle = @("-DBUNDLE=$(Join-Path $Work "bundle\$program")")
+    Invoke-Stage 'package' { param($folder) New-Setup $compiler $version (Join-Path $folder $setup) $bundle }
+    Test-Uninstaller
+    Publish-Release $version $program $setup $portable
 }
 
 Push-Location $Root

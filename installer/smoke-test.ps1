@@ -29,12 +29,13 @@ $Program = 'biosensor-gateway'
 $Name = 'Biosensor Gateway'
 $Exe = "$Program.exe"
 $Folder = Join-Path $env:ProgramFiles $Name
-$Gateway = Join-Path $Folder $Exe
+$Bin = Join-Path $Folder 'bin'
+$Gateway = Join-Path $Bin $Exe
 $Menu = Join-Path ([Environment]::GetFolderPath('CommonPrograms')) $Name
 $UserSettings = Join-Path $env:LOCALAPPDATA "$Program\settings.toml"
 $UninstallKey = "HKLM:\SOFTWARE\Microsoft\Windows\CurrentVersion\Uninstall\$Program"
 $AppPathKey = "HKLM:\SOFTWARE\Microsoft\Windows\CurrentVersion\App Paths\$Exe"
-$Shortcuts = @("$Name.lnk", 'Check this PC.lnk', 'Settings.lnk', 'Uninstall.lnk')
+$Shortcuts = @("$Name.lnk", 'Check this PC.lnk', 'Settings.lnk', 'Documentation.lnk', 'Uninstall.lnk')
 $Variables = @('BIOSENSOR_GATEWAY_SETTINGS', 'BIOSENSOR_GATEWAY_STATE', 'BIOSENSOR_GATEWAY_LSL__SESSION_ID')
 $StreamingSeconds = 20
 
@@ -82,7 +83,7 @@ function Get-Value {
 function Test-OnPath {
     # Whether terminals of all users find the program.
     $folders = [Environment]::GetEnvironmentVariable('Path', 'Machine') -split ';'
-    return @($folders | Where-Object { $_.TrimEnd('\') -eq $Folder }).Count -eq 1
+    return @($folders | Where-Object { $_.TrimEnd('\') -eq $Bin }).Count -eq 1
 }
 
 function Assert-Ready {
@@ -122,9 +123,11 @@ function Assert-Checksum {
 }
 
 function Assert-Files {
-    foreach ($file in $Exe, '_internal', 'licenses', 'sbom.cdx.json', 'uninstall.exe') {
+    foreach ($file in "bin\$Exe", 'bin\_internal', 'docs\index.html', 'licenses', 'sbom.cdx.json', 'uninstall.exe') {
         Assert-That (Test-Path -LiteralPath (Join-Path $Folder $file)) "$file is missing in $Folder."
     }
+    $commands = @(Get-ChildItem -LiteralPath $Bin -File)
+    Assert-That ($commands.Count -eq 1) "The folder of PATH has $($commands.Count) files instead of the one command."
     $libraries = @(Get-ChildItem -LiteralPath $Folder -Recurse -Filter 'lsl.dll')
     Assert-That ($libraries.Count -gt 0) "There is no lsl.dll in $Folder."
 }
@@ -144,7 +147,7 @@ function Assert-Registry {
     Assert-That ((Get-Value $UninstallKey 'EstimatedSize') -gt 10000) 'EstimatedSize of the uninstall key is under 10 MB.'
     $found = Get-Value $AppPathKey ''
     Assert-That ($found -eq $Gateway) "The App Paths key has '$found' instead of '$Gateway'."
-    Assert-That (Test-OnPath) "$Folder is not on the PATH of all users."
+    Assert-That (Test-OnPath) "$Bin is not on the PATH of all users."
 }
 
 function Assert-Menu {
@@ -263,7 +266,7 @@ function Test-Program {
 function Test-Upgrade {
     # The same version over itself: what the new one does not bring must be gone.
     param([string] $File, [string] $Version)
-    $stale = Join-Path $Folder '_internal\of_an_earlier_version.txt'
+    $stale = Join-Path $Folder 'bin\_internal\of_an_earlier_version.txt'
     [IO.File]::WriteAllText($stale, 'stale')
     Invoke-Silently $File '/S'
     Assert-That (-not (Test-Path -LiteralPath $stale)) "$stale is still there after an upgrade."
@@ -280,7 +283,7 @@ function Test-Removal {
     foreach ($left in $UninstallKey, $AppPathKey, "HKLM:\SOFTWARE\$Program", $Menu) {
         Assert-That (-not (Test-Path -LiteralPath $left)) "$left is left after the removal."
     }
-    Assert-That (-not (Test-OnPath)) "$Folder is left on the PATH of all users after the removal."
+    Assert-That (-not (Test-OnPath)) "$Bin is left on the PATH of all users after the removal."
     Assert-FirewallRules 0
 }
 

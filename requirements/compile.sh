@@ -5,17 +5,27 @@
 set -eu
 cd "$(dirname "$0")/.."
 
-# compile LOCK SOURCE [OPTION ...]
-compile() {
+# lock LOCK OPTION ...
+lock() {
     lock="requirements/$1.txt"
     shift
-    .uv/bin/uv pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-header \
-        --python-version 3.11 "$@" -o "$lock"
+    .uv/bin/uv pip compile --quiet --generate-hashes --no-emit-index-url --no-header "$@" -o "$lock"
+}
+
+# compile LOCK SOURCE [OPTION ...]: for every system and every Python of the project
+compile() {
+    name="$1"
+    shift
+    lock "$name" --universal --python-version 3.11 "$@"
 }
 
 compile gateway pyproject.toml "$@"
 compile ros pyproject.toml --extra ros --extra simulate "$@"
 compile dev pyproject.toml --extra ros --extra simulate --extra dev "$@"
-printf 'pyinstaller>=6.16\ncyclonedx-python-lib>=11\n' | compile freeze pyproject.toml - --extra simulate "$@"
+# The one Python that is in the installer, so that each package is there in one version.
+python=$(sed -n 's/^PYTHON = "\(.*\)"$/\1/p' installer/layout.py)
+printf 'pyinstaller>=6.16\ncyclonedx-python-lib>=11\n' |
+    lock freeze --python-platform x86_64-pc-windows-msvc --python-version "$python" \
+        pyproject.toml - --extra simulate "$@"
 compile colcon requirements/colcon.in "$@"
 echo 'uv>=0.9' | compile uv - "$@"

@@ -5,21 +5,35 @@ from __future__ import annotations
 import hashlib
 import shutil
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from installer.bundle import known
 from installer.bundle.components import describe
+from installer.bundle.components import uninstaller as describe_uninstaller
 from installer.bundle.cpython import CPython
 from installer.bundle.distributions import read_distributions
 from installer.bundle.errors import UnknownFileError
 from installer.bundle.inventory import take_inventory
 from installer.bundle.model import BundledFile, Component, Text
 from installer.bundle.sbom import FILE_NAME, write_sbom
+from installer.stages import STAMP
 
 LICENCES = "licenses"
+DOCUMENTS = "docs"
 
 
-def complete(bundle: Path, packages: Path, python: Path, product: Path, out: Path) -> None:
+def complete(
+    bundle: Path,
+    packages: Path,
+    python: Path,
+    product: Path,
+    out: Path,
+    *,
+    below: str = "",
+    documents: Path | None = None,
+    uninstaller: Path | None = None,
+) -> None:
     """Write the licence texts and the bill of materials of a bundle.
 
     Parameters
@@ -34,6 +48,12 @@ def complete(bundle: Path, packages: Path, python: Path, product: Path, out: Pat
     out
         Gets ``licenses/`` and ``sbom.cdx.json``; made if it is missing, and may be the bundle
         itself. What an earlier run wrote there is replaced.
+    below
+        Folder of the installation in which the bundle is; empty for the installation itself.
+    documents
+        The pages that are installed as ``docs``.
+    uninstaller
+        The program that is installed to remove all others.
 
     Raises
     ------
@@ -44,6 +64,9 @@ def complete(bundle: Path, packages: Path, python: Path, product: Path, out: Pat
     interpreter = CPython(python)
     holdings = take_inventory(bundle, _made_by_freezing(bundle), distributions, interpreter)
     components = describe(bundle, holdings, distributions, interpreter)
+    components = [_moved(each, below) for each in components]
+    if uninstaller is not None:
+        components.append(describe_uninstaller(uninstaller))
     ours, others = _apart(components, product)
     texts = {text.path: text for text in _all_texts(components)}
     _write_texts(out, texts.values())
@@ -51,7 +74,29 @@ def complete(bundle: Path, packages: Path, python: Path, product: Path, out: Pat
         BundledFile(f"{LICENCES}/{path}", hashlib.sha256(text.content).hexdigest())
         for path, text in sorted(texts.items())
     ]
+    written += _documents(documents)
     (out / FILE_NAME).write_bytes(write_sbom(ours, others, written))
+
+
+def _moved(component: Component, below: str) -> Component:
+    """Return a component whose files are in a folder of the installation."""
+    files = tuple(BundledFile(f"{below}/{each.path}", each.sha256) for each in component.files)
+    parts = tuple(_moved(each, below) for each in component.parts)
+    return replace(component, files=files, parts=parts) if below else component
+
+
+def _documents(folder: Path | None) -> list[BundledFile]:
+    if folder is None:
+        return []
+    paths = sorted(path for path in folder.rglob("*") if path.is_file())
+    return [
+        BundledFile(
+            f"{DOCUMENTS}/{path.relative_to(folder).as_posix()}",
+            hashlib.sha256(path.read_bytes()).hexdigest(),
+        )
+        for path in paths
+        if path.name != STAMP
+    ]
 
 
 def _made_by_freezing(bundle: Path) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -19,8 +20,10 @@ from installer.bundle.model import BundledFile, Component, Holding
 from installer.bundle.names import matches
 from installer.bundle.needs import needs_on_windows
 from installer.bundle.parts import split
+from installer.layout import PUBLISHER
 
 _CPYTHON_LICENCE = "PSF-2.0"
+_NSIS_VERSION = re.compile(rb"Nullsoft Install System v(\d+\.[\d.]*\d)")
 _CPYTHON_VERSION = re.compile(rb"\0(3\.\d+\.\d+)\0")
 
 
@@ -95,6 +98,7 @@ def _distribution(
         parts=found.parts,
         needs=tuple(sorted(needs)),
         note=known.NOTES.get(name, ""),
+        supplier=PUBLISHER if name == known.PRODUCT else distribution.supplier,
     )
 
 
@@ -121,6 +125,7 @@ def _cpython(bundle: Path, holding: Holding, has_runtime: bool, python: CPython)
         texts=cpython_texts(python),
         parts=found.parts,
         needs=(known.VC_RUNTIME,) if has_runtime else (),
+        supplier=known.SUPPLIERS[cpython.NAME],
     )
 
 
@@ -135,7 +140,42 @@ def _vc_runtime(bundle: Path, holding: Holding) -> Component:
     purl = PackageURL("generic", None, name, version).to_string()
     texts = component_texts(name, known.VC_RUNTIME_LICENCE)
     note = known.NOTES[name]
-    return Component(name, version, purl, known.VC_RUNTIME_LICENCE, files, texts=texts, note=note)
+    return Component(
+        name,
+        version,
+        purl,
+        known.VC_RUNTIME_LICENCE,
+        files,
+        texts=texts,
+        note=note,
+        supplier=known.SUPPLIERS[name],
+    )
+
+
+def uninstaller(program: Path) -> Component:
+    """Describe the uninstaller, which is NSIS's with the script of ours.
+
+    Parameters
+    ----------
+    program
+        As NSIS made it; it is installed under the same name.
+
+    Raises
+    ------
+    MissingTextError, UnknownLicenceError
+        If its licence, or the text of it, is not known.
+    """
+    content, name = program.read_bytes(), known.NSIS
+    version = version_by(_NSIS_VERSION, content)
+    return Component(
+        name,
+        version,
+        PackageURL("generic", None, name, version).to_string(),
+        known.NSIS_LICENCE,
+        files=(BundledFile(program.name, hashlib.sha256(content).hexdigest()),),
+        texts=component_texts(name, known.NSIS_LICENCE),
+        supplier=known.SUPPLIERS[name],
+    )
 
 
 def _refuse_copyleft(components: Iterable[Component]) -> None:

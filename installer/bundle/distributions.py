@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import csv
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from email.message import Message
@@ -12,6 +13,9 @@ from functools import cached_property
 from pathlib import Path
 
 from installer.bundle.names import normalised
+
+_ADDRESS = re.compile(r"<[^>]*>")
+_INDEX = "Python Package Index"
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,14 @@ class Distribution:
     def values(self, field: str) -> list[str]:
         """Return all values of a field of the metadata."""
         return [value.strip() for value in self.metadata.get_all(field, [])]
+
+    @property
+    def supplier(self) -> str:
+        """Whom it is from: its maintainer, its author, or else who publishes it."""
+        fields = ("Maintainer", "Author", "Maintainer-email", "Author-email")
+        named = (value for field in fields for value in self.values(field) if value)
+        # An address is nobody's business.
+        return next((_ADDRESS.sub("", each).strip(' "') or each for each in named), _INDEX)
 
     def read(self, path: str) -> bytes:
         """Return a file of its record."""

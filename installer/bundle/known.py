@@ -18,6 +18,16 @@ VC_RUNTIME_FILES = (
 )
 VC_RUNTIME_LICENCE = "LicenseRef-Microsoft-Distributable-Code"
 
+# What the installer leaves behind to remove the program; its own code is in it, and LZMA's.
+NSIS = "nsis"
+NSIS_LICENCE = "Zlib AND CPL-1.0 WITH LZMA-exception"
+
+SUPPLIERS = {
+    cpython.NAME: "Python Software Foundation",
+    VC_RUNTIME: "Microsoft Corporation",
+    NSIS: "NSIS contributors",
+}
+
 PYINSTALLER = "pyinstaller"
 HOOKS = "pyinstaller-hooks-contrib"
 # Of PyInstaller only these get into a program.

@@ -51,6 +51,8 @@ class Component:
         Names of components that it depends on, as far as they are in the bundle.
     note
         One sentence on its licence, where that needs one.
+    supplier
+        Whom it is from; empty where nothing says it.
     """
 
     name: str
@@ -63,6 +65,7 @@ class Component:
     parts: tuple[Component, ...] = ()
     needs: tuple[str, ...] = ()
     note: str = ""
+    supplier: str = ""
 
 
 @dataclass(slots=True)

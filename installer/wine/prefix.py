@@ -13,8 +13,9 @@ from installer.wine.forwarder import forwarding_dll
 _QUIET = {
     "WINEARCH": "win64",
     "WINEDEBUG": "-all",
-    # Neither .NET nor a browser; and no menu entries in the home folder of the host.
-    "WINEDLLOVERRIDES": "mscoree,mshtml=;winemenubuilder.exe=d",
+    # Neither .NET nor a browser; no WMI, where Wine's ends a Python 3.13 that looks there for
+    # its version of Windows; and no menu entries in the home folder of the host.
+    "WINEDLLOVERRIDES": "mscoree,mshtml,wbemprox=;winemenubuilder.exe=d",
 }
 _OVERRIDES = r"HKCU\Software\Wine\DllOverrides"
 

@@ -3,16 +3,33 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import shutil
 import subprocess
 from pathlib import Path
 
+from installer import manual, pictures, portable
 from installer.bundle import complete
-from installer.layout import DIST, PROGRAM, ROOT, SOURCES, WORK, setup_file, version
-from installer.stages import Stage
+from installer.layout import (
+    BIN,
+    DIST,
+    PROGRAM,
+    ROOT,
+    SOURCES,
+    TIME_VARIABLE,
+    WORK,
+    portable_file,
+    setup_file,
+    source_time,
+    version,
+)
+from installer.stages import STAMP, Stage
 from installer.wine import inputs
 from installer.wine.prefix import Prefix, make_prefix, windows_path
 
+_PORTABLE = "portable"
+# Against a hang; a busy machine takes a quarter of it.
+_FREEZE_LIMIT_S = 3600.0
 _LOCK = ROOT / "requirements" / "freeze.txt"
 _PRODUCT = (
     ROOT / "pyproject.toml",
@@ -46,6 +63,7 @@ def _freeze(folder: Path) -> None:
             "PYTHONHASHSEED": "0",
             "GATEWAY_VERSION": version(),
             "GATEWAY_FROZEN": windows_path(SOURCES / "frozen.py"),
+            "GATEWAY_ICON": windows_path(WORK / PICTURES.name / pictures.ICON),
         },
     )
     options = ("--noconfirm", "--clean", "--log-level", "WARN")
@@ -54,62 +72,118 @@ def _freeze(folder: Path) -> None:
     python = WORK / PYTHON.name / "python.exe"
     try:
         (folder / "freeze.log").write_text(
-            prefix.run(python, "-m", "PyInstaller", *options, *folders, spec, timeout=900.0),
+            prefix.run(
+                python, "-m", "PyInstaller", *options, *folders, spec, timeout=_FREEZE_LIMIT_S
+            ),
             encoding="utf-8",
         )
     finally:
         prefix.end()
 
 
+def _uninstaller(folder: Path) -> None:
+    # Its installer, which has nothing to install, is of no use.
+    _make_setup(folder, folder / "nothing.exe")
+
+
 def _bundle(folder: Path) -> None:
     bundle = folder / PROGRAM
-    shutil.copytree(WORK / FREEZE.name / PROGRAM, bundle)
-    complete(bundle, WORK / PACKAGES.name, WORK / PYTHON.name, WORK / PRODUCT.name, bundle)
+    documents = WORK / MANUAL.name
+    shutil.copytree(WORK / FREEZE.name / PROGRAM, bundle / BIN)
+    shutil.copytree(documents, bundle / "docs", ignore=shutil.ignore_patterns(STAMP))
+    parts = (bundle / BIN, WORK / PACKAGES.name, WORK / PYTHON.name, WORK / PRODUCT.name)
+    # An archive has no uninstaller, and so another bill.
+    for out, uninstaller in ((bundle, _UNINSTALLED), (folder / _PORTABLE, None)):
+        os.environ.setdefault(TIME_VARIABLE, source_time())
+        complete(*parts, out, below=BIN, documents=documents, uninstaller=uninstaller)
+
+
+def _portable(folder: Path) -> None:
+    unpacked = folder / "unpacked"
+    shutil.copytree(WORK / BUNDLE.name / PROGRAM, unpacked)
+    shutil.copytree(WORK / BUNDLE.name / _PORTABLE, unpacked, dirs_exist_ok=True)
+    archive = folder / portable_file().name
+    portable.pack(unpacked, archive)
+    shutil.rmtree(unpacked)
+    _publish(archive)
 
 
 def _package(folder: Path) -> None:
     setup = folder / setup_file().name
-    defined = {"VERSION": version(), "BUNDLE": WORK / BUNDLE.name / PROGRAM, "OUTPUT": setup}
+    _make_setup(folder, setup, f"-DBUNDLE={WORK / BUNDLE.name / PROGRAM}")
+    if (folder / _UNINSTALLED.name).read_bytes() != _UNINSTALLED.read_bytes():
+        raise RuntimeError("the installer has another uninstaller than its bill of materials")
+    _publish(setup)
+
+
+def _make_setup(folder: Path, output: Path, *more: str) -> None:
+    defined = {
+        "VERSION": version(),
+        "PICTURES": WORK / PICTURES.name,
+        "COPY": "cp",
+        "UNINSTALLER": folder / _UNINSTALLED.name,
+        "OUTPUT": output,
+    }
     subprocess.run(  # noqa: S603 - found on PATH, as everywhere
         [
             *("makensis", "-V2", "-WX", "-INPUTCHARSET", "UTF8"),
             *(f"-D{name}={value}" for name, value in defined.items()),
+            *more,
             SOURCES / "biosensor-gateway.nsi",
         ],
         check=True,
     )
+
+
+def _publish(file: Path) -> None:
     DIST.mkdir(exist_ok=True)
-    content = setup.read_bytes()
-    setup_file().write_bytes(content)
-    digest = hashlib.sha256(content).hexdigest()
-    checksum = setup_file().with_suffix(".exe.sha256")
-    checksum.write_text(f"{digest}  {setup_file().name}\n", encoding="ascii")
+    shutil.copyfile(file, DIST / file.name)
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    checksum = DIST / f"{file.name}.sha256"
+    checksum.write_text(f"{digest}  {file.name}\n", encoding="ascii")
 
 
 DOWNLOADS = Stage("downloads", inputs.download, inputs=(SOURCES / "inputs.txt",))
 PYTHON = Stage(
-    "python", _unpack_python, inputs=(SOURCES / "wine" / "inputs.py",), after=(DOWNLOADS,)
+    "python",
+    _unpack_python,
+    inputs=(SOURCES / "wine" / "inputs.py", SOURCES / "layout.py"),
+    after=(DOWNLOADS,),
 )
-PACKAGES = Stage("packages", _install_packages, inputs=(_LOCK,))
+PACKAGES = Stage("packages", _install_packages, inputs=(_LOCK, SOURCES / "layout.py"))
 PREFIX = Stage(
     "prefix",
     _make_prefix,
     inputs=(SOURCES / "wine" / "prefix.py", SOURCES / "wine" / "forwarder.py"),
     after=(DOWNLOADS,),
 )
+PICTURES = Stage("pictures", pictures.draw, inputs=(SOURCES / "pictures.py",))
+_DOCUMENTS = ("docs", "README.md", "CONTRIBUTING.md", "CHANGELOG.md")
+MANUAL = Stage(
+    "manual",
+    manual.write,
+    inputs=(SOURCES / "manual.py", *(ROOT / each for each in _DOCUMENTS)),
+)
 PRODUCT = Stage("product", _install_product, inputs=_PRODUCT)
 FREEZE = Stage(
     "freeze",
     _freeze,
     inputs=(SOURCES / "biosensor-gateway.spec", SOURCES / "frozen.py"),
-    after=(PYTHON, PACKAGES, PREFIX, PRODUCT),
+    after=(PYTHON, PACKAGES, PREFIX, PICTURES, PRODUCT),
 )
-BUNDLE = Stage("bundle", _bundle, inputs=(SOURCES / "bundle",), after=(FREEZE,))
-PACKAGE = Stage(
-    "package",
-    _package,
-    inputs=(SOURCES / "biosensor-gateway.nsi",),
-    after=(BUNDLE,),
+_NSIS = (SOURCES / "biosensor-gateway.nsi", SOURCES / "wine" / "recipe.py")
+UNINSTALLER = Stage("uninstaller", _uninstaller, inputs=_NSIS, after=(PICTURES,))
+_UNINSTALLED = WORK / UNINSTALLER.name / "uninstall.exe"
+BUNDLE = Stage(
+    "bundle",
+    _bundle,
+    inputs=(SOURCES / "bundle",),
+    after=(FREEZE, MANUAL, UNINSTALLER),
 )
+PORTABLE = Stage("portable", _portable, inputs=(SOURCES / "portable.py",), after=(BUNDLE,))
+PACKAGE = Stage("package", _package, inputs=_NSIS, after=(BUNDLE,))
 
-STAGES = (DOWNLOADS, PYTHON, PACKAGES, PREFIX, PRODUCT, FREEZE, BUNDLE, PACKAGE)
+STAGES = (
+    *(DOWNLOADS, PYTHON, PACKAGES, PREFIX, PICTURES, MANUAL, PRODUCT, FREEZE),
+    *(UNINSTALLER, BUNDLE, PORTABLE, PACKAGE),
+)

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
+import zipfile
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
 from typing import Any, cast
 
@@ -16,12 +19,11 @@ from biosensor_gateway.cli.table import COMMANDS
 from installer.bundle.archive import read_archive
 from installer.bundle.forbidden import refuse_forbidden
 from installer.bundle.sbom import FILE_NAME, LICENCE_TEXT, MODULE
-from installer.layout import PROGRAM, version
+from installer.layout import BIN, PROGRAM, PUBLISHER, PYTHON, ROOT, portable_file, version
 
 pytestmark = pytest.mark.system
 
 Entry = dict[str, Any]
-UNINSTALLER = "uninstall.exe"
 MOST_BYTES = 130 * 2**20
 
 
@@ -32,9 +34,9 @@ def bom(bundle: Path) -> Entry:
 
 @pytest.fixture(scope="module")
 def files(bundle: Path) -> list[str]:
-    """What was installed, but the bill itself and what the installer adds."""
+    """What was installed, but the bill itself."""
     found = (path.relative_to(bundle) for path in bundle.rglob("*") if path.is_file())
-    return sorted({path.as_posix() for path in found} - {FILE_NAME, UNINSTALLER})
+    return sorted({path.as_posix() for path in found} - {FILE_NAME})
 
 
 def entries(bom: Entry) -> Iterator[Entry]:
@@ -58,6 +60,50 @@ def test_it_is_the_bill_of_this_product(bom: Entry) -> None:
     assert (product["name"], product["version"]) == (PROGRAM, version())
 
 
+def test_it_says_when_it_was_made_and_who_supplies_what(bom: Entry) -> None:
+    assert datetime.fromisoformat(bom["metadata"]["timestamp"]).year >= 2026
+    assert bom["metadata"]["supplier"]["name"] == PUBLISHER
+    components = [entry for entry in entries(bom) if entry["type"] != "file"]
+    assert [each["name"] for each in components if not each["supplier"]["name"]] == []
+    suppliers = {each["name"]: each["supplier"]["name"] for each in components}
+    assert suppliers["cpython"] == "Python Software Foundation"
+    assert "@" not in "".join(suppliers.values())
+
+
+def test_what_is_tested_is_what_is_released(bom: Entry) -> None:
+    """One Python and one lock: each package of the program is in the lock in that version."""
+    lock = (ROOT / "requirements" / "freeze.txt").read_text(encoding="utf-8")
+    locked = re.findall(r"^([\w.-]+)==([^ ;]+)", lock, re.MULTILINE)
+    assert len(dict(locked)) == len(locked)
+    held = {each["name"]: each["version"] for each in bom["components"]}
+    assert held.pop("cpython") == PYTHON
+    packages = {name: version for name, version in held.items() if name in dict(locked)}
+    assert len(packages) > 40
+    assert packages.items() <= dict(locked).items()
+
+
+def test_the_archive_has_the_same_program_and_a_bill_of_its_own(bundle: Path, bom: Entry) -> None:
+    with zipfile.ZipFile(portable_file()) as archive:
+        top = f"{PROGRAM}-{version()}/"
+        packed = {name.removeprefix(top): name for name in archive.namelist()}
+        digests = {
+            path: hashlib.sha256(archive.read(name)).hexdigest() for path, name in packed.items()
+        }
+        own = json.loads(archive.read(packed[FILE_NAME]))
+    assert all(name.startswith(top) for name in packed.values())
+    del digests[FILE_NAME]
+    listed = {
+        entry["name"]: entry["hashes"][0]["content"]
+        for entry in entries(own)
+        if entry["type"] == "file"
+    }
+    assert digests == listed
+    assert f"{BIN}/{PROGRAM}.exe" in digests
+    names = {each["name"] for each in bom["components"]}
+    assert names - {each["name"] for each in own["components"]} == {"nsis"}
+    assert not (bundle / portable_file().name).exists()
+
+
 def test_it_follows_the_schema(bundle: Path) -> None:
     document = (bundle / FILE_NAME).read_text(encoding="utf-8")
     assert JsonStrictValidator(SchemaVersion.V1_6).validate_str(document) is None
@@ -76,7 +122,7 @@ def test_every_installed_file_is_in_it_as_it_was_built(
 
 
 def test_every_module_of_the_program_is_in_it(bundle: Path, bom: Entry) -> None:
-    archive = read_archive(bundle / f"{PROGRAM}.exe")
+    archive = read_archive(bundle / BIN / f"{PROGRAM}.exe")
     held = {*archive.scripts, *archive.modules}
     assert len(held) > 1000
     assert held <= set(properties(bom, MODULE))
@@ -85,7 +131,7 @@ def test_every_module_of_the_program_is_in_it(bundle: Path, bom: Entry) -> None:
 def test_every_command_is_in_the_program(bundle: Path) -> None:
     # They are imported by name, which PyInstaller does not see.
     modules = {command.place.partition(":")[0] for command in COMMANDS}
-    assert modules <= set(read_archive(bundle / f"{PROGRAM}.exe").modules)
+    assert modules <= set(read_archive(bundle / BIN / f"{PROGRAM}.exe").modules)
 
 
 def test_every_component_has_its_licence_and_the_text_of_it(bundle: Path, bom: Entry) -> None:
@@ -103,14 +149,23 @@ def test_every_component_has_its_licence_and_the_text_of_it(bundle: Path, bom: E
 
 @pytest.mark.parametrize(
     "name",
-    ["cpython", "liblsl", "microsoft-vc-runtime", "numpy", "OpenBLAS", "openssl", "pyinstaller"],
+    [
+        "cpython",
+        "liblsl",
+        "microsoft-vc-runtime",
+        "nsis",
+        "numpy",
+        "OpenBLAS",
+        "openssl",
+        "pyinstaller",
+    ],
 )
 def test_what_is_known_to_be_in_the_program_is_named(bom: Entry, name: str) -> None:
     assert name in {entry["name"] for entry in entries(bom)}
 
 
 def test_nothing_is_in_it_that_must_not_be(bundle: Path, files: list[str]) -> None:
-    refuse_forbidden(bundle, files, read_archive(bundle / f"{PROGRAM}.exe").modules)
+    refuse_forbidden(bundle, files, read_archive(bundle / BIN / f"{PROGRAM}.exe").modules)
 
 
 def test_there_is_no_library_under_the_lgpl(bom: Entry, files: list[str]) -> None:

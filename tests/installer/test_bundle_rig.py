@@ -9,6 +9,7 @@ import struct
 import zipfile
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -96,10 +97,10 @@ class Rig:
         for path, content in contents.items():
             _write(folder / path, content)
 
-    def complete(self) -> None:
+    def complete(self, **more: Any) -> None:
         """Freeze the program and complete the bundle."""
         self.put(PROGRAM, frozen_program(self.scripts, self.modules))
-        complete(self.bundle, self.packages, self.python, self.product, self.out)
+        complete(self.bundle, self.packages, self.python, self.product, self.out, **more)
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -16,6 +16,7 @@ from cyclonedx.validation.json import JsonStrictValidator
 from installer.bundle.__main__ import main
 from installer.bundle.errors import UnknownFileError
 from installer.bundle.sbom import FILE_NAME
+from installer.stages import STAMP
 from tests.installer.test_bundle_rig import MICROSOFTS, PROGRAM, Rig
 
 Entry = dict[str, Any]
@@ -227,6 +228,36 @@ def test_another_bundle_has_another_serial_number(tmp_path: Path) -> None:
     assert completed(first)["serialNumber"] != completed(second)["serialNumber"]
 
 
+def test_what_is_installed_besides_the_bundle_is_in_it(rig: Rig) -> None:
+    uninstaller, documents = rig.out.parent / "uninstall.exe", rig.out.parent / "pages"
+    uninstaller.write_bytes(b"MZ Nullsoft Install System v3.08-3+deb12u1")
+    documents.mkdir()
+    (documents / "index.html").write_bytes(b"<!doctype html>")
+    (documents / STAMP).write_text("of the build")
+    rig.complete(below="bin", documents=documents, uninstaller=uninstaller)
+    bom = json.loads((rig.out / FILE_NAME).read_text(encoding="utf-8"))
+    assert nested(by_name(bom, "used-package")) == ["bin/_internal/used_c.pyd"]
+    nsis = by_name(bom, "nsis")
+    assert (nsis["version"], nsis["supplier"]["name"]) == ("3.08", "NSIS contributors")
+    assert values(nsis, "licence-text") == ["licenses/common/nsis.txt"]
+    digest = hashlib.sha256(uninstaller.read_bytes()).hexdigest()
+    assert by_name(bom, "uninstall.exe")["hashes"][0]["content"] == digest
+    product = nested(bom["metadata"]["component"])
+    assert {"bin/biosensor-gateway.exe", "docs/index.html"} <= set(product)
+    assert not [name for name in product if STAMP in name]
+
+
+def test_everybody_who_supplies_a_part_is_named_without_an_address(rig: Rig) -> None:
+    person = ("License-Expression: MIT", 'Author-email: "A. Person" <a@example.org>')
+    rig.install("by-a-person", "1.0", {"person.py": b"pass\n"}, person)
+    rig.modules.append("person")
+    bom = completed(rig)
+    assert bom["metadata"]["supplier"]["name"] == "Biosensor Gateway contributors"
+    assert by_name(bom, "by-a-person")["supplier"]["name"] == "A. Person"
+    assert by_name(bom, "used-package")["supplier"]["name"] == "Python Package Index"
+    assert by_name(bom, "cpython")["supplier"]["name"] == "Python Software Foundation"
+
+
 def test_texts_of_an_earlier_run_go(rig: Rig) -> None:
     stale = rig.out / "licenses" / "gone" / "LICENSE"
     stale.parent.mkdir(parents=True)
@@ -247,7 +278,8 @@ def command_line(rig: Rig) -> list[str]:
     return [word for name in names for word in (f"--{name}", str(getattr(rig, name)))]
 
 
-def test_the_command_completes_a_bundle(rig: Rig) -> None:
+def test_the_command_completes_a_bundle(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     rig.complete()
     expected = (rig.out / FILE_NAME).read_bytes()
     shutil.rmtree(rig.out)
@@ -256,8 +288,9 @@ def test_the_command_completes_a_bundle(rig: Rig) -> None:
 
 
 def test_the_command_says_in_one_sentence_what_is_wrong(
-    rig: Rig, capsys: pytest.CaptureFixture[str]
+    rig: Rig, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     rig.complete()
     rig.put("_internal/stray.dll", b"MZ stray")
     assert main(command_line(rig)) == 1

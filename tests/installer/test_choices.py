@@ -12,13 +12,13 @@ import pytest
 
 from installer.layout import PROGRAM
 from tests.rigs.windows.agents import LOG, wait_for_words
-from tests.rigs.windows.desktop import DEFAULT_FOLDER, OWN_KEY, RUN_KEY, start_menu
+from tests.rigs.windows.desktop import BIN_FOLDER, OWN_KEY, RUN_KEY, start_menu
 from tests.rigs.windows.pc import NAME, WindowsPc
 from tests.rigs.windows.registry import Registry, Value
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
 
-EXE = rf"{DEFAULT_FOLDER}\{PROGRAM}.exe"
+EXE = rf"{BIN_FOLDER}\{PROGRAM}.exe"
 ADDED = [
     *("advfirewall", "firewall", "add", "rule", f"name={NAME}", "dir=in", "action=allow"),
     *(f"program={EXE}", "remoteip=LocalSubnet", "profile=private,domain", "enable=yes"),

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from installer.layout import PROGRAM
-from tests.rigs.windows.desktop import DEFAULT_FOLDER
+from tests.rigs.windows.desktop import BIN_FOLDER
 from tests.rigs.windows.pc import NAME, WindowsPc
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
@@ -17,7 +17,7 @@ KEY = (
     r"HKEY_LOCAL_MACHINE\SYSTEM\CurrentControlSet\Services\SharedAccess\Parameters"
     r"\FirewallPolicy\FirewallRules"
 )
-EXE = rf"{DEFAULT_FOLDER}\{PROGRAM}.exe"
+EXE = rf"{BIN_FOLDER}\{PROGRAM}.exe"
 OURS = rf"v2.31|Action=Allow|Active=TRUE|Dir=In|Profile=Private|App={EXE}|Name={NAME}|"
 CANCELLED = rf"v2.31|Action=Block|Active=TRUE|Dir=In|Protocol=17|App={EXE}|Name=asked|"
 ALLOWED = "the firewall lets this program in"

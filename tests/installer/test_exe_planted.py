@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from installer.layout import PROGRAM
+from tests.rigs.windows.desktop import BIN_FOLDER
 from tests.rigs.windows.pc import WindowsPc
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
@@ -17,9 +19,9 @@ def test_doctor_starts_none_of_them(installed: WindowsPc) -> None:
     folder.mkdir()
     for name in NAMES:
         (folder / f"{name}.bat").write_text("@echo planted> C:\\study\\ran.txt\r\n")
-    go = f'cd /d C:\\study && "C:\\Program Files\\{installed.program_folder.name}'
     checks = " ".join(f"--only {each}" for each in ("clock", "windows_firewall", "power"))
-    (installed.drive_c / "go.bat").write_text(f'@{go}\\{installed.program.name}" doctor {checks}')
+    command = f'"{BIN_FOLDER}\\{PROGRAM}.exe" doctor {checks}'
+    (installed.drive_c / "go.bat").write_text(f"@cd /d C:\\study && {command}")
     ended = installed.prefix.attempt("cmd", "/c", r"C:\go.bat")
     assert "the Windows time service" in ended.stdout
     assert not (folder / "ran.txt").exists()

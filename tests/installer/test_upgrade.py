@@ -8,14 +8,21 @@ from pathlib import Path
 import pytest
 
 from tests.rigs.windows.agents import LOG, streaming_agent
-from tests.rigs.windows.desktop import DEFAULT_FOLDER, path_entries, search_path, start_menu
+from tests.rigs.windows.desktop import (
+    BIN_FOLDER,
+    DEFAULT_FOLDER,
+    path_entries,
+    search_path,
+    start_menu,
+)
 from tests.rigs.windows.pc import UNINSTALL_KEY, WindowsPc
 from tests.rigs.windows.registry import Registry
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
 
 SETTINGS = '[log]\nlevel = "info"\n# Über uns\r\n'
-NOT_DONE = 2
+NOT_DONE, RUNS = 2, 3
+IN_PLACE = f"_?={DEFAULT_FOLDER}".split(" ")
 DEADLINE_S = 120.0
 
 
@@ -34,7 +41,7 @@ def own_registry(pc: WindowsPc) -> object:
 def test_files_are_replaced_and_what_is_not_its_own_stays(
     installed: WindowsPc, setup: Path
 ) -> None:
-    stale = installed.program_folder / "_internal" / "of_an_earlier_version.pyd"
+    stale = installed.program_folder / "bin" / "_internal" / "of_an_earlier_version.pyd"
     foreign = installed.program_folder / "notes.txt"
     own = {
         installed.user_folder / "settings.toml": SETTINGS.encode(),
@@ -50,15 +57,28 @@ def test_files_are_replaced_and_what_is_not_its_own_stays(
     assert {path: path.read_bytes() for path in own} == own
     assert own_registry(installed) == before
     entries = path_entries(Registry.of(installed.prefix.folder))
-    assert entries.count(DEFAULT_FOLDER) == 1
+    assert entries.count(BIN_FOLDER) == 1
     foreign.unlink()
 
 
+def test_a_running_session_is_not_closed_unasked(installed: WindowsPc, setup: Path) -> None:
+    before = traces(installed), own_registry(installed)
+    uninstall = [installed.program_folder / "uninstall.exe", "/S", *IN_PLACE]
+    with streaming_agent(installed) as agent:
+        for line in ([setup, "/S"], [setup, "/S", "/FORCE=0"], uninstall):
+            assert installed.prefix.attempt(*line).returncode == RUNS
+        assert agent.poll() is None
+        assert installed.gateway("stop").returncode == 0
+        agent.communicate(timeout=DEADLINE_S)
+    installed.prefix.settle()
+    assert (traces(installed), own_registry(installed)) == before
+
+
 def test_a_running_agent_ends_cleanly_first(installed: WindowsPc, setup: Path) -> None:
-    stale = installed.program_folder / "_internal" / "of_an_earlier_version.pyd"
+    stale = installed.program_folder / "bin" / "_internal" / "of_an_earlier_version.pyd"
     stale.touch()
     with streaming_agent(installed) as agent:
-        ended = installed.prefix.attempt(setup, "/S")
+        ended = installed.prefix.attempt(setup, "/S", "/FORCE=1")
         assert ended.returncode == 0, ended.stdout
         agent.communicate(timeout=DEADLINE_S)
         assert agent.returncode == 0
@@ -74,14 +94,11 @@ def test_a_running_agent_ends_cleanly_first(installed: WindowsPc, setup: Path) -
 def test_nothing_changes_where_it_cannot_be_closed(installed: WindowsPc, setup: Path) -> None:
     before = traces(installed), own_registry(installed)
     # In place, because the copy that it starts otherwise tells nobody how it ended.
-    uninstall = [
-        installed.program_folder / "uninstall.exe",
-        "/S",
-        *f"_?={DEFAULT_FOLDER}".split(" "),
-    ]
+    uninstall = [installed.program_folder / "uninstall.exe", "/S", "/FORCE=1", *IN_PLACE]
     # Another user's agent; `stop` ends that of the same user alone.
     with streaming_agent(installed, r"C:\another") as agent:
-        attempts = [installed.prefix.start(*line) for line in ([setup, "/S"], uninstall)]
+        lines = ([setup, "/S", "/FORCE=1"], uninstall)
+        attempts = [installed.prefix.start(*line) for line in lines]
         for attempt in attempts:
             attempt.communicate(timeout=DEADLINE_S)
         assert [attempt.returncode for attempt in attempts] == [NOT_DONE, NOT_DONE]

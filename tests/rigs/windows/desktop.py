@@ -12,6 +12,7 @@ OWN_KEY = r"HKLM\Software\biosensor-gateway"
 APP_PATH_KEY = r"HKLM\Software\Microsoft\Windows\CurrentVersion\App Paths\biosensor-gateway.exe"
 ENVIRONMENT_KEY = r"HKLM\SYSTEM\CurrentControlSet\Control\Session Manager\Environment"
 DEFAULT_FOLDER = rf"C:\Program Files\{NAME}"
+BIN_FOLDER = rf"{DEFAULT_FOLDER}\bin"
 
 
 def search_path(registry: Registry) -> Value:

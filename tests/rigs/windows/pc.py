@@ -11,7 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from installer.layout import PROGRAM, WORK
+from installer.layout import BIN, PROGRAM, WORK
 from installer.wine.prefix import Prefix, WineError
 
 NAME = "Biosensor Gateway"
@@ -91,7 +91,7 @@ class WindowsPc:
     @property
     def program(self) -> Path:
         """The installed program."""
-        return self.program_folder / f"{PROGRAM}.exe"
+        return self.program_folder / BIN / f"{PROGRAM}.exe"
 
     @property
     def user_folder(self) -> Path:
