@@ -24,7 +24,7 @@ ADDED = [
     *(f"program={EXE}", "remoteip=LocalSubnet", "profile=private,domain", "enable=yes"),
 ]
 DELETED = ["advfirewall", "firewall", "delete", "rule", f"name={NAME}"]
-AUTOSTART = rf'"C:\windows\system32\cmd.exe" /c start "{NAME}" /min "{EXE}" run'
+AUTOSTART = rf'"C:\windows\system32\cmd.exe" /c start "{NAME}" /min "{EXE}" run --keep-alive'
 
 # Wine has a netsh that does nothing but tell its words.
 TELLING = {"WINEDEBUG": "-all,fixme+netsh"}
