@@ -272,7 +272,7 @@ SectionEnd
 ; administrator who allowed it.
 !macro Autostart choice
   nsExec::ExecToLog '"${BIN}\${EXE}" installation autostart ${choice} \
-    "\"$SYSDIR\cmd.exe\" /c start \"${NAME}\" /min \"${BIN}\${EXE}\" run --keep-alive"'
+    "\"$SYSDIR\cmd.exe\" /c start \"${NAME}\" /min \"${BIN}\${EXE}\" run --keep-alive --no-ask"'
   Pop $R0
 !macroend
 

@@ -24,7 +24,10 @@ ADDED = [
     *(f"program={EXE}", "remoteip=LocalSubnet", "profile=private,domain", "enable=yes"),
 ]
 DELETED = ["advfirewall", "firewall", "delete", "rule", f"name={NAME}"]
-AUTOSTART = rf'"C:\windows\system32\cmd.exe" /c start "{NAME}" /min "{EXE}" run --keep-alive'
+# Without any device, it would ask.
+DISABLED = '[[device]]\nsensor = "zephyr"\nunit = "1"\nport = "COM7"\nenabled = false\n'
+AT_LOGON = "run --keep-alive --no-ask"
+AUTOSTART = rf'"C:\windows\system32\cmd.exe" /c start "{NAME}" /min "{EXE}" {AT_LOGON}'
 
 # Wine has a netsh that does nothing but tell its words.
 TELLING = {"WINEDEBUG": "-all,fixme+netsh"}
@@ -62,9 +65,9 @@ def chosen(setup: Path, installed: WindowsPc, calls: list[list[str]]) -> Windows
 
 @pytest.fixture
 def log(chosen: WindowsPc) -> Generator[Path]:
-    """Where an agent of the PC's user without any device writes its log."""
+    """Where an agent of the PC's user, whose only device is disabled, writes its log."""
     chosen.user_folder.mkdir(parents=True, exist_ok=True)
-    (chosen.user_folder / "settings.toml").touch()
+    (chosen.user_folder / "settings.toml").write_text(DISABLED)
     log = chosen.user_folder / LOG
     yield log
     log.unlink()

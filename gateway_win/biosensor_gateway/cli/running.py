@@ -43,8 +43,13 @@ def run(
     simulate: SimulateOption = "",
     fault: FaultOption = None,
     ask: Annotated[
-        bool, typer.Option("--ask", help="Ask first: stream, look for sensors, virtual ones.")
-    ] = False,
+        bool | None,
+        typer.Option(
+            "--ask/--no-ask",
+            help="Ask first: stream, look for sensors, virtual ones. By itself it asks if the "
+            "settings name no sensor.",
+        ),
+    ] = None,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every detail.")] = False,
     _keep_alive: Annotated[
         bool, typer.Option(KEEP_ALIVE, help="Start the agent again whenever it dies.")
@@ -60,7 +65,7 @@ def run(
         # The log file is another agent's as long as that one runs.
         unguarded = _claim(stack, folder)
         log = stack.enter_context(StartLog(folder))
-        if ask or _is_guide_wanted(settings, simulate):
+        if ask or (ask is None and _is_guide_wanted(settings, simulate)):
             simulate = _guided(settings or settings_path())
         source = _virtual_devices(simulate, fault or ()) if simulate else _settings_file(settings)
         _run_agent(stack.enter_context(source), log, unguarded, verbose=verbose)
