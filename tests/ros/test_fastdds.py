@@ -38,8 +38,52 @@ def configured(tmp_path: Path, **variables: str) -> dict[str, str]:
 
 
 def profiles(environment: dict[str, str]) -> ElementTree.Element:
-    (path,) = {environment.pop(name) for name in fastdds.PROFILES}
-    return ElementTree.parse(path).getroot()
+    """Return what Fast DDS 2 reads; Fast DDS 3 reads the same without what it does not know."""
+    new, old = (ElementTree.parse(environment.pop(name)).getroot() for name in fastdds.PROFILES)
+    (rtps,) = new.iterfind(".//{*}rtps")
+    (limit,) = rtps.iterfind("{*}throughputController")
+    rtps.remove(limit)
+    assert ElementTree.canonicalize(
+        ElementTree.tostring(new), strip_text=True
+    ) == ElementTree.canonicalize(ElementTree.tostring(old), strip_text=True)
+    return new
+
+# A program that lives on, and announces itself at its start and then for an hour not any more.
+QUIET_PEER = """
+import rclpy, sys
+rclpy.init(args=[])
+node = rclpy.create_node("quiet_peer")
+print("up", flush=True)
+sys.stdin.read()
+"""
+QUIET = """
+<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"><profiles>
+  <participant profile_name="quiet" is_default_profile="true"><rtps><builtin><discovery_config>
+    <initialAnnouncements><count>0</count></initialAnnouncements>
+    <leaseDuration><sec>7200</sec></leaseDuration>
+    <leaseAnnouncement><sec>3600</sec></leaseAnnouncement>
+  </discovery_config></builtin></rtps></participant>
+</profiles></dds>
+"""
+
+# Participants like the node's, one after another; it says which heard the one that lives on.
+PARTICIPANTS = """
+import json, os, pathlib, rclpy, time
+from lsl_to_ros import fastdds
+assert fastdds.configure(os.environ, pathlib.Path("/"), "rmw_fastrtps_cpp")
+heard = []
+for number in range(8):
+    context = rclpy.Context()
+    rclpy.init(context=context, args=[])
+    node = rclpy.create_node(f"participant{number}", context=context)
+    end = time.monotonic() + 3
+    while "quiet_peer" not in node.get_node_names() and time.monotonic() < end:
+        time.sleep(0.02)
+    heard.append("quiet_peer" in node.get_node_names())
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+print(json.dumps(heard))
+"""
 
 
 @pytest.mark.parametrize("range_", ["", "SUBNET", "LOCALHOST"])
@@ -131,3 +175,31 @@ def test_with_multicast_it_does_as_it_is_told_too(range_: str) -> None:
     alone = ("unshare", "--net", "sh", "-c", 'ip link set lo up && exec "$@"', "sh")
     assert not shared_memory(*alone, CONFIGURE="1", ROS_AUTOMATIC_DISCOVERY_RANGE=range_)
     assert shared_memory(*alone, ROS_AUTOMATIC_DISCOVERY_RANGE=range_)
+
+
+def test_it_hears_answers_although_each_program_answers_once(tmp_path: Path) -> None:
+    quiet = tmp_path / "quiet.xml"
+    quiet.write_text(QUIET)
+    environment = {**os.environ, **LOCAL}
+    peer = subprocess.Popen(
+        [sys.executable, "-c", QUIET_PEER],
+        env=environment | {fastdds.PROFILES[0]: str(quiet)},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    with peer:
+        assert peer.stdout is not None
+        assert peer.stdout.readline()
+        # The first calls reach the peer; those to others keep Fast DDS from listening to it.
+        others = ";".join(f"127.0.0.{number}" for number in range(2, 60))
+        done = subprocess.run(
+            [sys.executable, "-c", PARTICIPANTS],
+            env=environment | {fastdds.PEERS: others},
+            check=True,
+            timeout=TIMEOUT_S,
+            stdout=subprocess.PIPE,
+        )
+        peer.kill()
+    heard: list[bool] = json.loads(done.stdout)
+    # On a busy machine one may still come too early.
+    assert sum(heard) >= len(heard) - 1

@@ -1,7 +1,8 @@
 """Sets Fast DDS up for lossy networks and for programs that crash.
 
 Lost messages are sent again after 50 ms (decision 23), and messages go over UDP on one
-machine, too, never through shared memory (decision 28).
+machine, too, never through shared memory (decision 28). The node announces itself twice a
+second (decision 29), and is ready when the others answer (decision 52).
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from pathlib import Path
 
 # Fast DDS 2 reads the first, Fast DDS 3 the second.
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+# Fast DDS 3 refuses a file with an element that only Fast DDS 2 knows.
+FAMILIES = ("fastdds2", "fastdds")
 IN_FOLDER = ("DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.xml")
 TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
 RANGE, PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
@@ -41,16 +44,16 @@ def configure(environment: MutableMapping[str, str], folder: Path, middleware: s
     has_own = any(environment.get(name) for name in PROFILES)
     if not middleware.startswith("rmw_fastrtps") or has_own or _has_profiles(folder):
         return False
-    profiles = "fastdds_profiles.xml"
+    profiles = "profiles.xml"
     if not environment.get(TRANSPORTS):
         environment[TRANSPORTS] = "UDPv4"
         if _is_local(environment):
             # There ROS sets the transports itself, with shared memory. So it is told of a
             # subnet, and the profiles say what it would have: no multicast, and this machine.
             environment[RANGE] = "SUBNET"
-            profiles = "fastdds_localhost.xml"
-    path = str(files("lsl_to_ros").joinpath(profiles))
-    environment.update(dict.fromkeys(PROFILES, path))
+            profiles = "localhost.xml"
+    for name, family in zip(PROFILES, FAMILIES, strict=True):
+        environment[name] = str(files("lsl_to_ros").joinpath(f"{family}_{profiles}"))
     return True
 
 
