@@ -48,6 +48,7 @@ def profiles(environment: dict[str, str]) -> ElementTree.Element:
     ) == ElementTree.canonicalize(ElementTree.tostring(old), strip_text=True)
     return new
 
+
 # A program that lives on, and announces itself at its start and then for an hour not any more.
 QUIET_PEER = """
 import rclpy, sys
