@@ -79,6 +79,7 @@ def test_the_status_of_a_stream_says_everything_about_it(ros: Ros, flow: Begin) 
         stamp = pylsl.local_clock()
         unchecked(ecg).push_sample([0.0], stamp)
     ros.until(lambda: status_of(ros, f"{BASE}/ecg")["lost"] == "3", "the agent's loss")
+    ros.until(lambda: status_of(ros, f"{BASE}/ecg")["waiting"] == "0", "nothing waits")
     status = status_of(ros, f"{BASE}/ecg")
     assert (status.level, status.message) == (WARN, "3 samples lost in the last 10 s")
     assert status.unit == "H1"
@@ -97,12 +98,15 @@ def test_the_status_of_a_stream_says_everything_about_it(ros: Ros, flow: Begin) 
         "unfit": "0",
         "unstamped": "0",
         "chunk_discarded": status["chunk_discarded"],
+        "published": str(count + 2),
         "waiting": "0",
         "unsent": "0",
+        "not_taken": "0",
         "subscribers": "1",
     }
     assert measured["rate_measured"] == pytest.approx(130.0, rel=0.05)
     assert 0.0 <= measured["age_s"] < 10.0
+    assert 0.0 <= measured["queue_age_s"] < 10.0
     # One machine has one LSL clock.
     assert abs(measured["clock_offset_s"]) < 1e-3
     assert 0.0 <= measured["clock_offset_spread_s"] < 1e-3
@@ -112,6 +116,7 @@ def test_the_status_of_a_stream_says_everything_about_it(ros: Ros, flow: Begin) 
 MEASURED = (
     "rate_measured",
     "age_s",
+    "queue_age_s",
     "latency_mean_s",
     "latency_max_s",
     "clock_offset_s",
@@ -152,6 +157,8 @@ def test_the_status_of_the_node_warns_once_that_stamped_topics_are_missing(
     ros.attached("/biosensors/usable/EEG")
     ros.until(lambda: status_of(ros, "node")["streams_refused"] == "1", "a stream refused")
     status = status_of(ros, "node")
+    for measured in ("cpu_percent", "queue_age_s"):
+        del status.values[measured]
     others = len([topic for topic in ros.present() if topic.startswith("/")])
     assert status.level == WARN
     assert "biosensor_msgs is not installed" in status.message

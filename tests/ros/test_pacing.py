@@ -248,6 +248,33 @@ def test_a_subscriber_that_has_stopped_is_waited_for_once() -> None:
     topic.expect_all()
 
 
+def test_what_goes_out_before_it_can_be_taken_is_counted() -> None:
+    bench = Bench(0.0)
+    topic = bench.topic(piece=100)
+    topic.come(250)
+    assert (topic.lane.sent, topic.lane.not_taken) == (250, 0)
+    topic.is_taken = False
+    topic.come(250)
+    bench.run(TAKEN_WITHIN_S + 0.1)
+    topic.expect_all()
+    assert (topic.lane.sent, topic.lane.not_taken) == (500, 200)
+
+
+def test_the_oldest_message_of_a_lane_has_an_age() -> None:
+    bench = Bench()
+    topic = bench.topic(0.0)
+    topic.come(AT_ONCE)
+    assert topic.lane.age_s == 0.0
+    bench.pace.per_ms = 0.001
+    topic.come(AT_ONCE)
+    bench.now_s += 0.5
+    topic.come(AT_ONCE)
+    assert topic.lane.age_s == pytest.approx(0.5)
+    bench.run(10.0)
+    topic.expect_all()
+    assert topic.lane.age_s == 0.0
+
+
 def test_a_lane_says_when_its_stream_should_stay_in_lsl_s_buffer() -> None:
     bench = Bench()
     topic = bench.topic()

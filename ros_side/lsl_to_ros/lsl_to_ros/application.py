@@ -110,6 +110,7 @@ class LslToRos(Node):
             self._reporting.list_streams()
         self._routing.count_readers()
         self._pump.look()
+        self._reporting.look()
         if self._senders.look(self._discovery.inlets):
             self._reporting.report()
 

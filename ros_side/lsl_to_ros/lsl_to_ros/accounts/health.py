@@ -6,6 +6,8 @@ from collections import deque
 from dataclasses import dataclass, field
 from time import monotonic
 
+from lsl_to_ros.accounts.load import Backlog
+from lsl_to_ros.accounts.outflow import Outflow
 from lsl_to_ros.accounts.rates import RATE_WINDOW_S, RateMeter
 
 
@@ -18,6 +20,18 @@ class StreamHealth:
     troubles: deque[tuple[float, int, int]] = field(default_factory=deque[tuple[float, int, int]])
     received: int = 0
     heard_s: float = field(default_factory=monotonic)
+    backlog: Backlog = field(default_factory=Backlog)
+    outflow: Outflow = field(default_factory=Outflow)
+    oldest_s: float = 0.0
+
+    def waited(self, age_s: float) -> None:
+        """Take note for how long something has waited at this moment."""
+        self.oldest_s = max(self.oldest_s, age_s)
+
+    def take_oldest(self) -> float:
+        """Return the longest of these since the last call, in seconds."""
+        oldest_s, self.oldest_s = self.oldest_s, 0.0
+        return oldest_s
 
     def silence(self, received: int) -> float:
         """Take in the count of samples; return for how many seconds it has stood still."""

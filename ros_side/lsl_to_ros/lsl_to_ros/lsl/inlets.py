@@ -200,8 +200,13 @@ class Inlet:
     @property
     def has_samples(self) -> bool:
         """Whether samples have come that nobody has taken yet."""
+        return self.waiting > 0
+
+    @property
+    def waiting(self) -> int:
+        """Samples that have come and that nobody has taken yet."""
         lsl = self._lsl
-        return self.state is InletState.READY and lsl is not None and samples_available(lsl) > 0
+        return 0 if lsl is None or self.state is not InletState.READY else samples_available(lsl)
 
     def give_up(self, since_s: float) -> bool:
         """End the delivery, unless something was delivered after that monotonic time.

@@ -7,12 +7,13 @@ Levels of a stream:
   agent, from which nothing at all has come for 1.5 s.
 * WARN: in the last 10 s samples were lost or did not fit their message, or the
   measured rate is more than 10 % off; the sender's clock is not known, or its
-  stamps are not LSL times.
+  stamps are not LSL times; a topic goes out faster than subscribers take it.
 * OK: none of these.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from time import monotonic
 
@@ -22,6 +23,7 @@ from biosensor_common.naming import TopicName
 from lsl_to_ros.accounts.health import StreamHealth
 from lsl_to_ros.accounts.rates import RATE_WINDOW_S
 from lsl_to_ros.accounts.tally import Delays, Tally, can_estimate_losses
+from lsl_to_ros.reports.overload import not_taken, too_fast
 from lsl_to_ros.topics.bridge import Bridge
 
 # A regular stream is stale after so long without a sample.
@@ -56,8 +58,19 @@ class StreamFacts:
         Since a report first saw the newest sample.
     attached_s
         How long the node has had this stream.
+    not_taken_lately
+        Messages of a backlog that went out in the last 10 s before the subscribers had taken
+        those before.
+    published_hz
+        Messages of the first topic in a second, over the last 10 s.
+    is_fast
+        Whether that is faster than a usual subscriber takes them.
+    waited_s
+        The longest that samples have waited in the node since the last report.
     trouble
         What is wrong with the computer that sends it; empty if nothing is.
+    best_effort
+        Nodes that read the first topic with best effort; asked for only if it is fast.
     """
 
     topic: TopicName
@@ -71,7 +84,12 @@ class StreamFacts:
     unfit_lately: int
     silent_s: float
     attached_s: float
+    not_taken_lately: int
+    published_hz: float
+    is_fast: bool
+    waited_s: float
     trouble: str = ""
+    best_effort: Sequence[str] = ()
 
 
 def stream_facts(
@@ -86,6 +104,8 @@ def stream_facts(
     """Look at one stream; *now_s* is this machine's LSL clock."""
     tally: Tally = bridge.tally
     lost = tally.lost(can_estimate=can_estimate_losses(bridge.header))
+    first = bridge.outputs.of_samples[0].publisher
+    not_taken_lately = health.outflow.look(first.lane.sent, first.lane.not_taken)
     lost_lately, unfit_lately = health.recent(max(lost.count, 0), tally.unfit + tally.unstamped)
     return StreamFacts(
         topic=topic,
@@ -99,6 +119,10 @@ def stream_facts(
         unfit_lately=unfit_lately,
         silent_s=health.silence(tally.received),
         attached_s=monotonic() - health.begun_s,
+        not_taken_lately=not_taken_lately,
+        published_hz=health.outflow.rate,
+        is_fast=health.outflow.is_fast,
+        waited_s=health.take_oldest(),
         trouble=trouble,
     )
 
@@ -125,8 +149,11 @@ def stream_status(facts: StreamFacts) -> DiagnosticStatus:
         "unfit": str(tally.unfit),
         "unstamped": str(tally.unstamped),
         "chunk_discarded": str(tally.discarded),
+        "published": str(raw.lane.sent),
         "waiting": str(bridge.waiting),
+        "queue_age_s": f"{facts.waited_s:.3f}",
         "unsent": str(sum(publisher.lane.unsent for publisher in bridge.outputs.publishers)),
+        "not_taken": str(raw.lane.not_taken),
         "age_s": f"{facts.age_s:.3f}" if bridge.last_stamp else "",
         "latency_mean_s": _seconds(facts.delays.mean),
         "latency_max_s": _seconds(facts.delays.longest if facts.delays.count else None),
@@ -182,8 +209,17 @@ def _warnings(facts: StreamFacts) -> list[tuple[bool, str]]:
         (_has_foreign_clock(facts), "its stamps are not times of the LSL clock"),
         (is_unknown, "the sender's clock cannot be asked: is UDP blocked? stamped topics wait"),
         (facts.lost_lately > 0, f"{facts.lost_lately} samples lost in the last 10 s"),
+        (facts.not_taken_lately > 0, not_taken(facts.not_taken_lately)),
+        (facts.is_fast, too_fast(facts.published_hz, _slower(facts.bridge), facts.best_effort)),
         (is_off, f"{facts.rate:.2f} Hz instead of {nominal:.2f} Hz"),
     ]
+
+
+def _slower(bridge: Bridge) -> list[str]:
+    """Return the topics that have many samples in one message."""
+    chunk = [bridge.outputs.chunk.publisher] if bridge.outputs.chunk else []
+    several = [*chunk, *(writer.publisher for writer in bridge.outputs.timed)]
+    return [each.name for each in several if each.name.endswith(("_chunk", "_stamped"))]
 
 
 def _has_foreign_clock(facts: StreamFacts) -> bool:

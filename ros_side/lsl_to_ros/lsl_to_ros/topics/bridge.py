@@ -110,6 +110,11 @@ class Bridge:
         return sum(publisher.lane.waiting for publisher in self.outputs.publishers)
 
     @property
+    def oldest_waiting_s(self) -> float:
+        """For how many seconds the oldest of them has waited."""
+        return max((publisher.lane.age_s for publisher in self.outputs.publishers), default=0.0)
+
+    @property
     def wants_each_sample(self) -> bool:
         """Whether somebody reads single samples; else they can be drained in batches."""
         if self._listen is not None:

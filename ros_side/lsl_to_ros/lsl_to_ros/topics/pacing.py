@@ -80,8 +80,12 @@ class Lane:
 
     Attributes
     ----------
+    sent
+        Messages published.
     unsent
         Messages that waited and that ROS then failed to publish.
+    not_taken
+        Messages that went out although the subscribers had not taken those before for too long.
     """
 
     def __init__(
@@ -93,7 +97,7 @@ class Lane:
         rate: float,
         piece: int,
     ) -> None:
-        self.unsent = 0
+        self.sent = self.unsent = self.not_taken = 0
         self._publish = publish
         self._is_taken = is_taken
         # The rate of another program's stream may be any number.
@@ -102,7 +106,8 @@ class Lane:
         self._pacer = pacer
         # Held while something is published, so that messages go out in the order of sending.
         self._lock = threading.Lock()
-        self._messages: deque[Any] = deque()
+        # Each with the time since when it waits.
+        self._messages: deque[tuple[float, Any]] = deque()
         self._now_s = self._turn_s = 0.0
         self._interval_s = 0.0
         self._unchecked = 0
@@ -113,6 +118,15 @@ class Lane:
     def waiting(self) -> int:
         """Messages that have not gone out yet."""
         return len(self._messages)
+
+    @property
+    def age_s(self) -> float:
+        """For how many seconds the oldest message has waited; 0 if none does."""
+        try:
+            # The pacer's thread may take it at any time.
+            return max(0.0, self._pacer.clock() - self._messages[0][0])
+        except IndexError:
+            return 0.0
 
     @property
     def is_full(self) -> bool:
@@ -132,7 +146,7 @@ class Lane:
             try:
                 for message in messages:
                     if self._messages or not self._is_next():
-                        self._messages.append(_copy(message))
+                        self._messages.append((self._pacer.clock(), _copy(message)))
                     else:
                         self._send(message)
             finally:
@@ -175,6 +189,7 @@ class Lane:
         is_taken = self._is_taken()
         if not is_taken and self._now_s < self._held_until_s:
             return True
+        self.not_taken += 0 if is_taken else self._unchecked
         self._keeps_up, self._unchecked, self._held_until_s = is_taken, 0, None
         return False
 
@@ -182,10 +197,11 @@ class Lane:
         self._turn_s += self._interval_s
         self._unchecked += 1
         self._publish(message)
+        self.sent += 1
 
     def _send_waiting(self) -> None:
         try:
-            self._send(self._messages.popleft())
+            self._send(self._messages.popleft()[1])
         except RuntimeError as error:
             # Each of rclpy's errors is one. Other topics and the rest of this one go on.
             self.unsent += 1

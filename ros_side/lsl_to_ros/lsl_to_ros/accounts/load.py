@@ -1,0 +1,125 @@
+"""Measures whether the node keeps up: its share of a core, and how long data wait in it."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from time import monotonic
+
+Clock = Callable[[], float]
+
+# Starting up, and finding many streams at once, takes a whole core for some seconds.
+SHARE_WINDOW_S = 10.0
+# From a whole core on, the interpreter's lock makes data wait.
+BUSY_SHARE, CALM_SHARE = 0.8, 0.65
+# A burst waits half a second at most because it is paced, and the backlog of a cut network is
+# gone within 2 s. What waits longer, in each of so many reports, is too much.
+LONG_AGE_S, SHORT_AGE_S = 1.0, 0.5
+REPORTS = 5
+MOST_MARKS = 600
+
+
+@dataclass(slots=True)
+class Hysteresis:
+    """A yes or no about a value, which does not change with each small change of it.
+
+    Attributes
+    ----------
+    begins, ends
+        It is on from *begins* on, until the value is below *ends*.
+    """
+
+    begins: float
+    ends: float
+    is_on: bool = False
+
+    def judge(self, value: float, floor: float | None = None) -> bool:
+        """Take in a value; *floor*, if given, is the one that has to reach *begins*."""
+        begins = value if floor is None else floor
+        self.is_on = value >= self.ends if self.is_on else begins >= self.begins
+        return self.is_on
+
+
+class Backlog:
+    """How long the oldest of what waits has waited, from counts alone.
+
+    Stamps do not tell it: they are as old as the device's own packet. It is as exact as the
+    looks are frequent, and looks back over 600 of them.
+    """
+
+    def __init__(self) -> None:
+        self._marks: deque[tuple[float, int]] = deque(maxlen=MOST_MARKS)
+
+    def age(self, now_s: float, gone: int, waiting: int) -> float:
+        """Take in how many have gone and how many wait; return seconds, 0 if none waits."""
+        marks = self._marks
+        while marks and marks[0][1] <= gone:
+            marks.popleft()
+        if not waiting:
+            return 0.0
+        if not marks or gone + waiting > marks[-1][1]:
+            marks.append((now_s, gone + waiting))
+        return now_s - marks[0][0]
+
+
+@dataclass(frozen=True, slots=True)
+class LoadFacts:
+    """One look at the node's load.
+
+    Attributes
+    ----------
+    share
+        Of one core, by all threads of the process, over the last 10 s; None before.
+    age_s
+        The longest that data have waited in the node since the report before.
+    is_busy, is_late
+        Whether either is too much, which ends only when it is clearly less.
+    """
+
+    share: float | None
+    age_s: float
+    is_busy: bool
+    is_late: bool
+
+
+@dataclass(slots=True)
+class Load:
+    """Follows the load of this process from one report to the next."""
+
+    clock: Clock = monotonic
+    cpu_clock: Clock = time.process_time
+    _points: deque[tuple[float, float]] = field(default_factory=deque[tuple[float, float]])
+    _ages: deque[float] = field(default_factory=lambda: deque[float](maxlen=REPORTS))
+    _busy: Hysteresis = field(default_factory=lambda: Hysteresis(BUSY_SHARE, CALM_SHARE))
+    _late: Hysteresis = field(default_factory=lambda: Hysteresis(LONG_AGE_S, SHORT_AGE_S))
+    _oldest_s: float = 0.0
+
+    def waited(self, age_s: float) -> None:
+        """Take note of what has waited so long at this moment."""
+        self._oldest_s = max(self._oldest_s, age_s)
+
+    def look(self) -> LoadFacts:
+        """Judge what was since the look before; call it once a second."""
+        age_s, self._oldest_s = self._oldest_s, 0.0
+        self._ages.append(age_s)
+        share = self._share()
+        all_late = min(self._ages) if len(self._ages) == REPORTS else 0.0
+        return LoadFacts(
+            share=share,
+            age_s=age_s,
+            is_busy=self._busy.judge(share or 0.0),
+            is_late=self._late.judge(max(self._ages), floor=all_late),
+        )
+
+    def _share(self) -> float | None:
+        now, points = self.clock(), self._points
+        points.append((now, self.cpu_clock()))
+        # The last point that is old enough stays, so that the whole window is looked at.
+        while len(points) > 1 and now - points[1][0] >= SHARE_WINDOW_S:
+            points.popleft()
+        begun, used = points[0]
+        if now - begun < SHARE_WINDOW_S:
+            return None
+        return (points[-1][1] - used) / (now - begun)

@@ -1,0 +1,5 @@
+from rclpy.qos import QoSProfile
+
+class TopicEndpointInfo:
+    node_name: str
+    qos_profile: QoSProfile
