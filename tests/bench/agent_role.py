@@ -16,7 +16,8 @@ from biosensor_gateway.agent.agent import Agent
 from biosensor_gateway.agent.supervisor import State
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.settings.file import load_settings
-from biosensor_gateway.settings.models import LogSettings, state_folder
+from biosensor_gateway.settings.models import LogSettings
+from biosensor_gateway.settings.places import state_folder
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.logs import configure_logs
 

@@ -17,7 +17,7 @@ from std_msgs.msg import Float32
 import biosensor_gateway
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.devices.registry import ENTRY_POINT_GROUP
-from biosensor_gateway.settings.models import state_folder
+from biosensor_gateway.settings.places import state_folder
 
 SENSOR = "acme_band"
 SOURCES = Path(__file__).parent / SENSOR

@@ -85,7 +85,11 @@ FAULTS: dict[str, tuple[str, str, Breaking]] = {
         "parse_battery_level",
         instead(any_byte),
     ),
-    "control_request": ("biosensor_gateway.agent.control.ControlServer", "_is_token", always(True)),
+    "control_request": (
+        "biosensor_gateway.agent.control_server.ControlServer",
+        "_is_token",
+        always(True),
+    ),
     "counters": ("lsl_to_ros.topics.messages", "_finite", instead(float)),
     "emotiv_cortex": (
         f"{DEVICES}.emotiv_insight.driver.protocol",

@@ -20,6 +20,7 @@ import pytest
 from biosensor_common.device_clock import ClockState, DeviceClock
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import status_file
+from biosensor_gateway.agent.snapshot import snapshot
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.recording.xdf.counted import parse_readings
 from biosensor_gateway.streaming.counters import Counters, counters_text
@@ -140,7 +141,7 @@ def test_the_status_has_the_time_to_which_the_ages_belong(unit: str) -> None:
     sink.open(DeviceInfo(), {})
     now = pylsl.local_clock()
     sink.observe(5.0, now)
-    taken = status_file.snapshot([])
+    taken = snapshot([])
     assert taken["lsl_time"] - sink.clock_state.newest_s == pytest.approx(0.0, abs=DEADLINE_S)
     assert sink.clock_state.newest_s == pytest.approx(now)
     rates = {source.rpartition("-")[2]: rate for source, rate in sink.nominal_rates.items()}

@@ -25,15 +25,16 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
-from biosensor_gateway.agent import control
-from biosensor_gateway.agent.control import CONTROL_FILE, ControlServer, ask
+from biosensor_gateway.agent import control, control_server
+from biosensor_gateway.agent.control import CONTROL_FILE, ask
+from biosensor_gateway.agent.control_server import ControlServer
 from biosensor_gateway.agent.single_instance import LOCK_FILE, single_instance
 
 DEADLINE_S = 30.0
 NO_AGENT = "no agent is running; start one with: biosensor-gateway run"
 
 
-class Commands(dict[str, control.Command]):
+class Commands(dict[str, control_server.Command]):
     """Commands of every temper, and the arguments with which ``note`` was called."""
 
     def __init__(self) -> None:
@@ -235,7 +236,7 @@ async def test_half_a_line_and_the_end_is_refused(server: ControlServer, folder:
 async def test_half_a_line_and_silence_is_refused_and_disturbs_nobody(
     server: ControlServer, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(control, "TIME_LIMIT_S", 1.0)
+    monkeypatch.setattr(control_server, "TIME_LIMIT_S", 1.0)
     silent = asyncio.create_task(reply_to(folder, b'{"token"'))
     assert await asked(folder, "note") == {"count": 1}
     assert problem_in(await silent) == "no whole line came within 1 s"
@@ -284,7 +285,7 @@ async def test_a_command_with_a_mistake_costs_itself_only(
 async def test_a_command_that_hangs_is_given_up(
     server: ControlServer, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(control, "TIME_LIMIT_S", 1.0)
+    monkeypatch.setattr(control_server, "TIME_LIMIT_S", 1.0)
     with pytest.raises(ProtocolError, match="hang took longer than 1 s"):
         await asyncio.to_thread(ask, folder, "hang", time_limit_s=DEADLINE_S)
 
@@ -294,7 +295,7 @@ async def test_too_many_connections_are_refused_until_there_is_room(
 ) -> None:
     idle = [
         await asyncio.open_connection("127.0.0.1", place(folder)["port"])
-        for _ in range(control.MAX_CONNECTIONS)
+        for _ in range(control_server.MAX_CONNECTIONS)
     ]
     assert "too many" in problem_in(await reply_to(folder, b""))
     for _, writer in idle:

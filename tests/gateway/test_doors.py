@@ -5,12 +5,14 @@ from __future__ import annotations
 import inspect
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from biosensor_gateway.cli.app import app
 from biosensor_gateway.cli.deferred import Deferred
 from biosensor_gateway.cli.table import COMMANDS
+from biosensor_gateway.settings.places import STATE_VARIABLE
 
 # What takes a tenth of a second and more, each or with what it brings.
 HEAVY = {
@@ -33,6 +35,8 @@ OURS = {
     "biosensor_gateway.cli.deferred",
     "biosensor_gateway.cli.quick_help",
     "biosensor_gateway.cli.table",
+    "biosensor_gateway.system",
+    "biosensor_gateway.system.own_window",
 }
 LOADED_AT_THE_END = """
 import atexit, sys
@@ -44,15 +48,16 @@ main()
 each_command = pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.name)
 
 
-def loaded(*arguments: str) -> set[str]:
+def loaded(*arguments: str, expected: int = 0) -> set[str]:
     """Modules that a run of the program has imported."""
     ended = subprocess.run(
         [sys.executable, "-c", LOADED_AT_THE_END, *arguments],
         capture_output=True,
         text=True,
-        check=True,
+        check=False,
         timeout=120,
     )
+    assert ended.returncode == expected, ended.stderr
     return set(ended.stderr.split())
 
 
@@ -64,6 +69,24 @@ def test_the_first_look_imports_no_command(option: str, more: set[str]) -> None:
     assert "typer" in modules
     assert not (HEAVY | more) & modules
     assert {name for name in modules if name.startswith("biosensor_gateway")} <= OURS
+
+
+@pytest.mark.parametrize("name", ["run", "stop", "pause", "resume", "status", "demo"])
+def test_the_help_of_a_command_imports_no_agent(name: str) -> None:
+    # Typer itself takes pydantic for each argument.
+    modules = loaded(name, "--help")
+    assert not ((HEAVY | {"pygments", "rich.markdown"}) - {"pydantic"}) & modules
+
+
+@pytest.mark.parametrize("command", ["stop", "pause zephyr", "resume zephyr", "status"])
+def test_who_asks_the_agent_imports_none(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(STATE_VARIABLE, str(tmp_path))
+    modules = loaded(*command.split(), expected=1)
+    assert "biosensor_gateway.settings.places" in modules
+    assert not (HEAVY - {"pydantic"}) & modules
+    assert "biosensor_gateway.settings.models" not in modules
 
 
 @each_command

@@ -16,6 +16,7 @@ from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.device import Device
+from biosensor_gateway.agent.snapshot import snapshot
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.registry import declaration
@@ -141,14 +142,14 @@ def test_a_reader_never_sees_half_a_file(tmp_path: Path) -> None:
 def test_a_snapshot_holds_every_device_and_stream_and_is_json(unit: str) -> None:
     sink = DeviceSink(DeviceIdentity("gateway", unit, "p01", "left"), declaration("gateway"))
     supervisor = Supervisor(NoDriver, sink)
-    before = status_file.snapshot([Device(supervisor, sink)])["devices"][0]
+    before = snapshot([Device(supervisor, sink)])["devices"][0]
     assert (before["state"], before["connections"]) == ("discovering", 0)
     assert (before["clock"], before["streams"]) == (None, {})
     sink.open(DeviceInfo(), {})
     sink.observe(1.0, 2.0)
     sink.dropped_bytes = 9
     sink.lost("events", 4)
-    taken = status_file.snapshot([Device(supervisor, sink)])
+    taken = snapshot([Device(supervisor, sink)])
     (device,) = json.loads(json.dumps(taken, allow_nan=False))["devices"]
     assert {key: device[key] for key in ("sensor", "unit", "participant", "label")} == {
         "sensor": "gateway", "unit": unit, "participant": "p01", "label": "left"

@@ -10,13 +10,8 @@ import pytest
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.settings.file import load_settings
-from biosensor_gateway.settings.models import (
-    DeviceSettings,
-    GatewaySettings,
-    LslSettings,
-    settings_path,
-    state_folder,
-)
+from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings, LslSettings
+from biosensor_gateway.settings.places import settings_path, state_folder
 
 MODELS = {"strap": DeviceSettings}
 DEVICE = '[[device]]\nsensor = "strap"\nunit = "A"\n'

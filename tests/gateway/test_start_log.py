@@ -22,10 +22,10 @@ Run = Callable[..., "Outcome"]
 StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
 
 _BREAK = """
-from biosensor_gateway.cli import running
+from biosensor_gateway.cli import streaming
 def broken(*arguments):
     raise RuntimeError("a mistake in the agent")
-running.Agent = broken
+streaming.Agent = broken
 """
 
 

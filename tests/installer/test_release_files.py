@@ -16,6 +16,7 @@ from ruamel.yaml import YAML
 
 from biosensor_gateway.devices.registry import sensor_names, settings_models
 from biosensor_gateway.settings import models as settings
+from biosensor_gateway.settings import places
 from biosensor_gateway.settings.template import template
 from installer import layout
 from installer.wine.recipe import STAGES
@@ -248,8 +249,8 @@ def test_the_smoke_test_sets_variables_that_the_program_reads() -> None:
     (listed,) = re.findall(r"^\$Variables = @\((.+)\)$", SMOKE_TEST, re.MULTILINE)
     prefix, between = settings.OVERRIDE_PREFIX, settings.OVERRIDE_DELIMITER
     assert re.findall(r"'(\w+)'", listed) == [
-        settings.SETTINGS_VARIABLE,
-        settings.STATE_VARIABLE,
+        places.SETTINGS_VARIABLE,
+        places.STATE_VARIABLE,
         f"{prefix}LSL{between}SESSION_ID",
     ]
     assert "session_id" in settings.LslSettings.model_fields

@@ -20,7 +20,7 @@ import pytest
 import pyxdf
 
 from biosensor_common.lsl_config import home_config_file
-from biosensor_gateway.settings.models import SETTINGS_VARIABLE
+from biosensor_gateway.settings.places import SETTINGS_VARIABLE
 from tests.rigs.hosts.lan import NETWORK, Host, Lan
 from tests.rigs.hosts.programs import Program
 from tests.rigs.lab_recorder import PROGRAM

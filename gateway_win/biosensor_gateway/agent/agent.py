@@ -17,10 +17,11 @@ from biosensor_common.heap import limit_arenas
 from biosensor_common.lsl_config import LslOverrides
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.agent.control import Command
+from biosensor_gateway.agent.control_server import Command
 from biosensor_gateway.agent.device import Device
 from biosensor_gateway.agent.known_streams import KnownStreams
 from biosensor_gateway.agent.pauses.commands import PauseCommands
+from biosensor_gateway.agent.snapshot import snapshot
 from biosensor_gateway.settings.models import GatewaySettings, LslSettings
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.events import EventKind
@@ -122,7 +123,7 @@ class Agent:
                 device.sink.release()
                 merged |= device.sink.counters
             outlet.push_text(counters_text(merged, self._clocks()), pylsl.local_clock())
-            status = status_file.snapshot(self.devices)
+            status = snapshot(self.devices)
             self.on_status(status)
             self._status.write(status)
             self._known.keep()

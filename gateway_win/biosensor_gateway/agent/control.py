@@ -1,4 +1,4 @@
-"""Takes commands of the same user for the running agent, and sends them.
+"""Asks the running agent of the same user for something; `control_server` is its other end.
 
 The agent listens on the loopback address at a free port. Port and a random
 token are in ``control.json`` in its state folder, which only its user can
@@ -7,195 +7,30 @@ read. A client sends one line of JSON and gets one back::
     {"token": "5f…", "command": "stop", "arguments": {}}
     {"ok": true, "answer": {"process": 4711}}
     {"ok": false, "problem": "one sentence"}
-
-Whatever else arrives is refused with a sentence and costs the agent nothing.
 """
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
-import hmac
 import json
-import secrets
 import socket
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self, cast
-
-import structlog
+from typing import Any, cast
 
 from biosensor_common.errors import (
-    ConfigError,
-    ConfigReason,
-    GatewayError,
     ProtocolError,
     ProtocolReason,
     TransportError,
     TransportReason,
 )
 from biosensor_gateway.agent.single_instance import is_held
-from biosensor_gateway.system import state_file
 
 CONTROL_FILE = "control.json"
-REQUEST_LIMIT = 4096
-"""Bytes of a request, without its line end."""
+HOST = "127.0.0.1"
 TIME_LIMIT_S = 5.0
 """For a request to arrive, for a command, and for the client to take the reply."""
-MAX_CONNECTIONS = 16
 
-_HOST = "127.0.0.1"
 _REPLY_LIMIT = 65536
-_DISCARDED_BLOCK, _DISCARDED_BLOCKS = 65536, 256
-_LAST_WORDS_S = 0.5
-
-Command = Callable[[Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
-"""Does one thing with the arguments that it is given, and answers what goes into JSON.
-
-A `GatewayError` is told to the client as it is.
-"""
-
-_log = structlog.stdlib.get_logger(__name__)
-
-
-class ControlServer:
-    """Listens for commands while the context lasts.
-
-    Parameters
-    ----------
-    folder
-        The state folder, held by this process.
-    commands
-        What can be asked for, by name.
-
-    Raises
-    ------
-    ConfigError
-        ``UNREADABLE`` on entering, if there is no port or the file cannot be
-        written; the agent can run without.
-    """
-
-    def __init__(self, folder: Path, commands: Mapping[str, Command]) -> None:
-        self._path = folder / CONTROL_FILE
-        self._commands = commands
-        self._token = secrets.token_hex(32)
-        self._connections: set[asyncio.Task[None]] = set()
-
-    async def __aenter__(self) -> Self:
-        try:
-            self._server = await asyncio.start_server(
-                self._connected, _HOST, 0, limit=REQUEST_LIMIT
-            )
-            try:
-                port: int = self._server.sockets[0].getsockname()[1]
-                entry = json.dumps({"port": port, "token": self._token})
-                state_file.replace(self._path, entry, private=True)
-            except BaseException:
-                self._server.close()
-                raise
-        except OSError as error:
-            message = f"{self._path}: {error.strerror or error}; `stop` will not work"
-            raise ConfigError(ConfigReason.UNREADABLE, message) from error
-        return self
-
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        with contextlib.suppress(OSError):
-            self._path.unlink()
-        self._server.close()
-        if not self._connections:
-            return
-        # Who asked the agent to end is to hear that it will.
-        _, late = await asyncio.wait(self._connections, timeout=_LAST_WORDS_S)
-        for connection in late:
-            connection.cancel()
-        await asyncio.gather(*late, return_exceptions=True)
-
-    def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        if len(self._connections) >= MAX_CONNECTIONS:
-            writer.write(_refusal("too many connections at once; try again"))
-            writer.close()
-            return
-        connection = asyncio.create_task(self._converse(reader, writer))
-        self._connections.add(connection)
-        connection.add_done_callback(self._connections.discard)
-
-    async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        try:
-            writer.write(await self._reply(reader))
-            async with asyncio.timeout(TIME_LIMIT_S):
-                await writer.drain()
-                writer.write_eof()
-                # Closing on unread input would reset the connection, and lose the reply.
-                for _ in range(_DISCARDED_BLOCKS):
-                    if not await reader.read(_DISCARDED_BLOCK):
-                        break
-        except (OSError, TimeoutError):
-            # The client went away, or does not read; it is its own loss.
-            pass
-        finally:
-            writer.transport.abort()
-
-    async def _reply(self, reader: asyncio.StreamReader) -> bytes:
-        try:
-            name, arguments = self._checked(await _request(reader))
-            return await self._outcome(name, arguments)
-        except _RefusedError as refused:
-            return _refusal(str(refused))
-
-    def _checked(self, request: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
-        if not self._is_token(request.get("token")):
-            raise _RefusedError(f"wrong token; the right one is in {self._path}")
-        name, arguments = request.get("command"), request.get("arguments", {})
-        if not isinstance(name, str) or name not in self._commands:
-            raise _RefusedError(f"unknown command; known are: {', '.join(self._commands)}")
-        if not isinstance(arguments, dict):
-            raise _RefusedError("the arguments are not a JSON object")
-        return name, cast("dict[str, Any]", arguments)
-
-    def _is_token(self, given: object) -> bool:
-        # JSON can hold halves of surrogate pairs, which strict UTF-8 cannot.
-        text = given.encode(errors="replace") if isinstance(given, str) else b""
-        return hmac.compare_digest(text, self._token.encode())
-
-    async def _outcome(self, name: str, arguments: Mapping[str, Any]) -> bytes:
-        _log.info("a command came", command=name, for_people=f"asked to {name}")
-        try:
-            async with asyncio.timeout(TIME_LIMIT_S):
-                answer = await self._commands[name](arguments)
-            return _line({"ok": True, "answer": dict(answer)})
-        except TimeoutError:
-            raise _RefusedError(f"{name} took longer than {TIME_LIMIT_S:g} s") from None
-        except GatewayError as error:
-            raise _RefusedError(str(error)) from error
-        except Exception as error:  # whatever a command runs into, its sender gets an answer
-            _log.exception("a command failed", command=name)
-            raise _RefusedError(f"{name} failed; the agent's log says why") from error
-
-
-class _RefusedError(Exception):
-    """A request that is not carried out; its text is the sentence for the client."""
-
-
-async def _request(reader: asyncio.StreamReader) -> Mapping[str, Any]:
-    try:
-        async with asyncio.timeout(TIME_LIMIT_S):
-            line = await reader.readuntil(b"\n")
-    except TimeoutError:
-        raise _RefusedError(f"no whole line came within {TIME_LIMIT_S:g} s") from None
-    except asyncio.LimitOverrunError:
-        raise _RefusedError(f"the line is longer than {REQUEST_LIMIT} bytes") from None
-    except asyncio.IncompleteReadError:
-        raise _RefusedError("the line has no end") from None
-    request = _object(line)
-    if request is None:
-        raise _RefusedError("the line is not a JSON object")
-    return request
 
 
 def ask(
@@ -229,7 +64,7 @@ def ask(
     try:
         place = json.loads((folder / CONTROL_FILE).read_text(encoding="utf-8"))
         request = {"token": place["token"], "command": command, "arguments": arguments or {}}
-        reply = _object(_exchange(int(place["port"]), _line(request), time_limit_s))
+        reply = json_object(_exchange(int(place["port"]), line(request), time_limit_s))
     except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
         reply = None
     if reply is None or (reply.get("ok") is True and not isinstance(reply.get("answer"), dict)):
@@ -246,24 +81,22 @@ def ask(
 
 def _exchange(port: int, request: bytes, time_limit_s: float) -> bytes:
     with (
-        socket.create_connection((_HOST, port), time_limit_s) as connection,
+        socket.create_connection((HOST, port), time_limit_s) as connection,
         connection.makefile("rb") as replies,
     ):
         connection.sendall(request)
         return replies.readline(_REPLY_LIMIT)
 
 
-def _refusal(sentence: str) -> bytes:
-    return _line({"ok": False, "problem": sentence})
-
-
-def _line(message: Mapping[str, Any]) -> bytes:
+def line(message: Mapping[str, Any]) -> bytes:
+    """Return a message as it is sent."""
     return json.dumps(message).encode() + b"\n"
 
 
-def _object(line: bytes) -> dict[str, Any] | None:
+def json_object(received: bytes) -> dict[str, Any] | None:
+    """Return what a line says; None if it is not an object of JSON."""
     try:
-        message: object = json.loads(line.decode())
+        message: object = json.loads(received.decode())
     except (ValueError, RecursionError):
         return None
     return cast("dict[str, Any]", message) if isinstance(message, dict) else None

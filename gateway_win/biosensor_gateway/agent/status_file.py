@@ -1,23 +1,18 @@
-"""Writes the agent's status once a second, for ``status`` and for scripts, and reads it."""
+"""Writes and reads the file with the agent's status, for ``status`` and for scripts."""
 
 from __future__ import annotations
 
 import contextlib
 import json
-import os
 import time
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import structlog
-from pylsl import local_clock
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.agent.device import Device
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.system import state_file
-from biosensor_gateway.system.keep_alive import restart_facts
 
 STATUS_FILE = "status.json"
 STALE_AFTER_S = 5.0
@@ -25,18 +20,6 @@ UNWRITTEN_REPORTS = 3
 """After so many in a row that were refused, the log says so."""
 
 _log = structlog.get_logger("biosensor_gateway.agent")
-
-
-def snapshot(devices: Iterable[Device]) -> dict[str, Any]:
-    """Describe the agent and every device of it."""
-    return {
-        "written": time.time(),
-        # On which the clocks' `newest_s` and the streams' `last_stamp` are.
-        "lsl_time": local_clock(),
-        "process": os.getpid(),
-        **restart_facts(os.environ),
-        "devices": [device.status() for device in devices],
-    }
 
 
 def write_status(folder: Path, status: dict[str, Any]) -> None:

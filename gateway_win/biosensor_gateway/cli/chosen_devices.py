@@ -9,7 +9,8 @@ from pathlib import Path
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.settings import file as settings_file
-from biosensor_gateway.settings.models import DeviceSettings, settings_path
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.settings.places import settings_path
 
 
 @contextmanager

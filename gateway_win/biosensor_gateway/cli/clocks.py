@@ -17,7 +17,7 @@ from biosensor_common.errors import ConfigError, TransportError, TransportReason
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.cli.options import JsonOption
 from biosensor_gateway.cli.screen import console, table_of_names
-from biosensor_gateway.settings.models import state_folder
+from biosensor_gateway.settings.places import state_folder
 
 _EVERY_S = 1.0
 _HEADINGS = ("device", "offset s", "drift ppm", "RMS ms", "jumps", "age s")

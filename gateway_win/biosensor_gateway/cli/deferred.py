@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import typer
 from typer.core import TyperCommand
 
+from biosensor_gateway.cli.quick_help import QuickCommand
+
 if TYPE_CHECKING:
     # The only names that typer has for them.
     from typer._click import Command, Context
@@ -39,7 +41,7 @@ class Deferred(TyperCommand):
         if isinstance(found, typer.Typer):
             return typer.main.get_group(found)
         alone = typer.Typer(add_completion=False)
-        alone.command(self.name)(found)
+        alone.command(self.name, cls=QuickCommand)(found)
         return typer.main.get_command(alone)
 
     def make_context(

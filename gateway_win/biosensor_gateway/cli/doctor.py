@@ -15,7 +15,8 @@ from biosensor_common.terminal import columns
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
 from biosensor_gateway.doctor.context import LAB_RECORDER_PORT, read_context
 from biosensor_gateway.doctor.table import CHECKS
-from biosensor_gateway.settings.models import LogSettings, settings_path, state_folder
+from biosensor_gateway.settings.models import LogSettings
+from biosensor_gateway.settings.places import settings_path, state_folder
 from biosensor_gateway.system.logs import configure_logs
 
 _NAMES = ", ".join(check.name for check in CHECKS)

@@ -94,7 +94,7 @@ class LiveTable:
         self._begun_s = monotonic()
 
     def report(self, status: Mapping[str, Any]) -> None:
-        """Show what the agent's status says; see `status_file.snapshot`."""
+        """Show what the agent's status says; see `snapshot`."""
         rows = self.rows(status)
         running_s = int(monotonic() - self._begun_s)
         self._panel.show(partial(picture, rows, running_s, colours=self._colours))

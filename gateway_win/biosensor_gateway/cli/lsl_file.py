@@ -17,7 +17,8 @@ from biosensor_gateway.cli.options import SettingsOption
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.recording.lsl_api_cfg import LOOPBACK, LabRecorderSettings, LslFile, changes
 from biosensor_gateway.settings import file as settings_file
-from biosensor_gateway.settings.models import GatewaySettings, LslSettings, settings_path
+from biosensor_gateway.settings.models import GatewaySettings, LslSettings
+from biosensor_gateway.settings.places import settings_path
 from biosensor_gateway.settings.problems import from_validation, report
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from biosensor_gateway.agent import control
-from biosensor_gateway.settings.models import state_folder
+from biosensor_gateway.settings.places import state_folder
 
 DeviceArgument = Annotated[
     str,

@@ -1,4 +1,4 @@
-"""A list of commands that is shown without what typer imports for other programs' help."""
+"""Help that is shown without what typer imports for other programs' help."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 if TYPE_CHECKING:
     # The only names that typer has for them.
@@ -19,6 +19,15 @@ _SPARED = {"rich.markdown": "Markdown", "rich.traceback": "Traceback"}
 
 class QuickGroup(TyperGroup):
     """A group of commands whose help looks as any of typer, and comes sooner."""
+
+    def format_help(self, ctx: Context, formatter: HelpFormatter) -> None:
+        """Print the help."""
+        _import_help()
+        super().format_help(ctx, formatter)
+
+
+class QuickCommand(TyperCommand):
+    """A command of which the same holds."""
 
     def format_help(self, ctx: Context, formatter: HelpFormatter) -> None:
         """Print the help."""

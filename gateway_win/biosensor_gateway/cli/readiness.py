@@ -10,7 +10,7 @@ import typer
 
 from biosensor_gateway.agent.readiness import Readiness, wait_until_ready
 from biosensor_gateway.cli.options import JsonOption
-from biosensor_gateway.settings.models import state_folder
+from biosensor_gateway.settings.places import state_folder
 
 TIMEOUT_S = 60.0
 

@@ -24,7 +24,8 @@ from biosensor_gateway.recording.labrecorder.stopping import Stopped
 from biosensor_gateway.recording.labrecorder.stopping import stop as stop_recording
 from biosensor_gateway.recording.labrecorder.streams import Presence, expected_devices, look
 from biosensor_gateway.settings import file as settings_file
-from biosensor_gateway.settings.models import GatewaySettings, settings_path, state_folder
+from biosensor_gateway.settings.models import GatewaySettings
+from biosensor_gateway.settings.places import settings_path, state_folder
 
 app = typer.Typer(help="Start and stop recordings of LabRecorder.", no_args_is_help=True)
 

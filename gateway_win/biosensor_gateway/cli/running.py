@@ -1,41 +1,14 @@
-"""``biosensor-gateway run``, ``stop`` and ``demo``."""
+"""``biosensor-gateway run``, as far as its help needs it; `streaming` does the rest."""
 
 from __future__ import annotations
 
-import asyncio
-import os
-import time
-from collections.abc import Iterable, Mapping
-from contextlib import AbstractContextManager, AsyncExitStack, ExitStack, nullcontext
-from functools import partial
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-import structlog
 import typer
 
-from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
-from biosensor_gateway.agent import control
-from biosensor_gateway.agent.agent import Agent
-from biosensor_gateway.agent.control import ControlServer
-from biosensor_gateway.agent.single_instance import single_instance, wait_until_free
 from biosensor_gateway.cli import KEEP_ALIVE
-from biosensor_gateway.cli.live_table import LiveTable, sensor_title
 from biosensor_gateway.cli.options import FaultOption, SettingsOption, SimulateOption
 from biosensor_gateway.cli.questions import can_ask
-from biosensor_gateway.cli.start_log import StartLog
-from biosensor_gateway.demo import demonstration
-from biosensor_gateway.devices.registry import settings_models
-from biosensor_gateway.settings import file as settings_file
-from biosensor_gateway.settings.models import GatewaySettings, settings_path, state_folder
-from biosensor_gateway.system.logs import console_relayed
-from biosensor_gateway.system.quick_edit import quick_edit_off
-from biosensor_gateway.system.shutdown import until_signalled
-from biosensor_gateway.system.terminal import shows_colours
-
-_ASK_AGAIN_S = 0.2
-
-_log = structlog.get_logger("biosensor_gateway.cli")
 
 
 def run(
@@ -60,131 +33,6 @@ def run(
         raise typer.BadParameter("only virtual devices can be given faults; add --simulate")
     if ask and (simulate or not can_ask()):
         raise typer.BadParameter("--ask needs a terminal, and does without --simulate")
-    folder = state_folder()
-    with ExitStack() as stack:
-        # The log file is another agent's as long as that one runs.
-        unguarded = _claim(stack, folder)
-        log = stack.enter_context(StartLog(folder))
-        if ask or (ask is None and _is_guide_wanted(settings, simulate)):
-            simulate = _guided(settings or settings_path())
-        source = _virtual_devices(simulate, fault or ()) if simulate else _settings_file(settings)
-        _run_agent(stack.enter_context(source), log, unguarded, verbose=verbose)
+    from biosensor_gateway.cli.streaming import stream  # noqa: PLC0415 - takes a second
 
-
-def _is_guide_wanted(settings: Path | None, simulate: str) -> bool:
-    # Who names a file, or virtual devices, knows what is wanted.
-    if simulate or settings is not None or not can_ask():
-        return False
-    from biosensor_gateway.cli import guide  # noqa: PLC0415 - only at a terminal
-
-    return guide.is_wanted(settings_path())
-
-
-def _guided(path: Path) -> str:
-    from biosensor_gateway.cli import guide  # noqa: PLC0415 - only on request
-
-    return guide.lead(path)
-
-
-def _settings_file(path: Path | None) -> AbstractContextManager[GatewaySettings]:
-    return nullcontext(settings_file.load_settings(path or settings_path(), settings_models()))
-
-
-def _virtual_devices(names: str, faults: Iterable[str]) -> AbstractContextManager[GatewaySettings]:
-    from biosensor_gateway.demo.virtual_devices import simulated_settings  # noqa: PLC0415 - only on request
-
-    return simulated_settings(names.split(","), faults)
-
-
-def _claim(stack: ExitStack, folder: Path) -> ConfigError | None:
-    """Be the folder's only agent until the stack unwinds; say why not if it is read-only."""
-    try:
-        stack.enter_context(single_instance(folder))
-    except ConfigError as error:
-        if error.reason is ConfigReason.IN_USE:
-            raise
-        return error
-    return None
-
-
-def _run_agent(
-    loaded: GatewaySettings, log: StartLog, unguarded: ConfigError | None, *, verbose: bool
-) -> None:
-    folder = state_folder()
-    log.go_on(loaded.log, verbose=verbose, title=sensor_title)
-    with quick_edit_off(), console_relayed() as panel:
-        if unguarded is not None:
-            _log.warning(str(unguarded))
-        if not any(device.enabled for device in loaded.devices):
-            _log.warning("no device is enabled in the settings; nothing will be streamed")
-        agent = Agent(loaded, folder)
-        if panel is not None:
-            agent.on_status = LiveTable(panel, colours=shows_colours()).report
-        controlled = partial(_run_controlled, agent, folder)
-        asyncio.run(until_signalled(agent.run if unguarded else controlled))
-        if panel is not None:
-            panel.close("Ended. Nothing is streamed any more.")
-
-
-async def _run_controlled(agent: Agent, folder: Path) -> None:
-    """Run the agent, and end it as a signal does when a client asks for it."""
-    running = asyncio.current_task()
-    assert running is not None
-
-    async def stop(_arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        # Whoever asks again must not cut short what the first one has begun to close.
-        if not running.cancelling():
-            running.cancel()
-        return {"process": os.getpid()}
-
-    commands = {"stop": stop, **agent.commands}
-    async with AsyncExitStack() as stack:
-        try:
-            await stack.enter_async_context(ControlServer(folder, commands))
-        except ConfigError as error:
-            _log.warning(str(error))
-        await agent.run()
-
-
-def stop(
-    timeout: Annotated[
-        float, typer.Option(min=1, help="How many seconds to wait until the agent has ended.")
-    ] = 10.0,
-) -> None:
-    """End the running agent; exit code 1 if none runs or it does not end in time."""
-    folder, deadline = state_folder(), time.monotonic() + timeout
-    process = _ask_to_end(folder, deadline)
-    if process is not None and not wait_until_free(folder, max(0.0, deadline - time.monotonic())):
-        message = (
-            f"the agent has not ended within {timeout:g} s; wait, or end its process {process} "
-            "by the means of the system"
-        )
-        raise TransportError(TransportReason.BUSY, message)
-    typer.echo("the agent has ended")
-
-
-def _ask_to_end(folder: Path, deadline: float) -> int | None:
-    """Ask until the agent answers, and return its process; None if it has ended by itself."""
-    was_there = False
-    while True:
-        left = max(_ASK_AGAIN_S, deadline - time.monotonic())
-        try:
-            return control.ask(folder, "stop", time_limit_s=left)["process"]
-        except TransportError as error:
-            if error.reason is TransportReason.ABSENT and was_there:
-                return None
-            # While it starts, it does not listen yet.
-            if error.reason is TransportReason.ABSENT or time.monotonic() >= deadline:
-                raise
-        was_there = True
-        time.sleep(_ASK_AGAIN_S)
-
-
-def demo(
-    seconds: Annotated[
-        float | None,
-        typer.Option(min=10, help="End after so many seconds, counted from the first sample."),
-    ] = None,
-) -> None:
-    """Show all virtual devices on their way to ROS topics."""
-    raise typer.Exit(demonstration.run(seconds))
+    stream(settings, simulate, fault or (), ask=ask, verbose=verbose)

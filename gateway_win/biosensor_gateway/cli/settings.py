@@ -9,7 +9,7 @@ from biosensor_gateway.cli.options import SettingsOption
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings import template as settings_template
-from biosensor_gateway.settings.models import settings_path
+from biosensor_gateway.settings.places import settings_path
 
 app = typer.Typer(help="The settings file.", no_args_is_help=True)
 app.command("lsl")(lsl_file.write_lsl_file)

@@ -11,7 +11,7 @@ from biosensor_common.errors import ConfigError, TransportError, TransportReason
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.cli.options import JsonOption
 from biosensor_gateway.cli.screen import console, say, table_of_names
-from biosensor_gateway.settings.models import state_folder
+from biosensor_gateway.settings.places import state_folder
 
 
 def status(as_json: JsonOption = False) -> None:

@@ -25,7 +25,7 @@ COMMANDS = (
     ),
     _command(
         "stop",
-        "running:stop",
+        "stopping:stop",
         "End the running agent; exit code 1 if none runs or it does not end in time.",
     ),
     _command(
@@ -38,7 +38,7 @@ COMMANDS = (
         "pauses:resume",
         "Send again what a paused device measures from now on.",
     ),
-    _command("demo", "running:demo", "Show all virtual devices on their way to ROS topics."),
+    _command("demo", "demo:demo", "Show all virtual devices on their way to ROS topics."),
     _command(
         "status", "status:status", "Show what the running agent does; exit code 1 if none runs."
     ),

@@ -16,7 +16,7 @@ from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.printing import as_json, as_text
 from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.settings import file as settings_file
-from biosensor_gateway.settings.models import settings_path
+from biosensor_gateway.settings.places import settings_path
 
 app = typer.Typer(help="Recordings of LabRecorder (XDF files).", no_args_is_help=True)
 

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.demo.expectation import demo_devices, expected_topics
-from biosensor_gateway.settings.models import STATE_VARIABLE
+from biosensor_gateway.settings.places import STATE_VARIABLE
 
 # Short enough that the slowest chunk, of the wristband's 4 Hz, fills in eight seconds.
 CHUNK_LENGTH = 32

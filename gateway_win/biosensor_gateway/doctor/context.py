@@ -11,6 +11,8 @@ from biosensor_common.doctor import context as common
 from biosensor_common.doctor.guide import Guide
 from biosensor_common.errors import ConfigError, SpecError
 from biosensor_common.lsl_config import LslOverrides
+from biosensor_gateway.agent import status_file
+from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.doctor.guide import GUIDE
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings, LslSettings
@@ -54,8 +56,6 @@ class Context(common.Context):
     @property
     def streams_to_open(self) -> int:
         """The streams of the devices and the one of the agent itself; 0 if it runs already."""
-        from biosensor_gateway.agent.single_instance import is_held  # noqa: PLC0415
-
         if not self.enabled or is_held(self.state_folder):
             return 0
         return 1 + sum(_streams(device) for device in self.enabled)
@@ -63,8 +63,6 @@ class Context(common.Context):
     @property
     def offered(self) -> frozenset[str]:
         """The source_ids of the streams that the running agent says it has open."""
-        from biosensor_gateway.agent import status_file  # noqa: PLC0415 - brings pylsl
-
         try:
             status = status_file.read_status(self.state_folder)
         except ConfigError:

@@ -1,4 +1,4 @@
-"""The models of the settings file, and the folders it and the state lie in.
+"""The models of the settings file.
 
 The file is read by :mod:`biosensor_gateway.settings.file` and first written by
 :mod:`biosensor_gateway.settings.template`. Secrets never go into it.
@@ -6,12 +6,9 @@ The file is read by :mod:`biosensor_gateway.settings.file` and first written by
 
 from __future__ import annotations
 
-import os
 import re
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import platformdirs
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints
 from pydantic.fields import FieldInfo
 from pydantic_settings import (
@@ -23,30 +20,11 @@ from pydantic_settings import (
 
 from biosensor_common.lsl_config import DEFAULT_PORT_RANGE
 
-APP_NAME = "biosensor-gateway"
-SETTINGS_VARIABLE = "BIOSENSOR_GATEWAY_SETTINGS"
-STATE_VARIABLE = "BIOSENSOR_GATEWAY_STATE"
 OVERRIDE_PREFIX = "BIOSENSOR_GATEWAY_"
 OVERRIDE_DELIMITER = "__"
 
 _SESSION = re.compile(r"[A-Za-z0-9_.-]*")
 _HOST = re.compile(r"[A-Za-z0-9_.:%-]+")
-
-
-def settings_path() -> Path:
-    """Where the settings file is: ``BIOSENSOR_GATEWAY_SETTINGS`` or the user's config folder."""
-    chosen = os.environ.get(SETTINGS_VARIABLE)
-    if chosen:
-        return Path(chosen).expanduser()
-    return platformdirs.user_config_path(APP_NAME, appauthor=False) / "settings.toml"
-
-
-def state_folder() -> Path:
-    """Where status and logs go: ``BIOSENSOR_GATEWAY_STATE`` or the user's state folder."""
-    chosen = os.environ.get(STATE_VARIABLE)
-    if chosen:
-        return Path(chosen).expanduser()
-    return platformdirs.user_state_path(APP_NAME, appauthor=False)
 
 
 def _printable(value: str) -> str:

@@ -24,7 +24,8 @@ from structlog.typing import EventDict, Processor, WrappedLogger
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.relay import LAST_LINES_S, STDERR, STDOUT, console, relayed
-from biosensor_gateway.settings.models import STATE_VARIABLE, LogSettings
+from biosensor_gateway.settings.models import LogSettings
+from biosensor_gateway.settings.places import STATE_VARIABLE
 from biosensor_gateway.system.console_lines import (
     LinesForPeople,
     on_one_line,

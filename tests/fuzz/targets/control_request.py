@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
-from biosensor_gateway.agent.control import REQUEST_LIMIT, ControlServer
+from biosensor_gateway.agent.control_server import REQUEST_LIMIT, ControlServer
 from tests.fuzz.contract import ensure
 
 _TOKEN = b"TOKEN"

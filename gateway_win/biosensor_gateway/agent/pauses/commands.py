@@ -11,7 +11,7 @@ from typing import Any
 import structlog
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.agent.control import Command
+from biosensor_gateway.agent.control_server import Command
 from biosensor_gateway.agent.pauses import store
 from biosensor_gateway.agent.pauses.selection import chosen, device_name
 from biosensor_gateway.agent.pauses.store import Pause

@@ -8,6 +8,8 @@ from pathlib import Path
 
 from biosensor_common.doctor.finding import Finding, error, note, ok, warning
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.agent import status_file
+from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.doctor.context import Context
 
 _NOTHING_STREAMS = "The agent streams nothing without a device."
@@ -85,8 +87,6 @@ def _state_folder(folder: Path) -> Finding:
 
 
 def _agent(folder: Path) -> Finding:
-    from biosensor_gateway.agent import status_file  # noqa: PLC0415 - brings pylsl
-    from biosensor_gateway.agent.single_instance import is_held  # noqa: PLC0415
 
     if not is_held(folder):
         return ok("no agent runs at the moment")
