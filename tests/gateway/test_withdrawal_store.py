@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
+import threading
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
@@ -21,6 +24,7 @@ from biosensor_gateway.agent.pauses.store import PAUSED_FILE, Pause
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.sink import DeviceSink
 
+DEADLINE_S = 30.0
 SINCE = datetime(2026, 3, 29, 9, 30, 15, tzinfo=timezone(timedelta(hours=2)))
 H10 = "polar_h10"
 LEFT = DeviceIdentity(H10, "A1", "p01", "left")
@@ -189,6 +193,25 @@ async def test_what_cannot_be_kept_is_done_and_said(tmp_path: Path) -> None:
     assert len(store.load(tmp_path)) == 1
 
 
+async def test_an_answer_does_not_wait_for_what_is_slow(tmp_path: Path) -> None:
+    sink = DeviceSink(LEFT, declaration(LEFT.sensor))
+    commands = PauseCommands(tmp_path, [sink]).commands
+    released = threading.Event()
+    # As when every thread waits for a disk or a port.
+    with ThreadPoolExecutor(1) as threads:
+        asyncio.get_running_loop().set_default_executor(threads)
+        threads.submit(released.wait)
+        try:
+            answer = await asyncio.wait_for(commands["pause"]({"device": "left"}), DEADLINE_S)
+        finally:
+            released.set()
+        assert sink.is_paused
+        assert (answer["changed"], answer["pending"]) == (True, True)
+        assert str(tmp_path / PAUSED_FILE) in answer["problem"]
+        assert await ask(commands, "pause", "left") == ("polar_h10/A1", False, None)
+    assert [each.identity for each in store.load(tmp_path)] == [LEFT]
+
+
 async def test_a_request_without_a_name_is_refused(tmp_path: Path) -> None:
     commands = PauseCommands(tmp_path, [DeviceSink(LEFT, declaration(LEFT.sensor))]).commands
     with pytest.raises(ConfigError, match="'device' is not a text"):
@@ -196,5 +219,7 @@ async def test_a_request_without_a_name_is_refused(tmp_path: Path) -> None:
 
 
 async def ask(commands: Mapping[str, Any], name: str, device: str) -> tuple[str, bool, str | None]:
-    answer = await commands[name]({"device": device})
-    return answer["device"], answer["changed"], answer["problem"]
+    answer = first = await commands[name]({"device": device})
+    while answer["pending"]:
+        answer = await commands[name]({"device": device})
+    return answer["device"], first["changed"], answer["problem"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Annotated, Any
 
 import typer
@@ -45,7 +46,12 @@ def resume(device: DeviceArgument) -> None:
 
 
 def _ask(command: str, device: str) -> dict[str, Any]:
-    return control.ask(state_folder(), command, {"device": device})
+    """Have it done, and wait for the disk as long as for the agent."""
+    folder, deadline = state_folder(), time.monotonic() + control.TIME_LIMIT_S
+    answer = first = control.ask(folder, command, {"device": device})
+    while answer.get("pending") and time.monotonic() < deadline:
+        answer = control.ask(folder, command, {"device": device})
+    return answer | {"changed": first["changed"]}
 
 
 def _complain(answer: dict[str, Any], consequence: str) -> None:

@@ -17,6 +17,9 @@ from biosensor_gateway.agent.pauses.selection import chosen, device_name
 from biosensor_gateway.agent.pauses.store import Pause
 from biosensor_gateway.streaming.sink import DeviceSink
 
+WRITTEN_WITHIN_S = 0.5
+"""An answer does not wait longer for the disk; who asks again hears how it went on."""
+
 _log = structlog.get_logger("biosensor_gateway.withdrawal")
 
 
@@ -42,6 +45,7 @@ class PauseCommands:
         self._folder = folder
         self._sinks = {sink.identity: sink for sink in sinks}
         self._writing = asyncio.Lock()
+        self._unfinished: set[asyncio.Task[str | None]] = set()
         self._pauses = store.load(folder)
         for pause in self._pauses:
             self._take_over(pause)
@@ -90,17 +94,32 @@ class PauseCommands:
         names = {"sensor": identity.sensor, "unit": identity.unit}
         if changed:
             _log.warning("paused" if sink.is_paused else "resumed", **names)
-        problem = await self._written()
-        if problem is not None:
-            _log.error("the state of pauses is not kept", **names, problem=problem)
-        return {"device": device_name(identity), "changed": changed, "problem": problem}
+        problem, pending = await self._in_time(asyncio.create_task(self._written(names)))
+        return {
+            "device": device_name(identity),
+            "changed": changed,
+            "problem": problem,
+            "pending": pending,
+        }
 
-    async def _written(self) -> str | None:
+    async def _in_time(self, writing: asyncio.Task[str | None]) -> tuple[str | None, bool]:
+        """Return why it is not written, and whether it still may be."""
+        self._unfinished.add(writing)
+        writing.add_done_callback(self._unfinished.discard)
+        done, _ = await asyncio.wait({writing}, timeout=WRITTEN_WITHIN_S)
+        if done:
+            return writing.result(), False
+        path = self._folder / store.PAUSED_FILE
+        return f"{path} is not written yet: the disk or the computer is busy", True
+
+    async def _written(self, names: Mapping[str, str]) -> str | None:
         """Write the file beside the loop, which streams on; return why it could not be."""
         async with self._writing:
             try:
                 await asyncio.to_thread(store.save, self._folder, tuple(self._pauses))
             except OSError as error:
                 path = self._folder / store.PAUSED_FILE
-                return f"cannot write {path}: {error.strerror or error}"
+                problem = f"cannot write {path}: {error.strerror or error}"
+                _log.error("the state of pauses is not kept", **names, problem=problem)
+                return problem
         return None
