@@ -2,7 +2,7 @@
 
 Lost messages are sent again after 50 ms (decision 23), and messages go over UDP on one
 machine, too, never through shared memory (decision 28). The node announces itself twice a
-second (decision 29), and is ready when the others answer (decision 52).
+second (decision 29), and is ready when the others answer (decision 47).
 """
 
 from __future__ import annotations
