@@ -17,6 +17,7 @@ from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.device import Device
 from biosensor_gateway.agent.snapshot import snapshot
+from biosensor_gateway.agent.status_writer import UNWRITTEN_REPORTS, StatusWriter
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.registry import declaration
@@ -79,13 +80,13 @@ def test_a_damaged_file_is_said_to_be_damaged(tmp_path: Path, text: str) -> None
 
 @pytest.mark.parametrize(
     ("refusals", "said"),
-    [(status_file.UNWRITTEN_REPORTS - 1, 0), (2 * status_file.UNWRITTEN_REPORTS, 1)],
+    [(UNWRITTEN_REPORTS - 1, 0), (2 * UNWRITTEN_REPORTS, 1)],
 )
 def test_a_reader_in_the_way_is_no_trouble_until_it_stays(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refusals: int, said: int
 ) -> None:
     """Windows refuses to replace a file that somebody reads."""
-    writer, written = status_file.StatusWriter(tmp_path), status_file.write_status
+    writer, written = StatusWriter(tmp_path), status_file.write_status
     left = refusals
 
     def write(folder: Path, content: dict[str, Any]) -> None:

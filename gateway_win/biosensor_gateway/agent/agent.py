@@ -22,6 +22,7 @@ from biosensor_gateway.agent.device import Device
 from biosensor_gateway.agent.known_streams import KnownStreams
 from biosensor_gateway.agent.pauses.commands import PauseCommands
 from biosensor_gateway.agent.snapshot import snapshot
+from biosensor_gateway.agent.status_writer import StatusWriter
 from biosensor_gateway.settings.models import GatewaySettings, LslSettings
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.events import EventKind
@@ -71,7 +72,7 @@ class Agent:
         self._pauses = PauseCommands(folder, sinks)
         self._heartbeat_s = settings.events.heartbeat_s
         self.on_status: Callable[[Mapping[str, Any]], None] = lambda status: None
-        self._status = status_file.StatusWriter(folder)
+        self._status = StatusWriter(folder)
         self._awake = KeepAwake(system_inhibitor() if settings.power.keep_awake else None)
 
     @property

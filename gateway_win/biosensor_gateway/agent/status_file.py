@@ -8,18 +8,11 @@ import time
 from pathlib import Path
 from typing import Any
 
-import structlog
-
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.system import state_file
 
 STATUS_FILE = "status.json"
 STALE_AFTER_S = 5.0
-UNWRITTEN_REPORTS = 3
-"""After so many in a row that were refused, the log says so."""
-
-_log = structlog.get_logger("biosensor_gateway.agent")
 
 
 def write_status(folder: Path, status: dict[str, Any]) -> None:
@@ -31,36 +24,6 @@ def write_status(folder: Path, status: dict[str, Any]) -> None:
         The folder cannot be written.
     """
     state_file.replace(folder / STATUS_FILE, json.dumps(status, indent=1))
-
-
-class StatusWriter:
-    """Writes the status of devices, and says in the log once that it cannot.
-
-    Parameters
-    ----------
-    folder
-        Where the file goes.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._refused = 0
-        self._said = False
-
-    def write(self, status: dict[str, Any]) -> None:
-        """Replace the file; what cannot be written now is written with the next report."""
-        try:
-            write_status(self._folder, status)
-            self._refused = 0
-        except OSError as error:
-            self._refused += 1
-            # Windows refuses while somebody reads it, and a second later does not.
-            patience = UNWRITTEN_REPORTS if isinstance(error, PermissionError) else 1
-            if not self._said and self._refused >= patience:
-                self._said = True
-                _log.warning(
-                    "the status file cannot be written; `status` will not work", error=str(error)
-                )
 
 
 def read_status(folder: Path) -> dict[str, Any]:
@@ -98,13 +61,19 @@ def running_status(folder: Path) -> dict[str, Any]:
     """
     status = read_status(folder)
     # An agent may run without the lock, and in a container its number says nothing here.
-    if not _lives(status.get("process")) and not is_held(folder):
+    if not _lives(status.get("process")) and not _is_held(folder):
         message = (
             "the agent has ended without a word, as if it had been killed; start it with: "
             "biosensor-gateway run"
         )
         raise ConfigError(ConfigReason.NOT_FOUND, message)
     return status
+
+
+def _is_held(folder: Path) -> bool:
+    from biosensor_gateway.agent.single_instance import is_held  # noqa: PLC0415 - brings asyncio
+
+    return is_held(folder)
 
 
 def _lives(process: object) -> bool:
