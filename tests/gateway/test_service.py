@@ -73,7 +73,7 @@ def test_without_a_manager_the_unit_is_there_and_one_sentence_says_what_to_do(
 def test_without_systemd_that_is_said(
     config: Path, run: Callable[..., Outcome], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(systemd, "_SYSTEM_FOLDERS", str(config))
+    monkeypatch.setenv("PATH", str(config))
     outcome = run("service", "install")
     assert outcome.code == 1
     assert "no systemd here" in outcome.err

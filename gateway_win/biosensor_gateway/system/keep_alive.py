@@ -35,8 +35,9 @@ def restart_facts(environment: Mapping[str, str]) -> dict[str, int | str]:
 def own_command(arguments: Sequence[str]) -> list[str]:
     """Return the command line that runs this program with arguments."""
     is_frozen = bool(getattr(sys, "frozen", False))
-    program = [sys.executable] if is_frozen else [sys.executable, "-m", "biosensor_gateway.cli"]
-    return [*program, *arguments]
+    if is_frozen:
+        return [sys.executable, *arguments]
+    return [sys.executable, "-P", "-m", "biosensor_gateway.cli", *arguments]
 
 
 def keep_alive(arguments: Sequence[str]) -> int:

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
 import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from biosensor_common.errors import TransportError, TransportReason
+from biosensor_common.system_programs import full_path
 from biosensor_gateway.system import state_file
 from biosensor_gateway.system.keep_alive import own_command
 
 UNIT = "biosensor-gateway.service"
 
-_SYSTEM_FOLDERS = "/usr/bin:/bin:/usr/local/bin:/run/current-system/sw/bin"
 _TIME_LIMIT_S = 20.0
 
 
@@ -102,8 +100,8 @@ def remove() -> bool:
 
 
 def _systemctl() -> str:
-    path = shutil.which("systemctl", path=_SYSTEM_FOLDERS)
-    if path is None or sys.platform == "win32":
+    path = full_path("systemctl")
+    if path is None:
         message = (
             "there is no systemd here, which runs services on Linux; on Windows choose "
             "'start with Windows' in the installer"
