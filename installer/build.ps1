@@ -238,8 +238,11 @@ function New-Portable {
     # The program as an archive, which needs no installer and no administrator.
     param([string] $Interpreter, [string] $Program, [string] $Output)
     $unpacked = Join-Path (Split-Path -Parent $Output) 'unpacked'
-    Copy-Item -LiteralPath (Join-Path $Work "bundle\$Program") -Destination $unpacked -Recurse
-    Copy-Item -Path (Join-Path $Work 'bundle\portable\*') -Destination $unpacked -Recurse -Force
+    # Its licences and its bill are its own.
+    Copy-Item -LiteralPath (Join-Path $Work 'bundle\portable') -Destination $unpacked -Recurse
+    foreach ($part in 'bin', 'docs') {
+        Copy-Item -LiteralPath (Join-Path $Work "bundle\$Program\$part") -Destination $unpacked -Recurse
+    }
     Invoke-Own $Interpreter @('installer.portable', $unpacked, $Output)
     Remove-Item -LiteralPath $unpacked -Recurse -Force
 }

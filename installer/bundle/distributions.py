@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from email.message import Message
-from email.parser import BytesParser
+from email.parser import Parser
 from functools import cached_property
 from pathlib import Path
 
@@ -76,7 +76,8 @@ def read_distributions(folders: Iterable[Path]) -> list[Distribution]:
 
 
 def _read(info: Path) -> Distribution:
-    metadata = BytesParser().parsebytes((info / "METADATA").read_bytes())
+    # Of bytes, names of people with other letters than English ones would be lost.
+    metadata = Parser().parsestr((info / "METADATA").read_text(encoding="utf-8"))
     lines = (info / "RECORD").read_text(encoding="utf-8").splitlines()
     record = {
         path.replace("\\", "/"): _hex(recorded)

@@ -1,4 +1,4 @@
-"""``python -m installer.wine [STAGE]``: the installer, or the build up to one stage."""
+"""``python -m installer.wine [STAGE]``: installer and archive, or the build up to one stage."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ from installer.wine.recipe import STAGES
 
 
 def main() -> None:
-    """Bring the wanted stage up to date."""
+    """Bring the wanted stage up to date, or all of them."""
     names = {stage.name: stage for stage in STAGES}
-    wanted = sys.argv[1] if len(sys.argv) > 1 else STAGES[-1].name
-    if wanted not in names:
-        sys.exit(f"there is no stage {wanted!r}; there are {', '.join(names)}")
-    Build(WORK).bring_up_to_date(names[wanted])
+    wanted = sys.argv[1:2] or list(names)
+    if not names.keys() >= {*wanted}:
+        sys.exit(f"there is no stage {wanted[0]!r}; there are {', '.join(names)}")
+    build = Build(WORK)
+    for name in wanted:
+        build.bring_up_to_date(names[name])
 
 
 if __name__ == "__main__":

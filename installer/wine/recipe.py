@@ -100,8 +100,10 @@ def _bundle(folder: Path) -> None:
 
 def _portable(folder: Path) -> None:
     unpacked = folder / "unpacked"
-    shutil.copytree(WORK / BUNDLE.name / PROGRAM, unpacked)
-    shutil.copytree(WORK / BUNDLE.name / _PORTABLE, unpacked, dirs_exist_ok=True)
+    # Its licences and its bill are its own.
+    shutil.copytree(WORK / BUNDLE.name / _PORTABLE, unpacked)
+    for part in (BIN, "docs"):
+        shutil.copytree(WORK / BUNDLE.name / PROGRAM / part, unpacked / part)
     archive = folder / portable_file().name
     portable.pack(unpacked, archive)
     shutil.rmtree(unpacked)
@@ -171,7 +173,7 @@ FREEZE = Stage(
     inputs=(SOURCES / "biosensor-gateway.spec", SOURCES / "frozen.py"),
     after=(PYTHON, PACKAGES, PREFIX, PICTURES, PRODUCT),
 )
-_NSIS = (SOURCES / "biosensor-gateway.nsi", SOURCES / "wine" / "recipe.py")
+_NSIS = (SOURCES / "biosensor-gateway.nsi",)
 UNINSTALLER = Stage("uninstaller", _uninstaller, inputs=_NSIS, after=(PICTURES,))
 _UNINSTALLED = WORK / UNINSTALLER.name / "uninstall.exe"
 BUNDLE = Stage(

@@ -11,7 +11,7 @@ from filelock import FileLock
 
 from installer.layout import WORK, setup_file
 from installer.stages import Build
-from installer.wine.recipe import PACKAGE
+from installer.wine.recipe import PACKAGE, PORTABLE
 from tests.rigs.windows.pc import WindowsPc
 
 # Disks are made beside the build, so that they can share its files.
@@ -28,7 +28,9 @@ def setup() -> Path:
         return Path(given)
     WORK.mkdir(parents=True, exist_ok=True)
     with FileLock(WORK / "tests.lock"):
-        Build(WORK).bring_up_to_date(PACKAGE)
+        build = Build(WORK)
+        for stage in (PORTABLE, PACKAGE):
+            build.bring_up_to_date(stage)
     return setup_file()
 
 

@@ -248,12 +248,12 @@ def test_what_is_installed_besides_the_bundle_is_in_it(rig: Rig) -> None:
 
 
 def test_everybody_who_supplies_a_part_is_named_without_an_address(rig: Rig) -> None:
-    person = ("License-Expression: MIT", 'Author-email: "A. Person" <a@example.org>')
+    person = ("License-Expression: MIT", 'Author-email: "Zoë Person" <a@example.org>')
     rig.install("by-a-person", "1.0", {"person.py": b"pass\n"}, person)
     rig.modules.append("person")
     bom = completed(rig)
     assert bom["metadata"]["supplier"]["name"] == "Biosensor Gateway contributors"
-    assert by_name(bom, "by-a-person")["supplier"]["name"] == "A. Person"
+    assert by_name(bom, "by-a-person")["supplier"]["name"] == "Zoë Person"
     assert by_name(bom, "used-package")["supplier"]["name"] == "Python Package Index"
     assert by_name(bom, "cpython")["supplier"]["name"] == "Python Software Foundation"
 
