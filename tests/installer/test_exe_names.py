@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import pytest
 
-from installer.layout import PROGRAM
+from installer.layout import BIN, PROGRAM
 from tests.rigs.windows.pc import WindowsPc
 from tests.rigs.windows.program import RunningProgram, lively, lsl_environment
 
@@ -40,7 +40,8 @@ def person(
     with WindowsPc(folder / "disk", lsl_environment(), (*renamed, str(users))) as pc:
         ended = pc.install(setup, *rf"/D=C:\Studien von {name}\Gateway".split(" "))
         assert ended.returncode == 0, ended.stdout
-        yield Person(name, pc, pc.drive_c / f"Studien von {name}" / "Gateway" / f"{PROGRAM}.exe")
+        folder = pc.drive_c / f"Studien von {name}" / "Gateway"
+        yield Person(name, pc, folder / BIN / f"{PROGRAM}.exe")
 
 
 @pytest.fixture

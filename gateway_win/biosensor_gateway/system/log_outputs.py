@@ -178,7 +178,9 @@ class _LogFile(RotatingFileHandler):
 
     def end(self) -> None:
         """Close the file."""
-        super().close()
+        # From Python 3.13 on, the base class's own needs a lock, of which there is none.
+        if self.stream:
+            self.stream.close()
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - the base class's name
         error = sys.exception()
