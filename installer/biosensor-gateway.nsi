@@ -216,7 +216,7 @@ Section "${NAME}" SectionProgram
   ; They start in the folder of whoever opens them, so the name is left to be expanded then.
   StrCpy $OUTDIR "%USERPROFILE%"
   CreateShortcut "$SMPROGRAMS\${NAME}\${NAME}.lnk" "$SYSDIR\cmd.exe" \
-    '/k ""${BIN}\${EXE}" run --keep-alive"' "${BIN}\${EXE}" 0
+    '/k ""${BIN}\${EXE}" run"' "${BIN}\${EXE}" 0
   CreateShortcut "$SMPROGRAMS\${NAME}\Check this PC.lnk" "$SYSDIR\cmd.exe" \
     '/k ""${BIN}\${EXE}" ${CHECK_COMMAND}"' "${BIN}\${EXE}" 0
   CreateShortcut "$SMPROGRAMS\${NAME}\Settings.lnk" "$SYSDIR\cmd.exe" \
@@ -272,7 +272,7 @@ SectionEnd
 ; administrator who allowed it.
 !macro Autostart choice
   nsExec::ExecToLog '"${BIN}\${EXE}" installation autostart ${choice} \
-    "\"$SYSDIR\cmd.exe\" /c start \"${NAME}\" /min \"${BIN}\${EXE}\" run --keep-alive --no-ask"'
+    "\"$SYSDIR\cmd.exe\" /c start \"${NAME}\" /min \"${BIN}\${EXE}\" run --no-ask"'
   Pop $R0
 !macroend
 

@@ -125,7 +125,7 @@ def test_all_users_have_its_entries_in_the_start_menu(installed: WindowsPc) -> N
     found = {each.stem: read_shortcut(each) for each in start_menu(installed).iterdir()}
     home = "%USERPROFILE%"
     assert found == {
-        NAME: Shortcut(cmd, f'/k ""{EXE}" run --keep-alive"', home, EXE),
+        NAME: Shortcut(cmd, f'/k ""{EXE}" run"', home, EXE),
         "Check this PC": Shortcut(cmd, f'/k ""{EXE}" doctor"', home, EXE),
         "Settings": Shortcut(cmd, f'/c ""{EXE}" config edit || pause"', home, EXE),
         "Documentation": Shortcut(rf"{DEFAULT_FOLDER}\docs\index.html", "", home),
