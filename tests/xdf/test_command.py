@@ -2,57 +2,16 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from tests.xdf import xdf_file as x
+from tests.xdf.conftest import Command
 
 TIMES = [1000 + k / 10 for k in range(300)]
 GOOD = x.xdf(*x.regular(1, "belt", TIMES, 10.0))
 GAP = x.xdf(*x.regular(1, "belt", TIMES[:100] + TIMES[130:], 10.0))
-
-
-class Command:
-    """Runs the command with a recording and settings of its own."""
-
-    def __init__(self, folder: Path) -> None:
-        self.recording = folder / "study.xdf"
-        self.usual_settings = folder / "settings.toml"
-
-    def __call__(self, *arguments: str, content: bytes | None = None) -> tuple[int, str, str]:
-        if content is not None:
-            self.recording.write_bytes(content)
-        done = subprocess.run(
-            [sys.executable, "-m", "biosensor_gateway.cli", "xdf", "check", *arguments],
-            capture_output=True,
-            timeout=60,
-            text=True,
-            check=False,
-            encoding="utf-8",
-            env={
-                **os.environ,
-                "BIOSENSOR_GATEWAY_SETTINGS": str(self.usual_settings),
-                "PYTHONIOENCODING": "utf-8",
-            },
-        )
-        assert "Traceback" not in done.stderr
-        return done.returncode, done.stdout, done.stderr
-
-    def json(self, content: bytes, *arguments: str) -> tuple[int, dict[str, Any]]:
-        self.recording.write_bytes(content)
-        code, printed, _ = self(str(self.recording), "--json", *arguments)
-        return code, json.loads(printed)
-
-
-@pytest.fixture
-def command(tmp_path: Path) -> Command:
-    return Command(tmp_path)
 
 
 def test_a_good_recording(command: Command) -> None:
@@ -76,12 +35,14 @@ def test_an_error_fails(command: Command) -> None:
     code, printed, _ = command(str(command.recording), content=GOOD[:-20])
     assert code == 1
     assert "error: the file breaks off at byte" in printed
+    advice = "to write what can be read to another file: biosensor-gateway xdf salvage"
+    assert printed.splitlines()[-1] == f"{advice} {command.recording}"
 
 
 def test_json_says_the_same(command: Command) -> None:
     code, report = command.json(GAP)
     assert code == 0
-    assert report["good"] is True
+    assert (report["good"], report["can_be_salvaged"]) == (True, False)
     (stream,) = report["streams"]
     assert stream["name"] == "belt"
     assert stream["samples"] == stream["footer_samples"] == 270
@@ -89,7 +50,8 @@ def test_json_says_the_same(command: Command) -> None:
     assert stream["gaps"]["listed"][0]["at_s"] == pytest.approx(9.9)
     assert {f["code"] for f in report["findings"]} == {"gaps", "smeared-gaps"}
     code, report = command.json(GOOD[: len(GOOD) // 2])
-    assert (code, report["good"]) == (1, False)
+    # Nothing of its only samples can be read.
+    assert (code, report["good"], report["can_be_salvaged"]) == (1, False, False)
     assert report["damages"][0]["breaks_off"] is True
 
 

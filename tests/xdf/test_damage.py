@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import random
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -18,34 +19,9 @@ from biosensor_gateway.recording.xdf.printing import as_json, as_text
 from biosensor_gateway.recording.xdf.recording import read_recording
 from tests.xdf import xdf_file as x
 from tests.xdf.checking import check, codes, load_by_pyxdf, read, text_of
+from tests.xdf.xdf_file import two_streams
 
-
-def _blocks(count: int) -> list[bytes]:
-    """Samples of streams 1 and 2 with a clock offset and a boundary after every tenth."""
-    parts: list[bytes] = []
-    for k in range(count):
-        times: list[float | None] = [10 + k + n / 4 for n in range(4)]
-        times[k % 4] = None if k else times[0]
-        parts.append(x.samples(1, "float32", [[k, k]] * 4, times))
-        parts.append(x.samples(2, "string", [[f"event {k}"]], [10.0 + k]))
-        if k % 10 == 9:
-            parts += [x.clock_offset(1, 10.0 + k, 0.001), x.boundary()]
-    return parts
-
-
-def _parts() -> list[bytes]:
-    return [
-        b"XDF:",
-        x.chunk(1, x.FILE_HEADER, 1),
-        x.stream_header(1, "numbers", channels=2, rate=4.0, created_at=5.0),
-        x.stream_header(2, "events", fmt="string", created_at=5.0),
-        *_blocks(40),
-        x.footer(1, 160),
-        x.footer(2, 40),
-    ]
-
-
-PARTS = _parts()
+PARTS = two_streams()
 WHOLE = b"".join(PARTS)
 ENDS = np.cumsum([len(part) for part in PARTS]).tolist()
 
@@ -102,19 +78,42 @@ def test_cut_in_the_footers_loses_no_sample(end: int) -> None:
     assert [stream.sample_count for stream in recording.streams] == [160, 40]
 
 
-def test_after_a_damage_it_reads_on_at_the_next_boundary() -> None:
-    at = ENDS[10]
-    content = WHOLE[:at] + b"\xff" * 100 + WHOLE[at + 100 :]
+@pytest.mark.parametrize("garbage", [b"\xff", b"\0", b"\x01", b"\x04", b"\x08"])
+def test_after_a_damage_it_reads_on_at_the_next_whole_chunk(garbage: bytes) -> None:
+    begin, end = ENDS[10], ENDS[13] - 1
+    content = WHOLE[:begin] + garbage * (end - begin) + WHOLE[end:]
     report = check(content)
     (damage,) = report.recording.damages
-    assert damage.start == at
-    assert content[damage.end - 16 : damage.end] == x.UUID
-    assert ("damaged", "") in codes(report)
-    assert ("footer-count", "numbers") in codes(report)
+    assert (damage.start, damage.end) == (begin, ENDS[13])
+    assert {("damaged", ""), ("footer-count", "numbers")} <= codes(report)
     numbers, events = report.streams
-    assert 120 <= numbers.stream.sample_count < 160
-    assert 30 <= events.stream.sample_count < 40
+    assert (numbers.stream.sample_count, events.stream.sample_count) == (160 - 4, 40 - 2)
     assert "what comes after was read" in text_of(report, "damaged")
+
+
+@pytest.mark.parametrize("flipped", range(7))
+def test_a_changed_head_costs_one_chunk(flipped: int) -> None:
+    for begin, end in pairwise(ENDS[3:-1]):
+        content = bytearray(WHOLE)
+        content[begin + flipped] ^= 0x15
+        (damage,) = read(bytes(content)).damages
+        assert (damage.start, damage.end) == (begin, end)
+
+
+def test_where_chunks_have_no_known_stream_it_reads_on_at_the_next_boundary() -> None:
+    foreign = x.samples(3, "float32", [[1.0]], [1.0])
+    content = b"".join([*PARTS[:20], b"\xff" * 30, foreign * 3, x.boundary(), *PARTS[20:]])
+    (damage,) = read(content).damages
+    assert damage.end == ENDS[19] + 30 + 3 * len(foreign)
+    assert content[damage.end :].startswith(x.boundary())
+
+
+def test_a_length_that_hides_the_rest_is_not_believed() -> None:
+    parts = list(PARTS)
+    size = sum(len(part) for part in parts[20:])
+    parts[20] = parts[20][:1] + (size - 5).to_bytes(4, "little") + parts[20][5:]
+    (damage,) = read(b"".join(parts)).damages
+    assert (damage.start, damage.end) == (ENDS[19], ENDS[20])
 
 
 def test_one_bad_chunk_costs_itself_only() -> None:

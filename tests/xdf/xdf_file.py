@@ -100,6 +100,32 @@ def regular(
     )
 
 
+def _blocks(count: int) -> list[bytes]:
+    """Samples of streams 1 and 2 with a clock offset and a boundary after every tenth."""
+    parts: list[bytes] = []
+    for k in range(count):
+        times: list[float | None] = [10 + k + n / 4 for n in range(4)]
+        times[k % 4] = None if k else times[0]
+        parts.append(samples(1, "float32", [[k, k]] * 4, times))
+        parts.append(samples(2, "string", [[f"event {k}"]], [10.0 + k]))
+        if k % 10 == 9:
+            parts += [clock_offset(1, 10.0 + k, 0.001), boundary()]
+    return parts
+
+
+def two_streams() -> list[bytes]:
+    """Return the parts of a good file with 160 numbers, some without a stamp, and 40 events."""
+    return [
+        b"XDF:",
+        chunk(1, FILE_HEADER, 1),
+        stream_header(1, "numbers", channels=2, rate=4.0, created_at=5.0),
+        stream_header(2, "events", fmt="string", created_at=5.0),
+        *_blocks(40),
+        footer(1, 160),
+        footer(2, 40),
+    ]
+
+
 def chunk_ends(content: bytes) -> list[int]:
     """Return where each chunk of a good file ends."""
     ends: list[int] = []

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -9,14 +11,23 @@ import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
+from biosensor_gateway.cli.screen import console, say, table_of_names
 from biosensor_gateway.devices.registry import settings_models
-from biosensor_gateway.recording.xdf.container import RecordingError
+from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from biosensor_gateway.recording.xdf.expectation import ExpectedStream, by_devices, by_name
 from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.printing import as_json, as_text
 from biosensor_gateway.recording.xdf.recording import read_recording
+from biosensor_gateway.recording.xdf.salvage import printing as salvage_printing
+from biosensor_gateway.recording.xdf.salvage.outcome import Outcome, salvage, salvaged_path
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.places import settings_path
+
+# The argument was wrong; exit code 1 is for what is wrong in a recording.
+_WRONG_ARGUMENT = frozenset(
+    {RecordingReason.NOT_FOUND, RecordingReason.UNREADABLE, RecordingReason.NOT_XDF}
+)
+FileArgument = Annotated[Path, typer.Argument(help="The recording.", show_default=False)]
 
 app = typer.Typer(help="Recordings of LabRecorder (XDF files).", no_args_is_help=True)
 
@@ -28,7 +39,7 @@ def _group() -> None:
 
 @app.command("check")
 def check(
-    file: Annotated[Path, typer.Argument(help="The recording.", show_default=False)],
+    file: FileArgument,
     settings: SettingsOption = None,
     expect: Annotated[
         list[str] | None,
@@ -46,15 +57,60 @@ def check(
     notes do not change the exit code.
     """
     expected = (*_by_settings(settings), *by_name(expect or ()))
-    try:
+    with _wrong_argument():
         recording = read_recording(file)
-    except RecordingError as error:
-        # The argument was wrong; exit code 1 is for what is wrong in a recording.
-        raise ConfigError(ConfigReason.UNREADABLE, str(error)) from error
     report = judge(recording, expected)
     typer.echo(as_json(report) if print_json else as_text(report))
     if not report.is_good:
         raise typer.Exit(1)
+
+
+@app.command("salvage")
+def salvage_recording(
+    file: FileArgument,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OTHER",
+            help="File to write, instead of NAME_salvaged.xdf beside the recording.",
+            show_default=False,
+        ),
+    ] = None,
+    print_json: JsonOption = False,
+) -> None:
+    """Write what can be read of a cut or damaged recording to another file.
+
+    The recording itself is never changed, and no file is overwritten. If the recording
+    is whole, nothing is written.
+    """
+    with _wrong_argument():
+        outcome = salvage(file, output or salvaged_path(file))
+    if print_json:
+        typer.echo(salvage_printing.as_json(outcome))
+    else:
+        _print_outcome(outcome)
+
+
+def _print_outcome(outcome: Outcome) -> None:
+    for sentence in salvage_printing.before_table(outcome):
+        say(sentence, hang=4)
+    if outcome.written is None:
+        return
+    terminal = console()
+    rows = salvage_printing.table(outcome)
+    terminal.print(table_of_names(salvage_printing.HEADINGS, rows, terminal.width))
+    for sentence in salvage_printing.after_table(outcome):
+        say(sentence)
+
+
+@contextmanager
+def _wrong_argument() -> Generator[None]:
+    try:
+        yield
+    except RecordingError as error:
+        if error.reason in _WRONG_ARGUMENT:
+            raise ConfigError(ConfigReason.UNREADABLE, str(error)) from error
+        raise
 
 
 def _by_settings(settings: Path | None) -> tuple[ExpectedStream, ...]:

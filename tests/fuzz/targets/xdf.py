@@ -1,18 +1,27 @@
 """A recording, from its bytes to the report on it.
 
 It is read, or refused with a RecordingError; damages are in the order of the file and
-do not overlap; every sample has a stamp; the report can be printed, also as JSON.
+do not overlap; every sample has a stamp; the report can be printed, also as JSON. What can
+be salvaged holds the same samples, and is whole.
 """
 
 from __future__ import annotations
 
 import json
 from itertools import pairwise
+from pathlib import Path
 
-from biosensor_gateway.recording.xdf.container import RecordingError
+from biosensor_gateway.recording.xdf.container import (
+    RecordingError,
+    RecordingReason,
+    open_recording,
+)
 from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.printing import as_json, as_text
 from biosensor_gateway.recording.xdf.recording import Recording, read_recording
+from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
+from biosensor_gateway.recording.xdf.salvage.printing import as_json as salvage_as_json
+from biosensor_gateway.recording.xdf.salvage.survey import Survey, survey
 from tests.fuzz.contract import ensure
 from tests.fuzz.scratch import written
 
@@ -36,6 +45,23 @@ def check(data: bytes) -> None:
     told = json.loads(as_json(report))
     ensure(len(told["streams"]) == len(recording.streams), "not every stream is told", told)
     ensure(told["good"] == report.is_good, "two verdicts", told)
+    _is_salvaged(recording)
+
+
+def _is_salvaged(recording: Recording) -> None:
+    target = salvaged_path(recording.path)
+    target.unlink(missing_ok=True)
+    try:
+        outcome = salvage(recording.path, target)
+    except RecordingError as error:
+        ensure(error.reason is RecordingReason.EMPTY, "it cannot be salvaged", error)
+        return
+    json.loads(salvage_as_json(outcome))
+    if outcome.written is not None:
+        counts = [stream.sample_count for stream in recording.streams]
+        result = read_recording(outcome.written)
+        ensure([s.sample_count for s in result.streams] == counts, "other samples are salvaged")
+        ensure(survey_of(outcome.written).is_whole, "what was salvaged is not whole")
 
 
 def _is_sane(recording: Recording, size: int) -> None:
@@ -50,3 +76,9 @@ def _is_sane(recording: Recording, size: int) -> None:
         ensure(counts.shape == (stream.header.channel_count,), "other channels", counts)
         within = bool(((counts >= 0) & (counts <= stream.sample_count)).all())
         ensure(within, "more NaN than samples", counts)
+
+
+def survey_of(path: Path) -> Survey:
+    """Read a recording as a salvage does."""
+    with open_recording(path) as opened:
+        return survey(path, opened)

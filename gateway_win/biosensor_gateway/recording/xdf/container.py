@@ -1,12 +1,8 @@
-"""Cuts an XDF file into its chunks, and resynchronises where it is damaged.
+"""Cuts an XDF file into its chunks, and finds the next one where it is damaged.
 
-After the magic ``XDF:`` a file is a row of chunks: one byte that tells how many
-bytes the length has (1, 4 or 8), the length, a tag of two bytes, the content; all
-little-endian. The length counts tag and content. See
-https://github.com/sccn/xdf/wiki/Specifications.
-
-LabRecorder writes a boundary chunk with a fixed UUID every 10 s: from there on
-a damaged file can be read again.
+After the magic ``XDF:`` a file is a row of chunks, whose frames :mod:`.framing` reads.
+LabRecorder writes a boundary chunk with a fixed UUID every 10 s. Behind a damage it is
+read on at the next boundary or at the next chunk that makes sense, whatever comes first.
 """
 
 from __future__ import annotations
@@ -16,52 +12,73 @@ import tempfile
 import zlib
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
-from enum import Enum, IntEnum, unique
+from dataclasses import dataclass
+from enum import Enum, unique
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
-from uuid import UUID
 
 from biosensor_common.errors import GatewayError
+from biosensor_gateway.recording.xdf.framing import (
+    MAGIC,
+    STREAM_ID_BYTES,
+    FrameError,
+    Tag,
+    find_frames,
+    is_frame,
+    read_frame,
+)
 
-MAGIC = b"XDF:"
-BOUNDARY = UUID("43a546dc-cbf5-410f-b30e-d5467383cbe4").bytes
 MAX_CHUNK_BYTES = 1 << 30
 
 _GZIP_MAGIC = b"\x1f\x8b"
 # The largest window, with gzip's header and checksum.
 _GZIP_WINDOW = 16 + zlib.MAX_WBITS
 _PACKED_BLOCK_BYTES = 4096
-_LENGTH_SIZES = frozenset({1, 4, 8})
-_TAG_BYTES = 2
-_BLOCK_BYTES = 1 << 20
-
-
-@unique
-class Tag(IntEnum):
-    """What a chunk holds."""
-
-    FILE_HEADER = 1
-    STREAM_HEADER = 2
-    SAMPLES = 3
-    CLOCK_OFFSET = 4
-    BOUNDARY = 5
-    STREAM_FOOTER = 6
-
-    @property
-    def title(self) -> str:
-        """Its name for a person."""
-        return self.name.lower().replace("_", " ")
-
-
-_TAGS = frozenset(Tag)
+# A damaged length may claim most of the file, so what is larger must have something behind it.
+_UNDOUBTED_BYTES = 1 << 24
 
 
 class Chunk(NamedTuple):
-    """One chunk: what it holds, and its content without the tag."""
+    """One chunk.
+
+    Attributes
+    ----------
+    tag
+        What it holds.
+    content
+        What comes after the tag.
+    start, end
+        Offsets of the whole chunk in the file, `end` excluded.
+    damages
+        How many damages come before it.
+    is_found
+        Whether it was searched for behind a damage, so that it may be none.
+    """
 
     tag: Tag
     content: bytes
+    start: int
+    end: int
+    damages: int
+    is_found: bool
+
+    @property
+    def stream_id(self) -> int:
+        """Number of the stream that it is of; for all but file headers and boundaries.
+
+        Raises
+        ------
+        ChunkError
+            If it is too short to have one.
+        """
+        if len(self.content) < STREAM_ID_BYTES:
+            raise ChunkError("it is too short")
+        return int.from_bytes(self.content[:STREAM_ID_BYTES], "little")
+
+    @property
+    def body(self) -> memoryview:
+        """What comes after the stream's number."""
+        return memoryview(self.content)[STREAM_ID_BYTES:]
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,29 +103,32 @@ class Damage:
 
 @unique
 class RecordingReason(Enum):
-    """Why a recording cannot be read at all."""
+    """Why a recording cannot be read at all, or not be salvaged."""
 
     NOT_FOUND = "not_found"
     UNREADABLE = "unreadable"
     NOT_XDF = "not_xdf"
+    GROWS = "grows"
+    """It is still being written."""
+    EMPTY = "empty"
+    """Not a single sample can be read."""
+    UNWRITABLE = "unwritable"
+    """The other file cannot be written."""
 
 
 class RecordingError(GatewayError):
-    """Nothing of the recording can be read."""
+    """Nothing of the recording can be read, or nothing can be written of it."""
 
 
 class ChunkError(Exception):
     """The content of a chunk makes no sense; the text is the rest of a sentence."""
 
 
-class _FrameError(Exception):
-    """Nothing that could be a chunk begins here."""
+class _Broken(NamedTuple):
+    """No chunk was read: why, and where it ends by its frame if it has one."""
 
-
-class _Frame(NamedTuple):
-    tag: int
-    content_start: int
-    end: int
+    what: str
+    end: int | None = None
 
 
 class OpenRecording(NamedTuple):
@@ -194,83 +214,75 @@ def read_chunks(file: BinaryIO, size: int, take: Callable[[Chunk], None]) -> tup
     tuple of Damage
         What could not be read, in the order of the file, neighbours joined.
     """
-    damages: list[Damage] = []
+    reader = _Reader(file, size, take)
     position = len(MAGIC)
     while position < size:
-        damage = _read_one(file, position, size, take)
-        if isinstance(damage, int):
-            position = damage
-            continue
-        if damages and damages[-1].end == damage.start:
-            damage = replace(damage, start=damages[-1].start, what=damages.pop().what)
-        damages.append(damage)
-        position = damage.end
-    return tuple(damages)
+        position = reader.read_from(position)
+    return tuple(reader.damages)
 
 
-def _read_one(
-    file: BinaryIO, position: int, size: int, take: Callable[[Chunk], None]
-) -> Damage | int:
-    """Read the chunk at `position`; return where the next one begins, or what is damaged."""
-    try:
-        frame = _frame(file, position, size)
-    except _FrameError as error:
-        return _damage(file, position, size, size, str(error))
-    if frame.end > size:
-        return _damage(file, position, size, size, f"{_title(frame.tag)} is cut off")
-    try:
-        if frame.tag not in _TAGS:
-            raise ChunkError("its tag is unknown")  # noqa: TRY301 - one way out for damage
-        if frame.end - position > MAX_CHUNK_BYTES:
-            raise ChunkError("it is too large to be true")  # noqa: TRY301
-        file.seek(frame.content_start)
-        take(Chunk(Tag(frame.tag), file.read(frame.end - frame.content_start)))
-    except ChunkError as error:
-        return _damage(file, position, frame.end, size, f"{_title(frame.tag)}: {error}")
-    return frame.end
+class _Reader:
+    def __init__(self, file: BinaryIO, size: int, take: Callable[[Chunk], None]) -> None:
+        self._file, self._size, self._take = file, size, take
+        self.damages: list[Damage] = []
+
+    def read_from(self, position: int) -> int:
+        """Read the chunk at `position`, or the next behind a damage; return where it ends."""
+        read = self._read_one(position)
+        if isinstance(read, int):
+            return read
+        start, what = position, read.what
+        if self.damages and self.damages[-1].end == position:
+            start, what = self.damages[-1].start, self.damages.pop().what
+        # Counted before the search, because what is found comes after it.
+        self.damages.append(_damage(start, self._size, self._size, what))
+        begin, end = self._resume(position + 1, read.end)
+        self.damages[-1] = _damage(start, begin, self._size, what)
+        return end
+
+    def _resume(self, start: int, frame_end: int | None) -> tuple[int, int]:
+        """Return where a damage ends, and the chunk that was read behind it, if one was."""
+        size = self._size
+        if frame_end is None:
+            return self._find(start, size) or (size, size)
+        # A chunk that makes no sense may have a wrong length and hide others.
+        hidden = self._find(start, frame_end)
+        if hidden is None and is_frame(self._file, frame_end, size):
+            return frame_end, frame_end
+        return hidden or self._find(frame_end, size) or (size, size)
+
+    def _find(self, start: int, end: int) -> tuple[int, int] | None:
+        """Read the first chunk that begins between two places; return where it is."""
+        for place in find_frames(self._file, start, end):
+            read = self._read_one(place, is_found=True)
+            if isinstance(read, int):
+                return place, read
+        return None
+
+    def _read_one(self, position: int, *, is_found: bool = False) -> _Broken | int:
+        """Read the chunk at `position`; return where it ends, or what is wrong."""
+        file, size = self._file, self._size
+        try:
+            frame = read_frame(file, position)
+        except FrameError as error:
+            return _Broken(str(error))
+        length = frame.end - position
+        if frame.end > size:
+            return _Broken(f"{frame.title} is cut off")
+        try:
+            if not frame.is_known:
+                raise ChunkError("its tag is unknown")  # noqa: TRY301 - one way out for damage
+            is_doubtful = length > _UNDOUBTED_BYTES and not is_frame(file, frame.end, size)
+            if length > MAX_CHUNK_BYTES or is_doubtful:
+                raise ChunkError("it is too large to be true")  # noqa: TRY301
+            file.seek(frame.content_start)
+            content = file.read(frame.end - frame.content_start)
+            damages = len(self.damages)
+            self._take(Chunk(Tag(frame.tag), content, position, frame.end, damages, is_found))
+        except ChunkError as error:
+            return _Broken(f"{frame.title}: {error}", frame.end)
+        return frame.end
 
 
-def _title(tag: int) -> str:
-    return f"a {Tag(tag).title} chunk" if tag in _TAGS else f"a chunk of kind {tag}"
-
-
-def _frame(file: BinaryIO, position: int, size: int) -> _Frame:
-    file.seek(position)
-    head = file.read(1 + 8 + _TAG_BYTES)
-    length_size = head[0]
-    if length_size not in _LENGTH_SIZES:
-        raise _FrameError("no chunk begins there")
-    tag_start = 1 + length_size
-    if len(head) < tag_start + _TAG_BYTES:
-        raise _FrameError("a chunk is cut off")
-    length = int.from_bytes(head[1:tag_start], "little")
-    if length < _TAG_BYTES:
-        raise _FrameError("a chunk of impossible length begins there")
-    tag = int.from_bytes(head[tag_start : tag_start + _TAG_BYTES], "little")
-    start = position + tag_start
-    return _Frame(tag, start + _TAG_BYTES, start + length)
-
-
-def _damage(file: BinaryIO, start: int, end: int, size: int, what: str) -> Damage:
-    """Bound a damage by the next boundary within it, else by `end`."""
-    boundary = _find(file, BOUNDARY, start, end)
-    if boundary is not None:
-        return Damage(start, boundary + len(BOUNDARY), what)
+def _damage(start: int, end: int, size: int, what: str) -> Damage:
     return Damage(start, end, what, breaks_off=end == size)
-
-
-def _find(file: BinaryIO, pattern: bytes, start: int, end: int) -> int | None:
-    file.seek(start)
-    kept = b""
-    position = start
-    while position < end:
-        block = file.read(min(_BLOCK_BYTES, end - position))
-        if not block:
-            return None
-        searched = kept + block
-        found = searched.find(pattern)
-        if found >= 0:
-            return position - len(kept) + found
-        position += len(block)
-        kept = searched[-(len(pattern) - 1) :]
-    return None

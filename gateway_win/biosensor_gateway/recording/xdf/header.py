@@ -64,6 +64,11 @@ class RecordedHeader:
         return ours and self.data_name == "counters"
 
     @property
+    def is_recordable(self) -> bool:
+        """Whether LabRecorder writes its samples and its footer."""
+        return self.format is not ChannelFormat.INT64
+
+    @property
     def is_regular(self) -> bool:
         """Whether samples are meant to be equidistant."""
         return self.rate > 0

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
-from biosensor_common.quantities import ChannelFormat
 from biosensor_gateway.recording.xdf.agent_rules import compare_with_agent
 from biosensor_gateway.recording.xdf.container import Damage
 from biosensor_gateway.recording.xdf.expectation import ExpectedStream
@@ -64,7 +63,7 @@ def _has_footers(recording: Recording) -> bool:
 
 def _not_closed(recording: Recording) -> Iterator[Finding]:
     # LabRecorder gives no footer to the streams that it cannot record.
-    due = any(each.header.format is not ChannelFormat.INT64 for each in recording.streams)
+    due = any(each.header.is_recordable for each in recording.streams)
     if due and not _has_footers(recording):
         text = "no stream has a footer: the recorder was ended before it could close the file"
         yield Finding(Level.ERROR, "not-closed", "", text)

@@ -137,7 +137,9 @@ def _measure(stream: RecordedStream) -> Figures:
         gaps=gaps,
         offsets=summarise_offsets(offsets),
         nan_shares=tuple(float(share) for share in stream.nan_counts / count),
-        clock_error="" if first is None or last is None else clock_error(stream, first, last),
+        clock_error=""
+        if first is None or last is None
+        else clock_error(stream.header, offsets, first, last),
     )
 
 
@@ -204,20 +206,23 @@ def summarise_offsets(offsets: Sequence[tuple[float, float]]) -> ClockOffsets:
     return ClockOffsets(len(offsets), lowest, highest, slope * 1e6, scatter)
 
 
-def clock_error(stream: RecordedStream, first: float, last: float) -> str:
+def clock_error(
+    header: RecordedHeader, offsets: Sequence[tuple[float, float]], first: float, last: float
+) -> str:
     """Say why stamps from `first` to `last` are not on the LSL clock, empty if they are.
 
     The recorder notes the stream's own LSL clock with every clock offset, and the
     header has the time at which the outlet was made; samples must fit to that.
     """
     unix = " (they are unix time)" if _UNIX_S[0] < first < _UNIX_S[1] else ""
-    if stream.clock_offsets:
-        times = [time for time, _ in stream.clock_offsets]
+    # Of an outlet that has just gone, LabRecorder notes that its clock stood at 0.
+    times = [time for time, _ in offsets if time]
+    if times:
         error_s = max(first - max(times), min(times) - last)
         if error_s > MAX_STAMP_ERROR_S:
             return f"its stamps are {error_s:.0f} s away from the LSL clock{unix}"
         return ""
-    since = stream.header.created_at if math.isfinite(stream.header.created_at) else 0.0
+    since = header.created_at if math.isfinite(header.created_at) else 0.0
     if last < since - MAX_STAMP_ERROR_S:
         return f"its stamps are {since - last:.0f} s older than the stream itself"
     if unix or first - since > MAX_UPTIME_S:

@@ -24,21 +24,27 @@ def as_json(report: Report) -> str:
         "begun": recording.begun,
         "length_s": report.extent.length_s,
         "good": report.is_good,
+        "can_be_salvaged": report.can_be_salvaged,
         "damages": [asdict(damage) for damage in recording.damages],
         "streams": [_stream_as_json(each, report) for each in report.streams],
         "findings": [asdict(finding) for finding in report.findings],
     }
-    return json.dumps(_finite(content), indent=2, allow_nan=False)
+    return json.dumps(finite(content), indent=2, allow_nan=False)
 
 
-def _finite(content: object) -> object:
+def finite(content: object) -> object:
     """Replace numbers that JSON does not know, which only damaged files have."""
     if isinstance(content, dict):
         items = cast("dict[str, object]", content).items()
-        return {key: _finite(value) for key, value in items}
+        return {key: finite(value) for key, value in items}
     if isinstance(content, list | tuple):
-        return [_finite(value) for value in cast("Sequence[object]", content)]
+        return [finite(value) for value in cast("Sequence[object]", content)]
     return None if isinstance(content, float) and not math.isfinite(content) else content
+
+
+def printable(text: str) -> str:
+    """Keep what a stranger wrote from steering the terminal."""
+    return "".join(char if char.isprintable() else "\N{REPLACEMENT CHARACTER}" for char in text)
 
 
 def _stream_as_json(measured: Measured, report: Report) -> dict[str, Any]:
@@ -88,11 +94,17 @@ def as_text(report: Report) -> str:
     """Return the report as lines for a person."""
     lines = [line for each in report.streams for line in _stream_lines(each, report)]
     lines += [
-        f"{finding.level}: {_safe(finding.stream) + ': ' if finding.stream else ''}"
-        f"{_safe(finding.text)}"
+        f"{finding.level}: {printable(finding.stream) + ': ' if finding.stream else ''}"
+        f"{printable(finding.text)}"
         for finding in report.findings
     ]
-    return "\n".join([*lines, _summary(report)])
+    lines.append(_summary(report))
+    if report.can_be_salvaged:
+        lines.append(
+            "to write what can be read to another file: "
+            f"biosensor-gateway xdf salvage {report.recording.path}"
+        )
+    return "\n".join(lines)
 
 
 def _summary(report: Report) -> str:
@@ -115,9 +127,10 @@ def _stream_lines(measured: Measured, report: Report) -> Iterator[str]:
     owner = "ours" if header.is_ours else "another program's"
     rate = f"{header.rate:g} Hz" if header.is_regular else "irregular"
     channels = "1 channel" if header.channel_count == 1 else f"{header.channel_count} channels"
+    kind, source_id = printable(header.content_type), printable(header.source_id)
     yield (
-        f"{_safe(header.name)}: {_safe(header.content_type)}, {channels} of {header.format}, "
-        f"{rate}, {owner}, on {_safe(header.hostname)}, source_id {_safe(header.source_id)!r}"
+        f"{printable(header.name)}: {kind}, {channels} of {header.format}, "
+        f"{rate}, {owner}, on {printable(header.hostname)}, source_id {source_id!r}"
     )
     yield f"    {', '.join(_sample_facts(measured))}"
     yield f"    {_offset_facts(measured)}"
@@ -130,7 +143,7 @@ def _stream_lines(measured: Measured, report: Report) -> Iterator[str]:
         more = ", ..." if figures.gaps.count > len(shown) else ""
         yield f"    gaps (samples lost): {', '.join(shown)}{more}"
     gappy = [
-        f"{_safe(label)} {share:.1%}"
+        f"{printable(label)} {share:.1%}"
         for label, share in zip(header.labels, figures.nan_shares, strict=True)
         if share
     ]
@@ -167,8 +180,3 @@ def _offset_facts(measured: Measured) -> str:
         f"{offsets.count} clock offsets, {offsets.lowest_s * 1e3:.3f} to "
         f"{offsets.highest_s * 1e3:.3f} ms{drift_text}"
     )
-
-
-def _safe(text: str) -> str:
-    """Keep what a stranger wrote from steering the terminal."""
-    return "".join(char if char.isprintable() else "\N{REPLACEMENT CHARACTER}" for char in text)

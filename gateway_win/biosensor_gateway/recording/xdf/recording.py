@@ -6,10 +6,7 @@ sample) and the samples of the agent's counters; values are only searched for Na
 
 from __future__ import annotations
 
-import math
-import struct
 from array import array
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,26 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_gateway.recording.xdf.container import (
-    BOUNDARY,
-    Chunk,
-    ChunkError,
-    Damage,
-    Tag,
-    open_recording,
-    read_chunks,
-)
-from biosensor_gateway.recording.xdf.header import (
-    Footer,
-    RecordedHeader,
-    parse_file_header,
-    parse_footer,
-    parse_stream_header,
-)
+from biosensor_gateway.recording.xdf.container import Chunk, Damage, open_recording, read_chunks
+from biosensor_gateway.recording.xdf.header import Footer, RecordedHeader
 from biosensor_gateway.recording.xdf.samples import decode
-
-_STREAM_ID_BYTES = 4
-_CLOCK_OFFSET = struct.Struct("<dd")
+from biosensor_gateway.recording.xdf.sorting import StreamSorter
 
 
 @dataclass(slots=True)
@@ -75,7 +56,12 @@ class RecordedStream:
         """Number of samples in the file."""
         return len(self._stamps)
 
-    def take_samples(self, content: memoryview) -> None:
+    @property
+    def is_unclosed(self) -> bool:
+        """Whether the recorder should have written a footer, and has not."""
+        return self.footer is None and (self.header.is_recordable or self.sample_count > 0)
+
+    def take_samples(self, chunk: Chunk) -> None:
         """Decode the samples of a chunk and take them in.
 
         Raises
@@ -84,11 +70,19 @@ class RecordedStream:
             If they cannot be decoded; none of them is taken in then.
         """
         last_stamp = self._stamps[-1] if self._stamps else 0.0
-        block = decode(content, self.header, last_stamp)
+        block = decode(chunk.body, self.header, last_stamp)
         self._stamps.frombytes(block.stamps.tobytes())
         self.nan_counts += block.nan_counts
         if self.header.is_counters:
             self.texts.extend(block.texts)
+
+    def take_clock_offset(self, taken_at: float, offset: float) -> None:
+        """Take in one of `clock_offsets`."""
+        self.clock_offsets.append((taken_at, offset))
+
+    def take_footer(self, footer: Footer, _chunk: Chunk) -> None:
+        """Take in the footer."""
+        self.footer = footer
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,63 +119,15 @@ def read_recording(path: Path) -> Recording:
     RecordingError
         If there is no such file, it cannot be read, or it is no XDF file.
     """
-    gathered = _Gathered()
+    sorter = StreamSorter(_new_stream)
     with open_recording(path) as (file, size, is_unpacked_whole):
-        damages = read_chunks(file, size, gathered.take)
+        damages = read_chunks(file, size, sorter.take)
     if not is_unpacked_whole:
         what = "the rest is compressed and cannot be unpacked"
         damages = (*damages, Damage(size, size, what, breaks_off=True))
-    streams = tuple(gathered.streams.values())
-    return Recording(path, size, gathered.begun, streams, damages, gathered.orphans)
+    streams = tuple(sorter.streams.values())
+    return Recording(path, size, sorter.begun or "", streams, damages, sorter.orphans)
 
 
-class _Gathered:
-    """Takes the chunks of a file in and sorts them by stream."""
-
-    def __init__(self) -> None:
-        self.begun = ""
-        self.streams: dict[int, RecordedStream] = {}
-        self.orphans: Counter[int] = Counter()
-
-    def take(self, chunk: Chunk) -> None:
-        if chunk.tag is Tag.FILE_HEADER:
-            self.begun = parse_file_header(chunk.content)
-        elif chunk.tag is Tag.BOUNDARY:
-            if chunk.content != BOUNDARY:
-                raise ChunkError("it is not the one that every recording has")
-        else:
-            self._take_of_stream(chunk)
-
-    def _take_of_stream(self, chunk: Chunk) -> None:
-        if len(chunk.content) < _STREAM_ID_BYTES:
-            raise ChunkError("it is too short")
-        stream_id = int.from_bytes(chunk.content[:_STREAM_ID_BYTES], "little")
-        content = memoryview(chunk.content)[_STREAM_ID_BYTES:]
-        if chunk.tag is Tag.STREAM_HEADER:
-            self._take_header(stream_id, bytes(content))
-            return
-        stream = self.streams.get(stream_id)
-        if stream is None:
-            self.orphans[stream_id] += 1
-        elif chunk.tag is Tag.SAMPLES:
-            stream.take_samples(content)
-        elif chunk.tag is Tag.CLOCK_OFFSET:
-            stream.clock_offsets.append(_clock_offset(content))
-        else:
-            stream.footer = parse_footer(bytes(content))
-
-    def _take_header(self, stream_id: int, content: bytes) -> None:
-        header = parse_stream_header(content)
-        if stream_id in self.streams:
-            raise ChunkError(f"it is the second of stream number {stream_id}")
-        nan_counts = np.zeros(header.channel_count, np.int64)
-        self.streams[stream_id] = RecordedStream(header, nan_counts)
-
-
-def _clock_offset(content: memoryview) -> tuple[float, float]:
-    if len(content) != _CLOCK_OFFSET.size:
-        raise ChunkError("it does not have the size of a clock offset")
-    taken_at, offset = _CLOCK_OFFSET.unpack(content)
-    if not (math.isfinite(taken_at) and math.isfinite(offset)):
-        raise ChunkError("its times are no numbers")
-    return taken_at, offset
+def _new_stream(header: RecordedHeader) -> RecordedStream:
+    return RecordedStream(header, np.zeros(header.channel_count, np.int64))

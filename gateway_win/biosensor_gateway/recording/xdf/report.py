@@ -83,3 +83,11 @@ class Report:
     def is_good(self) -> bool:
         """Whether nothing is wrong; warnings and notes do not count."""
         return all(finding.level is not Level.ERROR for finding in self.findings)
+
+    @property
+    def can_be_salvaged(self) -> bool:
+        """Whether the file is cut or damaged, and samples can be read nevertheless."""
+        recording = self.recording
+        is_open = any(each.is_unclosed for each in recording.streams)
+        is_broken = bool(recording.damages or recording.orphans)
+        return (is_broken or is_open) and any(each.sample_count for each in recording.streams)

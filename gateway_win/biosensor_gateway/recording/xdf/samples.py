@@ -38,11 +38,14 @@ class Block:
         Samples without a value, by channel; zero in streams of text or integers.
     texts
         First channel of a stream of text, else empty.
+    unstamped
+        How many samples come before the first that has a stamp of its own.
     """
 
     stamps: NDArray[np.float64]
     nan_counts: NDArray[np.int64]
     texts: tuple[str, ...] = ()
+    unstamped: int = 0
 
 
 def decode(content: memoryview, header: RecordedHeader, last_stamp: float) -> Block:
@@ -88,7 +91,9 @@ def _decode_numbers(
     starts = offsets + 1 + np.where(is_stamped, _STAMP_BYTES, 0)
     values = _gather(raw, starts, dtype, header.channel_count)
     return Block(
-        _complete(given, is_stamped, last_stamp, period), _count_nan(values, header.channel_count)
+        _complete(given, is_stamped, last_stamp, period),
+        _count_nan(values, header.channel_count),
+        unstamped=int(np.argmax(is_stamped)) if len(given) else count,
     )
 
 
@@ -150,8 +155,10 @@ def _decode_texts(
         raise ChunkError("it is too short for its number of samples")
     stamps = np.empty(count)
     texts: list[str] = []
-    position = 0
+    position, unstamped = 0, count
     for index in range(count):
+        if unstamped == count and position < len(body) and body[position]:
+            unstamped = index
         last_stamp, position = _text_stamp(body, position, last_stamp, period)
         stamps[index] = last_stamp
         for channel in range(channel_count):
@@ -164,7 +171,7 @@ def _decode_texts(
             position = end
     if position != len(body):
         raise ChunkError("its samples do not fill it")
-    return Block(stamps, np.zeros(channel_count, np.int64), tuple(texts))
+    return Block(stamps, np.zeros(channel_count, np.int64), tuple(texts), unstamped)
 
 
 def _text_stamp(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from biosensor_common.quantities import ChannelFormat
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.report import Extent, Measured
 
@@ -27,7 +26,7 @@ _LOADER_BREAK_S, _LOADER_BREAK_SAMPLES = 1.0, 500
 
 def judge_stream(measured: Measured, extent: Extent) -> Iterator[Finding]:
     """Apply every rule to one stream."""
-    if measured.stream.header.format is ChannelFormat.INT64 and not measured.stream.sample_count:
+    if not measured.stream.header.is_recordable and not measured.stream.sample_count:
         text = "LabRecorder records no int64 streams: only its header is in the file"
         yield Finding(Level.ERROR, "int64", measured.name, text)
         return

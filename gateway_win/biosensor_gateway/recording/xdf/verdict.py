@@ -1,0 +1,116 @@
+"""Says in a colour and sentences whether a recording can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum, unique
+from pathlib import Path
+
+from biosensor_gateway.recording.xdf.expectation import ExpectedStream
+from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.recording.xdf.judging import judge
+from biosensor_gateway.recording.xdf.recording import read_recording
+from biosensor_gateway.recording.xdf.report import Report
+
+
+@unique
+class Colour(StrEnum):
+    """How good a recording is.
+
+    ``GREEN``: nothing is wrong. ``AMBER``: the file is right, and something happened that
+    whoever analyses it must know. ``RED``: something is wrong or missing in the file.
+    """
+
+    GREEN = "green"
+    AMBER = "amber"
+    RED = "red"
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedStream:
+    """One stream of the recording; `lost` is by the agent's count, None without one."""
+
+    name: str
+    source_id: str
+    samples: int
+    gaps: int
+    lost: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What there is to say about a recording, as plain values.
+
+    Attributes
+    ----------
+    sentence
+        All of it in one.
+    length_s
+        From the first sample of any stream to the last.
+    findings
+        The worst first; of a green recording only notes.
+    """
+
+    file: str
+    bytes: int
+    colour: Colour
+    sentence: str
+    length_s: float
+    streams: tuple[JudgedStream, ...]
+    findings: tuple[Finding, ...]
+
+
+def check(file: Path, expected: Sequence[ExpectedStream] = ()) -> Verdict:
+    """Read a recording and judge it.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such file, it cannot be read, or it is no XDF file.
+    """
+    return verdict(judge(read_recording(file), expected))
+
+
+def verdict(report: Report) -> Verdict:
+    """Turn a report into a verdict."""
+    colour = _colour(report)
+    return Verdict(
+        file=str(report.recording.path),
+        bytes=report.recording.size,
+        colour=colour,
+        sentence=_sentence(report, colour),
+        length_s=report.extent.length_s,
+        streams=tuple(
+            JudgedStream(
+                name=each.name,
+                source_id=each.stream.header.source_id,
+                samples=each.stream.sample_count,
+                gaps=each.figures.gaps.count,
+                lost=None if each.counted is None else each.counted.lost,
+            )
+            for each in report.streams
+        ),
+        findings=report.findings,
+    )
+
+
+def _colour(report: Report) -> Colour:
+    levels = {finding.level for finding in report.findings}
+    if Level.ERROR in levels:
+        return Colour.RED
+    return Colour.AMBER if Level.WARNING in levels else Colour.GREEN
+
+
+def _sentence(report: Report, colour: Colour) -> str:
+    streams = "1 stream" if len(report.streams) == 1 else f"{len(report.streams)} streams"
+    what = f"{streams}, {report.extent.length_s:.1f} s: "
+    if colour is Colour.GREEN:
+        return f"{what}all is there"
+    worst = Level.ERROR if colour is Colour.RED else Level.WARNING
+    count = sum(finding.level is worst for finding in report.findings)
+    if colour is Colour.RED:
+        things = "1 thing is" if count == 1 else f"{count} things are"
+        return f"{what}{things} wrong or missing in the file"
+    things = "1 thing" if count == 1 else f"{count} things"
+    return f"{what}the file is right, and {things} happened that its analysis must know"

@@ -1,0 +1,293 @@
+"""What is written of cut and damaged recordings, and what is said to be lost."""
+
+from __future__ import annotations
+
+import gzip
+import math
+import struct
+import tracemalloc
+from itertools import accumulate, pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
+from biosensor_gateway.recording.xdf.salvage import printing
+from biosensor_gateway.recording.xdf.salvage.outcome import salvage, salvaged_path
+from tests.xdf import xdf_file as x
+from tests.xdf.checking import load_by_pyxdf
+from tests.xdf.salvaging import Rows, rows, salvaged
+
+PARTS = x.two_streams()
+WHOLE = b"".join(PARTS)
+ENDS = list(accumulate(len(part) for part in PARTS))
+NUMBERS: Rows = [(10 + k / 4, (k // 4, k // 4)) for k in range(160)]
+EVENTS: Rows = [(10.0 + k, (f"event {k}",)) for k in range(40)]
+CASES = settings(max_examples=120, deadline=None)
+
+
+def _is_samples(part: bytes, stream: int) -> bool:
+    return part[5:11] == struct.pack("<HI", 3, stream)
+
+
+def _spoilt(*numbers: int) -> bytes:
+    """Replace some of the parts by nonsense."""
+    return b"".join(b"\xee" * len(p) if n in numbers else p for n, p in enumerate(PARTS))
+
+
+def _held(parts: list[bytes]) -> dict[str, Rows]:
+    """Return the samples of some of the parts, as they are in the undamaged file."""
+    blocks = [number for number, part in enumerate(PARTS) if _is_samples(part, 1)]
+    kept = [at for at, number in enumerate(blocks) if PARTS[number] in parts]
+    events = [part for part in PARTS if _is_samples(part, 2)]
+    kept_events = [at for at, part in enumerate(events) if part in parts]
+    return {
+        "numbers": [NUMBERS[4 * at + n] for at in kept for n in range(4)],
+        "events": [EVENTS[at] for at in kept_events],
+    }
+
+
+def test_of_the_undamaged_file_everything_is_known(tmp_path: Path) -> None:
+    path = tmp_path / "whole.xdf"
+    path.write_bytes(WHOLE)
+    assert rows(path) == _held(PARTS) == {"numbers": NUMBERS, "events": EVENTS}
+
+
+def test_a_whole_recording_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "study.xdf"
+    path.write_bytes(WHOLE)
+    outcome = salvage(path, salvaged_path(path))
+    assert (outcome.written, outcome.lost_bytes) == (None, 0)
+    assert [each.name for each in tmp_path.iterdir()] == ["study.xdf"]
+    (sentence,) = printing.before_table(outcome)
+    assert "is whole" in sentence
+
+
+def test_a_stream_that_labrecorder_never_closes_is_no_damage(tmp_path: Path) -> None:
+    path = tmp_path / "study.xdf"
+    path.write_bytes(b"".join([*PARTS[:-2], x.stream_header(3, "big", fmt="int64"), *PARTS[-2:]]))
+    assert salvage(path, salvaged_path(path)).written is None
+
+
+@CASES
+@given(st.integers(0, len(WHOLE) - 1))
+def test_cut_at_any_byte(end: int) -> None:
+    whole = [part for part, until in zip(PARTS, ENDS, strict=True) if until <= end]
+    with TemporaryDirectory() as folder:
+        if end < ENDS[4]:
+            with pytest.raises(RecordingError) as caught:
+                salvaged(WHOLE[:end], Path(folder))
+            is_empty = end >= len("XDF:")
+            expected = RecordingReason.EMPTY if is_empty else RecordingReason.NOT_XDF
+            assert caught.value.reason is expected
+            return
+        outcome, file, content = salvaged(WHOLE[:end], Path(folder))
+        assert rows(file) == _held(whole)
+        # What was whole comes first, unchanged.
+        assert content.startswith(b"".join(whole))
+        assert outcome.lost_bytes == end - sum(map(len, whole))
+
+
+def test_any_lost_chunk_costs_itself_only(tmp_path: Path) -> None:
+    for number in range(4, len(PARTS)):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        outcome, file, content = salvaged(_spoilt(number), folder)
+        others = [part for at, part in enumerate(PARTS) if at != number]
+        assert rows(file) == _held(others)
+        (place,) = outcome.places
+        assert (place.damage.start, place.damage.end) == (ENDS[number - 1], ENDS[number])
+        assert outcome.lost_bytes == len(PARTS[number])
+        assert content.startswith(b"".join(PARTS[: number - 1]))
+
+
+@CASES
+@given(st.integers(ENDS[3], len(WHOLE) - 1), st.integers(1, 255))
+def test_a_changed_byte_costs_one_chunk_at_most(place: int, change: int) -> None:
+    content = bytearray(WHOLE)
+    content[place] ^= change
+    hit = next(number for number, end in enumerate(ENDS) if place < end)
+    others = _held([part for at, part in enumerate(PARTS) if at != hit])
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "study.xdf"
+        path.write_bytes(content)
+        outcome = salvage(path, salvaged_path(path))
+        found = rows(outcome.written or path)
+    for name, kept in others.items():
+        # A changed stamp or value is nothing that anybody can see, and moves what has no stamp.
+        values = [value for _, value in found[name]]
+        assert all(values.count(value) >= 1 for _, value in kept)
+
+
+@CASES
+@given(st.integers(4, len(WHOLE)), st.integers(0, 400), st.binary(max_size=200))
+def test_whatever_is_replaced_the_result_is_whole(start: int, gone: int, garbage: bytes) -> None:
+    with TemporaryDirectory() as folder:
+        path, again = Path(folder) / "study.xdf", Path(folder) / "again.xdf"
+        path.write_bytes(WHOLE[:start] + garbage + WHOLE[start + gone :])
+        try:
+            outcome = salvage(path, salvaged_path(path))
+        except RecordingError as error:
+            assert error.reason is RecordingReason.EMPTY
+            return
+        assert outcome.written is None or salvage(outcome.written, again).written is None
+
+
+def test_where_the_stream_goes_on_without_a_stamp_it_gets_one(tmp_path: Path) -> None:
+    stamps = [None, 21.5, None, None]
+    head = x.stream_header(1, "a", rate=2.0, created_at=5.0)
+    lost = x.samples(1, "float32", [[0]] * 4, [12.0, None, None, None])
+    parts = [
+        x.samples(1, "float32", [[k] for k in range(4)], [10.0, None, None, None]),
+        b"\xee" * len(lost),
+        # Two chunks without a stamp, and one that has its first late.
+        x.samples(1, "float32", [[8], [9]], [None, None]),
+        x.samples(1, "float32", [[10]], [None]),
+        x.samples(1, "float32", [[k] for k in range(11, 15)], stamps),
+    ]
+    outcome, file, content = salvaged(x.xdf(head, *parts), tmp_path)
+    assert content.count(parts[-1]) == content.count(parts[-2]) == 1
+    # The sample at 21.5 s is the fifth behind the damage.
+    before = [(10 + k / 2, (k,)) for k in range(4)]
+    assert rows(file)["a"] == before + [(19.5 + k / 2, (8 + k,)) for k in range(7)]
+    (place,) = outcome.places
+    assert (place.begin_s, place.end_s) == (1.5, 9.5)
+    assert printing.table(outcome) == [("a", "11", "at least 15")]
+    assert "a: the stamps behind 1 of the damages" in "\n".join(printing.after_table(outcome))
+
+
+def test_a_stream_that_lost_nothing_keeps_every_byte(tmp_path: Path) -> None:
+    lost = x.samples(2, "string", [["gone"]], [11.0])
+    parts = [
+        x.stream_header(1, "a", rate=2.0, created_at=5.0),
+        x.stream_header(2, "b", fmt="string", created_at=5.0),
+        x.samples(1, "float32", [[0], [1]], [10.0, None]),
+        b"\xee" * len(lost),
+        x.samples(1, "float32", [[2], [3]], [None, 11.52]),
+    ]
+    outcome, file, content = salvaged(x.xdf(*parts), tmp_path)
+    assert [stamp for stamp, _ in rows(file)["a"]] == [10.0, 10.5, 11.0, 11.52]
+    assert parts[-1] in content
+    assert printing.table(outcome) == [("a", "4", "not known"), ("b", "0", "not known")]
+
+
+def test_samples_that_can_get_no_stamp_are_said(tmp_path: Path) -> None:
+    parts = [
+        x.stream_header(1, "a", rate=2.0, created_at=5.0),
+        x.samples(1, "float32", [[0]], [10.0]),
+        b"\xee" * 50,
+        x.samples(1, "float32", [[1], [2]], [None, None]),
+    ]
+    outcome, file, _ = salvaged(x.xdf(*parts), tmp_path)
+    assert len(rows(file)["a"]) == 3
+    assert "a: 2 samples behind a damage have no stamp" in "\n".join(printing.after_table(outcome))
+
+
+def test_a_stream_without_its_header_is_left_out_and_named(tmp_path: Path) -> None:
+    header = bytearray(PARTS[2])
+    header[-2] = 0
+    content = b"".join([*PARTS[:2], bytes(header), *PARTS[3:]])
+    outcome, file, _ = salvaged(content, tmp_path)
+    assert rows(file) == {"events": EVENTS}
+    orphans = outcome.survey.orphans[1]
+    left = [part for part in PARTS[3:] if part[7:11] == b"\1\0\0\0"]
+    assert (orphans.name, orphans.chunks) == ("numbers", len(left))
+    assert orphans.bytes == sum(map(len, left))
+    (said, *_) = printing.after_table(outcome)
+    assert said.startswith("left out: stream number 1 (numbers), ")
+    assert outcome.lost_bytes == orphans.bytes + len(header)
+
+
+def test_a_lost_file_header_is_made_anew(tmp_path: Path) -> None:
+    _, file, content = salvaged(_spoilt(1), tmp_path)
+    assert rows(file) == {"numbers": NUMBERS, "events": EVENTS}
+    assert content[4:].startswith(b"\x01")
+    assert b"<version>1.0</version>" in content
+
+
+def test_footers_are_those_of_the_recorder_or_say_what_is_there(tmp_path: Path) -> None:
+    block = next(n for n, part in enumerate(PARTS) if n > 20 and _is_samples(part, 1))
+    outcome, file, content = salvaged(_spoilt(block), tmp_path)
+    assert printing.table(outcome) == [("numbers", "156", "4"), ("events", "40", "0")]
+    # That of the events still holds.
+    assert PARTS[-1] in content
+    assert PARTS[-2] not in content
+    numbers, _ = load_by_pyxdf(file)
+    footer = numbers["footer"]["info"]
+    assert footer["sample_count"] == ["156"]
+    assert float(footer["first_timestamp"][0]) == 10.0
+    assert float(footer["last_timestamp"][0]) == NUMBERS[-1][0]
+    offsets = footer["clock_offsets"][0]["offset"]
+    assert [float(each["time"][0]) for each in offsets] == numbers["clock_times"]
+    assert [float(each["value"][0]) for each in offsets] == numbers["clock_values"]
+
+
+def test_the_time_of_a_loss_is_told(tmp_path: Path) -> None:
+    blocks = [n for n, part in enumerate(PARTS) if _is_samples(part, 1)]
+    content = _spoilt(*range(blocks[10], blocks[15]), blocks[20])[: ENDS[-3] - 3]
+    outcome, _, _ = salvaged(content, tmp_path)
+    times = [(place.begin_s, place.end_s) for place in outcome.places]
+    nothing_after = math.nan
+    # On the recorder's clock, which is a millisecond ahead of that of the numbers.
+    expected = [(9.751, 15.001), (19.751, 21.001), (39.751, nothing_after)]
+    assert times == [pytest.approx(each, nan_ok=True) for each in expected]
+    said = list(printing.before_table(outcome))
+    assert "between 9.8 and 15.0 s" in said[1]
+    assert "after 39.8 s" in said[-1]
+
+
+def test_many_places_are_not_all_listed(tmp_path: Path) -> None:
+    content = _spoilt(*(n for n, part in enumerate(PARTS) if _is_samples(part, 1) and n % 4))
+    outcome, _, _ = salvaged(content, tmp_path)
+    said = list(printing.before_table(outcome))
+    assert len(outcome.places) > 10
+    assert said[-1] == f"  and {len(outcome.places) - 10} more"
+
+
+def test_a_compressed_recording_is_salvaged_to_a_plain_one(tmp_path: Path) -> None:
+    packed = gzip.compress(WHOLE)
+    _, file, _ = salvaged(packed[: len(packed) * 3 // 4], tmp_path, "study.xdf.gz")
+    assert file.name == "study_salvaged.xdf"
+    found = rows(file)
+    assert found["numbers"] == NUMBERS[: len(found["numbers"])]
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("a.b.xdf", "a.b_salvaged.xdf"),
+        ("a.XDF", "a_salvaged.xdf"),
+        ("a.xdfz", "a_salvaged.xdf"),
+        ("a", "a_salvaged.xdf"),
+        ("a.dat", "a.dat_salvaged.xdf"),
+    ],
+)
+def test_its_name(name: str, expected: str) -> None:
+    assert salvaged_path(Path("/data") / name) == Path("/data") / expected
+
+
+def test_a_large_file_needs_little_memory(tmp_path: Path) -> None:
+    path = tmp_path / "study.xdf"
+    stamps = [10 + k / 1000 for k in range(5000)]
+    with path.open("wb") as file:
+        file.write(x.xdf(x.stream_header(1, "a", rate=1000.0)))
+        block = x.samples(1, "float32", [[1.0]] * 5000, stamps)
+        for _ in range(300):
+            file.write(block)
+        file.write(block[:-1])
+    tracemalloc.start()
+    salvage(path, salvaged_path(path))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert path.stat().st_size > 19_000_000
+    assert peak < 4_000_000
+
+
+def test_places_in_the_file_follow_each_other(tmp_path: Path) -> None:
+    outcome, _, _ = salvaged(_spoilt(10, 20, 21, 40), tmp_path)
+    ends = [(each.damage.start, each.damage.end) for each in outcome.places]
+    assert len(ends) == 3
+    assert all(before[1] <= after[0] for before, after in pairwise(ends))
