@@ -97,6 +97,12 @@ class Ros:
         """Message types by topic, of what is published or subscribed."""
         return dict(self.node.get_topic_names_and_types())
 
+    def services(self, node: str) -> set[str]:
+        """What a node offers."""
+        listener: Any = self.node
+        offered = listener.get_service_names_and_types_by_node(node, "/")
+        return {name for name, _ in offered}
+
     def status(self, topic: str) -> Status | None:
         """The latest report's entry of that topic."""
         return self._status.get(topic)
@@ -278,6 +284,8 @@ def ros(listener: Ros, default_context: None) -> Iterator[Ros]:
 @pytest.fixture(scope="module")
 def node(listener: Ros, request: pytest.FixtureRequest) -> Iterator[RunningNode]:
     """One node, with a module's ``NODE_ARGUMENTS``; none of its tests may end or break it."""
+    # One that was killed stays in the graph until its lease is over.
+    listener.until(lambda: not listener.publishers("/diagnostics"), "the end of earlier nodes")
     # By name: pytest leaves the type of a module open.
     running = RunningNode(*getattr(getattr(request, "module", None), "NODE_ARGUMENTS", ()))
     listener.report()

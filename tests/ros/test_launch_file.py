@@ -15,7 +15,7 @@ import pytest
 LAUNCH_FILE = (
     Path(__file__).parents[2] / "ros_side" / "lsl_to_ros" / "launch" / "lsl_to_ros.launch.py"
 )
-PARAMETERS = ("topic_prefix", "stream_predicate", "session_id", "known_peers")
+PARAMETERS = ("topic_prefix", "stream_predicate", "processes", "session_id", "known_peers")
 NOTHING_GIVEN = {
     "namespace": "",
     "node_name": "lsl_to_ros",
@@ -96,6 +96,7 @@ def test_what_is_given_comes_after_the_file_and_keeps_its_type(actions: list[Not
         params_file="lab.yaml",
         topic_prefix="7",
         stream_predicate="type='EEG'",
+        processes="2",
         session_id="42",
         known_peers="[a, b]",
     )["parameters"]
@@ -105,6 +106,7 @@ def test_what_is_given_comes_after_the_file_and_keeps_its_type(actions: list[Not
     }
     types = {name: value.options["value_type"] for name, value in given.items()}
     assert {types[name] for name in ("topic_prefix", "stream_predicate", "session_id")} == {str}
+    assert types["processes"] is int
     # launch compares with typing's alias and refuses the plain list[str].
     assert repr(types["known_peers"]) == "typing.List[str]"
 

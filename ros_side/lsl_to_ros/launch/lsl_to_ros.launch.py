@@ -20,6 +20,7 @@ ARGUMENTS = {
     "node_name": "name of the node; several nodes in one namespace need one each",
     "topic_prefix": "first part of every topic, relative to the namespace",
     "stream_predicate": "LSL query: which streams this node serves, e.g. type='EEG'",
+    "processes": "processes that share the streams, each on a core of its own, 1 to 16",
     "session_id": "LSL session; LabRecorder and the agents must use the same",
     "known_peers": "hosts that multicast does not reach, as a YAML list",
     "params_file": "parameter file; the share folder's config/params.yaml is an example",
@@ -28,6 +29,7 @@ ARGUMENTS = {
 PARAMETER_TYPES = {
     "topic_prefix": str,
     "stream_predicate": str,
+    "processes": int,
     "session_id": str,
     "known_peers": List[str],  # noqa: UP006 - as above
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,7 +12,6 @@ from rclpy.node import Node
 from biosensor_common import naming
 from biosensor_common.naming import TopicName, resolve_topics
 from biosensor_common.quantities import MessageType
-from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros.accounts.health import StreamHealth
 from lsl_to_ros.accounts.ros_time import RosTime
@@ -26,6 +25,7 @@ from lsl_to_ros.topics.bridge import Bridge, Outputs
 from lsl_to_ros.topics.outputs import open_outputs
 from lsl_to_ros.topics.pacing import Pacer
 from lsl_to_ros.topics.publishers import TopicPublisher, TopicPublishers, TopicTypeError
+from lsl_to_ros.topics.register import Names, claim_of
 from lsl_to_ros.topics.writers import StreamContext
 
 # So many topics of streams that are away stay open for their subscribers.
@@ -59,12 +59,15 @@ class Routing:
     ----------
     prefix
         First part of every topic, relative.
+    names
+        By which streams there are in all.
     """
 
     def __init__(
         self,
         node: Node,
         prefix: str,
+        names: Names,
         parameters: Parameters,
         ros_time: RosTime,
         log: LimitedLog,
@@ -72,6 +75,7 @@ class Routing:
     ) -> None:
         self._publishers = TopicPublishers(node, pacer)
         self._prefix = prefix
+        self._names = names
         self._parameters = parameters
         self._time = ros_time
         self._log = log
@@ -79,7 +83,6 @@ class Routing:
         self._routes: dict[str, Route] = {}
         self._records: dict[tuple[str, str], _Record] = {}
         self._tallies: dict[str, Tally] = {}
-        self._seen: set[DeviceIdentity] = set()
         self._newest: list[Route] = []
         self._due: list[Route] = []
 
@@ -105,14 +108,16 @@ class Routing:
                 self._listen_only(inlet, inlet.header)
         has_changed = bool(ready or left)
         if has_changed:
-            self._map_topics()
+            routes = self._routes.items()
+            self._names.claim({uid: claim_of(route.header) for uid, route in routes})
+            self.map_topics()
         return has_changed
 
     def set_prefix(self, prefix: str) -> None:
         """Move every topic; those of absent streams are closed."""
         if prefix != self._prefix:
             self._prefix = prefix
-            self._map_topics()
+            self.map_topics()
             used = self._used_publishers()
             self._publishers.close(lambda publisher: publisher not in used)
 
@@ -145,33 +150,28 @@ class Routing:
         if undelivered:
             self._warn(f"{name}: {undelivered} samples were lost with the connection")
 
-    def _map_topics(self) -> None:
+    def map_topics(self) -> None:
         """Give every stream its topic; a stream whose topic changes gets a new bridge."""
-        names = {
-            uid: (route.header.identity, route.header.data_name)
-            for uid, route in self._routes.items()
-        }
-        # A unit that has left keeps its name: another one's data must not appear under it.
-        self._seen.update(
-            route.header.identity for route in self.routes if _is_named_after_unit(route.header)
-        )
+        claims = self._names.claims
+        wanted = {uid: (claim.identity, claim.data_name) for uid, claim in claims.items()}
+        topics = resolve_topics(wanted, self._prefix, gone=self._names.lasting)
         left: set[str] = set()
-        for uid, topic in resolve_topics(names, self._prefix, gone=self._seen).items():
-            route = self._routes[uid]
+        for uid, route in self._routes.items():
+            topic = topics.get(uid)
+            if topic is None:
+                continue
             old, route.topic = route.topic, topic
             if old is None or old.name != topic.name:
                 left.update([old.base] if old else [])
                 self._connect(route, topic)
-        self._close_topics(left | self._crowded())
+        self._close_topics(left | self._crowded(topics))
 
-    def _crowded(self) -> set[str]:
+    def _crowded(self, topics: Mapping[str, TopicName]) -> set[str]:
         """Names that several units would have; the one that had it may be absent by now."""
+        crowded = [self._names.claims[uid] for uid, topic in topics.items() if topic.conflict]
         return {
-            naming.topic(route.header.identity, route.header.data_name, self._prefix).rpartition(
-                "/"
-            )[0]
-            for route in self._routes.values()
-            if route.topic is not None and route.topic.conflict
+            naming.topic(claim.identity, claim.data_name, self._prefix).rpartition("/")[0]
+            for claim in crowded
         }
 
     def _close_topics(self, bases: set[str]) -> None:
@@ -298,13 +298,3 @@ class Routing:
 def _shape_text(shape: tuple[object, ...]) -> str:
     channels, channel_format, rate = shape
     return f"{channels} channels of {channel_format} at {rate or 'an irregular rate'}"
-
-
-def _is_named_after_unit(header: StreamHeader) -> bool:
-    """Whether the name stands for one device for good.
-
-    A participant or a label names a place, where a device may be replaced, and
-    another program may give its stream a new source_id at every start.
-    """
-    identity = header.identity
-    return not (header.foreign or identity.participant or identity.label)

@@ -13,6 +13,7 @@ from biosensor_common.errors import SpecError
 from biosensor_common.quantities import ContentType
 from lsl_to_ros.lsl.inlets import Inlet, InletState
 from lsl_to_ros.lsl.rivals import Rivals, Swap
+from lsl_to_ros.lsl.share import ALL, Share
 
 # An outlet that has just died is still reported by the resolver for a while.
 RETRY_S = 0.5
@@ -31,7 +32,9 @@ class Changes(NamedTuple):
 
 
 class Discovery:
-    """Keeps one inlet for each stream on the network.
+    """Keeps one inlet for each stream on the network, or of a share of them.
+
+    The agents' counts of losses are kept whatever the share: they are of all streams.
 
     An inlet is given up when its stream is lost or comes back under the same
     source_id, never because the resolver stopped seeing it: a cut network heals
@@ -40,9 +43,12 @@ class Discovery:
     brings something stays (:class:`~lsl_to_ros.lsl.rivals.Rivals`).
     """
 
-    def __init__(self, warn: Callable[[str], None], predicate: str = "") -> None:
+    def __init__(
+        self, warn: Callable[[str], None], predicate: str = "", share: Share = ALL
+    ) -> None:
         self._warn = warn
         self._predicate = predicate
+        self._share = share
         self._resolver = _resolver(predicate)
         self._inlets: dict[str, Inlet] = {}
         self._announced: set[str] = set()
@@ -79,7 +85,7 @@ class Discovery:
     def update(self) -> Changes:
         """Open inlets for new streams; return those that became ready or ended."""
         gone = self._ended()
-        found = {info.uid(): info for info in self._resolver.results()}
+        found = {info.uid(): info for info in self._resolver.results() if self._is_for_us(info)}
         swaps = self._swaps(gone, found)
         gone += [swap.old for swap in swaps if swap.old not in gone]
         for uid, info in found.items():
@@ -96,7 +102,7 @@ class Discovery:
             if inlet.state is InletState.READY and inlet.uid not in self._announced
         ]
         for inlet in ready:
-            inlet.is_served = inlet.matches(self._predicate)
+            inlet.is_served = self._is_to_be_served(inlet)
             self._announced.add(inlet.uid)
         return Changes(ready, gone)
 
@@ -131,7 +137,13 @@ class Discovery:
     def _is_served_otherwise(self, inlet: Inlet) -> bool:
         """Whether the predicate has changed for a stream since it was announced."""
         is_announced = inlet.uid in self._announced
-        return is_announced and inlet.matches(self._predicate) is not inlet.is_served
+        return is_announced and self._is_to_be_served(inlet) is not inlet.is_served
+
+    def _is_to_be_served(self, inlet: Inlet) -> bool:
+        return inlet.matches(self._predicate) and self._share.has(inlet.info)
+
+    def _is_for_us(self, info: pylsl.StreamInfo) -> bool:
+        return self._share.has(info) or info.type() == ContentType.COUNTERS
 
     def _open(self, info: pylsl.StreamInfo) -> list[Inlet]:
         """Open an inlet; return those that it replaces."""

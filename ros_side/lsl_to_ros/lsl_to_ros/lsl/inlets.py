@@ -97,7 +97,7 @@ class Inlet:
     header
         Set once the state is ``READY``.
     is_served
-        Whether the node's predicate names it; else it only serves the node itself.
+        Whether this process publishes it; else it only serves the node itself.
     heard_s
         Monotonic time at which something came last, 0 before.
     correction

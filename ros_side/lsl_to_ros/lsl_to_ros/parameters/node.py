@@ -7,7 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeGuard, cast
 
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, ParameterType
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    ParameterType,
+)
 from rclpy.node import Node
 
 from lsl_to_ros.lsl.liblsl import is_query
@@ -15,12 +20,14 @@ from lsl_to_ros.lsl.liblsl import is_query
 TOPIC_PREFIX, STREAM_PREDICATE = "topic_prefix", "stream_predicate"
 SESSION_ID, KNOWN_PEERS = "session_id", "known_peers"
 BURST_PACING = "burst_pacing"
+PROCESSES = "processes"
 
 QOS_OVERRIDES = "qos_overrides."
 MAX_PREFIX_CHARACTERS = 100
 MAX_DEPTH = 1_000_000
 # Measured: decision 32.
 PACING_PER_MS, MAX_PACING_PER_MS = 0.5, 1000.0
+MAX_PROCESSES = 16
 
 _RELATIVE_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
 _QOS_VALUES = {
@@ -34,25 +41,30 @@ _QOS_VALUES = {
 class _Parameter:
     """One parameter; ``fault`` says why a value of the right type is refused."""
 
-    default: str | float | list[str]
+    default: str | float | int | list[str]
     description: str
     fault: Callable[[Any], str | None]
     read_only: bool = False
     most: float | None = None
+    whole: range = range(0)
 
     @property
     def descriptor(self) -> ParameterDescriptor:
         limits = [] if self.most is None else [FloatingPointRange(to_value=self.most)]
+        whole = self.whole
+        steps = [IntegerRange(from_value=whole[0], to_value=whole[-1], step=1)] if whole else []
         return ParameterDescriptor(
             description=self.description,
             read_only=self.read_only,
             type=_TYPES[type(self.default)],
             floating_point_range=limits,
+            integer_range=steps,
         )
 
 
 _TYPES: dict[type[Any], int] = {
     float: ParameterType.PARAMETER_DOUBLE,
+    int: ParameterType.PARAMETER_INTEGER,
     list: ParameterType.PARAMETER_STRING_ARRAY,
     str: ParameterType.PARAMETER_STRING,
 }
@@ -84,6 +96,14 @@ def _pacing_fault(value: float) -> str | None:
     )
 
 
+def _processes_fault(value: int) -> str | None:
+    return None if 1 <= value <= MAX_PROCESSES else _no_count(value)
+
+
+def _no_count(value: object) -> str:
+    return f"must be a whole number from 1 to {MAX_PROCESSES}, not {value!r}"
+
+
 _PARAMETERS = {
     TOPIC_PREFIX: _Parameter(
         "biosensors", "first part of every topic, relative to the namespace", _prefix_fault
@@ -97,6 +117,13 @@ _PARAMETERS = {
         " subscribers, usually 5 or 10 long; 0: all at once",
         _pacing_fault,
         most=MAX_PACING_PER_MS,
+    ),
+    PROCESSES: _Parameter(
+        1,
+        "processes that share the streams, each on a core of its own",
+        _processes_fault,
+        read_only=True,
+        whole=range(1, MAX_PROCESSES + 1),
     ),
     SESSION_ID: _Parameter(
         "", "LSL session; empty: LSL's own setting", lambda _: None, read_only=True
@@ -137,9 +164,15 @@ def fault(name: str, value: Any) -> str | None:  # noqa: ANN401 - whatever a use
     return reason and f"{name} {reason}"
 
 
-def _type_fault(default: str | float | list[str], value: Any) -> str | None:  # noqa: ANN401 - as above
+def _type_fault(
+    default: str | float | list[str],
+    value: Any,  # noqa: ANN401 - as above
+) -> str | None:
     if isinstance(default, str):
         return None if isinstance(value, str) else f"must be text, not {value!r}"
+    if isinstance(default, int):
+        is_whole = isinstance(value, int) and not isinstance(value, bool)
+        return None if is_whole else _no_count(value)
     if isinstance(default, float):
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         return None if is_number else f"must be a number such as {default}, not {value!r}"

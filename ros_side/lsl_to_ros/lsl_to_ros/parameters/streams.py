@@ -9,7 +9,7 @@ The most specific key wins. Streams that are not there yet can be set already.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -72,6 +72,8 @@ class Parameters:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._on_change: Callable[[], None] = lambda: None
+        self._on_set: Callable[[Sequence[Parameter]], None] = lambda _: None
+        self._asked_for: set[str] = set()
         self._is_declaring = False
         self._drop_invalid()
         for key, value in DEFAULTS.items():
@@ -80,12 +82,17 @@ class Parameters:
                 node.undeclare_parameter(key)
             chosen = value if given is None else given
             node.declare_parameter(key, chosen, _descriptor(key), ignore_override=True)
+        node.add_pre_set_parameters_callback(self._asked)
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._changed)
 
     def on_change(self, listener: Callable[[], None]) -> None:
         """Call *listener* after any of them changed."""
         self._on_change = listener
+
+    def on_set(self, listener: Callable[[Sequence[Parameter]], None]) -> None:
+        """Call *listener* with what somebody has set, after it was found to be good."""
+        self._on_set = listener
 
     def settings(self, identity: DeviceIdentity, data_name: str, chunk: str) -> StreamSettings:
         """Return what holds for one stream now; *chunk* is its chunk's data name."""
@@ -148,7 +155,16 @@ class Parameters:
         reason = next((fault for fault in faults if fault is not None), "")
         return SetParametersResult(successful=not reason, reason=reason)
 
+    def _asked(self, parameters: list[Parameter]) -> list[Parameter]:
+        """Note what somebody sets; what is declared does not come this way."""
+        self._asked_for = {parameter.name for parameter in parameters}
+        return parameters
+
     def _changed(self, parameters: Iterable[Parameter]) -> None:
+        asked_for, self._asked_for = self._asked_for, set()
+        given = [parameter for parameter in parameters if parameter.name in asked_for]
+        if given:
+            self._on_set(given)
         # Declaring is setting to ROS; a hundred streams declare a thousand parameters.
         is_ours = any(not parameter.name.startswith(QOS_OVERRIDES) for parameter in parameters)
         if is_ours and not self._is_declaring:

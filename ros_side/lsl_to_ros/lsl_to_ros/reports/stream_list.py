@@ -4,20 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from std_msgs.msg import Header
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from lsl_to_ros.routing import Route
 
-TOPIC = "~/streams"
 
-
-def stream_list(routes: Iterable[Route], stamp: Time) -> DiagnosticArray:
-    """Make the message: a status a stream, named by its raw topic, its facts as values."""
-    statuses = [_entry(route) for route in routes if route.bridge is not None]
-    statuses.sort(key=lambda status: status.name)
-    return DiagnosticArray(header=Header(stamp=stamp), status=statuses)
+def stream_list(routes: Iterable[Route]) -> list[DiagnosticStatus]:
+    """Return a status a stream, named by its raw topic, its facts as values."""
+    return [_entry(route) for route in routes if route.bridge is not None]
 
 
 def _entry(route: Route) -> DiagnosticStatus:

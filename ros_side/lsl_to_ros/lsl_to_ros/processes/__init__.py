@@ -1,0 +1,1 @@
+"""The processes of the node, which share the streams."""

@@ -1,0 +1,210 @@
+"""One further process, as the first one sees it: started, watched, started again."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from time import monotonic
+
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from lsl_to_ros.lsl.share import Share
+from lsl_to_ros.processes.arguments import for_further
+from lsl_to_ros.processes.link import Link
+from lsl_to_ros.processes.mail import Setup
+from lsl_to_ros.reports.overload import name_of
+from lsl_to_ros.reports.processes import ProcessFacts
+from lsl_to_ros.reports.survey import Part
+from lsl_to_ros.topics.register import Claim
+
+FURTHER = "--further"
+"""Stands first on the command line of a further process, before the socket to the first one."""
+
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
+# One that has run for so long has not failed because of how it was started; and so long it is
+# said that it was.
+RAN_WELL_S = 60.0
+# Until then a process that was started again has found its streams.
+SETTLED_S = 10.0
+# It reports once a second, and first has to start.
+SILENT_AFTER_S, STARTS_WITHIN_S = 5.0, 20.0
+# What it has may have to be published first.
+ENDS_WITHIN_S = 4.0
+
+
+class Child:
+    """Keeps one further process running.
+
+    Parameters
+    ----------
+    setup
+        Returns what it starts with, as it is then.
+    wake
+        Called by a thread when it has said something or has ended.
+    warn
+        Called with a sentence when it has died.
+
+    Attributes
+    ----------
+    entries
+        Its part of the list of streams.
+    """
+
+    def __init__(
+        self,
+        share: Share,
+        setup: Callable[[Share], Setup],
+        wake: Callable[[], None],
+        warn: Callable[[str], None],
+    ) -> None:
+        self.share = share
+        self.entries: Sequence[DiagnosticStatus] = []
+        self._setup, self._wake, self._warn = setup, wake, warn
+        self._process: subprocess.Popen[bytes] | None = None
+        self._link: Link | None = None
+        self._part: Part | None = None
+        self._claims: Mapping[str, Claim] = {}
+        self._claims_before: Mapping[str, Claim] = {}
+        self._begun_s = self._heard_s = self._due_s = 0.0
+        self._pause_s = FIRST_PAUSE_S
+        self._restarts = 0
+        self._end = ""
+        self.start()
+
+    @property
+    def claims(self) -> Mapping[str, Claim]:
+        """Its streams; for a while also those that it had before it was started again.
+
+        Else the topics of others would be named anew, as if these streams were gone.
+        """
+        if self._process is None or monotonic() - self._begun_s < SETTLED_S:
+            return {**self._claims_before, **self._claims}
+        return self._claims
+
+    def take_claims(self, claims: Mapping[str, Claim]) -> None:
+        """Take in which streams it has."""
+        self._claims = claims
+
+    def take_part(self, part: Part) -> None:
+        """Take in its report."""
+        self._part, self._heard_s = part, monotonic()
+
+    def start(self) -> None:
+        """Start it, or try again later if the system has no process or descriptor left."""
+        self._begun_s = self._heard_s = monotonic()
+        try:
+            self._start(self._setup(self.share))
+        except OSError as error:
+            self._failed(f"cannot be started ({error})")
+
+    def _start(self, setup: Setup) -> None:
+        ours, theirs = socket.socketpair()
+        with theirs:
+            try:
+                self._process = _popen(theirs.fileno(), setup.name)
+            except OSError:
+                ours.close()
+                raise
+        self._link = Link(ours, self._wake)
+        self._link.start()
+        self._link.send(setup)
+
+    def send(self, message: object) -> None:
+        """Tell it something; nothing happens while it does not run, for it starts with all."""
+        if self._link is not None:
+            self._link.send(message)
+
+    def received(self) -> Sequence[object]:
+        """Return what it has said."""
+        return [] if self._link is None else list(self._link.received())
+
+    def look(self) -> bool:
+        """See whether it runs, start it again when it is time; return whether either happened."""
+        if self._process is not None:
+            return self._see_end(self._process)
+        if monotonic() < self._due_s:
+            return False
+        self._restarts += 1
+        self.start()
+        return True
+
+    def facts(self) -> ProcessFacts:
+        """Return how it is."""
+        pid = self._process.pid if self._process else 0
+        missing = self._missing()
+        return ProcessFacts(
+            share=self.share,
+            pid=pid,
+            part=self._part,
+            trouble=missing or self._recovered(),
+            is_gone=bool(missing),
+            restarts=self._restarts,
+        )
+
+    def _missing(self) -> str:
+        """Say why it does not do its work; empty if it does, or starts for the first time."""
+        now = monotonic()
+        if self._process is None:
+            return f"{self._end}; it is started again in {max(0.0, self._due_s - now):.0f} s"
+        has_reported = self._heard_s > self._begun_s
+        silent_s = now - self._heard_s
+        if silent_s > (SILENT_AFTER_S if has_reported else STARTS_WITHIN_S):
+            return f"{name_of(self.share)} has said nothing for {silent_s:.0f} s"
+        return f"{self._end}; it is being started again" if self._end and not has_reported else ""
+
+    def _recovered(self) -> str:
+        """Say that it was started again; empty if it was not lately."""
+        ran_s = monotonic() - self._begun_s
+        is_recent = self._end and ran_s < RAN_WELL_S
+        return f"{self._end}, and was started again {ran_s:.0f} s ago" if is_recent else ""
+
+    def close(self) -> None:
+        """Let it end."""
+        if self._link is not None:
+            self._link.close()
+
+    def wait(self, until_s: float) -> None:
+        """Wait for its end until a monotonic time, then kill it."""
+        process = self._process
+        if process is None:
+            return
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(max(0.0, until_s - monotonic()))
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+
+    def _see_end(self, process: subprocess.Popen[bytes]) -> bool:
+        code = process.poll()
+        if code is None:
+            return False
+        if monotonic() - self._begun_s > RAN_WELL_S:
+            self._pause_s = FIRST_PAUSE_S
+        self._claims_before, self._claims = self.claims, {}
+        self.close()
+        self._process = self._link = None
+        how = f"was ended by signal {-code}" if code < 0 else f"ended with exit code {code}"
+        self._failed(how)
+        return True
+
+    def _failed(self, how: str) -> None:
+        self._due_s = monotonic() + self._pause_s
+        self._pause_s = min(2 * self._pause_s, LONGEST_PAUSE_S)
+        self._end = f"{name_of(self.share)} {how}"
+        self._warn(f"{self._end}; its streams are not published until it is started again")
+
+
+def _popen(descriptor: int, name: str) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(  # noqa: S603 - this program again
+        [
+            *(sys.executable, "-P", "-m", "lsl_to_ros.node", FURTHER, str(descriptor)),
+            *for_further(sys.argv[1:], name),
+        ],
+        pass_fds=[descriptor],
+        # Nobody types for it, not even Ctrl+C: it ends with the first process.
+        stdin=subprocess.DEVNULL,
+        process_group=0,
+    )

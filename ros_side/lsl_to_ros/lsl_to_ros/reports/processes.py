@@ -1,0 +1,120 @@
+"""Sums up the processes of the node for ``/diagnostics``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import pylsl
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from lsl_to_ros.lsl.share import Share
+from lsl_to_ros.reports.diagnostics import status
+from lsl_to_ros.reports.overload import overload
+from lsl_to_ros.reports.survey import Part
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessFacts:
+    """One look at a process.
+
+    Attributes
+    ----------
+    pid
+        0 while it does not run.
+    part
+        What it reported last; None before.
+    trouble
+        What is or was wrong with it lately; empty if nothing was.
+    is_gone
+        Whether it does not do its work now.
+    restarts
+        How often it was started again.
+    """
+
+    share: Share
+    pid: int
+    part: Part | None
+    trouble: str = ""
+    is_gone: bool = False
+    restarts: int = 0
+
+    @property
+    def statuses(self) -> Sequence[DiagnosticStatus]:
+        """Of its streams; those that it had while it is gone."""
+        return self._as_they_are(self.part.statuses) if self.part else []
+
+    @property
+    def devices(self) -> Sequence[DiagnosticStatus]:
+        """Of the devices of these streams."""
+        return self._as_they_are(self.part.devices) if self.part else []
+
+    def _as_they_are(self, statuses: Sequence[DiagnosticStatus]) -> Sequence[DiagnosticStatus]:
+        return [_stale(each, self.trouble) for each in statuses] if self.is_gone else statuses
+
+
+def node_status(
+    processes: Sequence[ProcessFacts], values: Mapping[str, str], missing: str
+) -> DiagnosticStatus:
+    """Describe the node: sums over all processes, the longest wait of any, and each trouble.
+
+    Parameters
+    ----------
+    values
+        What concerns the node as a whole.
+    missing
+        What is not installed; empty if nothing.
+    """
+    parts = [each.part for each in processes if each.part is not None and not each.is_gone]
+    streams = sum(part.streams for part in parts)
+    shares = [part.load.share for part in parts if part.load.share is not None]
+    facts = {
+        "cpu_percent": f"{100 * sum(shares):.0f}" if len(shares) == len(parts) else "",
+        "queue_age_s": f"{max(part.load.age_s for part in parts):.3f}",
+        "streams": str(streams),
+        "streams_refused": str(sum(part.refused for part in parts)),
+        **values,
+        "liblsl": str(pylsl.library_version()),
+        "processes": str(len(processes)),
+    }
+    judged = [_judge(each) for each in processes]
+    level = max(level for level, _ in judged)
+    reasons = [reason for _, reason in judged if reason] + [missing] * bool(missing)
+    if missing and level == DiagnosticStatus.OK:
+        level = DiagnosticStatus.WARN
+    return status("node", level, "; ".join(reasons) or f"{streams} streams", facts)
+
+
+def process_status(facts: ProcessFacts) -> DiagnosticStatus:
+    """Describe one of several processes."""
+    level, reason = _judge(facts)
+    part = facts.part
+    share = part.load.share if part else None
+    values = {
+        "cpu_percent": "" if share is None else f"{100 * share:.0f}",
+        "queue_age_s": f"{part.load.age_s:.3f}" if part else "",
+        "streams": str(part.streams) if part else "",
+        "restarts": str(facts.restarts),
+        "pid": str(facts.pid or ""),
+    }
+    message = reason or f"{values['streams'] or 'no'} streams"
+    return status(f"process {facts.share.index}", level, message, values)
+
+
+def _judge(facts: ProcessFacts) -> tuple[bytes, str]:
+    if facts.is_gone:
+        return DiagnosticStatus.ERROR, facts.trouble
+    load = facts.part.load if facts.part else None
+    too_much = overload(load, facts.share) if load else ""
+    reason = "; ".join(each for each in (too_much, facts.trouble) if each)
+    return (DiagnosticStatus.WARN if reason else DiagnosticStatus.OK), reason
+
+
+def _stale(entry: DiagnosticStatus, trouble: str) -> DiagnosticStatus:
+    return DiagnosticStatus(
+        level=DiagnosticStatus.STALE,
+        name=entry.name,
+        message=trouble,
+        hardware_id=entry.hardware_id,
+        values=entry.values,
+    )

@@ -1,0 +1,131 @@
+"""Looks at the streams of one process, for ``/diagnostics``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from time import monotonic
+
+import pylsl
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.node import Node
+from rclpy.qos import ReliabilityPolicy
+
+from lsl_to_ros.accounts.load import Load, LoadFacts
+from lsl_to_ros.lsl.discovery import Discovery
+from lsl_to_ros.lsl.hosts import Senders
+from lsl_to_ros.lsl.share import Share
+from lsl_to_ros.reports.devices import device_statuses
+from lsl_to_ros.reports.diagnostics import stream_facts, stream_status
+from lsl_to_ros.reports.overload import overload
+from lsl_to_ros.routing import Route, Routing
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What one process has to report.
+
+    Attributes
+    ----------
+    streams, refused
+        How many it has, and how many it cannot use.
+    statuses, devices
+        Of its streams, and of their devices as far as these streams tell.
+    """
+
+    load: LoadFacts
+    streams: int
+    refused: int
+    statuses: Sequence[DiagnosticStatus]
+    devices: Sequence[DiagnosticStatus]
+
+
+class Survey:
+    """Looks at everything in this process.
+
+    Parameters
+    ----------
+    share
+        The streams that are its own.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        routing: Routing,
+        discovery: Discovery,
+        senders: Senders,
+        warn: Callable[[str], None],
+        share: Share,
+    ) -> None:
+        self._node = node
+        self._routing = routing
+        self._discovery = discovery
+        self._senders = senders
+        self._warn = warn
+        self._share = share
+        self._load = Load()
+        self._overloads = False, False
+
+    def look(self) -> None:
+        """See how long samples have waited in liblsl and for their turn; call it often."""
+        now_s = monotonic()
+        for route in self._routing.routes:
+            bridge, inlet = route.bridge, route.inlet
+            if bridge is not None and inlet.is_delivering:
+                # In this order: what is read in between then counts as gone, not as late.
+                received = bridge.tally.received
+                age_s = route.health.backlog.age(now_s, received, inlet.waiting)
+                age_s += bridge.oldest_waiting_s
+                route.health.waited(age_s)
+                self._load.waited(age_s)
+
+    def part(self) -> Part:
+        """Return the state of everything; call it once a second."""
+        routes = self._routing.routes
+        load = self._look_at_load()
+        statuses = [entry for route in routes if (entry := self._stream_status(route)) is not None]
+        bridges = [
+            (self._routing.device_name(route), route.bridge)
+            for route in routes
+            if route.bridge is not None
+        ]
+        devices = list(device_statuses(bridges))
+        return Part(load, len(routes), self._discovery.refused, statuses, devices)
+
+    def _stream_status(self, route: Route) -> DiagnosticStatus | None:
+        if route.bridge is None or route.topic is None:
+            return None
+        inlet = route.inlet
+        facts = stream_facts(
+            route.topic,
+            route.bridge,
+            route.health,
+            inlet.correction,
+            inlet.correction_spread,
+            pylsl.local_clock(),
+            self._senders.trouble(inlet.core.hostname),
+        )
+        if facts.is_fast:
+            topic = route.bridge.outputs.of_samples[0].publisher.name
+            facts = replace(facts, best_effort=self._best_effort_readers(topic))
+        return stream_status(facts)
+
+    def _best_effort_readers(self, topic: str) -> list[str]:
+        """Ask DDS; of its readers' queues, it does not tell the length."""
+        infos = self._node.get_subscriptions_info_by_topic(topic)
+        return sorted(
+            {
+                info.node_name
+                for info in infos
+                if info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+            }
+        )
+
+    def _look_at_load(self) -> LoadFacts:
+        was_busy, was_late = self._overloads
+        load = self._load.look()
+        if (load.is_busy and not was_busy) or (load.is_late and not was_late):
+            self._warn(overload(load, self._share))
+        self._overloads = load.is_busy, load.is_late
+        return load

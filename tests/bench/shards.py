@@ -1,0 +1,111 @@
+"""One process of the node and two, with more and more streams: loss, latency, CPU, memory."""
+
+from __future__ import annotations
+
+import statistics
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+
+from tests.bench.effort import Effort
+from tests.bench.figures import Figure, Measurement, Target
+from tests.bench.processes import Processes
+from tests.bench.receivers import Receivers
+from tests.bench.ros_receiver import Wish
+from tests.bench.rounds import in_rounds
+from tests.bench.samples import Passage, passage, topic_of
+from tests.bench.senders import Senders
+
+STREAMS = (8, 16, 32)
+PROCESSES = (1, 2)
+_LOST = Target(0)
+_SUBSCRIBERS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """One round with so many streams and processes.
+
+    Attributes
+    ----------
+    cpu_s
+        CPU time of each process of the node.
+    seconds
+        From the first sample to the last.
+    memory_mb
+        Of all processes together.
+    late_p99_ms
+        How long after its due time a sample was pushed.
+    """
+
+    passage: Passage
+    cpu_s: Sequence[float]
+    seconds: float
+    memory_mb: float
+    late_p99_ms: float
+
+    @property
+    def us_a_sample(self) -> float:
+        """CPU time of all processes, which says something on a busy machine, too."""
+        return 1e6 * sum(self.cpu_s) / self.passage.sent
+
+
+def measure(effort: Effort) -> Measurement:
+    """Measure both in turn, with every number of streams."""
+    legs = {
+        f"{streams} streams, {processes} process{'es' * (processes > 1)}": partial(
+            _leg, streams, processes
+        )
+        for streams in STREAMS
+        for processes in PROCESSES
+    }
+    rounds = in_rounds(legs, effort.rounds, effort.sixteen_s, effort.settle_s)
+    figures = [figure for title, each in rounds.items() for figure in _figures(title, each)]
+    details = {title: [asdict(leg) for leg in each] for title, each in rounds.items()}
+    return Measurement("the node on one process and on two, every sample read", figures, details)
+
+
+def _leg(streams: int, count: int, seconds: float, settle_s: float) -> Leg:
+    with tempfile.TemporaryDirectory() as name, Processes(Path(name)) as processes:
+        node = processes.start_node("--ros-args", "-p", f"processes:={count}")
+        # What the senders take is not left for the node.
+        senders = Senders(processes, streams, frugal=True)
+        wish = Wish([topic_of(each) for each in senders.names], senders.count(seconds), "")
+        receivers = Receivers(processes, wish, _SUBSCRIBERS)
+        senders.expect_up()
+        receivers.expect_all()
+        time.sleep(settle_s)
+        family = [node, *node.children]
+        before, begin_s = [each.cpu_s for each in family], time.monotonic()
+        sent = senders.send(seconds)
+        took_s = time.monotonic() - begin_s
+        cpu_s = [each.cpu_s - begun for each, begun in zip(family, before, strict=True)]
+        memory_mb = sum(each.memory_mb for each in family)
+        arrived, repeated = receivers.finish()
+        node.stop()
+        senders.finish()
+        result = passage(sent.times, arrived, repeated)
+        return Leg(result, cpu_s, took_s, memory_mb, sent.late_p99_ms)
+
+
+def _figures(title: str, legs: Sequence[Leg]) -> list[Figure]:
+    lost, sent = sum(leg.passage.lost for leg in legs), sum(leg.passage.sent for leg in legs)
+    repeated = sum(leg.passage.repeated for leg in legs)
+    p50 = statistics.median(leg.passage.p50_ms for leg in legs)
+    p99 = statistics.median(leg.passage.p99_ms for leg in legs)
+    cpu = statistics.median(100 * sum(leg.cpu_s) / leg.seconds for leg in legs)
+    busiest = statistics.median(100 * max(leg.cpu_s) / sum(leg.cpu_s) for leg in legs)
+    us = statistics.median(leg.us_a_sample for leg in legs)
+    memory_mb = max(leg.memory_mb for leg in legs)
+    late = max(leg.late_p99_ms for leg in legs)
+    return [
+        Figure(f"{title}: lost", lost, "", _LOST, f"of {sent}, {repeated} repeated"),
+        Figure("p50", p50, "ms"),
+        Figure("p99", p99, "ms", note=f"pushed {late:.2f} ms late (p99)"),
+        Figure("CPU", cpu, "%", note=f"{busiest:.0f} % of it by the busiest process"),
+        Figure("CPU a sample", us, "µs"),
+        Figure("memory", memory_mb, "MB", note="resident"),
+    ]
