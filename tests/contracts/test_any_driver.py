@@ -13,7 +13,7 @@ import pytest
 from biosensor_common.errors import GatewayError, TransportError, TransportReason
 from biosensor_common.quantities import ChannelRole
 from biosensor_gateway.agent import reviving
-from biosensor_gateway.agent.supervisor import State
+from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.registry import declaration, driver
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.simulation.expected import Contact

@@ -41,7 +41,7 @@ def test_labrecorder_records_what_the_agent_declares(
     tmp_path: Path,
 ) -> None:
     declared = {stream.data_name: stream for stream in declaration("zephyr").streams}
-    names = {*declared, "counters", "events"}
+    names = {*declared, "counters", "events", "markers"}
     source = SyntheticSource(seed=3, hrv_after_s=0)
     with SteeredBioHarness(source) as device:
         programs.agent(

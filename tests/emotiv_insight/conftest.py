@@ -22,7 +22,8 @@ from websockets.exceptions import ConnectionClosed
 
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import supervisor as supervisor_module
-from biosensor_gateway.agent.supervisor import State, Supervisor
+from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.emotiv_insight.declaration import SPEC
 from biosensor_gateway.devices.emotiv_insight.driver import account, driver, headsets
 from biosensor_gateway.devices.emotiv_insight.driver.driver import DRIVER

@@ -25,7 +25,7 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
-from biosensor_gateway.agent.supervisor import State
+from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.emotiv_insight.driver import discovery
 from biosensor_gateway.devices.emotiv_insight.driver.discovery import find
 from biosensor_gateway.devices.emotiv_insight.driver.driver import DRIVER

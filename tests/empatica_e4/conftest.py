@@ -17,7 +17,8 @@ import pytest
 from numpy.typing import NDArray
 
 from biosensor_gateway.agent import supervisor as supervisor_module
-from biosensor_gateway.agent.supervisor import State, Supervisor
+from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.empatica_e4.driver import driver as driver_module
 from biosensor_gateway.devices.empatica_e4.driver.driver import DRIVER, E4Settings
 from biosensor_gateway.simulation.truth import Truth

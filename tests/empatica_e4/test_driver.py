@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from structlog.testing import capture_logs
 
-from biosensor_gateway.agent.supervisor import State
+from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.empatica_e4.driver.driver import DRIVER, E4Settings
 from biosensor_gateway.devices.empatica_e4.simulator import NumberFormat, SimulatedE4, Timing

@@ -13,6 +13,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+import psutil
+
 from biosensor_common.errors import ConfigError
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.system.logs import LOG_FILE_NAME
@@ -66,6 +68,17 @@ class AgentProcess:
         return self._process.pid
 
     @property
+    def serving(self) -> int:
+        """The process that is the agent; with ``--keep-alive`` not `pid`."""
+        return int(status_file.read_status(self._folder)["process"])
+
+    @property
+    def standby(self) -> int | None:
+        """The process that waits beside it, with ``--keep-alive``; None while there is none."""
+        waiting = self._children() - {self.serving}
+        return min(waiting, default=None)
+
+    @property
     def is_running(self) -> bool:
         return self._process.poll() is None
 
@@ -87,7 +100,8 @@ class AgentProcess:
             status = status_file.read_status(self._folder)
         except ConfigError:
             return {}
-        assert status["process"] == self.pid
+        process = status["process"]
+        assert process == self.pid or process in self._children()
         return {device["sensor"]: device for device in status["devices"]}
 
     def log(self) -> list[dict[str, Any]]:
@@ -95,3 +109,6 @@ class AgentProcess:
         path = self._folder / LOG_FILE_NAME
         lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
         return [json.loads(line) for line in lines]
+
+    def _children(self) -> set[int]:
+        return {each.pid for each in psutil.Process(self.pid).children()}

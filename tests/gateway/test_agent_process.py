@@ -26,10 +26,12 @@ from biosensor_gateway.agent import agent as agent_module
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.agent import Agent
 from biosensor_gateway.agent.device import Device
-from biosensor_gateway.agent.supervisor import State, Supervisor
+from biosensor_gateway.agent.fleet import Fleet
+from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.settings.models import GatewaySettings
+from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
 from biosensor_gateway.streaming.sink import DeviceSink
 from tests.rigs.zephyr import SteeredBioHarness
 
@@ -270,7 +272,13 @@ async def test_if_a_supervisor_itself_dies_everything_is_closed_and_it_is_said(
     ]
     good = Supervisor(lambda: bystander, sinks[0])
     dead = DeadSupervisor(lambda: bystander, sinks[1])
-    agent.devices = [Device(good, sinks[0]), Device(dead, sinks[1])]
+    supervisors = zip([good, dead], sinks, strict=True)
+    agent.devices = Fleet(
+        {
+            DeviceSettings(sensor="gateway", unit=sink.identity.unit): Device(supervisor, sink)
+            for supervisor, sink in supervisors
+        }
+    )
     with pytest.raises(RuntimeError, match="a mistake in the supervisor"):
         await asyncio.wait_for(agent.run(), ENDED_WITHIN_S)
     assert good.state is State.STOPPED

@@ -246,7 +246,7 @@ def test_status_for_people_names_devices_states_and_counts(run: Run, state: Path
     outcome = run("status")
     assert outcome.code == 0
     assert "p01 zephyr (BHT012345): streaming\n" in outcome.out
-    shown = "zephyr [left] (BHT012345): paused (discovering) - COM7: there is no such port"
+    shown = "zephyr [left] (BHT012345): paused (looking for it) - COM7: there is no such port"
     assert shown in outcome.out
     row = next(line.split() for line in outcome.out.splitlines() if "4711" in line)
     assert row == ["p01@zephyr-ecg", "4711", "63", "5", "8"]

@@ -215,10 +215,10 @@ NOISE = random.Random(1).randbytes(1000).replace(b"\n", b"") + b"\n"
         (b"[" * 4000 + b"\n", "not a JSON object"),
         (b'{"token": ' + b"9" * 4000 + b"}\n", "wrong token"),
         (b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n", "not a JSON object"),
-        (b" " * 4096 + b"\n", "not a JSON object"),
-        (b" " * 4097 + b"\n", "longer than 4096 bytes"),
-        (b"x" * 1_000_000 + b"\n", "longer than 4096 bytes"),
-        (b"x" * 1_000_000, "longer than 4096 bytes"),
+        (b" " * 8192 + b"\n", "not a JSON object"),
+        (b" " * 8193 + b"\n", "longer than 8192 bytes"),
+        (b"x" * 1_000_000 + b"\n", "longer than 8192 bytes"),
+        (b"x" * 1_000_000, "longer than 8192 bytes"),
     ],
 )
 async def test_what_is_no_request_is_refused_with_a_sentence(

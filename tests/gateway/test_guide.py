@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.cli import guide
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.registry import settings_models
+from biosensor_gateway.settings.editing import add_device
 from biosensor_gateway.settings.file import load_settings
 from tests.rigs.terminal import Terminal, at_terminal
 
@@ -94,7 +94,7 @@ def test_whoever_has_no_sensor_gets_virtual_ones_and_no_settings(tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    ("typed", "code"), [("3\n", 0), ("\x03", 0), ("\x04", 1)], ids=["End", "Ctrl-C", "Ctrl-D"]
+    ("typed", "code"), [("3\n", 0), ("\x03", 0), ("\x04", 2)], ids=["End", "Ctrl-C", "Ctrl-D"]
 )
 def test_it_can_be_left(tmp_path: Path, typed: str, code: int) -> None:
     with at_terminal([*_plain(), "run"], environment(tmp_path)) as terminal:
@@ -134,11 +134,15 @@ def _plain() -> list[str]:
 FOUND = Found("polar_h10", "Polar H10 A1B2C3D4", {"unit": "A1B2C3D4", "device": "A1B2C3D4"})
 
 
+def add(path: Path) -> None:
+    add_device(path, settings_models(), FOUND.sensor, FOUND.settings)
+
+
 def test_a_device_is_added_and_what_stands_there_stays(tmp_path: Path) -> None:
     path = tmp_path / "settings.toml"
     path.write_bytes(b'# mine\r\n[lsl]\r\nsession_id = "lab"')
     path.chmod(0o600)
-    guide.add_device(path, FOUND)
+    add(path)
     assert path.read_bytes().startswith(b'# mine\r\n[lsl]\r\nsession_id = "lab"\n')
     assert path.stat().st_mode & 0o777 == 0o600
     loaded = load_settings(path, settings_models())
@@ -151,15 +155,15 @@ def test_a_file_that_would_be_wrong_stays_as_it_is(tmp_path: Path, before: str) 
     path = tmp_path / "settings.toml"
     path.write_text(before)
     with pytest.raises(ConfigError) as caught:
-        guide.add_device(path, FOUND)
+        add(path)
     assert str(path) in str(caught.value)
     assert path.read_text() == before
 
 
 def test_a_second_time_the_same_device_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "new" / "settings.toml"
-    guide.add_device(path, FOUND)
+    add(path)
     with pytest.raises(ConfigError, match="a second polar_h10") as caught:
-        guide.add_device(path, FOUND)
+        add(path)
     assert caught.value.reason is ConfigReason.WRONG_VALUE
     assert len(tomllib.loads(path.read_text())["device"]) == 1

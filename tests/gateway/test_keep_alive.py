@@ -28,8 +28,10 @@ os.kill(os.getpid(), getattr(__import__("signal"), end))
 """
 KEEPER = """
 import sys
+from pathlib import Path
 from biosensor_gateway.system.keep_alive import KeepAlive
-sys.exit(KeepAlive(sys.argv[1:], lambda sentence: print(sentence, flush=True)).run())
+tell = lambda sentence: print(sentence, flush=True)
+sys.exit(KeepAlive(sys.argv[2:], tell, Path(sys.argv[1])).run())
 """
 WAITS = "import time; print('waiting', flush=True); time.sleep(60)"
 
@@ -37,7 +39,17 @@ WAITS = "import time; print('waiting', flush=True); time.sleep(60)"
 def kept(folder: Path, *ends: str) -> tuple[int, list[str], list[str]]:
     """Exit code, what was told, and what each life found in its environment."""
     log = folder / "log"
-    command = [sys.executable, "-c", KEEPER, sys.executable, "-c", PROGRAM, str(log), *ends]
+    command = [
+        sys.executable,
+        "-c",
+        KEEPER,
+        str(folder),
+        sys.executable,
+        "-c",
+        PROGRAM,
+        str(log),
+        *ends,
+    ]
     done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
     return done.returncode, done.stdout.splitlines(), log.read_text().splitlines()
 
@@ -58,8 +70,10 @@ def test_what_dies_is_started_again_at_once_and_then_after_a_while(tmp_path: Pat
 
 
 @pytest.mark.parametrize("request_to_end", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_request_to_end_reaches_the_program(request_to_end: signal.Signals) -> None:
-    command = [sys.executable, "-c", KEEPER, sys.executable, "-c", WAITS]
+def test_a_request_to_end_reaches_the_program(
+    tmp_path: Path, request_to_end: signal.Signals
+) -> None:
+    command = [sys.executable, "-c", KEEPER, str(tmp_path), sys.executable, "-c", WAITS]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as keeper:
         assert keeper.stdout is not None
         assert keeper.stdout.readline() == "waiting\n"

@@ -12,6 +12,8 @@ from pathlib import Path
 from subprocess import Popen
 from typing import Any
 
+import numpy as np
+import psutil
 import pylsl
 import pytest
 
@@ -24,6 +26,8 @@ from biosensor_gateway.system.logs import LOG_FILE_NAME
 from tests.gateway.test_stop_command import command, stop
 
 DEADLINE_S = 30.0
+ECG, ECG_STEP_S = "zephyr-virtual-ecg", 1 / 250
+AFTER_S = 4.0
 
 Until = Callable[[Callable[[], bool]], None]
 StartCli = Callable[..., AbstractContextManager["Popen[bytes]"]]
@@ -63,6 +67,12 @@ class Events:
         self._inlet.close_stream()
 
 
+def standby_of(keeper: Popen[bytes], agent: int) -> int:
+    """The process that waits beside the agent; 0 while there is none."""
+    others = [each.pid for each in psutil.Process(keeper.pid).children() if each.pid != agent]
+    return others[0] if others else 0
+
+
 def test_a_killed_agent_comes_back_says_so_and_ends_when_asked(
     cli_process: StartCli, until: Until, tmp_path: Path
 ) -> None:
@@ -74,8 +84,11 @@ def test_a_killed_agent_comes_back_says_so_and_ends_when_asked(
         until(lambda: len(events.heartbeats()) > 0)
         first = events.heartbeats()[-1]
         assert "restarts" not in first
+        until(lambda: standby_of(keeper, killed) != 0)
+        standby = standby_of(keeper, killed)
         os.kill(killed, signal.SIGKILL)
         until(lambda: status(tmp_path).get("process", killed) != killed and pushed(tmp_path) > 0)
+        assert status(tmp_path)["process"] == standby
         assert status(tmp_path)["restarts"] == 1
         shown = command(tmp_path, "status").stdout
         assert "started again once, last after: killed by SIGKILL" in shown
@@ -92,3 +105,39 @@ def test_a_killed_agent_comes_back_says_so_and_ends_when_asked(
     (restart,) = [each for each in log if "was started again" in each["event"]]
     assert (restart["restarts"], restart["last_end"]) == (1, "killed by SIGKILL")
     assert not (tmp_path / STREAMS_FILE).exists()
+
+
+def test_a_stream_goes_on_after_one_gap(
+    cli_process: StartCli, until: Until, tmp_path: Path
+) -> None:
+    with cli_process(tmp_path, "run", "--keep-alive", "--simulate", "zephyr") as keeper:
+        until(lambda: pushed(tmp_path) > 0)
+        killed = status(tmp_path)["process"]
+        (info,) = pylsl.resolve_byprop("source_id", ECG, timeout=DEADLINE_S)
+        reader = pylsl.StreamInlet(info, recover=True)
+        until(lambda: standby_of(keeper, killed) != 0)
+        standby = standby_of(keeper, killed)
+        stamps = received(reader, until)
+        os.kill(killed, signal.SIGKILL)
+        killed_s = pylsl.local_clock()
+        while stamps[-1] < killed_s + AFTER_S:
+            stamps += received(reader, until)
+        reader.close_stream()
+        assert status(tmp_path)["process"] == standby
+        assert stop(tmp_path)[0] == 0
+        assert keeper.wait(DEADLINE_S) == 0
+    steps = np.diff(stamps)
+    assert steps.min() > 0
+    (gap,) = np.flatnonzero(steps > 2 * ECG_STEP_S)
+    assert stamps[gap] <= killed_s < stamps[gap + 1]
+
+
+def received(reader: pylsl.StreamInlet, until: Until) -> list[float]:
+    stamps: list[float] = []
+
+    def some_came() -> bool:
+        stamps.extend(reader.pull_chunk(0.0, max_samples=1024)[1])
+        return bool(stamps)
+
+    until(some_came)
+    return stamps

@@ -45,7 +45,7 @@ def sinks(unit: str) -> Generator[MakeSinks]:
 def killed(tmp_path: Path, sinks: MakeSinks) -> Path:
     """Folder of a run whose first device was connected, and that was killed."""
     connected, absent = sinks()
-    known = KnownStreams(tmp_path, [connected, absent])
+    known = KnownStreams(tmp_path, lambda: [connected, absent])
     known.keep()
     connected.open(INFO, RATES)
     known.keep()
@@ -56,32 +56,40 @@ def killed(tmp_path: Path, sinks: MakeSinks) -> Path:
 
 def test_only_what_was_connected_is_expected(killed: Path, sinks: MakeSinks) -> None:
     again, absent = sinks()
-    KnownStreams(killed, [again, absent]).expect()
+    KnownStreams(killed, lambda: [again, absent]).expect()
     assert (again.info, again.told_rates) == (INFO, RATES)
     assert set(again.nominal_rates.values()) >= {10.0}
     assert absent.counters == {}
 
 
+def test_what_comes_at_once_waits_for_receivers_who_return(killed: Path, sinks: MakeSinks) -> None:
+    again, _ = both = sinks()
+    KnownStreams(killed, lambda: both).expect()
+    again.emit_at("force", [1.0, 2.0], [again.clock(), again.clock()])
+    force = next(each for name, each in again.counters.items() if name.endswith("-force"))
+    assert (force.pushed, force.waited) == (0, 2)
+
+
 def test_what_was_expected_is_kept_for_the_run_after(killed: Path, sinks: MakeSinks) -> None:
-    known = KnownStreams(killed, sinks())
+    known = KnownStreams(killed, sinks)
     known.expect()
     known.keep()
     again, _ = later = sinks()
-    KnownStreams(killed, later).expect()
+    KnownStreams(killed, lambda: later).expect()
     assert again.info == INFO
 
 
 def test_another_person_is_not_expected(killed: Path, sinks: MakeSinks) -> None:
     others = sinks(participant="p02")
-    KnownStreams(killed, others).expect()
+    KnownStreams(killed, lambda: others).expect()
     assert all(sink.counters == {} for sink in others)
 
 
 def test_nothing_is_expected_after_a_clean_end(killed: Path, sinks: MakeSinks) -> None:
     again = sinks()
-    KnownStreams(killed, again).forget()
+    KnownStreams(killed, lambda: again).forget()
     status_file.remove_status(killed)
-    KnownStreams(killed, again).expect()
+    KnownStreams(killed, lambda: again).expect()
     assert all(sink.counters == {} for sink in again)
     assert list(killed.iterdir()) == []
 
@@ -90,7 +98,7 @@ def test_nothing_is_expected_of_a_run_that_is_long_dead(killed: Path, sinks: Mak
     died_s = time.time() - FRESH_S - 1
     os.utime(killed / status_file.STATUS_FILE, (died_s, died_s))
     again = sinks()
-    KnownStreams(killed, again).expect()
+    KnownStreams(killed, lambda: again).expect()
     assert all(sink.counters == {} for sink in again)
 
 
@@ -101,7 +109,7 @@ def test_a_damaged_file_is_said_and_nothing_is_expected(
     (killed / STREAMS_FILE).write_text(text)
     again = sinks()
     with capture_logs() as logs:
-        KnownStreams(killed, again).expect()
+        KnownStreams(killed, lambda: again).expect()
     (said,) = logs
     assert said["log_level"] == "warning"
     assert str(killed / STREAMS_FILE) in said["event"]
@@ -112,7 +120,7 @@ def test_a_folder_that_cannot_be_written_is_said_once(tmp_path: Path, sinks: Mak
     folder = tmp_path / "file"
     folder.touch()
     first, second = both = sinks()
-    known = KnownStreams(folder, both)
+    known = KnownStreams(folder, lambda: both)
     with capture_logs() as logs:
         for sink in (first, second):
             sink.open(INFO, RATES)

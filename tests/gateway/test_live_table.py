@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from biosensor_common.outflow import Outflow
-from biosensor_gateway.agent.supervisor import State
+from biosensor_gateway.agent.state import State
 from biosensor_gateway.cli.live_table import LiveTable, Row, picture, sensor_title
 from biosensor_gateway.devices.registry import sensor_names
 from biosensor_gateway.system.panel import Panel, Size

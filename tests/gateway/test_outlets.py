@@ -348,3 +348,44 @@ def test_a_declared_state_waits_whatever_its_type(unit: str) -> None:
     outlet = Outlet(stream, DeviceIdentity("zephyr", unit), INFO)
     outlet.push([70.0], now(0.0))
     assert (outlet.counters.pushed, outlet.counters.waited) == (0, 1)
+
+
+def test_after_a_kill_samples_wait_for_those_who_return(
+    unit: str, inlet: OpenInlet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "RETURN_TIME_S", 0.0)
+    monkeypatch.setattr(module, "LATEST_RETURN_S", 3600.0)
+    outlet = outlet_of(unit, "ecg")
+    outlet.await_return()
+    stamps = now(*(index / 250 for index in range(1001)))
+    values = [[float(index % 1024)] for index in range(1001)]
+    outlet.push(values[:-1], stamps[:-1])
+    assert outlet.counters.pushed == 0
+    reader = inlet(outlet.source_id)
+    outlet.push(values[-1:], stamps[-1:])
+    assert pull(reader, 1001) == (values, stamps)
+    assert outlet.counters.pushed == 1001
+
+
+def test_who_returns_first_does_not_take_it_from_the_others(
+    unit: str, inlet: OpenInlet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "RETURN_TIME_S", 3600.0)
+    outlet = outlet_of(unit, "ecg")
+    outlet.await_return()
+    reader = inlet(outlet.source_id)
+    outlet.push([1.0], now(0.0))
+    outlet.release()
+    assert reader.pull_sample(timeout=0.5) == (None, None)
+    assert outlet.counters.pushed == 0
+
+
+def test_who_does_not_return_is_not_awaited_for_ever(
+    unit: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "RETURN_TIME_S", 0.0)
+    monkeypatch.setattr(module, "LATEST_RETURN_S", 0.0)
+    outlet = outlet_of(unit, "ecg")
+    outlet.await_return()
+    outlet.push([1.0], now(0.0))
+    assert outlet.counters.pushed == 1

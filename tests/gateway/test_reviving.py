@@ -15,7 +15,8 @@ from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import reviving
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.device import Device
-from biosensor_gateway.agent.supervisor import State, Supervisor
+from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming import silence as silence_module

@@ -157,7 +157,7 @@ DEVICE = '[[device]]\nsensor = "strap"\nunit = "A"\n'
         (
             "\n[lls]\nkey = 1",
             2,
-            "'lls' (did you mean 'lsl'?); known keys: lsl, log, power, events, device",
+            "'lls' (did you mean 'lsl'?); known keys: lsl, log, power, events, markers, device",
         ),
         ("[LSL]\nport_range = 1", 1, "'LSL' (did you mean 'lsl'?"),
         ("devices = []", 1, "'devices' (did you mean 'device'?"),

@@ -17,6 +17,7 @@ from biosensor_gateway.settings.models import (
     EventSettings,
     GatewaySettings,
     LslSettings,
+    MarkerSettings,
     PowerSettings,
 )
 from biosensor_gateway.settings.template import template, write_template
@@ -59,6 +60,7 @@ def test_the_template_loads_with_every_example_switched_on(tmp_path: Path) -> No
     assert settings.lsl == LslSettings()
     assert settings.power == PowerSettings()
     assert settings.events == EventSettings()
+    assert settings.markers == MarkerSettings()
     assert [type(device) for device in settings.devices] == [StrapSettings, BoxSettings]
     assert settings.devices[1] == BoxSettings(sensor="box", unit="0123456789", port="COM3")
 
@@ -66,7 +68,8 @@ def test_the_template_loads_with_every_example_switched_on(tmp_path: Path) -> No
 def test_the_template_names_and_describes_every_field() -> None:
     text = template(MODELS)
     joined = re.sub(r"\n# ", " ", text)
-    for model in (LslSettings, PowerSettings, EventSettings, StrapSettings, BoxSettings):
+    sections = (LslSettings, PowerSettings, EventSettings, MarkerSettings)
+    for model in (*sections, StrapSettings, BoxSettings):
         for key, field in model.model_fields.items():
             assert key == "rate" or f"\n#{key} = " in text
             assert key == "sensor" or str(field.description) in joined

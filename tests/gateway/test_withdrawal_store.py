@@ -114,7 +114,7 @@ ENTRY = {"sensor": H10, "unit": "A1", "participant": "", "label": "", "since": S
 def test_from_a_damaged_file_nobody_is_streamed(tmp_path: Path, text: str) -> None:
     (tmp_path / PAUSED_FILE).write_text(text, encoding="latin-1")
     with pytest.raises(ConfigError) as caught:
-        PauseCommands(tmp_path, [])
+        PauseCommands(tmp_path, list)
     assert caught.value.reason is ConfigReason.UNREADABLE
     assert str(tmp_path / PAUSED_FILE) in str(caught.value)
     assert "remove it if nobody has" in str(caught.value)
@@ -146,7 +146,7 @@ def test_who_had_withdrawn_is_paused_from_the_start_and_it_is_said(tmp_path: Pat
     store.save(tmp_path, [Pause(LEFT, SINCE)])
     sinks = [DeviceSink(LEFT, declaration(LEFT.sensor)), DeviceSink(BELT, declaration(BELT.sensor))]
     with capture_logs() as logs:
-        PauseCommands(tmp_path, sinks)
+        PauseCommands(tmp_path, lambda: sinks)
     assert [sink.is_paused for sink in sinks] == [True, False]
     (said,) = logs
     assert (said["log_level"], said["unit"]) == ("warning", "A1")
@@ -154,9 +154,13 @@ def test_who_had_withdrawn_is_paused_from_the_start_and_it_is_said(tmp_path: Pat
     assert said["resume_with"] == "biosensor-gateway resume polar_h10/A1"
 
 
+def _left() -> list[DeviceSink]:
+    return [DeviceSink(LEFT, declaration(LEFT.sensor))]
+
+
 async def test_pause_and_resume_are_kept(tmp_path: Path) -> None:
     sinks = [DeviceSink(LEFT, declaration(LEFT.sensor)), DeviceSink(BELT, declaration(BELT.sensor))]
-    commands = PauseCommands(tmp_path, sinks).commands
+    commands = PauseCommands(tmp_path, lambda: sinks).commands
     assert await ask(commands, "pause", "left") == ("polar_h10/A1", True, None)
     assert await ask(commands, "pause", "left") == ("polar_h10/A1", False, None)
     assert await ask(commands, "pause", "p02") == (device_name(BELT), True, None)
@@ -171,7 +175,7 @@ async def test_pause_and_resume_are_kept(tmp_path: Path) -> None:
 
 async def test_a_pause_of_somebody_who_is_not_in_the_settings_is_kept(tmp_path: Path) -> None:
     store.save(tmp_path, [Pause(BELT, SINCE)])
-    commands = PauseCommands(tmp_path, [DeviceSink(LEFT, declaration(LEFT.sensor))]).commands
+    commands = PauseCommands(tmp_path, _left).commands
     await ask(commands, "pause", "left")
     await ask(commands, "resume", "left")
     assert store.load(tmp_path) == [Pause(BELT, SINCE)]
@@ -179,7 +183,7 @@ async def test_a_pause_of_somebody_who_is_not_in_the_settings_is_kept(tmp_path: 
 
 async def test_what_cannot_be_kept_is_done_and_said(tmp_path: Path) -> None:
     sink = DeviceSink(LEFT, declaration(LEFT.sensor))
-    commands = PauseCommands(tmp_path, [sink]).commands
+    commands = PauseCommands(tmp_path, lambda: [sink]).commands
     blocked = tmp_path / f"{PAUSED_FILE}.{os.getpid()}"
     blocked.mkdir()
     _, changed, problem = await ask(commands, "pause", "left")
@@ -195,7 +199,7 @@ async def test_what_cannot_be_kept_is_done_and_said(tmp_path: Path) -> None:
 
 async def test_an_answer_does_not_wait_for_what_is_slow(tmp_path: Path) -> None:
     sink = DeviceSink(LEFT, declaration(LEFT.sensor))
-    commands = PauseCommands(tmp_path, [sink]).commands
+    commands = PauseCommands(tmp_path, lambda: [sink]).commands
     released = threading.Event()
     # As when every thread waits for a disk or a port.
     with ThreadPoolExecutor(1) as threads:
@@ -213,7 +217,7 @@ async def test_an_answer_does_not_wait_for_what_is_slow(tmp_path: Path) -> None:
 
 
 async def test_a_request_without_a_name_is_refused(tmp_path: Path) -> None:
-    commands = PauseCommands(tmp_path, [DeviceSink(LEFT, declaration(LEFT.sensor))]).commands
+    commands = PauseCommands(tmp_path, _left).commands
     with pytest.raises(ConfigError, match="'device' is not a text"):
         await commands["pause"]({"device": 7})
 

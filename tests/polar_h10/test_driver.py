@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from structlog.testing import capture_logs
 
-from biosensor_gateway.agent.supervisor import State
+from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.polar_h10.declaration import SPEC
 from biosensor_gateway.devices.polar_h10.driver import session as session_module
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10

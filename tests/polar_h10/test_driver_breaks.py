@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from structlog.testing import capture_logs
 
-from biosensor_gateway.agent.supervisor import State
+from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.polar_h10.driver import driver as driver_module
 from biosensor_gateway.devices.polar_h10.driver import session as session_module
 from biosensor_gateway.devices.polar_h10.driver.driver import PolarH10Driver

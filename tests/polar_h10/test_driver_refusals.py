@@ -8,7 +8,7 @@ from math import inf
 import pytest
 from structlog.testing import capture_logs
 
-from biosensor_gateway.agent.supervisor import State
+from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.polar_h10.simulator.products import VERITY_SENSE
 from biosensor_gateway.devices.polar_h10.simulator.quirks import Quirks

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.agent.supervisor import State, Supervisor
+from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected, Driver
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.devices.registry import driver as driver_of

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from biosensor_common.spec import DeviceInfo
-from biosensor_gateway.agent.supervisor import State
+from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.vernier_respiration_belt.driver import driver as driver_module
 from biosensor_gateway.devices.vernier_respiration_belt.driver.driver import VernierSettings
 from biosensor_gateway.devices.vernier_respiration_belt.simulator import SimulatedBelt

@@ -20,7 +20,8 @@ from structlog.testing import capture_logs
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import supervisor as supervisor_module
-from biosensor_gateway.agent.supervisor import State, Supervisor
+from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.devices.zephyr.declaration import SPEC
 from biosensor_gateway.devices.zephyr.driver import driver as module

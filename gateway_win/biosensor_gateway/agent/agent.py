@@ -17,10 +17,14 @@ from biosensor_common.heap import limit_arenas
 from biosensor_common.lsl_config import LslOverrides
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.agent.control_server import Command
+from biosensor_gateway.agent.control_server import Command, Conversation
 from biosensor_gateway.agent.device import Device
+from biosensor_gateway.agent.feed import Feed
+from biosensor_gateway.agent.fleet import Fleet, FleetChanges
 from biosensor_gateway.agent.known_streams import KnownStreams
+from biosensor_gateway.agent.marking import MarkerCommands
 from biosensor_gateway.agent.pauses.commands import PauseCommands
+from biosensor_gateway.agent.reloading import ReadSettings, Reloading
 from biosensor_gateway.agent.snapshot import snapshot
 from biosensor_gateway.agent.status_writer import StatusWriter
 from biosensor_gateway.settings.models import GatewaySettings, LslSettings
@@ -28,7 +32,9 @@ from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
 from biosensor_gateway.streaming.gateway import GATEWAY
+from biosensor_gateway.streaming.markers import MarkerStream
 from biosensor_gateway.streaming.outlets import Outlet, configure_lsl
+from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.keep_alive import restart_facts
 from biosensor_gateway.system.keep_awake import KeepAwake, system_inhibitor
 
@@ -46,6 +52,8 @@ class Agent:
         Validated settings; this process's LSL configuration is set from them.
     folder
         Where the status file goes, and where it is kept who has withdrawn.
+    read_again
+        Reads the settings file again; None if there is none.
 
     Attributes
     ----------
@@ -58,7 +66,9 @@ class Agent:
         ``UNREADABLE`` if it cannot be read who has withdrawn.
     """
 
-    def __init__(self, settings: GatewaySettings, folder: Path) -> None:
+    def __init__(
+        self, settings: GatewaySettings, folder: Path, read_again: ReadSettings | None = None
+    ) -> None:
         self._folder = folder
         limit_arenas(os.environ)
         taken_over = configure_lsl(_overrides(settings.lsl))
@@ -66,10 +76,13 @@ class Agent:
             people = f"LSL's own settings are heeded: {taken_over}"
             _log.info("LSL configuration taken over", file=str(taken_over), for_people=people)
         enabled = [device for device in settings.devices if device.enabled]
-        self.devices = [Device.from_settings(device) for device in enabled]
-        sinks = [device.sink for device in self.devices]
-        self._known = KnownStreams(folder, sinks)
-        self._pauses = PauseCommands(folder, sinks)
+        self.devices = Fleet({each: Device.from_settings(each) for each in enabled})
+        self._known = KnownStreams(folder, self._sinks)
+        self._pauses = PauseCommands(folder, self._sinks)
+        self._markers = MarkerStream()
+        self._marking = MarkerCommands(self._markers, settings.markers)
+        self._reloading = Reloading(settings, read_again, self._change)
+        self._feed = Feed()
         self._heartbeat_s = settings.events.heartbeat_s
         self.on_status: Callable[[Mapping[str, Any]], None] = lambda status: None
         self._status = StatusWriter(folder)
@@ -78,21 +91,30 @@ class Agent:
     @property
     def commands(self) -> dict[str, Command]:
         """What a running agent can be asked for, besides its end."""
-        return self._pauses.commands
+        reload = {"reload": self._reloading.command}
+        return {**self._pauses.commands, **reload, **self._marking.commands}
+
+    @property
+    def conversations(self) -> dict[str, Conversation]:
+        """What goes on until the client goes away."""
+        return {"feed": self._feed.conversation}
 
     async def run(self) -> None:
         """Stream until cancelled, then close every device and outlet."""
         self._known.expect()
         counters = _counters_outlet()
+        self._markers.open()
         start = restart_facts(os.environ)
         if start:
             _log.warning("the agent had died and was started again", **start)
         announcer = Announcer(self._heartbeat_s, self._states, start)
-        for device in self.devices:
-            device.announce_to(announcer)
-        tasks = [asyncio.create_task(device.supervisor.run()) for device in self.devices]
-        tasks.append(asyncio.create_task(self._report(counters, announcer)))
-        tasks.append(asyncio.create_task(announcer.run()))
+        announcer.watch(self._markers.tick)
+        self.devices.start(announcer, self._feed)
+        tasks = [
+            asyncio.create_task(self._report(counters, announcer)),
+            asyncio.create_task(announcer.run()),
+            asyncio.create_task(self.devices.run()),
+        ]
         try:
             await asyncio.gather(*tasks)
         finally:
@@ -100,13 +122,19 @@ class Agent:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
+            await self.devices.close()
             self._awake.close()
-            for device in self.devices:
-                device.sink.close()
-            await announcer.end()
+            await asyncio.gather(announcer.end(), self._markers.end())
             counters.close()
             self._known.forget()
             status_file.remove_status(self._folder)
+
+    def _sinks(self) -> list[DeviceSink]:
+        return [device.sink for device in self.devices]
+
+    async def _change(self, settings: GatewaySettings) -> FleetChanges:
+        self._marking.settings = settings.markers
+        return await self.devices.change(settings.devices, self._pauses.take_over)
 
     def _states(self) -> dict[str, str]:
         return {device.name: device.state for device in self.devices}
@@ -119,14 +147,15 @@ class Agent:
         loop = asyncio.get_running_loop()
         due = loop.time()
         while True:
-            merged: dict[str, Counters] = dict(announcer.counters)
+            merged: dict[str, Counters] = announcer.counters | self._markers.counters
             for device in self.devices:
                 device.sink.release()
                 merged |= device.sink.counters
             outlet.push_text(counters_text(merged, self._clocks()), pylsl.local_clock())
-            status = snapshot(self.devices)
+            status = snapshot(self.devices) | {"virtual": self._reloading.is_virtual}
             self.on_status(status)
             self._status.write(status)
+            self._feed.tell(status)
             self._known.keep()
             self._awake.hold(any(each.supervisor.is_connected for each in self.devices))
             # After a computer's sleep the missed reports are not made up for.

@@ -10,7 +10,7 @@ import contextlib
 import hmac
 import json
 import secrets
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import AsyncGenerator, Awaitable, Callable, Container, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, cast
@@ -27,8 +27,8 @@ from biosensor_gateway.agent.control import (
 )
 from biosensor_gateway.system import state_file
 
-REQUEST_LIMIT = 4096
-"""Bytes of a request, without its line end."""
+REQUEST_LIMIT = 8192
+"""Bytes of a request, without its line end; two texts of 200 letters at 12 bytes fit in."""
 MAX_CONNECTIONS = 16
 
 _DISCARDED_BLOCK, _DISCARDED_BLOCKS = 65536, 256
@@ -38,6 +38,12 @@ Command = Callable[[Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
 """Does one thing with the arguments that it is given, and answers what goes into JSON.
 
 A `GatewayError` is told to the client as it is.
+"""
+
+Conversation = Callable[[Mapping[str, Any]], AsyncGenerator[bytes]]
+"""Makes what goes to a client behind the line of the answer, until the client goes away.
+
+A `GatewayError` before the first bytes is told to the client as it is.
 """
 
 _log = structlog.stdlib.get_logger(__name__)
@@ -52,6 +58,11 @@ class ControlServer:
         The state folder, held by this process.
     commands
         What can be asked for, by name.
+    conversations
+        The same, of what goes on.
+    looks
+        Those of them that change nothing and may be asked for every second, which the log
+        need not tell.
 
     Raises
     ------
@@ -60,11 +71,20 @@ class ControlServer:
         written; the agent can run without.
     """
 
-    def __init__(self, folder: Path, commands: Mapping[str, Command]) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        commands: Mapping[str, Command],
+        conversations: Mapping[str, Conversation] | None = None,
+        looks: Container[str] = (),
+    ) -> None:
         self._path = folder / CONTROL_FILE
         self._commands = commands
+        self._conversations = dict(conversations or {})
+        self._looks = looks
         self._token = secrets.token_hex(32)
         self._connections: set[asyncio.Task[None]] = set()
+        self._endless: set[asyncio.Task[None]] = set()
 
     async def __aenter__(self) -> Self:
         try:
@@ -90,6 +110,8 @@ class ControlServer:
         with contextlib.suppress(OSError):
             self._path.unlink()
         self._server.close()
+        for conversation in self._endless:
+            conversation.cancel()
         if not self._connections:
             return
         # Who asked the agent to end is to hear that it will.
@@ -109,7 +131,10 @@ class ControlServer:
 
     async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
-            writer.write(await self._reply(reader))
+            reply, conversation = await self._reply(reader)
+            writer.write(reply)
+            if conversation is not None:
+                await self._go_on(conversation, writer)
             async with asyncio.timeout(TIME_LIMIT_S):
                 await writer.drain()
                 writer.write_eof()
@@ -123,19 +148,44 @@ class ControlServer:
         finally:
             writer.transport.abort()
 
-    async def _reply(self, reader: asyncio.StreamReader) -> bytes:
+    async def _go_on(
+        self, conversation: AsyncGenerator[bytes], writer: asyncio.StreamWriter
+    ) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        self._endless.add(task)
+        try:
+            async with contextlib.aclosing(conversation):
+                async for message in conversation:
+                    writer.write(message)
+                    await writer.drain()
+        finally:
+            self._endless.discard(task)
+
+    async def _reply(
+        self, reader: asyncio.StreamReader
+    ) -> tuple[bytes, AsyncGenerator[bytes] | None]:
+        """Return the line of the answer, and what goes on after it."""
         try:
             name, arguments = self._checked(await _request(reader))
-            return await self._outcome(name, arguments)
+            if name in self._conversations:
+                conversation = self._conversations[name](arguments)
+                async with self._limited(name):
+                    first = await anext(conversation)
+                return line({"ok": True, "answer": {}}) + first, conversation
+            async with self._limited(name):
+                answer = await self._commands[name](arguments)
+                return line({"ok": True, "answer": dict(answer)}), None
         except _RefusedError as refused:
-            return _refusal(str(refused))
+            return _refusal(str(refused)), None
 
     def _checked(self, request: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
         if not self._is_token(request.get("token")):
             raise _RefusedError(f"wrong token; the right one is in {self._path}")
         name, arguments = request.get("command"), request.get("arguments", {})
-        if not isinstance(name, str) or name not in self._commands:
-            raise _RefusedError(f"unknown command; known are: {', '.join(self._commands)}")
+        known = [*self._commands, *self._conversations]
+        if not isinstance(name, str) or name not in known:
+            raise _RefusedError(f"unknown command; known are: {', '.join(known)}")
         if not isinstance(arguments, dict):
             raise _RefusedError("the arguments are not a JSON object")
         return name, cast("dict[str, Any]", arguments)
@@ -145,12 +195,15 @@ class ControlServer:
         text = given.encode(errors="replace") if isinstance(given, str) else b""
         return hmac.compare_digest(text, self._token.encode())
 
-    async def _outcome(self, name: str, arguments: Mapping[str, Any]) -> bytes:
-        _log.info("a command came", command=name, for_people=f"asked to {name}")
+    @contextlib.asynccontextmanager
+    async def _limited(self, name: str) -> AsyncGenerator[None]:
+        """Carry out a command in time, and make refusals of whatever it raises."""
+        is_look = name in self._looks or name in self._conversations
+        tell = _log.debug if is_look else _log.info
+        tell("a command came", command=name, for_people=f"asked to {name}")
         try:
             async with asyncio.timeout(TIME_LIMIT_S):
-                answer = await self._commands[name](arguments)
-            return line({"ok": True, "answer": dict(answer)})
+                yield
         except TimeoutError:
             raise _RefusedError(f"{name} took longer than {TIME_LIMIT_S:g} s") from None
         except GatewayError as error:

@@ -13,7 +13,7 @@ from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.registry import declaration, driver
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.events.announcer import Announcer
-from biosensor_gateway.streaming.events.device import follow
+from biosensor_gateway.streaming.events.device import DeviceEvents, follow
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 
@@ -32,6 +32,7 @@ class Device:
     def __init__(self, supervisor: Supervisor, sink: DeviceSink) -> None:
         self.supervisor = supervisor
         self.sink = sink
+        self._events: DeviceEvents | None = None
 
     @classmethod
     def from_settings(cls, settings: DeviceSettings, clock: Clock = LSL_CLOCK) -> Device:
@@ -55,7 +56,14 @@ class Device:
 
     def announce_to(self, announcer: Announcer) -> None:
         """Make events of what happens to it from now on."""
-        self.supervisor.on_drop = follow(self.sink, announcer).dropped
+        self._events = follow(self.sink, announcer)
+        self.supervisor.on_drop = self._events.dropped
+
+    def close(self, announcer: Announcer) -> None:
+        """Destroy its outlets; its supervisor has ended."""
+        self.sink.close()
+        if self._events is not None:
+            announcer.unwatch(self._events.tick)
 
     def status(self) -> dict[str, Any]:
         """Describe it for the status file: state, last error, clock, counters of each stream."""
@@ -66,6 +74,7 @@ class Device:
             **asdict(sink.identity),
             "state": supervisor.state.value,
             "paused": sink.is_paused,
+            "worn": None if self._events is None else self._events.is_worn,
             "connections": supervisor.connections,
             "error": supervisor.last_error,
             "dropped_bytes": sink.dropped_bytes,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Annotated
 
@@ -46,19 +46,19 @@ class KnownStreams:
     folder
         The state folder.
     sinks
-        Of all devices.
+        Tells those of all devices.
     """
 
-    def __init__(self, folder: Path, sinks: Iterable[DeviceSink]) -> None:
+    def __init__(self, folder: Path, sinks: Callable[[], Iterable[DeviceSink]]) -> None:
         self._path = folder / STREAMS_FILE
         self._folder = folder
-        self._sinks = list(sinks)
+        self._sinks = sinks
         self._kept: list[_Known] = []
         self._has_failed = False
 
     def expect(self) -> None:
         """Open the outlets that a run had which was killed a short while ago."""
-        sinks = {sink.identity: sink for sink in self._sinks}
+        sinks = {sink.identity: sink for sink in self._sinks()}
         for known in self._left_behind():
             sink = sinks.get(known.identity)
             if sink is not None:
@@ -68,7 +68,7 @@ class KnownStreams:
         """Write down what is known, if that has changed."""
         known = [
             _Known(identity=sink.identity, info=sink.info, rates=dict(sink.told_rates))
-            for sink in self._sinks
+            for sink in self._sinks()
             if sink.is_open
         ]
         if known == self._kept or self._has_failed:

@@ -19,7 +19,7 @@ from biosensor_common.errors import ConfigError
 from biosensor_common.quantities import ContentType
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.agent.supervisor import State
+from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.registry import declaration
 
 FRESH_S = 5.0

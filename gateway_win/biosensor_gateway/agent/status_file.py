@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.system import state_file
+from biosensor_gateway.system import restart_notice, state_file
+from biosensor_gateway.system.processes import lives
 
 STATUS_FILE = "status.json"
 STALE_AFTER_S = 5.0
@@ -57,11 +58,22 @@ def running_status(folder: Path) -> dict[str, Any]:
     Raises
     ------
     ConfigError
-        As `read_status`; ``NOT_FOUND`` also at once after the agent's process has gone.
+        As `read_status`; ``NOT_FOUND`` also at once after the agent's process has gone. It says
+        so if the agent is started again in a while.
     """
+    try:
+        return _status_of_a_process(folder)
+    except ConfigError as error:
+        notice = restart_notice.read(folder)
+        if notice is None:
+            raise
+        raise ConfigError(ConfigReason.NOT_FOUND, notice.sentence) from error
+
+
+def _status_of_a_process(folder: Path) -> dict[str, Any]:
     status = read_status(folder)
     # An agent may run without the lock, and in a container its number says nothing here.
-    if not _lives(status.get("process")) and not _is_held(folder):
+    if not lives(status.get("process")) and not _is_held(folder):
         message = (
             "the agent has ended without a word, as if it had been killed; start it with: "
             "biosensor-gateway run"
@@ -74,17 +86,6 @@ def _is_held(folder: Path) -> bool:
     from biosensor_gateway.agent.single_instance import is_held  # noqa: PLC0415 - brings asyncio
 
     return is_held(folder)
-
-
-def _lives(process: object) -> bool:
-    import psutil  # noqa: PLC0415 - only commands ask
-
-    try:
-        return psutil.Process(int(str(process))).status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False
-    except (psutil.Error, ValueError, OverflowError):
-        return True
 
 
 def remove_status(folder: Path) -> None:

@@ -25,13 +25,13 @@ from __future__ import annotations
 import asyncio
 import random
 from collections.abc import Callable
-from enum import Enum, unique
 from typing import cast
 
 import structlog
 
 from biosensor_common.errors import GatewayError, TransportError, TransportReason
 from biosensor_gateway.agent.reviving import Reviver
+from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.driver import Connected, Driver
 from biosensor_gateway.streaming.silence import limits
 from biosensor_gateway.streaming.sink import DeviceSink
@@ -46,19 +46,6 @@ CLOSE_TIMEOUT_S = 2.0
 _PROBED = frozenset({TransportReason.ABSENT, TransportReason.LOST, TransportReason.SILENT})
 
 _log = structlog.get_logger("biosensor_gateway.supervisor")
-
-
-@unique
-class State(Enum):
-    """Where a device is on its way to streaming."""
-
-    DISCOVERING = "discovering"
-    CONNECTING = "connecting"
-    STREAMING = "streaming"
-    ENABLING = "enabling"
-    """Connected; silent streams have been enabled again and are waited for."""
-    BACKOFF = "backoff"
-    STOPPED = "stopped"
 
 
 class Supervisor:

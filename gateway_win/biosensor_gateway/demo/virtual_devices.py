@@ -10,6 +10,8 @@ import os
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import cached_property
+from importlib import import_module
+from itertools import chain
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, cast
 
@@ -90,6 +92,24 @@ def virtual_class(name: str) -> type[VirtualDevice]:
     return found
 
 
+def import_all(names: Iterable[str]) -> None:
+    """Import what `simulated_settings` of these names needs, and start nothing.
+
+    Raises
+    ------
+    ConfigError, SpecError
+        As for :func:`virtual_class`.
+    """
+    if any(virtual_class(name).on_air for name in _each(names)):
+        import_module("biosensor_gateway.simulation.bleak_backend")
+
+
+def _each(names: Iterable[str]) -> tuple[str, ...]:
+    """Return what the names stand for, each once: two would be two streams of one source_id."""
+    expanded = (one_of_each() if name == ALL else [name] for name in names)
+    return tuple(dict.fromkeys(chain.from_iterable(expanded)))
+
+
 def make(name: str, scene: Scene, /, **options: object) -> VirtualDevice:
     """Make a virtual device that is not switched on yet.
 
@@ -125,10 +145,7 @@ def simulated_settings(
         none of them can have.
     """
     scheduled = [parse_fault(text) for text in faults]
-    # Two of a name would be two streams of one source_id.
-    wanted = dict.fromkeys(
-        each for name in names for each in (one_of_each() if name == ALL else [name])
-    )
+    wanted = _each(names)
     for name in wanted:
         virtual_class(name)
     with ExitStack() as stack:

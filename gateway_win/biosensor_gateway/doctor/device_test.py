@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.quantities import ChannelRole
 from biosensor_common.spec import IRREGULAR, DeviceIdentity, DeviceInfo
-from biosensor_gateway.agent.supervisor import State, Supervisor
+from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.registry import declaration, driver
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.sink import DeviceSink

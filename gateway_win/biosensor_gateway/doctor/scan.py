@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import structlog
-import tomlkit
 
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import DriverEntry
 from biosensor_gateway.devices.registry import declaration, driver, sensor, sensor_names
+from biosensor_gateway.settings.editing import table_lines
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble_scanner import scan as scan_bluetooth
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
@@ -138,11 +138,7 @@ def recognised(entries: dict[str, DriverEntry], seen: Advertisement | SerialPort
 
 def toml_lines(found: Found) -> str:
     """Return the lines that would add a device to the settings file."""
-    table = tomlkit.table()
-    table["sensor"] = found.sensor
-    for key, value in found.settings.items():
-        table[key] = value
-    return f"[[device]]\n{tomlkit.dumps(table).strip()}"
+    return table_lines(found.sensor, found.settings)
 
 
 def advice(section: Section) -> list[str]:

@@ -46,6 +46,13 @@ def _host(value: str) -> str:
     return value
 
 
+def _all_different(names: tuple[str, ...]) -> tuple[str, ...]:
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"should have no name twice, but has {name!r}")
+    return names
+
+
 _MAX_LENGTH = 32
 
 ShortText = Annotated[str, StringConstraints(max_length=_MAX_LENGTH), AfterValidator(_printable)]
@@ -58,6 +65,13 @@ UnitText = Annotated[
     str, StringConstraints(min_length=1, max_length=_MAX_UNIT_LENGTH), AfterValidator(_printable)
 ]
 """The same for a unit, up to 36 characters and not empty."""
+
+_MAX_BUTTONS = 20
+
+ButtonText = Annotated[
+    str, StringConstraints(min_length=1, max_length=_MAX_LENGTH), AfterValidator(_printable)
+]
+"""The same for a button, which has a name."""
 
 
 class LslSettings(BaseModel):
@@ -113,8 +127,21 @@ class EventSettings(BaseModel):
         le=3600,
         allow_inf_nan=False,
         description="Seconds between two signs of life in the stream of events; 0 for none. A "
-        "recording without one may be incomplete: LabRecorder does not finish a stream of text "
-        "that says nothing while it is recorded.",
+        "recording without one does not tell in which state the devices were.",
+    )
+
+
+class MarkerSettings(BaseModel):
+    """How the experimenter marks what happens in the stream gateway/markers."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    buttons: Annotated[tuple[ButtonText, ...], AfterValidator(_all_different)] = Field(
+        default=("baseline", "stimulus on", "stimulus off"),
+        max_length=_MAX_BUTTONS,
+        strict=False,
+        description="Names of the markers that can be set with one press; the first nine have the "
+        "keys 1 to 9, in this order. A change holds after: biosensor-gateway reload",
     )
 
 
@@ -197,6 +224,7 @@ class GatewaySettings(BaseSettings):
     log: LogSettings = LogSettings()
     power: PowerSettings = PowerSettings()
     events: EventSettings = EventSettings()
+    markers: MarkerSettings = MarkerSettings()
     devices: tuple[DeviceSettings, ...] = Field(default=(), alias="device")
 
     @classmethod

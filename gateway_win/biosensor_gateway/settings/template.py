@@ -22,6 +22,7 @@ from biosensor_gateway.settings.models import (
     EventSettings,
     LogSettings,
     LslSettings,
+    MarkerSettings,
     PowerSettings,
 )
 
@@ -57,6 +58,7 @@ def template(device_models: Mapping[str, type[DeviceSettings]]) -> str:
         _section("log", LogSettings),
         _section("power", PowerSettings),
         _section("events", EventSettings),
+        _section("markers", MarkerSettings),
         *(_example(sensor, model) for sensor, model in device_models.items()),
     ]
     return "\n".join("".join(f"{line}\n" for line in block) for block in blocks)

@@ -30,7 +30,8 @@ class DeviceOutlets:
     def expect(self, info: DeviceInfo, rates: Mapping[str, float]) -> bool:
         """Create the outlets as they were known before; return whether they can be.
 
-        They are replaced at the connection if the device then says something else.
+        They are replaced at the connection if the device then says something else. What it
+        measures meanwhile waits for receivers who come back; see :meth:`Outlet.await_return`.
         Parameters as in :meth:`open`.
         """
         declared = self._sensor.streams
@@ -39,6 +40,8 @@ class DeviceOutlets:
             return False
         self.open(info, rates)
         self._expected = info
+        for outlet in self._outlets.values():
+            outlet.await_return()
         return True
 
     def open(

@@ -31,6 +31,10 @@ MAX_STAMP_AGE_S = LONGEST_DELAY_S + MAX_STAMP_ERROR_S
 # How long receivers take to find a new stream and to attach to it.
 ATTACH_TIME_S = 5.0
 MAX_WAITING = 256
+# How long receivers of a killed agent's stream need to be back: liblsl searches for 1 s at least,
+# for 1.25 s with KnownPeers, and then waits for another 0.5 s. If nobody is, there may be nobody.
+RETURN_TIME_S, LATEST_RETURN_S = 1.8, 5.0
+MAX_AWAITING_RETURN = 8192
 
 _DTYPES: dict[ChannelFormat, np.dtype[Any]] = {
     ChannelFormat.FLOAT32: np.dtype(np.float32),
@@ -60,7 +64,8 @@ class Outlet:
     LSL drops what nobody receives yet, and a device tells its battery or signal
     strength right after the outlet was made. So the first samples of a stream that
     shows a state wait, with their own stamps, until there was time to attach and
-    somebody did; see `release`.
+    somebody did; see `release`. So do those of any stream whose receivers have lost it a moment
+    ago; see `await_return`.
     """
 
     def __init__(
@@ -94,8 +99,16 @@ class Outlet:
         # What a device says once or rarely, and what holds until it says otherwise.
         tells_state = stream.is_state or stream.content_type in TYPES_OF_DEVICE
         self._waits = tells_state and not stream.is_regular
-        self._ready_s = self._clock() + ATTACH_TIME_S
+        self._ready_s, self._latest_s = self._clock() + ATTACH_TIME_S, math.inf
         self._waiting: deque[tuple[NDArray[Any], float]] = deque(maxlen=MAX_WAITING)
+
+    def await_return(self) -> None:
+        """Let the next samples wait until those are back who received the stream before a kill."""
+        if not self._waits:
+            self._waits = True
+            now = self._clock()
+            self._ready_s, self._latest_s = now + RETURN_TIME_S, now + LATEST_RETURN_S
+            self._waiting = deque(maxlen=MAX_AWAITING_RETURN)
 
     def push(self, samples: ArrayLike, stamps: Sequence[float]) -> str | None:
         """Push samples that are newer than all before them.
@@ -149,7 +162,9 @@ class Outlet:
     def _has_audience(self) -> bool:
         if not self._waits:
             return True
-        has_one = self._clock() >= self._ready_s and self._outlet.have_consumers()
+        now = self._clock()
+        is_time = now >= self._ready_s
+        has_one = is_time and (now >= self._latest_s or self._outlet.have_consumers())
         # Once is enough: whoever comes later gets what is measured later.
         self._waits = not has_one
         return has_one

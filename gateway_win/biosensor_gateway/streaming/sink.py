@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 
 import numpy as np
@@ -39,6 +39,9 @@ class DeviceSink:
         What the device emits.
     observer
         Is told what happens; None for nobody.
+    tap
+        Is given what was sent: data name, samples in the units of the declaration (none of
+        text), stamps. Must neither raise nor wait. None for nobody.
     silent
         Data names of the streams that the settings switch off.
     watch
@@ -60,6 +63,7 @@ class DeviceSink:
         self.watch = StreamWatch(clock)
         self.spec = spec
         self.observer: SinkObserver | None = None
+        self.tap: Callable[[str, ArrayLike, Sequence[float]], None] | None = None
         self.silent: frozenset[str] = frozenset()
         self.charge = Charge(spec)
         self._clock = DeviceClock()
@@ -295,7 +299,11 @@ class DeviceSink:
             self.observer.reanchored(*jumps)
 
     def _tell_sampled(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
-        if self.observer is not None and len(stamps):
+        if not len(stamps):
+            return
+        if self.tap is not None:
+            self.tap(data_name, samples, stamps)
+        if self.observer is not None:
             self.observer.sampled(data_name, samples, stamps)
 
 

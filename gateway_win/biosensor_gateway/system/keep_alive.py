@@ -1,27 +1,37 @@
-"""Keeps a program running: starts it again whenever it dies."""
+"""Keeps a program running: starts it again whenever it dies, from a standby if there is one."""
 
 from __future__ import annotations
 
+import contextlib
+import math
 import os
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from types import FrameType
 
 from biosensor_common import relay
+from biosensor_gateway.settings.places import state_folder
+from biosensor_gateway.system import restart_notice
+from biosensor_gateway.system.restart_notice import RestartNotice
+from biosensor_gateway.system.standby import Standby
 
 LONGEST_DELAY_S = 30.0
 STABLE_AFTER_S = 60.0
 """Who lived so long did not die of its start, and is started again at once."""
+STANDBY_AFTER_S = 5.0
+"""Who lived so long is worth a standby. While it starts, it has the processor for itself."""
 
 RESTARTS, LAST_END = "BIOSENSOR_GATEWAY_RESTARTS", "BIOSENSOR_GATEWAY_LAST_END"
 """Environment of the program: how often it was started again, and how it had ended before."""
 
 _AS_IT_SHOULD, _WRONG_SETTINGS = 0, 2
+_LOOK_S = 0.2
 # Handlers of signals run between two waits. POSIX interrupts a wait, Windows does not.
-_LONGEST_WAIT_S = 0.2 if sys.platform == "win32" else None
+_LONGEST_WAIT_S = _LOOK_S if sys.platform == "win32" else math.inf
 
 
 def restart_facts(environment: Mapping[str, str]) -> dict[str, int | str]:
@@ -48,7 +58,7 @@ def keep_alive(arguments: Sequence[str]) -> int:
         if console is not None:
             console.put(f"biosensor-gateway: {sentence}\n".encode())
 
-    return KeepAlive(own_command(arguments), tell).run()
+    return KeepAlive(own_command(arguments), tell, state_folder()).run()
 
 
 class KeepAlive:
@@ -61,14 +71,27 @@ class KeepAlive:
     Parameters
     ----------
     command
-        Program and arguments.
+        Program and arguments; see `Standby` for what it must do.
     tell
         Is given a sentence about each death.
+    folder
+        Where `restart_notice` says that it waits.
+    standby_after_s
+        How long the program runs before it gets a standby.
     """
 
-    def __init__(self, command: Sequence[str], tell: Callable[[str], object]) -> None:
+    def __init__(
+        self,
+        command: Sequence[str],
+        tell: Callable[[str], object],
+        folder: Path,
+        standby_after_s: float = STANDBY_AFTER_S,
+    ) -> None:
         self._command, self._tell = command, tell
+        self._folder = folder
+        self._standby_after_s = standby_after_s
         self._process: subprocess.Popen[bytes] | None = None
+        self._standby: Standby | None = None
         self._is_asked_to_end = False
         self._lived_s = 0.0
 
@@ -76,12 +99,20 @@ class KeepAlive:
         """Return the program's exit code at its proper end."""
         for number in _requests():
             signal.signal(number, self._pass_on)
+        try:
+            return self._run()
+        finally:
+            if self._standby is not None:
+                self._standby.end()
+
+    def _run(self) -> int:
         last_end = ""
         for restarts, delay_s in enumerate(self._delays()):
             if restarts:
                 when = f"in {delay_s:g} s" if delay_s else "now"
                 self._tell(f"the agent has died ({last_end}) and is started again {when}")
-            self._sleep(delay_s)
+            if delay_s:
+                self._wait(delay_s, last_end)
             if self._is_asked_to_end:
                 break
             code = self._run_once({RESTARTS: str(restarts), LAST_END: last_end})
@@ -100,32 +131,70 @@ class KeepAlive:
             yield delay_s
             delay_s = min(max(1.0, 2 * delay_s), LONGEST_DELAY_S)
 
-    def _sleep(self, seconds: float) -> None:
+    def _wait(self, seconds: float, last_end: str) -> None:
+        """Let time pass before the next start, unless somebody asks for the end."""
         until = time.monotonic() + seconds
+        notice = RestartNotice.of_this_process(seconds, last_end)
+        is_announced = restart_notice.put_up(self._folder, notice)
         while not self._is_asked_to_end and (left := until - time.monotonic()) > 0:
-            time.sleep(min(left, 0.2))
+            time.sleep(min(left, _LOOK_S))
+            if is_announced and not restart_notice.is_up(self._folder):
+                break
+        if is_announced and not _take_down(self._folder):
+            # `stop` has done so.
+            self._is_asked_to_end = True
 
     def _run_once(self, environment: Mapping[str, str]) -> int:
         began = time.monotonic()
-        with subprocess.Popen(  # noqa: S603 - our own program
-            self._command, env={**os.environ, **environment}
-        ) as process:
+        with self._started(environment) as process:
             self._process = process
             if self._is_asked_to_end:
                 _ask_to_end(process)
-            while True:
-                try:
-                    code = process.wait(_LONGEST_WAIT_S)
-                except subprocess.TimeoutExpired:
-                    continue
-                break
+            code = self._code_of(process)
         self._lived_s = time.monotonic() - began
+        return code
+
+    def _started(self, environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
+        standby, self._standby = self._standby, None
+        process = standby.take_turn(environment) if standby is not None else None
+        if process is not None:
+            return process
+        return subprocess.Popen(  # noqa: S603 - our own program
+            self._command, env={**os.environ, **environment}
+        )
+
+    def _code_of(self, process: subprocess.Popen[bytes]) -> int:
+        """Wait for the end of the program, which gets a standby after a while."""
+        code = _wait_for(process, self._standby_after_s)
+        if code is None:
+            # Without one, a start takes its second more.
+            with contextlib.suppress(OSError):
+                self._standby = Standby(self._command)
+            code = _wait_for(process)
+        assert code is not None
         return code
 
     def _pass_on(self, _number: int, _frame: FrameType | None) -> None:
         self._is_asked_to_end = True
         if self._process is not None:
             _ask_to_end(self._process)
+
+
+def _wait_for(process: subprocess.Popen[bytes], limit_s: float = math.inf) -> int | None:
+    """Return the exit code; None if it has not ended within the limit."""
+    until = time.monotonic() + limit_s
+    while (left := min(until - time.monotonic(), _LONGEST_WAIT_S)) > 0:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            return process.wait(None if left == math.inf else left)
+    return process.poll()
+
+
+def _take_down(folder: Path) -> bool:
+    try:
+        return restart_notice.take_down(folder)
+    except OSError:
+        # Nobody else can, either.
+        return True
 
 
 def _requests() -> list[signal.Signals]:

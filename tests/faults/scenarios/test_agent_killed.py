@@ -1,7 +1,9 @@
-"""An agent is killed and started anew while LabRecorder and the node receive its streams."""
+"""An agent that is kept alive is killed while LabRecorder and the node receive its streams."""
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 import time
 import uuid
@@ -21,25 +23,18 @@ from tests.faults.expectations import regular_streams, unit_of
 from tests.faults.matching import match, missing
 from tests.faults.recorder import Floats, Recorded
 from tests.faults.scenarios.figures import Record
-from tests.faults.scenarios.stage import (
-    doomed,
-    is_streaming,
-    kill,
-    lab_of,
-    wait_until,
-    write_settings,
-)
+from tests.faults.scenarios.stage import is_streaming, lab_of, wait_until, write_settings
 from tests.faults.scenarios.xdf import load
 from tests.rigs.lab_client import LabProcess, Samples
 from tests.system.lab_recorder import recording
 from tests.system.programs import Program
 
-FAULT = "agent killed and restarted in mid-recording"
+FAULT = "agent killed in mid-recording, with --keep-alive"
 KILLED = ("zephyr", "empatica_e4", "shimmer3_gsr")
 OTHER = ("emotiv_insight", "vernier_respiration_belt")
 # What an agent has to start with is Python and its libraries, on a computer that is busy.
 BUSY = 3
-LOST_LIMIT_S, FLOWS_LIMIT_S = 1.5, 2.0
+LOST_LIMIT_S, FLOWS_LIMIT_S = 2.0, 2.0
 BEFORE_S, AFTER_S = 3.0, 4.0
 # Like no other in the network: liblsl recovers a stream by its source_id, in any session.
 PARTICIPANT = f"p{uuid.uuid4().hex[:8]}"
@@ -163,21 +158,23 @@ def aftermath(tmp_path_factory: pytest.TempPathFactory) -> Aftermath:
         others = write_settings(other, lab, {name: name for name in OTHER}, PARTICIPANT)
         untouched = AgentProcess(other, *others, environment=lab.environment)
         stack.enter_context(untouched)
-        agent = stack.enter_context(doomed(first, *settings, environment=lab.environment))
+        agent = AgentProcess(first, "--keep-alive", *settings, environment=lab.environment)
+        stack.enter_context(agent)
         wait_until(lambda: is_streaming(agent) and is_streaming(untouched), "streaming devices")
+        wait_until(lambda: agent.standby, "a standby")
         listener = stack.enter_context(listening(folder))
         resolver = pylsl.ContinuousResolver()
         with recording(folder / "killed.xdf", sources(KILLED + OTHER)):
             time.sleep(BEFORE_S)
+            standby = agent.standby
             killed_s = pylsl.local_clock()
-            kill(agent)
-            again = AgentProcess(first, *settings, environment=lab.environment)
-            stack.enter_context(again)
+            os.kill(agent.serving, signal.SIGKILL)
             before = listener.counts()
             flows_s = wait_for_messages(listener, before)
             up_s = wait_for_outlets(resolver, killed_s)
             time.sleep(AFTER_S)
         truth = truth_of(lab)
+        assert agent.serving == standby
     return Aftermath(load(folder / "killed.xdf"), truth, killed_s, up_s, flows_s)
 
 

@@ -43,7 +43,8 @@ async def _converse(server: ControlServer, request: bytes) -> None:
     reader = asyncio.StreamReader(REQUEST_LIMIT)
     reader.feed_data(request)
     reader.feed_eof()
-    answer: bytes = await getattr(server, "_reply")(reader)  # noqa: B009 - as above
+    answer: bytes
+    answer, _ = await getattr(server, "_reply")(reader)  # noqa: B009 - as above
     ensure(answer.endswith(b"\n") and answer.count(b"\n") == 1, "it is no line", answer)
     reply = cast("object", json.loads(answer))
     ensure(isinstance(reply, dict), "it is no object", answer)

@@ -26,7 +26,7 @@ SENSORS = one_of_each()
 CHUNK_LENGTH = 16
 MATCH_TIMEOUT_S = 60.0
 VIRTUAL_UNIT = "virtual"
-_GATEWAY, _COUNTERS, _EVENTS = "gateway", "counters", "events"
+_GATEWAY, _COUNTERS = "gateway", "counters"
 
 
 class Place(NamedTuple):
@@ -65,8 +65,8 @@ def expected_places(agent_host: str, sensors: Sequence[str] = SENSORS) -> dict[s
     }
     gateway = DeviceIdentity(_GATEWAY, agent_host)
     return places | {
-        naming.source_id(gateway, data_name): Place(_topic(gateway, data_name), "")
-        for data_name in (_COUNTERS, _EVENTS)
+        naming.source_id(gateway, stream.data_name): Place(_topic(gateway, stream.data_name), "")
+        for stream in declaration(_GATEWAY).streams
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 import structlog
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.control_server import Command
 from biosensor_gateway.agent.pauses import store
 from biosensor_gateway.agent.pauses.selection import chosen, device_name
@@ -33,7 +34,7 @@ class PauseCommands:
     folder
         The state folder.
     sinks
-        Of all devices.
+        Tells those of all devices.
 
     Raises
     ------
@@ -41,31 +42,39 @@ class PauseCommands:
         ``UNREADABLE`` if what is kept of earlier pauses cannot be understood.
     """
 
-    def __init__(self, folder: Path, sinks: Sequence[DeviceSink]) -> None:
+    def __init__(self, folder: Path, sinks: Callable[[], Iterable[DeviceSink]]) -> None:
         self._folder = folder
-        self._sinks = {sink.identity: sink for sink in sinks}
+        self._all_sinks = sinks
         self._writing = asyncio.Lock()
         self._unfinished: set[asyncio.Task[str | None]] = set()
         self._pauses = store.load(folder)
-        for pause in self._pauses:
-            self._take_over(pause)
+        self.take_over()
 
     @property
     def commands(self) -> dict[str, Command]:
         """What the control channel offers; the argument ``device`` names one."""
         return {"pause": self._pause, "resume": self._resume}
 
-    def _take_over(self, pause: Pause) -> None:
-        for identity, sink in self._sinks.items():
-            if pause.holds_for(identity) and not sink.is_paused:
-                sink.pause()
-                _log.warning(
-                    "the device is paused, and nothing of it is sent until it is resumed",
-                    sensor=identity.sensor,
-                    unit=identity.unit,
-                    since=pause.since.isoformat(timespec="seconds"),
-                    resume_with=f"biosensor-gateway resume {device_name(identity)}",
-                )
+    def take_over(self) -> None:
+        """Pause the devices that were paused earlier; for those that are new, too."""
+        for pause in self._pauses:
+            for identity, sink in self._sinks.items():
+                if pause.holds_for(identity) and not sink.is_paused:
+                    self._hold(sink, pause)
+
+    @property
+    def _sinks(self) -> dict[DeviceIdentity, DeviceSink]:
+        return {sink.identity: sink for sink in self._all_sinks()}
+
+    def _hold(self, sink: DeviceSink, pause: Pause) -> None:
+        sink.pause()
+        _log.warning(
+            "the device is paused, and nothing of it is sent until it is resumed",
+            sensor=sink.identity.sensor,
+            unit=sink.identity.unit,
+            since=pause.since.isoformat(timespec="seconds"),
+            resume_with=f"biosensor-gateway resume {device_name(sink.identity)}",
+        )
 
     async def _pause(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
         sink = self._sink(arguments)
@@ -86,7 +95,8 @@ class PauseCommands:
         name = arguments.get("device")
         if not isinstance(name, str):
             raise ConfigError(ConfigReason.WRONG_VALUE, "the argument 'device' is not a text")
-        return self._sinks[chosen(name, self._sinks)]
+        sinks = self._sinks
+        return sinks[chosen(name, sinks)]
 
     async def _outcome(self, sink: DeviceSink, *, changed: bool) -> Mapping[str, Any]:
         """Write down what holds now, also if nothing changed: it may have failed before."""

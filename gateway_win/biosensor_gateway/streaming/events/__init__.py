@@ -26,6 +26,9 @@ Besides these:
                     where it is known
 ``disconnected``    ``reason``: ``lost``, ``silent``, ``absent``, ``garbage``, ``no_reply``,
                     ``refused``, …, or ``failed`` for a fault of the driver
+``device_added``    It is in the settings that were read again, and was not before, or was
+                    otherwise: its supervisor begins now
+``device_removed``  It is no longer in them: its streams end
 ``gap_start``       At the newest sample before it, of any stream.
 ``gap_end``         At the first sample after it. ``lost``: missing samples by data name;
                     a stream that is not there has none, or none that can be counted.
@@ -49,9 +52,9 @@ Besides these:
 ``resumed``         ``send_from``: LSL time from which on samples are sent
 =================== =========================================================================
 
-The settings file is read once, at the start. So what changes while the agent runs
-is what devices decide: nominal rates and what a device says of itself, told at the
-connection at which they differ from the one before.
+``settings_changed`` tells what devices decide: nominal rates and what a device says of
+itself, at the connection at which they differ from the one before. A device whose entry
+in the settings file was changed is removed and added.
 
 While a device is paused, nothing is said that was measured on the body, nor of gaps,
 because nothing is expected. How many samples were withheld is not said either: the
@@ -72,6 +75,8 @@ class EventKind(StrEnum):
     HEARTBEAT = "heartbeat"
     CONNECTED = "connected"
     DISCONNECTED = "disconnected"
+    DEVICE_ADDED = "device_added"
+    DEVICE_REMOVED = "device_removed"
     GAP_START = "gap_start"
     GAP_END = "gap_end"
     CLOCK_REANCHORED = "clock_reanchored"

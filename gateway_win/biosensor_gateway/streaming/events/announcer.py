@@ -31,8 +31,7 @@ class Announcer:
     """The stream ``gateway/events``. Nothing that goes wrong in it is raised.
 
     The outlet exists from the beginning. A heartbeat comes at once, in every period and
-    when somebody begins to receive, because LabRecorder writes neither a footer nor clock
-    offsets for a stream of which it never got a sample.
+    when somebody begins to receive, so that a recording tells in which state it began.
 
     Parameters
     ----------
@@ -71,6 +70,10 @@ class Announcer:
     def watch(self, tick: Callable[[float], None]) -> None:
         """Have something called a few times a second, with the LSL time."""
         self._watchers.append(tick)
+
+    def unwatch(self, tick: Callable[[float], None]) -> None:
+        """Call it no more."""
+        self._watchers.remove(tick)
 
     @log_errors
     def announce(
@@ -112,7 +115,7 @@ class Announcer:
     @log_errors
     def _tick(self) -> None:
         now = pylsl.local_clock()
-        for watcher in self._watchers:
+        for watcher in tuple(self._watchers):
             watcher(now)
         if self._outlet is None or not self._period_s:
             return

@@ -18,16 +18,18 @@ class ContactWatch:
     ----------
     channel
         Its label, empty for a sensor that has none.
+    is_on
+        Whether it is on the body; None while that is not known.
     """
 
     def __init__(self, spec: SensorSpec) -> None:
         first = next(spec.channels_of(ChannelRole.CONTACT), ("", 0, ""))
         self._data_name, self._index, self.channel = first
-        self._is_on: bool | None = None
+        self.is_on: bool | None = None
 
     def forget(self) -> None:
         """Take the next value as news, whatever it is."""
-        self._is_on = None
+        self.is_on = None
 
     def changes(
         self, data_name: str, samples: ArrayLike, stamps: Sequence[float]
@@ -45,6 +47,6 @@ class ContactWatch:
             return
         values = np.asarray(samples, np.float64).reshape(len(stamps), -1)[:, self._index]
         for value, stamp in zip(values.tolist(), stamps, strict=True):
-            if value == value and bool(value) != self._is_on:  # noqa: PLR0124 - NaN is unknown
-                self._is_on = bool(value)
-                yield self._is_on, stamp
+            if value == value and bool(value) != self.is_on:  # noqa: PLR0124 - NaN is unknown
+                self.is_on = bool(value)
+                yield self.is_on, stamp

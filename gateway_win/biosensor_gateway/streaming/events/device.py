@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from numpy.typing import ArrayLike
 
-from biosensor_common.spec import DeviceInfo
+from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
 from biosensor_gateway.streaming.events.contact import ContactWatch
@@ -14,6 +14,13 @@ from biosensor_gateway.streaming.events.gaps import Gap, GapWatch
 from biosensor_gateway.streaming.events.log_errors import log_errors
 from biosensor_gateway.streaming.silence import Silence
 from biosensor_gateway.streaming.sink import DeviceSink
+
+
+def device_facts(identity: DeviceIdentity) -> dict[str, str]:
+    """Say which device an event is of, as every event of one does."""
+    worn = {"participant": identity.participant, "label": identity.label}
+    names = {"sensor": identity.sensor, "unit": identity.unit}
+    return names | {key: value for key, value in worn.items() if value}
 
 
 class DeviceEvents:
@@ -33,10 +40,7 @@ class DeviceEvents:
         self._clock = sink.clock
         identity = sink.identity
         self._announcer = announcer
-        self._names = {"sensor": identity.sensor, "unit": identity.unit}
-        for key, value in (("participant", identity.participant), ("label", identity.label)):
-            if value:
-                self._names[key] = value
+        self._names = device_facts(identity)
         self._gaps = GapWatch()
         self._contact = ContactWatch(sink.spec)
         self._connections = 0
@@ -44,6 +48,11 @@ class DeviceEvents:
         self._is_paused = sink.is_paused
         if self._is_paused:
             self._say(EventKind.PAUSED, facts={"kept": True})
+
+    @property
+    def is_worn(self) -> bool | None:
+        """Whether the sensor is on the body; None while that is not known."""
+        return self._contact.is_on if self._is_connected else None
 
     @log_errors
     def connected(self, info: DeviceInfo, changes: Mapping[str, tuple[object, object]]) -> None:

@@ -71,6 +71,9 @@ class Inhibitor(Protocol):
         ...
 
 
+_KEPT = "the computer is kept from sleeping while a device streams"
+
+
 class KeepAwake:
     """Holds off sleep while it is wanted, and for ``GRACE_S`` after.
 
@@ -125,9 +128,7 @@ class KeepAwake:
                 inhibitor.begin()
             held_before, self._held = self._held, inhibitor.held()
             if self._held and not held_before:
-                _log.info(
-                    "the computer is kept from sleeping while a device streams", way=inhibitor.way
-                )
+                _log.info(_KEPT, way=inhibitor.way, for_people=_KEPT)
         except OSError as error:
             self._take_back(inhibitor)
             self._retry_at = now + RETRY_S

@@ -287,7 +287,14 @@ class CortexClient:
                 return
             self._unknown_codes.add(warned.code)
         text = self._shown(warned.text)
-        _log.info("Cortex tells", event_name=warned.event.value, code=warned.code, text=text)
+        people = f"the Emotiv program says: {text or warned.event.value}"
+        _log.info(
+            "Cortex tells",
+            event_name=warned.event.value,
+            code=warned.code,
+            text=text,
+            for_people=people,
+        )
 
     def _shown(self, text: str) -> str:
         """Return a text of Cortex without secrets, in one line, not too long."""

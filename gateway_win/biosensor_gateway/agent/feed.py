@@ -1,0 +1,99 @@
+"""Sends what the devices measure to programs on this computer that show it.
+
+It comes from the agent's memory: one more LSL inlet on each stream would double what the agent
+sends. Nobody who reads slowly, or not at all, delays a sample of anything else.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections import deque
+from collections.abc import AsyncGenerator, Mapping, Sequence
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from biosensor_common import naming
+from biosensor_common.errors import TransportError, TransportReason
+from biosensor_gateway.agent.feed_frames import FrameKind, dropped_frame, frame, samples_frame
+from biosensor_gateway.streaming.sink import DeviceSink
+
+MAX_READERS = 8
+MAX_WAITING_BYTES = 4_000_000
+"""What may wait for one reader; some ten seconds of seven devices."""
+FLUSH_S = 0.04
+
+
+class Feed:
+    """Whoever wants to see, and what waits for each of them."""
+
+    def __init__(self) -> None:
+        self._readers: set[_Reader] = set()
+
+    def watch(self, sink: DeviceSink) -> None:
+        """Send what a device measures from now on."""
+
+        def tapped(data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
+            if self._readers:
+                self._send(naming.source_id(sink.identity, data_name), samples, stamps)
+
+        sink.tap = tapped
+
+    def tell(self, status: Mapping[str, Any]) -> None:
+        """Send how the agent is."""
+        if self._readers:
+            message = frame(FrameKind.STATUS, json.dumps(status).encode())
+            for reader in self._readers:
+                reader.put(message, 0)
+
+    async def conversation(self, _arguments: Mapping[str, Any]) -> AsyncGenerator[bytes]:
+        """Make frames for one reader, until it is closed.
+
+        Raises
+        ------
+        TransportError
+            ``BUSY``, if there are too many.
+        """
+        if len(self._readers) >= MAX_READERS:
+            message = f"{MAX_READERS} programs show the agent's data already; close one"
+            raise TransportError(TransportReason.BUSY, message)
+        reader = _Reader()
+        self._readers.add(reader)
+        try:
+            while True:
+                yield reader.take()
+                await asyncio.sleep(FLUSH_S)
+        finally:
+            self._readers.discard(reader)
+
+    def _send(self, source_id: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
+        message = samples_frame(source_id, stamps, samples)
+        for reader in self._readers:
+            reader.put(message, len(stamps))
+
+
+class _Reader:
+    """Frames that wait for one reader; the oldest go when there are too many."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[tuple[bytes, int]] = deque()
+        self._bytes = 0
+        self._dropped = 0
+
+    def put(self, message: bytes, samples: int) -> None:
+        self._waiting.append((message, samples))
+        self._bytes += len(message)
+        while self._bytes > MAX_WAITING_BYTES:
+            oldest, lost = self._waiting.popleft()
+            self._bytes -= len(oldest)
+            self._dropped += lost
+
+    def take(self) -> bytes:
+        """Return all that waits, and what was left out before it."""
+        messages = [message for message, _ in self._waiting]
+        if self._dropped:
+            messages.insert(0, dropped_frame(self._dropped))
+        self._waiting.clear()
+        self._bytes = self._dropped = 0
+        return b"".join(messages)

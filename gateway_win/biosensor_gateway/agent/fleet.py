@@ -1,0 +1,154 @@
+"""The devices of an agent: each runs alone, and can begin or end while the others stream."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+import structlog
+
+from biosensor_gateway.agent.device import Device
+from biosensor_gateway.agent.feed import Feed
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.streaming.events import EventKind
+from biosensor_gateway.streaming.events.announcer import Announcer
+from biosensor_gateway.streaming.events.device import device_facts
+
+_log = structlog.get_logger("biosensor_gateway.agent")
+
+
+@dataclass(frozen=True, slots=True)
+class FleetChanges:
+    """What other settings make of an agent's devices, by names as ``sensor/unit``.
+
+    Attributes
+    ----------
+    added
+        That begin.
+    removed
+        That end.
+    restarted
+        That end and begin anew, because something in their entry is different.
+    kept
+        That stream on.
+    """
+
+    added: tuple[str, ...] = ()
+    removed: tuple[str, ...] = ()
+    restarted: tuple[str, ...] = ()
+    kept: tuple[str, ...] = ()
+
+
+class Fleet:
+    """Runs devices, and other ones on request.
+
+    Parameters
+    ----------
+    devices
+        To begin with, by their entry of the settings.
+    """
+
+    def __init__(self, devices: Mapping[DeviceSettings, Device]) -> None:
+        self._devices = dict(devices)
+        self._tasks: dict[Device, asyncio.Task[None]] = {}
+        self._announcer: Announcer | None = None
+        self._feed: Feed | None = None
+        self._broken: asyncio.Queue[BaseException] = asyncio.Queue()
+
+    def __iter__(self) -> Iterator[Device]:
+        return iter(tuple(self._devices.values()))
+
+    def start(self, announcer: Announcer, feed: Feed) -> None:
+        """Begin with all devices; announce what happens to them, and feed what they measure."""
+        self._announcer, self._feed = announcer, feed
+        for device in self:
+            self._begin(device)
+
+    async def run(self) -> None:
+        """Wait until cancelled.
+
+        Raises
+        ------
+        Exception
+            What ended a supervisor, which nothing should.
+        """
+        raise await self._broken.get()
+
+    async def change(
+        self, entries: Iterable[DeviceSettings], before_start: Callable[[], None]
+    ) -> FleetChanges:
+        """Have the devices of other settings; those whose entry is the same stream on.
+
+        Parameters
+        ----------
+        entries
+            The settings of devices.
+        before_start
+            Called when the new devices are here, and none of them has begun.
+        """
+        wanted = [each for each in entries if each.enabled]
+        ending = [device for entry, device in self._devices.items() if entry not in wanted]
+        kept = {entry: device for entry, device in self._devices.items() if entry in wanted}
+        self._devices = kept
+        # Ports, addresses and source_ids must be free before others take them.
+        await self._end(ending)
+        fresh = {each: Device.from_settings(each) for each in wanted if each not in kept}
+        self._devices = {each: kept.get(each) or fresh[each] for each in wanted}
+        before_start()
+        for device in fresh.values():
+            self._announce(EventKind.DEVICE_ADDED, device)
+            self._begin(device)
+        return _changes(ending, fresh.values(), kept.values())
+
+    async def close(self) -> None:
+        """End all devices."""
+        assert self._announcer is not None
+        tasks = list(self._tasks.values())
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        for device in self:
+            device.sink.close()
+
+    def _begin(self, device: Device) -> None:
+        assert self._announcer is not None
+        assert self._feed is not None
+        device.announce_to(self._announcer)
+        self._feed.watch(device.sink)
+        task = asyncio.create_task(device.supervisor.run())
+        task.add_done_callback(self._note_end)
+        self._tasks[device] = task
+
+    def _note_end(self, task: asyncio.Task[None]) -> None:
+        if not task.cancelled() and (error := task.exception()) is not None:
+            self._broken.put_nowait(error)
+
+    async def _end(self, devices: Iterable[Device]) -> None:
+        assert self._announcer is not None
+        ending = {device: self._tasks.pop(device) for device in devices}
+        for task in ending.values():
+            task.cancel()
+        await asyncio.gather(*ending.values(), return_exceptions=True)
+        for device in ending:
+            device.close(self._announcer)
+            self._announce(EventKind.DEVICE_REMOVED, device)
+
+    def _announce(self, kind: EventKind, device: Device) -> None:
+        assert self._announcer is not None
+        self._announcer.announce(kind, device_facts(device.sink.identity))
+        word = "added" if kind is EventKind.DEVICE_ADDED else "removed"
+        identity = device.sink.identity
+        _log.info(f"the device was {word}", sensor=identity.sensor, unit=identity.unit)
+
+
+def _changes(
+    ended: Iterable[Device], fresh: Iterable[Device], kept: Iterable[Device]
+) -> FleetChanges:
+    before, after = [each.name for each in ended], [each.name for each in fresh]
+    return FleetChanges(
+        added=tuple(name for name in after if name not in before),
+        removed=tuple(name for name in before if name not in after),
+        restarted=tuple(name for name in after if name in before),
+        kept=tuple(device.name for device in kept),
+    )

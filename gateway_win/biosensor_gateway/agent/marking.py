@@ -1,0 +1,120 @@
+"""Commands by which experimenters and programs mark what happens."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import pylsl
+import structlog
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.agent.control_server import Command
+from biosensor_gateway.settings.models import MarkerSettings
+from biosensor_gateway.streaming.markers import MarkerKind, MarkerStream
+
+MAX_TEXT, MAX_SOURCE = 200, 32
+MAX_AGE_S, MAX_LEAD_S = 60.0, 0.1
+"""How far a sender's time may be from now; the lead is for what it knows less exactly."""
+LISTED = 10
+MARKERS = "markers"
+"""The command that changes nothing."""
+
+_log = structlog.get_logger("biosensor_gateway.markers")
+
+_KINDS = {kind.value: kind for kind in (MarkerKind.BUTTON, MarkerKind.NOTE, MarkerKind.API)}
+
+
+class MarkerCommands:
+    """What the control channel offers for markers.
+
+    Parameters
+    ----------
+    stream
+        Where they go.
+    settings
+        The names of the buttons, for whoever shows them.
+
+    Attributes
+    ----------
+    settings
+        Can be replaced while the agent runs.
+    """
+
+    def __init__(self, stream: MarkerStream, settings: MarkerSettings) -> None:
+        self._stream = stream
+        self.settings = settings
+
+    @property
+    def commands(self) -> dict[str, Command]:
+        """What can be asked for."""
+        return {"mark": self._mark, "undo-marker": self._undo, MARKERS: self._list}
+
+    async def _mark(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Send a marker with the arguments ``marker``, ``note``, ``kind``, ``source``, ``at``."""
+        marker, note = _text(arguments, "marker"), _text(arguments, "note")
+        if not marker and not note:
+            message = "the marker has no text; say what happened in 'marker' or 'note'"
+            raise ConfigError(ConfigReason.WRONG_VALUE, message)
+        sent = self._stream.mark(
+            marker or MarkerKind.NOTE.value,
+            note,
+            _kind(arguments, MarkerKind.API if marker else MarkerKind.NOTE),
+            _text(arguments, "source", MAX_SOURCE),
+            _time(arguments),
+        )
+        if not self._stream.is_received:
+            people = "a marker was sent that nobody receives: no program records the markers"
+            _log.warning("a marker was sent that nobody receives", id=sent.id, for_people=people)
+        return {"id": sent.id, "lsl_time": sent.lsl_time}
+
+    async def _undo(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Undo the marker with the argument ``id``; without it the last that holds."""
+        number = arguments.get("id")
+        if number is not None and (isinstance(number, bool) or not isinstance(number, int)):
+            raise ConfigError(ConfigReason.WRONG_VALUE, "the argument 'id' is not a whole number")
+        own, of = self._stream.undo(number)
+        return {"id": own, "of": of}
+
+    async def _list(self, _arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return the last markers, the newest last, and the names of the buttons."""
+        newest = [asdict(each) for each in self._stream.newest(LISTED)]
+        return {"markers": newest, "buttons": list(self.settings.buttons)}
+
+
+def _text(arguments: Mapping[str, Any], name: str, longest: int = MAX_TEXT) -> str:
+    given = arguments.get(name)
+    if given is None:
+        return ""
+    if not isinstance(given, str):
+        raise ConfigError(ConfigReason.WRONG_VALUE, f"the argument '{name}' is not a text")
+    text = given.strip()
+    if len(text) > longest or not text.isprintable():
+        message = f"the argument '{name}' is not one line of printable text up to {longest} letters"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    return text
+
+
+def _kind(arguments: Mapping[str, Any], usual: MarkerKind) -> MarkerKind:
+    given = arguments.get("kind")
+    if given is None:
+        return usual
+    if not isinstance(given, str) or given not in _KINDS:
+        message = f"the argument 'kind' is none of {', '.join(_KINDS)}"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    return _KINDS[given]
+
+
+def _time(arguments: Mapping[str, Any]) -> float | None:
+    at, now = arguments.get("at"), pylsl.local_clock()
+    if at is None:
+        return None
+    is_number = isinstance(at, int | float) and not isinstance(at, bool)
+    if not is_number or not now - MAX_AGE_S <= at <= now + MAX_LEAD_S:
+        message = (
+            f"the argument 'at' is no LSL time from {MAX_AGE_S:g} s ago to {MAX_LEAD_S:g} s "
+            f"ahead; now is {now:.3f}"
+        )
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    return float(at)

@@ -1,0 +1,130 @@
+"""Changes the devices of the settings file; its comments, its order and all else stay.
+
+A change that would make the file wrong is refused, and the file is as it was.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+from tomlkit.items import AoT
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.settings import file as settings_file
+from biosensor_gateway.settings import template
+from biosensor_gateway.settings.models import DeviceSettings
+
+Models = Mapping[str, type[DeviceSettings]]
+"""Settings model of each known sensor, by sensor name."""
+Value = str | int | float | bool
+
+_DEVICE = "device"
+
+
+def table_lines(sensor: str, fields: Mapping[str, Any]) -> str:
+    """Return the lines of a device's table."""
+    table = tomlkit.table()
+    table["sensor"] = sensor
+    for key, value in fields.items():
+        table[key] = value
+    return f"[[{_DEVICE}]]\n{tomlkit.dumps(table).strip()}"
+
+
+def add_device(path: Path, models: Models, sensor: str, fields: Mapping[str, Any]) -> None:
+    """Add a device at the end of the settings file, which is written first if there is none.
+
+    Raises
+    ------
+    ConfigError
+        The file would be wrong with it, or cannot be written; it is as it was.
+    """
+    if not path.exists():
+        template.write_template(path, models)
+    before = _text(path)
+    blank = "\n" if before.endswith("\n") else "\n\n"
+    _write(path, models, f"{before}{blank}{table_lines(sensor, fields)}\n")
+
+
+def change_device(
+    path: Path, models: Models, sensor: str, unit: str, fields: Mapping[str, Value | None]
+) -> None:
+    """Set keys of a device's table, or take out those that are None.
+
+    Raises
+    ------
+    ConfigError
+        ``NOT_FOUND`` if there is no such device; else as `add_device`.
+    """
+    document, tables = _parsed(path)
+    table = tables[_index(path, tables, sensor, unit)]
+    for key, value in fields.items():
+        if value is None:
+            if key in table:
+                del table[key]
+        else:
+            table[key] = value
+    _write(path, models, tomlkit.dumps(document))
+
+
+def remove_device(path: Path, models: Models, sensor: str, unit: str) -> None:
+    """Take a device out of the settings file.
+
+    Raises
+    ------
+    ConfigError
+        ``NOT_FOUND`` if there is no such device; else as `add_device`.
+    """
+    document, tables = _parsed(path)
+    del tables[_index(path, tables, sensor, unit)]
+    if not len(tables):
+        del document[_DEVICE]
+    _write(path, models, tomlkit.dumps(document))
+
+
+def _text(path: Path) -> str:
+    settings_file.read_text(path)
+    # Again as it is: whoever wrote it with Windows' line ends keeps them.
+    return path.read_bytes().decode("utf-8-sig")
+
+
+def _parsed(path: Path) -> tuple[tomlkit.TOMLDocument, AoT]:
+    try:
+        document = tomlkit.parse(_text(path))
+    except TOMLKitError as error:
+        message = f"{path} is not valid TOML: {error}"
+        raise ConfigError(ConfigReason.MALFORMED, message) from error
+    tables: object = document[_DEVICE] if _DEVICE in document else AoT([])
+    if not isinstance(tables, AoT):
+        message = f"{path}: each device is a table of its own, under [[device]] in double brackets"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    return document, tables
+
+
+def _index(path: Path, tables: AoT, sensor: str, unit: str) -> int:
+    for index, table in enumerate(cast("list[dict[str, object]]", tables)):
+        if (table.get("sensor"), table.get("unit")) == (sensor, unit):
+            return index
+    raise ConfigError(ConfigReason.NOT_FOUND, f"{path} has no device {sensor}/{unit}")
+
+
+def _write(path: Path, models: Models, text: str) -> None:
+    settings_file.settings_of(path, text, models)
+    # Where a link leads; a half-written file must never be in its place.
+    target = path.resolve()
+    fresh = target.with_name(f"{target.name}.{os.getpid()}")
+    try:
+        fresh.write_bytes(text.encode())
+        shutil.copymode(target, fresh)
+        fresh.replace(target)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            fresh.unlink(missing_ok=True)
+        message = f"cannot write {path}: {error.strerror or error}"
+        raise ConfigError(ConfigReason.UNREADABLE, message) from error

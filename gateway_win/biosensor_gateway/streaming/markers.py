@@ -1,0 +1,230 @@
+"""The experimenter's markers, in the stream ``gateway/markers``.
+
+Each is one JSON object in a string, without blanks and in ASCII. Every one has
+
+marker
+    Its name; ``note`` for a note, ``undo`` for one that takes another back, ``ready`` for
+    the agent's own.
+kind
+    One of :class:`MarkerKind`.
+id
+    They count from 1 at each start of the agent: where one is missing, a marker is missing.
+lsl_time
+    LSL time in seconds at which it happened. The stamp is the same time, but never before
+    the stamp of an earlier marker.
+
+and some
+
+note
+    Free text.
+source
+    Who sent it.
+of
+    Of an undo, the ``id`` of the marker that it takes back. Nothing is deleted.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum, unique
+
+import pylsl
+import structlog
+
+from biosensor_common.clocks import MonotonicStamps
+from biosensor_common.errors import (
+    ConfigError,
+    ConfigReason,
+    TransportError,
+    TransportReason,
+)
+from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.streaming.counters import Counters
+from biosensor_gateway.streaming.events.log_errors import log_errors
+from biosensor_gateway.streaming.gateway import GATEWAY
+from biosensor_gateway.streaming.outlets import Outlet
+
+LINGER_S = 0.25
+"""How long the outlet stays after the last marker, which LSL sends from a thread of its own."""
+KEPT = 1000
+"""The newest markers that are remembered; an older one cannot be undone."""
+
+_log = structlog.get_logger("biosensor_gateway.markers")
+
+
+@unique
+class MarkerKind(StrEnum):
+    """Where a marker comes from."""
+
+    BUTTON = "button"
+    """Somebody pressed one of the buttons of the settings."""
+    NOTE = "note"
+    """Somebody wrote something down."""
+    API = "api"
+    """A program sent it, or a command."""
+    UNDO = "undo"
+    """It takes another one back."""
+    READY = "ready"
+    """The agent's own: somebody begins to receive, and nobody did before."""
+
+
+@dataclass(slots=True)
+class Marker:
+    """A marker that was sent, and whether it was undone."""
+
+    id: int
+    marker: str
+    note: str
+    kind: MarkerKind
+    source: str
+    lsl_time: float
+    undone: bool = False
+
+
+class MarkerStream:
+    """Sends markers and remembers the newest ones.
+
+    The outlet is there from the agent's beginning, so that LabRecorder finds it. Who begins
+    to receive where nobody did gets a marker ``ready`` soon, unless another one comes first:
+    a stream of markers without any cannot be loaded by some versions of the loader for MATLAB.
+    """
+
+    def __init__(self) -> None:
+        self._stamps = MonotonicStamps()
+        self._count = 0
+        self._kept: dict[int, Marker] = {}
+        self._had_consumers = False
+        self._outlet: Outlet | None = None
+
+    @property
+    def counters(self) -> dict[str, Counters]:
+        """Counters of the stream by source_id."""
+        return {} if self._outlet is None else {self._outlet.source_id: self._outlet.counters}
+
+    @property
+    def is_received(self) -> bool:
+        """Whether anybody receives the stream now."""
+        return self._outlet is not None and self._outlet.have_consumers()
+
+    def open(self) -> None:
+        """Make the outlet. What goes wrong is logged, and markers are refused then."""
+        identity = DeviceIdentity(GATEWAY.name, socket.gethostname())
+        try:
+            self._outlet = Outlet(
+                GATEWAY.stream("markers"), identity, DeviceInfo(model=GATEWAY.model)
+            )
+        except Exception:  # noqa: BLE001 - whatever keeps the stream away, devices go on
+            _log.exception("there is no stream of markers")
+
+    @log_errors
+    def tick(self, now: float) -> None:
+        """Tell whoever has begun to receive that the stream is there; at an LSL time."""
+        had_consumers, self._had_consumers = self._had_consumers, self.is_received
+        if self._had_consumers and not had_consumers:
+            self._send(MarkerKind.READY.value, MarkerKind.READY, now, {})
+
+    def mark(
+        self, marker: str, note: str, kind: MarkerKind, source: str, at: float | None = None
+    ) -> Marker:
+        """Send a marker.
+
+        Parameters
+        ----------
+        marker, note, kind, source
+            What it says; note and source may be empty.
+        at
+            LSL time in seconds at which it happened; now if it is not said.
+
+        Raises
+        ------
+        TransportError
+            ``UNAVAILABLE`` if there is no stream.
+        """
+        happened = pylsl.local_clock() if at is None else at
+        facts = {name: text for name, text in (("note", note), ("source", source)) if text}
+        number = self._send(marker, kind, happened, facts)
+        sent = Marker(number, marker, note, kind, source, round(happened, 6))
+        self._kept[number] = sent
+        if len(self._kept) > KEPT:
+            del self._kept[next(iter(self._kept))]
+        return sent
+
+    def undo(self, number: int | None = None) -> tuple[int, int]:
+        """Say of a marker that it does not hold.
+
+        Parameters
+        ----------
+        number
+            Its id; None for the last one that holds.
+
+        Returns
+        -------
+        tuple of int
+            The id of the undo, and that of what it takes back.
+
+        Raises
+        ------
+        ConfigError
+            ``NOT_FOUND`` if there is no such marker, ``WRONG_VALUE`` if it is undone already.
+        TransportError
+            ``UNAVAILABLE`` if there is no stream.
+        """
+        wrong = self._last_that_holds() if number is None else self._remembered(number)
+        undo = MarkerKind.UNDO
+        own = self._send(undo.value, undo, pylsl.local_clock(), {"of": wrong.id})
+        wrong.undone = True
+        return own, wrong.id
+
+    def newest(self, count: int) -> list[Marker]:
+        """Return the last markers, the newest last, without undos and the agent's own."""
+        return list(self._kept.values())[-count:]
+
+    async def end(self) -> None:
+        """Destroy the outlet, when what was marked has been sent."""
+        if self._outlet is None:
+            return
+        if self.is_received:
+            await asyncio.sleep(LINGER_S)
+        self._outlet.close()
+        self._outlet = None
+
+    def _last_that_holds(self) -> Marker:
+        for each in reversed(self._kept.values()):
+            if not each.undone:
+                return each
+        raise ConfigError(ConfigReason.NOT_FOUND, "there is no marker that could be undone")
+
+    def _remembered(self, number: int) -> Marker:
+        found = self._kept.get(number)
+        if found is None:
+            message = f"there is no marker with the id {number} that could be undone"
+            raise ConfigError(ConfigReason.NOT_FOUND, message)
+        if found.undone:
+            message = f"marker {number} ({found.marker}) is undone already"
+            raise ConfigError(ConfigReason.WRONG_VALUE, message)
+        return found
+
+    def _send(
+        self, marker: str, kind: MarkerKind, happened: float, facts: Mapping[str, object]
+    ) -> int:
+        if self._outlet is None:
+            message = "there is no stream of markers; the agent starts or ends, or its log says why"
+            raise TransportError(TransportReason.UNAVAILABLE, message)
+        number = self._count + 1
+        content = {
+            "marker": marker,
+            "kind": kind.value,
+            "id": number,
+            **facts,
+            "lsl_time": round(happened, 6),
+        }
+        # Whoever gets this one needs no other to begin with.
+        self._had_consumers = self.is_received
+        (stamp,) = self._stamps.apply([happened])
+        self._outlet.push_text(json.dumps(content, separators=(",", ":")), stamp)
+        self._count = number
+        return number

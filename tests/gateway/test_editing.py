@@ -1,0 +1,99 @@
+"""Devices of the settings file are changed and removed; everything else in it stays."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.devices.registry import settings_models
+from biosensor_gateway.settings.editing import change_device, remove_device
+
+FILE = """\
+# Our lab.
+[lsl]
+session_id = "lab" # the same in LabRecorder
+
+# The strap with the red tape.
+[[device]]
+sensor = "polar_h10"
+unit = "A1" # on its back
+participant = "p01"
+
+# The belt.
+[[device]]
+sensor = "zephyr"
+unit = "B2"
+port = "COM7"
+"""
+MODELS = settings_models()
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "settings.toml"
+    path.write_text(FILE)
+    path.chmod(0o600)
+    return path
+
+
+def test_a_change_touches_its_line_alone(path: Path) -> None:
+    change_device(path, MODELS, "polar_h10", "A1", {"participant": "p02"})
+    assert path.read_text() == FILE.replace('"p01"', '"p02"')
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_keys_come_and_go(path: Path) -> None:
+    change_device(path, MODELS, "polar_h10", "A1", {"participant": None, "label": "left"})
+    text = path.read_text()
+    assert "participant" not in text
+    assert text.index('unit = "A1" # on its back') < text.index('label = "left"')
+    assert text.index('label = "left"') < text.index('sensor = "zephyr"')
+
+
+def test_a_device_is_removed_with_what_belongs_to_it(path: Path) -> None:
+    remove_device(path, MODELS, "polar_h10", "A1")
+    text = path.read_text()
+    assert "A1" not in text
+    assert 'session_id = "lab" # the same in LabRecorder' in text
+    assert 'port = "COM7"' in text
+    remove_device(path, MODELS, "zephyr", "B2")
+    assert "[[device]]" not in path.read_text()
+
+
+def test_a_link_stays_a_link(path: Path, tmp_path: Path) -> None:
+    link = tmp_path / "linked.toml"
+    link.symlink_to(path)
+    change_device(link, MODELS, "zephyr", "B2", {"enabled": False})
+    assert link.is_symlink()
+    assert "enabled = false" in path.read_text()
+
+
+@pytest.mark.parametrize(
+    ("unit", "fields", "reason"),
+    [
+        ("none", {"label": "x"}, ConfigReason.NOT_FOUND),
+        ("B2", {"label": " x "}, ConfigReason.WRONG_VALUE),
+        ("B2", {"unknown": "x"}, ConfigReason.UNKNOWN_KEY),
+        ("B2", {"port": None}, ConfigReason.WRONG_VALUE),
+    ],
+)
+def test_what_would_make_the_file_wrong_is_refused(
+    path: Path, unit: str, fields: dict[str, str | None], reason: ConfigReason
+) -> None:
+    with pytest.raises(ConfigError) as caught:
+        change_device(path, MODELS, "zephyr", unit, fields)
+    assert caught.value.reason is reason
+    assert str(path) in str(caught.value)
+    assert path.read_text() == FILE
+
+
+def test_a_folder_that_cannot_be_written_is_said(path: Path) -> None:
+    blocked = path.with_name(f"{path.name}.{os.getpid()}")
+    blocked.mkdir()
+    with pytest.raises(ConfigError, match="cannot write"):
+        remove_device(path, MODELS, "zephyr", "B2")
+    assert path.read_text() == FILE

@@ -1,0 +1,298 @@
+"""The experimenter's markers: what a real inlet gets, what is undone, and what is refused."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping
+from typing import Any, NoReturn
+
+import pylsl
+import pytest
+from structlog.testing import capture_logs
+
+from biosensor_common import naming
+from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.agent.marking import LISTED, MAX_AGE_S, MAX_SOURCE, MAX_TEXT, MarkerCommands
+from biosensor_gateway.settings.models import MarkerSettings
+from biosensor_gateway.streaming import markers as module
+from biosensor_gateway.streaming.markers import KEPT, MarkerStream
+
+SOURCE = naming.source_id(DeviceIdentity("gateway", socket.gethostname()), "markers")
+BUTTONS = ("baseline", "stimulus on")
+
+OpenInlet = Callable[[str], pylsl.StreamInlet]
+Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
+
+
+class Desk:
+    """A stream of markers, its commands, and what a receiver gets."""
+
+    def __init__(self) -> None:
+        self.stream = MarkerStream()
+        self.commands = MarkerCommands(self.stream, MarkerSettings(buttons=BUTTONS))
+        self.heard: list[tuple[dict[str, Any], float]] = []
+        self._reader: pylsl.StreamInlet | None = None
+
+    async def ask(self, command: str, **arguments: object) -> Mapping[str, Any]:
+        return await self.commands.commands[command](arguments)
+
+    async def refusal(self, command: str, **arguments: object) -> ConfigError:
+        with pytest.raises(ConfigError) as caught:
+            await self.ask(command, **arguments)
+        return caught.value
+
+    def listen(self, reader: pylsl.StreamInlet) -> None:
+        self._reader = reader
+
+    def stop_listening(self) -> None:
+        self._reader = None
+
+    def pull(self) -> list[dict[str, Any]]:
+        assert self._reader is not None
+        samples, stamps = self._reader.pull_chunk(timeout=0.0)
+        self.heard += zip((json.loads(row[0]) for row in samples), stamps, strict=True)
+        return [marker for marker, _ in self.heard]
+
+    def has(self, count: int) -> Callable[[], bool]:
+        return lambda: len(self.pull()) >= count
+
+
+@pytest.fixture
+async def desk() -> AsyncGenerator[Desk]:
+    running = Desk()
+    running.stream.open()
+    yield running
+    await running.stream.end()
+
+
+@pytest.fixture
+async def heard_desk(desk: Desk, inlet: OpenInlet, eventually: Eventually) -> Desk:
+    desk.listen(await asyncio.to_thread(inlet, SOURCE))
+    await eventually(lambda: desk.stream.is_received)
+    return desk
+
+
+async def test_a_marker_says_all_of_itself(heard_desk: Desk, eventually: Eventually) -> None:
+    at = pylsl.local_clock() - 2.5
+    pressed = {"marker": "baseline", "note": "", "kind": "button", "source": "page", "at": at}
+    assert await heard_desk.ask("mark", **pressed) == {"id": 1, "lsl_time": round(at, 6)}
+    before = pylsl.local_clock()
+    answer = await heard_desk.ask("mark", marker="", note=" she said \u201ccold\u201d ")
+    assert before <= answer["lsl_time"] + 1e-6 <= pylsl.local_clock() + 1e-5
+    await heard_desk.ask("mark", marker="trigger 3")
+    await eventually(heard_desk.has(3))
+    button, note, sent = heard_desk.pull()
+    assert button == {
+        "marker": "baseline",
+        "kind": "button",
+        "id": 1,
+        "source": "page",
+        "lsl_time": round(at, 6),
+    }
+    assert note == {
+        "marker": "note",
+        "kind": "note",
+        "id": 2,
+        "note": "she said \u201ccold\u201d",
+        "lsl_time": answer["lsl_time"],
+    }
+    assert (sent["marker"], sent["kind"], sent["id"]) == ("trigger 3", "api", 3)
+    assert heard_desk.heard[0][1] == pytest.approx(at, abs=1e-6)
+
+
+async def test_stamps_never_run_back_and_the_text_says_when_it_was(
+    heard_desk: Desk, eventually: Eventually
+) -> None:
+    now = pylsl.local_clock()
+    times = [now - 1.0, now - 30.0, now + 0.05, now]
+    for at in times:
+        await heard_desk.ask("mark", marker="m", at=at)
+    await eventually(heard_desk.has(len(times)))
+    stamps = [stamp for _, stamp in heard_desk.heard]
+    assert stamps == sorted(set(stamps))
+    assert stamps == pytest.approx([now - 1.0, now - 1.0, now + 0.05, now + 0.05], abs=1e-5)
+    assert [each["lsl_time"] for each in heard_desk.pull()] == pytest.approx(times, abs=1e-6)
+
+
+async def test_an_undo_marks_and_deletes_nothing(heard_desk: Desk, eventually: Eventually) -> None:
+    for name in ("a", "b", "c"):
+        await heard_desk.ask("mark", marker=name)
+    assert await heard_desk.ask("undo-marker", id=1) == {"id": 4, "of": 1}
+    assert await heard_desk.ask("undo-marker") == {"id": 5, "of": 3}
+    assert await heard_desk.ask("undo-marker") == {"id": 6, "of": 2}
+    await eventually(heard_desk.has(6))
+    undos = heard_desk.pull()[3:]
+    assert [(each["marker"], each["kind"], each["of"]) for each in undos] == [
+        ("undo", "undo", 1),
+        ("undo", "undo", 3),
+        ("undo", "undo", 2),
+    ]
+    nothing = await heard_desk.refusal("undo-marker")
+    assert (nothing.reason, str(nothing)) == (
+        ConfigReason.NOT_FOUND,
+        "there is no marker that could be undone",
+    )
+    again = await heard_desk.refusal("undo-marker", id=2)
+    assert again.reason is ConfigReason.WRONG_VALUE
+    assert str(again) == "marker 2 (b) is undone already"
+    # An undo itself, and numbers that nobody has given.
+    for number in (4, 0, -1, 99):
+        assert f"the id {number} " in str(await heard_desk.refusal("undo-marker", id=number))
+    await heard_desk.ask("mark", marker="d")
+    await eventually(heard_desk.has(7))
+    assert heard_desk.pull()[-1]["id"] == 7
+
+
+async def test_the_list_has_the_last_ones_and_who_is_undone(desk: Desk) -> None:
+    assert await desk.ask("markers") == {"markers": [], "buttons": list(BUTTONS)}
+    for number in range(LISTED + 2):
+        await desk.ask("mark", marker=f"m{number}", source="page")
+    await desk.ask("undo-marker", id=11)
+    listed = (await desk.ask("markers"))["markers"]
+    assert [each["id"] for each in listed] == list(range(3, LISTED + 3))
+    assert [each["id"] for each in listed if each["undone"]] == [11]
+    newest = listed[-1]
+    assert set(newest) == {"id", "marker", "note", "kind", "source", "lsl_time", "undone"}
+    assert (newest["marker"], newest["kind"], newest["source"]) == ("m11", "api", "page")
+    desk.commands.settings = MarkerSettings(buttons=("other",))
+    assert json.loads(json.dumps(await desk.ask("markers")))["buttons"] == ["other"]
+
+
+async def test_what_is_remembered_has_an_end(desk: Desk) -> None:
+    for _ in range(KEPT + 1):
+        await desk.ask("mark", marker="m")
+    assert (await desk.refusal("undo-marker", id=1)).reason is ConfigReason.NOT_FOUND
+    assert (await desk.ask("undo-marker", id=2))["of"] == 2
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {},
+        {"marker": "  ", "note": "\t"},
+        {"marker": 7},
+        {"marker": "two\nlines"},
+        {"marker": "half \ud800"},
+        {"marker": "m" * (MAX_TEXT + 1)},
+        {"marker": "m", "note": "n" * (MAX_TEXT + 1)},
+        {"marker": "m", "source": "s" * (MAX_SOURCE + 1)},
+        {"marker": "m", "kind": "undo"},
+        {"marker": "m", "kind": "ready"},
+        {"marker": "m", "kind": ["button"]},
+        {"marker": "m", "at": "now"},
+        {"marker": "m", "at": True},
+        {"marker": "m", "at": float("nan")},
+        {"marker": "m", "at": float("inf")},
+        {"marker": "m", "at": 10**400},
+    ],
+)
+async def test_what_is_no_marker_is_refused(desk: Desk, wrong: dict[str, Any]) -> None:
+    assert (await desk.refusal("mark", **wrong)).reason is ConfigReason.WRONG_VALUE
+    assert desk.stream.counters[SOURCE].pushed == 0
+
+
+async def test_a_time_that_cannot_be_is_refused(desk: Desk) -> None:
+    now = pylsl.local_clock()
+    for at in (now - MAX_AGE_S - 1, now + 5.0):
+        refused = str(await desk.refusal("mark", marker="m", at=at))
+        assert "no LSL time from 60 s ago to 0.1 s ahead" in refused
+    for at in (now - MAX_AGE_S + 5, now):
+        await desk.ask("mark", marker="m", at=at)
+
+
+@pytest.mark.parametrize("number", ["1", 1.0, True, [1]])
+async def test_an_id_is_a_whole_number(desk: Desk, number: object) -> None:
+    await desk.ask("mark", marker="m")
+    assert (await desk.refusal("undo-marker", id=number)).reason is ConfigReason.WRONG_VALUE
+
+
+async def test_the_longest_marker_arrives_whole(heard_desk: Desk, eventually: Eventually) -> None:
+    longest = "\U0001f600" * MAX_TEXT
+    await heard_desk.ask("mark", marker=longest, note=longest)
+    await eventually(heard_desk.has(1))
+    (marker,) = heard_desk.pull()
+    assert (marker["marker"], marker["note"]) == (longest, longest)
+
+
+async def test_whoever_begins_to_receive_gets_a_marker_at_once(
+    desk: Desk, inlet: OpenInlet, eventually: Eventually
+) -> None:
+    def ticks_until(condition: Callable[[], bool]) -> Callable[[], bool]:
+        return lambda: desk.stream.tick(pylsl.local_clock()) is None and condition()
+
+    desk.stream.tick(pylsl.local_clock())
+    assert desk.stream.counters[SOURCE].pushed == 0
+    desk.listen(await asyncio.to_thread(inlet, SOURCE))
+    await eventually(ticks_until(desk.has(1)))
+    ((ready, stamp),) = desk.heard
+    assert (ready["kind"], ready["id"]) == ("ready", 1)
+    assert ready["lsl_time"] == pytest.approx(stamp, abs=1e-6)
+    for _ in range(5):
+        desk.stream.tick(pylsl.local_clock())
+    assert desk.stream.counters[SOURCE].pushed == 1
+    # It is nobody's marker, and nobody can undo it.
+    assert (await desk.refusal("undo-marker", id=1)).reason is ConfigReason.NOT_FOUND
+    assert (await desk.ask("markers"))["markers"] == []
+    desk.stop_listening()
+    await eventually(ticks_until(lambda: not desk.stream.is_received))
+    desk.listen(await asyncio.to_thread(inlet, SOURCE))
+    await eventually(ticks_until(desk.has(2)))
+    assert [marker["id"] for marker, _ in desk.heard] == [1, 2]
+
+
+async def test_whoever_gets_another_marker_first_gets_only_that(
+    heard_desk: Desk, eventually: Eventually
+) -> None:
+    await heard_desk.ask("mark", marker="m")
+    heard_desk.stream.tick(pylsl.local_clock())
+    await heard_desk.ask("mark", marker="n")
+    await eventually(heard_desk.has(2))
+    assert [each["marker"] for each in heard_desk.pull()] == ["m", "n"]
+
+
+async def test_a_marker_that_nobody_receives_is_said(
+    desk: Desk, inlet: OpenInlet, eventually: Eventually
+) -> None:
+    with capture_logs() as logs:
+        await desk.ask("mark", marker="m")
+        assert [each["event"] for each in logs] == ["a marker was sent that nobody receives"]
+        desk.listen(await asyncio.to_thread(inlet, SOURCE))
+        await eventually(lambda: desk.stream.is_received)
+        await desk.ask("mark", marker="m")
+        assert len(logs) == 1
+
+
+async def test_without_a_stream_markers_are_refused_and_nothing_else_fails(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(*_arguments: object) -> NoReturn:
+        raise RuntimeError("no port is free")
+
+    desk = Desk()
+
+    async def is_refused() -> None:
+        with pytest.raises(TransportError) as caught:
+            await desk.ask("mark", marker="m")
+        assert caught.value.reason is TransportReason.UNAVAILABLE
+
+    await is_refused()
+    monkeypatch.setattr(module, "Outlet", refuse)
+    with capture_logs() as logs:
+        desk.stream.open()
+        desk.stream.tick(pylsl.local_clock())
+        await is_refused()
+        await desk.stream.end()
+    assert [entry["event"] for entry in logs] == ["there is no stream of markers"]
+    assert desk.stream.counters == {}
+
+
+async def test_the_last_marker_is_heard_though_the_outlet_goes(
+    heard_desk: Desk, eventually: Eventually
+) -> None:
+    listening = asyncio.ensure_future(eventually(heard_desk.has(1)))
+    await heard_desk.ask("mark", marker="m")
+    await heard_desk.stream.end()
+    await listening

@@ -1,0 +1,239 @@
+"""``biosensor-gateway reload``: a real agent, real streams, and settings that change under it."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Generator, Iterable
+from contextlib import AbstractContextManager, ExitStack
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pylsl
+import pytest
+
+from biosensor_common.errors import ConfigError
+from biosensor_gateway.agent import status_file
+from tests.rigs.zephyr import SteeredBioHarness
+
+ALL_SAMPLES = 1 << 16
+RATE_HZ = 250.0
+
+Until = Callable[[Callable[[], bool]], None]
+StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
+OpenInlet = Callable[[str], pylsl.StreamInlet]
+
+
+class Outcome(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+class Entry(NamedTuple):
+    """A device of the settings file."""
+
+    unit: str
+    port: str
+    participant: str = ""
+    extra: str = ""
+
+    @property
+    def table(self) -> str:
+        fields = {"sensor": "zephyr", **self._asdict()}
+        del fields["extra"]
+        lines = [f"{key} = {json.dumps(value)}" for key, value in fields.items() if value]
+        return "\n".join(["[[device]]", *lines, self.extra, ""])
+
+
+@pytest.fixture
+def ports() -> Generator[Callable[[int], list[str]]]:
+    """Switch virtual devices on; their serial ports."""
+    with ExitStack() as stack:
+        yield lambda count: [
+            stack.enter_context(SteeredBioHarness(seed=seed)).port for seed in range(count)
+        ]
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> Callable[..., Path]:
+    """Write the settings file."""
+
+    def written(*entries: Entry, more: str = "") -> Path:
+        path = tmp_path / "settings.toml"
+        path.write_text(more + "\n".join(entry.table for entry in entries))
+        return path
+
+    return written
+
+
+@pytest.fixture
+def reload(tmp_path: Path) -> Callable[[], Outcome]:
+    """Call the command as a person does."""
+
+    def called() -> Outcome:
+        done = subprocess.run(
+            [sys.executable, "-m", "biosensor_gateway.cli", "reload"],
+            env=os.environ | {"BIOSENSOR_GATEWAY_STATE": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        return Outcome(done.returncode, done.stdout, done.stderr)
+
+    return called
+
+
+def devices(folder: Path) -> dict[str, dict[str, Any]]:
+    """Return the agent's devices by unit."""
+    try:
+        return {each["unit"]: each for each in status_file.read_status(folder)["devices"]}
+    except ConfigError:
+        return {}
+
+
+def are_streaming(folder: Path, units: Iterable[str]) -> bool:
+    known = devices(folder)
+    return all(
+        unit in known and any(each["pushed"] for each in known[unit]["streams"].values())
+        for unit in units
+    )
+
+
+def events(inlet: pylsl.StreamInlet) -> list[dict[str, Any]]:
+    texts: list[list[str]] = inlet.pull_chunk(max_samples=ALL_SAMPLES)[0] or []
+    return [json.loads(text) for (text,) in texts]
+
+
+def test_what_is_the_same_streams_on_without_a_gap(
+    cli_process: StartCli,
+    until: Until,
+    inlet: OpenInlet,
+    visible: Callable[[str], bool],
+    tmp_path: Path,
+    unit: str,
+    ports: Callable[[int], list[str]],
+    settings: Callable[..., Path],
+    reload: Callable[[], Outcome],
+) -> None:
+    several = [Entry(f"{unit[:8]}{index}", port) for index, port in enumerate(ports(8))]
+    gone, renamed, *same, new = several
+    path = settings(gone, renamed, *same)
+    with cli_process(tmp_path, "run", "--settings", str(path), "--no-ask"):
+        until(lambda: are_streaming(tmp_path, [each.unit for each in several[:-1]]))
+        told = inlet(f"gateway-{socket.gethostname()}-events")
+        ecg = {each.unit: inlet(f"zephyr-{each.unit}-ecg") for each in same}
+        for reader in ecg.values():
+            reader.pull_sample(timeout=10)
+
+        settings(renamed._replace(participant="p07"), *same, new)
+        answer = reload()
+        assert answer.code == 0, answer.err
+        assert answer.out.splitlines() == [
+            f"zephyr/{new.unit} was added",
+            f"zephyr/{gone.unit} was removed",
+            f"zephyr/{renamed.unit} was started anew: its entry was changed",
+        ]
+        until(lambda: are_streaming(tmp_path, [renamed.unit, new.unit]))
+        assert list(devices(tmp_path)) == [each.unit for each in (renamed, *same, new)]
+        assert devices(tmp_path)[renamed.unit]["participant"] == "p07"
+        until(lambda: not visible(f"zephyr-{gone.unit}-ecg"))
+
+        happened = events(told)
+        assert not [each for each in happened if each["event"].startswith("gap")]
+        changed = {"device_added", "device_removed"}
+        assert [(each["event"], each["unit"]) for each in happened if each["event"] in changed] == [
+            ("device_removed", gone.unit),
+            ("device_removed", renamed.unit),
+            ("device_added", renamed.unit),
+            ("device_added", new.unit),
+        ]
+        for entry in same:
+            _, stamps = ecg[entry.unit].pull_chunk(max_samples=ALL_SAMPLES)
+            assert np.abs(np.diff(stamps) - 1 / RATE_HZ).max() < 0.5 / RATE_HZ
+            streams = devices(tmp_path)[entry.unit]["streams"].values()
+            assert sum(each["lost"] + each["refused"] for each in streams) == 0
+            assert devices(tmp_path)[entry.unit]["connections"] == 1
+
+
+def test_a_broken_file_changes_nothing_and_is_explained_with_its_line(
+    cli_process: StartCli,
+    until: Until,
+    tmp_path: Path,
+    unit: str,
+    ports: Callable[[int], list[str]],
+    settings: Callable[..., Path],
+    reload: Callable[[], Outcome],
+) -> None:
+    (port,) = ports(1)
+    entry = Entry(unit, port)
+    path = settings(entry)
+    with cli_process(tmp_path, "run", "--settings", str(path), "--no-ask"):
+        until(lambda: are_streaming(tmp_path, [unit]))
+        for extra, line in (("prot = 7", 5), ("port =", 5)):
+            settings(entry._replace(extra=extra))
+            answer = reload()
+            assert answer.code == 1
+            assert answer.out == ""
+            assert f"line {line}" in answer.err
+            assert "Traceback" not in answer.err
+        path.unlink()
+        assert "there is no settings file" in reload().err
+        assert devices(tmp_path)[unit]["connections"] == 1
+        assert devices(tmp_path)[unit]["state"] == "streaming"
+
+        settings(entry)
+        assert reload().out == "nothing has changed for any device\n"
+        settings(entry, more='[lsl]\nsession_id = "other"\n')
+        assert "[lsl] holds from the next start" in reload().out
+        settings(entry._replace(extra="enabled = false"))
+        assert reload().out == f"zephyr/{unit} was removed\n"
+        until(lambda: devices(tmp_path) == {})
+
+
+def test_who_has_withdrawn_stays_so_when_the_entry_comes_back(
+    cli_process: StartCli,
+    until: Until,
+    tmp_path: Path,
+    unit: str,
+    ports: Callable[[int], list[str]],
+    settings: Callable[..., Path],
+    reload: Callable[[], Outcome],
+) -> None:
+    (port,) = ports(1)
+    path = settings(Entry(unit, port))
+    with cli_process(tmp_path, "run", "--settings", str(path), "--no-ask"):
+        until(lambda: are_streaming(tmp_path, [unit]))
+        pause = [sys.executable, "-m", "biosensor_gateway.cli", "pause", f"zephyr/{unit}"]
+        subprocess.run(
+            pause, env=os.environ | {"BIOSENSOR_GATEWAY_STATE": str(tmp_path)}, check=True
+        )
+        settings()
+        assert reload().out == f"zephyr/{unit} was removed\n"
+        settings(Entry(unit, port))
+        assert reload().out == f"zephyr/{unit} was added\n"
+        until(lambda: devices(tmp_path).get(unit, {}).get("state") == "streaming")
+        until(lambda: devices(tmp_path)[unit]["paused"])
+        assert not are_streaming(tmp_path, [unit])
+
+
+def test_virtual_devices_have_no_file_to_read(
+    cli_process: StartCli, until: Until, tmp_path: Path, reload: Callable[[], Outcome]
+) -> None:
+    with cli_process(tmp_path, "run", "--simulate", "zephyr"):
+        until(lambda: devices(tmp_path) != {})
+        answer = reload()
+        assert (answer.code, answer.out) == (1, "")
+        assert "virtual devices, which have no settings file" in answer.err
+
+
+def test_without_an_agent_it_says_so(reload: Callable[[], Outcome]) -> None:
+    answer = reload()
+    assert answer.code == 1
+    assert answer.err == (
+        "biosensor-gateway: no agent is running; start one with: biosensor-gateway run\n"
+    )
