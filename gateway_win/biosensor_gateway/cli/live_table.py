@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from time import monotonic
@@ -12,23 +12,11 @@ from rich.cells import cell_len, set_cell_size
 
 from biosensor_common.errors import SpecError
 from biosensor_common.terminal import shortened, wrapped
-from biosensor_gateway.agent.supervisor import State
+from biosensor_gateway.agent.rate_meter import RateMeter
+from biosensor_gateway.agent.state import STATE_WORDS
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.system.panel import Line, Panel, Size
 
-RATE_OVER_S = 10.0
-"""A rate is measured over so long, by the samples' own times."""
-STALE_AFTER_S = 5.0
-"""Samples of some devices come in lumps of seconds; later, there is no rate any more."""
-
-_STATES = {
-    State.DISCOVERING.value: "looking for it",
-    State.CONNECTING.value: "connecting",
-    State.STREAMING.value: "streaming",
-    State.ENABLING.value: "no data yet",
-    State.BACKOFF.value: "will try again",
-    State.STOPPED.value: "stopped",
-}
 _WELL = frozenset({"streaming", "paused"})
 _HEADINGS = ("Device", "State", "Rate", "Lost", "Battery")
 _GAP = 2
@@ -57,27 +45,6 @@ def sensor_title(sensor: str) -> str:
         return sensor
 
 
-class _Meter:
-    """Measures how fast one stream advances, by the stamps of its samples."""
-
-    def __init__(self) -> None:
-        self._seen: deque[tuple[int, float]] = deque()
-
-    def rate_hz(self, pushed: int, last_stamp: float, now: float) -> float | None:
-        """Take in a count and the LSL time of its newest sample; None while nothing comes."""
-        if self._seen and pushed < self._seen[-1][0]:
-            self._seen.clear()
-        if not self._seen or pushed > self._seen[-1][0]:
-            self._seen.append((pushed, last_stamp))
-        while len(self._seen) > 2 and now - self._seen[0][1] > RATE_OVER_S:
-            self._seen.popleft()
-        (first, since), (newest, until) = self._seen[0], self._seen[-1]
-        if now - until > STALE_AFTER_S:
-            self._seen.clear()
-            return None
-        return (newest - first) / (until - since) if until > since else None
-
-
 class LiveTable:
     """Shows the agent's devices on a panel, with each report of the agent.
 
@@ -90,7 +57,7 @@ class LiveTable:
 
     def __init__(self, panel: Panel, *, colours: bool) -> None:
         self._panel, self._colours = panel, colours
-        self._meters: dict[str, _Meter] = {}
+        self._meters: dict[str, RateMeter] = {}
         self._begun_s = monotonic()
 
     def report(self, status: Mapping[str, Any]) -> None:
@@ -109,7 +76,7 @@ class LiveTable:
         ]
 
     def _row(self, name: str, device: Mapping[str, Any], now: float) -> Row:
-        state = "paused" if device["paused"] else _STATES[device["state"]]
+        state = "paused" if device["paused"] else STATE_WORDS[device["state"]]
         rate = self._rate(device, now)
         battery = device["battery_percent"]
         return Row(
@@ -132,8 +99,9 @@ class LiveTable:
             return None
         main = max(sending, key=lambda source: sending[source]["rate_hz"])
         each = sending[main]
-        meter = self._meters.setdefault(main, _Meter())
-        return meter.rate_hz(each["pushed"], each["last_stamp"], now)
+        meter = self._meters.setdefault(main, RateMeter())
+        meter.note(each["pushed"], each["last_stamp"])
+        return meter.rate_hz(now)
 
 
 def _names(devices: Iterable[Mapping[str, Any]]) -> list[str]:

@@ -36,14 +36,14 @@ def ask(question: str, understand: Callable[[str], _Answer]) -> _Answer:
     Raises
     ------
     typer.Exit
-        With code 1 if nobody can answer any more.
+        With code 2 if nobody can answer any more: nobody could the next time, either.
     """
     while True:
         try:
             answer = input(f"{question} ")
         except EOFError:
             typer.echo()
-            raise typer.Exit(1) from None
+            raise typer.Exit(2) from None
         try:
             return understand(answer.strip())
         except NotAnAnswerError as error:

@@ -1,11 +1,8 @@
-"""``biosensor-gateway record``: LabRecorder, steered by its remote control."""
+"""``biosensor-gateway record``: by LabRecorder's window, or by this computer itself."""
 
 from __future__ import annotations
 
-import json
-import socket
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +10,9 @@ from typing import Annotated
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.cli import recording_here
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
+from biosensor_gateway.cli.recording_here import as_text, look_for, warn
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.recording.labrecorder.file_name import MAX_RUN, BidsLabels, Place
 from biosensor_gateway.recording.labrecorder.remote import DEFAULT_PORT, RemoteControl
@@ -22,22 +21,31 @@ from biosensor_gateway.recording.labrecorder.starting import GROWTH_S, Order, St
 from biosensor_gateway.recording.labrecorder.starting import start as start_recording
 from biosensor_gateway.recording.labrecorder.stopping import Stopped
 from biosensor_gateway.recording.labrecorder.stopping import stop as stop_recording
-from biosensor_gateway.recording.labrecorder.streams import Presence, expected_devices, look
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.settings.places import settings_path, state_folder
 
-app = typer.Typer(help="Start and stop recordings of LabRecorder.", no_args_is_help=True)
+_LOCAL = "127.0.0.1"
 
-HostOption = Annotated[str, typer.Option(help="Computer on which LabRecorder runs.")]
+app = typer.Typer(help="Start, watch and stop recordings.", no_args_is_help=True)
+
+HostOption = Annotated[
+    str | None,
+    typer.Option(help="Computer on which LabRecorder's window is open.", show_default=_LOCAL),
+]
 PortOption = Annotated[
-    int, typer.Option(min=1, max=65535, help="TCP port of its remote control (RCSPort).")
+    int | None,
+    typer.Option(
+        min=1,
+        max=65535,
+        help="TCP port of its remote control (RCSPort).",
+        show_default=str(DEFAULT_PORT),
+    ),
 ]
 FileOption = Annotated[
     Path | None,
     typer.Option(help="The recording; without it the one that was started from here."),
 ]
-_LOCAL = "127.0.0.1"
 
 
 @app.callback()
@@ -48,7 +56,8 @@ def _group() -> None:
 @app.command("start")
 def start(
     file: Annotated[
-        Path | None, typer.Option(help="Record to this file (LabRecorder writes it lower-case).")
+        Path | None,
+        typer.Option(help="Record to this file (LabRecorder's window makes it lower-case)."),
     ] = None,
     folder: Annotated[
         Path | None,
@@ -62,14 +71,16 @@ def start(
     ] = None,
     session: Annotated[str | None, typer.Option(help="BIDS session, else S001.")] = None,
     task: Annotated[str | None, typer.Option(help="BIDS task, else Default.")] = None,
-    run: Annotated[int | None, typer.Option(min=1, max=MAX_RUN, help="BIDS run, else 1.")] = None,
+    run: Annotated[
+        int | None, typer.Option(min=1, max=MAX_RUN, help="BIDS run, else the first.")
+    ] = None,
     acquisition: Annotated[str | None, typer.Option(help="BIDS acquisition, else none.")] = None,
     modality: Annotated[str | None, typer.Option(help="BIDS modality, else beh.")] = None,
     all_streams: Annotated[
         bool, typer.Option("--all", help="Streams of others are wanted, too: no warning.")
     ] = False,
     only_ours: Annotated[
-        bool, typer.Option("--only-ours", help="Refuse if there are streams of others.")
+        bool, typer.Option("--only-ours", help="No streams of others; a window refuses then.")
     ] = False,
     allow_missing: Annotated[
         bool, typer.Option("--allow-missing", help="Start although streams are missing.")
@@ -77,19 +88,28 @@ def start(
     timeout: Annotated[
         float, typer.Option(min=1, help="How many seconds the file may take to grow.")
     ] = GROWTH_S,
-    host: HostOption = _LOCAL,
-    port: PortOption = DEFAULT_PORT,
+    here: Annotated[
+        bool, typer.Option("--here", help="Record without LabRecorder's window in any case.")
+    ] = False,
+    window: Annotated[
+        bool, typer.Option("--window", help="Record with LabRecorder's window in any case.")
+    ] = False,
+    host: HostOption = None,
+    port: PortOption = None,
     settings: SettingsOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Start a recording, and see its file grow; exit code 1 if it does not.
+    """Start a recording, and see that it runs; exit code 1 if it does not.
 
-    LabRecorder records every stream that it sees: those that are not of this agent are
-    named. It cannot be asked, so only the file tells: give a folder that both see if it
-    runs on another computer.
+    LabRecorder's window records if it is open here or --host names its computer, else this
+    computer by itself, and goes on when this terminal is closed. Every stream is recorded:
+    those that are not of this agent are named. A window cannot be asked, so only the file
+    tells: give a folder that both see if it is on another computer.
     """
     if all_streams and only_ours:
         raise typer.BadParameter("--all and --only-ours exclude each other")
+    if here and (window or host or port):
+        raise typer.BadParameter("--here excludes --window, --host and --port")
     labels = _labels(
         participant,
         {"session": session, "task": task, "acquisition": acquisition, "modality": modality},
@@ -98,10 +118,13 @@ def start(
     place = Place(folder, recorder_folder, file, labels)
     order = Order(place, all_streams, only_ours, allow_missing, timeout)
     loaded = _loaded(settings)
-    with RemoteControl(host, port) as remote:
-        started = start_recording(remote, order, partial(_look, loaded), state_folder())
-    _warn(started.warnings, silent=as_json)
-    typer.echo(_json(started) if as_json else _start_text(started))
+    if here or not (window or host or port or recording_here.has_window(_LOCAL, DEFAULT_PORT)):
+        recording_here.start(order, loaded, counts_up=run is None, as_json=as_json)
+        return
+    with RemoteControl(host or _LOCAL, port or DEFAULT_PORT) as remote:
+        started = start_recording(remote, order, partial(look_for, loaded), state_folder())
+    warn(started.warnings, silent=as_json)
+    typer.echo(as_text(started) if as_json else _start_text(started))
 
 
 def _labels(
@@ -113,10 +136,6 @@ def _labels(
             raise typer.BadParameter("a BIDS name needs --participant")
         return None
     return BidsLabels(participant, run=run or 1, **given)
-
-
-def _look(settings: GatewaySettings) -> Presence:
-    return look(settings, expected_devices(settings, state_folder()), socket.gethostname())
 
 
 def _loaded(path: Path | None) -> GatewaySettings:
@@ -142,15 +161,18 @@ def _start_text(started: Started) -> str:
 @app.command("stop")
 def stop(
     file: FileOption = None,
-    host: HostOption = _LOCAL,
-    port: PortOption = DEFAULT_PORT,
+    host: HostOption = None,
+    port: PortOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """End the recording, and see its file closed; exit code 1 if it is not."""
-    with RemoteControl(host, port) as remote:
+    if not (host or port) and recording_here.is_of(file):
+        recording_here.stop(as_json=as_json)
+        return
+    with RemoteControl(host or _LOCAL, port or DEFAULT_PORT) as remote:
         stopped = stop_recording(remote, file, state_folder())
-    _warn(stopped.warnings, silent=as_json)
-    typer.echo(_json(stopped) if as_json else _stop_text(stopped))
+    warn(stopped.warnings, silent=as_json)
+    typer.echo(as_text(stopped) if as_json else _stop_text(stopped))
 
 
 def _stop_text(stopped: Stopped) -> str:
@@ -166,17 +188,29 @@ def _stop_text(stopped: Stopped) -> str:
 @app.command("status")
 def status(
     file: FileOption = None,
-    host: HostOption = _LOCAL,
-    port: PortOption = DEFAULT_PORT,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Say it every two seconds, until the recording ends.")
+    ] = False,
+    host: HostOption = None,
+    port: PortOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Say what can be known of LabRecorder; exit code 1 if it does not answer."""
+    """Say how the recording stands; exit code 1 if something is wrong with it.
+
+    Of LabRecorder's window, what can be known of it; exit code 1 if it does not answer.
+    """
+    if not (host or port) and recording_here.is_of(file):
+        recording_here.status(watch=watch, as_json=as_json)
+        return
+    host, port = host or _LOCAL, port or DEFAULT_PORT
     known = situation(host, port, file, state_folder())
     if as_json:
-        typer.echo(_json(known, answers=known.answers))
+        typer.echo(as_text(known, answers=known.answers))
     else:
         typer.echo(f"{host}:{port}: {known.problem or 'LabRecorder answers'}")
         typer.echo(_recording_text(known))
+    if watch and known.file is not None and known.recording:
+        recording_here.watch_file(known.file, as_json=as_json)
     if not known.answers:
         raise typer.Exit(1)
 
@@ -193,13 +227,3 @@ def _recording_text(known: Situation) -> str:
         return f"recording to {known.file}: it grows, {known.streams} streams so far"
     size = f"{known.bytes} bytes, not closed" if known.bytes else "empty or not there"
     return f"{known.file} does not grow ({size}): most likely it is not being recorded"
-
-
-def _warn(warnings: Iterable[str], *, silent: bool) -> None:
-    """Say warnings aside of the result; JSON has them in it."""
-    for warning in () if silent else warnings:
-        typer.echo(f"! {warning}", err=True)
-
-
-def _json(result: Started | Stopped | Situation, **more: object) -> str:
-    return json.dumps({**more, **asdict(result)}, indent=2, default=str)

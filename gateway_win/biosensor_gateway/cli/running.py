@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Annotated
 
 import typer
@@ -9,6 +10,8 @@ import typer
 from biosensor_gateway.cli import KEEP_ALIVE
 from biosensor_gateway.cli.options import FaultOption, SettingsOption, SimulateOption
 from biosensor_gateway.cli.questions import can_ask
+from biosensor_gateway.system.keep_alive import restart_facts
+from biosensor_gateway.system.standby import is_standby
 
 
 def run(
@@ -29,6 +32,13 @@ def run(
     ] = False,
 ) -> None:
     """Stream all devices of the settings until Ctrl-C, or until it is told to stop."""
+    if is_standby():
+        from biosensor_gateway.cli.standing_by import stand_by  # noqa: PLC0415 - takes a second
+
+        stand_by(simulate)
+    if ask and restart_facts(os.environ):
+        # Whoever answered may have left. Settings that name no device still lead to questions.
+        ask = None
     if fault and not simulate:
         raise typer.BadParameter("only virtual devices can be given faults; add --simulate")
     if ask and (simulate or not can_ask()):

@@ -9,6 +9,7 @@ import typer
 
 from biosensor_common.errors import ConfigError, TransportError, TransportReason
 from biosensor_gateway.agent import status_file
+from biosensor_gateway.agent.state import STATE_WORDS
 from biosensor_gateway.cli.options import JsonOption
 from biosensor_gateway.cli.screen import console, say, table_of_names
 from biosensor_gateway.settings.places import state_folder
@@ -41,7 +42,8 @@ def _print_status(current: dict[str, Any]) -> None:
         name = " ".join(
             part for part in (device["participant"], device["sensor"], device["label"]) if part
         )
-        state = f"paused ({device['state']})" if device["paused"] else device["state"]
+        word = STATE_WORDS.get(device["state"], device["state"])
+        state = f"paused ({word})" if device["paused"] else word
         line = f"{name} ({device['unit']}): {state}"
         say(line + (f" - {device['error']}" if device["error"] else ""))
         columns = ("pushed", "lost", "refused", "withheld")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import Iterable, Mapping
-from contextlib import AbstractContextManager, AsyncExitStack, ExitStack, nullcontext
+from contextlib import AbstractContextManager, AsyncExitStack, ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,8 @@ import structlog
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent.agent import Agent
 from biosensor_gateway.agent.control_server import ControlServer
+from biosensor_gateway.agent.marking import MARKERS
+from biosensor_gateway.agent.reloading import ReadSettings
 from biosensor_gateway.agent.single_instance import single_instance
 from biosensor_gateway.cli.live_table import LiveTable, sensor_title
 from biosensor_gateway.cli.questions import can_ask
@@ -59,8 +61,9 @@ def stream(
         log = stack.enter_context(StartLog(folder))
         if ask or (ask is None and _is_guide_wanted(settings, simulate)):
             simulate = _guided(settings or settings_path())
-        source = _virtual_devices(simulate, faults) if simulate else _settings_file(settings)
-        _run_agent(stack.enter_context(source), log, unguarded, verbose=verbose)
+        read = None if simulate else _reader(settings)
+        loaded = read() if read else stack.enter_context(_virtual_devices(simulate, faults))
+        _run_agent(loaded, read, log, unguarded, verbose=verbose)
 
 
 def _is_guide_wanted(settings: Path | None, simulate: str) -> bool:
@@ -78,8 +81,10 @@ def _guided(path: Path) -> str:
     return guide.lead(path)
 
 
-def _settings_file(path: Path | None) -> AbstractContextManager[GatewaySettings]:
-    return nullcontext(settings_file.load_settings(path or settings_path(), settings_models()))
+def _reader(path: Path | None) -> ReadSettings:
+    # Absolute: nobody knows where the agent is when it reads the file again.
+    file = (path or settings_path()).absolute()
+    return lambda: settings_file.load_settings(file, settings_models())
 
 
 def _virtual_devices(names: str, faults: Iterable[str]) -> AbstractContextManager[GatewaySettings]:
@@ -100,7 +105,12 @@ def _claim(stack: ExitStack, folder: Path) -> ConfigError | None:
 
 
 def _run_agent(
-    loaded: GatewaySettings, log: StartLog, unguarded: ConfigError | None, *, verbose: bool
+    loaded: GatewaySettings,
+    read: ReadSettings | None,
+    log: StartLog,
+    unguarded: ConfigError | None,
+    *,
+    verbose: bool,
 ) -> None:
     folder = state_folder()
     log.go_on(loaded.log, verbose=verbose, title=sensor_title)
@@ -109,7 +119,7 @@ def _run_agent(
             _log.warning(str(unguarded))
         if not any(device.enabled for device in loaded.devices):
             _log.warning("no device is enabled in the settings; nothing will be streamed")
-        agent = Agent(loaded, folder)
+        agent = Agent(loaded, folder, read)
         if panel is not None:
             agent.on_status = LiveTable(panel, colours=shows_colours()).report
         controlled = partial(_run_controlled, agent, folder)
@@ -132,7 +142,8 @@ async def _run_controlled(agent: Agent, folder: Path) -> None:
     commands = {"stop": stop, **agent.commands}
     async with AsyncExitStack() as stack:
         try:
-            await stack.enter_async_context(ControlServer(folder, commands))
+            server = ControlServer(folder, commands, agent.conversations, looks={MARKERS})
+            await stack.enter_async_context(server)
         except ConfigError as error:
             _log.warning(str(error))
         await agent.run()

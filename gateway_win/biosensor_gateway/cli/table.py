@@ -38,6 +38,21 @@ COMMANDS = (
         "pauses:resume",
         "Send again what a paused device measures from now on.",
     ),
+    _command(
+        "reload",
+        "reloading:reload",
+        "Have the running agent read its settings again; devices that are the same stream on.",
+    ),
+    _command(
+        "page",
+        "page:page",
+        "Show the agent, its devices and their traces in the browser, until Ctrl-C.",
+    ),
+    _command(
+        "mark",
+        "marking:mark",
+        "Send a marker with the streams: what happens now. One can be undone, not deleted.",
+    ),
     _command("demo", "demo:demo", "Show all virtual devices on their way to ROS topics."),
     _command(
         "status", "status:status", "Show what the running agent does; exit code 1 if none runs."
@@ -75,7 +90,7 @@ COMMANDS = (
     _command("config", "settings:app", "The settings file."),
     _command("secrets", "secrets:app", "Secrets in the keyring of the system."),
     _command("service", "service:app", "The agent as a service of this user (Linux)."),
-    _command("record", "record:app", "Start and stop recordings of LabRecorder."),
+    _command("record", "record:app", "Start, watch and stop recordings."),
     _command("xdf", "xdf:app", "Recordings of LabRecorder (XDF files)."),
     _hidden("installation", "installation:app", "Used by the Windows installer."),
 )

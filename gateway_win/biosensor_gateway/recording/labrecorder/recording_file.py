@@ -11,20 +11,18 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from biosensor_common.quantities import ChannelFormat
 from biosensor_gateway.recording.labrecorder.file_name import SUFFIXES, Target
 from biosensor_gateway.recording.xdf.container import (
     Chunk,
     ChunkError,
     RecordingError,
-    Tag,
     open_recording,
     read_chunks,
 )
+from biosensor_gateway.recording.xdf.framing import Tag
 from biosensor_gateway.recording.xdf.header import parse_stream_header
 
 _POLL_S = 0.25
-_STREAM_ID_BYTES = 4
 
 
 @dataclass(slots=True)
@@ -62,7 +60,7 @@ class Glance:
         """Take in one chunk of the file."""
         if chunk.tag in (Tag.FILE_HEADER, Tag.BOUNDARY):
             return
-        stream = int.from_bytes(chunk.content[:_STREAM_ID_BYTES], "little")
+        stream = chunk.stream_id
         if chunk.tag is Tag.SAMPLES:
             self.with_samples.add(stream)
         elif chunk.tag is Tag.STREAM_FOOTER:
@@ -70,10 +68,10 @@ class Glance:
         elif chunk.tag is Tag.STREAM_HEADER:
             self.streams.add(stream)
             try:
-                header = parse_stream_header(chunk.content[_STREAM_ID_BYTES:])
+                header = parse_stream_header(bytes(chunk.body))
             except ChunkError:
                 return
-            if header.format is ChannelFormat.INT64:
+            if not header.is_recordable:
                 self.without_footer_due.add(stream)
 
 

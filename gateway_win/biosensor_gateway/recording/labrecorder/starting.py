@@ -153,19 +153,35 @@ def _require_free(target: Target) -> None:
             raise LabRecorderError(LabRecorderReason.EXISTS, message)
 
 
-def _require_streams(presence: Presence, order: Order) -> None:
-    if not presence.visible:
-        message = (
-            "this computer sees no LSL stream at all, so there is nothing to record; start an "
-            "agent with: biosensor-gateway run"
+def what_is_missing(presence: Presence, wanted: tuple[SeenStream, ...], order: Order) -> str | None:
+    """Say why nothing can be recorded of what there is; None if it can.
+
+    Parameters
+    ----------
+    presence
+        The streams there are.
+    wanted
+        Those of them that are to be recorded.
+    order
+    """
+    if not wanted:
+        whose = "of this agent " if presence.visible else ""
+        return (
+            f"this computer sees no LSL stream {whose}at all, so there is nothing to record; "
+            "start an agent with: biosensor-gateway run"
         )
-        raise LabRecorderError(LabRecorderReason.STREAMS_MISSING, message)
     if presence.missing and not order.allow_missing:
-        message = (
+        return (
             f"streams are missing, and what is not there at the start is not recorded: "
             f"{'; '.join(presence.missing)}. Wait for them with: biosensor-gateway wait-ready, or "
             "do without with --allow-missing"
         )
+    return None
+
+
+def _require_streams(presence: Presence, order: Order) -> None:
+    message = what_is_missing(presence, presence.visible, order)
+    if message is not None:
         raise LabRecorderError(LabRecorderReason.STREAMS_MISSING, message)
     if presence.foreign and order.only_ours:
         message = (

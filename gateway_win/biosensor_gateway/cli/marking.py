@@ -1,0 +1,87 @@
+"""``biosensor-gateway mark``: a marker for the recording, by hand or from a script."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any
+
+import typer
+
+from biosensor_common.terminal import columns, wrapped
+from biosensor_gateway.agent import control
+from biosensor_gateway.cli import BEGUN_S
+from biosensor_gateway.settings.places import state_folder
+
+_SOURCE = "command"
+_KEYS = 9
+"""As many buttons have a key: 1 to 9."""
+
+
+def mark(
+    text: Annotated[
+        str, typer.Argument(metavar="TEXT", help="What happened; with --undo, the marker's id.")
+    ] = "",
+    note: Annotated[bool, typer.Option("--note", help="Write TEXT down as a note.")] = False,
+    undo: Annotated[
+        bool, typer.Option("--undo", help="Undo a marker; without its id, the last one.")
+    ] = False,
+    listed: Annotated[
+        bool, typer.Option("--list", help="Show the last markers, and the buttons.")
+    ] = False,
+) -> None:
+    """Send a marker with the streams: what happens now. One can be undone, not deleted.
+
+    Exit code 1 if no agent runs or it refuses.
+    """
+    if undo + listed + note > 1:
+        raise typer.BadParameter("--note, --undo and --list exclude each other")
+    if bool(text.strip()) == listed and not undo:
+        raise typer.BadParameter("--list needs no TEXT" if listed else "there is no TEXT")
+    folder = state_folder()
+    if listed:
+        _print_list(control.ask(folder, "markers"))
+    elif undo:
+        done = control.ask(folder, "undo-marker", {"id": _number(text)} if text else {})
+        typer.echo(f"marker {done['of']} is undone")
+    else:
+        said = {"note": text, "kind": "note"} if note else {"marker": text, "kind": "api"}
+        sent = control.ask(folder, "mark", {**said, "source": _SOURCE, "at": _when_given()})
+        typer.echo(f"marker {sent['id']} was sent")
+
+
+def _when_given() -> float:
+    """Return the LSL time at which the command was given."""
+    from pylsl import local_clock  # noqa: PLC0415 - an undo does without
+
+    return local_clock() - (time.perf_counter() - BEGUN_S)
+
+
+def _number(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise typer.BadParameter(f"{text!r} is not the id of a marker; see --list") from None
+
+
+def _print_list(answer: Mapping[str, Any]) -> None:
+    from pylsl import local_clock  # noqa: PLC0415 - an undo does without
+
+    width, now = columns(sys.stdout), local_clock()
+    rows = [_row(each, now) for each in answer["markers"]] or [("", "nothing is marked yet")]
+    rows += _buttons(answer["buttons"])
+    for lead, said in rows:
+        typer.echo(wrapped(f"{lead}{said}", width, hang=len(lead)))
+
+
+def _row(marker: Mapping[str, Any], now: float) -> tuple[str, str]:
+    said = f"{marker['marker']}: {marker['note']}" if marker["note"] else marker["marker"]
+    undone = " (undone)" if marker["undone"] else ""
+    return f"{marker['id']:>5}  {now - marker['lsl_time']:8.1f} s ago  ", f"{said}{undone}"
+
+
+def _buttons(names: list[str]) -> Iterator[tuple[str, str]]:
+    if names:
+        keys = (f"{at} " if at <= _KEYS else "" for at in range(1, len(names) + 1))
+        yield "buttons: ", ", ".join(f"{key}{name}" for key, name in zip(keys, names, strict=True))

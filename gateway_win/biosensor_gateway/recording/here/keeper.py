@@ -1,0 +1,154 @@
+"""The process that runs LabRecorder's program, and ends it when somebody asks.
+
+The program records until a line comes in, or its input ends. A keeper of its own holds that
+input, so that a recording goes on when the terminal or page that began it dies. If the keeper
+itself is killed, the input ends with it, and the program closes its file.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from biosensor_gateway.recording.here.memory import RecorderFolder
+from biosensor_gateway.recording.here.program import library_folder
+from biosensor_gateway.system.keep_alive import own_command
+
+KEEPER = "keep-recording"
+"""First argument of the command line that is a keeper; the second is the state folder."""
+END_S = 60.0
+"""It waits up to five seconds for each of its threads."""
+_POLL_S = 0.1
+_ALREADY, _NOT_RUN = 3, 4
+
+
+def launch(state: Path) -> None:
+    """Start a keeper that outlives this process, for the job in the state folder.
+
+    Raises
+    ------
+    OSError
+        It cannot be started.
+    """
+    folder = RecorderFolder(state)
+    with folder.keeper_log.open("wb") as log:
+        process = subprocess.Popen(  # noqa: S603 - our own program
+            own_command([KEEPER, str(state)]),
+            cwd=folder.path,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+            # Neither Ctrl+C nor the end of this terminal is meant for it.
+            start_new_session=sys.platform != "win32",
+            creationflags=_windows_flags(),
+        )
+    # On POSIX a child that ended stays until somebody has waited for it.
+    threading.Thread(target=process.wait, name="recorder-keeper", daemon=True).start()
+
+
+def keep(state: Path) -> int:
+    """Do the job in the state folder; return the exit code of this process."""
+    folder = RecorderFolder(state)
+    lock = folder.try_lock()
+    if lock is None:
+        return _ALREADY
+    try:
+        return _Keeper(folder).run()
+    finally:
+        lock.release()
+
+
+class _Keeper:
+    def __init__(self, folder: RecorderFolder) -> None:
+        self._folder, self._is_told_to_end = folder, False
+
+    def run(self) -> int:
+        job = self._folder.job()
+        kept = replace(job.kept, started=time.time())
+        try:
+            process = self._start(job.command, Path(kept.file))
+        except OSError as error:
+            problem = f"{job.command[0]} cannot be run ({error.strerror or error})"
+            self._folder.keep(replace(kept, ended=time.time(), code=_NOT_RUN, problem=problem))
+            return _NOT_RUN
+        with process:
+            self._folder.keep(kept := replace(kept, program=process.pid))
+            while process.poll() is None and not self._is_to_end():
+                time.sleep(_POLL_S)
+            problem = "" if process.poll() is None else _died(process.returncode)
+            problem = _end(process) or problem
+        self._folder.keep(
+            replace(kept, ended=time.time(), code=process.returncode, problem=problem)
+        )
+        return 0
+
+    def _start(self, command: tuple[str, ...], file: Path) -> subprocess.Popen[bytes]:
+        # A service that ends tells all its processes, and only the keeper is to decide. What is
+        # ignored stays so in the program that is started.
+        for number in _requests():
+            signal.signal(number, signal.SIG_IGN)
+        with self._folder.said.open("wb") as said:
+            process = subprocess.Popen(  # noqa: S603 - no shell, and the full path
+                command,
+                stdin=subprocess.PIPE,
+                stdout=said,
+                stderr=subprocess.STDOUT,
+                # On Windows a path that it is given loses letters, its folder does not.
+                cwd=file.parent,
+                env=_environment(self._folder.lsl_config),
+                creationflags=_windows_flags(),
+                # Else a limit on the size of files would kill it.
+                restore_signals=False,
+            )
+        for number in _requests():
+            signal.signal(number, self._tell)
+        return process
+
+    def _tell(self, _number: int, _frame: object) -> None:
+        self._is_told_to_end = True
+
+    def _is_to_end(self) -> bool:
+        return self._is_told_to_end or self._folder.is_asked_to_stop()
+
+
+def _end(process: subprocess.Popen[bytes]) -> str:
+    """Have the program close its file; return what went wrong."""
+    try:
+        process.communicate(b"\n", END_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return f"LabRecorder's program did not end within {END_S:g} s, and was killed"
+    return ""
+
+
+def _died(code: int) -> str:
+    if code < 0:
+        return f"LabRecorder's program was killed by signal {-code}"
+    return f"LabRecorder's program ended by itself with exit code {code}"
+
+
+def _environment(lsl_config: Path) -> Mapping[str, str]:
+    environment = {**os.environ, "LSLAPICFG": str(lsl_config)}
+    libraries = library_folder()
+    if libraries is not None:
+        environment["PATH"] = os.pathsep.join((str(libraries), environment.get("PATH", "")))
+    return environment
+
+
+def _requests() -> list[signal.Signals]:
+    if sys.platform == "win32":
+        return [signal.SIGINT, signal.SIGBREAK]
+    return [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+
+
+def _windows_flags() -> int:
+    if sys.platform == "win32":
+        return subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP
+    return 0

@@ -1,0 +1,182 @@
+"""What the processes of a recording keep for each other, in a folder of the state folder.
+
+Whether a recording runs is told by a lock that the operating system keeps for its keeper and
+gives back however that ends, so nobody is taken for it who got its number later.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from biosensor_gateway.system import state_file
+
+_FOLDER = "recorder"
+_POLL_S = 0.05
+_PATIENCE_S = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """A recording, as its keeper wrote it down.
+
+    Attributes
+    ----------
+    file
+        Absolute path.
+    required
+        source_ids that it must have.
+    started
+        Unix time in s.
+    program
+        Process number of LabRecorder's program; 0 before it runs.
+    ended
+        Unix time in s; 0 while it runs, and for ever if the keeper was killed.
+    code
+        Exit code of the program; None while it runs.
+    problem
+        Why it ended without having been asked to; empty if it was asked.
+    """
+
+    file: str
+    required: tuple[str, ...]
+    started: float
+    program: int = 0
+    ended: float = 0.0
+    code: int | None = None
+    problem: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What the keeper is to run."""
+
+    command: tuple[str, ...]
+    kept: Kept
+
+
+class RecorderFolder:
+    """The files that starter, keeper and stopper share.
+
+    Parameters
+    ----------
+    state
+        The state folder.
+    """
+
+    def __init__(self, state: Path) -> None:
+        self.path = state / _FOLDER
+        self.said = self.path / "labrecorder.log"
+        self.keeper_log = self.path / "keeper.log"
+        self.lsl_config = self.path / "lsl_api.cfg"
+        self._lock_file = self.path / "recorder.lock"
+        self._job = self.path / "job.json"
+        self._kept = self.path / "recording.json"
+        self._stop = self.path / "stop"
+
+    def lock(self) -> FileLock:
+        """Return the lock that the keeper holds."""
+        # The stand-in for file systems without locks would outlive a killed keeper.
+        return FileLock(self._lock_file, fallback_to_soft=False)
+
+    def is_kept(self) -> bool:
+        """Whether a keeper is at work."""
+        return not self.wait_until_free(0.0)
+
+    def wait_until_free(self, limit_s: float) -> bool:
+        """Wait until no keeper is at work; return whether that came in time."""
+        if not self._lock_file.exists():
+            return True
+        lock = self.lock()
+        try:
+            lock.acquire(timeout=limit_s, poll_interval=_POLL_S)
+        except Timeout:
+            return False
+        except OSError:
+            # Whoever cannot have the lock here records without it.
+            return True
+        lock.release()
+        return True
+
+    def try_lock(self) -> FileLock | None:
+        """Take the lock; None if a keeper has it. Who only looks has it for an instant."""
+        lock = self.lock()
+        try:
+            lock.acquire(timeout=_PATIENCE_S, poll_interval=_POLL_S)
+        except Timeout:
+            return None
+        return lock
+
+    def give(self, job: Job, lsl_config: str) -> None:
+        """Write down what a keeper is to do.
+
+        Raises
+        ------
+        OSError
+            It cannot be written.
+        """
+        self.path.mkdir(parents=True, exist_ok=True)
+        for old in (self._stop, self._kept, self.said):
+            old.unlink(missing_ok=True)
+        state_file.replace(self.lsl_config, lsl_config)
+        state_file.replace(self._job, json.dumps(asdict(job)))
+
+    def job(self) -> Job:
+        """Return what the keeper is to do."""
+        job: dict[str, Any] = json.loads(state_file.read(self._job))
+        return Job(tuple(job["command"]), _kept(job["kept"]))
+
+    def keep(self, kept: Kept) -> None:
+        """Write down how the recording stands."""
+        state_file.replace(self._kept, json.dumps(asdict(kept)))
+
+    def kept(self) -> Kept | None:
+        """Return how the recording stands that was begun last; None if it is over for all."""
+        try:
+            return _kept(json.loads(state_file.read(self._kept)))
+        except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
+            return None
+
+    def forget(self) -> None:
+        """Say that everybody knows that the recording is over."""
+        with contextlib.suppress(OSError):
+            self._kept.unlink()
+
+    def ask_to_stop(self) -> None:
+        """Ask the keeper to end the recording.
+
+        Raises
+        ------
+        OSError
+            It cannot be written.
+        """
+        self._stop.touch()
+
+    def is_asked_to_stop(self) -> bool:
+        """Whether somebody wants the recording to end."""
+        return self._stop.exists()
+
+    def what_was_said(self) -> str:
+        """Return what LabRecorder's program has printed so far."""
+        try:
+            return self.said.read_text(encoding="utf-8", errors="replace")
+        except OSError:
+            return ""
+
+
+def _kept(content: dict[str, Any]) -> Kept:
+    code = content["code"]
+    return Kept(
+        file=str(content["file"]),
+        required=tuple(str(each) for each in content["required"]),
+        started=float(content["started"]),
+        program=int(content["program"]),
+        ended=float(content["ended"]),
+        code=None if code is None else int(code),
+        problem=str(content["problem"]),
+    )

@@ -1,0 +1,158 @@
+"""A recording that this computer makes by itself: begin it, look at it, end it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from biosensor_common.lsl_config import LslOverrides
+from biosensor_gateway.recording.here.ending import Ended, end
+from biosensor_gateway.recording.here.errors import RecorderError, RecorderReason
+from biosensor_gateway.recording.here.growth import Growth, Sight
+from biosensor_gateway.recording.here.memory import RecorderFolder
+from biosensor_gateway.recording.here.starting import Begun, begin
+from biosensor_gateway.recording.labrecorder.starting import Order
+from biosensor_gateway.recording.labrecorder.streams import Presence
+from biosensor_gateway.recording.xdf.findings import Finding, Level
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """How a recording stands, as plain values.
+
+    Attributes
+    ----------
+    recording
+        Whether it goes on.
+    started
+        Unix time in s.
+    required
+        source_ids of the streams that it must have.
+    sight
+        What is in the file so far; None if it cannot be read.
+    problems
+        What is wrong, the worst first.
+    """
+
+    recording: bool
+    file: str
+    started: float
+    required: tuple[str, ...]
+    sight: Sight | None
+    problems: tuple[Finding, ...]
+
+
+class Recording:
+    """The one recording that this computer makes by itself for a state folder.
+
+    It belongs to no process: whoever has the state folder can look at it and end it. Each
+    object reads the file on from where it was when it looked last, so keep one to watch.
+
+    Parameters
+    ----------
+    state
+        The state folder.
+    """
+
+    def __init__(self, state: Path) -> None:
+        self._state = state.absolute()
+        self._folder = RecorderFolder(self._state)
+        self._growth: tuple[Path, float, Growth] | None = None
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it records."""
+        return self._folder.is_kept()
+
+    @property
+    def file(self) -> Path | None:
+        """Where it records to, or did when it died; None if there is none, or it was ended."""
+        kept = self._folder.kept()
+        return None if kept is None else Path(kept.file)
+
+    def start(
+        self,
+        order: Order,
+        look: Callable[[], Presence],
+        lsl: LslOverrides | None = None,
+        *,
+        counts_up: bool = True,
+    ) -> Begun:
+        """Begin to record; all streams are open when this returns.
+
+        Parameters
+        ----------
+        order
+            What to record. Streams of others are recorded, too, unless it says `only_ours`;
+            `growth_s` is how long it may take to open all.
+        look
+            Looks for the streams there are.
+        lsl
+            What our settings say of LSL.
+        counts_up
+            Whether a BIDS name whose run is taken gets the next one.
+
+        Raises
+        ------
+        RecorderError
+            With the reason why nothing is recorded.
+        ConfigError
+            If `order` makes no sense.
+        """
+        return begin(self._state, order, look, lsl or LslOverrides(), counts_up=counts_up)
+
+    def stop(self) -> Ended:
+        """End it, see the file closed, and judge it. Takes some seconds.
+
+        Raises
+        ------
+        RecorderError
+            ``NOT_RECORDING``, or ``NOT_CLOSED`` with what is known of why.
+        """
+        return end(self._folder)
+
+    def standing(self, silent: tuple[str, ...] = ()) -> Standing | None:
+        """Look at it; None if there is none, or it was ended.
+
+        Parameters
+        ----------
+        silent
+            source_ids of streams that may say nothing, as of a device that is paused.
+        """
+        is_running, kept = self._folder.is_kept(), self._folder.kept()
+        if kept is None:
+            return None
+        growth = self._growth_of(Path(kept.file), kept.started)
+        problem = "" if is_running else kept.problem or self._why_it_ended(kept.ended)
+        findings = [Finding(Level.ERROR, "ended", "", problem)] if problem else []
+        try:
+            sight = growth.look()
+        except OSError as error:
+            sight = None
+            text = f"{kept.file} cannot be read ({error.strerror or error})"
+            findings.append(Finding(Level.ERROR, "unreadable", "", text))
+        if is_running:
+            findings += growth.problems(kept.required, silent)
+        return Standing(
+            recording=is_running,
+            file=kept.file,
+            started=kept.started,
+            required=kept.required,
+            sight=sight,
+            problems=tuple(findings),
+        )
+
+    def _growth_of(self, file: Path, started: float) -> Growth:
+        if self._growth is None or self._growth[:2] != (file, started):
+            self._growth = (file, started, Growth(file))
+        return self._growth[2]
+
+    def _why_it_ended(self, ended: float) -> str:
+        if ended:
+            # As its service did, or the computer.
+            return "the recording was ended from outside; see its verdict: record stop"
+        return "the recording's keeper was killed, and the recording ended with it"
+
+
+__all__ = ["Begun", "Ended", "RecorderError", "RecorderReason", "Recording", "Standing"]

@@ -1,0 +1,73 @@
+"""Understands what LabRecorder's program prints, and says which streams it is to find.
+
+Facts from App-LabRecorder's ``LabRecorderCLI.cpp`` and ``recording.cpp``: it looks for streams
+for one second, prints a line for each that fits, and ends with code 2 if none does. Then it
+opens them in threads of their own; whatever they print may share a line.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+from biosensor_gateway.recording.labrecorder.streams import SeenStream
+
+EVERYTHING = "true()"
+_FOUND, _MATCHING = "Found ", " matching '"
+_READY, _BEGUN = "Starting the recording", "Started data collection for stream "
+_MOST_SAID = 300
+
+
+class Said:
+    """What it has printed so far."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+        self._found = [
+            line[len(_FOUND) : line.rfind(_MATCHING)]
+            for line in text.splitlines()
+            if line.startswith(_FOUND)
+        ]
+
+    @property
+    def has_looked(self) -> bool:
+        """Whether it looks for no more streams."""
+        return _READY in self._text
+
+    @property
+    def records(self) -> bool:
+        """Whether all that it found are open, so that nothing of them is missed from now on."""
+        return self.has_looked and self._text.count(_BEGUN) >= len(self._found)
+
+    def missed(self, wanted: Iterable[SeenStream]) -> tuple[SeenStream, ...]:
+        """Return those of the wanted streams that it has not found."""
+        left = Counter(self._found)
+        missed: list[SeenStream] = []
+        for stream in wanted:
+            key = f"{stream.name}@{stream.host}"
+            if left[key] > 0:
+                left[key] -= 1
+            else:
+                missed.append(stream)
+        return tuple(missed)
+
+    @property
+    def end(self) -> str:
+        """Its last words, for a sentence."""
+        words = " / ".join(line.strip() for line in self._text.splitlines() if line.strip())
+        return words[-_MOST_SAID:] or "nothing"
+
+
+def predicate(streams: Sequence[SeenStream]) -> str:
+    """Return what fits to these streams and no others, as LSL's resolver has it."""
+    return " or ".join(
+        f"(source_id={_quoted(each.source_id)} and name={_quoted(each.name)})" for each in streams
+    )
+
+
+def _quoted(text: str) -> str:
+    """Write a text for XPath, which knows no escapes."""
+    if '"' not in text:
+        return f'"{text}"'
+    parts = ", '\"', ".join(f'"{part}"' for part in text.split('"'))
+    return f"concat({parts})"

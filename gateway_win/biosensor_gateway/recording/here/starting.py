@@ -1,0 +1,235 @@
+"""Begins a recording, and waits until all its streams are open."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
+from biosensor_gateway.recording.here.errors import RecorderError, RecorderReason
+from biosensor_gateway.recording.here.keeper import END_S, launch
+from biosensor_gateway.recording.here.memory import Job, Kept, RecorderFolder
+from biosensor_gateway.recording.here.place import candidates, take_file
+from biosensor_gateway.recording.here.program import find_program
+from biosensor_gateway.recording.here.said import EVERYTHING, Said, predicate
+from biosensor_gateway.recording.labrecorder.recording_file import size_of
+from biosensor_gateway.recording.labrecorder.starting import Order, what_is_missing
+from biosensor_gateway.recording.labrecorder.streams import Presence, SeenStream, titles
+
+_POLL_S = 0.1
+_OPENING_S = 15.0
+"""Each try has so long, to start, to look, and to open all streams."""
+_LEAST_FREE_BYTES = 10_000_000
+_NO_STREAM_CODE = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Begun:
+    """A recording that runs, as plain values.
+
+    Attributes
+    ----------
+    took_s
+        Until all streams were open.
+    streams
+        What is recorded.
+    foreign
+        Those of them that are not of this agent.
+    warnings
+        Sentences.
+    """
+
+    file: str
+    took_s: float
+    streams: tuple[SeenStream, ...]
+    foreign: tuple[SeenStream, ...]
+    warnings: tuple[str, ...]
+
+
+def begin(
+    state: Path,
+    order: Order,
+    look: Callable[[], Presence],
+    lsl: LslOverrides,
+    *,
+    counts_up: bool,
+) -> Begun:
+    """Begin a recording; see `Recording.start`."""
+    folder, program = RecorderFolder(state), find_program()
+    files = candidates(order.place, is_run_given=not counts_up)
+    _require_idle(folder)
+    begun, presence = time.monotonic(), look()
+    ours = tuple(each for each in presence.visible if each not in presence.foreign)
+    wanted = ours if order.only_ours else presence.visible
+    _require_streams(presence, wanted, order)
+    file = take_file(files)
+    try:
+        _require_space(file)
+        what = predicate(wanted) if order.only_ours else EVERYTHING
+        kept = Kept(str(file), tuple(each.source_id for each in ours if each.source_id), 0.0)
+        job = Job((str(program), file.name, what), kept)
+        starter = _Starter(state, folder, job, lsl, begun + order.growth_s)
+        missed = starter.start(wanted, ours)
+    except BaseException:
+        _release(file)
+        raise
+    recorded = tuple(each for each in wanted if each not in missed)
+    foreign = tuple(each for each in recorded if each in presence.foreign)
+    return Begun(
+        file=str(file),
+        took_s=time.monotonic() - begun,
+        streams=recorded,
+        foreign=foreign,
+        warnings=tuple(_warnings(presence, order, foreign, missed)),
+    )
+
+
+class _Starter:
+    """Starts the keeper until LabRecorder's program has found all streams.
+
+    It looks for one second, and of many it may miss some.
+    """
+
+    def __init__(
+        self, state: Path, folder: RecorderFolder, job: Job, lsl: LslOverrides, deadline: float
+    ) -> None:
+        self._state, self._folder, self._job = state, folder, job
+        self._config = effective_config(user_config_file(os.environ, Path.home(), Path.cwd()), lsl)
+        self._deadline = deadline
+
+    def start(
+        self, wanted: tuple[SeenStream, ...], required: tuple[SeenStream, ...]
+    ) -> tuple[SeenStream, ...]:
+        """Return those of the wanted streams that are not recorded; none of the required."""
+        while True:
+            self._launch()
+            try:
+                missed = self._wait().missed(wanted)
+                if not missed or self._can_do_without(missed, wanted, required):
+                    return missed
+            except BaseException:
+                self._end()
+                raise
+            self._end()
+
+    def _can_do_without(
+        self,
+        missed: tuple[SeenStream, ...],
+        wanted: tuple[SeenStream, ...],
+        required: tuple[SeenStream, ...],
+    ) -> bool:
+        """Whether to record without some streams; False while there is time to try again."""
+        if time.monotonic() <= self._deadline:
+            return False
+        if set(missed) & set(required) or len(missed) == len(wanted):
+            message = (
+                f"LabRecorder's program does not find {titles(missed)}; look for what is in the "
+                "way with: biosensor-gateway doctor"
+            )
+            raise RecorderError(RecorderReason.STREAMS_MISSING, message)
+        return True
+
+    def _launch(self) -> None:
+        lock = None
+        try:
+            self._folder.path.mkdir(parents=True, exist_ok=True)
+            lock = self._folder.try_lock()
+            if lock is None:
+                raise _recording(self._folder)
+            self._folder.give(self._job, self._config)
+            lock.release()
+            launch(self._state)
+        except OSError as error:
+            message = f"{self._folder.path} cannot be written ({error.strerror or error})"
+            raise RecorderError(RecorderReason.UNWRITABLE, message) from error
+        finally:
+            if lock is not None:
+                lock.release()
+
+    def _wait(self) -> Said:
+        """Wait until all streams that were found are open."""
+        # The last try may begin just before the time is over.
+        deadline = max(self._deadline, time.monotonic() + _OPENING_S)
+        while True:
+            kept, said = self._folder.kept(), Said(self._folder.what_was_said())
+            if kept is not None and kept.ended:
+                if kept.code == _NO_STREAM_CODE:
+                    # It has missed all of them.
+                    return said
+                message = f"{kept.problem or 'the recording was ended'}; it said: {said.end}"
+                raise RecorderError(RecorderReason.NOT_BEGUN, message)
+            if said.records:
+                return said
+            if time.monotonic() > deadline:
+                message = (
+                    "LabRecorder's program does not open all streams in time; it said: "
+                    f"{said.end if kept is not None else self._keeper_said()}"
+                )
+                raise RecorderError(RecorderReason.NOT_BEGUN, message)
+            time.sleep(_POLL_S)
+
+    def _keeper_said(self) -> str:
+        try:
+            return Said(self._folder.keeper_log.read_text("utf-8", "replace")).end
+        except OSError:
+            return "nothing"
+
+    def _end(self) -> None:
+        with contextlib.suppress(OSError):
+            self._folder.ask_to_stop()
+        self._folder.wait_until_free(END_S)
+        self._folder.forget()
+
+
+def _require_idle(folder: RecorderFolder) -> None:
+    if folder.is_kept():
+        raise _recording(folder)
+
+
+def _recording(folder: RecorderFolder) -> RecorderError:
+    kept = folder.kept()
+    where = f", to {kept.file}" if kept is not None else ""
+    message = f"this computer is recording already{where}; end that with: record stop"
+    return RecorderError(RecorderReason.RECORDING, message)
+
+
+def _require_streams(presence: Presence, wanted: tuple[SeenStream, ...], order: Order) -> None:
+    message = what_is_missing(presence, wanted, order)
+    if message is not None:
+        raise RecorderError(RecorderReason.STREAMS_MISSING, message)
+
+
+def _require_space(file: Path) -> None:
+    free = shutil.disk_usage(file.parent).free
+    if free < _LEAST_FREE_BYTES:
+        message = f"the disk of {file.parent} is full ({free / 1e6:.1f} MB left); make room on it"
+        raise RecorderError(RecorderReason.UNWRITABLE, message)
+
+
+def _warnings(
+    presence: Presence,
+    order: Order,
+    foreign: tuple[SeenStream, ...],
+    missed: tuple[SeenStream, ...],
+) -> Iterator[str]:
+    if presence.missing:
+        yield f"recorded without: {'; '.join(presence.missing)}"
+    if missed:
+        yield f"LabRecorder's program does not find, and so does not record: {titles(missed)}"
+    if foreign and not order.all_streams:
+        yield (
+            "every stream is recorded, and these are not of this agent (--only-ours leaves them "
+            f"out): {titles(foreign)}"
+        )
+
+
+def _release(file: Path) -> None:
+    """Give a name back to which nothing was recorded."""
+    with contextlib.suppress(OSError):
+        if not size_of(file):
+            file.unlink()

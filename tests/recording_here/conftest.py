@@ -1,0 +1,93 @@
+"""Streams that deliver, and a recording of this computer that ends with its test."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Generator
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import pylsl
+import pytest
+
+from biosensor_gateway.recording.here.memory import RecorderFolder
+from biosensor_gateway.recording.labrecorder.streams import Presence, SeenStream
+
+RATE_HZ = 2000
+"""So fast that the recorder's blocks are full in a moment."""
+
+
+class Sources:
+    """Regular streams that deliver until they are taken away. A context manager."""
+
+    def __init__(self, *names: str) -> None:
+        self._outlets: dict[str, pylsl.StreamOutlet] = {}
+        self._begun: dict[str, float] = {}
+        self._pushed: dict[str, int] = {}
+        self._lock, self._is_over = threading.Lock(), threading.Event()
+        self._thread = threading.Thread(target=self._push)
+        for name in names:
+            self.add(name)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._is_over.set()
+        self._thread.join()
+        self._outlets.clear()
+
+    def add(self, name: str) -> None:
+        info = pylsl.StreamInfo(name, "EEG", 2, RATE_HZ, "float32", f"{name}-id")
+        with self._lock:
+            self._outlets[name] = pylsl.StreamOutlet(info)
+            self._begun[name], self._pushed[name] = pylsl.local_clock(), 0
+
+    def remove(self, name: str) -> None:
+        with self._lock:
+            del self._outlets[name]
+
+    def presence(self, *missing: str) -> Presence:
+        host = socket.gethostname()
+        seen = tuple(SeenStream(each, f"{each}-id", host) for each in self._outlets)
+        return Presence(seen, (), missing)
+
+    def _push(self) -> None:
+        while not self._is_over.wait(0.05):
+            with self._lock:
+                for name in self._outlets:
+                    self._push_what_is_due(name)
+
+    def _push_what_is_due(self, name: str) -> None:
+        begun, first = self._begun[name], self._pushed[name]
+        due = int((pylsl.local_clock() - begun) * RATE_HZ)
+        # Whoever has no time pushes later, and as many.
+        stamps = [begun + number / RATE_HZ for number in range(first, due)]
+        if stamps:
+            self._outlets[name].push_chunk([[1.0, 2.0]] * len(stamps), stamps)
+            self._pushed[name] = due
+
+
+@pytest.fixture
+def sources() -> Generator[Sources]:
+    with Sources("chest", "wrist") as both:
+        yield both
+
+
+@pytest.fixture
+def state(tmp_path: Path) -> Generator[Path]:
+    """A state folder; what a test leaves running is ended."""
+    path = tmp_path / "state"
+    yield path
+    folder = RecorderFolder(path)
+    if folder.is_kept():
+        folder.ask_to_stop()
+    assert folder.wait_until_free(60.0)

@@ -1,0 +1,180 @@
+"""What is read of a file that grows, byte by byte as it may come."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import pytest
+
+from biosensor_gateway.recording.here.growing_file import GrowingFile
+from biosensor_gateway.recording.here.growth import Growth
+from biosensor_gateway.recording.xdf.container import Tag
+from tests.xdf.xdf_file import FILE_HEADER, boundary, chunk, footer, samples, stream_header
+
+HEAD = b"XDF:" + chunk(1, FILE_HEADER) + stream_header(1, "one", rate=10.0)
+TWO = stream_header(2, "two", rate=10.0)
+MARKERS = stream_header(3, "marks")
+
+
+def data(stream: int, *stamps: float) -> bytes:
+    return samples(stream, "float32", [[1.0]] * len(stamps), stamps)
+
+
+def offset(stream: int, time: float, value: float = 0.0) -> bytes:
+    return chunk(4, struct.pack("<Idd", stream, time, value))
+
+
+class Written:
+    """A file that is written piece by piece, and watched."""
+
+    def __init__(self, path: Path) -> None:
+        self.now = 0.0
+        self._file = path / "a.xdf"
+        self.growth = Growth(self._file, lambda: self.now)
+
+    def write(self, content: bytes) -> None:
+        with self._file.open("ab") as file:
+            file.write(content)
+        self.growth.look()
+
+    def codes(self, *required: str, silent: tuple[str, ...] = ()) -> list[tuple[str, str]]:
+        return [(each.stream, each.code) for each in self.growth.problems(required, silent)]
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Written:
+    return Written(tmp_path)
+
+
+@pytest.mark.parametrize("step", [1, 7, 1000])
+def test_any_cutting_gives_the_same_and_no_damage(tmp_path: Path, step: int) -> None:
+    content = HEAD + TWO + data(1, 101.0, 101.1) + boundary() + offset(1, 102.0) + data(2, 102.5)
+    path = tmp_path / "a.xdf"
+    tags: list[Tag] = []
+    growing = GrowingFile(path, lambda tag, _: tags.append(tag))
+    growth = Growth(path)
+    with path.open("wb") as file:
+        for at in range(0, len(content), step):
+            file.write(content[at : at + step])
+            file.flush()
+            growing.read_on()
+            sight = growth.look()
+            assert sight.damages == ()
+    assert tags == [Tag.FILE_HEADER, Tag.STREAM_HEADER, Tag.STREAM_HEADER, Tag.SAMPLES,
+                    Tag.BOUNDARY, Tag.CLOCK_OFFSET, Tag.SAMPLES]  # fmt: skip
+    sight = growth.look()
+    first, second = sight.streams
+    assert (first.samples, first.newest_stamp, first.clock_offsets) == (2, 101.1, 1)
+    assert first.age_s == pytest.approx(1.4)
+    assert first.offset_age_s == pytest.approx(0.5)
+    assert (second.samples, second.age_s, second.clock_offsets) == (1, 0.0, 0)
+    assert sight.bytes == len(content)
+
+
+def test_nothing_is_read_twice(tmp_path: Path) -> None:
+    path = tmp_path / "a.xdf"
+    path.write_bytes(HEAD + data(1, 101.0))
+    growth = Growth(path)
+    growth.look()
+    # What was read is no longer needed.
+    path.write_bytes(b"\0" * path.stat().st_size + data(1, 101.1))
+    sight = growth.look()
+    assert (sight.streams[0].samples, sight.damages) == (2, ())
+
+
+def test_who_stops_while_others_go_on_is_named(written: Written) -> None:
+    written.write(HEAD + TWO + MARKERS + data(1, 101.0) + data(2, 101.0) + data(3, 101.0))
+    written.write(data(1, 105.9))
+    assert written.codes() == []
+    written.write(data(1, 106.2))
+    # Markers are silent by design.
+    assert written.codes() == [("two", "stopped")]
+    assert written.codes(silent=("two-id",)) == []
+    written.write(data(2, 106.3))
+    assert written.codes() == []
+
+
+def test_a_slow_stream_has_time_for_some_samples(written: Written) -> None:
+    written.write(HEAD + stream_header(2, "slow", rate=0.1))
+    written.write(data(1, 101.0) + data(2, 101.0) + offset(1, 106.0) + data(1, 130.0))
+    assert written.codes() == [("one", "no-offsets"), ("slow", "no-offsets")]
+    written.write(offset(1, 131.5) + offset(2, 131.5) + data(1, 131.5))
+    assert written.codes() == [("slow", "stopped")]
+
+
+def test_what_had_waited_in_a_device_is_no_beginning(written: Written) -> None:
+    written.write(HEAD + TWO + data(1, 101.0) + data(2, 220.0))
+    assert written.codes() == []
+    assert written.growth.look().length_s == 0.0
+
+
+def test_who_never_begins_is_named(written: Written) -> None:
+    written.write(HEAD + TWO + data(1, 101.0) + data(1, 107.0))
+    assert written.codes() == []
+    written.write(offset(1, 107.0) + data(1, 113.0))
+    assert written.codes("one-id", "two-id", "x-id") == [("x-id", "missing"), ("two", "stopped")]
+
+
+def test_missing_is_not_said_before_all_headers_are_there(written: Written) -> None:
+    written.write(HEAD)
+    assert written.codes("two-id") == []
+    written.write(TWO + data(1, 101.0))
+    assert written.codes("two-id") == []
+
+
+@pytest.mark.parametrize("error_s", [1.8e9, 500.0, -500.0])
+def test_stamps_of_a_wrong_clock_mislead_only_until_it_was_measured(
+    written: Written, error_s: float
+) -> None:
+    written.write(HEAD + TWO + data(1, 1001.0) + data(2, 1001.0 + error_s))
+    written.write(offset(1, 1006.0) + offset(2, 1006.0))
+    written.write(data(1, 1007.0) + data(2, 1007.0 + error_s))
+    written.write(data(1, 1009.0) + data(2, 1009.0 + error_s))
+    assert written.codes() == []
+    written.write(data(1, 1015.0))
+    assert written.codes() == [("two", "stopped")]
+
+
+def test_clocks_of_other_computers_are_brought_together(written: Written) -> None:
+    written.write(HEAD + TWO + offset(1, 101.0) + offset(2, 5001.0, -4900.0))
+    written.write(data(1, 102.0) + data(2, 5002.5, 5003.0))
+    written.write(data(1, 104.0))
+    second = written.growth.look().streams[1]
+    assert second.age_s == pytest.approx(1.0)
+
+
+def test_an_offset_of_an_outlet_that_has_gone_is_none(written: Written) -> None:
+    written.write(HEAD + TWO + data(1, 1001.0) + data(2, 1001.0) + offset(1, 0.0))
+    first, _ = written.growth.look().streams
+    assert (first.clock_offsets, first.age_s) == (0, 0.0)
+    written.write(data(1, 1002.0))
+    assert written.growth.look().streams[0].age_s == 0.0
+    assert written.growth.look().streams[1].age_s == pytest.approx(1.0)
+
+
+def test_damage_is_said_once_and_read_on_behind_it(written: Written) -> None:
+    written.write(HEAD + data(1, 101.0) + b"\7\7\7 garbage")
+    written.write(b"more garbage" + boundary()[:9])
+    assert written.codes() == [("", "damaged")]
+    written.write(boundary()[9:] + data(1, 102.0))
+    assert written.codes() == [("", "damaged")]
+    assert written.growth.look().streams[0].samples == 2
+
+
+def test_a_file_that_rests_is_said(written: Written) -> None:
+    written.write(HEAD + data(1, *[101.0 + at / 10 for at in range(100)]))
+    written.write(offset(1, 111.0) + data(1, 111.0) * 10_000)
+    written.now = 10.0
+    assert written.codes() == []
+    written.now = 16.0
+    assert written.codes() == [("", "still")]
+    written.write(footer(1, 1))
+    assert written.codes() == []
+    assert written.growth.look().is_closed
+
+
+def test_a_file_that_is_not_there_is_empty(written: Written) -> None:
+    sight = written.growth.look()
+    assert (sight.bytes, sight.streams) == (0, ())
+    assert written.codes("one-id") == []

@@ -1,0 +1,248 @@
+"""Recordings with LabRecorder's real program and real streams."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, cast
+
+import psutil
+import pytest
+import pyxdf
+
+from biosensor_gateway.recording.here.errors import RecorderError, RecorderReason
+from biosensor_gateway.recording.here.memory import RecorderFolder
+from biosensor_gateway.recording.here.recording import Recording, Standing
+from biosensor_gateway.recording.labrecorder.file_name import BidsLabels, Place
+from biosensor_gateway.recording.labrecorder.starting import Order
+from biosensor_gateway.recording.xdf.findings import Level
+from biosensor_gateway.recording.xdf.verdict import Colour
+from tests.recording_here.conftest import Sources
+from tests.rigs.lsl_streams import wait_until
+
+BIDS = BidsLabels("P07", task="Walk")
+NAME = "sub-P07/ses-S001/beh/sub-P07_ses-S001_task-Walk_run-{run:03}_beh.xdf"
+
+_load_xdf: Callable[..., tuple[list[dict[str, Any]], dict[str, Any]]] = cast("Any", pyxdf).load_xdf
+
+
+def order(folder: Path, **more: Any) -> Order:
+    return Order(Place(folder, labels=BIDS), growth_s=60.0, **more)
+
+
+def standing(recording: Recording) -> Standing:
+    found = recording.standing()
+    assert found is not None
+    json.dumps(asdict(found), allow_nan=False)
+    return found
+
+
+def codes(recording: Recording) -> dict[str, str]:
+    return {each.stream: each.code for each in standing(recording).problems}
+
+
+def loaded(file: Path) -> dict[str, int]:
+    streams, _ = _load_xdf(str(file))
+    return {each["info"]["source_id"][0]: len(each["time_stamps"]) for each in streams}
+
+
+def test_a_stream_that_stops_is_said_and_one_that_comes_back_too(
+    sources: Sources, state: Path, tmp_path: Path
+) -> None:
+    recording = Recording(state)
+    assert recording.standing() is None
+    begun = recording.start(order(tmp_path), sources.presence)
+    assert begun.file == str(tmp_path / NAME.format(run=1))
+    assert {each.name for each in begun.streams} == {"chest", "wrist"}
+    with pytest.raises(RecorderError) as caught:
+        recording.start(order(tmp_path), sources.presence)
+    assert caught.value.reason is RecorderReason.RECORDING
+
+    def samples(name: str) -> int:
+        sight = standing(recording).sight
+        assert sight is not None
+        return sum(each.samples for each in sight.streams if each.name == name)
+
+    wait_until(lambda: samples("chest") and samples("wrist"), "both grow")
+    assert codes(recording) == {}
+    sources.remove("wrist")
+    wait_until(lambda: codes(recording) == {"wrist": "stopped"}, "it is said")
+    before = samples("wrist")
+    # Another process reads the file from its beginning, and finds the same.
+    assert codes(Recording(state)) == {"wrist": "stopped"}
+    sources.add("wrist")
+    wait_until(lambda: samples("wrist") > before, "it is recorded again")
+    assert codes(recording) == {}
+
+    ended = recording.stop()
+    json.dumps(asdict(ended), allow_nan=False)
+    assert (ended.streams, ended.with_samples) == (2, 2)
+    found = [each for each in ended.verdict.findings if each.level is Level.ERROR]
+    assert (ended.verdict.colour, found) == (Colour.AMBER, [])
+    assert {each.code for each in ended.verdict.findings} >= {"gaps"}
+    read = loaded(Path(ended.file))
+    assert read["chest-id"] > read["wrist-id"] > before
+    assert recording.standing() is None
+    with pytest.raises(RecorderError) as caught:
+        recording.stop()
+    assert caught.value.reason is RecorderReason.NOT_RECORDING
+
+
+def test_a_name_that_is_taken_counts_up_or_refuses(
+    sources: Sources, state: Path, tmp_path: Path
+) -> None:
+    taken = tmp_path / NAME.format(run=1)
+    taken.parent.mkdir(parents=True)
+    taken.write_bytes(b"of somebody")
+    recording = Recording(state)
+    with pytest.raises(RecorderError) as caught:
+        recording.start(order(tmp_path), sources.presence, counts_up=False)
+    assert caught.value.reason is RecorderReason.EXISTS
+    begun = recording.start(order(tmp_path), sources.presence)
+    assert begun.file == str(tmp_path / NAME.format(run=2))
+    assert Path(recording.stop().file) == tmp_path / NAME.format(run=2)
+    assert taken.read_bytes() == b"of somebody"
+
+
+def test_a_required_stream_that_is_missing_refuses(
+    sources: Sources, state: Path, tmp_path: Path
+) -> None:
+    recording = Recording(state)
+    missing = "p01 zephyr (x), none of its 13 streams"
+    with pytest.raises(RecorderError, match="p01 zephyr") as caught:
+        recording.start(order(tmp_path / "data"), lambda: sources.presence(missing))
+    assert caught.value.reason is RecorderReason.STREAMS_MISSING
+    assert not (tmp_path / "data").exists()
+
+
+def test_a_required_stream_that_the_program_does_not_find_refuses(
+    sources: Sources, state: Path, tmp_path: Path
+) -> None:
+    gone = sources.presence()
+    sources.remove("wrist")
+    recording = Recording(state)
+    short = Order(Place(tmp_path, labels=BIDS), growth_s=5.0)
+    with pytest.raises(RecorderError, match="wrist") as caught:
+        recording.start(short, lambda: gone)
+    assert caught.value.reason is RecorderReason.STREAMS_MISSING
+    assert not recording.is_running
+
+
+def test_where_nothing_can_be_written_it_says_so(
+    sources: Sources, state: Path, tmp_path: Path
+) -> None:
+    # Where root may not write either.
+    for folder in (tmp_path / "data", Path("/proc/data")):
+        if folder.parent == tmp_path:
+            folder.touch()
+        with pytest.raises(RecorderError, match=r"no folder|cannot be written") as caught:
+            Recording(state).start(order(folder), sources.presence)
+        assert caught.value.reason is RecorderReason.UNWRITABLE
+
+
+def test_a_killed_program_is_said_with_what_it_said(
+    sources: Sources, state: Path, tmp_path: Path
+) -> None:
+    recording = Recording(state)
+    recording.start(order(tmp_path), sources.presence)
+    kept = RecorderFolder(state).kept()
+    assert kept is not None
+    os.kill(kept.program, signal.SIGKILL)
+    wait_until(lambda: not recording.is_running, "its keeper has noticed")
+    assert codes(recording) == {"": "ended"}
+    with pytest.raises(RecorderError, match="killed by signal 9") as caught:
+        recording.stop()
+    assert caught.value.reason is RecorderReason.NOT_CLOSED
+    assert "Started data collection" in str(caught.value)
+
+
+STARTER = """
+import sys, time
+from pathlib import Path
+from biosensor_gateway.recording.here.recording import Recording
+from biosensor_gateway.recording.labrecorder.file_name import BidsLabels, Place
+from biosensor_gateway.recording.labrecorder.starting import Order
+from biosensor_gateway.recording.labrecorder.streams import Presence, SeenStream
+import socket
+
+seen = [SeenStream(name, name + "-id", socket.gethostname()) for name in ("chest", "wrist")]
+place = Place(Path(sys.argv[2]), labels=BidsLabels("P07", task="Walk"))
+Recording(Path(sys.argv[1])).start(Order(place), lambda: Presence(tuple(seen), (), ()))
+print("begun", flush=True)
+time.sleep(600)
+"""
+
+
+@pytest.mark.usefixtures("sources")
+def test_a_recording_outlives_who_began_it(state: Path, tmp_path: Path) -> None:
+    parent = subprocess.Popen(
+        [sys.executable, "-c", STARTER, str(state), str(tmp_path)], stdout=subprocess.PIPE
+    )
+    with parent:
+        assert parent.stdout is not None
+        assert parent.stdout.readline() == b"begun\n"
+        parent.kill()
+    recording = Recording(state)
+    first = standing(recording).sight
+    assert first is not None
+    wait_until(lambda: _bytes(recording) > first.bytes, "it goes on")
+    ended = recording.stop()
+    assert set(loaded(Path(ended.file))) == {"chest-id", "wrist-id"}
+
+
+def _bytes(recording: Recording) -> int:
+    sight = standing(recording).sight
+    return 0 if sight is None else sight.bytes
+
+
+def test_a_killed_keeper_closes_the_file(sources: Sources, state: Path, tmp_path: Path) -> None:
+    recording = Recording(state)
+    recording.start(order(tmp_path), sources.presence)
+    kept = RecorderFolder(state).kept()
+    assert kept is not None
+    keeper = psutil.Process(kept.program).parent()
+    assert keeper is not None
+    keeper.kill()
+    wait_until(lambda: not recording.is_running, "the lock is given back")
+    ended = recording.stop()
+    assert any("keeper was killed" in each for each in ended.warnings)
+    assert set(loaded(Path(ended.file))) == {"chest-id", "wrist-id"}
+
+
+def test_a_keeper_that_its_service_ends_closes_the_file(
+    sources: Sources, state: Path, tmp_path: Path
+) -> None:
+    recording = Recording(state)
+    recording.start(order(tmp_path), sources.presence)
+    kept = RecorderFolder(state).kept()
+    assert kept is not None
+    program = psutil.Process(kept.program)
+    keeper = program.parent()
+    assert keeper is not None
+    # As systemd does: all processes of the service.
+    for process in (program, keeper):
+        process.terminate()
+    wait_until(lambda: not recording.is_running, "it has ended")
+    assert set(loaded(Path(recording.stop().file))) == {"chest-id", "wrist-id"}
+
+
+def test_a_full_disk_is_said_though_the_program_says_nothing(
+    sources: Sources, state: Path, tmp_path: Path
+) -> None:
+    recording = Recording(state)
+    recording.start(order(tmp_path), sources.presence)
+    kept = RecorderFolder(state).kept()
+    assert kept is not None
+    limit = 100_000
+    resource.prlimit(kept.program, resource.RLIMIT_FSIZE, (limit, limit))
+    wait_until(lambda: codes(recording) == {"": "still"}, "that it does not grow is said")
+    with pytest.raises(RecorderError, match="disk is full") as caught:
+        recording.stop()
+    assert caught.value.reason is RecorderReason.NOT_CLOSED
