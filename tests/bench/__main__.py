@@ -21,9 +21,11 @@ from tests.bench import (
     idle,
     machine,
     one,
+    page,
     publish,
     report,
     restart,
+    shards,
     sixteen,
     staying,
 )
@@ -34,6 +36,7 @@ from tests.bench.processes import BenchError
 MEASUREMENTS: dict[str, Callable[[Effort], Measurement]] = {
     "one": one.measure,
     "sixteen": sixteen.measure,
+    "shards": shards.measure,
     "chunks": chunks.measure,
     "idle": idle.measure,
     "hundred": hundred.measure,
@@ -43,6 +46,7 @@ MEASUREMENTS: dict[str, Callable[[Effort], Measurement]] = {
     "churn": churn.measure,
     "staying": staying.measure,
     "agent": agent_figures.measure_agent,
+    "page": page.measure,
     "decoders": agent_figures.measure_decoders,
     "clock": clock_accuracy.measure,
     "doors": doors.measure,

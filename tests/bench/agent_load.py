@@ -6,11 +6,13 @@ import json
 import statistics
 import tempfile
 import time
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from biosensor_gateway.demo.virtual_devices import one_of_each
-from tests.bench.processes import BenchError, Processes
+from tests.bench.processes import BenchError, Process, Processes
 from tests.rigs.lab_client import LabProcess, settings_toml
 
 SENSORS = one_of_each()
@@ -45,13 +47,14 @@ class AgentLoad:
     samples_a_second: float
 
 
-def measure(seconds: float) -> AgentLoad:
-    """Run the agent for so long after every device streams.
+@contextmanager
+def streaming_agent() -> Generator[tuple[Process, Processes]]:
+    """Run the agent in the block, with every device streaming; see `agent_role`.
 
     Raises
     ------
     BenchError
-        If a device does not stream.
+        If a device does not stream, or the agent does not end well.
     """
     devices = [{"key": name, "sensor": name, "options": {"kept": 0}} for name in SENSORS]
     with tempfile.TemporaryDirectory() as name:
@@ -64,15 +67,27 @@ def measure(seconds: float) -> AgentLoad:
             agent = processes.start("tests.bench.agent_role", str(settings))
             agent.expect("streaming", _CONNECT_S)
             time.sleep(_SETTLE_S)
-            agent.tell()
-            agent.expect("measuring")
-            cpu_s, begin = agent.cpu_s, time.monotonic()
-            time.sleep(seconds)
-            cpu_s, elapsed_s = agent.cpu_s - cpu_s, time.monotonic() - begin
-            memory_mb = agent.memory_mb
-            agent.tell()
-            figures = json.loads(agent.line())
+            yield agent, processes
             agent.wait()
+
+
+def measure(seconds: float) -> AgentLoad:
+    """Run the agent for so long after every device streams.
+
+    Raises
+    ------
+    BenchError
+        If a device does not stream.
+    """
+    with streaming_agent() as (agent, _):
+        agent.tell()
+        agent.expect("measuring")
+        cpu_s, begin = agent.cpu_s, time.monotonic()
+        time.sleep(seconds)
+        cpu_s, elapsed_s = agent.cpu_s - cpu_s, time.monotonic() - begin
+        memory_mb = agent.memory_mb
+        agent.tell()
+        figures = json.loads(agent.line())
     delays = sorted(figures["delays_ms"])
     if len(delays) < 100:
         raise BenchError("the agent pushed next to nothing")

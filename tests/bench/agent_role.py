@@ -1,4 +1,8 @@
-"""The agent, with a watch on the way of each packet: ``python -m tests.bench.agent_role FILE``."""
+"""The agent, with a watch on the way of each packet: ``python -m tests.bench.agent_role FILE``.
+
+It says when all devices stream, and measures from one line of its parent to the next, any
+number of times, until there are no more.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,9 @@ from numpy.typing import ArrayLike
 from pylsl import local_clock
 
 from biosensor_gateway.agent.agent import Agent
-from biosensor_gateway.agent.supervisor import State
+from biosensor_gateway.agent.control_server import ControlServer
+from biosensor_gateway.agent.single_instance import single_instance
+from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.settings.file import load_settings
 from biosensor_gateway.settings.models import LogSettings
@@ -69,7 +75,8 @@ class Watch:
 
 async def _run(settings: Path) -> None:
     watch = Watch()
-    agent = Agent(load_settings(settings, settings_models()), state_folder())
+    folder = state_folder()
+    agent = Agent(load_settings(settings, settings_models()), folder)
     running = asyncio.create_task(agent.run())
     loop = asyncio.get_running_loop()
     lines: asyncio.Queue[str] = asyncio.Queue()
@@ -77,16 +84,20 @@ async def _run(settings: Path) -> None:
     def read() -> None:
         for line in sys.stdin:
             loop.call_soon_threadsafe(lines.put_nowait, line)
+        loop.call_soon_threadsafe(lines.put_nowait, "")
 
     threading.Thread(target=read, daemon=True).start()
     while any(each.supervisor.state is not State.STREAMING for each in agent.devices):  # noqa: ASYNC110 - seven devices, one poll
         await asyncio.sleep(_POLL_S)
     print("streaming", flush=True)
-    await lines.get()
-    watch.restart()
-    print("measuring", flush=True)
-    await lines.get()
-    print(json.dumps({"delays_ms": watch.delays_ms, "samples": watch.samples}), flush=True)
+    with single_instance(folder):
+        async with ControlServer(folder, agent.commands, agent.conversations):
+            while await lines.get():
+                watch.restart()
+                print("measuring", flush=True)
+                await lines.get()
+                found = {"delays_ms": watch.delays_ms, "samples": watch.samples}
+                print(json.dumps(found), flush=True)
     running.cancel()
     await asyncio.gather(running, return_exceptions=True)
 

@@ -51,7 +51,42 @@ def isolated_environment(folder: Path) -> dict[str, str]:
     }
 
 
-class Process:
+class Usage:
+    """What a running process takes."""
+
+    def __init__(self, pid: int) -> None:
+        self._folder = Path("/proc", str(pid))
+
+    @property
+    def cpu_s(self) -> float:
+        """CPU time of all its threads so far, user and system."""
+        fields = (self._folder / "stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    @property
+    def memory_mb(self) -> float:
+        """Resident memory in MB (1e6 bytes)."""
+        pages = int((self._folder / "statm").read_text().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+    @property
+    def threads(self) -> int:
+        """Threads that it has now."""
+        return sum(1 for _ in (self._folder / "task").iterdir())
+
+    @property
+    def descriptors(self) -> int:
+        """File descriptors that it has open now."""
+        return sum(1 for _ in (self._folder / "fd").iterdir())
+
+    @property
+    def children(self) -> list[Usage]:
+        """What each process takes that it has started."""
+        files = (self._folder / "task").glob("*/children")
+        return [Usage(int(pid)) for file in files for pid in file.read_text().split()]
+
+
+class Process(Usage):
     """One child that talks by lines; killed at the end of its ``with`` block."""
 
     def __init__(self, arguments: list[str], environment: dict[str, str], log: Path) -> None:
@@ -66,6 +101,7 @@ class Process:
                 env=environment,
                 bufsize=0,
             )
+        super().__init__(self._process.pid)
         self._lines: Queue[str] = Queue()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -80,28 +116,6 @@ class Process:
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
                 pipe.close()
-
-    @property
-    def cpu_s(self) -> float:
-        """CPU time of all its threads so far, user and system."""
-        fields = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-    @property
-    def memory_mb(self) -> float:
-        """Resident memory in MB (1e6 bytes)."""
-        pages = int(Path(f"/proc/{self._process.pid}/statm").read_text().split()[1])
-        return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-    @property
-    def threads(self) -> int:
-        """Threads that it has now."""
-        return sum(1 for _ in Path(f"/proc/{self._process.pid}/task").iterdir())
-
-    @property
-    def descriptors(self) -> int:
-        """File descriptors that it has open now."""
-        return sum(1 for _ in Path(f"/proc/{self._process.pid}/fd").iterdir())
 
     def line(self, patience_s: float = _PATIENCE_S) -> str:
         """Return the next line that it says; empty if none comes."""
@@ -215,9 +229,9 @@ class Processes:
     def __exit__(self, *_: object) -> None:
         self._stack.close()
 
-    def start_node(self) -> Process:
+    def start_node(self, *arguments: str) -> Process:
         """Start ``lsl_to_ros``; :meth:`Process.stop` ends it."""
-        return self.start("lsl_to_ros.node")
+        return self.start("lsl_to_ros.node", *arguments)
 
     def start(self, *arguments: str) -> Process:
         """Start ``python -m`` with these arguments."""

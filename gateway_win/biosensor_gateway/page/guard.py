@@ -1,0 +1,192 @@
+"""Lets in nobody but the browser that the program itself has opened.
+
+Any web page that a person visits can send requests to this computer, and any program on it can,
+too. So a request must name this server by its own address (else a foreign name that was pointed
+to it would make the server a part of that foreign page), come from this server's own page, and
+have the cookie that only the program gives away.
+"""
+
+from __future__ import annotations
+
+import hmac
+import secrets
+from http.cookies import CookieError, SimpleCookie
+from typing import NamedTuple
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+DOOR = "/door"
+MAX_BODY = 64 * 1024
+MAX_SOCKETS = 32
+"""Browser windows at a time."""
+_TOKENS_KEPT = 16
+_REFUSED_SOCKET = 1008
+
+_HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; "
+        "form-action 'none'; frame-ancestors 'none'"
+    ),
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+
+
+class _Refusal(NamedTuple):
+    code: int
+    sentence: str
+
+
+class Keys:
+    """Opens the page: tokens that are good once, and the cookie that they are changed for.
+
+    Parameters
+    ----------
+    port
+        Browsers send a cookie to every port of a computer, so it is in the cookie's name.
+    """
+
+    def __init__(self, port: int) -> None:
+        self.cookie_name = f"biosensor_gateway_{port}"
+        self._cookie = secrets.token_urlsafe(32)
+        self._tokens: list[str] = []
+
+    def new_token(self) -> str:
+        """Make a token that opens the page once."""
+        token = secrets.token_urlsafe(32)
+        self._tokens = [*self._tokens, token][-_TOKENS_KEPT:]
+        return token
+
+    def cookie_for(self, token: str) -> str | None:
+        """Take a token, and return the cookie; None for one that is wrong or used."""
+        for known in self._tokens:
+            if hmac.compare_digest(known.encode(), token.encode(errors="replace")):
+                self._tokens.remove(known)
+                return self._cookie
+        return None
+
+    def fits(self, cookie: str) -> bool:
+        """Whether a cookie is the right one."""
+        return hmac.compare_digest(cookie.encode(errors="replace"), self._cookie.encode())
+
+
+class Guard:
+    """Checks every request and WebSocket before the application sees it.
+
+    Parameters
+    ----------
+    app
+    port
+        On which the server listens, on the loopback address alone.
+    keys
+    """
+
+    def __init__(self, app: ASGIApp, port: int, keys: Keys) -> None:
+        self._app = app
+        self._keys = keys
+        self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
+        self._origins = {f"http://{host}" for host in self._hosts}
+        self._sockets = 0
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, or refuse it with a sentence."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await self._socket(scope, receive, send)
+        else:
+            await self._request(scope, receive, send)
+
+    async def _socket(self, scope: Scope, receive: Receive, send: Send) -> None:
+        headers = Headers(scope=scope)
+        refusal = self._foreign(headers, needs_origin=True) or self._stranger(headers)
+        if refusal is not None or self._sockets >= MAX_SOCKETS:
+            await receive()
+            await send({"type": "websocket.close", "code": _REFUSED_SOCKET})
+            return
+        self._sockets += 1
+        try:
+            await self._app(scope, receive, send)
+        finally:
+            self._sockets -= 1
+
+    async def _request(self, scope: Scope, receive: Receive, send: Send) -> None:
+        headers = Headers(scope=scope)
+        changes = scope["method"] not in {"GET", "HEAD"}
+        refusal = self._foreign(headers, needs_origin=changes)
+        if refusal is None and scope["path"] == DOOR:
+            await self._door(Request(scope))(scope, receive, _with_headers(send))
+            return
+        refusal = refusal or self._stranger(headers) or (_body(headers) if changes else None)
+        if refusal is not None:
+            response = PlainTextResponse(refusal.sentence + "\n", refusal.code)
+            await response(scope, receive, _with_headers(send))
+            return
+        await self._app(scope, receive, _with_headers(send))
+
+    def _door(self, request: Request) -> Response:
+        cookie = self._keys.cookie_for(request.query_params.get("token", ""))
+        if cookie is None:
+            return PlainTextResponse(_CLOSED + "\n", 403)
+        response = RedirectResponse("/", 303)
+        response.set_cookie(
+            self._keys.cookie_name, cookie, httponly=True, samesite="strict", path="/"
+        )
+        return response
+
+    def _foreign(self, headers: Headers, *, needs_origin: bool) -> _Refusal | None:
+        if headers.get("host", "") not in self._hosts:
+            return _Refusal(421, "This server is asked by a name that is not its own.")
+        origin = headers.get("origin")
+        if origin not in self._origins and (needs_origin or origin is not None):
+            return _Refusal(403, "Another web page has sent this; only the program's own may.")
+        if headers.get("sec-fetch-site", "none") not in {"same-origin", "none"}:
+            return _Refusal(403, "Another web page has sent this; only the program's own may.")
+        return None
+
+    def _stranger(self, headers: Headers) -> _Refusal | None:
+        try:
+            cookies = SimpleCookie(headers.get("cookie", ""))
+        except CookieError:
+            cookies = SimpleCookie()
+        cookie = cookies.get(self._keys.cookie_name)
+        if cookie is None or not self._keys.fits(cookie.value):
+            return _Refusal(401, _CLOSED)
+        return None
+
+
+_CLOSED = (
+    "This address opens once. Open the page again from the program: biosensor-gateway page, or "
+    "the entry of the Start menu."
+)
+
+
+def _body(headers: Headers) -> _Refusal | None:
+    kind = headers.get("content-type", "").partition(";")[0].strip().lower()
+    if kind != "application/json":
+        return _Refusal(415, "What is sent here is JSON: Content-Type: application/json.")
+    length = headers.get("content-length", "")
+    # The server holds a client to it.
+    if not length.isdecimal():
+        return _Refusal(411, "The length of what is sent must be said: Content-Length.")
+    if int(length) > MAX_BODY:
+        return _Refusal(413, f"What is sent here has at most {MAX_BODY} bytes.")
+    return None
+
+
+def _with_headers(send: Send) -> Send:
+    async def sent(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            headers = MutableHeaders(scope=message)
+            for name, value in _HEADERS.items():
+                headers[name] = value
+        await send(message)
+
+    return sent

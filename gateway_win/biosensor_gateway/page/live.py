@@ -1,0 +1,66 @@
+"""The WebSocket `/live`: traces as binary pictures, everything else as JSON."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable
+
+from fastapi import FastAPI, WebSocket, WebSocketDisconnect
+from pydantic import BaseModel, ValidationError
+
+from biosensor_gateway.page.screen import Screen, View
+from biosensor_gateway.page.session import Session
+
+PICTURES_HZ = 20
+STATUS_EVERY = 10
+"""Pictures from one status to the next: twice a second."""
+
+
+def add_live(app: FastAPI, session: Session, more: Callable[[], BaseModel]) -> None:
+    """Add the WebSocket.
+
+    Parameters
+    ----------
+    app
+    session
+    more
+        Says what else the page shows, twice a second.
+    """
+
+    @app.websocket("/live")
+    async def live(socket: WebSocket) -> None:
+        await socket.accept()
+        screen = Screen(session.history)
+        session.screens.add(screen)
+        sending = asyncio.create_task(_send(socket, session, screen, more))
+        try:
+            await _receive(socket, session, screen)
+        finally:
+            session.screens.discard(screen)
+            sending.cancel()
+            await asyncio.gather(sending, return_exceptions=True)
+
+
+async def _receive(socket: WebSocket, session: Session, screen: Screen) -> None:
+    with contextlib.suppress(WebSocketDisconnect, ValidationError, KeyError):
+        # Who asks for something that cannot be shown is not the page, and is let go.
+        while True:
+            screen.show(View.model_validate_json(await socket.receive_text()), session.now())
+    with contextlib.suppress(RuntimeError):
+        await socket.close()
+
+
+async def _send(
+    socket: WebSocket, session: Session, screen: Screen, more: Callable[[], BaseModel]
+) -> None:
+    """Send pictures; a browser that is slow gets fewer of them, and nothing piles up here."""
+    count = 0
+    while True:
+        if count % STATUS_EVERY == 0:
+            await socket.send_text(more().model_dump_json())
+        picture = screen.picture(session.now())
+        if picture is not None:
+            await socket.send_bytes(picture)
+        count += 1
+        await asyncio.sleep(1 / PICTURES_HZ)

@@ -1,0 +1,308 @@
+"""What the API `/api/v1` answers; the page and tests use the same models."""
+
+from __future__ import annotations
+
+from enum import StrEnum, unique
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from biosensor_gateway.settings.models import ShortText, UnitText
+
+
+@unique
+class AgentState(StrEnum):
+    """Whether there is an agent."""
+
+    RUNNING = "running"
+    STARTING = "starting"
+    ABSENT = "absent"
+
+
+@unique
+class DeviceState(StrEnum):
+    """How a device does, in the words of the page."""
+
+    STREAMING = "streaming"
+    NOT_WORN = "not worn"
+    SEARCHING = "searching"
+    CONNECTING = "connecting"
+    NO_DATA = "no data"
+    REFUSED = "refused"
+    PAUSED = "paused"
+    STOPPED = "stopped"
+
+
+class StreamView(BaseModel):
+    """One stream now.
+
+    Attributes
+    ----------
+    source_id, lsl_name, topic
+        Its names for programs, for LabRecorder, and in ROS with the usual prefix.
+    rate_hz, nominal_hz
+        Measured over the last seconds by the samples' own times, None while nothing comes;
+        and declared, 0 for streams that come when they come.
+    age_s
+        Of the newest sample; None before the first.
+    is_fresh
+        Whether the newest values are those of now; a stale value is not shown.
+    is_signal
+        Whether it was measured on the body: not a battery, a radio or a counter.
+    values
+        Newest values by channel; empty when they are stale, and for text.
+    """
+
+    source_id: str
+    data_name: str
+    lsl_name: str
+    topic: str
+    content_type: str
+    channels: list[str]
+    units: list[str]
+    rate_hz: float | None
+    nominal_hz: float
+    pushed: int
+    lost: int
+    age_s: float | None
+    is_fresh: bool
+    is_silent: bool
+    is_signal: bool
+    values: list[float | None]
+
+
+class DeviceView(BaseModel):
+    """One device now.
+
+    Attributes
+    ----------
+    name
+        What commands call it, ``sensor/unit``.
+    title
+        What people call the kind of sensor.
+    reason
+        The sentence of the log, empty while all is well.
+    """
+
+    name: str
+    sensor: str
+    unit: str
+    title: str
+    participant: str
+    label: str
+    state: DeviceState
+    reason: str
+    paused: bool
+    battery_percent: float | None
+    connections: int
+    lost: int
+    streams: list[StreamView]
+
+
+class VerdictView(BaseModel):
+    """How good a recording is that was ended.
+
+    Attributes
+    ----------
+    colour
+        ``green``, ``amber`` or ``red``.
+    findings
+        Sentences, the worst first.
+    """
+
+    colour: str
+    sentence: str
+    file: str
+    findings: list[str]
+
+
+class RecordingView(BaseModel):
+    """The recording that is made here.
+
+    Attributes
+    ----------
+    busy
+        What is being done just now, ``starting`` or ``ending``; empty otherwise.
+    folder
+        Where recordings go if nothing else is said.
+    elapsed_s, bytes, streams
+        Of the recording that goes on.
+    problems
+        What is wrong with it, the worst first.
+    verdict
+        Of the last one that was ended on this page.
+    """
+
+    is_running: bool = False
+    busy: str = ""
+    folder: str = ""
+    file: str = ""
+    elapsed_s: float = 0.0
+    bytes: int = 0
+    streams: int = 0
+    problems: list[str] = Field(default_factory=list[str])
+    verdict: VerdictView | None = None
+
+
+class MarkerView(BaseModel):
+    """One marker of the experimenter."""
+
+    id: int
+    marker: str
+    note: str
+    kind: str
+    lsl_time: float
+    undone: bool
+
+
+class MarkersView(BaseModel):
+    """The newest markers, the newest last, and the names of the buttons."""
+
+    markers: list[MarkerView] = Field(default_factory=list[MarkerView])
+    buttons: list[str] = Field(default_factory=list[str])
+
+
+class StatusView(BaseModel):
+    """The agent and its devices now.
+
+    Attributes
+    ----------
+    restarts, last_end
+        How often the agent died and came back, and how it ended last.
+    settings_file
+    problem
+        What is wrong with the settings, one sentence for each line; empty if nothing is.
+    configured
+        How many devices the settings name.
+    skipped
+        Samples that this page was too slow to show; nothing of a recording.
+    """
+
+    agent: AgentState
+    virtual: bool = False
+    restarts: int = 0
+    last_end: str = ""
+    settings_file: str = ""
+    problem: str = ""
+    configured: int = 0
+    skipped: int = 0
+    devices: list[DeviceView] = Field(default_factory=list[DeviceView])
+    recording: RecordingView = Field(default_factory=RecordingView)
+    markers: MarkersView = Field(default_factory=MarkersView)
+
+
+class FoundView(BaseModel):
+    """A device that a search found.
+
+    Attributes
+    ----------
+    settings
+        What its table in the settings needs.
+    is_known
+        Whether the settings have it already.
+    """
+
+    sensor: str
+    title: str
+    name: str
+    rssi_dbm: int | None
+    settings: dict[str, Any]
+    is_known: bool
+
+
+class SearchView(BaseModel):
+    """How a search goes on.
+
+    Attributes
+    ----------
+    problems
+        Where it was not possible to look, one sentence each.
+    advice
+        How to tell devices apart that are called alike.
+    """
+
+    running: bool = False
+    seconds: float = 0.0
+    elapsed_s: float = 0.0
+    found: list[FoundView] = Field(default_factory=list[FoundView])
+    problems: list[str] = Field(default_factory=list[str])
+    advice: list[str] = Field(default_factory=list[str])
+    done: bool = False
+
+
+class NewDevice(BaseModel):
+    """A device to add to the settings."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    sensor: str
+    settings: dict[str, str | int | float | bool]
+    participant: ShortText = ""
+    label: ShortText = ""
+
+
+class DeviceName(BaseModel):
+    """Which device."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    sensor: str
+    unit: UnitText
+
+
+class DeviceChange(DeviceName):
+    """What a device of the settings is to have; None leaves it as it is."""
+
+    participant: ShortText | None = None
+    label: ShortText | None = None
+    enabled: bool | None = None
+
+
+class NewRecording(BaseModel):
+    """What a recording is to be called, in the words of BIDS, and where it goes.
+
+    Attributes
+    ----------
+    folder
+        Empty for the usual one.
+    allow_missing
+        Record although streams of the agent's devices are not there.
+    """
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    participant: str
+    session: str = "S001"
+    task: str = "Default"
+    folder: str = ""
+    allow_missing: bool = False
+
+
+class NewMarker(BaseModel):
+    """A marker of the experimenter: a button, or a note."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    marker: str
+    note: str = ""
+    kind: Literal["button", "note"] = "button"
+
+
+class MarkerNumber(BaseModel):
+    """Which marker; without a number the last that is not undone."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    id: int | None = None
+
+
+class Outcome(BaseModel):
+    """What came of a request, in one sentence for people."""
+
+    sentence: str
+
+
+class Problem(BaseModel):
+    """Why a request was refused, in one sentence: what, where, what to do."""
+
+    problem: str

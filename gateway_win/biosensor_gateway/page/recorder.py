@@ -1,0 +1,152 @@
+"""Records by a button, and looks at the growing file meanwhile."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import time
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+
+import platformdirs
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.page.models import NewRecording, Outcome, RecordingView, VerdictView
+from biosensor_gateway.page.session import Session
+from biosensor_gateway.recording.here.ending import Ended
+from biosensor_gateway.recording.here.recording import Begun, Recording
+from biosensor_gateway.recording.labrecorder.file_name import BidsLabels, Place
+from biosensor_gateway.recording.labrecorder.starting import Order
+from biosensor_gateway.recording.labrecorder.streams import Presence, expected_devices, look
+
+LOOK_S = 1.0
+_FOLDER = "Biosensor recordings"
+
+
+class Recorder:
+    """The recording of this computer, as the page shows and steers it.
+
+    Parameters
+    ----------
+    session
+        Its `recording` is kept up to date.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._recording = Recording(session.folder)
+        self._busy = ""
+        self._looking = asyncio.Lock()
+        self._verdict: VerdictView | None = None
+        self._folder = platformdirs.user_documents_path() / _FOLDER
+
+    async def run(self) -> None:
+        """Look at the file every second, until cancelled."""
+        while True:
+            await self._show()
+            await asyncio.sleep(LOOK_S)
+
+    async def start(self, wanted: NewRecording) -> Outcome:
+        """Begin to record.
+
+        Raises
+        ------
+        ConfigError, RecorderError
+            Why nothing is recorded.
+        """
+        labels = BidsLabels(wanted.participant, wanted.session, wanted.task)
+        with self._doing("starting"):
+            begun = await asyncio.to_thread(self._start, wanted, labels)
+        self._verdict = None
+        await self._show()
+        warnings = "".join(f" Note: {each}." for each in begun.warnings)
+        return Outcome(sentence=f"{begun.file} is being recorded.{warnings}")
+
+    async def stop(self) -> Outcome:
+        """End the recording and judge it.
+
+        Raises
+        ------
+        RecorderError
+            It could not be ended, or there is none.
+        """
+        with self._doing("ending"):
+            ended = await asyncio.to_thread(self._recording.stop)
+        self._verdict = _view(ended)
+        await self._show()
+        return Outcome(sentence=ended.verdict.sentence)
+
+    async def _show(self) -> None:
+        """Say how the recording stands; not while it begins, because streams are missing then."""
+        # What was read of the growing file is kept by one reader.
+        async with self._looking:
+            if self._busy:
+                return
+            view = await asyncio.to_thread(self._look)
+            if not self._busy:
+                self._session.recording = view
+
+    @contextmanager
+    def _doing(self, what: str) -> Generator[None]:
+        if self._busy:
+            message = f"the recording is {self._busy} already; wait a moment"
+            raise ConfigError(ConfigReason.IN_USE, message)
+        self._busy = what
+        self._session.recording = self._session.recording.model_copy(update={"busy": what})
+        try:
+            yield
+        finally:
+            self._busy = ""
+
+    def _start(self, wanted: NewRecording, labels: BidsLabels) -> Begun:
+        folder = Path(wanted.folder).expanduser() if wanted.folder else self._folder
+        if not folder.is_absolute():
+            message = f"the folder {wanted.folder!r} is not a whole path, such as {self._folder}"
+            raise ConfigError(ConfigReason.WRONG_VALUE, message)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            message = f"cannot make the folder {folder}: {error.strerror or error}"
+            raise ConfigError(ConfigReason.UNREADABLE, message) from error
+        order = Order(Place(folder, labels=labels), allow_missing=wanted.allow_missing)
+        return self._recording.start(order, self._streams)
+
+    def _streams(self) -> Presence:
+        settings = self._session.loaded()
+        expected = expected_devices(settings, self._session.folder)
+        return look(settings, expected, socket.gethostname())
+
+    def _look(self) -> RecordingView:
+        standing = self._recording.standing(self._session.silent())
+        view = RecordingView(folder=str(self._folder), verdict=self._verdict)
+        if standing is None:
+            return view
+        sight = standing.sight
+        return view.model_copy(
+            update={
+                "is_running": standing.recording,
+                "file": standing.file,
+                "elapsed_s": max(0.0, time.time() - standing.started),
+                "bytes": 0 if sight is None else sight.bytes,
+                "streams": 0 if sight is None else len(sight.streams),
+                "problems": [_sentence(each.stream, each.text) for each in standing.problems],
+            }
+        )
+
+
+def _view(ended: Ended) -> VerdictView:
+    verdict = ended.verdict
+    return VerdictView(
+        colour=str(verdict.colour.value),
+        sentence=verdict.sentence,
+        file=verdict.file,
+        findings=[
+            *(_sentence(each.stream, each.text) for each in verdict.findings),
+            *ended.warnings,
+        ],
+    )
+
+
+def _sentence(stream: str, text: str) -> str:
+    return f"{stream}: {text}" if stream else text

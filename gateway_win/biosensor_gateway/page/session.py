@@ -1,0 +1,165 @@
+"""What the server knows while it runs: the agent, its devices, the settings."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pylsl import local_clock
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.agent.feed_frames import Samples
+from biosensor_gateway.agent.single_instance import is_held
+from biosensor_gateway.devices.registry import settings_models
+from biosensor_gateway.page.history import History
+from biosensor_gateway.page.models import AgentState, MarkersView, RecordingView, StatusView
+from biosensor_gateway.page.screen import Screen
+from biosensor_gateway.page.view import Viewer
+from biosensor_gateway.settings import file as settings_file
+from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
+
+STARTING_S = 15.0
+
+
+class Session:
+    """The state that all requests share; on the loop of the server alone.
+
+    Parameters
+    ----------
+    folder
+        The state folder of the agent.
+    settings
+        Its settings file.
+    """
+
+    def __init__(self, folder: Path, settings: Path) -> None:
+        self.folder = folder
+        self.settings = settings
+        self.history = History()
+        self.screens: set[Screen] = set()
+        self.recording = RecordingView()
+        self.markers = MarkersView()
+        self._viewer = Viewer(self.history)
+        self._status: Mapping[str, Any] | None = None
+        self._skipped = 0
+        self._started_s = -STARTING_S
+        self._loaded: tuple[object, GatewaySettings | ConfigError] = None, GatewaySettings()
+
+    def take_status(self, status: Mapping[str, Any] | None) -> None:
+        """Note how the agent is; None if there is none."""
+        self._status = status
+
+    def take_samples(self, samples: Samples) -> None:
+        """Keep what came, and give it to the browsers that show it."""
+        self.history.add(samples)
+        for screen in self.screens:
+            screen.add(samples)
+
+    def take_dropped(self, count: int) -> None:
+        """Count what the agent has left out because this server was too slow."""
+        self._skipped += count
+
+    def note_start(self) -> None:
+        """Show the agent as starting until it answers."""
+        self._started_s = time.monotonic()
+
+    @staticmethod
+    def now() -> float:
+        """Return the LSL time in seconds."""
+        return local_clock()
+
+    def configured(self) -> Sequence[DeviceSettings]:
+        """Return the devices of the settings; none if there is no file, or it is wrong."""
+        try:
+            return self._load().devices
+        except ConfigError:
+            return ()
+
+    @property
+    def has_agent(self) -> bool:
+        """Whether an agent tells how it is."""
+        return self._status is not None
+
+    def silent(self) -> tuple[str, ...]:
+        """Return the source_ids of streams that may say nothing: paused, or switched off."""
+        devices: list[Any] = [] if self._status is None else self._status["devices"]
+        return tuple(
+            source
+            for device in devices
+            for source, stream in device["streams"].items()
+            if device["paused"] or stream["silent"]
+        )
+
+    def loaded(self) -> GatewaySettings:
+        """Return the settings; the usual ones if there is no file.
+
+        Raises
+        ------
+        ConfigError
+            The file is wrong.
+        """
+        try:
+            return self._load()
+        except ConfigError as error:
+            if error.reason is not ConfigReason.NOT_FOUND:
+                raise
+            return GatewaySettings()
+
+    def status(self) -> StatusView:
+        """Describe everything."""
+        status = self._status
+        facts = self._settings_facts()
+        facts["recording"] = self.recording
+        if status is None:
+            return StatusView(agent=self._absence(), **facts)
+        return StatusView(
+            agent=AgentState.RUNNING,
+            virtual=bool(status.get("virtual")),
+            restarts=status.get("restarts", 0),
+            last_end=status.get("last_end", ""),
+            skipped=self._skipped,
+            devices=self._viewer.devices(status),
+            markers=self.markers,
+            **facts,
+        )
+
+    def _absence(self) -> AgentState:
+        is_coming = time.monotonic() - self._started_s < STARTING_S or is_held(self.folder)
+        return AgentState.STARTING if is_coming else AgentState.ABSENT
+
+    def _settings_facts(self) -> dict[str, Any]:
+        problem, configured = "", 0
+        try:
+            configured = len(self._load().devices)
+        except ConfigError as error:
+            if error.reason is not ConfigReason.NOT_FOUND:
+                problem = str(error)
+        return {
+            "settings_file": str(self.settings),
+            "problem": problem,
+            "configured": configured,
+        }
+
+    def _load(self) -> GatewaySettings:
+        """Read the settings, unless they are those of the last time."""
+        version = _version(self.settings)
+        if self._loaded[0] != version:
+            outcome: GatewaySettings | ConfigError
+            try:
+                outcome = settings_file.load_settings(self.settings, settings_models())
+            except ConfigError as error:
+                outcome = error
+            self._loaded = version, outcome
+        if isinstance(self._loaded[1], ConfigError):
+            raise self._loaded[1]
+        return self._loaded[1]
+
+
+def _version(path: Path) -> tuple[int, int, int] | str:
+    try:
+        stat = path.stat()
+    except OSError as error:
+        return str(error)
+    return stat.st_mtime_ns, stat.st_size, stat.st_ino

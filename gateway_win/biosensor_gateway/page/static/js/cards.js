@@ -1,0 +1,67 @@
+// The overview: a card for each device, grouped by who wears it.
+
+import { html, useEffect, useRef } from "../vendor/preact-htm.js";
+import { drawSpark } from "./draw.js";
+import { rateOf, stateOf, valueOf } from "./words.js";
+
+const SHOWN = 4;
+
+// What a person looks at first: what was measured on the body, the fastest first.
+export function mainStreams(device) {
+  return device.streams
+    .filter((each) => each.is_signal && each.channels.length && each.units[0] !== "boolean" && !each.is_silent)
+    .sort((a, b) => b.nominal_hz - a.nominal_hz)
+    .slice(0, SHOWN);
+}
+
+export function State({ device }) {
+  const { sign, tone, word } = stateOf(device);
+  return html`<span class="state ${tone}"><span aria-hidden="true">${sign}</span> ${word}</span>`;
+}
+
+function Spark({ live, stream }) {
+  const canvas = useRef();
+  useEffect(() => {
+    const draw = () => canvas.current && drawSpark(canvas.current, live, stream);
+    live.onPicture.add(draw);
+    return () => live.onPicture.delete(draw);
+  }, [live, stream]);
+  return html`<canvas ref=${canvas} aria-hidden="true"></canvas>`;
+}
+
+function Card({ live, device, onOpen }) {
+  const battery = device.battery_percent;
+  return html`
+    <li class="card" data-device=${device.name}>
+      <div class="card-head">
+        <h3>${device.title} <span class="soft small">${device.label || device.unit}</span></h3>
+        <${State} device=${device} />
+      </div>
+      <div class="sparks">
+        ${mainStreams(device).map((stream) => html`
+          <span class="small">${stream.data_name}</span>
+          <${Spark} live=${live} stream=${stream} />
+          <span class="value small" title=${rateOf(stream)}>${valueOf(stream)}</span>`)}
+      </div>
+      ${device.reason && html`<p class="reason small">${device.reason}</p>`}
+      <p class="facts small soft">
+        <span>battery ${battery === null ? "–" : `${battery.toFixed(0)} %`}</span>
+        <span>lost ${device.lost}</span>
+        ${device.connections > 1 && html`<span>${device.connections} connections</span>`}
+      </p>
+      <div class="buttons"><button onClick=${() => onOpen(device.name)}>Traces and details<span class="hidden"> of ${device.title} ${device.unit}</span></button></div>
+    </li>`;
+}
+
+export function Cards({ live, devices, onOpen }) {
+  const people = [...new Set(devices.map((each) => each.participant))].sort();
+  return people.map((person) => html`
+    <section key=${person}>
+      <h2>${person || "No participant set"}</h2>
+      <ul class="cards">
+        ${devices.filter((each) => each.participant === person).map((device) => html`
+          <${Card} key=${device.name} live=${live} device=${device} onOpen=${onOpen} />`)}
+      </ul>
+    </section>`);
+}
+

@@ -1,0 +1,133 @@
+// One device: traces, every stream with its names, and what can be done with the device.
+
+import { html, useEffect, useRef, useState } from "../vendor/preact-htm.js";
+import { State } from "./cards.js";
+import { lineOf, Plot } from "./draw.js";
+import { ageOf, figure, rateOf } from "./words.js";
+
+const NAMED = 12;
+const VALUES = 5;
+
+function Line({ channel }) {
+  const { colour, dash } = lineOf(channel);
+  return html`<svg width="28" height="8" aria-hidden="true"><line x1="0" y1="4" x2="28" y2="4" style=${{ stroke: colour }} stroke-width="2" stroke-dasharray=${dash} /></svg>`;
+}
+
+function Trace({ live, stream }) {
+  const place = useRef();
+  const names = stream.channels.join();
+  useEffect(() => {
+    const plot = new Plot(place.current, live, stream);
+    const draw = () => plot.draw();
+    live.onPicture.add(draw);
+    return () => {
+      live.onPicture.delete(draw);
+      plot.end();
+    };
+  }, [live, stream.source_id, names]);
+  const units = [...new Set(stream.units)].join(", ");
+  return html`
+    <figure class="plot">
+      <figcaption>
+        <strong>${stream.data_name}</strong> <span class="soft small">${units}</span>
+        ${stream.channels.length > 1 && html`<ul class="legend small">${stream.channels.slice(0, NAMED).map((label, c) => html`<li><${Line} channel=${c} />${label}</li>`)}
+          ${stream.channels.length > NAMED && html`<li class="soft">and ${stream.channels.length - NAMED} more</li>`}</ul>`}
+      </figcaption>
+      <div ref=${place} role="img" aria-label=${`trace of ${stream.data_name}; its values are in the table`}></div>
+    </figure>`;
+}
+
+function Copied({ text }) {
+  const [isDone, setDone] = useState(false);
+  const copy = async () => {
+    await navigator.clipboard.writeText(text);
+    setDone(true);
+    setTimeout(() => setDone(false), 1500);
+  };
+  return html`<code>${text}</code> <button class="plain small" onClick=${copy}>${isDone ? "copied" : "copy"}<span class="hidden"> ${text}</span></button>`;
+}
+
+function Streams({ device }) {
+  return html`
+    <div class="scroll" tabindex="0" role="region" aria-label="Streams of the device">
+      <table>
+        <thead><tr>
+          <th scope="col">Data</th><th scope="col" class="figure">Value</th><th scope="col" class="figure">Rate</th>
+          <th scope="col" class="figure">Lost</th><th scope="col" class="figure">Newest</th>
+          <th scope="col">LSL name</th><th scope="col">ROS topic</th>
+        </tr></thead>
+        <tbody>
+          ${device.streams.map((stream) => html`
+            <tr key=${stream.source_id} data-stream=${stream.source_id}>
+              <th scope="row">${stream.data_name}</th>
+              <td class="figure values">${values(stream)}</td>
+              <td class="figure">${stream.is_silent ? "switched off" : rateOf(stream)}</td>
+              <td class="figure">${stream.lost}</td>
+              <td class="figure">${ageOf(stream)}</td>
+              <td><${Copied} text=${stream.lsl_name} /></td>
+              <td><${Copied} text=${stream.topic} /></td>
+            </tr>`)}
+        </tbody>
+      </table>
+    </div>`;
+}
+
+function values(stream) {
+  if (!stream.is_fresh || !stream.values.length) return "–";
+  const isOneUnit = new Set(stream.units).size === 1;
+  const shown = stream.values.slice(0, VALUES).map((value, c) => figure(value, isOneUnit ? "none" : stream.units[c]));
+  const more = stream.values.length - shown.length;
+  const unit = isOneUnit && stream.units[0] !== "none" ? ` ${stream.units[0]}` : "";
+  return shown.join(", ") + unit + (more > 0 ? `, and ${more} more` : "");
+}
+
+function Edit({ device, act }) {
+  const [participant, setParticipant] = useState(device.participant);
+  const [label, setLabel] = useState(device.label);
+  const save = (event) => {
+    event.preventDefault();
+    act("PATCH", "/devices", { sensor: device.sensor, unit: device.unit, participant, label });
+  };
+  return html`
+    <form onSubmit=${save}>
+      <label>Participant (a pseudonym)
+        <input type="text" maxlength="32" value=${participant} onInput=${(event) => setParticipant(event.target.value)} />
+      </label>
+      <label>Label, such as left
+        <input type="text" maxlength="32" value=${label} onInput=${(event) => setLabel(event.target.value)} />
+      </label>
+      <button>Save</button>
+    </form>
+    <p class="small soft">Saving makes new streams: their names have participant and label in them. Other devices stream on.</p>`;
+}
+
+export function Detail({ live, device, isVirtual, act, onClose }) {
+  const heading = useRef();
+  useEffect(() => heading.current.focus(), [device.name]);
+  const which = { sensor: device.sensor, unit: device.unit };
+  const remove = () => {
+    if (confirm(`Remove ${device.title} ${device.unit} from the settings? Its streams end.`)) {
+      act("DELETE", "/devices", which).then((isDone) => isDone && onClose());
+    }
+  };
+  const plotted = device.streams.filter((each) => each.channels.length && each.content_type !== "Markers" && !each.is_silent);
+  return html`
+    <section class="panel" aria-labelledby="detail">
+      <div class="card-head">
+        <h2 id="detail" ref=${heading} tabindex="-1">${device.title} ${device.unit}</h2>
+        <${State} device=${device} />
+      </div>
+      ${device.reason && html`<p class="reason">${device.reason}</p>`}
+      <div class="buttons">
+        <button onClick=${onClose}>Back to all devices</button>
+        ${device.paused
+          ? html`<button onClick=${() => act("POST", "/devices/resume", which)}>Resume</button>`
+          : html`<button onClick=${() => act("POST", "/devices/pause", which)}>Pause (withdrawal)</button>`}
+        ${!isVirtual && html`<button onClick=${remove}>Remove …</button>`}
+      </div>
+      ${plotted.map((stream) => html`<${Trace} key=${stream.source_id} live=${live} stream=${stream} />`)}
+      <h3>Streams</h3>
+      <${Streams} device=${device} />
+      ${!isVirtual && html`<h3>Who wears it</h3><${Edit} key=${device.name} device=${device} act=${act} />`}
+    </section>`;
+}

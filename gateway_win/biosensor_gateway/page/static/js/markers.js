@@ -1,0 +1,51 @@
+// Markers of the experimenter: a button or key for each name of the settings, notes, and undo.
+
+import { html, useEffect, useState } from "../vendor/preact-htm.js";
+
+const KEYS = 9;
+
+function isTyping(event) {
+  return event.target.closest?.("input, textarea, select") || event.ctrlKey || event.altKey || event.metaKey;
+}
+
+export function Markers({ markers, act }) {
+  const [note, setNote] = useState("");
+  const names = markers.buttons.join("\n");
+  const mark = (marker) => act("POST", "/markers", { marker, kind: "button" });
+  useEffect(() => {
+    const press = (event) => {
+      const name = markers.buttons[Number(event.key) - 1];
+      if (name && !isTyping(event) && !event.repeat) mark(name);
+    };
+    addEventListener("keydown", press);
+    return () => removeEventListener("keydown", press);
+  }, [names]);
+  const send = (event) => {
+    event.preventDefault();
+    act("POST", "/markers", { marker: "note", note, kind: "note" }).then((isDone) => isDone && setNote(""));
+  };
+  const undo = (id) => act("POST", "/markers/undo", { id });
+  const shown = markers.markers.filter((each) => each.kind !== "undo").reverse();
+  return html`
+    <section class="panel" aria-labelledby="markers">
+      <h2 id="markers">Markers</h2>
+      <div class="buttons">
+        ${markers.buttons.map((name, index) => html`
+          <button key=${name} onClick=${() => mark(name)}>${name}${index < KEYS && html` <kbd aria-label=${`key ${index + 1}`}>${index + 1}</kbd>`}</button>`)}
+        ${!markers.buttons.length && html`<p class="small soft">Name buttons in the settings file: <code>[markers]</code>, then <code>buttons = ["baseline", "task"]</code>.</p>`}
+      </div>
+      <form onSubmit=${send}>
+        <label>Note, stamped when it is sent
+          <input type="text" maxlength="200" size="40" required value=${note} onInput=${(event) => setNote(event.target.value)} />
+        </label>
+        <button>Send note</button>
+      </form>
+      ${shown.length > 0 && html`
+        <ol class="marks small" reversed>
+          ${shown.map((each) => html`
+            <li key=${each.id} class=${each.undone ? "undone" : ""}>
+              ${each.note || each.marker}${each.undone ? " (marked as a mistake)" : html` <button class="plain" onClick=${() => undo(each.id)}>undo<span class="hidden"> ${each.note || each.marker}</span></button>`}
+            </li>`)}
+        </ol>`}
+    </section>`;
+}

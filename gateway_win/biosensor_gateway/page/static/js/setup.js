@@ -1,0 +1,72 @@
+// Finds devices and adds them to the settings.
+
+import { html, useEffect, useState } from "../vendor/preact-htm.js";
+import { ask } from "./api.js";
+
+const LOOK_MS = 300;
+
+function Found({ device, act }) {
+  const [participant, setParticipant] = useState("");
+  const [label, setLabel] = useState("");
+  const add = (event) => {
+    event.preventDefault();
+    act("POST", "/devices", { sensor: device.sensor, settings: device.settings, participant, label });
+  };
+  const name = device.name.startsWith(device.title) ? device.name : `${device.title}: ${device.name}`;
+  return html`
+    <li>
+      <div class="card-head">
+        <h3>${name}</h3>
+        ${device.rssi_dbm !== null && html`<span class="soft small">signal ${device.rssi_dbm} dBm</span>`}
+      </div>
+      ${device.is_known
+        ? html`<p class="small soft">It is in the settings already.</p>`
+        : html`
+          <form onSubmit=${add}>
+            <label>Participant (a pseudonym)
+              <input type="text" maxlength="32" value=${participant} onInput=${(event) => setParticipant(event.target.value)} />
+            </label>
+            <label>Label, such as left
+              <input type="text" maxlength="32" value=${label} onInput=${(event) => setLabel(event.target.value)} />
+            </label>
+            <button class="main">Add<span class="hidden"> ${name}</span></button>
+          </form>`}
+    </li>`;
+}
+
+export function Setup({ act, onClose, configured }) {
+  const [search, setSearch] = useState(null);
+  const isRunning = search?.running ?? false;
+  const look = async (method) => setSearch(await ask(method, "/search"));
+  const start = () => look("POST").catch(() => look("GET"));
+  useEffect(() => { start(); }, []);
+  // Once more when a device was added, so that it is shown as known.
+  useEffect(() => { if (search && !isRunning) look("GET").catch(() => {}); }, [configured]);
+  useEffect(() => {
+    if (!isRunning) return undefined;
+    const timer = setInterval(() => look("GET").catch(() => {}), LOOK_MS);
+    return () => clearInterval(timer);
+  }, [isRunning]);
+  if (!search) return null;
+  return html`
+    <section class="panel" aria-labelledby="setup">
+      <div class="card-head">
+        <h2 id="setup">Sensors near this computer</h2>
+        <div class="buttons">
+          <button onClick=${start} disabled=${isRunning}>Search again</button>
+          <button onClick=${onClose}>Close</button>
+        </div>
+      </div>
+      ${isRunning && html`
+        <label>Searching by Bluetooth, at serial ports and at the vendors' programs. Put your sensors on, or switch them on.
+          <progress max=${search.seconds} value=${search.elapsed_s}></progress>
+        </label>`}
+      <ul class="found">${search.found.map((device) => html`<${Found} key=${device.sensor + device.name} device=${device} act=${act} />`)}</ul>
+      ${search.done && !search.found.length && html`<p>No sensor was found. Is it charged, switched on, near, and worn?</p>`}
+      ${search.advice.map((sentence) => html`<p class="small">${sentence}</p>`)}
+      ${search.problems.length > 0 && html`
+        <details><summary>Where it was not possible to look</summary>
+          <ul>${search.problems.map((sentence) => html`<li class="small">${sentence}</li>`)}</ul>
+        </details>`}
+    </section>`;
+}

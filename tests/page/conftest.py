@@ -1,0 +1,161 @@
+"""The page's server and the agent as real programs, and a real Chromium that looks at them."""
+
+from __future__ import annotations
+
+import os
+import queue
+import re
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Generator
+from contextlib import ExitStack
+from http.client import HTTPConnection, HTTPResponse
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
+
+from tests.rigs.chromium import OPTIONS
+
+DEADLINE_S = 60.0
+STARTED = re.compile(r"http://127\.0\.0\.1:(\d+)/door\?token=\S+")
+
+
+class Programs:
+    """Runs our programs with a state folder and a settings file of their own.
+
+    Attributes
+    ----------
+    folder
+        The state folder.
+    settings
+        The settings file, which need not exist.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.settings = folder / "settings.toml"
+        self._running: list[subprocess.Popen[bytes]] = []
+
+    def start(self, *arguments: str, stdout: int = subprocess.DEVNULL) -> subprocess.Popen[bytes]:
+        """Start one; it is ended with the test."""
+        command = [sys.executable, "-m", "biosensor_gateway.cli", *arguments]
+        errors = (self.folder / f"stderr-{len(self._running)}.txt").open("wb")
+        with errors:
+            process = subprocess.Popen(command, env=self.environment, stderr=errors, stdout=stdout)
+        self._running.append(process)
+        return process
+
+    def call(self, *arguments: str) -> str:
+        """Run one to its end; its output."""
+        command = [sys.executable, "-m", "biosensor_gateway.cli", *arguments]
+        done = subprocess.run(command, env=self.environment, capture_output=True, check=True)
+        return done.stdout.decode()
+
+    @property
+    def environment(self) -> dict[str, str]:
+        return os.environ | {
+            "BIOSENSOR_GATEWAY_STATE": str(self.folder),
+            "BIOSENSOR_GATEWAY_SETTINGS": str(self.settings),
+        }
+
+    def end(self) -> None:
+        """End all of them, and an agent that the page has started."""
+        stop = [sys.executable, "-m", "biosensor_gateway.cli", "stop"]
+        subprocess.run(stop, env=self.environment, capture_output=True, check=False)
+        for process in self._running:
+            process.terminate()
+        for process in self._running:
+            process.wait(DEADLINE_S)
+            if process.stdout is not None:
+                process.stdout.close()
+
+
+class Server:
+    """The page's server: where it is, and the way in."""
+
+    def __init__(self, programs: Programs) -> None:
+        self.programs = programs
+        self.process = programs.start("page", "--no-open", stdout=subprocess.PIPE)
+        said: queue.Queue[bytes] = queue.Queue()
+        output = self.process.stdout
+        assert output is not None
+        threading.Thread(target=lambda: said.put(output.readline()), daemon=True).start()
+        found = STARTED.search(said.get(timeout=DEADLINE_S).decode())
+        assert found is not None
+        self.address = found[0]
+        self.port = int(found[1])
+
+    @property
+    def origin(self) -> str:
+        return f"http://127.0.0.1:{self.port}"
+
+    def enter(self) -> str:
+        """Take the way in, which is there once; the cookie."""
+        answer = self.request("GET", self.address.removeprefix(self.origin), cookie="")
+        return answer.headers["Set-Cookie"].partition(";")[0]
+
+    def request(
+        self,
+        method: str,
+        path: str,
+        cookie: str,
+        body: bytes | None = None,
+        **headers: str,
+    ) -> HTTPResponse:
+        """Send a request as no browser would; headers with ``_`` for ``-``."""
+        connection = HTTPConnection("127.0.0.1", self.port, timeout=DEADLINE_S)
+        named = {name.replace("_", "-"): value for name, value in headers.items()}
+        if cookie:
+            named["Cookie"] = cookie
+        connection.request(method, path, body, named)
+        answer = connection.getresponse()
+        answer.read()
+        connection.close()
+        return answer
+
+
+@pytest.fixture
+def programs(tmp_path: Path) -> Generator[Programs]:
+    running = Programs(tmp_path)
+    yield running
+    running.end()
+
+
+@pytest.fixture
+def server(programs: Programs) -> Server:
+    return Server(programs)
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Generator[Browser]:
+    # Not longer: Playwright has an event loop running meanwhile, and then no other can.
+    program = Path(OPTIONS["executable_path"])
+    if not program.exists():
+        missing = f"{program} is missing: install Debian's chromium, or name yours by CHROMIUM"
+        assert "CI" not in os.environ, missing
+        pytest.skip(f"THE PAGE IS NOT LOOKED AT: {missing}")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(**OPTIONS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def window(chromium: Browser) -> Generator[Callable[..., Page]]:
+    """Open a window of a size; whatever goes wrong in its scripts fails the test."""
+    with ExitStack() as stack:
+        errors: list[str] = []
+
+        def opened(**options: Any) -> Page:
+            context: BrowserContext = chromium.new_context(**options)
+            stack.callback(context.close)
+            page = context.new_page()
+            page.set_default_timeout(1000 * DEADLINE_S)
+            page.on("pageerror", lambda error: errors.append(str(error)))
+            return page
+
+        yield opened
+    assert not errors

@@ -1,0 +1,216 @@
+"""Who is not let in: each way by which a foreign page or program could try."""
+
+from __future__ import annotations
+
+import json
+import socket
+import struct
+from collections.abc import Generator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from http.client import HTTPResponse
+from pathlib import Path
+
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin
+
+from tests.page.conftest import Programs, Server
+
+JSON = {"Content_Type": "application/json"}
+FOREIGN = "http://evil.example"
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Generator[Server]:
+    """One for all: nobody here gets far enough to change anything."""
+    programs = Programs(tmp_path_factory.mktemp("state"))
+    yield Server(programs)
+    programs.end()
+
+
+@pytest.fixture(scope="module")
+def door(server: Server) -> HTTPResponse:
+    """What the way in answers, which is there once."""
+    return server.request("GET", server.address.removeprefix(server.origin), "")
+
+
+@pytest.fixture(scope="module")
+def cookie(door: HTTPResponse) -> str:
+    return door.headers["Set-Cookie"].partition(";")[0]
+
+
+def own(server: Server) -> dict[str, str]:
+    return {**JSON, "Origin": server.origin}
+
+
+def test_the_way_in_opens_once_and_gives_a_cookie_that_scripts_cannot_read(
+    server: Server, door: HTTPResponse
+) -> None:
+    path = server.address.removeprefix(server.origin)
+    assert (door.status, door.headers["Location"]) == (303, "/")
+    given = door.headers["Set-Cookie"].lower()
+    assert "httponly" in given
+    assert "samesite=strict" in given
+    assert server.request("GET", path, "").status == 403
+    assert server.request("GET", "/door?token=wrong", "").status == 403
+    assert server.request("GET", "/door", "").status == 403
+
+
+@pytest.mark.parametrize("path", ["/", "/page.css", "/api/v1/status", "/api/v1/openapi.json"])
+def test_nothing_is_shown_without_the_cookie(server: Server, cookie: str, path: str) -> None:
+    assert server.request("GET", path, "").status == 401
+    assert server.request("GET", path, cookie[:-1]).status == 401
+    assert server.request("GET", path, "a=b; =; \x7f").status == 401
+    assert server.request("GET", path, cookie).status == 200
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:{port}", "127.0.0.1", "[::1]:{port}"]
+)
+def test_a_foreign_name_for_this_computer_is_refused(
+    server: Server, cookie: str, host: str
+) -> None:
+    # DNS rebinding: a page's own name leads to this server, so it is that page's "own" origin.
+    name = host.format(port=server.port)
+    answer = server.request("GET", "/api/v1/status", cookie, Host=name, Origin=f"http://{name}")
+    assert answer.status == 421
+    assert server.request("GET", "/door?token=x", "", Host=name).status == 421
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Origin": FOREIGN},
+        {"Origin": "null"},
+        {"Origin": "http://127.0.0.1:1"},
+        {"Sec_Fetch_Site": "cross-site"},
+        {"Sec_Fetch_Site": "same-site"},
+        {},
+    ],
+    ids=str,
+)
+def test_what_another_page_sends_does_nothing(
+    server: Server, cookie: str, headers: Mapping[str, str]
+) -> None:
+    # With the cookie, as a browser would send it if SameSite were not heeded.
+    trying = {**JSON, **headers}
+    answer = server.request("POST", "/api/v1/agent/try", cookie, b"{}", **trying)
+    assert answer.status == 403
+    assert not (server.programs.folder / "control.json").exists()
+
+
+def test_a_form_of_another_page_is_no_json(server: Server, cookie: str) -> None:
+    for kind in ("text/plain", "application/x-www-form-urlencoded", "multipart/form-data"):
+        answer = server.request(
+            "POST", "/api/v1/search", cookie, b"{}", Content_Type=kind, Origin=server.origin
+        )
+        assert answer.status == 415
+    assert server.request("POST", "/api/v1/search", cookie, b"{}", **own(server)).status == 200
+
+
+def test_a_message_of_ten_megabytes_is_refused_unread(server: Server, cookie: str) -> None:
+    body = b'{"sensor": "' + b"x" * 10_000_000 + b'"}'
+    with socket.create_connection(("127.0.0.1", server.port)) as connection:
+        head = (
+            f"POST /api/v1/devices HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\n"
+            f"Origin: {server.origin}\r\nCookie: {cookie}\r\nContent-Type: application/json\r\n"
+            f"Content-Length: {len(body)}\r\n\r\n"
+        )
+        connection.sendall(head.encode())
+        assert connection.recv(64).startswith(b"HTTP/1.1 413")
+    no_length = server.request(
+        "POST", "/api/v1/devices", cookie, None, Transfer_Encoding="chunked", **own(server)
+    )
+    assert no_length.status == 411
+
+
+@pytest.mark.parametrize("case", ["no cookie", "no origin", "foreign origin", "foreign host"])
+def test_a_socket_of_a_stranger_is_refused(server: Server, cookie: str, case: str) -> None:
+    headers = {} if case == "no cookie" else {"Cookie": cookie}
+    origin = {"no origin": None, "foreign origin": FOREIGN}.get(case, server.origin)
+    host = "evil.example" if case == "foreign host" else "127.0.0.1"
+    with (
+        socket.create_connection(("127.0.0.1", server.port)) as connection,
+        pytest.raises(InvalidStatus) as caught,
+    ):
+        connect(
+            f"ws://{host}:{server.port}/live",
+            sock=connection,
+            origin=None if origin is None else Origin(origin),
+            additional_headers=headers,
+        ).close()
+    assert caught.value.response.status_code == 403
+
+
+def test_a_socket_that_sends_nonsense_is_let_go_and_others_go_on(
+    server: Server, cookie: str
+) -> None:
+    def opened() -> ClientConnection:
+        return connect(
+            f"ws://127.0.0.1:{server.port}/live",
+            origin=Origin(server.origin),
+            additional_headers={"Cookie": cookie},
+        )
+
+    view: dict[str, object] = {"generation": 1, "streams": [], "window_s": 10, "pixels": 100}
+    with opened() as good:
+        for nonsense in ("{", "[]", json.dumps(view | {"pixels": 10**9}), "x" * 100_000, b"\x00"):
+            with opened() as bad, pytest.raises(ConnectionClosed):
+                bad.send(nonsense)
+                while True:
+                    bad.recv(timeout=30)
+        good.send(json.dumps(view))
+        while not isinstance(received := good.recv(timeout=30), bytes):
+            pass
+        assert struct.unpack_from("<I", received) == (1,)
+
+
+def test_two_hundred_connections_neither_stop_it_nor_fill_it(server: Server, cookie: str) -> None:
+    idle = [socket.create_connection(("127.0.0.1", server.port)) for _ in range(200)]
+    try:
+        with ThreadPoolExecutor(8) as threads:
+            asked = [
+                threads.submit(server.request, "GET", "/api/v1/status", cookie) for _ in range(16)
+            ]
+            answers = [each.result().status for each in asked]
+        # Idle ones count, too: it says that it is busy, and does not hang.
+        assert set(answers) <= {200, 503}
+    finally:
+        for connection in idle:
+            connection.close()
+    while server.request("GET", "/api/v1/status", cookie).status != 200:
+        pass
+    assert server.process.poll() is None
+
+
+def test_every_answer_forbids_what_no_page_of_ours_needs(server: Server, cookie: str) -> None:
+    for path in ("/", "/api/v1/status", "/nothing", "/js/app.js"):
+        headers = server.request("GET", path, cookie).headers
+        policy = headers["Content-Security-Policy"]
+        assert "default-src 'self'" in policy
+        assert "unsafe" not in policy
+        assert "http" not in policy
+        assert headers["X-Content-Type-Options"] == "nosniff"
+        assert headers["Referrer-Policy"] == "no-referrer"
+        assert headers["X-Frame-Options"] == "DENY"
+    assert (
+        server.request("GET", "/js/app.js", cookie)
+        .headers["Content-Type"]
+        .startswith("text/javascript")
+    )
+
+
+@pytest.mark.parametrize("path", ["/../pyproject.toml", "/%2e%2e/guard.py", "/js/../../guard.py"])
+def test_no_file_beside_the_page_is_given_away(server: Server, cookie: str, path: str) -> None:
+    assert server.request("GET", path, cookie).status == 404
+
+
+def test_it_listens_on_loopback_alone(server: Server) -> None:
+    listening = [
+        line.split()[1]
+        for name in ("tcp", "tcp6")
+        for line in Path(f"/proc/{server.process.pid}/net/{name}").read_text().splitlines()[1:]
+        if line.split()[3] == "0A" and line.split()[1].endswith(f":{server.port:04X}")
+    ]
+    assert listening == [f"0100007F:{server.port:04X}"]

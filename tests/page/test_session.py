@@ -1,0 +1,125 @@
+"""A session by the page alone: a recording with markers, a sensor that drops out, the verdict."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import pyxdf
+from playwright.sync_api import Page, expect
+
+from tests.page.conftest import DEADLINE_S, Server
+from tests.rigs.zephyr import SteeredBioHarness
+
+SETTINGS = """
+[markers]
+buttons = ["baseline", "task"]
+
+[[device]]
+sensor = "zephyr"
+unit = "A"
+port = "{port}"
+participant = "p01"
+"""
+
+expect.set_options(1000 * DEADLINE_S)
+
+
+@pytest.fixture
+def harness() -> Generator[SteeredBioHarness]:
+    with SteeredBioHarness() as running:
+        yield running
+
+
+def recorded(folder: Path) -> dict[str, Any]:
+    """Load the only recording below a folder; its streams by name."""
+    (file,) = folder.rglob("*.xdf")
+    load: Any = vars(pyxdf)["load_xdf"]
+    streams, _ = load(file, synchronize_clocks=False, dejitter_timestamps=False)
+    return {each["info"]["name"][0]: each for each in streams}
+
+
+def test_a_session_with_markers_and_a_sensor_that_drops_out(
+    server: Server,
+    window: Callable[..., Page],
+    harness: SteeredBioHarness,
+    tmp_path: Path,
+) -> None:
+    server.programs.settings.write_text(SETTINGS.format(port=harness.port))
+    page = window()
+    page.goto(server.address)
+    page.get_by_role("button", name="Start streaming").click()
+    card = page.locator('[data-device="zephyr/A"]')
+    expect(card.get_by_text("streaming")).to_be_visible()
+
+    session = page.get_by_role("region", name="Recording")
+    session.get_by_label("Participant").fill("p01")
+    session.get_by_label("Task").fill("handover")
+    session.get_by_label("Folder").fill(str(tmp_path / "recordings"))
+    session.get_by_role("button", name="Record").click()
+    expect(session.get_by_text("recording, all streams grow")).to_be_visible()
+
+    markers = page.get_by_role("region", name="Markers")
+    markers.get_by_role("button", name="baseline").click()
+    expect(markers.locator("li", has_text="baseline")).to_be_visible()
+    page.locator("h1").click()
+    page.keyboard.press("2")
+    expect(markers.locator("li", has_text="task")).to_be_visible()
+    markers.get_by_label("Note").fill("the robot 2 stopped")
+    markers.get_by_role("button", name="Send note").click()
+    entry = markers.locator("li", has_text="the robot 2 stopped")
+    entry.get_by_role("button", name="undo").click()
+    expect(entry.get_by_text("marked as a mistake")).to_be_visible()
+
+    # A drop-out is red at once in the state, and within seconds for the recording.
+    harness.drop_link()
+    expect(session.get_by_text("not all is well")).to_be_visible()
+    expect(session.get_by_role("alert")).to_contain_text("zephyr")
+    harness.restore_link()
+    expect(session.get_by_text("recording, all streams grow")).to_be_visible()
+
+    session.get_by_role("button", name="Stop recording").click()
+    expect(session.get_by_role("button", name="Record", exact=True)).to_be_visible()
+    expect(session.locator(".verdict")).to_be_visible()
+
+    streams = recorded(tmp_path / "recordings")
+    told = [json.loads(text) for (text,) in streams[_markers(streams)]["time_series"]]
+    said = [(each["marker"], each["kind"]) for each in told if each["kind"] != "ready"]
+    assert [each for each in said if each[0] != "ready"] == [
+        ("baseline", "button"),
+        ("task", "button"),
+        ("note", "note"),
+        ("undo", "undo"),
+    ]
+    stamps = np.array(streams["p01-zephyr-A-ecg"]["time_stamps"])
+    assert np.diff(stamps).max() > 5
+    gaps = np.flatnonzero(np.diff(stamps) > 1)
+    assert len(gaps) == 1
+
+
+def _markers(streams: dict[str, Any]) -> str:
+    (name,) = [each for each in streams if each.startswith("gateway-") and "markers" in each]
+    return name
+
+
+def test_what_cannot_be_recorded_is_said_and_nothing_is_written(
+    server: Server, window: Callable[..., Page], tmp_path: Path
+) -> None:
+    server.programs.settings.write_text(SETTINGS.format(port="nowhere"))
+    page = window()
+    page.goto(server.address)
+    session = page.get_by_role("region", name="Recording")
+    session.get_by_label("Participant").fill("p01")
+    for folder, sentence in (
+        ("recordings", "is not a whole path"),
+        (str(tmp_path / "settings.toml"), "cannot make the folder"),
+        (str(tmp_path / "recordings"), "no LSL stream at all"),
+    ):
+        session.get_by_label("Folder").fill(folder)
+        session.get_by_role("button", name="Record").click()
+        expect(page.locator(".toast")).to_contain_text(sentence)
+    assert list(tmp_path.rglob("*.xdf")) == []

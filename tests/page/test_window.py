@@ -1,0 +1,204 @@
+"""A person's way through the page, in a real browser with real programs behind it."""
+
+from __future__ import annotations
+
+import re
+import signal
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from playwright.sync_api import Locator, Page, expect
+
+from biosensor_gateway.agent import status_file
+from biosensor_gateway.devices.empatica_e4.simulator.e4 import SimulatedE4
+from biosensor_gateway.simulation.world import World
+from tests.page.conftest import DEADLINE_S, Server
+from tests.rigs.wristbands import LOCATED
+
+AXE = (Path(__file__).parent / "vendor" / "axe.min.js").read_text()
+LEFT, RIGHT = "9ff167", "9ff168"
+
+expect.set_options(1000 * DEADLINE_S)
+OpenWindow = Callable[..., Page]
+
+
+@pytest.fixture
+def wristbands() -> Generator[SimulatedE4]:
+    with World() as world, SimulatedE4(world, device_id=LEFT, others=[RIGHT]) as running:
+        yield running
+
+
+def card(page: Page, unit: str) -> Locator:
+    return page.locator(f'[data-device="empatica_e4/{unit.upper()}"]')
+
+
+def picture(spark: Locator) -> str:
+    return spark.evaluate("canvas => canvas.toDataURL()")
+
+
+def violations(page: Page) -> list[dict[str, Any]]:
+    page.evaluate(AXE)
+    found = page.evaluate("axe.run().then(result => result.violations)")
+    return [{"id": each["id"], "nodes": [n["html"] for n in each["nodes"]]} for each in found]
+
+
+def test_from_nothing_to_traces_of_virtual_sensors(server: Server, window: OpenWindow) -> None:
+    page = window()
+    page.goto(server.address)
+    expect(page.get_by_role("heading", name="No sensor is set up yet")).to_be_visible()
+    assert page.url == f"{server.origin}/"
+    page.get_by_role("button", name="Try it with virtual sensors").click()
+    expect(page.get_by_text("These are virtual sensors")).to_be_visible()
+    expect(page.locator(".card", has_text="streaming")).to_have_count(7)
+    page.get_by_role("button", name="End the agent").wait_for()
+    page.once("dialog", lambda dialog: dialog.accept())
+    page.get_by_role("button", name="End the agent").click()
+    expect(page.get_by_text("agent does not run")).to_be_visible()
+    expect(page.locator(".card")).to_have_count(0)
+
+
+def test_two_sensors_are_found_added_watched_paused_renamed_and_removed(
+    server: Server, window: OpenWindow, wristbands: SimulatedE4
+) -> None:
+    server.programs.settings.write_text(LOCATED.format(**wristbands.settings))
+    page = window()
+    page.goto(server.address)
+    page.get_by_role("button", name="Find sensors").first.click()
+    expect(page.get_by_role("progressbar")).to_be_visible()
+    for unit, participant in ((LEFT, "p01"), (RIGHT, "p02")):
+        entry = page.locator(".found li", has_text=unit)
+        entry.get_by_label("Participant").fill(participant)
+        entry.get_by_role("button", name="Add").click()
+        expect(entry.get_by_text("in the settings already")).to_be_visible()
+    page.get_by_role("button", name="Close").click()
+    assert "# Where the server" in server.programs.settings.read_text()
+    for unit, participant in ((LEFT, "p01"), (RIGHT, "p02")):
+        expect(page.get_by_role("heading", name=participant)).to_be_visible()
+        expect(card(page, unit).get_by_text("streaming")).to_be_visible()
+
+    # Traces move.
+    spark = card(page, LEFT).locator("canvas").first
+    before = picture(spark)
+    page.wait_for_function(
+        "([canvas, before]) => canvas.toDataURL() !== before", arg=[spark.element_handle(), before]
+    )
+
+    # What the table says is what the wristband sent.
+    card(page, LEFT).get_by_role("button", name="Traces and details").click()
+    row = page.locator("tr", has_text=f"p01-empatica_e4-{LEFT.upper()}-gsr")
+    expect(row.locator("td").first).to_contain_text("microsiemens")
+    shown = float(row.locator("td").first.inner_text().split()[0])
+    sent = [float(value) for value in wristbands.truth_of(LEFT).samples("gsr").values[:, 0]]
+    assert min(abs(shown - value) for value in sent) < 0.01
+    expect(row.locator("code", has_text="/p01/biosensors/empatica_e4/gsr")).to_be_visible()
+
+    page.get_by_role("button", name="Pause").click()
+    expect(page.get_by_text("paused: nothing is sent")).to_be_visible()
+    page.get_by_role("button", name="Resume").click()
+    expect(page.locator(".panel .state", has_text="streaming")).to_be_visible()
+
+    page.get_by_label("Label").fill("left")
+    page.get_by_role("button", name="Save").click()
+    expect(page.get_by_text("is changed in the settings")).to_be_visible()
+    expect(page.locator("code", has_text="empatica_e4__left").first).to_be_visible()
+    page.once("dialog", lambda dialog: dialog.accept())
+    page.get_by_role("button", name="Remove").click()
+    expect(card(page, RIGHT).get_by_text("streaming")).to_be_visible()
+    expect(card(page, LEFT)).to_have_count(0)
+    view = page.evaluate("fetch('/api/v1/status').then(answer => answer.json())")
+    (left,) = view["devices"]
+    assert (left["unit"], left["connections"], left["lost"]) == (RIGHT.upper(), 1, 0)
+
+
+def test_a_mistake_in_the_settings_is_explained_and_an_agent_that_dies_comes_back(
+    server: Server, window: OpenWindow, wristbands: SimulatedE4
+) -> None:
+    settings = server.programs.settings
+    good = (
+        LOCATED.format(**wristbands.settings)
+        .replace("enabled = false", "")
+        .replace('unit = "SERVER"\ndevice = "ffffff"', f'unit = "A"\ndevice = "{LEFT}"')
+    )
+    settings.write_text(good)
+    page = window()
+    page.goto(server.address)
+    page.get_by_role("button", name="Start streaming").click()
+    expect(card(page, "A").get_by_text("streaming")).to_be_visible()
+
+    settings.write_text(good + 'prt = "x"\n')
+    alert = page.get_by_role("alert")
+    expect(alert).to_contain_text(re.compile(r"line 10.*prt", re.DOTALL))
+    expect(card(page, "A").get_by_text("streaming")).to_be_visible()
+    settings.write_text(good)
+    expect(alert).to_have_count(0)
+
+    process = status_file.read_status(server.programs.folder)["process"]
+    psutil.Process(process).send_signal(signal.SIGKILL)
+    expect(page.get_by_text("The agent had died (killed by SIGKILL)")).to_be_visible()
+    expect(card(page, "A").get_by_text("streaming")).to_be_visible()
+    spark = card(page, "A").locator("canvas").first
+    before = picture(spark)
+    page.wait_for_function(
+        "([canvas, before]) => canvas.toDataURL() !== before", arg=[spark.element_handle(), before]
+    )
+
+
+def test_a_server_that_has_ended_is_told_and_no_value_stays(
+    server: Server, window: OpenWindow
+) -> None:
+    page = window()
+    page.goto(server.address)
+    server.programs.start("run", "--simulate", "zephyr")
+    expect(page.locator(".card", has_text="streaming")).to_have_count(1)
+    server.process.send_signal(signal.SIGINT)
+    assert server.process.wait(DEADLINE_S) == 0
+    expect(page.get_by_role("alert")).to_contain_text("The page's program does not answer")
+    expect(page.locator(".card")).to_have_count(0)
+    # The agent streams on.
+    assert status_file.read_status(server.programs.folder)["devices"][0]["state"] == "streaming"
+
+
+def test_foreign_text_is_shown_as_text(server: Server, window: OpenWindow) -> None:
+    name = "<img src=x onerror=alert(1)>"
+    server.programs.settings.write_text(
+        f'[[device]]\nsensor = "zephyr"\nunit = "1"\nport = "nowhere"\nparticipant = "{name}"\n'
+    )
+    page = window()
+    page.on("dialog", lambda dialog: pytest.fail(dialog.message))
+    page.goto(server.address)
+    page.get_by_role("button", name="Start streaming").click()
+    expect(page.get_by_role("heading", name=name)).to_be_visible()
+    assert page.locator("img").count() == 0
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_everybody_can_use_it(server: Server, window: OpenWindow, scheme: str) -> None:
+    page = window(color_scheme=scheme)
+    page.goto(server.address)
+    expect(page.get_by_role("heading", name="No sensor is set up yet")).to_be_visible()
+    assert violations(page) == []
+    server.programs.start("run", "--simulate", "zephyr,polar_h10")
+    expect(page.locator(".card", has_text="streaming")).to_have_count(2)
+    assert violations(page) == []
+
+    # By the keyboard alone, to the details and back.
+    button = page.get_by_role("button", name="Traces and details").first
+    for _ in range(20):
+        page.keyboard.press("Tab")
+        if button.evaluate("button => button === document.activeElement"):
+            break
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("heading", name="Streams")).to_be_visible()
+    assert violations(page) == []
+    page.keyboard.press("Tab")
+    page.keyboard.press("Enter")
+    expect(page.locator(".card")).to_have_count(2)
+
+    # Narrow, and at 200 %: nothing is lost beside the edge.
+    for width in (400, 320):
+        page.set_viewport_size({"width": width, "height": 700})
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        expect(button).to_be_visible()
