@@ -6,7 +6,7 @@
 # make installer           the Windows installer, built under Wine (needs the same packages)
 # make docs                what documents show of the code: tables of sensors, topics, decisions
 # make docs-site           the documents as a site, in build/site
-# make pictures            the picture of the demo, from a real run
+# make pictures            the pictures of the demo and of the page, from real runs
 # make check, make bench, make format, make lock
 SHELL := /bin/sh
 PYTHON_FILES := common gateway_win installer ros_side tests typings
@@ -85,6 +85,7 @@ docs-site: venv-dev
 
 pictures: venv-dev
 	$(RUN) tests.docs.demo_picture docs/pictures/demo.svg
+	$(RUN) tests.docs.page_picture docs/pictures
 
 lock: venv-dev
 	requirements/compile.sh

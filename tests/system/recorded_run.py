@@ -82,8 +82,11 @@ def in_xdf() -> dict[str, str]:
         for topic, stream in declared().items()
     }
     others = {spec.topic: spec.source_id for spec in lsl_sources.SPECS if spec not in NOT_IN_XDF}
-    events = naming.source_id(DeviceIdentity("gateway", socket.gethostname()), "events")
-    agent = {"/biosensors/gateway/events_stamped": events}
+    gateway = DeviceIdentity("gateway", socket.gethostname())
+    agent = {
+        f"/biosensors/gateway/{name}_stamped": naming.source_id(gateway, name)
+        for name in ("events", "markers")
+    }
     return devices | others | agent | {lsl_sources.BUTTON_TOPIC: lsl_sources.BUTTON_SOURCE_ID}
 
 
