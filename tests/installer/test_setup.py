@@ -49,7 +49,9 @@ def test_the_folder_has_the_program_and_what_belongs_to_it(bundle: Path) -> None
 def test_the_folder_of_path_has_the_one_command(bundle: Path) -> None:
     """Else ``uninstall /S``, typed in any terminal, would remove the program."""
     assert {each.name for each in (bundle / "bin").iterdir()} == {f"{PROGRAM}.exe", "_internal"}
-    assert not any(each.suffix == ".exe" for each in (bundle / "bin" / "_internal").rglob("*"))
+    # What records is started by its full path.
+    hidden = (bundle / "bin" / "_internal").rglob("*.exe")
+    assert [each.name for each in hidden] == ["LabRecorderCLI.exe"]
 
 
 def test_uninstall_is_no_command(installed: WindowsPc) -> None:

@@ -93,11 +93,17 @@ class Recorder:
             message = f"the recording is {self._busy} already; wait a moment"
             raise ConfigError(ConfigReason.IN_USE, message)
         self._busy = what
-        self._session.recording = self._session.recording.model_copy(update={"busy": what})
+        self._tell_busy(what)
         try:
             yield
+        except BaseException:
+            self._tell_busy("")
+            raise
         finally:
             self._busy = ""
+
+    def _tell_busy(self, what: str) -> None:
+        self._session.recording = self._session.recording.model_copy(update={"busy": what})
 
     def _start(self, wanted: NewRecording, labels: BidsLabels) -> Begun:
         folder = Path(wanted.folder).expanduser() if wanted.folder else self._folder

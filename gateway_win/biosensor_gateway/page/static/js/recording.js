@@ -10,7 +10,20 @@ function time(seconds) {
   return `${Math.floor(whole / 3600)}:${two(Math.floor(whole / 60) % 60)}:${two(whole % 60)}`;
 }
 
+// A button is off while its own request is under way. What the server told may be older than its
+// answer, and a click on a button that is off is lost.
+function useOneAtATime(act) {
+  const [isUnderWay, setUnderWay] = useState(false);
+  const once = async (...request) => {
+    setUnderWay(true);
+    await act(...request);
+    setUnderWay(false);
+  };
+  return [isUnderWay, once];
+}
+
 function Running({ recording, act }) {
+  const [isUnderWay, once] = useOneAtATime(act);
   const isWell = !recording.problems.length;
   return html`
     <div class="card-head">
@@ -22,7 +35,7 @@ function Running({ recording, act }) {
         <span>${(recording.bytes / 1e6).toFixed(1)} MB</span>
         <span>${recording.streams} streams</span>
       </p>
-      <button class="main" disabled=${recording.busy !== ""} onClick=${() => act("POST", "/recording/stop")}>
+      <button class="main" disabled=${isUnderWay} onClick=${() => once("POST", "/recording/stop")}>
         ${recording.busy === "ending" ? "Ending and checking …" : "Stop recording"}
       </button>
     </div>
@@ -43,21 +56,21 @@ function Verdict({ verdict }) {
 function Begin({ recording, act }) {
   const [fields, setFields] = useState({ participant: "", session: "S001", task: "Default", folder: "" });
   const [isLax, setLax] = useState(false);
+  const [isUnderWay, once] = useOneAtATime(act);
   const set = (name) => (event) => setFields({ ...fields, [name]: event.target.value });
   const begin = (event) => {
     event.preventDefault();
-    act("POST", "/recording/start", { ...fields, allow_missing: isLax });
+    once("POST", "/recording/start", { ...fields, allow_missing: isLax });
   };
   const box = (name, label, more = {}) => html`
     <label>${label}<input type="text" value=${fields[name]} onInput=${set(name)} ...${more} /></label>`;
-  const isBusy = recording.busy !== "";
   return html`
     <form onSubmit=${begin}>
       ${box("participant", "Participant (a pseudonym)", { required: true, pattern: "[A-Za-z0-9]+", title: "letters and digits" })}
       ${box("session", "Session", { required: true, pattern: "[A-Za-z0-9]+", title: "letters and digits" })}
       ${box("task", "Task", { required: true, pattern: "[A-Za-z0-9]+", title: "letters and digits" })}
       ${box("folder", "Folder", { placeholder: recording.folder, size: 34 })}
-      <button class="main" disabled=${isBusy}>${isBusy ? "Opening all streams …" : "Record"}</button>
+      <button class="main" disabled=${isUnderWay}>${isUnderWay || recording.busy !== "" ? "Opening all streams …" : "Record"}</button>
       <label class="check"><input type="checkbox" checked=${isLax} onChange=${(event) => setLax(event.target.checked)} /> also without streams that are missing</label>
     </form>`;
 }
