@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import queue
 import re
@@ -10,13 +11,15 @@ import sys
 import threading
 from collections.abc import Callable, Generator
 from contextlib import ExitStack
-from http.client import HTTPConnection, HTTPResponse
+from email.message import Message
+from http.client import HTTPConnection
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
 
+from tests.rigs import file_keyring
 from tests.rigs.chromium import OPTIONS
 
 DEADLINE_S = 60.0
@@ -32,11 +35,14 @@ class Programs:
         The state folder.
     settings
         The settings file, which need not exist.
+    keyring
+        The file that is the system's keyring.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.settings = folder / "settings.toml"
+        self.keyring = folder / "keyring.json"
         self._running: list[subprocess.Popen[bytes]] = []
 
     def start(self, *arguments: str, stdout: int = subprocess.DEVNULL) -> subprocess.Popen[bytes]:
@@ -59,6 +65,7 @@ class Programs:
         return os.environ | {
             "BIOSENSOR_GATEWAY_STATE": str(self.folder),
             "BIOSENSOR_GATEWAY_SETTINGS": str(self.settings),
+            **file_keyring.environment(self.keyring),
         }
 
     def end(self) -> None:
@@ -71,6 +78,14 @@ class Programs:
             process.wait(DEADLINE_S)
             if process.stdout is not None:
                 process.stdout.close()
+
+
+class Answer(NamedTuple):
+    """What a server has answered."""
+
+    status: int
+    headers: Message
+    body: bytes
 
 
 class Server:
@@ -104,17 +119,23 @@ class Server:
         cookie: str,
         body: bytes | None = None,
         **headers: str,
-    ) -> HTTPResponse:
+    ) -> Answer:
         """Send a request as no browser would; headers with ``_`` for ``-``."""
         connection = HTTPConnection("127.0.0.1", self.port, timeout=DEADLINE_S)
         named = {name.replace("_", "-"): value for name, value in headers.items()}
         if cookie:
             named["Cookie"] = cookie
         connection.request(method, path, body, named)
-        answer = connection.getresponse()
-        answer.read()
+        got = connection.getresponse()
+        answer = Answer(got.status, got.headers, got.read())
         connection.close()
         return answer
+
+    def tell(self, method: str, path: str, cookie: str, content: object) -> Answer:
+        """Send what the page itself would."""
+        body = json.dumps(content).encode()
+        headers = {"Origin": self.origin, "Content_Type": "application/json"}
+        return self.request(method, f"/api/v1/{path}", cookie, body, **headers)
 
 
 @pytest.fixture

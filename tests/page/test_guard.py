@@ -7,7 +7,6 @@ import socket
 import struct
 from collections.abc import Generator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from http.client import HTTPResponse
 from pathlib import Path
 
 import pytest
@@ -15,7 +14,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
-from tests.page.conftest import Programs, Server
+from tests.page.conftest import Answer, Programs, Server
 
 JSON = {"Content_Type": "application/json"}
 FOREIGN = "http://evil.example"
@@ -30,13 +29,13 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Generator[Server]:
 
 
 @pytest.fixture(scope="module")
-def door(server: Server) -> HTTPResponse:
+def door(server: Server) -> Answer:
     """What the way in answers, which is there once."""
     return server.request("GET", server.address.removeprefix(server.origin), "")
 
 
 @pytest.fixture(scope="module")
-def cookie(door: HTTPResponse) -> str:
+def cookie(door: Answer) -> str:
     return door.headers["Set-Cookie"].partition(";")[0]
 
 
@@ -45,7 +44,7 @@ def own(server: Server) -> dict[str, str]:
 
 
 def test_the_way_in_opens_once_and_gives_a_cookie_that_scripts_cannot_read(
-    server: Server, door: HTTPResponse
+    server: Server, door: Answer
 ) -> None:
     path = server.address.removeprefix(server.origin)
     assert (door.status, door.headers["Location"]) == (303, "/")

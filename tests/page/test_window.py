@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 import signal
 from collections.abc import Callable, Generator
-from pathlib import Path
-from typing import Any
 
 import psutil
 import pytest
@@ -15,10 +13,10 @@ from playwright.sync_api import Locator, Page, expect
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.devices.empatica_e4.simulator.e4 import SimulatedE4
 from biosensor_gateway.simulation.world import World
+from tests.page.axe import violations
 from tests.page.conftest import DEADLINE_S, Server
 from tests.rigs.wristbands import LOCATED
 
-AXE = (Path(__file__).parent / "vendor" / "axe.min.js").read_text()
 LEFT, RIGHT = "9ff167", "9ff168"
 
 expect.set_options(1000 * DEADLINE_S)
@@ -37,12 +35,6 @@ def card(page: Page, unit: str) -> Locator:
 
 def picture(spark: Locator) -> str:
     return spark.evaluate("canvas => canvas.toDataURL()")
-
-
-def violations(page: Page) -> list[dict[str, Any]]:
-    page.evaluate(AXE)
-    found = page.evaluate("axe.run().then(result => result.violations)")
-    return [{"id": each["id"], "nodes": [n["html"] for n in each["nodes"]]} for each in found]
 
 
 def test_from_nothing_to_traces_of_virtual_sensors(server: Server, window: OpenWindow) -> None:

@@ -19,7 +19,9 @@ from biosensor_common.errors import (
 from biosensor_gateway.agent import control
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.devices.registry import settings_models
+from biosensor_gateway.page.access import Access, add_access
 from biosensor_gateway.page.agent_process import start_agent
+from biosensor_gateway.page.doctor import Doctor, add_doctor
 from biosensor_gateway.page.marking import Marking
 from biosensor_gateway.page.models import (
     DeviceChange,
@@ -36,6 +38,7 @@ from biosensor_gateway.page.models import (
 from biosensor_gateway.page.recorder import Recorder
 from biosensor_gateway.page.searching import Search
 from biosensor_gateway.page.session import Session
+from biosensor_gateway.page.trial import Trial, add_trial
 from biosensor_gateway.settings import editing
 
 PREFIX = "/api/v1"
@@ -49,6 +52,9 @@ def add_api(app: FastAPI, session: Session, recorder: Recorder, marking: Marking
     _add_devices(router, session)
     _add_recording(router, recorder)
     _add_markers(router, marking)
+    add_trial(router, Trial(session.streamed))
+    add_access(router, Access(session.configured))
+    add_doctor(router, Doctor(session.settings, session.folder))
     app.include_router(router)
     app.exception_handler(GatewayError)(_refused)
     app.exception_handler(RequestValidationError)(_misformed)

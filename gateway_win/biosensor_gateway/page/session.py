@@ -82,6 +82,11 @@ class Session:
         """Whether an agent tells how it is."""
         return self._status is not None
 
+    def streamed(self) -> tuple[tuple[str, str], ...]:
+        """Return the devices that the agent has, by sensor and unit."""
+        devices: list[Any] = [] if self._status is None else self._status["devices"]
+        return tuple((each["sensor"], each["unit"]) for each in devices)
+
     def silent(self) -> tuple[str, ...]:
         """Return the source_ids of streams that may say nothing: paused, or switched off."""
         devices: list[Any] = [] if self._status is None else self._status["devices"]

@@ -4,6 +4,7 @@ import { html, render, useEffect, useRef, useState } from "../vendor/preact-htm.
 import { ask } from "./api.js";
 import { Cards, mainStreams } from "./cards.js";
 import { Detail } from "./detail.js";
+import { Doctor } from "./doctor.js";
 import { Live } from "./live.js";
 import { Markers } from "./markers.js";
 import { Session } from "./recording.js";
@@ -25,7 +26,7 @@ function Agent({ status }) {
   return html`<span class="state ${tone}" role="status"><span aria-hidden="true">${sign}</span> ${word}</span>`;
 }
 
-function Head({ status, act, onSetup }) {
+function Head({ status, act, onSetup, onDoctor }) {
   const isHere = status?.agent === "running";
   const isAway = status?.agent === "absent";
   const end = () => {
@@ -39,6 +40,7 @@ function Head({ status, act, onSetup }) {
         ${isAway && status.configured > 0 && html`<button class="main" onClick=${() => act("POST", "/agent/start")}>Start streaming</button>`}
         ${isHere && html`<button onClick=${end}>End the agent</button>`}
         ${!status?.virtual && html`<button onClick=${onSetup}>Find sensors</button>`}
+        ${status && html`<button onClick=${onDoctor}>Check this computer</button>`}
       </div>
     </header>`;
 }
@@ -67,6 +69,7 @@ function App() {
   const [status, setStatus] = useState(undefined);
   const [open, setOpen] = useState(null);
   const [isSetup, setSetup] = useState(false);
+  const [isExamined, setExamined] = useState(false);
   const [told, setTold] = useState(null);
   const live = useRef(null);
   useEffect(() => {
@@ -102,11 +105,12 @@ function App() {
   if (status === undefined) return html`<p class="wait">Opening …</p>`;
   const isEmpty = status && !status.devices.length && !status.configured && status.agent !== "starting";
   return html`
-    <${Head} status=${status} act=${act} onSetup=${() => setSetup(true)} />
+    <${Head} status=${status} act=${act} onSetup=${() => setSetup(true)} onDoctor=${() => setExamined(true)} />
     <main>
       ${status && html`<${Notices} status=${status} />`}
       ${!status && html`<p class="panel problem" role="alert">The page's program does not answer. Nothing here is of now. If it was ended, start it again: biosensor-gateway page.</p>`}
       ${isSetup && html`<${Setup} act=${act} configured=${status?.configured} onClose=${() => setSetup(false)} />`}
+      ${isExamined && html`<${Doctor} onClose=${() => setExamined(false)} />`}
       ${isEmpty && !isSetup && html`<${Welcome} act=${act} onSetup=${() => setSetup(true)} />`}
       ${status && !isEmpty && !device && html`
         <div class="pair">

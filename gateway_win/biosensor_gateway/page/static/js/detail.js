@@ -1,6 +1,7 @@
 // One device: traces, every stream with its names, and what can be done with the device.
 
 import { html, useEffect, useRef, useState } from "../vendor/preact-htm.js";
+import { Access } from "./access.js";
 import { State } from "./cards.js";
 import { lineOf, Plot } from "./draw.js";
 import { ageOf, figure, rateOf } from "./words.js";
@@ -128,6 +129,7 @@ export function Detail({ live, device, isVirtual, act, onClose }) {
       ${plotted.map((stream) => html`<${Trace} key=${stream.source_id} live=${live} stream=${stream} />`)}
       <h3>Streams</h3>
       <${Streams} device=${device} />
-      ${!isVirtual && html`<h3>Who wears it</h3><${Edit} key=${device.name} device=${device} act=${act} />`}
+      ${!isVirtual && html`<h3>Who wears it</h3><${Edit} key=${device.name} device=${device} act=${act} />
+        <${Access} sensor=${device.sensor} act=${act} />`}
     </section>`;
 }

@@ -2,6 +2,7 @@
 
 import { html, useEffect, useState } from "../vendor/preact-htm.js";
 import { ask } from "./api.js";
+import { Trial } from "./trial.js";
 
 const LOOK_MS = 300;
 
@@ -30,7 +31,8 @@ function Found({ device, act }) {
               <input type="text" maxlength="32" value=${label} onInput=${(event) => setLabel(event.target.value)} />
             </label>
             <button class="main">Add<span class="hidden"> ${name}</span></button>
-          </form>`}
+          </form>
+          <${Trial} sensor=${device.sensor} settings=${device.settings} name=${name} />`}
     </li>`;
 }
 

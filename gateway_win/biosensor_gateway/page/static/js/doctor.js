@@ -1,0 +1,65 @@
+// What is wrong on this computer, why it matters, and what mends it.
+
+import { html, useEffect, useState } from "../vendor/preact-htm.js";
+import { ask } from "./api.js";
+
+const LEVELS = {
+  error: ["▲", "bad", "error"],
+  warning: ["◐", "warn", "warning"],
+  note: ["i", "soft", "note"],
+  ok: ["●", "good", "in order"],
+};
+
+function Finding({ finding }) {
+  const [sign, tone, word] = LEVELS[finding.level] ?? LEVELS.note;
+  return html`
+    <li>
+      <p class="found-head"><span class="state ${tone}"><span aria-hidden="true">${sign}</span> ${word}</span> <strong>${finding.what}</strong></p>
+      ${finding.why && html`<p class="small">${finding.why}</p>`}
+      ${finding.fix && html`<pre class="fix" tabindex="0">${finding.fix}</pre>`}
+    </li>`;
+}
+
+function sentence(outcome) {
+  const count = (level) => outcome.findings.filter((each) => each.level === level).length;
+  const [errors, warnings] = [count("error"), count("warning")];
+  if (!errors && !warnings) return "Nothing is wrong with this computer.";
+  const named = (n, word) => `${n} ${word}${n === 1 ? "" : "s"}`;
+  return `${[errors && named(errors, "error"), warnings && named(warnings, "warning")].filter(Boolean).join(" and ")}; what mends each stands below it.`;
+}
+
+export function Doctor({ onClose }) {
+  const [outcome, setOutcome] = useState(null);
+  const [problem, setProblem] = useState("");
+  const [isRunning, setRunning] = useState(false);
+  const examine = async () => {
+    setRunning(true);
+    setProblem("");
+    try {
+      setOutcome(await ask("POST", "/doctor"));
+    } catch (error) {
+      setProblem(error.message);
+    }
+    setRunning(false);
+  };
+  useEffect(() => { examine(); }, []);
+  const bad = outcome?.findings.filter((each) => each.level !== "ok") ?? [];
+  const good = outcome?.findings.filter((each) => each.level === "ok") ?? [];
+  return html`
+    <section class="panel" aria-labelledby="doctor">
+      <div class="card-head">
+        <h2 id="doctor">Check of this computer</h2>
+        <div class="buttons">
+          <button onClick=${examine} disabled=${isRunning}>Check again</button>
+          <button onClick=${onClose}>Close</button>
+        </div>
+      </div>
+      <p role="status">${isRunning ? "Looking at Bluetooth, network, firewall, clock, power and settings …" : outcome && sentence(outcome)}</p>
+      ${problem && html`<p class="reason" role="alert">${problem}</p>`}
+      ${!isRunning && html`<ul class="findings">${bad.map((each) => html`<${Finding} finding=${each} />`)}</ul>`}
+      ${!isRunning && good.length > 0 && html`
+        <details><summary>What is in order (${good.length})</summary>
+          <ul class="findings">${good.map((each) => html`<${Finding} finding=${each} />`)}</ul>
+        </details>`}
+    </section>`;
+}

@@ -1,0 +1,132 @@
+"""Connects to a device for some seconds to see what it sends, before a study relies on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from fastapi import APIRouter
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
+from biosensor_gateway.devices.registry import driver
+from biosensor_gateway.doctor.device_test import DeviceTest, run_device_test
+from biosensor_gateway.settings.models import DeviceSettings
+
+SECONDS = 5.0
+
+
+class Candidate(BaseModel):
+    """A device that may not be in the settings yet: what its table there would have."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    sensor: str
+    settings: dict[str, str | int | float | bool]
+
+
+class TriedStream(BaseModel):
+    """What came of one stream.
+
+    Attributes
+    ----------
+    measured_hz
+        By the samples' own times; None if it cannot be told.
+    nominal_hz
+        Declared; 0 for streams that come when they come.
+    """
+
+    data_name: str
+    samples: int
+    measured_hz: float | None
+    nominal_hz: float
+
+
+class TrialView(BaseModel):
+    """What a device has shown.
+
+    Attributes
+    ----------
+    problems
+        One sentence each; empty if all is well.
+    """
+
+    connected: bool
+    seconds: float = SECONDS
+    problems: list[str] = Field(default_factory=list[str])
+    streams: list[TriedStream] = Field(default_factory=list[TriedStream])
+
+
+class Trial:
+    """Tries one device at a time, beside an agent that streams others.
+
+    Parameters
+    ----------
+    streamed
+        Tells the devices that the agent is connected to, as sensor and unit.
+    """
+
+    def __init__(self, streamed: Callable[[], Sequence[tuple[str, str]]]) -> None:
+        self._streamed = streamed
+        self._is_busy = False
+
+    async def run(self, candidate: Candidate) -> TrialView:
+        """Connect, listen for `SECONDS`, and judge.
+
+        Raises
+        ------
+        ConfigError
+            ``WRONG_VALUE`` if no device can be made of this; ``IN_USE`` while another is tried.
+        TransportError
+            ``BUSY`` if the agent has the device.
+        SpecError
+            No sensor is called so.
+        """
+        settings = _settings(candidate)
+        if (settings.sensor, settings.unit) in self._streamed():
+            message = "the agent has this device; its card shows what it sends"
+            raise TransportError(TransportReason.BUSY, message)
+        if self._is_busy:
+            message = "another device is being tried; wait for the outcome"
+            raise ConfigError(ConfigReason.IN_USE, message)
+        self._is_busy = True
+        try:
+            return _view(await run_device_test(settings, SECONDS))
+        finally:
+            self._is_busy = False
+
+
+def add_trial(router: APIRouter, trial: Trial) -> None:
+    """Add how a device is tried."""
+
+    @router.post("/devices/test")
+    async def run(candidate: Candidate) -> TrialView:
+        """Connect to a device for some seconds; nothing is streamed."""
+        return await trial.run(candidate)
+
+
+def _settings(candidate: Candidate) -> DeviceSettings:
+    fields: Mapping[str, object] = {"unit": "trial", **candidate.settings}
+    try:
+        return driver(candidate.sensor).settings.model_validate(
+            {**fields, "sensor": candidate.sensor}
+        )
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"]) or "the settings"
+        raise ConfigError(ConfigReason.WRONG_VALUE, f"{place}: {first['msg']}") from None
+
+
+def _view(outcome: DeviceTest) -> TrialView:
+    return TrialView(
+        connected=outcome.info is not None,
+        problems=outcome.problems,
+        streams=[
+            TriedStream(
+                data_name=name,
+                samples=each.samples,
+                measured_hz=each.measured_hz,
+                nominal_hz=each.nominal_hz,
+            )
+            for name, each in outcome.streams.items()
+        ],
+    )

@@ -1,0 +1,130 @@
+"""What helps before a study: this computer examined, a device tried, secrets handed over."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Generator
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from biosensor_gateway.devices.empatica_e4.simulator.e4 import SimulatedE4
+from biosensor_gateway.simulation.world import World
+from tests.page.axe import violations
+from tests.page.conftest import DEADLINE_S, Server
+from tests.rigs import file_keyring
+from tests.rigs.wristbands import LOCATED
+
+HEADSET = '[[device]]\nsensor = "emotiv_insight"\nunit = "A"\n'
+TEXT = "n0body-may-read-this"
+
+expect.set_options(1000 * DEADLINE_S)
+OpenWindow = Callable[..., Page]
+
+
+@pytest.fixture
+def wristband() -> Generator[SimulatedE4]:
+    with World() as world, SimulatedE4(world, device_id="9ff167") as running:
+        yield running
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_this_computer_is_examined(server: Server, window: OpenWindow, scheme: str) -> None:
+    server.programs.settings.write_text('[lsl]\nport_range = "many"\n')
+    page = window(color_scheme=scheme, viewport={"width": 400, "height": 800})
+    page.goto(server.address)
+    page.get_by_role("button", name="Check this computer").click()
+    panel = page.get_by_role("region", name="Check of this computer")
+    wrong = panel.locator("li", has_text="port_range")
+    expect(wrong.locator(".state")).to_have_text("▲ error")
+    expect(wrong.locator("pre")).to_contain_text("config edit")
+    assert "what mends each" in panel.get_by_role("status").inner_text()
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert violations(page) == []
+    panel.get_by_role("button", name="Close").click()
+    expect(panel).to_have_count(0)
+
+
+def test_page_and_command_find_the_same(server: Server) -> None:
+    answer = server.tell("POST", "doctor", server.enter(), {})
+    assert answer.status == 200
+    said = json.loads(answer.body)
+    command = [sys.executable, "-m", "biosensor_gateway.cli", "doctor", "--json"]
+    # Its exit code tells of errors, which this computer may have.
+    done = subprocess.run(
+        command, env=server.programs.environment, capture_output=True, check=False
+    )
+    told = json.loads(done.stdout)
+    assert {each["check"] for each in said["findings"]} >= {
+        each["check"] for each in told["findings"] if each["level"] == "error"
+    }
+    levels = [each["level"] for each in said["findings"]]
+    assert levels == sorted(levels, key=["error", "warning", "note", "ok"].index)
+
+
+def test_a_device_that_was_found_is_tried(
+    server: Server, window: OpenWindow, wristband: SimulatedE4
+) -> None:
+    server.programs.settings.write_text(LOCATED.format(**wristband.settings))
+    page = window()
+    page.goto(server.address)
+    page.get_by_role("button", name="Find sensors").first.click()
+    entry = page.locator(".found li", has_text="9ff167")
+    entry.get_by_role("button", name="Test").click()
+    expect(entry.get_by_text("it works")).to_be_visible()
+    assert violations(page) == []
+    rate = entry.locator("li", has_text="gsr").inner_text().split()
+    assert abs(float(rate[1]) - 4) < 0.5
+    # Nothing is streamed, and nothing is in the settings.
+    expect(page.get_by_text("agent does not run")).to_be_visible()
+    assert "9FF167" not in server.programs.settings.read_text()
+
+    entry.get_by_role("button", name="Add").click()
+    expect(page.locator(".card", has_text="streaming")).to_have_count(1)
+    (cookie,) = page.context.cookies()
+    candidate = {"sensor": "empatica_e4", "settings": {"unit": "9FF167", **wristband.settings}}
+    answer = server.tell(
+        "POST", "devices/test", f"{cookie.get('name')}={cookie.get('value')}", candidate
+    )
+    assert answer.status == 409
+    assert "the agent has this device" in json.loads(answer.body)["problem"]
+
+
+def test_a_secret_is_written_and_never_read(server: Server, window: OpenWindow) -> None:
+    server.programs.settings.write_text(HEADSET)
+    page = window()
+    page.goto(server.address)
+    page.get_by_role("button", name="Start streaming").click()
+    page.get_by_role("button", name="Traces and details").click()
+    form = page.locator("form", has=page.locator("input[type=password]")).first
+    expect(form.get_by_text("missing")).to_be_visible()
+    form.locator("input").fill(TEXT)
+    assert violations(page) == []
+    form.get_by_role("button", name="Keep").click()
+    expect(form.get_by_text("known, from the keyring")).to_be_visible()
+    assert TEXT in file_keyring.entries(server.programs.keyring).values()
+    expect(form.locator("input")).to_have_value("")
+
+    for path in ("secrets", "status"):
+        assert TEXT not in page.evaluate(f"fetch('/api/v1/{path}').then(answer => answer.text())")
+    assert TEXT not in page.content()
+    for file in server.programs.folder.rglob("*"):
+        if file.is_file() and file != server.programs.keyring:
+            assert TEXT.encode() not in file.read_bytes(), file
+
+
+def test_a_secret_that_cannot_be_kept_is_refused_without_its_text(server: Server) -> None:
+    server.programs.settings.write_text(HEADSET)
+    cookie = server.enter()
+    for secret, code in (
+        ({"sensor": "emotiv_insight", "name": "client_id", "text": " "}, 400),
+        ({"sensor": "emotiv_insight", "name": "other", "text": TEXT}, 404),
+        ({"sensor": "emotiv_insight", "name": "client_id", "text": [TEXT]}, 422),
+        ({"sensor": "zephyr", "name": "client_id", "text": TEXT}, 404),
+    ):
+        answer = server.tell("PUT", "secrets", cookie, secret)
+        assert answer.status == code
+        assert TEXT.encode() not in answer.body
+    assert file_keyring.entries(server.programs.keyring) == {}
