@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Page
 
 from tests.rigs import file_keyring
-from tests.rigs.chromium import OPTIONS
+from tests.rigs.chromium import chromium
 
 DEADLINE_S = 60.0
 STARTED = re.compile(r"http://127\.0\.0\.1:(\d+)/door\?token=\S+")
@@ -150,18 +150,11 @@ def server(programs: Programs) -> Server:
     return Server(programs)
 
 
-@pytest.fixture(scope="module")
-def chromium() -> Generator[Browser]:
-    # Not longer: Playwright has an event loop running meanwhile, and then no other can.
-    program = Path(OPTIONS["executable_path"])
-    if not program.exists():
-        missing = f"{program} is missing: install Debian's chromium, or name yours by CHROMIUM"
-        assert "CI" not in os.environ, missing
-        pytest.skip(f"THE PAGE IS NOT LOOKED AT: {missing}")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(**OPTIONS)
+@pytest.fixture(scope="module", name="chromium")
+def running_chromium() -> Generator[Browser]:
+    # Not longer: no test in its thread can have an event loop meanwhile.
+    with chromium() as browser:
         yield browser
-        browser.close()
 
 
 @pytest.fixture
