@@ -23,6 +23,8 @@ class Effort:
         In each of them all streams have come and gone once, in 16 s.
     staying_s
         How long streams that stay are watched.
+    page_s
+        How long a page that stays open is watched.
     published
         Chunks that are published.
     taped_s, passes
@@ -41,6 +43,7 @@ class Effort:
     restarts: int
     rotations: int
     staying_s: float
+    page_s: float
     published: int
     agent_s: float
     taped_s: float
@@ -60,6 +63,7 @@ FULL = Effort(
     # In ten minutes.
     rotations=38,
     staying_s=600.0,
+    page_s=1800.0,
     published=200,
     agent_s=30.0,
     taped_s=5.0,
@@ -78,6 +82,8 @@ QUICK = Effort(
     # Fewer make no slope.
     rotations=10,
     staying_s=160.0,
+    # Fewer groups make no slope.
+    page_s=300.0,
     published=50,
     agent_s=4.0,
     taped_s=1.0,

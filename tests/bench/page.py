@@ -19,7 +19,7 @@ from tests.bench.processes import Process, Processes
 from tests.rigs.chromium import OPTIONS
 
 _SETTLE_S = 5.0
-_ADDRESS = re.compile(r"http://\S+")
+ADDRESS = re.compile(r"http://\S+")
 _WORSE, _CPU, _PICTURES, _UP_S = Target(1.1), Target(6.0), Target(20.0, at_least=True), Target(1.0)
 
 
@@ -82,7 +82,7 @@ def _round(agent: Process, processes: Processes, browser: Browser, effort: Effor
     without_ms = _p99_ms(agent, effort.agent_s)
     begun_s = time.monotonic()
     server = processes.start("biosensor_gateway.cli", "page", "--no-open")
-    found = _ADDRESS.search(server.line())
+    found = ADDRESS.search(server.line())
     assert found is not None
     up_s = time.monotonic() - begun_s
     page = browser.new_page()
