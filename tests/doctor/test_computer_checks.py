@@ -63,7 +63,8 @@ def test_a_firewall_of_linux_is_named_with_its_command(
     install("systemctl", f'[ "$1 $2" = "is-active {name}" ]')
     (found,) = examine(context, "linux_firewall")
     assert (found.level, found.what) == (Level.NOTE, f"the firewall {name} is on")
-    command = firewall_rules.ufw(PORTS) if name == "ufw" else firewall_rules.firewalld(PORTS)
+    ways = firewall_rules.every(PORTS)
+    command = firewall_rules.ufw(ways) if name == "ufw" else firewall_rules.firewalld(ways)
     assert found.fix == command
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from enum import StrEnum, unique
 from importlib import import_module
 from typing import Any, NamedTuple, cast
@@ -51,6 +52,10 @@ class Check(NamedTuple):
         """Import the check."""
         module = import_module(f"{self.package}.{self.name}")
         return cast("Examine", module.examine)
+
+    def mark(self, finding: Finding) -> Finding:
+        """Return a finding as one of this check."""
+        return replace(finding, check=self.name)
 
 
 def by_category(*checks: Check) -> tuple[Check, ...]:

@@ -1,13 +1,42 @@
-"""Builds the commands that let LSL through the firewall of this system."""
+"""Builds the commands that let LSL through the firewall of this or another computer."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
+from typing import NamedTuple
 
 from biosensor_common.doctor.lsl_api_file import Ports
 
 WINDOWS_RULE = "Biosensor Gateway"
 """Name of the rule that the installer can add."""
+NEIGHBOURS = "LocalSubnet"
+"""What Windows calls the computers of the same network."""
+MAC = "System Settings > Network > Firewall > Options: allow incoming connections"
+UDP, TCP = "udp", "tcp"
+
+
+class Way(NamedTuple):
+    """Ports that are to be open: *protocol* is ``udp`` or ``tcp``; the last one is included."""
+
+    protocol: str
+    first: int
+    last: int
+
+    def range(self, hyphen: str) -> str:
+        """Return the ports as firewalls write them: one, or two and what stands between."""
+        if self.first == self.last:
+            return str(self.first)
+        return f"{self.first}{hyphen}{self.last}"
+
+
+def every(ports: Ports) -> tuple[Way, ...]:
+    """Return all that LSL needs: discovery, and UDP and TCP of the streams."""
+    return (
+        Way(UDP, ports.discovery, ports.discovery),
+        Way(UDP, ports.first, ports.last),
+        Way(TCP, ports.first, ports.last),
+    )
 
 
 def opening(ports: Ports) -> str:
@@ -15,25 +44,38 @@ def opening(ports: Ports) -> str:
     if sys.platform == "win32":
         return windows(ports)
     if sys.platform == "darwin":
-        return "System Settings > Network > Firewall > Options: allow incoming connections"
-    return f"with ufw: {ufw(ports)}\nwith firewalld: {firewalld(ports)}"
+        return MAC
+    ways = every(ports)
+    return f"with ufw: {ufw(ways)}\nwith firewalld: {firewalld(ways)}"
 
 
-def ufw(ports: Ports) -> str:
+def ufw(ways: Sequence[Way]) -> str:
     """Return the command for ufw."""
-    several = f"{ports.first}:{ports.last}"
-    return (
-        f"sudo ufw allow {ports.discovery}/udp && sudo ufw allow {several}/udp "
-        f"&& sudo ufw allow {several}/tcp"
+    return " && ".join(f"sudo ufw allow {each.range(':')}/{each.protocol}" for each in ways)
+
+
+def firewalld(ways: Sequence[Way]) -> str:
+    """Return the command for firewalld."""
+    ports = " ".join(f"--add-port={each.range('-')}/{each.protocol}" for each in ways)
+    return f"sudo firewall-cmd --permanent {ports} && sudo firewall-cmd --reload"
+
+
+def nftables(ways: Sequence[Way]) -> str:
+    """Return the command for plain nftables, with table and chain as Linux systems name them.
+
+    It holds until the next start of the computer.
+    """
+    return " && ".join(
+        f"sudo nft insert rule inet filter input {protocol} dport '{{ {ports} }}' accept"
+        for protocol, ports in _by_protocol(ways, ", ")
     )
 
 
-def firewalld(ports: Ports) -> str:
-    """Return the command for firewalld."""
-    several = f"{ports.first}-{ports.last}"
-    return (
-        f"sudo firewall-cmd --permanent --add-port={ports.discovery}/udp "
-        f"--add-port={several}/udp --add-port={several}/tcp && sudo firewall-cmd --reload"
+def netsh(ways: Sequence[Way], who: str = NEIGHBOURS) -> str:
+    """Return the commands for Windows that open ports to *who*, one a line."""
+    return "\nand: ".join(
+        f"{_add()} protocol={protocol.upper()} localport={ports} {_where(who)}"
+        for protocol, ports in _by_protocol(ways, ",")
     )
 
 
@@ -43,12 +85,21 @@ def windows(ports: Ports) -> str:
     The installed program is allowed as such, as its installer does; from source, Python
     would be, so that the ports are opened instead.
     """
-    add = f'netsh advfirewall firewall add rule name="{WINDOWS_RULE}" dir=in action=allow'
-    where = "remoteip=LocalSubnet profile=private,domain"
     if getattr(sys, "frozen", False):
-        return f'as administrator: {add} program="{sys.executable}" {where}'
-    several = f"{ports.first}-{ports.last}"
-    return (
-        f"as administrator: {add} protocol=UDP localport={ports.discovery},{several} {where}\n"
-        f"and: {add} protocol=TCP localport={several} {where}"
-    )
+        return f'as administrator: {_add()} program="{sys.executable}" {_where(NEIGHBOURS)}'
+    return f"as administrator: {netsh(every(ports))}"
+
+
+def _add() -> str:
+    return f'netsh advfirewall firewall add rule name="{WINDOWS_RULE}" dir=in action=allow'
+
+
+def _where(who: str) -> str:
+    return f"remoteip={who} profile=private,domain"
+
+
+def _by_protocol(ways: Sequence[Way], between: str) -> list[tuple[str, str]]:
+    found: dict[str, list[str]] = {}
+    for each in ways:
+        found.setdefault(each.protocol, []).append(each.range("-"))
+    return [(protocol, between.join(ranges)) for protocol, ranges in found.items()]

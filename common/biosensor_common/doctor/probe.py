@@ -9,10 +9,12 @@ import time
 
 from biosensor_common.doctor.serving import Request, answer, serve
 
+_PERIOD_S = 0.1
+
 
 def main() -> None:
     """Do what stdin says."""
-    serve({"offer": _offer, "find": _find, "survey": _survey})
+    serve({"offer": _offer, "find": _find, "survey": _survey, "list": _list, "meet": _meet})
 
 
 def _configure(request: Request) -> None:
@@ -22,15 +24,16 @@ def _configure(request: Request) -> None:
 
 
 def _offer(request: Request) -> None:
-    """Have an outlet until this process is ended."""
+    """Have an outlet, and send with it, until this process is ended."""
     import pylsl  # noqa: PLC0415
 
     _configure(request)
     source_id = request["source_id"]
     outlet = pylsl.StreamOutlet(pylsl.StreamInfo(source_id, "Doctor", 1, 0.0, "float32", source_id))
     answer({"open": True})
-    time.sleep(request["life_s"])
-    del outlet
+    while True:
+        outlet.push_sample([0.0])
+        time.sleep(_PERIOD_S)
 
 
 def _find(request: Request) -> None:
@@ -48,6 +51,22 @@ def _survey(request: Request) -> None:
     from biosensor_common.doctor.survey import survey  # noqa: PLC0415
 
     answer(survey(request["search_s"], request["listen_s"], request["listen_until_s"]))
+
+
+def _list(request: Request) -> None:
+    """List all streams, and listen to none."""
+    _configure(request)
+    from biosensor_common.doctor.survey import list_streams  # noqa: PLC0415
+
+    answer(list_streams(request["search_s"]))
+
+
+def _meet(request: Request) -> None:
+    """Look for a stream and receive it."""
+    _configure(request)
+    from biosensor_common.doctor.survey import meet  # noqa: PLC0415
+
+    answer(meet(request["source_id"], request["search_s"], request["listen_s"]))
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from biosensor_common.doctor.check import Check
 from biosensor_common.doctor.context import Context
@@ -69,7 +69,7 @@ class _Running:
         if is_late:
             what = f"the check did not end within {self._check.limit_s:g} s"
             found.append(warning(what, _UNKNOWN, self._alone))
-        return [replace(each, check=self._check.name) for each in found]
+        return [self._check.mark(each) for each in found]
 
     def _run(self, context: Context) -> None:
         try:

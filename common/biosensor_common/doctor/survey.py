@@ -18,6 +18,8 @@ MAX_EXAMINED = 256
 """So many streams are listened to; all are listed."""
 _THREADS = 64
 _MAX_HEADER = 100_000
+_DATA_PORT = "v4data_port"
+_PORTS = (_DATA_PORT, "v4service_port", "v6data_port", "v6service_port")
 _FORMATS = {
     pylsl.cf_float32: "float32",
     pylsl.cf_double64: "double64",
@@ -58,28 +60,84 @@ def survey(search_s: float, listen_s: float, limit_s: float) -> dict[str, Any]:
     return {"streams": [asdict(each) for each in seen]}
 
 
+def list_streams(search_s: float) -> dict[str, Any]:
+    """Look for streams for so long; return ``streams`` as `survey` does, without listening."""
+    resolver = pylsl.ContinuousResolver(forget_after=60.0)
+    time.sleep(search_s)
+    return {"streams": [asdict(_described(info)) for info in resolver.results()]}
+
+
+def meet(source_id: str, search_s: float, listen_s: float) -> dict[str, Any]:
+    """Look for one stream, and receive it.
+
+    Returns
+    -------
+    dict
+        ``found``; and if it was: ``received`` (whether a sample came), ``address`` (from where;
+        empty if none did), ``offset_s`` and ``round_trip_s`` as of a `SeenStream`.
+    """
+    infos = pylsl.resolve_byprop("source_id", source_id, 1, search_s)
+    if not infos:
+        return {"found": False}
+    seen = _described(infos[0])
+    inlet = pylsl.StreamInlet(infos[0], max_buflen=1, recover=False)
+    _measure_clock(inlet, seen, listen_s)
+    received = _has_sample(inlet, listen_s)
+    return {
+        "found": True,
+        "received": received,
+        "address": _peer(seen.data_port) if received else "",
+        "offset_s": seen.offset_s,
+        "round_trip_s": seen.round_trip_s,
+    }
+
+
+def _has_sample(inlet: pylsl.StreamInlet, limit_s: float) -> bool:
+    try:
+        inlet.open_stream(limit_s)
+        _, stamp = inlet.pull_sample(limit_s)
+    except RuntimeError:
+        return False
+    return stamp is not None
+
+
+def _peer(port: int) -> str:
+    """Return the address to which this process is connected at a port; liblsl does not tell."""
+    import psutil  # noqa: PLC0415
+
+    connections = psutil.Process().net_connections("tcp4")
+    return next(
+        (each.raddr.ip for each in connections if each.raddr and each.raddr.port == port), ""
+    )
+
+
 def _described(info: pylsl.StreamInfo) -> SeenStream:
+    header = _fields(info.as_xml())
+    ports = [_number(header, name) for name in _PORTS]
     return SeenStream(
         info.name(),
         info.source_id(),
         info.uid(),
         info.hostname(),
         _FORMATS.get(info.channel_format(), "unknown"),
-        _ports(info.as_xml()),
+        [port for port in ports if port],
+        _number(header, _DATA_PORT),
     )
 
 
-def _ports(header: str) -> list[int]:
-    """Return the ports of a header; a resolver's has no description, so it is small."""
+def _fields(header: str) -> ET.Element | None:
+    """Read a header; a resolver's has no description, so it is small."""
     if len(header) > _MAX_HEADER:
-        return []
+        return None
     try:
-        root = ET.fromstring(header)  # noqa: S314 - liblsl itself writes it, without entities
+        return ET.fromstring(header)  # noqa: S314 - liblsl itself writes it, without entities
     except ET.ParseError:
-        return []
-    names = ("v4data_port", "v4service_port", "v6data_port", "v6service_port")
-    texts = [root.findtext(name, "0") for name in names]
-    return [int(text) for text in texts if text.isdecimal() and int(text)]
+        return None
+
+
+def _number(header: ET.Element | None, name: str) -> int:
+    text = "0" if header is None else header.findtext(name, "0")
+    return int(text) if text.isdecimal() else 0
 
 
 def _listen(info: pylsl.StreamInfo, seen: SeenStream, limit_s: float, deadline_s: float) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -11,6 +12,9 @@ from biosensor_common.doctor import probe
 from biosensor_common.doctor.check import Check
 from biosensor_common.doctor.report import as_json, as_text
 from biosensor_common.doctor.runner import run_checks
+from biosensor_common.doctor.two_sided import command
+from biosensor_common.doctor.two_sided.facts import AGENT
+from biosensor_common.doctor.two_sided.remedies import ANSWER_PORT
 from biosensor_common.terminal import columns
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
 from biosensor_gateway.doctor.context import LAB_RECORDER_PORT, read_context
@@ -45,9 +49,27 @@ def doctor(
     lab_recorder_port: Annotated[
         int, typer.Option(min=1, max=65535, help="TCP port of LabRecorder's remote control.")
     ] = LAB_RECORDER_PORT,
+    answer: Annotated[
+        bool,
+        typer.Option(
+            "--answer", help="Answer another computer's --with, once, to whom knows the code."
+        ),
+    ] = False,
+    with_: Annotated[
+        str,
+        typer.Option(
+            "--with", metavar="HOST", help="Try the network to a computer that has --answer."
+        ),
+    ] = "",
+    code: Annotated[str, typer.Option(help="For --with: what the other computer shows.")] = "",
+    port: Annotated[
+        int, typer.Option(min=1024, max=65535, help="TCP port of --answer, and for --with.")
+    ] = ANSWER_PORT,
 ) -> None:
     """Say what is wrong on this computer and how to mend it; exit code 1 if there are errors."""
     configure_logs(LogSettings(level="error"), None)
+    if answer or with_:
+        _two_sided(settings, only, answer, with_, code, port, as_json_)
     context = read_context(
         settings or settings_path(), state_folder(), lab_recorder_port=lab_recorder_port
     )
@@ -56,6 +78,25 @@ def doctor(
     typer.echo(as_json(report) if as_json_ else text)
     if not report.is_good:
         raise typer.Exit(1)
+
+
+def _two_sided(
+    settings: Path | None,
+    only: list[str] | None,
+    answering: bool,
+    host: str,
+    code: str,
+    port: int,
+    as_json_: bool,
+) -> NoReturn:
+    """Be one side of the network check."""
+    if only or (answering and host):
+        raise typer.BadParameter("--answer, --with and --only exclude one another")
+    context = read_context(settings or settings_path(), state_folder())
+    if answering:
+        raise typer.Exit(command.answer(context, AGENT, port, json=as_json_))
+    code = code or typer.prompt(f"The code that {host} shows", err=True)
+    raise typer.Exit(command.ask(context, AGENT, host, port, code, json=as_json_))
 
 
 def _checks(names: list[str]) -> list[Check]:

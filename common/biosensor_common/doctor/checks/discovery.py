@@ -17,6 +17,7 @@ from biosensor_common.doctor.context import Context
 from biosensor_common.doctor.finding import Finding, error, note, ok, warning
 from biosensor_common.doctor.firewall_rules import opening
 from biosensor_common.doctor.guide import Guide
+from biosensor_common.doctor.lsl_api_file import LOOPBACK
 
 SEARCH_S = 4.0
 _LIMIT_S = 12.0
@@ -57,11 +58,11 @@ def by_multicast(config: str) -> str:
     return lsl_text.changed(config, changed)
 
 
-def by_unicast(config: str) -> str:
-    """Return a configuration that finds streams of this computer by unicast only."""
+def by_unicast(config: str, peer: str = LOOPBACK) -> str:
+    """Return a configuration that finds streams of one computer by unicast only."""
     changed = {
         ("ports", "MulticastPort"): _AWAY_PORT,
-        ("lab", "KnownPeers"): "{127.0.0.1}",
+        ("lab", "KnownPeers"): f"{{{peer}}}",
         ("multicast", "ResolveScope"): "machine",
         ("multicast", "AddressesOverride"): "{}",
     }

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 from biosensor_common.doctor import firewall_rules, lsl_text, programs
 from biosensor_common.doctor.context import Context
 from biosensor_common.doctor.finding import Finding, note, ok
-from biosensor_common.doctor.lsl_api_file import Ports
+from biosensor_common.doctor.firewall_rules import Way
 
-_OPENING: dict[str, Callable[[Ports], str]] = {
+_OPENING: dict[str, Callable[[Sequence[Way]], str]] = {
     "ufw": firewall_rules.ufw,
     "firewalld": firewall_rules.firewalld,
 }
@@ -27,7 +27,7 @@ def examine(context: Context) -> Iterator[Finding]:
             f"the firewall {name} is on",
             "Other computers see the streams of this one only if it lets them in: UDP "
             f"{ports.discovery}, and UDP and TCP {ports.first} to {ports.last}.",
-            _OPENING[name](ports),
+            _OPENING[name](firewall_rules.every(ports)),
         )
     if not active:
         yield ok("neither ufw nor firewalld is on, as far as systemd knows")

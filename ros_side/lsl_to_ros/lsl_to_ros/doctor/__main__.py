@@ -8,6 +8,9 @@ import sys
 from biosensor_common.doctor.context import Context
 from biosensor_common.doctor.report import as_json, as_text
 from biosensor_common.doctor.runner import run_checks
+from biosensor_common.doctor.two_sided import command
+from biosensor_common.doctor.two_sided.facts import NODE
+from biosensor_common.doctor.two_sided.remedies import ANSWER_PORT
 from biosensor_common.terminal import columns
 from lsl_to_ros.doctor.guide import GUIDE
 from lsl_to_ros.doctor.table import CHECKS
@@ -19,7 +22,20 @@ def main() -> int:
     names = [check.name for check in CHECKS]
     parser.add_argument("--only", action="append", choices=names, help="run this check only")
     parser.add_argument("--json", action="store_true", help="for scripts")
+    parser.add_argument(
+        "--answer", action="store_true", help="answer another computer's --with, once"
+    )
+    parser.add_argument("--with", dest="host", help="try the network to a computer with --answer")
+    parser.add_argument("--code", help="for --with: what the other computer shows")
+    parser.add_argument("--port", type=int, default=ANSWER_PORT, help="of --answer and --with")
     given = parser.parse_args()
+    if given.answer:
+        return command.answer(Context(guide=GUIDE), NODE, given.port, json=given.json)
+    if given.host:
+        code = given.code or input(f"The code that {given.host} shows: ")
+        return command.ask(
+            Context(guide=GUIDE), NODE, given.host, given.port, code, json=given.json
+        )
     chosen = [check for check in CHECKS if not given.only or check.name in given.only]
     report = run_checks(chosen, Context(guide=GUIDE))
     shown = as_text(report, sys.stdout.encoding or "ascii", columns(sys.stdout))
