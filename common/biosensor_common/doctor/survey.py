@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import time
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from typing import Any
@@ -86,7 +87,7 @@ def meet(source_id: str, search_s: float, listen_s: float) -> dict[str, Any]:
     return {
         "found": True,
         "received": received,
-        "address": _peer(seen.data_port) if received else "",
+        "address": _peer(seen.ports) if received else "",
         "offset_s": seen.offset_s,
         "round_trip_s": seen.round_trip_s,
     }
@@ -101,14 +102,13 @@ def _has_sample(inlet: pylsl.StreamInlet, limit_s: float) -> bool:
     return stamp is not None
 
 
-def _peer(port: int) -> str:
-    """Return the address to which this process is connected at a port; liblsl does not tell."""
+def _peer(ports: Sequence[int]) -> str:
+    """Return the address to which this process is connected; liblsl does not tell."""
     import psutil  # noqa: PLC0415
 
-    connections = psutil.Process().net_connections("tcp4")
-    return next(
-        (each.raddr.ip for each in connections if each.raddr and each.raddr.port == port), ""
-    )
+    connections = psutil.Process().net_connections("tcp")
+    found = (each.raddr.ip for each in connections if each.raddr and each.raddr.port in ports)
+    return next(found, "")
 
 
 def _described(info: pylsl.StreamInfo) -> SeenStream:

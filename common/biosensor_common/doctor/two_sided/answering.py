@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -82,6 +83,10 @@ class Answerer:
 
     def __enter__(self) -> Self:
         self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        if sys.platform != "win32":
+            # Else a second test would have to wait for a minute after the first; Windows needs
+            # no such word, and would let two programs have the port by it.
+            self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             self._listener.bind(self._place)
             self._listener.listen(_BACKLOG)
@@ -156,7 +161,9 @@ class Answerer:
         opening = _expected(channel, Command.OPEN)
         own = channel.connection.getsockname()[0]
         other = channel.connection.getpeername()[0]
-        station = Station(self._context, self._program, own, other, run_of(opening))
+        station = Station(
+            self._context, self._program, own, other, run_of(opening), is_asking=False
+        )
         try:
             here = station.__enter__()
         except ProbeError as problem:

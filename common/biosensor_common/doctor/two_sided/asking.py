@@ -65,7 +65,7 @@ def ask(context: Context, program: str, host: str, port: int, code: str) -> tupl
         handshake.ask(channel, typed)
         own, other = connection.getsockname()[0], connection.getpeername()[0]
         run = nonce()
-        with Station(context, program, own, other, run) as here:
+        with Station(context, program, own, other, run, is_asking=True) as here:
             return _led_through(channel, here, run)
 
 

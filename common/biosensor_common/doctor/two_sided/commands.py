@@ -14,7 +14,7 @@ from biosensor_common.doctor.two_sided.reading import Reader
 from biosensor_common.errors import ProtocolError, ProtocolReason
 
 # It goes into a question to liblsl, which has a syntax.
-_SOURCE_ID = re.compile(r"[a-z]+-[0-9a-f]{32}-[0-9.]{7,15}")
+_SOURCE_ID = re.compile(r"[a-z]+-[0-9a-f]{32}")
 
 
 @unique

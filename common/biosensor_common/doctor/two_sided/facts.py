@@ -99,7 +99,7 @@ class Look:
     directly
         Whether it was found by asking the other's address (KnownPeers).
     address
-        From where its data came; empty if none did, or by IPv6.
+        From where its data came, by IPv4 or IPv6; empty if none did.
     received
         Whether a sample came.
     offset_s, round_trip_s

@@ -155,7 +155,7 @@ def _clock(sender: Party, receiver: Party) -> Iterator[Finding]:
 
 def _address(sender: Party, receiver: Party) -> Iterator[Finding]:
     found, asked = receiver.end.look.address, receiver.computer.other
-    if found and found != asked:
+    if found != asked and "." in found:
         yield note(
             f"{receiver.name} finds the streams of {sender.name} on {found}, not on {asked}",
             "The two are in more than one network, and LSL takes the address from which the "

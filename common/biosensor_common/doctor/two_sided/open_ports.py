@@ -160,6 +160,15 @@ class OpenPorts:
             self._came.add((opened.kind, opened.port))
 
 
+def is_free(port: int) -> bool:
+    """Whether no program of this computer has a TCP port; a firewall has no say in it."""
+    opened = _first_free(socket.SOCK_STREAM, [port])
+    if opened is None:
+        return False
+    opened.close()
+    return True
+
+
 def _shared(address: str, port: int) -> socket.socket:
     opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:

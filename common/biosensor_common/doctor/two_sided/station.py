@@ -16,7 +16,6 @@ from biosensor_common.doctor.checks.discovery import by_unicast
 from biosensor_common.doctor.checks.interfaces import interfaces
 from biosensor_common.doctor.children import Probe, ProbeError
 from biosensor_common.doctor.context import Context
-from biosensor_common.doctor.lsl_api_file import LOOPBACK
 from biosensor_common.doctor.seen_stream import SeenStream
 from biosensor_common.doctor.two_sided.facts import (
     MAX_STREAMS,
@@ -25,7 +24,7 @@ from biosensor_common.doctor.two_sided.facts import (
     Look,
     Stream,
 )
-from biosensor_common.doctor.two_sided.open_ports import OpenPorts, Targets
+from biosensor_common.doctor.two_sided.open_ports import OpenPorts, Targets, is_free
 from biosensor_common.doctor.two_sided.remedies import active_firewalls
 from biosensor_common.doctor.two_sided.sending import open_ports, send
 from biosensor_common.lsl_config import LSL_SESSION
@@ -35,6 +34,7 @@ _LOOK_S = 12.0
 _LIFE_S = 60.0
 # Below it are services of the system, and no streams.
 _FIRST_FREE = 1024
+ASKING, ANSWERING = "asking", "answering"
 _MARK = b"biosensor-gateway network check "
 
 
@@ -51,18 +51,23 @@ class Station:
         Addresses of the conversation's two ends.
     run
         Of this test: names the test streams and their session, and marks the packets.
+    is_asking
+        Which of the two this is; the packets of both differ by it, for multicast comes back.
     """
 
-    def __init__(self, context: Context, program: str, own: str, other: str, run: str) -> None:
+    def __init__(
+        self, context: Context, program: str, own: str, other: str, run: str, *, is_asking: bool
+    ) -> None:
         self._own, self._other = own, other
         config = context.config
         self.computer = _computer(config, program, own, other)
         self._config = lsl_text.changed(config, {("lab", "SessionID"): f"network-check-{run}"})
         self._real = config
-        self._mark = _MARK + run.encode("ascii")
+        roles = (ASKING, ANSWERING) if is_asking else (ANSWERING, ASKING)
+        self._mark, awaited = (_MARK + f"{run} {role} ".encode("ascii") for role in roles)
         self._adapters = [] if self.computer.keeps_to_itself else _addresses()
-        self._ports = OpenPorts(self.computer.ports, own, other, self._adapters, self._mark)
-        self._source_id = f"{self.computer.program}-{run}-{own}"
+        self._ports = OpenPorts(self.computer.ports, own, other, self._adapters, awaited)
+        self._source_id = f"{roles[0]}-{run}"
         self._stack = ExitStack()
         self._look = Look()
         self._streams = self._own_streams = tuple[Stream, ...]()
@@ -176,6 +181,7 @@ def listed_streams(config: str) -> tuple[Stream, ...]:
             found = [SeenStream(**each) for each in probe.answer()["streams"]]
     except ProbeError:
         return ()
+    found.sort(key=lambda each: (each.host, each.name))
     return tuple(
         Stream(each.name, each.source_id, each.uid, each.host, each.data_port)
         for each in found[:MAX_STREAMS]
@@ -185,8 +191,7 @@ def listed_streams(config: str) -> tuple[Stream, ...]:
 def sent_from_here(streams: Iterable[Stream]) -> tuple[Stream, ...]:
     """Return those of this computer; another one may have the same name."""
     named = [each for each in streams if each.host == socket.gethostname()]
-    opened = open_ports(LOOPBACK, (each.port for each in named))
-    return tuple(each for each in named if each.port in opened)
+    return tuple(each for each in named if not is_free(each.port))
 
 
 def _computer(config: str, program: str, own: str, other: str) -> Computer:
