@@ -197,9 +197,11 @@ def test_tcp_is_blocked_on_the_side_that_asks_until_the_command_opens_it(
     assert (asked.code, answered.code) == (1, 1)
     cause, consequence = asked.errors
     assert cause["what"] == "this computer does not let in TCP 16572 to 16827 from robot"
-    assert "No data of this computer reaches robot" in cause["why"]
+    assert "no data of this computer reaches robot" in cause["why"]
     assert consequence["what"] == "robot sees, but cannot receive from this computer: ecg, eda"
-    assert answered.errors[0]["what"] == "lab-pc does not let in TCP 16572 to 16827 from this computer"
+    assert (
+        answered.errors[0]["what"] == "lab-pc does not let in TCP 16572 to 16827 from this computer"
+    )
     assert "tcp dport" in command
     assert "udp" not in command
     assert again is not None
@@ -212,5 +214,6 @@ def test_nothing_of_the_other_side_can_be_reached(said: dict[str, Said]) -> None
     assert asked.code == 1
     assert cause["what"] == f"nothing comes back from TCP 16827 of {ROBOT}"
     assert "None of its streams answers either" in cause["why"]
-    assert f"on {ROBOT}, with ufw: sudo ufw allow 16572:16827/tcp" in cause["fix"]
+    assert f"on {ROBOT}, the command that stands below the code there" in cause["fix"]
+    assert "with ufw, for instance: sudo ufw allow 16572:16827/tcp" in cause["fix"]
     assert "or the other way round, here: biosensor-gateway doctor --answer" in cause["fix"]

@@ -95,8 +95,7 @@ def _consequence(inner: Party, outer: Party, blocked: list[Way]) -> str:
             f"{outer.name} cannot ask {inner.name} directly nor for its clock, and {inner.name} "
             "may not hear the answers to its own questions"
         )
-    text = "; ".join(parts)
-    return f"{text[0].upper()}{text[1:]}."
+    return f"So {'; '.join(parts)}."
 
 
 def _hurts(inner: Party, outer: Party, blocked: list[Way]) -> bool:

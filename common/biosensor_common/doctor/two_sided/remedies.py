@@ -94,7 +94,11 @@ def port_option(port: int) -> str:
 
 def _opening(ways: Sequence[Way], system: str, firewalls: Sequence[str], who: str) -> str:
     if system == "win32":
-        return f"as administrator: {firewall_rules.netsh(ways, who)}"
+        return (
+            f"as administrator: {firewall_rules.netsh(ways, who)}\n"
+            "a rule that blocks wins over these; it is named by: biosensor-gateway doctor --only "
+            "windows_firewall"
+        )
     if system == "darwin":
         return firewall_rules.MAC
     if system == "linux":

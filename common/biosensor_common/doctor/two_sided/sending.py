@@ -41,20 +41,29 @@ def send(targets: Targets, own: str, other: str, adapters: Sequence[str], mark: 
             for adapter in adapters:
                 _multicast(adapter, targets.discovery, mark)
         time.sleep(_PAUSE_S)
-    open_ports(other, targets.tcp)
+    open_ports(other, targets.tcp, own)
 
 
-def open_ports(other: str, ports: Iterable[int]) -> set[int]:
-    """Connect to ports of the other computer, close at once, and return those that are open."""
+def open_ports(other: str, ports: Iterable[int], own: str = "") -> set[int]:
+    """Connect to ports of the other computer, close at once, and return those that are open.
+
+    Parameters
+    ----------
+    other
+        Its address.
+    ports
+    own
+        Address of this computer to do it from; empty for the system's choice.
+    """
     several = list(dict.fromkeys(ports))
     with ThreadPoolExecutor(_THREADS) as pool:
-        found = pool.map(partial(_opens, other), several)
+        found = pool.map(partial(_opens, own, other), several)
         return {port for port, is_open in zip(several, found, strict=True) if is_open}
 
 
-def _opens(other: str, port: int) -> bool:
+def _opens(own: str, other: str, port: int) -> bool:
     try:
-        socket.create_connection((other, port), CONNECT_S).close()
+        socket.create_connection((other, port), CONNECT_S, (own, 0)).close()
     except OSError:
         return False
     return True

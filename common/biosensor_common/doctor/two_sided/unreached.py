@@ -114,10 +114,9 @@ def _opening(attempt: Attempt) -> str:
     """Say how the other one is opened, whatever its system is."""
     ways = (port_way(attempt.context, attempt.port),)
     return (
-        f"on {attempt.host}, with ufw: {firewall_rules.ufw(ways)}\n"
-        f"with firewalld: {firewall_rules.firewalld(ways)}\n"
-        f"with nftables: {firewall_rules.nftables(ways)}\n"
-        f"with Windows, as administrator: {firewall_rules.netsh(ways)}"
+        f"on {attempt.host}, the command that stands below the code there; with ufw, for "
+        f"instance: {firewall_rules.ufw(ways)}\n"
+        f"or with Windows, as administrator: {firewall_rules.netsh(ways)}"
     )
 
 

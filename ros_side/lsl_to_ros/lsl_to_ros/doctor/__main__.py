@@ -27,14 +27,15 @@ def main() -> int:
     )
     parser.add_argument("--with", dest="host", help="try the network to a computer with --answer")
     parser.add_argument("--code", help="for --with: what the other computer shows")
-    parser.add_argument("--port", type=int, default=ANSWER_PORT, help="of --answer and --with")
+    parser.add_argument("--port", type=_port, default=ANSWER_PORT, help="of --answer and --with")
     given = parser.parse_args()
     if given.answer:
         return command.answer(Context(guide=GUIDE), NODE, given.port, json=given.json)
     if given.host:
-        code = given.code or input(f"The code that {given.host} shows: ")
+        if not given.code:
+            parser.error(f"--with needs --code, and the code that {given.host} shows")
         return command.ask(
-            Context(guide=GUIDE), NODE, given.host, given.port, code, json=given.json
+            Context(guide=GUIDE), NODE, given.host, given.port, given.code, json=given.json
         )
     chosen = [check for check in CHECKS if not given.only or check.name in given.only]
     report = run_checks(chosen, Context(guide=GUIDE))
@@ -42,6 +43,12 @@ def main() -> int:
     text = as_json(report) if given.json else shown
     sys.stdout.write(text + "\n")
     return 0 if report.is_good else 1
+
+
+def _port(text: str) -> int:
+    if not (text.isdecimal() and 1024 <= int(text) <= 65535):
+        raise argparse.ArgumentTypeError(f"{text} is no port from 1024 to 65535")
+    return int(text)
 
 
 if __name__ == "__main__":
