@@ -14,8 +14,6 @@ class SeenStream:
     name, source_id, uid, host, format
     ports
         Of its data and of its service.
-    data_port
-        TCP port of its data over IPv4; 0 if it has none.
     offset_s
         What its clock must be corrected by, in s; None if that could not be measured.
     round_trip_s
@@ -23,6 +21,8 @@ class SeenStream:
     stamp_error_s
         Corrected stamp of a fresh sample minus the time of its arrival, in s; None if no
         sample came.
+    data_port
+        TCP port of its data over IPv4; 0 if it has none.
     """
 
     name: str
@@ -31,7 +31,7 @@ class SeenStream:
     host: str
     format: str
     ports: list[int] = field(default_factory=list[int])
-    data_port: int = 0
     offset_s: float | None = None
     round_trip_s: float | None = None
     stamp_error_s: float | None = None
+    data_port: int = 0

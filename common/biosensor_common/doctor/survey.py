@@ -121,7 +121,7 @@ def _described(info: pylsl.StreamInfo) -> SeenStream:
         info.hostname(),
         _FORMATS.get(info.channel_format(), "unknown"),
         [port for port in ports if port],
-        _number(header, _DATA_PORT),
+        data_port=_number(header, _DATA_PORT),
     )
 
 
