@@ -1,7 +1,7 @@
 ; The Windows installer, for all users of a PC. Built by installer/wine and by build.ps1:
 ;   makensis -DVERSION=0.1.0 -DPICTURES=folder -DBUNDLE=folder -DOUTPUT=setup.exe \
 ;     -DUNINSTALLER=uninstall.exe -DCOPY=cp biosensor-gateway.nsi
-; BUNDLE holds bin (biosensor-gateway.exe and _internal), docs, licenses and sbom.cdx.json. Its
+; BUNDLE holds bin (both programs and _internal), docs, licenses and sbom.cdx.json. Its
 ; bill of materials names the uninstaller, so a first run without -DBUNDLE makes that alone:
 ; UNINSTALLER gets it, by COPY ("copy /b" on Windows); it is the same in both.
 ;
@@ -34,7 +34,9 @@ ManifestDPIAware true
 !define NAME "Biosensor Gateway"
 !define PROGRAM "biosensor-gateway"
 !define EXE "${PROGRAM}.exe"
-; Nothing but the program is in the folder that PATH gets: an uninstall.exe there would be a command.
+; Opens the page in a window of its own, without a console.
+!define WINDOWED "${NAME}.exe"
+; Nothing but the two is in the folder that PATH gets: an uninstall.exe there would be a command.
 !define BIN "$INSTDIR\bin"
 !define PUBLISHER "Biosensor Gateway contributors"
 !define OWN_KEY "Software\${PROGRAM}"
@@ -76,8 +78,8 @@ VIAddVersionKey LegalCopyright "Apache License 2.0"
 !define MUI_ABORTWARNING
 !define MUI_FINISHPAGE_NOAUTOCLOSE
 !define MUI_FINISHPAGE_RUN
-!define MUI_FINISHPAGE_RUN_TEXT "Open the settings, to describe your sensors"
-!define MUI_FINISHPAGE_RUN_FUNCTION OpenSettings
+!define MUI_FINISHPAGE_RUN_TEXT "Open ${NAME}, to find your sensors"
+!define MUI_FINISHPAGE_RUN_FUNCTION OpenPage
 !insertmacro MUI_PAGE_WELCOME
 !insertmacro MUI_PAGE_COMPONENTS
 !insertmacro MUI_PAGE_DIRECTORY
@@ -92,9 +94,14 @@ VIAddVersionKey LegalCopyright "Apache License 2.0"
 ; A program that runs cannot be opened for writing.
 !macro IsRunning result
   StrCpy ${result} 0
-  ${If} ${FileExists} "$R8\bin\${EXE}"
+  !insertmacro _IsRunning "${EXE}" ${result}
+  !insertmacro _IsRunning "${WINDOWED}" ${result}
+!macroend
+
+!macro _IsRunning program result
+  ${If} ${FileExists} "$R8\bin\${program}"
     ClearErrors
-    FileOpen $R9 "$R8\bin\${EXE}" a
+    FileOpen $R9 "$R8\bin\${program}" a
     ${If} ${Errors}
       StrCpy ${result} 1
     ${Else}
@@ -128,6 +135,8 @@ Function ${un}CloseProgram
     Quit
   ${EndIf}
 close:
+  nsExec::Exec '"$R8\bin\${EXE}" page --end'
+  Pop $R1
   nsExec::Exec '"$R8\bin\${EXE}" stop'
   Pop $R1
   ; Its window, or a command in another one, may need a moment more.
@@ -155,9 +164,9 @@ Var EarlierAutostart
 
 ; ---- Installation ------------------------------------------------------------------------
 
-Function OpenSettings
+Function OpenPage
   ; As the user who began, not as the administrator that the installer became.
-  Exec '"$WINDIR\explorer.exe" "$SMPROGRAMS\${NAME}\Settings.lnk"'
+  Exec '"$WINDIR\explorer.exe" "$SMPROGRAMS\${NAME}\${NAME}.lnk"'
 FunctionEnd
 
 ; Sets $R8 to where the program is now, or will be.
@@ -215,7 +224,9 @@ Section "${NAME}" SectionProgram
   ; A console window that closes takes its last sentence along: these stay open.
   ; They start in the folder of whoever opens them, so the name is left to be expanded then.
   StrCpy $OUTDIR "%USERPROFILE%"
-  CreateShortcut "$SMPROGRAMS\${NAME}\${NAME}.lnk" "$SYSDIR\cmd.exe" \
+  CreateShortcut "$SMPROGRAMS\${NAME}\${NAME}.lnk" "${BIN}\${WINDOWED}" "" \
+    "${BIN}\${WINDOWED}" 0 SW_SHOWNORMAL "" "Find sensors, see and record them"
+  CreateShortcut "$SMPROGRAMS\${NAME}\Run in a console.lnk" "$SYSDIR\cmd.exe" \
     '/k ""${BIN}\${EXE}" run"' "${BIN}\${EXE}" 0
   CreateShortcut "$SMPROGRAMS\${NAME}\Check this PC.lnk" "$SYSDIR\cmd.exe" \
     '/k ""${BIN}\${EXE}" ${CHECK_COMMAND}"' "${BIN}\${EXE}" 0
@@ -384,6 +395,7 @@ Section "un.${NAME}" SectionRemoval
   DeleteRegKey HKLM "${UNINSTALL_KEY}"
 
   Delete "$SMPROGRAMS\${NAME}\${NAME}.lnk"
+  Delete "$SMPROGRAMS\${NAME}\Run in a console.lnk"
   Delete "$SMPROGRAMS\${NAME}\Check this PC.lnk"
   Delete "$SMPROGRAMS\${NAME}\Settings.lnk"
   Delete "$SMPROGRAMS\${NAME}\Documentation.lnk"
@@ -393,6 +405,7 @@ Section "un.${NAME}" SectionRemoval
   ; Only what is ours: the folder itself goes if nothing else is in it.
   RMDir /r "${BIN}\_internal"
   Delete "${BIN}\${EXE}"
+  Delete "${BIN}\${WINDOWED}"
   RMDir "${BIN}"
   RMDir /r "$INSTDIR\docs"
   RMDir /r "$INSTDIR\licenses"

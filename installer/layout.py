@@ -15,6 +15,8 @@ WORK = ROOT / "build" / "installer"
 DIST = ROOT / "dist"
 
 PROGRAM = "biosensor-gateway"
+# The program of the Start menu, without a console. Nobody types a name with a space by mistake.
+WINDOWED = "Biosensor Gateway"
 # What is tested under Wine is what is released: build.ps1, release.yml and the lock have this one.
 PYTHON = "3.13.2"
 # Of reproducible-builds.org.

@@ -17,10 +17,12 @@ from installer.bundle.errors import UnknownFileError
 from installer.bundle.forbidden import refuse_forbidden
 from installer.bundle.model import BundledFile, Holding
 from installer.bundle.names import matches
+from installer.layout import WINDOWED
 
 _INTERNAL = "_internal/"
 _LIBRARY = f"{_INTERNAL}base_library.zip"
 _PROGRAM = f"{known.PROGRAM}.exe"
+_PROGRAMS = (_PROGRAM, f"{WINDOWED}.exe")
 
 
 def take_inventory(
@@ -53,13 +55,14 @@ def take_inventory(
         If the program cannot be read.
     """
     present = sorted(paths)
-    archive = _archive(bundle)
+    archives = _archives(bundle)
     library = _library_modules(bundle / _LIBRARY)
-    refuse_forbidden(bundle, present, (*archive.modules, *library))
+    frozen = [name for archive in archives.values() for name in archive.modules]
+    refuse_forbidden(bundle, present, (*frozen, *library))
     owners = _Owners(distributions, python)
     holdings: dict[str, Holding] = defaultdict(Holding)
     unknown = _assign_files(bundle, present, owners, holdings)
-    for where, found in _modules(owners, archive, library).items():
+    for where, found in _modules(owners, archives, library).items():
         if not found:
             unknown.append(where)
         for owner in found:
@@ -89,20 +92,22 @@ def _assign_files(
     return unknown
 
 
-def _archive(bundle: Path) -> Archive:
-    program = bundle / _PROGRAM
-    if not program.is_file():
+def _archives(bundle: Path) -> Mapping[str, Archive]:
+    """Read the programs, by the names of their files; the one without a console may be missing."""
+    if not (bundle / _PROGRAM).is_file():
         message = f"{bundle} holds no {_PROGRAM}; name the folder that PyInstaller made."
         raise UnknownFileError(message)
-    return read_archive(program)
+    return {name: read_archive(bundle / name) for name in _PROGRAMS if (bundle / name).is_file()}
 
 
 def _modules(
-    owners: _Owners, archive: Archive, library: Iterable[str]
+    owners: _Owners, archives: Mapping[str, Archive], library: Iterable[str]
 ) -> Mapping[str, tuple[str, ...]]:
     """Map ``file!module`` to its owners."""
-    found = {f"{_PROGRAM}!{name}": owners.of_script(name) for name in archive.scripts}
-    found |= {f"{_PROGRAM}!{name}": owners.of_module(name) for name in archive.modules}
+    found: dict[str, tuple[str, ...]] = {}
+    for file, archive in archives.items():
+        found |= {f"{file}!{name}": owners.of_script(name) for name in archive.scripts}
+        found |= {f"{file}!{name}": owners.of_module(name) for name in archive.modules}
     found |= {f"{_LIBRARY}!{name}": owners.of_module(name) for name in library}
     return found
 
@@ -133,7 +138,7 @@ class _Owners:
 
     def of_file(self, path: str, content: bytes) -> str | None:
         """Return a file's owner; None if there is none."""
-        if path == _PROGRAM:
+        if path in _PROGRAMS:
             return known.PRODUCT
         if path == _LIBRARY:
             return cpython.NAME

@@ -38,9 +38,10 @@ RUNTIME_FOLDERS = (
     "_pyinstaller_hooks_contrib/rthooks",
 )
 
-# The script that is frozen (installer/frozen.py) is the product's, though not in its wheel.
+# The scripts that are frozen (installer/frozen.py, installer/windowed.py) are the product's,
+# though not in its wheel.
 PRODUCT = PROGRAM
-PRODUCT_SCRIPTS = frozenset({"frozen"})
+PRODUCT_SCRIPTS = frozenset({"frozen", "windowed"})
 
 # Read in the texts or sources of each.
 LICENCES = {

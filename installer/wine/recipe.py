@@ -170,7 +170,7 @@ PRODUCT = Stage("product", _install_product, inputs=_PRODUCT)
 FREEZE = Stage(
     "freeze",
     _freeze,
-    inputs=(SOURCES / "biosensor-gateway.spec", SOURCES / "frozen.py"),
+    inputs=tuple(SOURCES / each for each in ("biosensor-gateway.spec", "frozen.py", "windowed.py")),
     after=(PYTHON, PACKAGES, PREFIX, PICTURES, PRODUCT),
 )
 _NSIS = (SOURCES / "biosensor-gateway.nsi",)

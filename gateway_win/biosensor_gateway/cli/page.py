@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
-import webbrowser
+import math
+from collections.abc import Callable
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from biosensor_common.errors import TransportError, TransportReason
+from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_gateway.cli.options import SettingsOption
+from biosensor_gateway.cli.start_log import StartLog
+from biosensor_gateway.page.running import (
+    ADDRESS,
+    SETTINGS,
+    ask_for_window,
+    ask_to_end,
+    page_folder,
+)
+from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.settings.places import settings_path, state_folder
+from biosensor_gateway.system.browser import open_page
 
 
 def page(
@@ -17,22 +29,85 @@ def page(
     browser: Annotated[
         bool, typer.Option("--open/--no-open", help="Open it in the browser, or print its address.")
     ] = True,
+    window: Annotated[
+        bool,
+        typer.Option(
+            "--window", help="Open it in a window of its own, if there is Edge or Chrome."
+        ),
+    ] = False,
+    end_after: Annotated[
+        float,
+        typer.Option(
+            min=0,
+            metavar="MINUTES",
+            help="End when neither a window nor an agent nor a recording was there for so long.",
+            show_default="never",
+        ),
+    ] = math.inf,
+    end: Annotated[
+        bool, typer.Option("--end", help="End the page that runs; the agent goes on.")
+    ] = False,
 ) -> None:
     """Show the agent, its devices and their traces in the browser, until Ctrl-C.
 
-    The address opens once, on this computer alone.
+    The address opens once, on this computer alone. A page that runs already gets another window.
     """
+    folder = state_folder()
+    if end:
+        if not ask_to_end(folder):
+            raise TransportError(TransportReason.ABSENT, "the page does not run")
+        typer.echo("the page has ended")
+        return
+    path = (settings or settings_path()).absolute()
+
+    def show(address: str) -> None:
+        is_open = browser and open_page(address, in_window=window)
+        if window and not is_open:
+            # Nobody would see an address.
+            message = (
+                "no browser could be opened; install Edge or Chrome, or choose a usual browser"
+            )
+            raise TransportError(TransportReason.ABSENT, message)
+        where = "is open in the browser" if is_open else f"opens once at: {address}"
+        typer.echo(f"The page {where}")
+
+    while not _shown_by_another(folder, path, show):
+        try:
+            _serve(folder, path, show, 60 * end_after)
+        except ConfigError as error:
+            # Another one was started at the same time.
+            if error.reason is not ConfigReason.IN_USE:
+                raise
+        else:
+            return
+
+
+def _shown_by_another(folder: Path, settings: Path, show: Callable[[str], None]) -> bool:
+    """Have a server that runs already show the page; return whether there is one."""
+    running = ask_for_window(folder)
+    if running is None:
+        return False
+    if Path(running[SETTINGS]) != settings:
+        message = (
+            f"the page runs already, with the settings file {running[SETTINGS]}; end it first: "
+            "biosensor-gateway page --end"
+        )
+        raise TransportError(TransportReason.BUSY, message)
+    show(running[ADDRESS])
+    return True
+
+
+def _serve(folder: Path, settings: Path, show: Callable[[str], None], end_after_s: float) -> None:
     from biosensor_gateway.page.server import PageServer  # noqa: PLC0415 - takes a second
 
     def ready(address: str) -> None:
-        is_open = browser and webbrowser.open(address)
-        where = "is open in the browser" if is_open else f"opens once at: {address}"
-        typer.echo(f"The page {where}")
+        show(address)
         typer.echo("Press Ctrl-C to end the page; the agent goes on.")
 
-    path = (settings or settings_path()).absolute()
-    try:
-        PageServer(state_folder(), path, ready).run()
-    except OSError as error:
-        message = f"the page cannot be served: {error.strerror or error}"
-        raise TransportError(TransportReason.BUSY, message) from error
+    with StartLog(page_folder(folder)) as log:
+        log.go_on(LogSettings(), verbose=False, title=str)
+        try:
+            PageServer(folder, settings, ready, end_after_s).run()
+        except OSError as error:
+            message = f"the page cannot be served: {error.strerror or error}"
+            raise TransportError(TransportReason.BUSY, message) from error

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.agent.single_instance import is_held
-from biosensor_gateway.system.keep_alive import own_command
+from biosensor_gateway.system.own_command import own_command
 
 ALL_VIRTUAL = "all"
 

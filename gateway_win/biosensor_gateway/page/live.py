@@ -12,6 +12,8 @@ from pydantic import BaseModel, ValidationError
 from biosensor_gateway.page.screen import Screen, View
 from biosensor_gateway.page.session import Session
 
+ENDED = 4000
+"""Code with which a WebSocket is closed because somebody has ended the page."""
 PICTURES_HZ = 20
 STATUS_EVERY = 10
 """Pictures from one status to the next: twice a second."""
@@ -56,7 +58,7 @@ async def _send(
 ) -> None:
     """Send pictures; a browser that is slow gets fewer of them, and nothing piles up here."""
     count = 0
-    while True:
+    while not session.has_ended:
         if count % STATUS_EVERY == 0:
             await socket.send_text(more().model_dump_json())
         picture = screen.picture(session.now())
@@ -64,3 +66,4 @@ async def _send(
             await socket.send_bytes(picture)
         count += 1
         await asyncio.sleep(1 / PICTURES_HZ)
+    await socket.close(ENDED)

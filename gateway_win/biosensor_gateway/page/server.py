@@ -4,32 +4,35 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
+import logging
+import math
 import mimetypes
-import os
 import signal
 import socket
 import sys
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Callable, Mapping
 from importlib.resources import as_file, files
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import uvicorn
 from fastapi import FastAPI
 from fastapi.staticfiles import StaticFiles
 
+from biosensor_common.errors import GatewayError
 from biosensor_gateway.page.api import PREFIX, add_api
+from biosensor_gateway.page.ending import Ending
 from biosensor_gateway.page.guard import DOOR, Guard, Keys
 from biosensor_gateway.page.link import AgentLink
 from biosensor_gateway.page.live import add_live
 from biosensor_gateway.page.marking import Marking
+from biosensor_gateway.page.quitting import add_quit
 from biosensor_gateway.page.recorder import Recorder
+from biosensor_gateway.page.running import ADDRESS, SETTINGS, only_server, reachable
 from biosensor_gateway.page.session import Session
-from biosensor_gateway.system import state_file
 
 HOST = "127.0.0.1"
-PAGE_FILE = "page.json"
 MAX_CONNECTIONS = 100
 MAX_MESSAGE = 64 * 1024
 """Bytes of a message from a browser."""
@@ -43,29 +46,44 @@ class PageServer:
     Parameters
     ----------
     folder
-        The state folder of the agent; says there where the page is, for its user alone.
+        The state folder of the agent; other programs of its user find the server there.
     settings
         The settings file.
     on_ready
-        Called with an address that opens the page once, as soon as it can be opened.
+        Called in a thread with an address that opens the page once, as soon as it can be
+        opened. A `GatewayError` that it raises ends the server.
+    end_after_s
+        How long there must have been neither window nor agent nor recording for the server to
+        end by itself.
     """
 
-    def __init__(self, folder: Path, settings: Path, on_ready: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        settings: Path,
+        on_ready: Callable[[str], None],
+        end_after_s: float = math.inf,
+    ) -> None:
         self._folder = folder
         self._session = Session(folder, settings)
         self._recorder = Recorder(self._session)
         self._marking = Marking(self._session)
+        self._ending = Ending(self._session, end_after_s)
         self._on_ready = on_ready
 
     def run(self) -> None:
-        """Serve until SIGINT or SIGTERM.
+        """Serve until SIGINT or SIGTERM, or until somebody ends the page.
 
         Raises
         ------
+        ConfigError
+            ``IN_USE`` if the state folder has a server already.
         OSError
             There is no port on the loopback address.
+        GatewayError
+            Whatever `on_ready` has raised.
         """
-        with socket.create_server((HOST, 0)) as listening:
+        with only_server(self._folder), socket.create_server((HOST, 0)) as listening:
             port: int = listening.getsockname()[1]
             keys = Keys(port)
             with as_file(files("biosensor_gateway.page") / "static") as pages:
@@ -73,6 +91,7 @@ class PageServer:
                 config = uvicorn.Config(
                     Guard(app, port, keys),
                     log_config=None,
+                    log_level=logging.WARNING,
                     access_log=False,
                     server_header=False,
                     limit_concurrency=MAX_CONNECTIONS,
@@ -83,36 +102,61 @@ class PageServer:
                 # When it has ended by a signal, uvicorn raises that signal again.
                 for number in _REQUESTS:
                     signal.signal(number, _ignore)
-                uvicorn.Server(config).run([listening])
+                self._server = uvicorn.Server(config)
+                self._server.run([listening])
+        if self._ending.error is not None:
+            raise self._ending.error
 
-    def _app(self, pages: Path, keys: Keys, port: int) -> FastAPI:
-        @contextlib.asynccontextmanager
-        async def lifespan(_app: FastAPI) -> AsyncGenerator[None]:
-            session = self._session
-            link = AgentLink(
-                self._folder, session.take_status, session.take_samples, session.take_dropped
-            )
+    def _end(self) -> None:
+        self._server.should_exit = True
+
+    @contextlib.asynccontextmanager
+    async def _serving(self, keys: Keys, port: int) -> AsyncGenerator[None]:
+        """Run what goes on beside the requests."""
+        session = self._session
+        link = AgentLink(
+            self._folder, session.take_status, session.take_samples, session.take_dropped
+        )
+
+        def way_in() -> str:
+            return f"http://{HOST}:{port}{DOOR}?token={keys.new_token()}"
+
+        async def new_window(_arguments: Mapping[str, Any]) -> dict[str, Any]:
+            return {ADDRESS: way_in(), SETTINGS: str(session.settings)}
+
+        async def end(_arguments: Mapping[str, Any]) -> dict[str, Any]:
+            self._ending.request()
+            return {}
+
+        async with reachable(self._folder, new_window, end):
             running = [
-                asyncio.create_task(each.run()) for each in (link, self._recorder, self._marking)
+                asyncio.create_task(each)
+                for each in (
+                    link.run(),
+                    self._recorder.run(),
+                    self._marking.run(),
+                    self._ending.run(self._end),
+                    self._show(way_in()),
+                )
             ]
-            address = f"http://{HOST}:{port}"
-            entry = json.dumps({"address": address, "process": os.getpid()})
-            with contextlib.suppress(OSError):
-                state_file.replace(self._folder / PAGE_FILE, entry, private=True)
-            self._on_ready(f"{address}{DOOR}?token={keys.new_token()}")
             try:
                 yield
             finally:
                 for task in running:
                     task.cancel()
                 await asyncio.gather(*running, return_exceptions=True)
-                with contextlib.suppress(OSError):
-                    (self._folder / PAGE_FILE).unlink()
 
+    async def _show(self, address: str) -> None:
+        try:
+            await asyncio.to_thread(self._on_ready, address)
+        except GatewayError as error:
+            self._ending.request(error)
+
+    def _app(self, pages: Path, keys: Keys, port: int) -> FastAPI:
         app = FastAPI(
             title="Biosensor Gateway",
             version="1",
-            lifespan=lifespan,
+            lifespan=lambda _app: self._serving(keys, port),
             # Their pages load scripts of other servers.
             docs_url=None,
             redoc_url=None,
@@ -121,6 +165,7 @@ class PageServer:
         # Windows asks its registry, where any program may have said otherwise.
         mimetypes.add_type("text/javascript", ".js")
         add_api(app, self._session, self._recorder, self._marking)
+        add_quit(app, self._session, self._recorder, self._ending)
         add_live(app, self._session, self._session.status)
         app.mount("/", StaticFiles(directory=pages, html=True))
         return app

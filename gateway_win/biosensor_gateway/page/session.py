@@ -32,6 +32,11 @@ class Session:
         The state folder of the agent.
     settings
         Its settings file.
+
+    Attributes
+    ----------
+    has_ended
+        Whether the server is about to end; its windows are told so.
     """
 
     def __init__(self, folder: Path, settings: Path) -> None:
@@ -41,6 +46,7 @@ class Session:
         self.screens: set[Screen] = set()
         self.recording = RecordingView()
         self.markers = MarkersView()
+        self.has_ended = False
         self._viewer = Viewer(self.history)
         self._status: Mapping[str, Any] | None = None
         self._skipped = 0
@@ -76,6 +82,11 @@ class Session:
             return self._load().devices
         except ConfigError:
             return ()
+
+    @property
+    def agent(self) -> AgentState:
+        """Whether there is an agent."""
+        return AgentState.RUNNING if self.has_agent else self._absence()
 
     @property
     def has_agent(self) -> bool:

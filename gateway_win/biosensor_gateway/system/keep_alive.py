@@ -16,6 +16,7 @@ from types import FrameType
 from biosensor_common import relay
 from biosensor_gateway.settings.places import state_folder
 from biosensor_gateway.system import restart_notice
+from biosensor_gateway.system.own_command import own_command
 from biosensor_gateway.system.restart_notice import RestartNotice
 from biosensor_gateway.system.standby import Standby
 
@@ -40,14 +41,6 @@ def restart_facts(environment: Mapping[str, str]) -> dict[str, int | str]:
     if not count.isdecimal() or not int(count):
         return {}
     return {"restarts": int(count), "last_end": environment.get(LAST_END, "")}
-
-
-def own_command(arguments: Sequence[str]) -> list[str]:
-    """Return the command line that runs this program with arguments."""
-    is_frozen = bool(getattr(sys, "frozen", False))
-    if is_frozen:
-        return [sys.executable, *arguments]
-    return [sys.executable, "-P", "-m", "biosensor_gateway.cli", *arguments]
 
 
 def keep_alive(arguments: Sequence[str]) -> int:

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from biosensor_gateway.recording.here.memory import RecorderFolder
 from biosensor_gateway.recording.here.program import library_folder
-from biosensor_gateway.system.keep_alive import own_command
+from biosensor_gateway.system.own_command import own_command
 
 KEEPER = "keep-recording"
 """First argument of the command line that is a keeper; the second is the state folder."""

@@ -7,6 +7,7 @@ import { Detail } from "./detail.js";
 import { Doctor } from "./doctor.js";
 import { Live } from "./live.js";
 import { Markers } from "./markers.js";
+import { Ended, Quit } from "./quit.js";
 import { Session } from "./recording.js";
 import { Setup } from "./setup.js";
 
@@ -41,6 +42,7 @@ function Head({ status, act, onSetup, onDoctor }) {
         ${isHere && html`<button onClick=${end}>End the agent</button>`}
         ${!status?.virtual && html`<button onClick=${onSetup}>Find sensors</button>`}
         ${status && html`<button onClick=${onDoctor}>Check this computer</button>`}
+        ${status && html`<${Quit} status=${status} act=${act} />`}
       </div>
     </header>`;
 }
@@ -102,6 +104,7 @@ function App() {
     }
   };
 
+  if (status?.ended) return html`<${Ended} told=${told} />`;
   if (status === undefined) return html`<p class="wait">Opening …</p>`;
   const isEmpty = status && !status.devices.length && !status.configured && status.agent !== "starting";
   return html`

@@ -3,6 +3,8 @@
 const HEAD_BYTES = 20;
 const BLOCK_BYTES = 12;
 const RETRY_MS = 500;
+// The server says by it that somebody has ended the page.
+const ENDED = 4000;
 
 // The bins of one stream: smallest and largest value of each pixel, by the pixel's number.
 export class Trace {
@@ -65,7 +67,8 @@ export class Live {
       if (typeof data === "string") this.onState(JSON.parse(data));
       else this.read(data);
     };
-    this.socket.onclose = () => {
+    this.socket.onclose = ({ code }) => {
+      if (code === ENDED) return this.onState({ ended: true });
       this.onState(null);
       setTimeout(() => this.connect(), RETRY_MS);
     };

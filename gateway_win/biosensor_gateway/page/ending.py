@@ -1,0 +1,70 @@
+"""How the page's server comes to its end, other than by a signal."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections.abc import Callable
+
+from biosensor_common.errors import GatewayError
+from biosensor_gateway.page.models import AgentState
+from biosensor_gateway.page.session import Session
+
+_LOOK_S = 0.5
+_GOODBYE_S, _HEARD_S = 1.0, 0.05
+"""How long windows have to hear of the end, and how often it is asked whether they have."""
+
+
+class Ending:
+    """Ends the server when it is asked to, or when nobody has needed it for a while.
+
+    Parameters
+    ----------
+    session
+        Its windows are told of the end.
+    after_s
+        How long there must have been neither window nor agent nor recording; infinite for a
+        server that stays.
+
+    Attributes
+    ----------
+    error
+        Why the server could not do what it was started for.
+    """
+
+    def __init__(self, session: Session, after_s: float = math.inf) -> None:
+        self._session = session
+        self._after_s = after_s
+        self._asked = asyncio.Event()
+        self.error: GatewayError | None = None
+
+    def request(self, error: GatewayError | None = None) -> None:
+        """End the server soon; what is being answered is answered first."""
+        self.error = error
+        self._asked.set()
+
+    async def run(self, end: Callable[[], object]) -> None:
+        """Call `end` when the time has come and all windows have heard of it."""
+        await self._until_asked_or_not_needed()
+        self._session.has_ended = True
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_GOODBYE_S):
+                while self._session.screens:  # noqa: ASYNC110 - each leaves by itself
+                    await asyncio.sleep(_HEARD_S)
+        end()
+
+    async def _until_asked_or_not_needed(self) -> None:
+        needed = time.monotonic()
+        while time.monotonic() - needed < self._after_s:
+            if self._is_needed():
+                needed = time.monotonic()
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._asked.wait(), _LOOK_S)
+                return
+
+    def _is_needed(self) -> bool:
+        session = self._session
+        is_recording = session.recording.is_running or bool(session.recording.busy)
+        return bool(session.screens) or is_recording or session.agent is not AgentState.ABSENT

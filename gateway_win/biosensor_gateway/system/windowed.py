@@ -1,0 +1,82 @@
+"""The program of the Start menu: opens the page in a window of its own, without a console.
+
+It starts the one with a console, which then has none, and waits for it. So whatever goes wrong
+there, up to a crash of the interpreter, a person gets a sentence instead of nothing. It
+imports little, because all that it imports is installed twice.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections import deque
+from collections.abc import Iterable
+
+from biosensor_gateway.settings.places import state_folder
+from biosensor_gateway.system.own_command import own_command
+
+TITLE = "Biosensor Gateway"
+PAGE = ("page", "--window", "--end-after", "2")
+
+_LAST_LINES = 50
+_LAST_WORDS_S = 2.0
+_OWN_SENTENCE = "biosensor-gateway: "
+
+if sys.platform == "win32":
+    import ctypes
+
+    _FLAGS = subprocess.CREATE_NO_WINDOW
+    # Of winuser.h: an error's sign, and before all other windows.
+    _MESSAGE_BOX = 0x10 | 0x10000
+
+    def _tell(sentence: str) -> None:
+        ctypes.windll.user32.MessageBoxW(None, sentence, TITLE, _MESSAGE_BOX)
+
+else:
+    _FLAGS = 0
+
+    def _tell(sentence: str) -> None:
+        sys.stderr.write(f"{TITLE}: {sentence}\n")
+
+
+def main() -> int:
+    """Open the page, wait until its program has ended, and return its exit code."""
+    try:
+        process = subprocess.Popen(  # noqa: S603 - our own program
+            own_command(PAGE),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+            creationflags=_FLAGS,
+        )
+    except OSError as error:
+        _tell(f"The page cannot be started: {error.strerror or error}. Install the program again.")
+        return 1
+    said: deque[str] = deque(maxlen=_LAST_LINES)
+    assert process.stderr is not None
+    # What a browser that it has started says is not waited for.
+    reader = threading.Thread(target=said.extend, args=(process.stderr,), daemon=True)
+    reader.start()
+    code = process.wait()
+    if code:
+        reader.join(_LAST_WORDS_S)
+        _tell(_sentence(code, list(said)))
+    return code
+
+
+def _sentence(code: int, said: Iterable[str]) -> str:
+    """Say why the page has ended: in its own last sentence, or in whatever it said last."""
+    lines = [line.strip() for line in said if line.strip()]
+    own = [line.removeprefix(_OWN_SENTENCE) for line in lines if line.startswith(_OWN_SENTENCE)]
+    why = (own or lines or [f"exit code {code}"])[-1]
+    return (
+        f"The page has ended: {why}\n\nStreams and recordings that were going on go on. What the "
+        f"page noted is in {state_folder() / 'page'}."
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
