@@ -35,7 +35,7 @@ $Menu = Join-Path ([Environment]::GetFolderPath('CommonPrograms')) $Name
 $UserSettings = Join-Path $env:LOCALAPPDATA "$Program\settings.toml"
 $UninstallKey = "HKLM:\SOFTWARE\Microsoft\Windows\CurrentVersion\Uninstall\$Program"
 $AppPathKey = "HKLM:\SOFTWARE\Microsoft\Windows\CurrentVersion\App Paths\$Exe"
-$Shortcuts = @("$Name.lnk", 'Check this PC.lnk', 'Settings.lnk', 'Documentation.lnk', 'Uninstall.lnk')
+$Shortcuts = @("$Name.lnk", 'Run in a console.lnk', 'Check this PC.lnk', 'Settings.lnk', 'Documentation.lnk', 'Uninstall.lnk')
 $Variables = @('BIOSENSOR_GATEWAY_SETTINGS', 'BIOSENSOR_GATEWAY_STATE', 'BIOSENSOR_GATEWAY_LSL__SESSION_ID')
 $StreamingSeconds = 20
 
@@ -123,11 +123,12 @@ function Assert-Checksum {
 }
 
 function Assert-Files {
-    foreach ($file in "bin\$Exe", 'bin\_internal', 'docs\index.html', 'licenses', 'sbom.cdx.json', 'uninstall.exe') {
+    foreach ($file in "bin\$Exe", "bin\$Name.exe", 'bin\_internal', 'docs\index.html', 'licenses', 'sbom.cdx.json', 'uninstall.exe') {
         Assert-That (Test-Path -LiteralPath (Join-Path $Folder $file)) "$file is missing in $Folder."
     }
     $commands = @(Get-ChildItem -LiteralPath $Bin -File)
-    Assert-That ($commands.Count -eq 1) "The folder of PATH has $($commands.Count) files instead of the one command."
+    # The other one has a space in its name, and opens the page.
+    Assert-That ($commands.Count -eq 2) "The folder of PATH has $($commands.Count) files instead of the two programs."
     $libraries = @(Get-ChildItem -LiteralPath $Folder -Recurse -Filter 'lsl.dll')
     Assert-That ($libraries.Count -gt 0) "There is no lsl.dll in $Folder."
 }

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import re
+import struct
 from pathlib import Path
 
 import pytest
 
-from installer.layout import PROGRAM, PUBLISHER, version
+from installer.layout import PROGRAM, PUBLISHER, WINDOWED, version
 from tests.rigs.windows.desktop import (
     APP_PATH_KEY,
     BIN_FOLDER,
@@ -28,6 +29,7 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
 LINK = re.compile(r'(?:href|src)="([^"]+)"')
 MEBIBYTE = 1024 * 1024
 EXE = rf"{BIN_FOLDER}\{PROGRAM}.exe"
+PAGE_EXE = rf"{BIN_FOLDER}\{WINDOWED}.exe"
 UNINSTALLER = rf"{DEFAULT_FOLDER}\uninstall.exe"
 
 
@@ -48,10 +50,26 @@ def test_the_folder_has_the_program_and_what_belongs_to_it(bundle: Path) -> None
 
 def test_the_folder_of_path_has_the_one_command(bundle: Path) -> None:
     """Else ``uninstall /S``, typed in any terminal, would remove the program."""
-    assert {each.name for each in (bundle / "bin").iterdir()} == {f"{PROGRAM}.exe", "_internal"}
+    programs = {f"{PROGRAM}.exe", f"{WINDOWED}.exe"}
+    assert {each.name for each in (bundle / "bin").iterdir()} == {*programs, "_internal"}
+    # Typed, a name with a space is another command, with an argument.
+    assert " " in WINDOWED
     # What records is started by its full path.
     hidden = (bundle / "bin" / "_internal").rglob("*.exe")
     assert [each.name for each in hidden] == ["LabRecorderCLI.exe"]
+
+
+def test_the_words_of_the_products_name_are_no_command(installed: WindowsPc) -> None:
+    ended = installed.prefix.attempt("cmd", "/c", *WINDOWED.split())
+    assert ended.returncode != 0
+
+
+def test_the_program_without_a_console_costs_next_to_nothing(bundle: Path) -> None:
+    content = (bundle / "bin" / f"{WINDOWED}.exe").read_bytes()
+    assert len(content) <= 3 * MEBIBYTE
+    (header,) = struct.unpack_from("<I", content, 0x3C)
+    # The subsystem, in the optional header behind those of PE and COFF: 2 has no console.
+    assert struct.unpack_from("<H", content, header + 4 + 20 + 68) == (2,)
 
 
 def test_uninstall_is_no_command(installed: WindowsPc) -> None:
@@ -127,7 +145,8 @@ def test_all_users_have_its_entries_in_the_start_menu(installed: WindowsPc) -> N
     found = {each.stem: read_shortcut(each) for each in start_menu(installed).iterdir()}
     home = "%USERPROFILE%"
     assert found == {
-        NAME: Shortcut(cmd, f'/k ""{EXE}" run"', home, EXE),
+        NAME: Shortcut(PAGE_EXE, "", home, PAGE_EXE),
+        "Run in a console": Shortcut(cmd, f'/k ""{EXE}" run"', home, EXE),
         "Check this PC": Shortcut(cmd, f'/k ""{EXE}" doctor"', home, EXE),
         "Settings": Shortcut(cmd, f'/c ""{EXE}" config edit || pause"', home, EXE),
         "Documentation": Shortcut(rf"{DEFAULT_FOLDER}\docs\index.html", "", home),

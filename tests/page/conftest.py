@@ -43,6 +43,7 @@ class Programs:
         self.folder = folder
         self.settings = folder / "settings.toml"
         self.keyring = folder / "keyring.json"
+        self.variables: dict[str, str] = {}
         self._running: list[subprocess.Popen[bytes]] = []
 
     def start(self, *arguments: str, stdout: int = subprocess.DEVNULL) -> subprocess.Popen[bytes]:
@@ -66,6 +67,7 @@ class Programs:
             "BIOSENSOR_GATEWAY_STATE": str(self.folder),
             "BIOSENSOR_GATEWAY_SETTINGS": str(self.settings),
             **file_keyring.environment(self.keyring),
+            **self.variables,
         }
 
     def end(self) -> None:
@@ -89,11 +91,11 @@ class Answer(NamedTuple):
 
 
 class Server:
-    """The page's server: where it is, and the way in."""
+    """The page's server: where it is, and the way in; options for its command can be given."""
 
-    def __init__(self, programs: Programs) -> None:
+    def __init__(self, programs: Programs, *options: str) -> None:
         self.programs = programs
-        self.process = programs.start("page", "--no-open", stdout=subprocess.PIPE)
+        self.process = programs.start("page", "--no-open", *options, stdout=subprocess.PIPE)
         said: queue.Queue[bytes] = queue.Queue()
         output = self.process.stdout
         assert output is not None

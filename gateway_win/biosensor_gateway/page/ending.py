@@ -13,6 +13,8 @@ from biosensor_gateway.page.models import AgentState
 from biosensor_gateway.page.session import Session
 
 _LOOK_S = 0.5
+_FIRST_WINDOW_S = 60.0
+"""How much longer the first one may take: a browser that has just been installed asks things."""
 _GOODBYE_S, _HEARD_S = 1.0, 0.05
 """How long windows have to hear of the end, and how often it is asked whether they have."""
 
@@ -56,7 +58,7 @@ class Ending:
         end()
 
     async def _until_asked_or_not_needed(self) -> None:
-        needed = time.monotonic()
+        needed = time.monotonic() + _FIRST_WINDOW_S
         while time.monotonic() - needed < self._after_s:
             if self._is_needed():
                 needed = time.monotonic()

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from installer.layout import BIN, PROGRAM, WORK
+from installer.layout import BIN, PROGRAM, WINDOWED, WORK
 from installer.wine.prefix import Prefix, WineError
 
 NAME = "Biosensor Gateway"
@@ -92,6 +92,11 @@ class WindowsPc:
     def program(self) -> Path:
         """The installed program."""
         return self.program_folder / BIN / f"{PROGRAM}.exe"
+
+    @property
+    def windowed(self) -> Path:
+        """The installed program without a console, which the Start menu opens."""
+        return self.program.with_name(f"{WINDOWED}.exe")
 
     @property
     def user_folder(self) -> Path:

@@ -27,11 +27,11 @@ export function Quit({ status, act }) {
   return html`
     <button onClick=${ask} disabled=${busy !== ""}>Quit</button>
     <dialog ref=${dialog} aria-labelledby="quit" onCancel=${(event) => busy && event.preventDefault()}>
-      <h2 id="quit">Quit while something goes on?</h2>
+      <h2 id="quit">What is to end?</h2>
       ${running.map((sentence) => html`<p class="file">${sentence}</p>`)}
       <div class="choices">
         <button class="main" disabled=${busy !== ""} onClick=${() => quit("leave")}>Close only the page</button>
-        <p class="small soft">All that goes on goes on without it. Open the page again whenever you like.</p>
+        <p class="small soft">Streams and recordings go on without it. Open it again whenever you like.</p>
         <button disabled=${busy !== ""} onClick=${() => quit("end")}>${busy === "end" ? "Ending …" : everything}</button>
         <p class="small soft">Every stream ends, also for LabRecorder and the robot.</p>
         <button disabled=${busy !== ""} onClick=${() => dialog.current.close()}>Go back</button>

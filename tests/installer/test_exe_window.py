@@ -1,0 +1,128 @@
+"""The way of a person who never opens a terminal: from the Start menu's entry to its end."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Generator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, expect, sync_playwright
+
+from biosensor_gateway.agent import status_file
+from biosensor_gateway.agent.single_instance import LOCK_FILE
+from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4
+from biosensor_gateway.simulation.world import World
+from installer.layout import WORK
+from installer.wine.prefix import Prefix
+from tests.rigs.chromium import OPTIONS
+from tests.rigs.windows.pc import WindowsPc
+from tests.rigs.windows.program import lively, program_environment
+from tests.rigs.wristbands import LOCATED
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
+
+DEADLINE_S = 120.0
+UNIT = "9ff167"
+ADDRESS = re.compile(r"--app=(http://127\.0\.0\.1:(\d+)/door\?token=[\w-]+)")
+EDGE_KEY = r"HKLM\Software\Microsoft\Windows\CurrentVersion\App Paths\msedge.exe"
+
+expect.set_options(1000 * DEADLINE_S)
+
+
+@pytest.fixture
+def here(installed: WindowsPc, tmp_path: Path) -> Prefix:
+    prefix = lively(installed)
+    settings = {"BIOSENSOR_GATEWAY_SETTINGS": f"Z:{tmp_path / 'settings.toml'}"}
+    return replace(
+        prefix, environment={**prefix.environment, **program_environment(tmp_path), **settings}
+    )
+
+
+@pytest.fixture
+def asked(here: Prefix) -> Path:
+    """What Edge was asked for: Wine has none, so a program in its place writes it down."""
+    folder = here.drive_c / "edge"
+    folder.mkdir()
+    (folder / "msedge.bat").write_text("@echo %*>> C:\\edge\\asked.txt\r\n")
+    here.run("reg", "add", EDGE_KEY, "/ve", "/d", r"C:\edge\msedge.bat", "/f")
+    return folder / "asked.txt"
+
+
+@pytest.fixture
+def chromium() -> Generator[Browser]:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(**OPTIONS)
+        yield browser
+        browser.close()
+
+
+def opened(asked: Path, count: int) -> list[tuple[str, str]]:
+    """Wait until so many windows were asked for; address and port of each."""
+    begun, found = time.monotonic(), list[tuple[str, str]]()
+    while len(found) < count:
+        assert time.monotonic() < begun + DEADLINE_S, f"{len(found)} windows were opened"
+        time.sleep(0.1)
+        found = ADDRESS.findall(asked.read_text()) if asked.exists() else []
+    return found
+
+
+def test_from_the_start_menu_to_traces_and_to_the_end(
+    here: Prefix, installed: WindowsPc, asked: Path, chromium: Browser, tmp_path: Path
+) -> None:
+    with World() as world, SimulatedE4(world, device_id=UNIT) as wristband:
+        # Where this computer has the server is all that is known; no sensor is set up.
+        (tmp_path / "settings.toml").write_text(LOCATED.format(**wristband.settings))
+        program = here.start(installed.windowed)
+        try:
+            ((address, port),) = opened(asked, 1)
+            page = chromium.new_page()
+            page.goto(address)
+            page.get_by_role("button", name="Find sensors").first.click()
+            entry = page.locator(".found li", has_text=UNIT)
+            entry.get_by_label("Participant").fill("p01")
+            entry.get_by_role("button", name="Add").click()
+            expect(entry.get_by_text("in the settings already")).to_be_visible()
+            page.get_by_role("button", name="Close").click()
+            card = page.locator(f'[data-device="empatica_e4/{UNIT.upper()}"]')
+            expect(card.get_by_text("streaming")).to_be_visible()
+            canvas = card.locator("canvas").first.element_handle()
+            page.wait_for_function(
+                "([canvas, before]) => canvas.toDataURL() !== before",
+                arg=[canvas, canvas and canvas.evaluate("canvas => canvas.toDataURL()")],
+            )
+
+            # Nobody has to start an agent again.
+            agent = status_file.read_status(tmp_path)["process"]
+            # Wine's taskkill says that a program has ended as it should.
+            here.run(WORK / "python" / "python.exe", "-c", f"import os; os.kill({agent}, 15)")
+            expect(page.get_by_text("The agent had died")).to_be_visible()
+            expect(card.get_by_text("streaming")).to_be_visible()
+
+            # A second click is a second window, and no second server.
+            again = here.attempt(installed.windowed, timeout=DEADLINE_S)
+            assert again.returncode == 0, again.stdout
+            second = opened(asked, 2)[1]
+            assert second[1] == port
+            other = chromium.new_page()
+            other.goto(second[0])
+            expect(other.get_by_role("button", name="Quit")).to_be_visible()
+
+            page.get_by_role("button", name="Quit").click()
+            page.get_by_role("button", name="End everything").click()
+            for each in (page, other):
+                expect(each.get_by_role("heading", name="The page has ended")).to_be_visible()
+            expect(page.get_by_text("The agent has ended.")).to_be_visible()
+            assert program.wait(DEADLINE_S) == 0
+            assert here.attempt(installed.program, "stop").returncode == 1
+            assert not (tmp_path / LOCK_FILE).exists()
+        finally:
+            here.attempt(installed.program, "page", "--end")
+            here.attempt(installed.program, "stop")
+            program.kill()
+            program.wait()
+            for pipe in (program.stdin, program.stdout):
+                assert pipe is not None
+                pipe.close()

@@ -1,0 +1,170 @@
+"""One server for each state folder: a second start opens its page, and either ends as it should."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Generator
+from pathlib import Path
+
+import psutil
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from biosensor_gateway.page.running import page_folder
+from tests.page.conftest import DEADLINE_S, STARTED, Programs, Server
+from tests.rigs.chromium import OPTIONS
+
+expect.set_options(1000 * DEADLINE_S)
+OpenWindow = Callable[..., Page]
+NO_SENSOR = "No sensor is set up yet"
+# Minutes.
+SOON = "0.05"
+
+
+def until(holds: Callable[[], object], expected: str) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while not holds():
+        assert time.monotonic() < deadline, f"never happened: {expected}"
+        time.sleep(0.05)
+
+
+def test_a_second_start_opens_another_window_of_the_same_server(
+    server: Server, window: OpenWindow
+) -> None:
+    page = window()
+    page.goto(server.address)
+    said = server.programs.call("page", "--no-open")
+    found = STARTED.search(said)
+    assert found is not None
+    assert int(found[1]) == server.port
+    # What opens the page lies in no file, and is another one each time.
+    assert found[0] != server.address
+    token = found[0].rpartition("=")[2].encode()
+    files = [each for each in server.programs.folder.rglob("*") if each.is_file()]
+    assert not [each for each in files if token in each.read_bytes()]
+    control = page_folder(server.programs.folder) / "control.json"
+    assert control.stat().st_mode & 0o077 == 0
+    second = window()
+    second.goto(found[0])
+    for each in (page, second):
+        expect(each.get_by_role("heading", name=NO_SENSOR)).to_be_visible()
+
+
+def test_of_two_that_start_at_once_one_serves_and_the_other_opens_it(programs: Programs) -> None:
+    both = [programs.start("page", "--no-open", stdout=subprocess.PIPE) for _ in range(2)]
+    outputs = [each.stdout for each in both]
+    ports = {STARTED.search(out.readline().decode())[1] for out in outputs if out}  # pyright: ignore[reportOptionalSubscript]
+    assert len(ports) == 1
+    until(lambda: [each.poll() for each in both].count(0) == 1, "one that has opened the other's")
+    assert [each.poll() for each in both].count(None) == 1
+
+
+def test_other_settings_are_not_shown_as_if_they_were_those_asked_for(server: Server) -> None:
+    command = [sys.executable, "-m", "biosensor_gateway.cli", "page", "--settings", "other.toml"]
+    environment = server.programs.environment
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert ended.returncode == 1
+    assert f"with the settings file {server.programs.settings}; end it first" in ended.stderr
+
+
+def test_a_server_that_was_killed_is_in_nobodys_way(programs: Programs) -> None:
+    killed = Server(programs)
+    killed.process.kill()
+    killed.process.wait()
+    assert Server(programs).request("GET", "/", "").status == 401
+
+
+def test_it_is_ended_by_a_command_and_its_windows_say_so(
+    server: Server, window: OpenWindow
+) -> None:
+    page = window()
+    page.goto(server.address)
+    expect(page.get_by_role("heading", name=NO_SENSOR)).to_be_visible()
+    assert server.programs.call("page", "--end") == "the page has ended\n"
+    assert server.process.wait(DEADLINE_S) == 0
+    expect(page.get_by_role("heading", name="The page has ended")).to_be_visible()
+
+
+def test_it_ends_after_its_last_window_but_not_while_an_agent_runs(
+    programs: Programs, window: OpenWindow
+) -> None:
+    server = Server(programs, "--end-after", SOON)
+    page = window()
+    page.goto(server.address)
+    expect(page.get_by_role("heading", name=NO_SENSOR)).to_be_visible()
+    programs.start("run", "--simulate", "zephyr")
+    expect(page.locator(".card", has_text="streaming")).to_have_count(1)
+    page.close()
+    with pytest.raises(subprocess.TimeoutExpired):
+        server.process.wait(2 * 60 * float(SOON))
+    programs.call("stop")
+    assert server.process.wait(DEADLINE_S) == 0
+
+
+@pytest.fixture
+def profile(programs: Programs, tmp_path: Path) -> Generator[Path]:
+    """Let a real Chromium be the browser of the programs; where it says what it was asked for."""
+    folder, profile = tmp_path / "bin", tmp_path / "profile"
+    folder.mkdir()
+    program = folder / "chromium"
+    options = " ".join([*OPTIONS["args"], "--headless=new", "--remote-debugging-port=0"])
+    program.write_text(
+        f'#!/bin/sh\necho "$@" > "{tmp_path}/asked"\n'
+        f'exec "{OPTIONS["executable_path"]}" {options} --user-data-dir="{profile}" "$@"\n'
+    )
+    program.chmod(0o755)
+    programs.variables["PATH"] = f"{folder}:{os.environ['PATH']}"
+    yield profile
+    for process in psutil.process_iter(["cmdline"]):
+        if f"--user-data-dir={profile}" in (process.info["cmdline"] or []):
+            process.kill()
+
+
+def test_it_opens_a_window_of_its_own_and_ends_after_it(
+    programs: Programs, profile: Path, tmp_path: Path, chromium: Browser
+) -> None:
+    server = programs.start("page", "--window", "--end-after", SOON)
+    port = profile / "DevToolsActivePort"
+    until(lambda: port.exists() and port.read_text(), "a browser")
+    assert (tmp_path / "asked").read_text().startswith("--app=http://127.0.0.1:")
+    number = port.read_text().split()[0]
+    opened = chromium.browser_type.connect_over_cdp(f"http://127.0.0.1:{number}")
+    (page,) = opened.contexts[0].pages
+    expect(page.get_by_role("heading", name=NO_SENSOR)).to_be_visible()
+    page.close()
+    assert server.wait(DEADLINE_S) == 0
+
+
+WINDOWED = [sys.executable, "-m", "biosensor_gateway.system.windowed"]
+
+
+def test_the_windowed_program_says_why_no_window_could_be_opened(
+    programs: Programs, tmp_path: Path
+) -> None:
+    # Neither a browser nor a terminal for one.
+    nothing = {"PATH": str(tmp_path / "none"), "BROWSER": "", "DISPLAY": "", "TERM": "dumb"}
+    ended = subprocess.run(
+        WINDOWED, env=programs.environment | nothing, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 1
+    assert "Biosensor Gateway: The page has ended: no browser could be opened" in ended.stderr
+    assert str(page_folder(programs.folder)) in ended.stderr
+    log = page_folder(programs.folder) / "biosensor-gateway.log"
+    assert "no browser could be opened" in log.read_text()
+
+
+@pytest.mark.usefixtures("profile")
+def test_the_windowed_program_says_that_its_page_was_killed(programs: Programs) -> None:
+    launcher = subprocess.Popen(
+        WINDOWED, env=programs.environment, stderr=subprocess.PIPE, text=True
+    )
+    control = page_folder(programs.folder) / "control.json"
+    until(control.exists, "a server")
+    (server,) = psutil.Process(launcher.pid).children()
+    server.kill()
+    _, said = launcher.communicate(timeout=DEADLINE_S)
+    assert launcher.returncode != 0
+    assert "The page has ended: exit code -9" in said
