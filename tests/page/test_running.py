@@ -55,8 +55,12 @@ def test_a_second_start_opens_another_window_of_the_same_server(
 
 def test_of_two_that_start_at_once_one_serves_and_the_other_opens_it(programs: Programs) -> None:
     both = [programs.start("page", "--no-open", stdout=subprocess.PIPE) for _ in range(2)]
-    outputs = [each.stdout for each in both]
-    ports = {STARTED.search(out.readline().decode())[1] for out in outputs if out}  # pyright: ignore[reportOptionalSubscript]
+    ports: set[str] = set()
+    for each in both:
+        assert each.stdout is not None
+        found = STARTED.search(each.stdout.readline().decode())
+        assert found is not None
+        ports.add(found[1])
     assert len(ports) == 1
     until(lambda: [each.poll() for each in both].count(0) == 1, "one that has opened the other's")
     assert [each.poll() for each in both].count(None) == 1

@@ -40,7 +40,9 @@ def open_page(address: str, *, in_window: bool) -> bool:
 
 def _open_window(address: str) -> bool:
     # What has the browser that a person chose as the usual one may not know such windows.
-    return any(_started([program, f"--app={address}"]) for program in _programs())
+    # One that was never used would show a tour before the page.
+    options = [f"--app={address}", "--no-first-run"]
+    return any(_started([program, *options]) for program in _programs())
 
 
 def _started(command: list[str]) -> bool:

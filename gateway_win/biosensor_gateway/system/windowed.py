@@ -22,6 +22,8 @@ PAGE = ("page", "--window", "--end-after", "2")
 _LAST_LINES = 50
 _LAST_WORDS_S = 2.0
 _OWN_SENTENCE = "biosensor-gateway: "
+# STATUS_CONTROL_C_EXIT of ntstatus.h: Windows ends a console's program so when a user logs off.
+_LOGGED_OFF = 0xC000013A
 
 if sys.platform == "win32":
     import ctypes
@@ -61,7 +63,7 @@ def main() -> int:
     reader = threading.Thread(target=said.extend, args=(process.stderr,), daemon=True)
     reader.start()
     code = process.wait()
-    if code:
+    if code not in {0, _LOGGED_OFF}:
         reader.join(_LAST_WORDS_S)
         _tell(_sentence(code, list(said)))
     return code
