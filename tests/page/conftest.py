@@ -96,14 +96,22 @@ class Server:
     def __init__(self, programs: Programs, *options: str) -> None:
         self.programs = programs
         self.process = programs.start("page", "--no-open", *options, stdout=subprocess.PIPE)
-        said: queue.Queue[bytes] = queue.Queue()
-        output = self.process.stdout
-        assert output is not None
-        threading.Thread(target=lambda: said.put(output.readline()), daemon=True).start()
-        found = STARTED.search(said.get(timeout=DEADLINE_S).decode())
-        assert found is not None
+        self._said: queue.Queue[str] = queue.Queue()
+        threading.Thread(target=self._listen, daemon=True).start()
+        found = self.said(STARTED)
         self.address = found[0]
         self.port = int(found[1])
+
+    def said(self, pattern: re.Pattern[str]) -> re.Match[str]:
+        """Wait for a line that it prints."""
+        while (found := pattern.search(self._said.get(timeout=DEADLINE_S))) is None:
+            pass
+        return found
+
+    def _listen(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self._said.put(line.decode())
 
     @property
     def origin(self) -> str:

@@ -14,6 +14,7 @@ from biosensor_gateway.cli.options import SettingsOption
 from biosensor_gateway.cli.start_log import StartLog
 from biosensor_gateway.page.running import (
     ADDRESS,
+    IS_SHARED,
     SETTINGS,
     ask_for_window,
     ask_to_end,
@@ -22,6 +23,9 @@ from biosensor_gateway.page.running import (
 from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.settings.places import settings_path, state_folder
 from biosensor_gateway.system.browser import open_page
+
+SHARE_PORT = 8719
+"""Always the same, for it has to be opened in firewalls."""
 
 
 def page(
@@ -44,6 +48,13 @@ def page(
             show_default="never",
         ),
     ] = math.inf,
+    share: Annotated[
+        bool,
+        typer.Option("--share", help="Other computers may look on, over TLS; they change nothing."),
+    ] = False,
+    share_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="TCP port for them; 0 for any that is free.")
+    ] = SHARE_PORT,
     end: Annotated[
         bool, typer.Option("--end", help="End the page that runs; the agent goes on.")
     ] = False,
@@ -71,9 +82,9 @@ def page(
         where = "is open in the browser" if is_open else f"opens once at: {address}"
         typer.echo(f"The page {where}")
 
-    while not _shown_by_another(folder, path, show):
+    while not _shown_by_another(folder, path, show, wants_share=share):
         try:
-            _serve(folder, path, show, 60 * end_after)
+            _serve(folder, path, show, 60 * end_after, share_port if share else None)
         except ConfigError as error:
             # Another one was started at the same time.
             if error.reason is not ConfigReason.IN_USE:
@@ -82,7 +93,9 @@ def page(
             return
 
 
-def _shown_by_another(folder: Path, settings: Path, show: Callable[[str], None]) -> bool:
+def _shown_by_another(
+    folder: Path, settings: Path, show: Callable[[str], None], *, wants_share: bool
+) -> bool:
     """Have a server that runs already show the page; return whether there is one."""
     running = ask_for_window(folder)
     if running is None:
@@ -93,21 +106,40 @@ def _shown_by_another(folder: Path, settings: Path, show: Callable[[str], None])
             "biosensor-gateway page --end"
         )
         raise TransportError(TransportReason.BUSY, message)
+    if wants_share and not running[IS_SHARED]:
+        message = (
+            "the page runs already, and no other computer can look on; end it first: "
+            "biosensor-gateway page --end"
+        )
+        raise TransportError(TransportReason.BUSY, message)
     show(running[ADDRESS])
     return True
 
 
-def _serve(folder: Path, settings: Path, show: Callable[[str], None], end_after_s: float) -> None:
+def _serve(
+    folder: Path,
+    settings: Path,
+    show: Callable[[str], None],
+    end_after_s: float,
+    share_port: int | None,
+) -> None:
     from biosensor_gateway.page.server import PageServer  # noqa: PLC0415 - takes a second
 
     def ready(address: str) -> None:
         show(address)
+        if server.share is not None:
+            typer.echo("Other computers look on, and change nothing, at:")
+            for each in server.share.addresses:
+                typer.echo(f"  {each}")
+            typer.echo("Their browser asks about the certificate, whose SHA-256 begins with")
+            typer.echo(f"  {server.share.fingerprint[:47]}")
         typer.echo("Press Ctrl-C to end the page; the agent goes on.")
 
     with StartLog(page_folder(folder)) as log:
         log.go_on(LogSettings(), verbose=False, title=str)
         try:
-            PageServer(folder, settings, ready, end_after_s).run()
+            server = PageServer(folder, settings, ready, end_after_s, share_port)
+            server.run()
         except OSError as error:
             message = f"the page cannot be served: {error.strerror or error}"
             raise TransportError(TransportReason.BUSY, message) from error

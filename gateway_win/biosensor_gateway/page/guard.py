@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import hmac
 import secrets
+from collections.abc import Iterable
 from http.cookies import CookieError, SimpleCookie
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import Request
@@ -22,6 +23,10 @@ DOOR = "/door"
 MAX_BODY = 64 * 1024
 MAX_SOCKETS = 32
 """Browser windows at a time."""
+OPENS_ONCE = (
+    "This address opens once. Open the page again from the program: biosensor-gateway page, or "
+    "the entry of the Start menu."
+)
 _TOKENS_KEPT = 16
 _REFUSED_SOCKET = 1008
 
@@ -51,7 +56,14 @@ class Keys:
     ----------
     port
         Browsers send a cookie to every port of a computer, so it is in the cookie's name.
+
+    Attributes
+    ----------
+    same_site
+        What a browser is told of the cookie: whether it goes along with a link of another page.
     """
+
+    same_site: Literal["lax", "strict"] = "strict"
 
     def __init__(self, port: int) -> None:
         self.cookie_name = f"biosensor_gateway_{port}"
@@ -77,22 +89,44 @@ class Keys:
         return hmac.compare_digest(cookie.encode(errors="replace"), self._cookie.encode())
 
 
+class ViewKeys(Keys):
+    """Opens the view for other computers: its token is good until the server ends.
+
+    Nothing can be changed there, so a link on another page, as in a mail, may lead to it.
+    """
+
+    same_site = "lax"
+
+    def __init__(self, port: int) -> None:
+        super().__init__(port)
+        self.token = secrets.token_urlsafe(16)
+
+    def cookie_for(self, token: str) -> str | None:
+        """Return the cookie; None for a token that is wrong."""
+        fits = hmac.compare_digest(token.encode(errors="replace"), self.token.encode())
+        return self._cookie if fits else None
+
+
 class Guard:
     """Checks every request and WebSocket before the application sees it.
 
     Parameters
     ----------
     app
-    port
-        On which the server listens, on the loopback address alone.
+    origins
+        Addresses of the server, such as ``http://127.0.0.1:1234``; it is asked by no other.
     keys
+    refused
+        What is said to whoever comes without the cookie.
     """
 
-    def __init__(self, app: ASGIApp, port: int, keys: Keys) -> None:
+    def __init__(self, app: ASGIApp, origins: Iterable[str], keys: Keys, refused: str) -> None:
         self._app = app
         self._keys = keys
-        self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
-        self._origins = {f"http://{host}" for host in self._hosts}
+        self._refused = refused
+        self._origins = frozenset(origins)
+        self._hosts = {each.partition("://")[2] for each in self._origins}
+        self._is_secure = all(each.startswith("https:") for each in self._origins)
         self._sockets = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -134,10 +168,15 @@ class Guard:
     def _door(self, request: Request) -> Response:
         cookie = self._keys.cookie_for(request.query_params.get("token", ""))
         if cookie is None:
-            return PlainTextResponse(_CLOSED + "\n", 403)
+            return PlainTextResponse(self._refused + "\n", 403)
         response = RedirectResponse("/", 303)
         response.set_cookie(
-            self._keys.cookie_name, cookie, httponly=True, samesite="strict", path="/"
+            self._keys.cookie_name,
+            cookie,
+            path="/",
+            secure=self._is_secure,
+            httponly=True,
+            samesite=self._keys.same_site,
         )
         return response
 
@@ -147,7 +186,8 @@ class Guard:
         origin = headers.get("origin")
         if origin not in self._origins and (needs_origin or origin is not None):
             return _Refusal(403, "Another web page has sent this; only the program's own may.")
-        if headers.get("sec-fetch-site", "none") not in {"same-origin", "none"}:
+        is_link = self._keys.same_site == "lax" and headers.get("sec-fetch-mode") == "navigate"
+        if not is_link and headers.get("sec-fetch-site", "none") not in {"same-origin", "none"}:
             return _Refusal(403, "Another web page has sent this; only the program's own may.")
         return None
 
@@ -158,14 +198,8 @@ class Guard:
             cookies = SimpleCookie()
         cookie = cookies.get(self._keys.cookie_name)
         if cookie is None or not self._keys.fits(cookie.value):
-            return _Refusal(401, _CLOSED)
+            return _Refusal(401, self._refused)
         return None
-
-
-_CLOSED = (
-    "This address opens once. Open the page again from the program: biosensor-gateway page, or "
-    "the entry of the Start menu."
-)
 
 
 def _body(headers: Headers) -> _Refusal | None:

@@ -162,6 +162,21 @@ class MarkersView(BaseModel):
     buttons: list[str] = Field(default_factory=list[str])
 
 
+class ShareView(BaseModel):
+    """How other computers look on.
+
+    Attributes
+    ----------
+    addresses
+        One for each network of this computer, with the token.
+    fingerprint
+        SHA-256 of the certificate, which a browser asks about the first time.
+    """
+
+    addresses: list[str]
+    fingerprint: str
+
+
 class StatusView(BaseModel):
     """The agent and its devices now.
 
@@ -176,6 +191,8 @@ class StatusView(BaseModel):
         How many devices the settings name.
     skipped
         Samples that this page was too slow to show; nothing of a recording.
+    share
+        None while no other computer can look on.
     """
 
     agent: AgentState
@@ -189,6 +206,7 @@ class StatusView(BaseModel):
     devices: list[DeviceView] = Field(default_factory=list[DeviceView])
     recording: RecordingView = Field(default_factory=RecordingView)
     markers: MarkersView = Field(default_factory=MarkersView)
+    share: ShareView | None = None
 
 
 class FoundView(BaseModel):

@@ -21,8 +21,9 @@ from biosensor_gateway.agent.control_server import Command, ControlServer
 from biosensor_gateway.agent.single_instance import single_instance, wait_until_free
 
 OPEN, END = "open", "end"
-ADDRESS, SETTINGS = "address", "settings"
-"""What `OPEN` answers: an address that opens the page once, and the server's settings file."""
+ADDRESS, SETTINGS, IS_SHARED = "address", "settings", "shared"
+"""What `OPEN` answers: an address that opens the page once, the server's settings file, and
+whether other computers can look on."""
 
 _START_S = 30.0
 """A server of a busy computer may take so long until it listens."""
@@ -72,7 +73,7 @@ async def reachable(folder: Path, new_window: Command, end: Command) -> AsyncGen
 
 
 def ask_for_window(folder: Path) -> dict[str, Any] | None:
-    """Return `ADDRESS` and `SETTINGS` of the server that runs; None if none does.
+    """Return what `OPEN` answers of the server that runs; None if none does.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 import { html, render, useEffect, useRef, useState } from "../vendor/preact-htm.js";
 import { ask } from "./api.js";
-import { Cards, mainStreams } from "./cards.js";
+import { Cards } from "./cards.js";
 import { Detail } from "./detail.js";
 import { Doctor } from "./doctor.js";
 import { Live } from "./live.js";
@@ -10,22 +10,10 @@ import { Markers } from "./markers.js";
 import { Ended, Quit } from "./quit.js";
 import { Session } from "./recording.js";
 import { Setup } from "./setup.js";
+import { Share } from "./share.js";
+import { Agent, Notices, useShown } from "./status.js";
 
-const WINDOW_S = 10;
-const SPARK_PIXELS = 300;
-const PLOT_PIXELS = 900;
 const TOLD_MS = 8000;
-
-const AGENT = {
-  running: ["●", "good", "streaming agent runs"],
-  starting: ["◌", "warn", "agent is starting"],
-  absent: ["■", "bad", "agent does not run"],
-};
-
-function Agent({ status }) {
-  const [sign, tone, word] = status ? AGENT[status.agent] : ["■", "bad", "the page's program does not answer"];
-  return html`<span class="state ${tone}" role="status"><span aria-hidden="true">${sign}</span> ${word}</span>`;
-}
 
 function Head({ status, act, onSetup, onDoctor }) {
   const isHere = status?.agent === "running";
@@ -59,14 +47,6 @@ function Welcome({ act, onSetup }) {
     </section>`;
 }
 
-function Notices({ status }) {
-  return html`
-    ${status.problem && html`<section class="panel problem" role="alert"><h2>The settings file has a mistake</h2><p>${status.problem}</p><p class="small soft">Until it is mended, the agent goes on with what it had.</p></section>`}
-    ${status.virtual && html`<p class="panel notice">These are virtual sensors: their signals are made up or were recorded.</p>`}
-    ${status.restarts > 0 && html`<p class="panel notice">The agent had died (${status.last_end}) and was started again. What it could not send then is a gap in every stream.</p>`}
-    ${status.skipped > 0 && html`<p class="panel notice small">This page was too slow for ${status.skipped} samples, and left them out of its traces. Streams and recordings have them.</p>`}`;
-}
-
 function App() {
   const [status, setStatus] = useState(undefined);
   const [open, setOpen] = useState(null);
@@ -85,13 +65,7 @@ function App() {
     return () => clearTimeout(timer);
   }, [told]);
 
-  const devices = status?.devices ?? [];
-  const device = devices.find((each) => each.name === open);
-  useEffect(() => {
-    if (!live.current || !status) return;
-    const shown = device ? device.streams : devices.flatMap(mainStreams);
-    live.current.show(shown.map((each) => each.source_id), WINDOW_S, device ? PLOT_PIXELS : SPARK_PIXELS);
-  }, [status]);
+  const { devices, device } = useShown(live, status, open);
 
   // Answers with whether it is done; what was refused is told in the server's words.
   const act = async (method, path, content) => {
@@ -111,6 +85,7 @@ function App() {
     <${Head} status=${status} act=${act} onSetup=${() => setSetup(true)} onDoctor=${() => setExamined(true)} />
     <main>
       ${status && html`<${Notices} status=${status} />`}
+      ${status?.share && html`<${Share} share=${status.share} />`}
       ${!status && html`<p class="panel problem" role="alert">The page's program does not answer. Nothing here is of now. If it was ended, start it again: biosensor-gateway page.</p>`}
       ${isSetup && html`<${Setup} act=${act} configured=${status?.configured} onClose=${() => setSetup(false)} />`}
       ${isExamined && html`<${Doctor} onClose=${() => setExamined(false)} />`}

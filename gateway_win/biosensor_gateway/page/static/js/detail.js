@@ -38,7 +38,7 @@ function Trace({ live, stream }) {
     </figure>`;
 }
 
-function Copied({ text }) {
+export function Copied({ text }) {
   const [isDone, setDone] = useState(false);
   const copy = async () => {
     await navigator.clipboard.writeText(text);
@@ -121,15 +121,15 @@ export function Detail({ live, device, isVirtual, act, onClose }) {
       ${device.reason && html`<p class="reason">${device.reason}</p>`}
       <div class="buttons">
         <button onClick=${onClose}>Back to all devices</button>
-        ${device.paused
+        ${!act ? null : device.paused
           ? html`<button onClick=${() => act("POST", "/devices/resume", which)}>Resume</button>`
           : html`<button onClick=${() => act("POST", "/devices/pause", which)}>Pause (withdrawal)</button>`}
-        ${!isVirtual && html`<button onClick=${remove}>Remove …</button>`}
+        ${act && !isVirtual && html`<button onClick=${remove}>Remove …</button>`}
       </div>
       ${plotted.map((stream) => html`<${Trace} key=${stream.source_id} live=${live} stream=${stream} />`)}
       <h3>Streams</h3>
       <${Streams} device=${device} />
-      ${!isVirtual && html`<h3>Who wears it</h3><${Edit} key=${device.name} device=${device} act=${act} />
+      ${act && !isVirtual && html`<h3>Who wears it</h3><${Edit} key=${device.name} device=${device} act=${act} />
         <${Access} sensor=${device.sensor} act=${act} />`}
     </section>`;
 }

@@ -60,7 +60,7 @@ export class Live {
   }
 
   connect() {
-    this.socket = new WebSocket(`ws://${location.host}/live`);
+    this.socket = new WebSocket(`${location.protocol.replace("http", "ws")}//${location.host}/live`);
     this.socket.binaryType = "arraybuffer";
     this.socket.onopen = () => this.ask();
     this.socket.onmessage = ({ data }) => {

@@ -8,6 +8,18 @@ function isTyping(event) {
   return event.target.closest?.("input, textarea, select") || event.ctrlKey || event.altKey || event.metaKey;
 }
 
+export function MarkerList({ markers, undo }) {
+  const shown = markers.markers.filter((each) => each.kind !== "undo").reverse();
+  if (!shown.length) return null;
+  return html`
+    <ol class="marks small" reversed>
+      ${shown.map((each) => html`
+        <li key=${each.id} class=${each.undone ? "undone" : ""}>
+          ${each.note || each.marker}${each.undone ? " (marked as a mistake)" : undo && html` <button class="plain" onClick=${() => undo(each.id)}>undo<span class="hidden"> ${each.note || each.marker}</span></button>`}
+        </li>`)}
+    </ol>`;
+}
+
 export function Markers({ markers, act }) {
   const [note, setNote] = useState("");
   const names = markers.buttons.join("\n");
@@ -25,7 +37,6 @@ export function Markers({ markers, act }) {
     act("POST", "/markers", { marker: "note", note, kind: "note" }).then((isDone) => isDone && setNote(""));
   };
   const undo = (id) => act("POST", "/markers/undo", { id });
-  const shown = markers.markers.filter((each) => each.kind !== "undo").reverse();
   return html`
     <section class="panel" aria-labelledby="markers">
       <h2 id="markers">Markers</h2>
@@ -40,12 +51,6 @@ export function Markers({ markers, act }) {
         </label>
         <button>Send note</button>
       </form>
-      ${shown.length > 0 && html`
-        <ol class="marks small" reversed>
-          ${shown.map((each) => html`
-            <li key=${each.id} class=${each.undone ? "undone" : ""}>
-              ${each.note || each.marker}${each.undone ? " (marked as a mistake)" : html` <button class="plain" onClick=${() => undo(each.id)}>undo<span class="hidden"> ${each.note || each.marker}</span></button>`}
-            </li>`)}
-        </ol>`}
+      <${MarkerList} markers=${markers} undo=${undo} />
     </section>`;
 }

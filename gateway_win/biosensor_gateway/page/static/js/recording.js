@@ -22,8 +22,7 @@ function useOneAtATime(act) {
   return [isUnderWay, once];
 }
 
-function Running({ recording, act }) {
-  const [isUnderWay, once] = useOneAtATime(act);
+function Progress({ recording, children }) {
   const isWell = !recording.problems.length;
   return html`
     <div class="card-head">
@@ -35,12 +34,27 @@ function Running({ recording, act }) {
         <span>${(recording.bytes / 1e6).toFixed(1)} MB</span>
         <span>${recording.streams} streams</span>
       </p>
-      <button class="main" disabled=${isUnderWay} onClick=${() => once("POST", "/recording/stop")}>
-        ${recording.busy === "ending" ? "Ending and checking …" : "Stop recording"}
-      </button>
+      ${children}
     </div>
     <p class="small soft file">${recording.file}</p>
     ${recording.problems.length > 0 && html`<ul class="problems" role="alert">${recording.problems.map((each) => html`<li>${each}</li>`)}</ul>`}`;
+}
+
+function Running({ recording, act }) {
+  const [isUnderWay, once] = useOneAtATime(act);
+  return html`
+    <${Progress} recording=${recording}>
+      <button class="main" disabled=${isUnderWay} onClick=${() => once("POST", "/recording/stop")}>
+        ${recording.busy === "ending" ? "Ending and checking …" : "Stop recording"}
+      </button>
+    <//>`;
+}
+
+// For who only looks on.
+export function State({ recording }) {
+  if (recording.is_running) return html`<${Progress} recording=${recording} />`;
+  if (recording.verdict) return html`<${Verdict} verdict=${recording.verdict} />`;
+  return html`<p>nothing is recorded</p>`;
 }
 
 function Verdict({ verdict }) {

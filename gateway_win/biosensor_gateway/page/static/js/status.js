@@ -1,0 +1,39 @@
+// What every page of the program says of the agent, and which traces it asks for.
+
+import { html, useEffect } from "../vendor/preact-htm.js";
+import { mainStreams } from "./cards.js";
+
+const WINDOW_S = 10;
+const SPARK_PIXELS = 300;
+const PLOT_PIXELS = 900;
+
+const AGENT = {
+  running: ["●", "good", "streaming agent runs"],
+  starting: ["◌", "warn", "agent is starting"],
+  absent: ["■", "bad", "agent does not run"],
+};
+
+export function Agent({ status }) {
+  const [sign, tone, word] = status ? AGENT[status.agent] : ["■", "bad", "the page's program does not answer"];
+  return html`<span class="state ${tone}" role="status"><span aria-hidden="true">${sign}</span> ${word}</span>`;
+}
+
+export function Notices({ status }) {
+  return html`
+    ${status.problem && html`<section class="panel problem" role="alert"><h2>The settings file has a mistake</h2><p>${status.problem}</p><p class="small soft">Until it is mended, the agent goes on with what it had.</p></section>`}
+    ${status.virtual && html`<p class="panel notice">These are virtual sensors: their signals are made up or were recorded.</p>`}
+    ${status.restarts > 0 && html`<p class="panel notice">The agent had died (${status.last_end}) and was started again. What it could not send then is a gap in every stream.</p>`}
+    ${status.skipped > 0 && html`<p class="panel notice small">This page was too slow for ${status.skipped} samples, and left them out of its traces. Streams and recordings have them.</p>`}`;
+}
+
+// Has the server send what is on the screen: the main streams of all devices, or all of the one that is open.
+export function useShown(live, status, open) {
+  const devices = status?.devices ?? [];
+  const device = devices.find((each) => each.name === open);
+  useEffect(() => {
+    if (!live.current || !status) return;
+    const shown = device ? device.streams : devices.flatMap(mainStreams);
+    live.current.show(shown.map((each) => each.source_id), WINDOW_S, device ? PLOT_PIXELS : SPARK_PIXELS);
+  }, [status]);
+  return { devices, device };
+}
