@@ -32,7 +32,6 @@ from biosensor_gateway.page.quitting import add_quit
 from biosensor_gateway.page.recorder import Recorder
 from biosensor_gateway.page.running import ADDRESS, IS_SHARED, SETTINGS, only_server, reachable
 from biosensor_gateway.page.session import Session
-from biosensor_gateway.page.sharing import Sharing
 
 HOST = "127.0.0.1"
 MAX_CONNECTIONS = 100
@@ -132,6 +131,9 @@ class PageServer:
         if self._share_port is None:
             yield ()
             return
+        # Its certificate takes a fifth of the time of a start.
+        from biosensor_gateway.page.sharing import Sharing  # noqa: PLC0415
+
         with Sharing(self._session, pages, _OPTIONS).opened(self._share_port) as serve:
             yield (serve,)
 
