@@ -37,6 +37,8 @@ class Programs:
         The settings file, which need not exist.
     keyring
         The file that is the system's keyring.
+    environment_more
+        Variables that a test needs beside the usual ones.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -44,6 +46,7 @@ class Programs:
         self.settings = folder / "settings.toml"
         self.keyring = folder / "keyring.json"
         self.variables: dict[str, str] = {}
+        self.environment_more: dict[str, str] = {}
         self._running: list[subprocess.Popen[bytes]] = []
 
     def start(self, *arguments: str, stdout: int = subprocess.DEVNULL) -> subprocess.Popen[bytes]:
@@ -67,6 +70,7 @@ class Programs:
             "BIOSENSOR_GATEWAY_STATE": str(self.folder),
             "BIOSENSOR_GATEWAY_SETTINGS": str(self.settings),
             **file_keyring.environment(self.keyring),
+            **self.environment_more,
             **self.variables,
         }
 

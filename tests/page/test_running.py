@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -13,7 +14,7 @@ import psutil
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from biosensor_gateway.page.running import page_folder
+from biosensor_gateway.page.running import ADDRESS, ask_for_window, page_folder
 from tests.page.conftest import DEADLINE_S, STARTED, Programs, Server
 from tests.rigs.chromium import OPTIONS
 
@@ -172,3 +173,18 @@ def test_the_windowed_program_says_that_its_page_was_killed(programs: Programs) 
     _, said = launcher.communicate(timeout=DEADLINE_S)
     assert launcher.returncode != 0
     assert "The page has ended: exit code -9" in said
+
+
+def test_run_opens_the_page_beside_it(programs: Programs, window: OpenWindow) -> None:
+    programs.environment_more["BROWSER"] = "true"
+    running = programs.start("run", "--page", "--simulate", "zephyr")
+    until(lambda: ask_for_window(programs.folder), "a page")
+    opened = ask_for_window(programs.folder)
+    assert opened is not None
+    page = window()
+    page.goto(opened[ADDRESS])
+    expect(page.locator(".card", has_text="streaming")).to_have_count(1)
+    running.send_signal(signal.SIGINT)
+    assert running.wait(DEADLINE_S) == 0
+    expect(page.get_by_text("agent does not run")).to_be_visible()
+    assert "the page has ended" in programs.call("page", "--end")

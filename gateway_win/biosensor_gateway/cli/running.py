@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from biosensor_gateway.cli import KEEP_ALIVE
+from biosensor_gateway.cli.beside import open_page_beside
 from biosensor_gateway.cli.options import FaultOption, SettingsOption, SimulateOption
 from biosensor_gateway.cli.questions import can_ask
 from biosensor_gateway.system.keep_alive import restart_facts
@@ -26,6 +27,9 @@ def run(
             "settings name no sensor.",
         ),
     ] = None,
+    page: Annotated[
+        bool, typer.Option("--page", help="Open the page, too; it needs no questions here.")
+    ] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every detail.")] = False,
     _keep_alive: Annotated[
         bool, typer.Option(KEEP_ALIVE, help="Start the agent again whenever it dies.")
@@ -43,6 +47,10 @@ def run(
         raise typer.BadParameter("only virtual devices can be given faults; add --simulate")
     if ask and (simulate or not can_ask()):
         raise typer.BadParameter("--ask needs a terminal, and does without --simulate")
+    if page and ask is None:
+        ask = False
+    if page and not restart_facts(os.environ):
+        open_page_beside(settings)
     from biosensor_gateway.cli.streaming import stream  # noqa: PLC0415 - takes a second
 
     stream(settings, simulate, fault or (), ask=ask, verbose=verbose)

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 _PROGRAM = "biosensor-gateway.exe"
+
+if sys.platform == "win32":
+    _FLAGS = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
+else:
+    _FLAGS = 0
 
 
 def own_command(arguments: Sequence[str]) -> list[str]:
@@ -17,3 +23,23 @@ def own_command(arguments: Sequence[str]) -> list[str]:
     if getattr(sys, "frozen", False):
         return [str(Path(sys.executable).with_name(_PROGRAM)), *arguments]
     return [sys.executable, "-P", "-m", "biosensor_gateway.cli", *arguments]
+
+
+def start_beside(arguments: Sequence[str]) -> None:
+    """Run this program with arguments, without a terminal; it outlives this one.
+
+    Raises
+    ------
+    OSError
+        The system cannot start it.
+    """
+    subprocess.Popen(  # noqa: S603 - our own program
+        own_command(arguments),
+        # Nothing that this one has open may be held open by it.
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        creationflags=_FLAGS,
+        # Ctrl-C at this one's terminal is meant for this one.
+        start_new_session=True,
+    )
