@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import subprocess
 import time
 from collections.abc import Generator
 from dataclasses import replace
@@ -45,7 +46,8 @@ def here(installed: WindowsPc, tmp_path: Path) -> Prefix:
 def asked(here: Prefix) -> Path:
     """What Edge was asked for: Wine has none, so a program in its place writes it down."""
     folder = here.drive_c / "edge"
-    folder.mkdir()
+    folder.mkdir(exist_ok=True)
+    (folder / "asked.txt").unlink(missing_ok=True)
     (folder / "msedge.bat").write_text("@echo %*>> C:\\edge\\asked.txt\r\n")
     here.run("reg", "add", EDGE_KEY, "/ve", "/d", r"C:\edge\msedge.bat", "/f")
     return folder / "asked.txt"
@@ -67,6 +69,17 @@ def opened(asked: Path, count: int) -> list[tuple[str, str]]:
         time.sleep(0.1)
         found = ADDRESS.findall(asked.read_text()) if asked.exists() else []
     return found
+
+
+def _end(here: Prefix, installed: WindowsPc, program: subprocess.Popen[bytes]) -> None:
+    """End what may be left, and close its pipes."""
+    for command in (("page", "--end"), ("stop",)):
+        here.attempt(installed.program, *command)
+    program.kill()
+    program.wait()
+    for pipe in (program.stdin, program.stdout):
+        assert pipe is not None
+        pipe.close()
 
 
 def test_from_the_start_menu_to_traces_and_to_the_end(
@@ -119,10 +132,20 @@ def test_from_the_start_menu_to_traces_and_to_the_end(
             assert here.attempt(installed.program, "stop").returncode == 1
             assert not (tmp_path / LOCK_FILE).exists()
         finally:
-            here.attempt(installed.program, "page", "--end")
-            here.attempt(installed.program, "stop")
-            program.kill()
-            program.wait()
-            for pipe in (program.stdin, program.stdout):
-                assert pipe is not None
-                pipe.close()
+            _end(here, installed, program)
+
+
+def test_an_upgrade_closes_the_page_if_it_may(
+    here: Prefix, installed: WindowsPc, asked: Path, setup: Path
+) -> None:
+    program = here.start(installed.windowed)
+    try:
+        opened(asked, 1)
+        refused = here.attempt(setup, "/S")
+        assert (refused.returncode, program.poll()) == (3, None), refused.stdout
+        upgraded = here.attempt(setup, "/S", "/FORCE=1")
+        assert upgraded.returncode == 0, upgraded.stdout
+        assert program.wait(DEADLINE_S) == 0
+    finally:
+        _end(here, installed, program)
+    assert installed.windowed.is_file()

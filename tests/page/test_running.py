@@ -82,6 +82,15 @@ def test_a_server_that_was_killed_is_in_nobodys_way(programs: Programs) -> None:
     assert Server(programs).request("GET", "/", "").status == 401
 
 
+def test_it_serves_where_nothing_can_be_written_and_says_what_that_means(
+    programs: Programs,
+) -> None:
+    page_folder(programs.folder).write_text("no folder")
+    assert Server(programs).request("GET", "/", "").status == 401
+    said = (programs.folder / "stderr-0.txt").read_text()
+    assert "a second page would be a second server" in said
+
+
 def test_it_is_ended_by_a_command_and_its_windows_say_so(
     server: Server, window: OpenWindow
 ) -> None:
