@@ -35,6 +35,7 @@ from biosensor_gateway.page.models import (
     SearchView,
     StatusView,
 )
+from biosensor_gateway.page.network_check import NetworkCheck, add_network_check
 from biosensor_gateway.page.recorder import Recorder
 from biosensor_gateway.page.searching import Search
 from biosensor_gateway.page.session import Session
@@ -55,6 +56,7 @@ def add_api(app: FastAPI, session: Session, recorder: Recorder, marking: Marking
     add_trial(router, Trial(session.streamed))
     add_access(router, Access(session.configured))
     add_doctor(router, Doctor(session.settings, session.folder))
+    add_network_check(router, NetworkCheck(session.settings, session.folder))
     app.include_router(router)
     app.exception_handler(GatewayError)(_refused)
     app.exception_handler(RequestValidationError)(_misformed)

@@ -105,11 +105,12 @@ def _view(report: Report) -> ExaminationView:
     return ExaminationView(
         is_good=report.is_good,
         seconds=round(report.seconds, 3),
-        findings=[_finding(each, categories[each.check]) for each in worst_first],
+        findings=[finding_view(each, categories[each.check]) for each in worst_first],
     )
 
 
-def _finding(finding: Finding, category: str) -> FindingView:
+def finding_view(finding: Finding, category: str) -> FindingView:
+    """Return a finding as the page shows it."""
     return FindingView(
         check=finding.check,
         category=category,

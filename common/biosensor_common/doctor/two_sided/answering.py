@@ -39,7 +39,7 @@ PATIENCE_S = 600.0
 """After so long nobody listens any more."""
 MAX_TRIES = 5
 COMMAND_S = 60.0
-_BACKLOG = 4
+_BACKLOG, _STEP_S = 4, 0.5
 
 Say = Callable[[str], None]
 
@@ -145,16 +145,19 @@ class Answerer:
                     say(str(problem))
 
     def _next(self, end: float) -> tuple[socket.socket, str]:
-        self._listener.settimeout(max(0.001, end - time.monotonic()))
-        try:
-            connection, (address, _) = self._listener.accept()
-        except TimeoutError as error:
-            raise TransportError(
-                TransportReason.SILENT,
-                f"nobody asked within {self._patience_s / 60:g} minutes, so this computer does "
-                "not answer any more",
-            ) from error
-        return connection, address
+        # In small steps, for Windows heeds Ctrl-C between them only.
+        self._listener.settimeout(_STEP_S)
+        while time.monotonic() < end:
+            try:
+                connection, (address, _) = self._listener.accept()
+            except TimeoutError:
+                continue
+            return connection, address
+        raise TransportError(
+            TransportReason.SILENT,
+            f"nobody asked within {self._patience_s / 60:g} minutes, so this computer does not "
+            "answer any more",
+        )
 
     def _converse(self, channel: Channel) -> tuple[End, End]:
         handshake.answer(channel, self.code)

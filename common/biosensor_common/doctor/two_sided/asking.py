@@ -27,7 +27,7 @@ from biosensor_common.errors import (
 )
 
 CONNECT_S = 5.0
-ANSWER_S = 40.0
+ANSWER_S = 60.0
 """Both take as long, so the slower one of two computers is waited for."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from ipaddress import ip_address
 
 from biosensor_common.doctor.finding import Finding, error, note, ok, warning
 from biosensor_common.doctor.firewall_rules import TCP, UDP, Way
@@ -154,7 +155,8 @@ def _clock(sender: Party, receiver: Party) -> Iterator[Finding]:
 
 def _address(sender: Party, receiver: Party) -> Iterator[Finding]:
     found, asked = receiver.end.look.address, receiver.computer.other
-    if found != asked and "." in found:
+    # An IPv6 address is of any of its adapters.
+    if found != asked and "." in found and not ip_address(asked).is_loopback:
         yield note(
             f"{receiver.name} finds the streams of {sender.name} on {found}, not on {asked}",
             "The two are in more than one network, and LSL takes the address from which the "

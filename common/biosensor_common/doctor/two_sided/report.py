@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from biosensor_common.doctor import report
 from biosensor_common.doctor.check import Category, Check
@@ -16,6 +16,14 @@ from biosensor_common.doctor.two_sided.remedies import HERE, Party, parties
 CHECK = Check("network", Category.NETWORK, "the way to another computer, tried from both sides")
 _SYSTEMS = {"win32": "Windows", "linux": "Linux", "darwin": "macOS"}
 _LABEL, _COLUMN = 36, 21
+
+
+class Row(NamedTuple):
+    """A line of the table: what, how it is from the other computer to here, and back."""
+
+    label: str
+    to_here: str
+    to_there: str
 
 
 def as_text(outcome: Report, ends: tuple[End, End] | None, encoding: str, width: int | None) -> str:
@@ -36,38 +44,45 @@ def as_json(outcome: Report, ends: tuple[End, End] | None) -> str:
     return json.dumps({**content, "ends": told}, indent=2)
 
 
-def _table(here: End, there: End) -> Iterator[str]:
+def sides(here: End, there: End) -> tuple[str, str]:
+    """Return a line about each of the two computers."""
+    one = _described("This computer", here.computer)
+    return one, _described("The other one", there.computer)
+
+
+def rows(here: End, there: End) -> Iterator[Row]:
+    """Return what came in, and what LSL made of it, by direction; the headings first."""
     one, other = parties(here, there)
-    yield _described("This computer", one.computer)
-    yield _described("The other one", other.computer)
-    yield ""
     left, right = _short(other), _short(one)
-    yield _row("", f"{left} -> {right}", f"{right} -> {left}")
+    yield Row("", f"{left} -> {right}", f"{right} -> {left}")
     ports = here.computer.ports
     several = f"{ports.first} to {ports.last}"
     # What comes in here is what the other one has sent.
     came = [here.arrivals, there.arrivals]
-    yield _row(f"multicast, UDP {ports.discovery}", *map(_multicast, came))
-    yield _row(f"UDP {ports.discovery}", *(_word(each.discovery) for each in came))
-    yield _row(f"UDP {several}", *(_words(each.udp) for each in came))
-    yield _row(f"TCP {several}", *(_words(each.tcp) for each in came))
+    yield Row(f"multicast, UDP {ports.discovery}", *map(_multicast, came))
+    yield Row(f"UDP {ports.discovery}", *(_word(each.discovery) for each in came))
+    yield Row(f"UDP {several}", *(_words(each.udp) for each in came))
+    yield Row(f"TCP {several}", *(_words(each.tcp) for each in came))
     looks = [here.look, there.look]
-    yield _row("test stream found by multicast", *(_word(each.by_multicast) for each in looks))
-    yield _row("  found when asked for directly", *(_word(each.directly) for each in looks))
-    yield _row("  received", *(_word(each.received) for each in looks))
-    yield _row("  round trip", *(_milliseconds(each.round_trip_s) for each in looks))
-    yield _row("streams that are seen", _seen(there, here), _seen(here, there))
-    yield _row("  whose port opens", _reached(there, here), _reached(here, there))
+    yield Row("test stream found by multicast", *(_word(each.by_multicast) for each in looks))
+    yield Row("  found when asked for directly", *(_word(each.directly) for each in looks))
+    yield Row("  received", *(_word(each.received) for each in looks))
+    yield Row("  round trip", *(_milliseconds(each.round_trip_s) for each in looks))
+    yield Row("streams that are seen", _seen(there, here), _seen(here, there))
+    yield Row("  whose port opens", _reached(there, here), _reached(here, there))
+
+
+def _table(here: End, there: End) -> Iterator[str]:
+    yield from sides(here, there)
+    yield ""
+    for label, *cells in rows(here, there):
+        yield f"{label:<{_LABEL}}" + "".join(f"{cell:<{_COLUMN}}" for cell in cells)
 
 
 def _described(title: str, computer: Computer) -> str:
     system = _SYSTEMS.get(computer.system, "another system")
     program = "the node" if computer.program == NODE else "the agent"
     return f"{title}: {printable(computer.name)[:30]}, {computer.address}, {system}, {program}"
-
-
-def _row(label: str, *cells: str) -> str:
-    return f"{label:<{_LABEL}}" + "".join(f"{cell:<{_COLUMN}}" for cell in cells)
 
 
 def _short(party: Party) -> str:

@@ -30,8 +30,8 @@ from biosensor_common.doctor.two_sided.sending import open_ports, send
 from biosensor_common.lsl_config import LSL_SESSION
 
 SEARCH_S, LISTEN_S = 4.0, 3.0
-_LOOK_S = 12.0
-_LIFE_S = 60.0
+_LOOK_S = 30.0
+_LIFE_S = 120.0
 # Below it are services of the system, and no streams.
 _FIRST_FREE = 1024
 ASKING, ANSWERING = "asking", "answering"

@@ -2,23 +2,8 @@
 
 import { html, useEffect, useState } from "../vendor/preact-htm.js";
 import { ask } from "./api.js";
-
-const LEVELS = {
-  error: ["▲", "bad", "error"],
-  warning: ["◐", "warn", "warning"],
-  note: ["i", "soft", "note"],
-  ok: ["●", "good", "in order"],
-};
-
-function Finding({ finding }) {
-  const [sign, tone, word] = LEVELS[finding.level] ?? LEVELS.note;
-  return html`
-    <li>
-      <p class="found-head"><span class="state ${tone}"><span aria-hidden="true">${sign}</span> ${word}</span> <strong>${finding.what}</strong></p>
-      ${finding.why && html`<p class="small">${finding.why}</p>`}
-      ${finding.fix && html`<pre class="fix" tabindex="0">${finding.fix}</pre>`}
-    </li>`;
-}
+import { Finding } from "./findings.js";
+import { NetworkCheck } from "./network.js";
 
 function sentence(outcome) {
   const count = (level) => outcome.findings.filter((each) => each.level === level).length;
@@ -61,5 +46,6 @@ export function Doctor({ onClose }) {
         <details><summary>What is in order (${good.length})</summary>
           <ul class="findings">${good.map((each) => html`<${Finding} finding=${each} />`)}</ul>
         </details>`}
-    </section>`;
+    </section>
+    <${NetworkCheck} />`;
 }

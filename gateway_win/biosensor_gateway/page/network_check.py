@@ -1,0 +1,101 @@
+"""Tries the network to another computer, which answers, from both sides."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Annotated
+
+from fastapi import APIRouter
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+
+from biosensor_common.doctor.two_sided import report
+from biosensor_common.doctor.two_sided.command import Outcome, check_with
+from biosensor_common.doctor.two_sided.facts import AGENT
+from biosensor_common.doctor.two_sided.remedies import ANSWER_PORT
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.doctor.context import read_context
+from biosensor_gateway.page.doctor import FindingView, finding_view
+
+HostText = Annotated[str, StringConstraints(min_length=1, max_length=253, pattern=r"^[^\s/]+$")]
+CodeText = Annotated[str, StringConstraints(min_length=1, max_length=16)]
+
+
+class OtherComputer(BaseModel):
+    """Which computer is to be asked, and the code that it shows."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    host: HostText
+    code: CodeText
+    port: int = Field(ANSWER_PORT, ge=1024, le=65535)
+
+
+class NetworkView(BaseModel):
+    """What both computers have found out.
+
+    Attributes
+    ----------
+    is_good
+        There are no errors.
+    sides
+        A line about each computer; none if there was no conversation.
+    rows
+        What, from there to here, from here to there; the first one has the headings.
+    findings
+        The cause before what follows from it.
+    """
+
+    is_good: bool
+    sides: list[str] = Field(default_factory=list[str])
+    rows: list[tuple[str, str, str]] = Field(default_factory=list[tuple[str, str, str]])
+    findings: list[FindingView] = Field(default_factory=list[FindingView])
+
+
+class NetworkCheck:
+    """Runs ``biosensor-gateway doctor --with``, once at a time; parameters as of `Doctor`."""
+
+    def __init__(self, settings: Path, folder: Path) -> None:
+        self._settings, self._folder = settings, folder
+        self._is_busy = False
+
+    async def check(self, other: OtherComputer) -> NetworkView:
+        """Try it, which takes a quarter of a minute.
+
+        Raises
+        ------
+        ConfigError
+            ``IN_USE`` if it is being tried.
+        """
+        if self._is_busy:
+            message = "the network is being tried already; wait for the outcome"
+            raise ConfigError(ConfigReason.IN_USE, message)
+        self._is_busy = True
+        try:
+            return _view(await asyncio.to_thread(self._run, other))
+        finally:
+            self._is_busy = False
+
+    def _run(self, other: OtherComputer) -> Outcome:
+        context = read_context(self._settings, self._folder)
+        return check_with(context, AGENT, other.host, other.port, other.code)
+
+
+def add_network_check(router: APIRouter, check: NetworkCheck) -> None:
+    """Add what the page asks of the network."""
+
+    @router.post("/network-check")
+    async def try_network(other: OtherComputer) -> NetworkView:
+        """Say which of two computers blocks the other's streams, and what opens the way."""
+        return await check.check(other)
+
+
+def _view(outcome: Outcome) -> NetworkView:
+    ends = outcome.ends
+    category = report.CHECK.category.value
+    return NetworkView(
+        is_good=outcome.report.is_good,
+        sides=[] if ends is None else list(report.sides(*ends)),
+        rows=[] if ends is None else list(report.rows(*ends)),
+        findings=[finding_view(each, category) for each in outcome.report.findings],
+    )
