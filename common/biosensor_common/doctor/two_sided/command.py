@@ -14,13 +14,13 @@ from biosensor_common.doctor.report import printable
 from biosensor_common.doctor.runner import Report
 from biosensor_common.doctor.two_sided import asking
 from biosensor_common.doctor.two_sided.answering import PATIENCE_S, Answerer
-from biosensor_common.doctor.two_sided.facts import NODE, PROGRAMS, End
+from biosensor_common.doctor.two_sided.facts import AGENT, NODE, End
 from biosensor_common.doctor.two_sided.judgement import judge
 from biosensor_common.doctor.two_sided.remedies import doctor_command, local_opening, port_option
 from biosensor_common.doctor.two_sided.report import CHECK, as_json, as_text
 from biosensor_common.doctor.two_sided.unreached import Attempt, judge_failure, port_way
 from biosensor_common.errors import GatewayError
-from biosensor_common.terminal import columns
+from biosensor_common.terminal import columns, wrapped
 
 
 class Outcome(NamedTuple):
@@ -68,7 +68,8 @@ def answer(context: Context, program: str, port: int, *, json: bool) -> int:
     begun = time.monotonic()
     try:
         with Answerer(context, program, port) as answerer:
-            _say(_invitation(context, answerer), output)
+            lines = _invitation(context, answerer)
+            _say("\n".join(wrapped(each, columns(output), hang=4) for each in lines), output)
             begun = time.monotonic()
             ends = answerer.wait(lambda sentence: _say(printable(sentence), output))
     except KeyboardInterrupt:
@@ -94,31 +95,26 @@ def _print(outcome: Outcome, *, json: bool) -> int:
     return 0 if outcome.report.is_good else 1
 
 
-def _invitation(context: Context, answerer: Answerer) -> str:
+def _invitation(context: Context, answerer: Answerer) -> list[str]:
     adapters = [each for each in interfaces() if not each.is_loopback]
     real = [each for each in adapters if not each.is_virtual] or adapters
     address = real[0].addresses[0] if real else "127.0.0.1"
     typed = f"--with {address}{port_option(answerer.port)} --code {answerer.code}"
-    commands = [
-        f"  {doctor_command(each)} {typed}{'   (where the node is)' if each == NODE else ''}"
-        for each in PROGRAMS
-    ]
     others = [str(each) for each in adapters if address not in each.addresses]
     more = [f"Its other addresses: {', '.join(others)}."] if others else []
     way = port_way(context, answerer.port)
-    return "\n".join(
-        [
-            f"For {PATIENCE_S / 60:g} minutes this computer answers (Ctrl-C ends it).",
-            "On the other one, type:",
-            "",
-            *commands,
-            "",
-            *more,
-            "If it is said there that nothing comes back, open the port here:",
-            *(f"  {line}" for line in local_opening([way]).splitlines()),
-            "",
-        ]
-    )
+    return [
+        f"For {PATIENCE_S / 60:g} minutes this computer answers (Ctrl-C ends it).",
+        "On the other one, type:",
+        f"  {doctor_command(AGENT)} {typed}",
+        "or, where the node is:",
+        f"  {doctor_command(NODE)} {typed}",
+        "",
+        *more,
+        "If it is said there that nothing comes back, open the port here:",
+        *(f"  {line}" for line in local_opening([way]).splitlines()),
+        "",
+    ]
 
 
 def _say(text: str, output: TextIO | None = None) -> None:
