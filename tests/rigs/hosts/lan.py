@@ -36,6 +36,13 @@ _LOSS = f"""table inet weather {{
     }}
 }}
 """
+_NO_MULTICAST = f"""table inet no_multicast {{
+    chain arriving {{
+        type filter hook input priority 0
+        iifname "{PORT}" meta l4proto udp pkttype {{ broadcast, multicast }} counter drop
+    }}
+}}
+"""
 
 
 class HostsError(Exception):
@@ -123,6 +130,8 @@ class Lan:
     ----------
     clock_offsets_s
         By name of the computer; in their order they are 10.77.0.1, 10.77.0.2 and so on.
+    network
+        The first three numbers of the addresses.
 
     Raises
     ------
@@ -130,8 +139,10 @@ class Lan:
         On entering, where namespaces cannot be made.
     """
 
-    def __init__(self, clock_offsets_s: dict[str, int]) -> None:
+    def __init__(self, clock_offsets_s: dict[str, int], network: str = NETWORK) -> None:
         self._hosts = {name: Host(name, offset) for name, offset in clock_offsets_s.items()}
+        self._addresses = {n: f"{network}.{i}" for i, n in enumerate(self._hosts, start=1)}
+        self._network = network
         self._switch = Host("switch")
         self._stack = ExitStack()
 
@@ -143,7 +154,7 @@ class Lan:
             self._switch.run("ip", "link", "add", "lan", *bridge)
             self._switch.run("ip", "link", "set", "lan", "up")
             for number, host in enumerate(self._hosts.values(), start=1):
-                self._connect(host, f"{NETWORK}.{number}/24")
+                self.connect(host, number)
             for host in self._hosts.values():
                 _await_carrier(host)
             self._stack = stack.pop_all()
@@ -159,6 +170,29 @@ class Lan:
 
     def __getitem__(self, name: str) -> Host:
         return self._hosts[name]
+
+    def address(self, name: str) -> str:
+        """Return the address of a computer."""
+        return self._addresses[name]
+
+    def connect(self, host: Host, number: int, port: str = PORT) -> None:
+        """Plug a computer into the switch; *number* is the last of its address."""
+        # Its end at the switch has the name of the computer.
+        ends = ("type", "veth", "peer", port, "netns", str(host.pid))
+        self._switch.run("ip", "link", "add", host.name, *ends)
+        self._switch.run("ip", "link", "set", host.name, "master", "lan", "up")
+        host.run("ip", "address", "add", f"{self._network}.{number}/24", "dev", port)
+        host.run("ip", "link", "set", port, "up")
+
+    def route_by(self, number: int) -> None:
+        """Give every computer a gateway to all other networks."""
+        for host in self._hosts.values():
+            host.run("ip", "route", "add", "default", "via", f"{self._network}.{number}")
+
+    def drop_multicast(self) -> None:
+        """Let no computer hear what is sent to several, as some Wi-Fi and managed switches do."""
+        for host in self._hosts.values():
+            host.run("nft", "-f", "-", text=_NO_MULTICAST)
 
     def lose(self, percent: int) -> None:
         """Let every computer lose so many of the packets that come in over the network."""
@@ -180,13 +214,6 @@ class Lan:
     def plug_in(self, name: str) -> None:
         """Put the cable back."""
         self._switch.run("ip", "link", "set", name, "up")
-
-    def _connect(self, host: Host, address: str) -> None:
-        ends = ("type", "veth", "peer", PORT, "netns", str(host.pid))
-        self._switch.run("ip", "link", "add", host.name, *ends)
-        self._switch.run("ip", "link", "set", host.name, "master", "lan", "up")
-        host.run("ip", "address", "add", address, "dev", PORT)
-        host.run("ip", "link", "set", PORT, "up")
 
 
 def _shut_down(process: subprocess.Popen[str]) -> None:
