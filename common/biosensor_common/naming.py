@@ -37,6 +37,9 @@ _FIELD_MARK = "_x75"
 
 Key = TypeVar("Key", bound=Hashable)
 
+AGENT = "gateway"
+"""Sensor of an agent's own streams; its unit is the computer, so there are as many as computers."""
+
 
 @dataclass(frozen=True, slots=True)
 class TopicName:

@@ -179,6 +179,13 @@ def test_a_shared_name_is_an_error(stream: Stream) -> None:
     assert stream.look().level == DiagnosticStatus.ERROR
 
 
+def test_agents_of_many_computers_may_share_a_name(ros: Ros, clock: Clock) -> None:
+    agent = replace(HEADER, identity=DeviceIdentity("gateway", "lab-pc-1"))
+    stream = Stream(ros, clock, agent).receive(0.0)
+    stream.topic = TopicName("biosensors/gateway_lab_x2Dpc_x2D1", "counters", conflict=True)
+    assert stream.look().level == DiagnosticStatus.OK
+
+
 def test_samples_that_do_not_fit_are_a_warning_for_a_while(irregular: Stream) -> None:
     assert irregular.receive(0.0).look().level == DiagnosticStatus.OK
     irregular.tally.unfit = 3

@@ -1,11 +1,12 @@
 """Declares the agent's own streams: counters, events and markers."""
 
+from biosensor_common.naming import AGENT
 from biosensor_common.quantities import ChannelFormat, ContentType, MessageType, Unit
 from biosensor_common.spec import SensorSpec
 from biosensor_common.table import channels, hardware
 
 GATEWAY = SensorSpec(
-    name="gateway",
+    name=AGENT,
     title="Biosensor Gateway capture agent",
     manufacturer="Biosensor Gateway",
     model="capture agent",

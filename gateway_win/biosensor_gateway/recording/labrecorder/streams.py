@@ -134,7 +134,7 @@ def look(settings: GatewaySettings, expected: Sequence[ExpectedDevice], own_host
     configure_lsl(LslOverrides(lsl.session_id, lsl.known_peers, lsl.port_range))
     needed = frozenset[str]().union(*(device.source_ids for device in expected))
     seen = _search(needed)
-    agent = DeviceIdentity("gateway", own_host)
+    agent = DeviceIdentity(naming.AGENT, own_host)
     ours = needed | {naming.source_id(agent, each.data_name) for each in GATEWAY.streams}
     present = {each.source_id for each in seen}
     return Presence(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl_header import MAX_CHANNELS, read_header
+from biosensor_common.naming import AGENT
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.recording.xdf.container import ChunkError
@@ -60,7 +61,7 @@ class RecordedHeader:
     @property
     def is_counters(self) -> bool:
         """Whether the capture agent counts its samples in this stream."""
-        ours = self.identity is not None and self.identity.sensor == "gateway"
+        ours = self.identity is not None and self.identity.sensor == AGENT
         return ours and self.data_name == "counters"
 
     @property

@@ -19,7 +19,7 @@ from time import monotonic
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from biosensor_common.naming import TopicName
+from biosensor_common.naming import AGENT, TopicName
 from lsl_to_ros.accounts.health import StreamHealth
 from lsl_to_ros.accounts.rates import RATE_WINDOW_S
 from lsl_to_ros.accounts.tally import Delays, Tally, can_estimate_losses
@@ -183,7 +183,7 @@ def judge(facts: StreamFacts) -> tuple[bytes, str]:
     """Return level and reason; the module's text has the thresholds."""
     bridge = facts.bridge
     is_regular = bridge.header.rate > 0
-    if facts.topic.conflict:
+    if facts.topic.conflict and bridge.header.identity.sensor != AGENT:
         return DiagnosticStatus.ERROR, "two units of one sensor: give each a label in its settings"
     if facts.topic.duplicate:
         return DiagnosticStatus.ERROR, "two streams claim to be this one"
