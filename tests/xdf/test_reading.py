@@ -51,6 +51,19 @@ def test_text_is_read_with_its_stamps() -> None:
     assert not stream.texts, "only the agent's counters are kept"
 
 
+def test_a_clock_that_was_not_measured_is_no_offset() -> None:
+    content = x.xdf(
+        x.stream_header(1, "a"),
+        x.samples(1, "float32", [[1], [2]], [50.0, 60.0]),
+        # What LabRecorder writes where the first question to a computer gets no answer.
+        x.clock_offset(1, 0.0, 0.0),
+        x.offsets(1, [55.0, 60.0], -3100.0),
+        x.footer(1, 2),
+    )
+    (stream,) = read(content).streams
+    assert stream.clock_offsets == [(55.0, -3100.0), (60.0, -3100.0)]
+
+
 def test_values_that_are_missing_are_counted_by_channel() -> None:
     nan = float("nan")
     rows = [[1, nan], [nan, nan], [2, nan], [3, 4]]

@@ -99,7 +99,10 @@ class StreamSorter(Generic[_StreamT]):
         elif chunk.tag is Tag.SAMPLES:
             stream.take_samples(chunk)
         elif chunk.tag is Tag.CLOCK_OFFSET:
-            stream.take_clock_offset(*_clock_offset(chunk.body))
+            taken_at, offset = _clock_offset(chunk.body)
+            # LabRecorder writes zeros if the other computer does not answer the first time.
+            if taken_at:
+                stream.take_clock_offset(taken_at, offset)
         else:
             stream.take_footer(parse_footer(bytes(chunk.body)), chunk)
 
