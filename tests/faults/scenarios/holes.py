@@ -6,6 +6,8 @@ counts what is, over a fault of any length.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,9 +15,54 @@ from tests.rigs.hosts.completeness import Span
 from tests.rigs.hosts.recordings import Recording
 
 # How far two receivers' times of arrival may be apart while all is calm.
-NEAR_S = 2.0
+NEAR_S = 4.0
 
 Rows = NDArray[np.int64]
+
+
+class Hole(NamedTuple):
+    """Samples of a reference, one after the other, that were not observed.
+
+    Attributes
+    ----------
+    begin_s, end_s
+        When the last before them and the first after them were sent (Unix time).
+    """
+
+    missing: int
+    begin_s: float
+    end_s: float
+
+
+def hole(reference: Recording, observed: Recording, before: Span, after: Span) -> Hole | None:
+    """Find the one hole between two calm times; see `missing`.
+
+    Returns
+    -------
+    Hole or None
+        None if nothing is missing.
+
+    Raises
+    ------
+    ValueError
+        If nothing was observed in one of the times, what was is no part of the reference,
+        or more is missing than one hole.
+    """
+    begin, end = _within(observed, before), _within(observed, after)
+    if not len(begin) or not len(end):
+        raise ValueError("nothing came in a calm time")
+    first = _place(reference, observed, begin)
+    last = _place(reference, observed, end) + len(end)
+    came = observed.rows[begin[0] : end[-1] + 1]
+    count = last - first - len(came)
+    head = _common(reference.rows[first:last], came)
+    tail = _common(reference.rows[first:last][::-1], came[::-1])
+    if head + tail < len(came) or count < 0:
+        raise ValueError(f"{count} of {last - first} samples are missing, in several places")
+    if not count:
+        return None
+    edges = reference.arrivals[[first + head - 1, first + head + count]]
+    return Hole(count, *map(float, edges))
 
 
 def missing(reference: Recording, observed: Recording, before: Span, after: Span) -> int | None:
@@ -67,6 +114,7 @@ def _place(reference: Recording, observed: Recording, rows: Rows) -> int:
     part = observed.rows[rows]
     times = observed.arrivals[rows]
     near = np.flatnonzero(np.abs(reference.arrivals - times[0]) < NEAR_S)
+    near = near[_alike(reference.rows[near], part[:1])]
     fitting = [
         (float(np.median(np.abs(reference.arrivals[at : at + len(rows)] - times))), int(at))
         for at in near
@@ -78,5 +126,23 @@ def _place(reference: Recording, observed: Recording, rows: Rows) -> int:
 
 
 def _are_equal(sent: NDArray[np.generic], came: NDArray[np.generic]) -> bool:
+    return len(sent) == len(came) == _common(sent, came)
+
+
+def _common(sent: NDArray[np.generic], came: NDArray[np.generic]) -> int:
+    """How many samples are the same from the first on."""
+    size = min(len(sent), len(came))
+    differs = np.flatnonzero(~_alike(sent[:size], came[:size]))
+    return int(differs[0]) if len(differs) else size
+
+
+def _alike(sent: NDArray[np.generic], came: NDArray[np.generic]) -> NDArray[np.bool_]:
+    """Say of each sample whether it is the other's; a single one is compared with all.
+
+    Numbers are as precise as an LSL stream of floats.
+    """
     is_number = sent.dtype.kind == "f"
-    return len(sent) == len(came) and np.array_equal(sent, came, equal_nan=is_number)
+    same = (
+        np.isclose(sent, came, rtol=2e-6, atol=1e-6, equal_nan=True) if is_number else sent == came
+    )
+    return np.all(same, axis=1)

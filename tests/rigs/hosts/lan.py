@@ -171,6 +171,9 @@ class Lan:
     def __getitem__(self, name: str) -> Host:
         return self._hosts[name]
 
+    def __contains__(self, name: str) -> bool:
+        return name in self._hosts
+
     def address(self, name: str) -> str:
         """Return the address of a computer."""
         return self._addresses[name]

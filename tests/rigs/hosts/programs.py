@@ -41,6 +41,7 @@ class Program:
         self, host: Host, environment: Mapping[str, str], folder: Path, module: str, *options: str
     ) -> None:
         self._name = f"{module} on {host.name}"
+        self._is_killed = False
         self._log = folder / f"{host.name}-{module}.log"
         with self._log.open("wb") as log:
             self._process = subprocess.Popen(
@@ -68,7 +69,7 @@ class Program:
             self._process.kill()
             self._process.wait()
             self._close()
-        if code and error is None:
+        if code and error is None and not self._is_killed:
             raise ProgramError(f"{self._name} ended with exit code {code}\n{self.last_words}")
 
     @property
@@ -85,6 +86,12 @@ class Program:
     def last_words(self) -> str:
         """The end of what it wrote."""
         return self.log[-_LOG_TAIL:]
+
+    def kill(self) -> None:
+        """End it by SIGKILL, and see it dead."""
+        self._is_killed = True
+        self._process.kill()
+        self._process.wait()
 
     def _ask_to_end(self) -> None:
         if self._process.poll() is None:

@@ -36,6 +36,7 @@ _event_handlers: Any = import_module("rclpy.event_handler")
 
 DEPTH = 20_000
 LOOK_S = 0.25
+# Behind the participant, where there is one.
 _PREFIX = "/biosensors/"
 _PACKAGES = ("std_msgs", "diagnostic_msgs", "sensor_msgs")
 BEST_EFFORT = " (best effort)"
@@ -116,6 +117,7 @@ class Subscriber:
                     "matched": [name for name, topic in self._topics.items() if topic.matched],
                     "received": {n: len(topic.messages) for n, topic in self._topics.items()},
                     "diagnostics": self._diagnostics[-1][1] if self._diagnostics else {},
+                    "diagnosed_s": self._diagnostics[-1][0] if self._diagnostics else 0.0,
                 }
             case "save":
                 path = Path(command["path"])
@@ -128,7 +130,7 @@ class Subscriber:
     def _look(self) -> None:
         for name, kinds in self._node.get_topic_names_and_types():
             package, _, kind = kinds[0].split("/")
-            if name in self._topics or not name.startswith(_PREFIX) or package not in _PACKAGES:
+            if name in self._topics or _PREFIX not in name or package not in _PACKAGES:
                 continue
             message_type = getattr(import_module(f"{package}.msg"), kind)
             self._subscribe(name, name, message_type, ReliabilityPolicy.RELIABLE)
