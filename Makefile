@@ -48,7 +48,7 @@ tests-of-parts: venv-dev
 tests-of-programs: venv-peers
 	$(RUN) pytest -m "not system and not alone" $(SIDE_BY_SIDE) -n 3 $(MANY_PROGRAMS)
 
-system-tests: venv-dev installer
+system-tests: venv-peers installer
 	$(RUN) pytest -m "system and not alone" $(SIDE_BY_SIDE) -n 3 $(call MARKED,system)
 
 tests-alone: venv-dev

@@ -131,15 +131,16 @@ class Happening:
         for robot, host in zip(ROBOTS, (ROBOTS[0], DESK), strict=True):
             self._watch(robot, host)
         self._sites.await_streaming()
-        for robot in ROBOTS:
-            self._start_node(robot)
         path, begin_s = self._folder / "lab.xdf", time.monotonic()
         count = len(self._streams) + len(PCS) * _GATEWAY_STREAMS
         environment = self._sites.recorder_environment(DESK)
-        recorder = LabRecorder(path, at_least=count, computer=self._sites[DESK],
-                               environment=environment)  # fmt: skip
+        recorder = LabRecorder(
+            path, at_least=count, computer=self._sites[DESK], environment=environment
+        )
         with recorder:
             recorder_found_s = time.monotonic() - begin_s
+            for robot in ROBOTS:
+                self._start_node(robot)
             self._await_all(ROBOTS, since_s=0.0)
             moments = self._disturb()
         return Outcome(
