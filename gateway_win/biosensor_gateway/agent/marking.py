@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any
+from typing import Any, TypeGuard
 
 import pylsl
 import structlog
@@ -12,18 +13,29 @@ import structlog
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent.control_server import Command
 from biosensor_gateway.settings.models import MarkerSettings
-from biosensor_gateway.streaming.markers import MarkerKind, MarkerStream
+from biosensor_gateway.streaming.markers import (
+    Marker,
+    MarkerKind,
+    MarkerStream,
+    TimedBy,
+    Timing,
+)
 
 MAX_TEXT, MAX_SOURCE = 200, 32
+MAX_WEB_SOURCE = 200
+"""Of a web experiment it is the origin of its page."""
 MAX_AGE_S, MAX_LEAD_S = 60.0, 0.1
 """How far a sender's time may be from now; the lead is for what it knows less exactly."""
+MAX_WEB_AGE_S = 3600.0
+"""The same for web experiments, which keep their markers while they cannot send them."""
 LISTED = 10
 MARKERS = "markers"
 """The command that changes nothing."""
 
 _log = structlog.get_logger("biosensor_gateway.markers")
 
-_KINDS = {kind.value: kind for kind in (MarkerKind.BUTTON, MarkerKind.NOTE, MarkerKind.API)}
+_SENT = (MarkerKind.BUTTON, MarkerKind.NOTE, MarkerKind.API, MarkerKind.WEB)
+_KINDS = {kind.value: kind for kind in _SENT}
 
 
 class MarkerCommands:
@@ -52,17 +64,24 @@ class MarkerCommands:
         return {"mark": self._mark, "undo-marker": self._undo, MARKERS: self._list}
 
     async def _mark(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Send a marker with the arguments ``marker``, ``note``, ``kind``, ``source``, ``at``."""
+        """Send a marker.
+
+        Its arguments are ``marker``, ``note``, ``kind``, ``source``, ``at``, and of a web
+        experiment ``timed_by`` and ``uncertainty_s``.
+        """
         marker, note = _text(arguments, "marker"), _text(arguments, "note")
         if not marker and not note:
             message = "the marker has no text; say what happened in 'marker' or 'note'"
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
+        kind = _kind(arguments, MarkerKind.API if marker else MarkerKind.NOTE)
+        is_web = kind is MarkerKind.WEB
         sent = self._stream.mark(
             marker or MarkerKind.NOTE.value,
             note,
-            _kind(arguments, MarkerKind.API if marker else MarkerKind.NOTE),
-            _text(arguments, "source", MAX_SOURCE),
-            _time(arguments),
+            kind,
+            _text(arguments, "source", MAX_WEB_SOURCE if is_web else MAX_SOURCE),
+            _time(arguments, MAX_WEB_AGE_S if is_web else MAX_AGE_S),
+            _timing(arguments) if is_web else None,
         )
         if not self._stream.is_received:
             people = "a marker was sent that nobody receives: no program records the markers"
@@ -79,8 +98,14 @@ class MarkerCommands:
 
     async def _list(self, _arguments: Mapping[str, Any]) -> Mapping[str, Any]:
         """Return the last markers, the newest last, and the names of the buttons."""
-        newest = [asdict(each) for each in self._stream.newest(LISTED)]
+        newest = [_told(each) for each in self._stream.newest(LISTED)]
         return {"markers": newest, "buttons": list(self.settings.buttons)}
+
+
+def _told(marker: Marker) -> dict[str, Any]:
+    timing = marker.timing
+    told = {name: each for name, each in asdict(marker).items() if name != "timing"}
+    return told | ({} if timing is None else timing._asdict())
 
 
 def _text(arguments: Mapping[str, Any], name: str, longest: int = MAX_TEXT) -> str:
@@ -106,14 +131,28 @@ def _kind(arguments: Mapping[str, Any], usual: MarkerKind) -> MarkerKind:
     return _KINDS[given]
 
 
-def _time(arguments: Mapping[str, Any]) -> float | None:
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _timing(arguments: Mapping[str, Any]) -> Timing:
+    timed_by, uncertainty = arguments.get("timed_by"), arguments.get("uncertainty_s")
+    if uncertainty is not None and not (_is_number(uncertainty) and 0 <= uncertainty < math.inf):
+        message = "the argument 'uncertainty_s' is no number of seconds"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    if not isinstance(timed_by, str) or timed_by not in set(TimedBy):
+        message = f"the argument 'timed_by' is none of {', '.join(TimedBy)}"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    return Timing(TimedBy(timed_by), None if uncertainty is None else round(uncertainty, 6))
+
+
+def _time(arguments: Mapping[str, Any], oldest_s: float) -> float | None:
     at, now = arguments.get("at"), pylsl.local_clock()
     if at is None:
         return None
-    is_number = isinstance(at, int | float) and not isinstance(at, bool)
-    if not is_number or not now - MAX_AGE_S <= at <= now + MAX_LEAD_S:
+    if not _is_number(at) or not now - oldest_s <= at <= now + MAX_LEAD_S:
         message = (
-            f"the argument 'at' is no LSL time from {MAX_AGE_S:g} s ago to {MAX_LEAD_S:g} s "
+            f"the argument 'at' is no LSL time from {oldest_s:g} s ago to {MAX_LEAD_S:g} s "
             f"ahead; now is {now:.3f}"
         )
         raise ConfigError(ConfigReason.WRONG_VALUE, message)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -30,15 +31,30 @@ def mark(
     listed: Annotated[
         bool, typer.Option("--list", help="Show the last markers, and the buttons.")
     ] = False,
+    web: Annotated[
+        bool, typer.Option("--web", help="Show what a web experiment needs: address and token.")
+    ] = False,
+    new_token: Annotated[
+        bool, typer.Option("--new-token", help="With --web: make another token.")
+    ] = False,
+    save: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="With --web: write its script and an example there."),
+    ] = None,
 ) -> None:
     """Send a marker with the streams: what happens now. One can be undone, not deleted.
 
     Exit code 1 if no agent runs or it refuses.
     """
-    if undo + listed + note > 1:
-        raise typer.BadParameter("--note, --undo and --list exclude each other")
-    if bool(text.strip()) == listed and not undo:
-        raise typer.BadParameter("--list needs no TEXT" if listed else "there is no TEXT")
+    if undo + listed + note + web > 1:
+        raise typer.BadParameter("--note, --undo, --list and --web exclude each other")
+    if (new_token or save) and not web:
+        raise typer.BadParameter("--new-token and --save go with --web")
+    if bool(text.strip()) == (listed or web) and not undo:
+        raise typer.BadParameter("--list and --web need no TEXT" if text else "there is no TEXT")
+    if web:
+        _show_web(save, renew=new_token)
+        return
     folder = state_folder()
     if listed:
         _print_list(control.ask(folder, "markers"))
@@ -49,6 +65,14 @@ def mark(
         said = {"note": text, "kind": "note"} if note else {"marker": text, "kind": "api"}
         sent = control.ask(folder, "mark", {**said, "source": _SOURCE, "at": _when_given()})
         typer.echo(f"marker {sent['id']} was sent")
+
+
+def _show_web(save: Path | None, *, renew: bool) -> None:
+    from biosensor_gateway.cli import web_marking  # noqa: PLC0415 - a marker does without
+
+    if save is not None:
+        web_marking.save(save)
+    web_marking.show(renew=renew)
 
 
 def _when_given() -> float:
@@ -78,7 +102,8 @@ def _print_list(answer: Mapping[str, Any]) -> None:
 def _row(marker: Mapping[str, Any], now: float) -> tuple[str, str]:
     said = f"{marker['marker']}: {marker['note']}" if marker["note"] else marker["marker"]
     undone = " (undone)" if marker["undone"] else ""
-    return f"{marker['id']:>5}  {now - marker['lsl_time']:8.1f} s ago  ", f"{said}{undone}"
+    origin = f", from {marker['source']}" if marker["kind"] == "web" else ""
+    return f"{marker['id']:>5}  {now - marker['lsl_time']:8.1f} s ago  ", f"{said}{origin}{undone}"
 
 
 def _buttons(names: list[str]) -> Iterator[tuple[str, str]]:

@@ -22,13 +22,12 @@ from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.page.access import Access, add_access
 from biosensor_gateway.page.agent_process import start_agent
 from biosensor_gateway.page.doctor import Doctor, add_doctor
+from biosensor_gateway.page.marker_models import MarkerNumber, NewMarker
 from biosensor_gateway.page.marking import Marking
 from biosensor_gateway.page.models import (
     DeviceChange,
     DeviceName,
-    MarkerNumber,
     NewDevice,
-    NewMarker,
     NewRecording,
     Outcome,
     Problem,
@@ -37,6 +36,7 @@ from biosensor_gateway.page.models import (
 )
 from biosensor_gateway.page.network_check import NetworkCheck, add_network_check
 from biosensor_gateway.page.recorder import Recorder
+from biosensor_gateway.page.refusals import misformed
 from biosensor_gateway.page.searching import Search
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.page.trial import Trial, add_trial
@@ -59,7 +59,7 @@ def add_api(app: FastAPI, session: Session, recorder: Recorder, marking: Marking
     add_network_check(router, NetworkCheck(session.settings, session.folder))
     app.include_router(router)
     app.exception_handler(GatewayError)(_refused)
-    app.exception_handler(RequestValidationError)(_misformed)
+    app.exception_handler(RequestValidationError)(misformed)
 
 
 def _add_agent(router: APIRouter, session: Session) -> None:
@@ -198,12 +198,3 @@ async def _refused(_request: Request, error: Exception) -> JSONResponse:
     reason = error.reason
     code = _CODES.get(reason, 400) if isinstance(reason, ConfigReason | TransportReason) else 400
     return JSONResponse(Problem(problem=str(error)).model_dump(), code)
-
-
-async def _misformed(_request: Request, error: Exception) -> JSONResponse:
-    assert isinstance(error, RequestValidationError)
-    first = error.errors()[0]
-    place = ".".join(str(part) for part in first["loc"][1:])
-    return JSONResponse(
-        Problem(problem=f"{place or 'the request'}: {first['msg']}").model_dump(), 422
-    )

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hmac
 import secrets
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from http.cookies import CookieError, SimpleCookie
 from typing import Literal, NamedTuple
 
@@ -28,7 +28,8 @@ OPENS_ONCE = (
     "the entry of the Start menu."
 )
 _TOKENS_KEPT = 16
-_REFUSED_SOCKET = 1008
+REFUSED_SOCKET = 1008
+"""The code with which a WebSocket is closed that is not wanted."""
 
 _HEADERS = {
     "Content-Security-Policy": (
@@ -44,7 +45,9 @@ _HEADERS = {
 }
 
 
-class _Refusal(NamedTuple):
+class Refusal(NamedTuple):
+    """Why a request is not carried out: a code of HTTP, and a sentence for people."""
+
     code: int
     sentence: str
 
@@ -143,7 +146,7 @@ class Guard:
         refusal = self._foreign(headers, needs_origin=True) or self._stranger(headers)
         if refusal is not None or self._sockets >= MAX_SOCKETS:
             await receive()
-            await send({"type": "websocket.close", "code": _REFUSED_SOCKET})
+            await send({"type": "websocket.close", "code": REFUSED_SOCKET})
             return
         self._sockets += 1
         try:
@@ -156,14 +159,14 @@ class Guard:
         changes = scope["method"] not in {"GET", "HEAD"}
         refusal = self._foreign(headers, needs_origin=changes)
         if refusal is None and scope["path"] == DOOR:
-            await self._door(Request(scope))(scope, receive, _with_headers(send))
+            await self._door(Request(scope))(scope, receive, with_headers(send))
             return
-        refusal = refusal or self._stranger(headers) or (_body(headers) if changes else None)
+        refusal = refusal or self._stranger(headers) or (body_refusal(headers) if changes else None)
         if refusal is not None:
             response = PlainTextResponse(refusal.sentence + "\n", refusal.code)
-            await response(scope, receive, _with_headers(send))
+            await response(scope, receive, with_headers(send))
             return
-        await self._app(scope, receive, _with_headers(send))
+        await self._app(scope, receive, with_headers(send))
 
     def _door(self, request: Request) -> Response:
         cookie = self._keys.cookie_for(request.query_params.get("token", ""))
@@ -180,46 +183,65 @@ class Guard:
         )
         return response
 
-    def _foreign(self, headers: Headers, *, needs_origin: bool) -> _Refusal | None:
+    def _foreign(self, headers: Headers, *, needs_origin: bool) -> Refusal | None:
         if headers.get("host", "") not in self._hosts:
-            return _Refusal(421, "This server is asked by a name that is not its own.")
+            return Refusal(421, "This server is asked by a name that is not its own.")
         origin = headers.get("origin")
         if origin not in self._origins and (needs_origin or origin is not None):
-            return _Refusal(403, "Another web page has sent this; only the program's own may.")
+            return Refusal(403, "Another web page has sent this; only the program's own may.")
         is_link = self._keys.same_site == "lax" and headers.get("sec-fetch-mode") == "navigate"
         if not is_link and headers.get("sec-fetch-site", "none") not in {"same-origin", "none"}:
-            return _Refusal(403, "Another web page has sent this; only the program's own may.")
+            return Refusal(403, "Another web page has sent this; only the program's own may.")
         return None
 
-    def _stranger(self, headers: Headers) -> _Refusal | None:
+    def _stranger(self, headers: Headers) -> Refusal | None:
         try:
             cookies = SimpleCookie(headers.get("cookie", ""))
         except CookieError:
             cookies = SimpleCookie()
         cookie = cookies.get(self._keys.cookie_name)
         if cookie is None or not self._keys.fits(cookie.value):
-            return _Refusal(401, self._refused)
+            return Refusal(401, self._refused)
         return None
 
 
-def _body(headers: Headers) -> _Refusal | None:
+def body_refusal(headers: Headers, most: int = MAX_BODY) -> Refusal | None:
+    """Return why what comes with a request is not read; None if it is.
+
+    Parameters
+    ----------
+    headers
+        Of the request.
+    most
+        How many bytes it may have.
+    """
     kind = headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind != "application/json":
-        return _Refusal(415, "What is sent here is JSON: Content-Type: application/json.")
+        return Refusal(415, "What is sent here is JSON: Content-Type: application/json.")
     length = headers.get("content-length", "")
     # The server holds a client to it.
     if not length.isdecimal():
-        return _Refusal(411, "The length of what is sent must be said: Content-Length.")
-    if int(length) > MAX_BODY:
-        return _Refusal(413, f"What is sent here has at most {MAX_BODY} bytes.")
+        return Refusal(411, "The length of what is sent must be said: Content-Length.")
+    if int(length) > most:
+        return Refusal(413, f"What is sent here has at most {most} bytes.")
     return None
 
 
-def _with_headers(send: Send) -> Send:
+def with_headers(send: Send, more: Mapping[str, str] | None = None) -> Send:
+    """Add to every answer what forbids a browser whatever no page of ours needs.
+
+    Parameters
+    ----------
+    send
+    more
+        Other headers to add.
+    """
+    added = _HEADERS | dict(more or {})
+
     async def sent(message: Message) -> None:
         if message["type"] == "http.response.start":
             headers = MutableHeaders(scope=message)
-            for name, value in _HEADERS.items():
+            for name, value in added.items():
                 headers[name] = value
         await send(message)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.agent import control
-from biosensor_gateway.page.models import MarkersView, NewMarker
+from biosensor_gateway.page.marker_models import MarkersView, NewMarker
 from biosensor_gateway.page.session import Session
 
 LOOK_S = 1.0

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from enum import StrEnum, unique
-from typing import Any, Literal
+from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from biosensor_gateway.page.marker_models import ExperimentsView, MarkersView
 from biosensor_gateway.settings.models import ShortText, UnitText
 
 
@@ -144,24 +145,6 @@ class RecordingView(BaseModel):
     verdict: VerdictView | None = None
 
 
-class MarkerView(BaseModel):
-    """One marker of the experimenter."""
-
-    id: int
-    marker: str
-    note: str
-    kind: str
-    lsl_time: float
-    undone: bool
-
-
-class MarkersView(BaseModel):
-    """The newest markers, the newest last, and the names of the buttons."""
-
-    markers: list[MarkerView] = Field(default_factory=list[MarkerView])
-    buttons: list[str] = Field(default_factory=list[str])
-
-
 class ShareView(BaseModel):
     """How other computers look on.
 
@@ -193,6 +176,8 @@ class StatusView(BaseModel):
         Samples that this page was too slow to show; nothing of a recording.
     share
         None while no other computer can look on.
+    experiments
+        None if no web page may mark.
     """
 
     agent: AgentState
@@ -207,6 +192,7 @@ class StatusView(BaseModel):
     recording: RecordingView = Field(default_factory=RecordingView)
     markers: MarkersView = Field(default_factory=MarkersView)
     share: ShareView | None = None
+    experiments: ExperimentsView | None = None
 
 
 class FoundView(BaseModel):
@@ -294,24 +280,6 @@ class NewRecording(BaseModel):
     task: str = "Default"
     folder: str = ""
     allow_missing: bool = False
-
-
-class NewMarker(BaseModel):
-    """A marker of the experimenter: a button, or a note."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-    marker: str
-    note: str = ""
-    kind: Literal["button", "note"] = "button"
-
-
-class MarkerNumber(BaseModel):
-    """Which marker; without a number the last that is not undone."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-    id: int | None = None
 
 
 class Outcome(BaseModel):

@@ -23,6 +23,7 @@ from fastapi.staticfiles import StaticFiles
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.page.api import PREFIX, add_api
 from biosensor_gateway.page.ending import Ending
+from biosensor_gateway.page.experiments.server import ExperimentServer
 from biosensor_gateway.page.guard import DOOR, OPENS_ONCE, Guard, Keys
 from biosensor_gateway.page.link import AgentLink
 from biosensor_gateway.page.live import add_live
@@ -171,6 +172,7 @@ class PageServer:
                     link.run(),
                     self._recorder.run(),
                     self._marking.run(),
+                    ExperimentServer(session).run(),
                     self._ending.run(self._end),
                     self._show(way_in()),
                     *(serve() for serve in beside),

@@ -14,13 +14,8 @@ from biosensor_gateway.agent.feed_frames import Samples
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.page.history import History
-from biosensor_gateway.page.models import (
-    AgentState,
-    MarkersView,
-    RecordingView,
-    ShareView,
-    StatusView,
-)
+from biosensor_gateway.page.marker_models import ExperimentsView, MarkersView
+from biosensor_gateway.page.models import AgentState, RecordingView, ShareView, StatusView
 from biosensor_gateway.page.screen import Screen
 from biosensor_gateway.page.view import Viewer
 from biosensor_gateway.settings import file as settings_file
@@ -54,6 +49,7 @@ class Session:
         self.markers = MarkersView()
         self.has_ended = False
         self.share: ShareView | None = None
+        self.experiments: ExperimentsView | None = None
         self._viewer = Viewer(self.history)
         self._status: Mapping[str, Any] | None = None
         self._skipped = 0
@@ -136,6 +132,7 @@ class Session:
         facts = self._settings_facts()
         facts["recording"] = self.recording
         facts["share"] = self.share
+        facts["experiments"] = self.experiments
         if status is None:
             return StatusView(agent=self._absence(), **facts)
         return StatusView(

@@ -17,6 +17,7 @@ from fastapi.staticfiles import StaticFiles
 
 from biosensor_common.doctor.checks.interfaces import interfaces
 from biosensor_common.errors import TransportError, TransportReason
+from biosensor_gateway.page.beside import ServerBeside
 from biosensor_gateway.page.certificate import Certificate, own_certificate
 from biosensor_gateway.page.guard import DOOR, Guard, ViewKeys
 from biosensor_gateway.page.live import add_live
@@ -78,7 +79,7 @@ class Sharing:
             config = uvicorn.Config(
                 guard, ssl_certfile=certificate.file, lifespan="off", **self._options
             )
-            yield partial(_serve, _Server(config), listening)
+            yield partial(_serve, ServerBeside(config), listening)
 
     def _app(self) -> FastAPI:
         app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
@@ -148,14 +149,6 @@ def _certificate(folder: Path, names: Sequence[str]) -> Certificate:
             f"({error.strerror or error})"
         )
         raise TransportError(TransportReason.ABSENT, message) from error
-
-
-class _Server(uvicorn.Server):
-    """Leaves the signals to the server that it runs beside."""
-
-    @contextlib.contextmanager
-    def capture_signals(self) -> Generator[None]:
-        yield
 
 
 def _addresses() -> Sequence[str]:

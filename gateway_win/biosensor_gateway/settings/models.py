@@ -19,6 +19,7 @@ from pydantic_settings import (
 )
 
 from biosensor_common.lsl_config import DEFAULT_PORT_RANGE
+from biosensor_gateway.settings.web_markers import WebMarkerSettings
 
 OVERRIDE_PREFIX = "BIOSENSOR_GATEWAY_"
 OVERRIDE_DELIMITER = "__"
@@ -142,6 +143,9 @@ class MarkerSettings(BaseModel):
         strict=False,
         description="Names of the markers that can be set with one press; the first nine have the "
         "keys 1 to 9, in this order. A change holds after: biosensor-gateway reload",
+    )
+    web: WebMarkerSettings = Field(
+        default=WebMarkerSettings(), description="Markers that web experiments send."
     )
 
 

@@ -96,8 +96,16 @@ def _prose(text: str) -> list[str]:
 
 def _section(name: str, model: type[BaseModel]) -> Iterator[str]:
     yield f"[{name}]"
+    inner: dict[str, type[BaseModel]] = {}
     for key, field in model.model_fields.items():
-        yield from _setting(name, key, field)
+        if isinstance(field.default, BaseModel):
+            inner[f"{name}.{key}"] = type(field.default)
+        else:
+            yield from _setting(name, key, field)
+    # TOML has them last: what follows the head of a table belongs to it.
+    for each, table in inner.items():
+        yield ""
+        yield from _section(each, table)
 
 
 def _example(sensor: str, model: type[DeviceSettings]) -> Iterator[str]:

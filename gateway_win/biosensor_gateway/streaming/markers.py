@@ -19,6 +19,10 @@ note
     Free text.
 source
     Who sent it.
+timed_by
+    Of one from a web experiment, what its ``lsl_time`` comes from; one of :class:`TimedBy`.
+uncertainty_s
+    By how many seconds that may be wrong at most, either way, where it was measured.
 of
     Of an undo, the ``id`` of the marker that it takes back. Nothing is deleted.
 """
@@ -31,6 +35,7 @@ import socket
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum, unique
+from typing import NamedTuple
 
 import pylsl
 import structlog
@@ -66,10 +71,38 @@ class MarkerKind(StrEnum):
     """Somebody wrote something down."""
     API = "api"
     """A program sent it, or a command."""
+    WEB = "web"
+    """A web experiment sent it."""
     UNDO = "undo"
     """It takes another one back."""
     READY = "ready"
     """The agent's own: somebody begins to receive, and nobody did before."""
+
+
+@unique
+class TimedBy(StrEnum):
+    """How it is known when a web experiment's marker happened."""
+
+    CLOCK = "clock"
+    """The browser said when, on its own clock, which was measured."""
+    AGE = "age"
+    """The browser said how long ago; the time on the way is in it."""
+    ARRIVAL = "arrival"
+    """It is when the marker came."""
+
+
+class Timing(NamedTuple):
+    """How well the time of a marker is known.
+
+    Attributes
+    ----------
+    timed_by
+    uncertainty_s
+        In seconds, either way; None if it was not measured.
+    """
+
+    timed_by: TimedBy
+    uncertainty_s: float | None = None
 
 
 @dataclass(slots=True)
@@ -82,6 +115,7 @@ class Marker:
     kind: MarkerKind
     source: str
     lsl_time: float
+    timing: Timing | None = None
     undone: bool = False
 
 
@@ -128,7 +162,13 @@ class MarkerStream:
             self._send(MarkerKind.READY.value, MarkerKind.READY, now, {})
 
     def mark(
-        self, marker: str, note: str, kind: MarkerKind, source: str, at: float | None = None
+        self,
+        marker: str,
+        note: str,
+        kind: MarkerKind,
+        source: str,
+        at: float | None = None,
+        timing: Timing | None = None,
     ) -> Marker:
         """Send a marker.
 
@@ -138,6 +178,8 @@ class MarkerStream:
             What it says; note and source may be empty.
         at
             LSL time in seconds at which it happened; now if it is not said.
+        timing
+            How well that is known, where somebody measured it.
 
         Raises
         ------
@@ -145,9 +187,11 @@ class MarkerStream:
             ``UNAVAILABLE`` if there is no stream.
         """
         happened = pylsl.local_clock() if at is None else at
-        facts = {name: text for name, text in (("note", note), ("source", source)) if text}
+        known = {} if timing is None else timing._asdict()
+        said = {"note": note, "source": source, **known}
+        facts = {name: each for name, each in said.items() if each not in ("", None)}
         number = self._send(marker, kind, happened, facts)
-        sent = Marker(number, marker, note, kind, source, round(happened, 6))
+        sent = Marker(number, marker, note, kind, source, round(happened, 6), timing)
         self._kept[number] = sent
         if len(self._kept) > KEPT:
             del self._kept[next(iter(self._kept))]

@@ -80,7 +80,7 @@ function App() {
 
   if (status?.ended) return html`<${Ended} told=${told} />`;
   if (status === undefined) return html`<p class="wait">Opening …</p>`;
-  const isEmpty = status && !status.devices.length && !status.configured && status.agent !== "starting";
+  const isEmpty = status && !status.devices.length && !status.configured && status.agent !== "starting" && !status.experiments;
   return html`
     <${Head} status=${status} act=${act} onSetup=${() => setSetup(true)} onDoctor=${() => setExamined(true)} />
     <main>
@@ -93,7 +93,7 @@ function App() {
       ${status && !isEmpty && !device && html`
         <div class="pair">
           <${Session} recording=${status.recording} act=${act} />
-          ${status.agent === "running" && html`<${Markers} markers=${status.markers} act=${act} />`}
+          ${status.agent === "running" && html`<${Markers} markers=${status.markers} experiments=${status.experiments} act=${act} />`}
         </div>`}
       ${device
         ? html`<${Detail} live=${live.current} device=${device} isVirtual=${status.virtual} act=${act} onClose=${() => setOpen(null)} />`

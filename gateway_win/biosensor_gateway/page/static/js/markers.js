@@ -1,4 +1,5 @@
-// Markers of the experimenter: a button or key for each name of the settings, notes, and undo.
+// Markers of the experimenter: a button or key for each name of the settings, notes, and undo;
+// and those of web experiments.
 
 import { html, useEffect, useState } from "../vendor/preact-htm.js";
 
@@ -8,6 +9,14 @@ function isTyping(event) {
   return event.target.closest?.("input, textarea, select") || event.ctrlKey || event.altKey || event.metaKey;
 }
 
+function said({ kind, marker, note }) {
+  return kind === "web" && note ? `${marker}: ${note}` : note || marker;
+}
+
+function within(seconds) {
+  return seconds == null ? "" : `, to within ${(1000 * seconds).toFixed(1)} ms`;
+}
+
 export function MarkerList({ markers, undo }) {
   const shown = markers.markers.filter((each) => each.kind !== "undo").reverse();
   if (!shown.length) return null;
@@ -15,12 +24,25 @@ export function MarkerList({ markers, undo }) {
     <ol class="marks small" reversed>
       ${shown.map((each) => html`
         <li key=${each.id} class=${each.undone ? "undone" : ""}>
-          ${each.note || each.marker}${each.undone ? " (marked as a mistake)" : undo && html` <button class="plain" onClick=${() => undo(each.id)}>undo<span class="hidden"> ${each.note || each.marker}</span></button>`}
+          ${said(each)}${each.kind === "web" && html`<span class="soft"> from ${each.source}${within(each.uncertainty_s)}</span>`}${each.undone ? " (marked as a mistake)" : undo && html` <button class="plain" onClick=${() => undo(each.id)}>undo<span class="hidden"> ${said(each)}</span></button>`}
         </li>`)}
     </ol>`;
 }
 
-export function Markers({ markers, act }) {
+function Experiments({ experiments }) {
+  const { problem, connected, origins, foreign } = experiments;
+  return html`
+    <h3 id="experiments">Web experiments</h3>
+    ${problem && html`<p class="reason" role="alert">${problem}</p>`}
+    ${!problem && html`
+      <ul class="small plain-list" aria-labelledby="experiments">
+        ${connected.map((each) => html`<li><span class="state good"><span aria-hidden="true">●</span> connected</span>: ${each.origin}${each.uncertainty_s == null ? ", its clock is being measured" : `, its clock is known${within(each.uncertainty_s)}`}</li>`)}
+        ${!connected.length && html`<li>None is connected. They may come from ${origins.join(", ")}; what they need is shown by <code>biosensor-gateway mark --web</code>.</li>`}
+        ${foreign && html`<li class="reason">Refused: a page of ${foreign}, which is not among the origins in the settings.</li>`}
+      </ul>`}`;
+}
+
+export function Markers({ markers, experiments, act }) {
   const [note, setNote] = useState("");
   const names = markers.buttons.join("\n");
   const mark = (marker) => act("POST", "/markers", { marker, kind: "button" });
@@ -52,5 +74,6 @@ export function Markers({ markers, act }) {
         <button>Send note</button>
       </form>
       <${MarkerList} markers=${markers} undo=${undo} />
+      ${experiments && html`<${Experiments} experiments=${experiments} />`}
     </section>`;
 }

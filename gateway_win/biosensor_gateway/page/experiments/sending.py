@@ -1,0 +1,119 @@
+"""Sends the markers of web experiments to the agent: in order, once each, not too many."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from biosensor_common.errors import TransportError, TransportReason
+from biosensor_gateway.agent import control
+from biosensor_gateway.page.experiments.models import Sent
+from biosensor_gateway.streaming.markers import MarkerKind, Timing
+
+MARKS_PER_S, MARKS_AT_ONCE = 50, 100
+_REMEMBERED = 2000
+
+
+class Pace:
+    """Allows so many a second on average, and so many at once.
+
+    Parameters
+    ----------
+    per_s, at_once
+    clock
+        Seconds; for tests.
+    """
+
+    def __init__(
+        self, per_s: float, at_once: int, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._per_s, self._most = per_s, at_once
+        self._clock = clock
+        self._left, self._then = float(at_once), clock()
+
+    def allows(self) -> bool:
+        """Whether one more is within it; if so, it is counted."""
+        now = self._clock()
+        self._left = min(self._most, self._left + (now - self._then) * self._per_s)
+        self._then = now
+        if self._left < 1:
+            return False
+        self._left -= 1
+        return True
+
+
+class WebMark(NamedTuple):
+    """A marker and when it happened.
+
+    Attributes
+    ----------
+    key
+        Names it when it is sent again; None if it never is.
+    origin
+        Of the page.
+    at
+        LSL time in seconds.
+    """
+
+    marker: str
+    note: str
+    origin: str
+    at: float
+    timing: Timing
+    key: tuple[str, int] | None = None
+
+
+class Sending:
+    """Hands markers to the agent of a state folder.
+
+    Parameters
+    ----------
+    folder
+        The state folder.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._pace = Pace(MARKS_PER_S, MARKS_AT_ONCE)
+        self._one_at_a_time = asyncio.Lock()
+        self._sent: OrderedDict[tuple[str, int], Sent] = OrderedDict()
+
+    async def send(self, mark: WebMark) -> Sent:
+        """Have the agent send a marker; one that it has sent already is not sent again.
+
+        Raises
+        ------
+        TransportError
+            ``BUSY`` if there are too many; ``ABSENT`` or ``SILENT`` if no agent answers.
+        ProtocolError
+            ``REFUSED`` by the agent, with its sentence.
+        """
+        # A page that goes away meanwhile comes back and asks what became of it.
+        return await asyncio.shield(self._send(mark))
+
+    async def _send(self, mark: WebMark) -> Sent:
+        async with self._one_at_a_time:
+            if mark.key is not None and mark.key in self._sent:
+                return self._sent[mark.key]
+            if not self._pace.allows():
+                message = f"more than {MARKS_PER_S} markers a second; send fewer, or later"
+                raise TransportError(TransportReason.BUSY, message)
+            arguments = {
+                "marker": mark.marker,
+                "note": mark.note,
+                "kind": MarkerKind.WEB.value,
+                "source": mark.origin,
+                "at": mark.at,
+                **mark.timing._asdict(),
+            }
+            answer = await asyncio.to_thread(control.ask, self._folder, "mark", arguments)
+            sent = Sent(id=answer["id"], lsl_time=answer["lsl_time"], **mark.timing._asdict())
+            if mark.key is not None:
+                self._sent[mark.key] = sent
+                if len(self._sent) > _REMEMBERED:
+                    self._sent.popitem(last=False)
+            return sent
