@@ -18,7 +18,7 @@ from biosensor_gateway.page.experiments.token import experiment_token, new_exper
 from biosensor_gateway.settings.file import load_settings
 from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.settings.places import settings_path, state_folder
-from biosensor_gateway.settings.web_markers import OF_NO_SITE, WebMarkerSettings
+from biosensor_gateway.settings.web_markers import OF_NO_SITE, USUAL_PORT, WebMarkerSettings
 
 _EXAMPLE = 'origins = ["http://localhost:8080"]'
 _LEAD = 9
@@ -89,9 +89,10 @@ def _rows(web: WebMarkerSettings, token: str) -> Iterator[tuple[str, str]]:
             f"none, so nothing listens; in the settings, write under [markers.web]: {_EXAMPLE}",
         )
         return
+    port = "" if web.port == USUAL_PORT else f"&port={web.port}"
     for lead, origin in zip(["origins"] + [""] * len(web.origins), web.origins, strict=False):
         is_site = origin != OF_NO_SITE
-        yield lead, f"{origin}/#gateway={token}" if is_site else "null (a page from a file)"
+        yield lead, f"{origin}/#gateway={token}{port}" if is_site else "null (a page from a file)"
     if not _listens(web.port):
         yield "", "nothing listens there yet; open the page: biosensor-gateway page"
 

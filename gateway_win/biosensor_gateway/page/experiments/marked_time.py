@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from biosensor_gateway.agent.marking import MAX_LEAD_S, MAX_WEB_AGE_S
 from biosensor_gateway.page.experiments.browser_clock import BrowserClock
 from biosensor_gateway.page.experiments.models import Mark
@@ -63,7 +65,8 @@ class MarkedTime:
             raise RefusedTimeError(message)
         self._doubted = None
         at = min(known.lsl_time, arrival + MAX_LEAD_S)
-        return at, Timing(TimedBy.CLOCK, known.uncertainty_s)
+        # In the digits that are told, and not below what it is.
+        return at, Timing(TimedBy.CLOCK, math.ceil(1e6 * known.uncertainty_s) / 1e6)
 
     def _of_the_future(self, ref: int, ahead_s: float) -> RefusedTimeError:
         # Either the page is wrong or its clock was set; the second time, it is the page.

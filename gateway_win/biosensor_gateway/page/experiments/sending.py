@@ -80,7 +80,7 @@ class Sending:
         self._folder = folder
         self._pace = Pace(MARKS_PER_S, MARKS_AT_ONCE)
         self._one_at_a_time = asyncio.Lock()
-        self._sent: OrderedDict[tuple[str, int], Sent] = OrderedDict()
+        self._sent: OrderedDict[tuple[str, int] | None, Sent] = OrderedDict()
 
     async def send(self, mark: WebMark) -> Sent:
         """Have the agent send a marker; one that it has sent already is not sent again.
@@ -92,6 +92,9 @@ class Sending:
         ProtocolError
             ``REFUSED`` by the agent, with its sentence.
         """
+        if mark.key not in self._sent and not self._pace.allows():
+            message = f"more than {MARKS_PER_S} markers a second; send fewer, or later"
+            raise TransportError(TransportReason.BUSY, message)
         # A page that goes away meanwhile comes back and asks what became of it.
         return await asyncio.shield(self._send(mark))
 
@@ -99,9 +102,6 @@ class Sending:
         async with self._one_at_a_time:
             if mark.key is not None and mark.key in self._sent:
                 return self._sent[mark.key]
-            if not self._pace.allows():
-                message = f"more than {MARKS_PER_S} markers a second; send fewer, or later"
-                raise TransportError(TransportReason.BUSY, message)
             arguments = {
                 "marker": mark.marker,
                 "note": mark.note,

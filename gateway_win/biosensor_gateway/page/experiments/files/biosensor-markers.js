@@ -8,14 +8,15 @@
 // does the same. docs/web-experiments.md says more. SPDX-License-Identifier: Apache-2.0
 "use strict";
 {
-  const USUAL_ADDRESS = "ws://127.0.0.1:17871";
+  const USUAL_PORT = 17871;
   const AT_ONCE = 20; // markers on their way
   const KEPT = 1000; // while the connection is away
   const AGAIN_MS = 1000;
   const RETRY_MS = [500, 5000];
   const REFUSED = 1008;
 
-  const ofAddress = () => new URLSearchParams(location.hash.slice(1)).get("gateway") ?? "";
+  // What stands behind the # of a page's address is sent to no server.
+  const ofAddress = (name) => new URLSearchParams(location.hash.slice(1)).get(name);
   const pageTime = (at) => performance.timeOrigin + at;
 
   // Browsers show their time in steps, so that pages cannot use it against their user.
@@ -45,12 +46,13 @@
 
     /**
      * Connects, and again whenever the connection is lost.
-     * token: of `biosensor-gateway mark --web`; usually from the page's address, behind #gateway=
+     * token, port: of `biosensor-gateway mark --web`; usually from the page's own address, which
+     * ends in #gateway=TOKEN, and &port=PORT if that is not the usual one
      * onstate: called with (state, problem) whenever they change
      */
-    constructor({ token = ofAddress(), address = USUAL_ADDRESS, onstate = () => {} } = {}) {
+    constructor({ token = ofAddress("gateway") ?? "", port = ofAddress("port") ?? USUAL_PORT, onstate = () => {} } = {}) {
       this.#token = token;
-      this.#address = address;
+      this.#address = `ws://127.0.0.1:${Number(port)}`;
       this.#onstate = onstate;
       /** Fulfilled when there is a connection and the clock has been measured. */
       this.ready = new Promise((resolve) => { this.#setReady = resolve; });

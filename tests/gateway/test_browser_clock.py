@@ -1,0 +1,106 @@
+"""The clock of a browser, from exchanges whose truth is known."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import pytest
+
+from biosensor_gateway.page.experiments.browser_clock import (
+    DRIFT,
+    ENOUGH,
+    BrowserClock,
+    Exchange,
+)
+
+TWO_HOURS_S = 7200.0
+
+
+class Browser:
+    """A browser that shows its time in steps, wrong by an offset and a rate.
+
+    Attributes
+    ----------
+    offset_s
+        Its time minus LSL's.
+    """
+
+    def __init__(self, offset_s: float, drift: float = 0.0, step_s: float = 0.0) -> None:
+        self.offset_s = offset_s
+        self._drift, self._step_s = drift, step_s
+
+    def shows(self, now: float) -> float:
+        exact = now * (1 + self._drift) + self.offset_s
+        return math.floor(exact / self._step_s) * self._step_s if self._step_s else exact
+
+    def asked(self, now: float, there_s: float, back_s: float) -> Exchange:
+        """Make an exchange that takes so long on each way."""
+        return Exchange(now, self.shows(now + there_s), now + there_s + back_s)
+
+
+@pytest.mark.parametrize("offset_s", [0.0, TWO_HOURS_S, -1.7e9])
+@pytest.mark.parametrize("drift", [0.0, 0.9 * DRIFT, -0.9 * DRIFT])
+@pytest.mark.parametrize("step_s", [0.0, 1e-4, 0.1])
+def test_the_truth_is_within_what_is_said(offset_s: float, drift: float, step_s: float) -> None:
+    chance = random.Random(1)
+    browser, clock = Browser(offset_s, drift, step_s), BrowserClock(step_s)
+    now, said = 1000.0, list[float]()
+    for _ in range(300):
+        # One way may take most of the time: a page that is busy, or a late loop here.
+        ways = chance.expovariate(1 / 0.004), chance.expovariate(1 / 0.004)
+        assert clock.note(browser.asked(now, *ways))
+        now += 2.0
+        if not clock.is_known:
+            continue
+        happened = now - chance.uniform(0, 30)
+        known = clock.to_lsl(browser.shows(happened))
+        # A computer's numbers hold a time of 1.7e9 s to 0.2 us.
+        assert abs(known.lsl_time - happened) <= known.uncertainty_s + 1e-6
+        said.append(known.uncertainty_s)
+    assert min(said) < 2 * step_s + 0.005
+
+
+def test_nothing_is_said_before_enough_is_known() -> None:
+    browser, clock = Browser(5.0), BrowserClock(0.0)
+    for count in range(ENOUGH):
+        assert clock.newest_uncertainty_s is None
+        with pytest.raises(ValueError, match="not measured yet"):
+            clock.to_lsl(5.0)
+        clock.note(browser.asked(float(count), 0.001, 0.001))
+    assert clock.newest_uncertainty_s == pytest.approx(0.001)
+    clock.forget()
+    assert not clock.is_known
+
+
+def test_the_quickest_exchange_counts() -> None:
+    browser, clock = Browser(3.0), BrowserClock(0.0)
+    for there_s, back_s in [(0.2, 0.0), (0.0, 0.3), (0.0005, 0.0003), (0.1, 0.0), (0.0, 0.05)]:
+        clock.note(browser.asked(100.0, there_s, back_s))
+    known = clock.to_lsl(browser.shows(100.0))
+    assert known.lsl_time == pytest.approx(100.0, abs=1.1e-4)
+    assert known.uncertainty_s == pytest.approx(0.0004, abs=1e-6)
+
+
+@pytest.mark.parametrize("by_s", [TWO_HOURS_S, -TWO_HOURS_S, 0.05, -0.05])
+def test_a_clock_that_was_set_is_noticed_and_measured_anew(by_s: float) -> None:
+    browser, clock = Browser(3.0, step_s=1e-4), BrowserClock(1e-4)
+    for count in range(20):
+        assert clock.note(browser.asked(2.0 * count, 0.001, 0.002))
+    browser.offset_s += by_s
+    assert not clock.note(browser.asked(40.0, 0.001, 0.002))
+    assert not clock.is_known
+    for count in range(ENOUGH):
+        assert clock.note(browser.asked(41.0 + count, 0.001, 0.002))
+    known = clock.to_lsl(browser.shows(45.0))
+    assert abs(known.lsl_time - 45.0) <= known.uncertainty_s
+
+
+def test_a_resolution_that_nobody_has_is_not_believed() -> None:
+    for said_s in (-1.0, 1e9):
+        clock = BrowserClock(said_s)
+        for count in range(ENOUGH):
+            clock.note(Exchange(count, count, count))
+        uncertainty = clock.newest_uncertainty_s
+        assert uncertainty is not None
+        assert 0 <= uncertainty < 1
