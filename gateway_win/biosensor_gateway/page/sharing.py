@@ -110,6 +110,7 @@ class Sharing:
         return status.model_copy(
             update={
                 "share": None,
+                "experiments": None,
                 "settings_file": "",
                 "problem": "The settings file has a mistake." if status.problem else "",
                 "recording": shown,
