@@ -8,7 +8,13 @@ import pytest
 
 from biosensor_common.outflow import Outflow
 from biosensor_gateway.agent.state import State
-from biosensor_gateway.cli.live_table import LiveTable, Row, picture, sensor_title
+from biosensor_gateway.cli.live_table import (
+    LiveTable,
+    Row,
+    picture,
+    running_foot,
+    sensor_title,
+)
 from biosensor_gateway.devices.registry import sensor_names
 from biosensor_gateway.system.panel import Panel, Size
 
@@ -116,7 +122,7 @@ def test_two_of_a_name_are_told_apart_and_others_need_no_number() -> None:
 
 
 def drawn(rows: list[Row], size: Size = WIDE) -> list[str]:
-    return [line.text for line in picture(rows, 3661, size, colours=False)]
+    return [line.text for line in picture(rows, running_foot(3661), size, colours=False)]
 
 
 def test_a_reason_stands_below_its_device_and_how_to_end_it_below_all() -> None:
@@ -155,5 +161,5 @@ def test_it_fits_every_window_and_names_what_is_left_out(columns: int, lines: in
 
 def test_trouble_has_a_colour_only_where_there_are_colours() -> None:
     rows = table().rows(status(device(state="backoff", error=REASON)))
-    assert any(line.colour for line in picture(rows, 0, WIDE, colours=True))
-    assert not any(line.colour for line in picture(rows, 0, WIDE, colours=False))
+    assert any(line.colour for line in picture(rows, (), WIDE, colours=True))
+    assert not any(line.colour for line in picture(rows, (), WIDE, colours=False))

@@ -1,9 +1,9 @@
-"""The table that ``run`` renews in place: each device, how it does, and how to end it."""
+"""The table that ``run`` and ``status --watch`` renew in place: each device and how it does."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from time import monotonic
 from typing import Any, NamedTuple
@@ -53,18 +53,25 @@ class LiveTable:
     panel
     colours
         Whether the terminal shows any.
+    foot
+        Makes the sentences below the table; how long it runs and how to end it if not given.
     """
 
-    def __init__(self, panel: Panel, *, colours: bool) -> None:
+    def __init__(
+        self, panel: Panel, *, colours: bool, foot: Callable[[], Sequence[str]] | None = None
+    ) -> None:
         self._panel, self._colours = panel, colours
         self._meters: dict[str, RateMeter] = {}
         self._begun_s = monotonic()
+        self._foot = foot or self._running
 
     def report(self, status: Mapping[str, Any]) -> None:
         """Show what the agent's status says; see `snapshot`."""
         rows = self.rows(status)
-        running_s = int(monotonic() - self._begun_s)
-        self._panel.show(partial(picture, rows, running_s, colours=self._colours))
+        self._panel.show(partial(picture, rows, self._foot(), colours=self._colours))
+
+    def _running(self) -> Sequence[str]:
+        return running_foot(int(monotonic() - self._begun_s))
 
     def rows(self, status: Mapping[str, Any]) -> list[Row]:
         """Put the devices into words."""
@@ -119,10 +126,15 @@ def _parts(device: Mapping[str, Any]) -> tuple[str, ...]:
     return device["participant"], sensor_title(device["sensor"]), device["label"]
 
 
-def picture(rows: Sequence[Row], running_s: int, size: Size, *, colours: bool) -> list[Line]:
-    """Draw the table for a terminal of this size; what does not fit is counted."""
+def picture(
+    rows: Sequence[Row], sentences: Sequence[str], size: Size, *, colours: bool
+) -> list[Line]:
+    """Draw the table and sentences below it, for a terminal of this size.
+
+    What does not fit is counted.
+    """
     width = size.columns - 1
-    foot = _foot(running_s, width)
+    foot = [line for each in sentences for line in wrapped(each, width).splitlines()]
     # A line above tells it from the log.
     room = size.lines - 1 - len(foot) - 2
     if room < 1:
@@ -188,11 +200,11 @@ def _line(cells: Sequence[str], columns: Mapping[int, int]) -> str:
     return (" " * _GAP).join(parts).rstrip()
 
 
-def _foot(running_s: int, width: int) -> list[str]:
+def running_foot(running_s: int) -> Sequence[str]:
+    """Return what stands below the table of an agent that has run for so many seconds."""
     minutes, seconds = divmod(running_s, 60)
     hours, minutes = divmod(minutes, 60)
-    sentences = (
+    return (
         f"Running for {hours}:{minutes:02}:{seconds:02}. Press Ctrl-C to end it.",
         "More, in another window: biosensor-gateway status",
     )
-    return [line for each in sentences for line in wrapped(each, width).splitlines()]

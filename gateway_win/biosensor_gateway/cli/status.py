@@ -3,26 +3,37 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
 from biosensor_common.errors import ConfigError, TransportError, TransportReason
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.agent.state import STATE_WORDS
 from biosensor_gateway.cli.options import JsonOption
 from biosensor_gateway.cli.screen import console, say, table_of_names
+from biosensor_gateway.cli.status_words import device_sentence, restart_sentences
 from biosensor_gateway.settings.places import state_folder
 
 
-def status(as_json: JsonOption = False) -> None:
-    """Show what the running agent does; exit code 1 if none runs."""
+def status(
+    watch: Annotated[bool, typer.Option("--watch", help="Go on showing it, until Ctrl-C.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Show what the running agent does; exit code 1 if none runs.
+
+    With --watch, a terminal shows a table that is renewed in place, a pipe or a file gets a line
+    for each change; with --json, too, one line of JSON a second.
+    """
     try:
         current = status_file.running_status(state_folder())
     except ConfigError as error:
         # The command was right: there is no agent.
         raise TransportError(TransportReason.ABSENT, str(error)) from error
-    if as_json:
+    if watch:
+        from biosensor_gateway.cli import status_watch  # noqa: PLC0415 - once does without
+
+        status_watch.watch(state_folder(), as_json=as_json)
+    elif as_json:
         typer.echo(json.dumps(current, indent=2))
     else:
         _print_status(current)
@@ -30,22 +41,15 @@ def status(as_json: JsonOption = False) -> None:
 
 def _print_status(current: dict[str, Any]) -> None:
     terminal = console()
-    if "restarts" in current:
-        times = "once" if current["restarts"] == 1 else f"{current['restarts']} times"
-        say(f"started again {times}, last after: {current['last_end']}")
+    for sentence in restart_sentences(current):
+        say(sentence)
     if not current["devices"]:
         say(
             "the agent runs, and no device is enabled in its settings; add one with: "
             "biosensor-gateway config edit"
         )
     for device in current["devices"]:
-        name = " ".join(
-            part for part in (device["participant"], device["sensor"], device["label"]) if part
-        )
-        word = STATE_WORDS.get(device["state"], device["state"])
-        state = f"paused ({word})" if device["paused"] else word
-        line = f"{name} ({device['unit']}): {state}"
-        say(line + (f" - {device['error']}" if device["error"] else ""))
+        say(device_sentence(device))
         columns = ("pushed", "lost", "refused", "withheld")
         rows = [
             (source_id, *(str(counters[column]) for column in columns))

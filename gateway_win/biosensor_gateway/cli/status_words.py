@@ -1,0 +1,26 @@
+"""What ``status`` says of an agent and its devices, in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from biosensor_gateway.agent.state import STATE_WORDS
+
+
+def restart_sentences(status: Mapping[str, Any]) -> Iterator[str]:
+    """Say that the agent had died, if it had."""
+    if "restarts" in status:
+        times = "once" if status["restarts"] == 1 else f"{status['restarts']} times"
+        yield f"started again {times}, last after: {status['last_end']}"
+
+
+def device_sentence(device: Mapping[str, Any]) -> str:
+    """Say who wears a device, how it does, and what is wrong."""
+    name = " ".join(
+        part for part in (device["participant"], device["sensor"], device["label"]) if part
+    )
+    word = STATE_WORDS.get(device["state"], device["state"])
+    state = f"paused ({word})" if device["paused"] else word
+    line = f"{name} ({device['unit']}): {state}"
+    return line + (f" - {device['error']}" if device["error"] else "")

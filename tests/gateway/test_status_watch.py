@@ -1,0 +1,114 @@
+"""``status --watch``: a table at a terminal, lines elsewhere, and one JSON object a line."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Generator, Mapping
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+import pytest
+
+from biosensor_common.errors import GatewayError
+from biosensor_gateway.agent import control
+from tests.rigs.terminal import at_terminal
+
+PROGRAM = [sys.executable, "-m", "biosensor_gateway.cli"]
+WATCH = [*PROGRAM, "status", "--watch"]
+ROW = re.compile(r"^Zephyr BioHarness 3 +(\w+) +\S+", re.MULTILINE)
+FOOT = "Press Ctrl-C to end the watch; the agent goes on."
+
+StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
+Until = Callable[[Callable[[], bool]], None]
+
+
+@pytest.fixture
+def agent(
+    cli_process: StartCli, until: Until, tmp_path: Path
+) -> Generator[subprocess.Popen[bytes]]:
+    with cli_process(tmp_path, "run", "--simulate", "zephyr") as process:
+        until(lambda: "streaming" in status(tmp_path))
+        yield process
+
+
+def environment(folder: Path) -> Mapping[str, str]:
+    usual = {"BIOSENSOR_GATEWAY_STATE": str(folder), "TERM": "xterm-256color"}
+    return os.environ | usual
+
+
+def status(folder: Path) -> str:
+    asked = [*PROGRAM, "status"]
+    done = subprocess.run(asked, env=environment(folder), capture_output=True, check=False)
+    return done.stdout.decode()
+
+
+def ask(folder: Path, command: str, device: str = "zephyr") -> None:
+    control.ask(folder, command, {"device": device}, 30.0)
+
+
+@pytest.mark.usefixtures("agent")
+def test_a_table_is_renewed_in_place_until_ctrl_c(tmp_path: Path) -> None:
+    with at_terminal(WATCH, environment(tmp_path)) as terminal:
+        terminal.until(lambda seen: [found[1] for found in ROW.finditer(seen)] == ["streaming"])
+        ask(tmp_path, "pause")
+        terminal.until(lambda seen: [found[1] for found in ROW.finditer(seen)] == ["paused"])
+        pictures = terminal.screen.pictures
+        shown = terminal.until(lambda _seen: terminal.screen.pictures > pictures + 2)
+        assert shown.count(FOOT) == shown.count("Device ") == 1
+        assert max(map(len, shown.splitlines())) < 80
+        ask(tmp_path, "stop")
+        shown = terminal.until_seen("no agent is running; start one with")
+        assert not ROW.search(shown)
+        terminal.type("\x03")
+        assert terminal.exit_code() == 0
+
+
+@pytest.mark.usefixtures("agent")
+def test_elsewhere_a_line_tells_each_change(tmp_path: Path) -> None:
+    with subprocess.Popen(WATCH, env=environment(tmp_path), stdout=subprocess.PIPE) as watching:
+        assert watching.stdout is not None
+        begun = watching.stdout.readline().decode()
+        assert re.fullmatch(r"\d\d:\d\d:\d\d zephyr \(\S+\): streaming\n", begun)
+        ask(tmp_path, "pause")
+        changed = watching.stdout.readline().decode()
+        assert changed[9:] == begun[9:].replace("streaming", "paused (streaming)")
+        assert "\x1b" not in begun + changed
+        ask(tmp_path, "stop")
+        assert "no agent is running" in watching.stdout.readline().decode()
+        watching.send_signal(signal.SIGINT)
+        assert watching.wait(30) == 0
+
+
+@pytest.mark.usefixtures("agent")
+def test_json_is_one_object_a_line_and_the_same_as_without_watching(tmp_path: Path) -> None:
+    once = [*PROGRAM, "status", "--json"]
+    known = json.loads(subprocess.check_output(once, env=environment(tmp_path)))
+    command = [*WATCH, "--json"]
+    with subprocess.Popen(command, env=environment(tmp_path), stdout=subprocess.PIPE) as watching:
+        assert watching.stdout is not None
+        reports = [json.loads(watching.stdout.readline()) for _ in range(3)]
+        times = [each["written"] for each in reports]
+        assert times == sorted(set(times))
+        assert all(each.keys() == known.keys() for each in reports)
+        assert [each["unit"] for each in reports[0]["devices"]] == [
+            each["unit"] for each in known["devices"]
+        ]
+        ask(tmp_path, "stop")
+        while "problem" not in (last := json.loads(watching.stdout.readline())):
+            pass
+        assert list(last) == ["problem"]
+        watching.send_signal(signal.SIGINT)
+        assert watching.wait(30) == 0
+
+
+def test_without_an_agent_it_does_not_begin(tmp_path: Path) -> None:
+    done = subprocess.run(WATCH, env=environment(tmp_path), capture_output=True, check=False)
+    assert (done.returncode, done.stdout) == (1, b"")
+    assert b"no agent is running" in done.stderr
+    with pytest.raises(GatewayError):
+        ask(tmp_path, "stop")
