@@ -204,6 +204,7 @@ def test_a_list_fits_a_terminal(
     monkeypatch.setattr(marking, "columns", eighty)
     text = "word " * 40
     marker = {"id": 12345, "marker": text, "note": text, "lsl_time": 0.0, "undone": True}
+    marker |= {"kind": "web", "source": "https://a-study.example.org:8443"}
     names = [f"a button with a long name, no. {number:2}" for number in range(20)]
     marking._print_list({"markers": [marker], "buttons": names})  # pyright: ignore[reportPrivateUsage]
     shown = capsys.readouterr().out

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 import pytest
-from pydantic import Field
+from pydantic import BaseModel, Field
 
 from biosensor_common.errors import ConfigError, ConfigReason, SpecError
 from biosensor_gateway.settings.file import load_settings
@@ -21,6 +21,7 @@ from biosensor_gateway.settings.models import (
     PowerSettings,
 )
 from biosensor_gateway.settings.template import template, write_template
+from biosensor_gateway.settings.web_markers import WebMarkerSettings
 
 
 class StrapSettings(DeviceSettings):
@@ -68,11 +69,12 @@ def test_the_template_loads_with_every_example_switched_on(tmp_path: Path) -> No
 def test_the_template_names_and_describes_every_field() -> None:
     text = template(MODELS)
     joined = re.sub(r"\n# ", " ", text)
-    sections = (LslSettings, PowerSettings, EventSettings, MarkerSettings)
+    sections = (LslSettings, PowerSettings, EventSettings, MarkerSettings, WebMarkerSettings)
     for model in (*sections, StrapSettings, BoxSettings):
         for key, field in model.model_fields.items():
-            assert key == "rate" or f"\n#{key} = " in text
-            assert key == "sensor" or str(field.description) in joined
+            is_table = isinstance(field.default, BaseModel)
+            assert key == "rate" or (f".{key}]\n" if is_table else f"\n#{key} = ") in text
+            assert key == "sensor" or is_table or str(field.description) in joined
 
 
 def test_a_field_that_cannot_be_shown_is_a_fault_of_its_driver() -> None:

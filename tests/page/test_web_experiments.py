@@ -62,9 +62,9 @@ def experimenter(lab: WebLab, window: OpenWindow) -> Page:
 
 def zero_of(page: Page) -> float:
     """LSL time, in seconds, at which the page's time was 0."""
-    debugger = page.context.new_cdp_session(page)
+    debugger: Any = page.context.new_cdp_session(page)
     debugger.send("Performance.enable")
-    told = debugger.send("Performance.getMetrics")["metrics"]
+    told: list[dict[str, Any]] = debugger.send("Performance.getMetrics")["metrics"]
     return {each["name"]: each["value"] for each in told}["NavigationStart"]
 
 

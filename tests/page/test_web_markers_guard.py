@@ -147,7 +147,7 @@ def test_whoever_may_not_marks_nothing(
     assert reader.named("smuggled") == []
 
 
-WRONG_CONTENT = [
+WRONG_CONTENT: list[tuple[object, str]] = [
     ({}, "marker: Field required"),
     ({"marker": ""}, "the marker has no text"),
     ({"marker": "two\nlines"}, "one line of printable text"),
@@ -183,7 +183,7 @@ def test_the_token_opens_nothing_but_markers(lab: WebLab) -> None:
     assert lab.request("GET").code == 405
     # Neither at the other door: not with the token, and not the other way round.
     bearer = {"Authorization": f"Bearer {lab.token}", "Content_Type": "application/json"}
-    assert lab.server.request("GET", "/api/v1/status", "", **bearer).status == 401
+    assert lab.server.request("GET", "/api/v1/status", "", None, **bearer).status == 401
     for origin in (lab.origin, lab.server.origin):
         answer = lab.server.request(
             "POST", "/api/v1/markers", "", b'{"marker": "x"}', Origin=origin, **bearer

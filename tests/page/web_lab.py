@@ -39,7 +39,7 @@ def free_port() -> int:
 
 
 class _Quiet(SimpleHTTPRequestHandler):
-    def log_message(self, *_args: object) -> None:
+    def log_request(self, code: object = "-", size: object = "-") -> None:
         pass
 
 
