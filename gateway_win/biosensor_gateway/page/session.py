@@ -174,7 +174,8 @@ class Session:
                 outcome = error
             self._loaded = version, outcome
         if isinstance(self._loaded[1], ConfigError):
-            raise self._loaded[1]
+            # Else it keeps what was on the stack each time that it was raised.
+            raise self._loaded[1].with_traceback(None)
         return self._loaded[1]
 
 
