@@ -143,10 +143,11 @@ class Happening:
                 self._start_node(robot)
             self._await_all(ROBOTS, since_s=0.0)
             moments = self._disturb()
-        return Outcome(
-            self._streams, self._truth(), {robot: self._fetch(robot) for robot in ROBOTS},
-            path, recorder_found_s, moments,
-        )  # fmt: skip
+        robots = {robot: self._fetch(robot) for robot in ROBOTS}
+        for node in self._nodes.values():
+            # On a busy computer one takes over half a minute to end, of which this is no test.
+            node.kill()
+        return Outcome(self._streams, self._truth(), robots, path, recorder_found_s, moments)
 
     def _watch(self, robot: str, host: str) -> None:
         # Both publish the same streams, so they are in domains of their own.
