@@ -15,7 +15,9 @@ from tests.rigs.hosts.completeness import Span
 from tests.rigs.hosts.recordings import Recording
 
 # How far two receivers' times of arrival may be apart while all is calm.
-NEAR_S = 4.0
+NEAR_S = 2.0
+# The same of programs that are starved while others work.
+STARVED_S = 20.0
 
 Rows = NDArray[np.int64]
 
@@ -51,8 +53,8 @@ def hole(reference: Recording, observed: Recording, before: Span, after: Span) -
     begin, end = _within(observed, before), _within(observed, after)
     if not len(begin) or not len(end):
         raise ValueError("nothing came in a calm time")
-    first = _place(reference, observed, begin)
-    last = _place(reference, observed, end) + len(end)
+    first = _place(reference, observed, begin, STARVED_S)
+    last = _place(reference, observed, end, STARVED_S) + len(end)
     came = observed.rows[begin[0] : end[-1] + 1]
     count = last - first - len(came)
     head = _common(reference.rows[first:last], came)
@@ -109,11 +111,11 @@ def _within(recording: Recording, span: Span) -> Rows:
     return np.flatnonzero(span.holds(recording.arrivals))
 
 
-def _place(reference: Recording, observed: Recording, rows: Rows) -> int:
+def _place(reference: Recording, observed: Recording, rows: Rows, near_s: float = NEAR_S) -> int:
     """Where in the reference these neighbouring rows are; of several places the punctual one."""
     part = observed.rows[rows]
     times = observed.arrivals[rows]
-    near = np.flatnonzero(np.abs(reference.arrivals - times[0]) < NEAR_S)
+    near = np.flatnonzero(np.abs(reference.arrivals - times[0]) < near_s)
     near = near[_alike(reference.rows[near], part[:1])]
     fitting = [
         (float(np.median(np.abs(reference.arrivals[at : at + len(rows)] - times))), int(at))
