@@ -7,11 +7,11 @@ from collections.abc import Iterator
 import pylsl
 import pytest
 
+from biosensor_common.announcements import MAX_RATE_HZ, read_core
 from biosensor_common.errors import SpecError, SpecReason
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
-from lsl_to_ros.lsl.announcements import MAX_RATE_HZ, read_core
 from lsl_to_ros.lsl.inlets import Inlet, InletState
 from tests.rigs.lsl_streams import DEADLINE_S, Open, Source, inlets
 

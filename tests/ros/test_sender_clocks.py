@@ -5,12 +5,11 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 
-import pylsl
 import pytest
 
-from lsl_to_ros.lsl import sender_clocks
+from biosensor_common import sender_clocks
+from biosensor_common.sender_clocks import PERIOD_S, ClockInlet, Measurement, SenderClocks
 from lsl_to_ros.lsl.inlets import Inlet
-from lsl_to_ros.lsl.sender_clocks import Measurement, SenderClocks
 from tests.rigs.lsl_streams import Collector, Open, Source, inlets, thread_count, wait_until
 
 
@@ -20,15 +19,15 @@ def open_inlet() -> Iterator[Open]:
         yield open_
 
 
-Watch = Callable[[list[Inlet]], SenderClocks]
+Watch = Callable[..., SenderClocks]
 
 
 @pytest.fixture
 def watch() -> Iterator[Watch]:
     started: list[SenderClocks] = []
 
-    def start(present: list[Inlet]) -> SenderClocks:
-        started.append(SenderClocks(lambda: present))
+    def start(present: list[Inlet], period_s: float = PERIOD_S) -> SenderClocks:
+        started.append(SenderClocks(lambda: present, period_s))
         return started[-1]
 
     yield start
@@ -49,7 +48,6 @@ def threads_at_rest() -> int:
 def test_a_senders_clock_is_said_once_and_measured_again_and_again(
     open_inlet: Open, watch: Watch, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sender_clocks, "PERIOD_S", 0.2)
     source = Source()
     inlet, first, second = open_inlet(source.find()), Collector(), Collector()
     corrections: list[float] = []
@@ -61,7 +59,7 @@ def test_a_senders_clock_is_said_once_and_measured_again_and_again(
 
     monkeypatch.setattr(inlet, "take_correction", note)
     inlet.deliver_to(first)
-    watch([inlet])
+    watch([inlet], 0.2)
     wait_until(lambda: len(corrections) >= 3, "three measurements")
     assert first.clocks == 1
     inlet.deliver_to(second)
@@ -86,8 +84,8 @@ def test_an_inlet_that_is_gone_is_not_measured_any_more(
 ) -> None:
     begun: list[Measurement] = []
 
-    def measure(info: pylsl.StreamInfo) -> Measurement:
-        begun.append(Measurement(info))
+    def measure(clock: ClockInlet) -> Measurement:
+        begun.append(Measurement(clock))
         present.clear()
         return begun[-1]
 

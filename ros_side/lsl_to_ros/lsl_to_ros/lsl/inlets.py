@@ -12,13 +12,14 @@ from typing import Protocol
 import pylsl
 from pylsl import util
 
+from biosensor_common.announcements import read_core
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl_header import read_header
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.stream_header import StreamHeader, foreign_header
-from lsl_to_ros.lsl.announcements import buffer_length, read_core
 from lsl_to_ros.lsl.blocks import Block, joined
-from lsl_to_ros.lsl.liblsl import matches_query, samples_available
+from lsl_to_ros.lsl.buffering import buffer_length
+from lsl_to_ros.lsl.liblsl import clock_inlet, matches_query, samples_available
 from lsl_to_ros.lsl.pulls import decoded, pull, pull_one
 
 OPEN_TIMEOUT_S = 10.0
@@ -134,6 +135,11 @@ class Inlet:
         return self.core.source_id
 
     @property
+    def is_ready(self) -> bool:
+        """Whether it can be read."""
+        return self.state is InletState.READY
+
+    @property
     def correction_spread(self) -> float:
         """Largest minus smallest of the last ten clock corrections, in seconds."""
         recent = list(self._corrections)
@@ -238,6 +244,16 @@ class Inlet:
         thread = threading.Thread(target=self._close, daemon=True, name="close an inlet")
         thread.start()
         return thread
+
+    def open_clock(self) -> pylsl.StreamInlet:
+        """Open an inlet for one measurement of the sender's clock.
+
+        Raises
+        ------
+        RuntimeError
+            If liblsl can open none.
+        """
+        return clock_inlet(self.info)
 
     def take_correction(self, correction: float) -> None:
         """Take in a measurement of the sender's clock."""

@@ -8,6 +8,7 @@ import numpy as np
 import pylsl
 from numpy.typing import NDArray
 
+from biosensor_common import announcements
 from lsl_to_ros.lsl.blocks import Block
 
 
@@ -24,11 +25,8 @@ def pull(lsl: pylsl.StreamInlet, count: int) -> Block:
 
 
 def decoded(samples: NDArray[Any]) -> NDArray[Any]:
-    """Decode text as pylsl does names: UTF-8, else what a Windows program means by it."""
+    """Decode each text."""
     decoded = np.empty_like(samples)
     for place, text in np.ndenumerate(samples):
-        try:
-            decoded[place] = text.decode()
-        except UnicodeDecodeError:
-            decoded[place] = text.decode("latin-1")
+        decoded[place] = announcements.decoded(text)
     return decoded

@@ -12,12 +12,12 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
+from biosensor_common.sender_clocks import SenderClocks
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.lsl.discovery import Discovery
 from lsl_to_ros.lsl.hosts import Senders
 from lsl_to_ros.lsl.readers import Pump
-from lsl_to_ros.lsl.sender_clocks import SenderClocks
 from lsl_to_ros.lsl.share import Share
 from lsl_to_ros.parameters import node as node_parameters
 from lsl_to_ros.parameters.node import (

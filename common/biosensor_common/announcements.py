@@ -1,0 +1,91 @@
+"""Reads what an LSL stream announces of itself, and judges what can be used."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from biosensor_common.errors import SpecError, SpecReason
+from biosensor_common.lsl_header import MAX_CHANNELS
+from biosensor_common.quantities import ChannelFormat
+from biosensor_common.stream_header import CoreFields
+
+MAX_RATE_HZ = 1e6
+
+# By the numbers that liblsl gives them, lsl_channel_format_t.
+_FORMATS = {
+    1: ChannelFormat.FLOAT32,
+    2: ChannelFormat.DOUBLE64,
+    3: ChannelFormat.STRING,
+    4: ChannelFormat.INT32,
+    5: ChannelFormat.INT16,
+    6: ChannelFormat.INT8,
+    7: ChannelFormat.INT64,
+}
+
+
+class Announcement(Protocol):
+    """A stream as a resolver gives it, without description: ``pylsl.StreamInfo``."""
+
+    def name(self) -> str:
+        """Return its name."""
+        ...
+
+    def type(self) -> str:
+        """Return its content type."""
+        ...
+
+    def source_id(self) -> str:
+        """Return what it is recovered by, possibly empty."""
+        ...
+
+    def hostname(self) -> str:
+        """Return the sender's computer."""
+        ...
+
+    def channel_count(self) -> int:
+        """Return how many channels it has."""
+        ...
+
+    def nominal_srate(self) -> float:
+        """Return its rate in Hz, 0 if irregular."""
+        ...
+
+    def channel_format(self) -> int:
+        """Return the number of its format."""
+        ...
+
+
+def read_core(info: Announcement) -> CoreFields:
+    """Return what a stream announces of itself.
+
+    Raises
+    ------
+    SpecError
+        ``INVALID``, if it has no channels, too many, an impossible rate or an unknown format.
+    """
+    if not 0 < info.channel_count() <= MAX_CHANNELS:
+        message = f"LSL stream {info.name()!r}: {info.channel_count()} channels are not usable"
+        raise SpecError(SpecReason.INVALID, message)
+    if not 0 <= info.nominal_srate() <= MAX_RATE_HZ:
+        message = f"LSL stream {info.name()!r}: {info.nominal_srate()} Hz is no possible rate"
+        raise SpecError(SpecReason.INVALID, message)
+    if info.channel_format() not in _FORMATS:
+        message = f"LSL stream {info.name()!r}: its format {info.channel_format()} is unknown"
+        raise SpecError(SpecReason.INVALID, message)
+    return CoreFields(
+        name=info.name(),
+        content_type=info.type(),
+        source_id=info.source_id(),
+        hostname=info.hostname(),
+        channel_count=info.channel_count(),
+        rate=info.nominal_srate(),
+        format=_FORMATS[info.channel_format()],
+    )
+
+
+def decoded(text: bytes) -> str:
+    """Decode text as pylsl does names: UTF-8, else what a Windows program means by it."""
+    try:
+        return text.decode()
+    except UnicodeDecodeError:
+        return text.decode("latin-1")
