@@ -53,7 +53,7 @@ class Ending:
         self._session.has_ended = True
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(_GOODBYE_S):
-                while self._session.screens:  # noqa: ASYNC110 - each leaves by itself
+                while self._session.traces.screens:  # noqa: ASYNC110 - each leaves by itself
                     await asyncio.sleep(_HEARD_S)
         end()
 
@@ -69,4 +69,4 @@ class Ending:
     def _is_needed(self) -> bool:
         session = self._session
         is_recording = session.recording.is_running or bool(session.recording.busy)
-        return bool(session.screens) or is_recording or session.agent is not AgentState.ABSENT
+        return bool(session.traces.screens) or is_recording or session.agent is not AgentState.ABSENT

@@ -1,10 +1,10 @@
-"""Keeps the last minute of every stream, and makes of it what a screen can show."""
+"""Keeps what came last of every stream, and makes of it what a screen can show."""
 
 from __future__ import annotations
 
 import struct
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -33,26 +33,34 @@ class Bins(NamedTuple):
 
 
 class History:
-    """What came in the last minute, by source_id."""
+    """What came last, by source_id.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    kept_s
+        For how long it is kept.
+    """
+
+    def __init__(self, kept_s: float = KEPT_S) -> None:
+        self._kept_s = kept_s
         self._chunks: dict[str, deque[Samples]] = {}
 
     def add(self, samples: Samples) -> None:
-        """Keep what has come; forget what is older than a minute."""
+        """Keep what has come; forget what is too old."""
         if not len(samples.stamps):
             return
         kept = self._chunks.setdefault(samples.source_id, deque())
         if kept and kept[-1].values.shape[1] != samples.values.shape[1]:
             kept.clear()
         kept.append(samples)
-        oldest = samples.stamps[-1] - KEPT_S
+        oldest = samples.stamps[-1] - self._kept_s
         while kept[0].stamps[-1] < oldest:
             kept.popleft()
 
-    def clear(self) -> None:
-        """Forget everything."""
-        self._chunks.clear()
+    def keep_only(self, source_ids: Collection[str]) -> None:
+        """Forget all other streams."""
+        for name in self._chunks.keys() - source_ids:
+            del self._chunks[name]
 
     def newest(self, source_id: str) -> tuple[float, list[float | None]] | None:
         """Return stamp and values of the newest sample; None if there is none."""

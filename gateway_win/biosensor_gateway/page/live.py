@@ -8,9 +8,10 @@ from collections.abc import Callable
 
 from fastapi import FastAPI, WebSocket, WebSocketDisconnect
 from pydantic import BaseModel, ValidationError
+from pylsl import local_clock
 
 from biosensor_gateway.page.screen import Screen, View
-from biosensor_gateway.page.session import Session
+from biosensor_gateway.page.source import Source
 
 ENDED = 4000
 """Code with which a WebSocket is closed because somebody has ended the page."""
@@ -19,13 +20,13 @@ STATUS_EVERY = 10
 """Pictures from one status to the next: twice a second."""
 
 
-def add_live(app: FastAPI, session: Session, more: Callable[[], BaseModel]) -> None:
+def add_live(app: FastAPI, source: Source, more: Callable[[], BaseModel]) -> None:
     """Add the WebSocket.
 
     Parameters
     ----------
     app
-    session
+    source
     more
         Says what else the page shows, twice a second.
     """
@@ -33,35 +34,34 @@ def add_live(app: FastAPI, session: Session, more: Callable[[], BaseModel]) -> N
     @app.websocket("/live")
     async def live(socket: WebSocket) -> None:
         await socket.accept()
-        screen = Screen(session.history)
-        session.screens.add(screen)
-        sending = asyncio.create_task(_send(socket, session, screen, more))
+        screen = source.traces.open()
+        sending = asyncio.create_task(_send(socket, source, screen, more))
         try:
-            await _receive(socket, session, screen)
+            await _receive(socket, screen)
         finally:
-            session.screens.discard(screen)
+            source.traces.close(screen)
             sending.cancel()
             await asyncio.gather(sending, return_exceptions=True)
 
 
-async def _receive(socket: WebSocket, session: Session, screen: Screen) -> None:
+async def _receive(socket: WebSocket, screen: Screen) -> None:
     with contextlib.suppress(WebSocketDisconnect, ValidationError, KeyError):
         # Who asks for something that cannot be shown is not the page, and is let go.
         while True:
-            screen.show(View.model_validate_json(await socket.receive_text()), session.now())
+            screen.show(View.model_validate_json(await socket.receive_text()), local_clock())
     with contextlib.suppress(RuntimeError):
         await socket.close()
 
 
 async def _send(
-    socket: WebSocket, session: Session, screen: Screen, more: Callable[[], BaseModel]
+    socket: WebSocket, source: Source, screen: Screen, more: Callable[[], BaseModel]
 ) -> None:
     """Send pictures; a browser that is slow gets fewer of them, and nothing piles up here."""
     count = 0
-    while not session.has_ended:
+    while not source.has_ended:
         if count % STATUS_EVERY == 0:
             await socket.send_text(more().model_dump_json())
-        picture = screen.picture(session.now())
+        picture = screen.picture(local_clock())
         if picture is not None:
             await socket.send_bytes(picture)
         count += 1

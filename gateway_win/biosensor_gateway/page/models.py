@@ -44,6 +44,8 @@ class StreamView(BaseModel):
     rate_hz, nominal_hz
         Measured over the last seconds by the samples' own times, None while nothing comes;
         and declared, 0 for streams that come when they come.
+    lost
+        None where nobody counts.
     age_s
         Of the newest sample; None before the first.
     is_fresh
@@ -64,7 +66,7 @@ class StreamView(BaseModel):
     rate_hz: float | None
     nominal_hz: float
     pushed: int
-    lost: int
+    lost: int | None
     age_s: float | None
     is_fresh: bool
     is_silent: bool

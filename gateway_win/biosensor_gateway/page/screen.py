@@ -76,6 +76,11 @@ class Screen:
             name: list(self._history.since(name, since_s)) for name in dict.fromkeys(view.streams)
         }
 
+    @property
+    def streams(self) -> tuple[str, ...]:
+        """What it shows."""
+        return () if self._view is None else self._view.streams
+
     def add(self, samples: Samples) -> None:
         """Take in what a stream has sent."""
         waiting = self._waiting.get(samples.source_id)

@@ -148,7 +148,7 @@ class PageServer:
         """Run what goes on beside the requests."""
         session = self._session
         link = AgentLink(
-            self._folder, session.take_status, session.take_samples, session.take_dropped
+            self._folder, session.take_status, session.traces.take, session.take_dropped
         )
 
         def way_in() -> str:

@@ -10,13 +10,11 @@ from typing import Any
 from pylsl import local_clock
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.agent.feed_frames import Samples
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.devices.registry import settings_models
-from biosensor_gateway.page.history import History
 from biosensor_gateway.page.marker_models import ExperimentsView, MarkersView
 from biosensor_gateway.page.models import AgentState, RecordingView, ShareView, StatusView
-from biosensor_gateway.page.screen import Screen
+from biosensor_gateway.page.traces import Traces
 from biosensor_gateway.page.view import Viewer
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
@@ -43,14 +41,13 @@ class Session:
     def __init__(self, folder: Path, settings: Path) -> None:
         self.folder = folder
         self.settings = settings
-        self.history = History()
-        self.screens: set[Screen] = set()
+        self.traces = Traces()
         self.recording = RecordingView()
         self.markers = MarkersView()
         self.has_ended = False
         self.share: ShareView | None = None
         self.experiments: ExperimentsView | None = None
-        self._viewer = Viewer(self.history)
+        self._viewer = Viewer(self.traces.history)
         self._status: Mapping[str, Any] | None = None
         self._skipped = 0
         self._started_s = -STARTING_S
@@ -59,12 +56,6 @@ class Session:
     def take_status(self, status: Mapping[str, Any] | None) -> None:
         """Note how the agent is; None if there is none."""
         self._status = status
-
-    def take_samples(self, samples: Samples) -> None:
-        """Keep what came, and give it to the browsers that show it."""
-        self.history.add(samples)
-        for screen in self.screens:
-            screen.add(samples)
 
     def take_dropped(self, count: int) -> None:
         """Count what the agent has left out because this server was too slow."""

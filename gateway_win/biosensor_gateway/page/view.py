@@ -66,7 +66,7 @@ class Viewer:
             name=device_name(identity),
             sensor=identity.sensor,
             unit=identity.unit,
-            title=_title(identity.sensor),
+            title=title_of(identity.sensor),
             participant=identity.participant,
             label=identity.label,
             state=_state(device),
@@ -74,7 +74,7 @@ class Viewer:
             paused=device["paused"],
             battery_percent=device["battery_percent"],
             connections=device["connections"],
-            lost=sum(each.lost for each in streams),
+            lost=sum(each.lost or 0 for each in streams),
             streams=streams,
         )
 
@@ -135,7 +135,8 @@ def _declared(identity: DeviceIdentity) -> dict[str, StreamSpec]:
     return {naming.source_id(identity, each.data_name): each for each in streams}
 
 
-def _title(sensor: str) -> str:
+def title_of(sensor: str) -> str:
+    """Return what people call a kind of sensor; its name, if it is unknown."""
     try:
         return declaration(sensor).title
     except SpecError:

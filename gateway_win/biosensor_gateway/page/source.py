@@ -1,0 +1,22 @@
+"""What the WebSocket needs to know of where traces come from."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from biosensor_gateway.page.traces import Traces
+
+
+class Source(Protocol):
+    """Where the page has its streams from: an agent's memory, or the network.
+
+    Attributes
+    ----------
+    traces
+        What came; the source adds to it.
+    has_ended
+        Whether somebody has ended the page.
+    """
+
+    traces: Traces
+    has_ended: bool
