@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
+from biosensor_gateway.cli.network_page import serve_network
 from biosensor_gateway.cli.options import SettingsOption
 from biosensor_gateway.cli.start_log import StartLog
 from biosensor_gateway.page.running import (
@@ -55,6 +56,14 @@ def page(
     share_port: Annotated[
         int, typer.Option(min=0, max=65535, help="TCP port for them; 0 for any that is free.")
     ] = SHARE_PORT,
+    lsl: Annotated[
+        bool,
+        typer.Option(
+            "--lsl",
+            help="Show the LSL streams that arrive at this computer, ours and other programs', "
+            "without an agent: for the robot's computer.",
+        ),
+    ] = False,
     end: Annotated[
         bool, typer.Option("--end", help="End the page that runs; the agent goes on.")
     ] = False,
@@ -82,6 +91,12 @@ def page(
         where = "is open in the browser" if is_open else f"opens once at: {address}"
         typer.echo(f"The page {where}")
 
+    if lsl:
+        if share:
+            message = "--lsl shows streams on this computer alone; leave --share out"
+            raise ConfigError(ConfigReason.WRONG_VALUE, message)
+        serve_network(path, show)
+        return
     while not _shown_by_another(folder, path, show, wants_share=share):
         try:
             _serve(folder, path, show, 60 * end_after, share_port if share else None)

@@ -69,4 +69,5 @@ class Ending:
     def _is_needed(self) -> bool:
         session = self._session
         is_recording = session.recording.is_running or bool(session.recording.busy)
-        return bool(session.traces.screens) or is_recording or session.agent is not AgentState.ABSENT
+        has_window = bool(session.traces.screens)
+        return has_window or is_recording or session.agent is not AgentState.ABSENT

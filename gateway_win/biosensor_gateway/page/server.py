@@ -114,14 +114,7 @@ class PageServer:
             port: int = listening.getsockname()[1]
             keys = Keys(port)
             app = self._app(pages, keys, port, beside)
-            origins = [f"http://{name}:{port}" for name in (HOST, "localhost")]
-            config = uvicorn.Config(
-                Guard(app, origins, keys, OPENS_ONCE), lifespan="on", **_OPTIONS
-            )
-            # When it has ended by a signal, uvicorn raises that signal again.
-            for number in _REQUESTS:
-                signal.signal(number, _ignore)
-            self._server = uvicorn.Server(config)
+            self._server = guarded(app, port, keys)
             self._server.run([listening])
         if self._ending.error is not None:
             raise self._ending.error
@@ -192,22 +185,36 @@ class PageServer:
             self._ending.request(error)
 
     def _app(self, pages: Path, keys: Keys, port: int, beside: Sequence[_Serve]) -> FastAPI:
-        app = FastAPI(
-            title="Biosensor Gateway",
-            version="1",
-            lifespan=lambda _app: self._serving(keys, port, beside),
-            # Their pages load scripts of other servers.
-            docs_url=None,
-            redoc_url=None,
-            openapi_url=f"{PREFIX}/openapi.json",
-        )
-        # Windows asks its registry, where any program may have said otherwise.
-        mimetypes.add_type("text/javascript", ".js")
+        app = new_app(lambda _app: self._serving(keys, port, beside))
         add_api(app, self._session, self._recorder, self._marking)
         add_quit(app, self._session, self._recorder, self._ending)
         add_live(app, self._session, self._session.status)
         app.mount("/", StaticFiles(directory=pages, html=True))
         return app
+
+
+def new_app(lifespan: Callable[[FastAPI], contextlib.AbstractAsyncContextManager[None]]) -> FastAPI:
+    """Return an application without pages that load scripts of other servers."""
+    # Windows asks its registry, where any program may have said otherwise.
+    mimetypes.add_type("text/javascript", ".js")
+    return FastAPI(
+        title="Biosensor Gateway",
+        version="1",
+        lifespan=lifespan,
+        docs_url=None,
+        redoc_url=None,
+        openapi_url=f"{PREFIX}/openapi.json",
+    )
+
+
+def guarded(app: FastAPI, port: int, keys: Keys) -> uvicorn.Server:
+    """Return the server of an application for the browser of this computer; signals end it."""
+    origins = [f"http://{name}:{port}" for name in (HOST, "localhost")]
+    config = uvicorn.Config(Guard(app, origins, keys, OPENS_ONCE), lifespan="on", **_OPTIONS)
+    # When it has ended by a signal, uvicorn raises that signal again.
+    for number in _REQUESTS:
+        signal.signal(number, _ignore)
+    return uvicorn.Server(config)
 
 
 def _ignore(_number: int, _frame: FrameType | None) -> None:

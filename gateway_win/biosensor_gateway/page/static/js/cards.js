@@ -19,7 +19,7 @@ export function State({ device }) {
   return html`<span class="state ${tone}"><span aria-hidden="true">${sign}</span> ${word}</span>`;
 }
 
-function Spark({ live, stream }) {
+export function Spark({ live, stream }) {
   const canvas = useRef();
   useEffect(() => {
     const draw = () => canvas.current && drawSpark(canvas.current, live, stream);

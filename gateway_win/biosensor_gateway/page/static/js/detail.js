@@ -14,7 +14,7 @@ function Line({ channel }) {
   return html`<svg width="28" height="8" aria-hidden="true"><line x1="0" y1="4" x2="28" y2="4" style=${{ stroke: colour }} stroke-width="2" stroke-dasharray=${dash} /></svg>`;
 }
 
-function Trace({ live, stream }) {
+export function Trace({ live, stream }) {
   const place = useRef();
   const names = stream.channels.join();
   useEffect(() => {
@@ -73,7 +73,7 @@ function Streams({ device }) {
     </div>`;
 }
 
-function values(stream) {
+export function values(stream) {
   if (!stream.is_fresh || !stream.values.length) return "–";
   const isOneUnit = new Set(stream.units).size === 1;
   const shown = stream.values.slice(0, VALUES).map((value, c) => figure(value, isOneUnit ? "none" : stream.units[c]));

@@ -1,0 +1,1 @@
+"""The streams of the network as the source of the page: ours and other programs'."""

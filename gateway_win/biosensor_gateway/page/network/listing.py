@@ -1,0 +1,108 @@
+"""Keeps the list of streams: who is new, who has come back, who is gone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import count
+
+import pylsl
+
+from biosensor_common.announcements import read_core
+from biosensor_common.errors import SpecError
+from biosensor_common.stream_header import CoreFields
+from biosensor_gateway.page.network.receiver import Receiver
+from biosensor_gateway.page.network.seen import UNSEEN_S, SeenStream
+
+MAX_STREAMS = 400
+FORGET_S = 300.0
+# A resolver reports an outlet that has died for another 5 s.
+_BOTH_ALIVE_S = 7.0
+_MOST_REFUSED = 20
+_TWIN = "another stream has the same source_id: programs that look for it may take either"
+
+
+class Listing:
+    """All streams that were seen in the last minutes, by their numbers.
+
+    Attributes
+    ----------
+    streams
+    refused
+        Why streams cannot be used, one sentence each, by uid.
+    left_out
+        How many streams are one too many.
+    """
+
+    def __init__(self) -> None:
+        self.streams: dict[int, SeenStream] = {}
+        self.refused: dict[str, str] = {}
+        self.left_out = 0
+        self._numbers = count(1)
+        self._waiting: dict[str, float] = {}
+
+    def update(self, infos: Iterable[pylsl.StreamInfo], now: float) -> list[Receiver]:
+        """Take in what a resolver reports; return the inlets that are of no more use.
+
+        Parameters
+        ----------
+        infos
+            Without descriptions.
+        now
+            Local LSL time.
+        """
+        found = {info.uid(): info for info in infos}
+        known = {stream.uid for stream in self.streams.values()}
+        for stream in self.streams.values():
+            if stream.uid in found:
+                stream.seen_s = now
+        self._forget(found, now)
+        self.left_out = 0
+        closing = [
+            self._take(info, now) for uid, info in found.items()
+            if uid not in known and uid not in self.refused
+        ]  # fmt: skip
+        return [each for each in closing if each is not None]
+
+    def _take(self, info: pylsl.StreamInfo, now: float) -> Receiver | None:
+        try:
+            core = read_core(info)
+        except SpecError as error:
+            if len(self.refused) < _MOST_REFUSED:
+                self.refused[info.uid()] = str(error)
+            return None
+        before = [each for each in self.streams.values() if each.continues_as(core)]
+        away = [each for each in before if each.lost_s is not None or _is_unseen(each, now)]
+        if away:
+            self._waiting.pop(info.uid(), None)
+            return away[0].follow(info, core, now)
+        since = self._waiting.setdefault(info.uid(), now)
+        if not before or now - since > _BOTH_ALIVE_S:
+            self._add(info, core, now, note=_TWIN if before else "")
+        return None
+
+    def _add(self, info: pylsl.StreamInfo, core: CoreFields, now: float, note: str) -> None:
+        if len(self.streams) >= MAX_STREAMS and not self._drop_one(now):
+            self.left_out += 1
+            return
+        self._waiting.pop(info.uid(), None)
+        number = next(self._numbers)
+        self.streams[number] = SeenStream(number, info, core, info.uid(), now, note=note)
+
+    def _drop_one(self, now: float) -> bool:
+        """Make room by forgetting what has been gone the longest."""
+        gone = [each for each in self.streams.values() if each.is_gone(now)]
+        if gone:
+            del self.streams[min(gone, key=lambda each: each.seen_s).number]
+        return bool(gone)
+
+    def _forget(self, found: dict[str, pylsl.StreamInfo], now: float) -> None:
+        for number, stream in list(self.streams.items()):
+            if now - stream.seen_s > FORGET_S and stream.is_gone(now):
+                del self.streams[number]
+        for record in (self._waiting, self.refused):
+            for uid in record.keys() - found.keys():
+                del record[uid]
+
+
+def _is_unseen(stream: SeenStream, now: float) -> bool:
+    return now - stream.seen_s > UNSEEN_S

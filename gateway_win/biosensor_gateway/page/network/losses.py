@@ -1,0 +1,43 @@
+"""Reads what the agents have counted, out of their streams ``gateway/counters``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from typing import Any, cast
+
+from biosensor_common.quantities import ContentType
+from biosensor_gateway.page.network.received import MAX_COUNTERS
+from biosensor_gateway.page.network.seen import SeenStream
+
+
+def is_counters(stream: SeenStream) -> bool:
+    """Whether an agent of ours tells its counts in it."""
+    return stream.is_ours and stream.core.content_type == ContentType.COUNTERS
+
+
+def lost_by_source(streams: Iterable[SeenStream]) -> dict[str, int]:
+    """Return how many samples never reached their agent, by source_id."""
+    found: dict[str, int] = {}
+    for stream in streams:
+        if is_counters(stream):
+            found.update(_lost(stream.received.raw))
+    return found
+
+
+def _lost(text: bytes) -> dict[str, int]:
+    if len(text) > MAX_COUNTERS:
+        return {}
+    try:
+        counted = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    if not isinstance(counted, Mapping):
+        return {}
+    entries = cast("Mapping[str, Any]", counted).items()
+    return {source: count for source, entry in entries if (count := _count(entry)) is not None}
+
+
+def _count(entry: object) -> int | None:
+    count = cast("Mapping[str, Any]", entry).get("lost") if isinstance(entry, Mapping) else None
+    return count if isinstance(count, int) else None

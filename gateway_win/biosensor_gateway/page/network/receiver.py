@@ -1,0 +1,115 @@
+"""One open inlet: takes out of liblsl what has come."""
+
+from __future__ import annotations
+
+from time import monotonic
+from typing import Any, NamedTuple
+
+import numpy as np
+import pylsl
+from numpy.typing import NDArray
+
+from biosensor_common.quantities import ChannelFormat
+from biosensor_common.stream_header import CoreFields
+
+CLOCK_WITHIN_S = 3.0
+"""So long samples wait in liblsl for the first measurement of the sender's clock."""
+_BUFFER_S, _BUFFER_SAMPLES = 10, 200_000
+_MOST_SAMPLES, _MOST_VALUES = 8192, 1_000_000
+_MOST_TEXTS = 16
+
+
+class Block(NamedTuple):
+    """Samples that were pulled together.
+
+    Attributes
+    ----------
+    samples : shape (n, n_channels)
+        In the stream's own format; of text, bytes.
+    stamps : shape (n,)
+        On the sender's LSL clock.
+    """
+
+    samples: NDArray[Any]
+    stamps: NDArray[np.float64]
+
+
+class Receiver:
+    """Receives one stream, for as long as somebody looks at it.
+
+    Its clock is measured by other inlets (`biosensor_common.sender_clocks`).
+
+    Parameters
+    ----------
+    info
+        As a resolver gave it.
+    core
+        What that says.
+
+    Raises
+    ------
+    RuntimeError
+        If liblsl can open no inlet.
+    """
+
+    def __init__(self, info: pylsl.StreamInfo, core: CoreFields) -> None:
+        self.correction: float | None = None
+        self._info = info
+        self._is_text = core.format is ChannelFormat.STRING
+        self._most = max(1, min(_MOST_SAMPLES, _MOST_VALUES // core.channel_count))
+        self._opened_s = monotonic()
+        # liblsl would reattach to any stream of this source_id; which one follows is ours to say.
+        self._lsl = pylsl.StreamInlet(
+            info, max_buflen=_buffer_length(core.rate), recover=False, as_numpy=True
+        )
+
+    @property
+    def age_s(self) -> float:
+        """How long it has been open."""
+        return monotonic() - self._opened_s
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether its clock can be measured."""
+        return True
+
+    def open_clock(self) -> pylsl.StreamInlet:
+        """Open an inlet for one measurement of the sender's clock.
+
+        Raises
+        ------
+        RuntimeError
+            If liblsl can open none.
+        """
+        return pylsl.StreamInlet(self._info, max_buflen=1, recover=False)
+
+    def take_correction(self, correction: float) -> None:
+        """Take in a measurement, in seconds to add to stamps."""
+        self.correction = correction
+
+    def pull(self) -> Block | None:
+        """Return what has come, without waiting; None if nothing has.
+
+        Raises
+        ------
+        RuntimeError
+            The stream is lost.
+        """
+        if self.correction is None and self.age_s < CLOCK_WITHIN_S:
+            return None
+        # Only a pull finds out about a loss, so at least one sample is asked for.
+        most = _MOST_TEXTS if self._is_text else min(self._available(), self._most)
+        samples, stamps = self._lsl.pull_chunk(0.0, most)
+        return Block(samples, stamps) if len(stamps) else None
+
+    def close(self) -> None:
+        """End it; waits for liblsl's own threads."""
+        self._lsl.close_stream()
+
+    def _available(self) -> int:
+        return max(1, self._lsl.samples_available())
+
+
+def _buffer_length(rate: float) -> int:
+    """Return the seconds to buffer, or hundreds of samples where the rate is 0."""
+    return max(1, min(_BUFFER_S, int(_BUFFER_SAMPLES / rate))) if rate else _BUFFER_S

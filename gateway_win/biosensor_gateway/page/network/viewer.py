@@ -1,0 +1,199 @@
+"""Puts what was seen of the network into what the page shows."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from itertools import groupby
+
+import numpy as np
+
+from biosensor_common import naming
+from biosensor_common.quantities import TYPES_OF_DEVICE, ChannelFormat
+from biosensor_common.stream_header import CoreFields, StreamHeader
+from biosensor_gateway.agent.rate_meter import STALE_AFTER_S
+from biosensor_gateway.page.network.devices import device_view, group_of
+from biosensor_gateway.page.network.inlets import MAX_INLETS
+from biosensor_gateway.page.network.listing import MAX_STREAMS, Listing
+from biosensor_gateway.page.network.losses import is_counters, lost_by_source
+from biosensor_gateway.page.network.models import (
+    NetworkView,
+    SeenState,
+    SeenStreamView,
+    TextView,
+    WindowView,
+)
+from biosensor_gateway.page.network.seen import SeenStream
+from biosensor_gateway.page.network.windows import DRAWN_CHANNELS, chosen
+from biosensor_gateway.page.network.words import MAX_LABEL, entry_of, readable
+
+_SLOW_PERIODS = 3
+_BYTES = {
+    ChannelFormat.INT8: 1,
+    ChannelFormat.INT16: 2,
+    ChannelFormat.DOUBLE64: 8,
+    ChannelFormat.INT64: 8,
+}
+_STAMP_BYTES = 8
+_BY_ARRIVAL = "its stamps are of another clock; its samples are shown when they arrive"
+
+
+class Viewer:
+    """Describes streams from one look to the next."""
+
+    def __init__(self) -> None:
+        self._begun_s: float | None = None
+        self._named: frozenset[tuple[int, StreamHeader]] = frozenset()
+        self._topics: dict[int, str] = {}
+
+    def view(
+        self, listing: Listing, not_received: int, wanted: Collection[str], now: float
+    ) -> NetworkView:
+        """Describe everything.
+
+        Parameters
+        ----------
+        listing
+        not_received
+            How many streams are looked at and not received.
+        wanted
+            What browsers show, see `key_of`.
+        now
+            Local LSL time.
+        """
+        self._begun_s = now if self._begun_s is None else self._begun_s
+        streams = list(listing.streams.values())
+        self._name(streams)
+        lost = lost_by_source(streams)
+        windows = chosen(wanted)
+        views = {
+            each.number: self._stream(each, lost, windows.get(each.number, set()), now)
+            for each in streams
+        }
+        known = sorted((each for each in streams if each.header), key=group_of)
+        return NetworkView(
+            made_s=now,
+            searched_s=now - self._begun_s,
+            inlets=sum(each.receiver is not None for each in streams),
+            most_inlets=MAX_INLETS,
+            not_received=not_received,
+            problems=_problems(listing),
+            devices=[
+                device_view(list(parts), views, lost) for _, parts in groupby(known, key=group_of)
+            ],
+        )
+
+    def _name(self, streams: Sequence[SeenStream]) -> None:
+        """Resolve ROS topics as a node does that sees the same streams."""
+        named = frozenset((each.number, each.header) for each in streams if each.header)
+        if named != self._named:
+            self._named = named
+            claims = {number: (header.identity, header.data_name) for number, header in named}
+            resolved = naming.resolve_topics(claims)
+            self._topics = {number: f"/{topic.name}" for number, topic in resolved.items()}
+
+    def _stream(
+        self, stream: SeenStream, lost: dict[str, int], firsts: set[int], now: float
+    ) -> SeenStreamView:
+        core, received = stream.core, stream.received
+        is_text = core.format is ChannelFormat.STRING
+        state, silent_s = _state(stream, now)
+        is_fresh = state in (SeenState.STREAMING, SeenState.WAITING)
+        first = _window(stream, 0, is_fresh=is_fresh)
+        count, is_estimated = _lost(stream, lost)
+        return SeenStreamView(
+            source_id=str(stream.number),
+            data_name=readable(stream.header.data_name if stream.header else core.content_type),
+            lsl_name=readable(core.name),
+            topic=self._topics.get(stream.number, ""),
+            content_type=readable(core.content_type),
+            channels=[] if is_text else first.channels,
+            units=[] if is_text else first.units,
+            values=[] if is_text else first.values,
+            rate_hz=received.meter.rate_hz(now) if core.rate and is_fresh else None,
+            nominal_hz=core.rate,
+            pushed=received.count,
+            lost=count,
+            age_s=None if state is SeenState.LISTED else received.age_s(now),
+            is_fresh=is_fresh,
+            is_silent=False,
+            is_signal=core.content_type not in TYPES_OF_DEVICE,
+            seen=state,
+            silent_s=silent_s,
+            note=readable(stream.note, 400) or _clock_note(stream),
+            is_lost_estimated=is_estimated,
+            is_text=is_text,
+            texts=[] if is_counters(stream) else _texts(stream, now),
+            channel_count=core.channel_count,
+            windows={
+                each: _window(stream, each, is_fresh=is_fresh)
+                for each in firsts if 0 < each < core.channel_count
+            },
+            bytes_per_s=_bytes_per_s(core),
+        )  # fmt: skip
+
+
+def _state(stream: SeenStream, now: float) -> tuple[SeenState, float]:
+    """Return how a stream does, and for how long nothing has come of it."""
+    heard_s, core, receiver = stream.received.heard_s, stream.core, stream.receiver
+    if stream.is_gone(now):
+        return SeenState.GONE, now - (stream.seen_s if heard_s is None else heard_s)
+    if stream.header is None or receiver is None:
+        return (SeenState.READING if stream.header is None else SeenState.LISTED), 0.0
+    silent_s = receiver.age_s if heard_s is None else now - heard_s
+    if not core.rate:
+        return SeenState.WAITING, silent_s
+    if silent_s > max(STALE_AFTER_S, _SLOW_PERIODS / core.rate):
+        return SeenState.SILENT, silent_s
+    return (SeenState.OPENING if heard_s is None else SeenState.STREAMING), silent_s
+
+
+def _bytes_per_s(core: CoreFields) -> float:
+    sample = core.channel_count * _BYTES.get(core.format, 4) + _STAMP_BYTES
+    return core.rate * sample
+
+
+def _window(stream: SeenStream, first: int, *, is_fresh: bool) -> WindowView:
+    header, values = stream.header, stream.received.values
+    end = min(first + DRAWN_CHANNELS, stream.core.channel_count)
+    labels = header.labels[first:end] if header else ()
+    units = header.units[first:end] if header else ()
+    newest = values[first:end] if is_fresh else np.empty(0)
+    numbers = range(first + 1, end + 1)
+    names = [readable(each, MAX_LABEL) for each in labels] or [""] * len(numbers)
+    return WindowView(
+        channels=[name or str(number) for name, number in zip(names, numbers, strict=True)],
+        units=[readable(each, MAX_LABEL) or "none" for each in units] or ["none"] * len(numbers),
+        # JSON knows neither NaN nor infinity.
+        values=[float(each) if np.isfinite(each) else None for each in newest],
+    )
+
+
+def _lost(stream: SeenStream, lost: dict[str, int]) -> tuple[int | None, bool]:
+    """Return how many samples are lost, and whether only the stamps say so."""
+    if stream.is_ours:
+        return lost.get(stream.core.source_id), False
+    is_known = stream.core.rate > 0 and stream.received.count > 0
+    return (stream.received.missing if is_known else None), True
+
+
+def _texts(stream: SeenStream, now: float) -> list[TextView]:
+    return [
+        TextView(
+            text=entry_of(each.text, is_ours=stream.is_ours), age_s=max(0.0, now - each.time_s)
+        )
+        for each in reversed(stream.received.texts)
+    ]
+
+
+def _clock_note(stream: SeenStream) -> str:
+    is_known = stream.receiver is not None and stream.receiver.correction is not None
+    return _BY_ARRIVAL if is_known and stream.received.placer.is_by_arrival else ""
+
+
+def _problems(listing: Listing) -> list[str]:
+    problems = [readable(each, 400) for each in listing.refused.values()]
+    if listing.left_out:
+        problems.append(
+            f"{listing.left_out} further streams are not listed: {MAX_STREAMS} are the most"
+        )
+    return problems

@@ -1,0 +1,259 @@
+"""What the page of the network reads of real outlets in another process, without a browser."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Generator
+from typing import Any
+
+import numpy as np
+import pylsl
+import pytest
+
+from biosensor_gateway.agent.feed_frames import Samples
+from biosensor_gateway.page.network.inlets import MAX_INLETS
+from biosensor_gateway.page.network.models import SeenDeviceView, SeenState
+from biosensor_gateway.page.network.placing import Placer
+from biosensor_gateway.page.network.reader import Reader
+from biosensor_gateway.page.network.windows import MAX_ROWS_HZ, key_of, window
+from biosensor_gateway.page.network.words import entry_of, readable
+
+DEADLINE_S = 60.0
+MANY = 120
+"""Two ports each: more than the ports of a test have room for are not found without multicast."""
+
+Start = Callable[..., subprocess.Popen[bytes]]
+
+
+@pytest.fixture
+def start() -> Generator[Start]:
+    """Start a program of somebody else with these streams."""
+    running: list[subprocess.Popen[bytes]] = []
+
+    def started(*streams: dict[str, Any]) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "tests.page.other_streams", json.dumps(streams)]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE)
+        running.append(process)
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"ready\n"
+        return process
+
+    yield started
+    for process in running:
+        process.kill()
+        process.wait(DEADLINE_S)
+        assert process.stdout is not None
+        process.stdout.close()
+
+
+class Reading:
+    """A reader, and what it has read."""
+
+    def __init__(self) -> None:
+        self.samples: list[Samples] = []
+        self.reader = Reader(self.samples.extend)
+
+    def device(self, title: str) -> SeenDeviceView | None:
+        found = [each for each in self.reader.view.devices if each.title == title]
+        return found[0] if found else None
+
+    def wait(self, title: str, *states: SeenState) -> SeenDeviceView:
+        """Return a device once it is in one of these states."""
+
+        def found() -> SeenDeviceView | None:
+            device = self.device(title)
+            return device if device and (not states or device.seen in states) else None
+
+        return until(found)
+
+    def values(self, key: str) -> np.ndarray[Any, Any]:
+        return np.concatenate([each.values for each in list(self.samples) if each.source_id == key])
+
+    def stamps(self, key: str) -> np.ndarray[Any, Any]:
+        return np.concatenate([each.stamps for each in list(self.samples) if each.source_id == key])
+
+    def count(self, key: str) -> int:
+        return sum(len(each.stamps) for each in list(self.samples) if each.source_id == key)
+
+
+def until(holds: Callable[[], Any]) -> Any:
+    """Return what becomes true."""
+    deadline = time.monotonic() + DEADLINE_S
+    while not (found := holds()):
+        assert time.monotonic() < deadline, "what was waited for never happened"
+        time.sleep(0.02)
+    return found
+
+
+@pytest.fixture
+def reading() -> Generator[Reading]:
+    running = Reading()
+    yield running
+    running.reader.stop()
+
+
+def test_it_is_what_was_sent_in_the_channels_that_were_asked_for(
+    start: Start, reading: Reading
+) -> None:
+    start({"name": "amplifier", "rate": 250.0, "channels": 128})
+    device = reading.wait("amplifier", SeenState.LISTED)
+    (stream,) = device.streams
+    assert reading.reader.view.inlets == 0
+    assert (stream.channel_count, stream.channels[-1], stream.units[0]) == (128, "C8", "microvolts")
+    first, last = stream.source_id, key_of(int(stream.source_id), 120)
+    reading.reader.wanted = frozenset({first, last})
+    until(lambda: reading.count(first) > 500 and reading.count(last) > 500)
+    numbers = reading.values(first)[:, 0]
+    assert (np.diff(numbers) == 1).all()
+    for key, begin in ((first, 0), (last, 120)):
+        values = reading.values(key)[: len(numbers)]
+        expected = np.add.outer(numbers, 1000.0 * np.arange(begin, begin + 8))
+        assert (values == expected[: len(values)]).all()
+    steps = np.diff(reading.stamps(first))
+    assert np.abs(steps - 1 / 250).max() < 0.001
+    # An inlet of its own on the same stream: both clocks are this machine's.
+    (info,) = pylsl.resolve_byprop("name", "amplifier", timeout=DEADLINE_S)
+    rows, stamps = pylsl.StreamInlet(info).pull_chunk(DEADLINE_S, max_samples=1)
+    until(lambda: reading.values(first)[-1, 0] > rows[0][0])
+    place = np.flatnonzero(reading.values(first)[:, 0] == rows[0][0])[0]
+    assert reading.stamps(first)[place] == pytest.approx(stamps[0], abs=0.01)
+    (stream,) = reading.wait("amplifier", SeenState.STREAMING).streams
+    assert stream.windows[120].channels == [f"C{number}" for number in range(121, 129)]
+    assert stream.rate_hz == pytest.approx(250, rel=0.05)
+
+
+def test_a_stream_that_ends_is_gone_and_goes_on_when_it_is_back(
+    start: Start, reading: Reading
+) -> None:
+    wanted = {"name": "comes back", "rate": 100.0}
+    process = start(wanted)
+    (stream,) = reading.wait("comes back", SeenState.LISTED).streams
+    reading.reader.wanted = frozenset({stream.source_id})
+    reading.wait("comes back", SeenState.STREAMING)
+    process.kill()
+    (gone,) = reading.wait("comes back", SeenState.GONE).streams
+    assert gone.values == []
+    assert not gone.is_fresh
+    start(wanted)
+    (back,) = reading.wait("comes back", SeenState.STREAMING).streams
+    assert back.source_id == stream.source_id
+    assert len([each for each in reading.reader.view.devices if each.title == "comes back"]) == 1
+
+
+def test_of_very_many_streams_few_are_received(start: Start, reading: Reading) -> None:
+    start(*({"name": f"many-{number}", "rate": 1.0} for number in range(MANY)))
+
+    def listed() -> list[str]:
+        devices = reading.reader.view.devices
+        return [each.source_id for device in devices for each in device.streams]
+
+    keys = until(lambda: found if len(found := listed()) == MANY else None)
+    reading.reader.wanted = frozenset(keys)
+    until(lambda: reading.reader.view.inlets == MAX_INLETS)
+    assert reading.reader.view.not_received == MANY - MAX_INLETS
+    reading.reader.wanted = frozenset()
+    until(lambda: reading.reader.view.inlets == 0)
+
+
+def test_streams_of_strangers_do_no_harm(start: Start, reading: Reading) -> None:
+    name = "<script>\u202e\n'; drop"
+    start(
+        {"name": name, "rate": 50.0, "label": "\u200b<b>{}", "source_id": ""},
+        {"name": "large", "rate": 50.0, "header_bytes": 10_000_000},
+        {"name": "unix time", "rate": 50.0, "stamps": "unix"},
+    )
+    shown = readable(name)
+    assert shown == r"<script>\u202e\x0a'; drop".replace("\\x0a", "\\n")
+    streams = [
+        reading.wait(title, SeenState.LISTED).streams[0] for title in (shown, "large", "unix time")
+    ]
+    reading.reader.wanted = frozenset(each.source_id for each in streams)
+    strange, large, unix = (
+        reading.wait(title, SeenState.STREAMING).streams[0]
+        for title in (shown, "large", "unix time")
+    )
+    assert strange.lsl_name == shown
+    assert strange.channels[0].startswith("\\u200b")
+    assert "not usable" in large.note
+    assert large.channels == ["1"]
+    assert "another clock" in unix.note
+    assert unix.age_s is not None
+    assert unix.age_s < 5
+
+
+def test_text_is_read_as_text(start: Start, reading: Reading) -> None:
+    start({"name": "experiment", "type": "Markers", "format": "string", "text": "trial {}\x07"})
+    (stream,) = reading.wait("experiment", SeenState.LISTED).streams
+    reading.reader.wanted = frozenset({stream.source_id})
+    until(lambda: reading.wait("experiment").streams[0].texts)
+    (stream,) = reading.wait("experiment").streams
+    assert stream.texts[0].text.startswith("trial ")
+    assert stream.texts[0].text.endswith("\\x07")
+    assert stream.channels == []
+    assert not reading.count(stream.source_id)
+
+
+def test_a_fast_stream_keeps_its_smallest_and_largest_values() -> None:
+    rate, seconds = 44_100, 2
+    times = 1000.0 + np.arange(rate * seconds) / rate
+    values = np.zeros((len(times), 1))
+    values[[1000, 50_000], 0] = 7.0, -9.0
+    found = window("1", times, values, 0, rate)
+    assert len(found.stamps) <= MAX_ROWS_HZ * seconds + 4
+    assert (found.values.max(), found.values.min()) == (7.0, -9.0)
+    assert (np.diff(found.stamps) > 0).all()
+    assert abs(found.stamps[np.argmax(found.values)] - times[1000]) < 0.004
+
+
+def test_what_is_not_finite_is_no_value() -> None:
+    values = np.array([[1e300, np.inf], [np.nan, 2.0]])
+    found = window("1", np.array([1.0, 2.0]), values, 0, 10.0)
+    assert np.isnan(found.values[[0, 0, 1], [0, 1, 0]]).all()
+    assert found.values[1, 1] == 2.0
+
+
+class TestPlacing:
+    """Stamps of other computers become local times, whatever they are."""
+
+    def test_the_measured_correction_counts(self) -> None:
+        placer = Placer()
+        placer.correction = 90.0
+        assert placer.place(np.array([10.0, 10.1]), 100.2).tolist() == [100.0, 100.1]
+        assert not placer.is_by_arrival
+
+    @pytest.mark.parametrize("stamps", [[1.8e9, 1.8e9 + 1], [np.nan, 5.0], [-np.inf, 1e300]])
+    def test_stamps_of_another_clock_are_placed_by_arrival(self, stamps: list[float]) -> None:
+        placer = Placer()
+        placer.correction = 0.0
+        times = placer.place(np.array(stamps), 100.0)
+        assert placer.is_by_arrival
+        assert times[-1] == 100.0
+        assert (np.diff(times) >= 0).all()
+
+    def test_time_never_runs_back(self) -> None:
+        placer = Placer()
+        placer.correction = 0.0
+        placer.place(np.array([99.0]), 100.0)
+        assert placer.place(np.array([98.0, 99.5]), 100.1).tolist() == [99.0, 99.5]
+
+    def test_a_state_of_ours_keeps_its_stamp_however_old(self) -> None:
+        placer = Placer(is_ours=True)
+        placer.correction = 0.0
+        assert placer.place(np.array([5.0]), 1000.0).tolist() == [5.0]
+        assert not placer.is_by_arrival
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ('{"event":"gap","device":"zephyr/1","lsl_time":1}', "gap: zephyr/1"),
+        ("[[[[", "[[[["),
+        ("[" * 100_000, "[" * 199 + "…"),
+        ("plain", "plain"),
+    ],
+)
+def test_what_an_agent_says_is_read_out_of_its_json(text: str, shown: str) -> None:
+    assert entry_of(text, is_ours=True) == shown
