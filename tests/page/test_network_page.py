@@ -125,42 +125,36 @@ def test_from_nothing_to_ours_and_foreign_streams(
     expect(page.locator("tr", has_text="amplifier")).to_contain_text("20.0 of 20 Hz")
 
 
-def test_a_stream_that_ends_is_told_and_goes_on_in_the_same_card(
+def test_everybody_can_use_it_also_when_streams_end(
     network: Server, others: Others, window: OpenWindow
 ) -> None:
-    page = window()
-    page.goto(network.address)
     process = others.start({"name": "comes back", "rate": 100.0})
+    others.start(*OTHERS)
+    page = window(color_scheme="light")
+    page.goto(network.address)
+    expect(card(page, "experiment")).to_contain_text("trial")
     expect(card(page, "comes back")).to_contain_text("streaming")
     process.kill()
+    assert violations(page) == []
+    _narrow(page)
+
+    page.get_by_label("Only names with").fill("COMES")
+    expect(page.locator(".card")).to_have_count(1)
     expect(card(page, "comes back")).to_contain_text("gone for")
     expect(card(page, "comes back").locator(".value")).to_have_text("\u2013")
     others.start({"name": "comes back", "rate": 100.0})
-    expect(card(page, "comes back")).to_contain_text("streaming")
-    expect(card(page, "comes back")).to_have_count(1)
-    network.process.terminate()
-    expect(page.get_by_role("alert")).to_contain_text("page --lsl")
-    expect(page.locator(".card")).to_have_count(0)
-
-
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_everybody_can_use_it(
-    network: Server, others: Others, window: OpenWindow, scheme: str
-) -> None:
-    others.start(*OTHERS)
-    page = window(color_scheme=scheme)
-    page.goto(network.address)
-    expect(card(page, "experiment")).to_contain_text("trial")
-    expect(card(page, "amplifier")).to_contain_text("streaming")
+    page.emulate_media(color_scheme="dark")
     assert violations(page) == []
-    _narrow(page)
-    page.get_by_label("Only names with").fill("AMPLI")
-    expect(page.locator(".card")).to_have_count(1)
+    expect(card(page, "comes back")).to_contain_text("streaming")
     page.get_by_role("button", name="Traces and details").focus()
     page.keyboard.press("Enter")
-    expect(page.get_by_role("heading", name="amplifier")).to_be_focused()
+    expect(page.get_by_role("heading", name="comes back")).to_be_focused()
     assert violations(page) == []
     _narrow(page)
+
+    network.process.terminate()
+    expect(page.get_by_role("alert")).to_contain_text("page --lsl")
+    expect(page.locator(".plot")).to_have_count(0)
 
 
 def _narrow(page: Page) -> None:
