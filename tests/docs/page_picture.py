@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import re
 import subprocess
 import sys
 import tempfile
 import uuid
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from playwright.sync_api import Browser, expect, sync_playwright
 
@@ -19,6 +22,17 @@ from tests.rigs.chromium import OPTIONS
 Scheme = Literal["light", "dark"]
 SECONDS = 15
 """Until traces fill their window, and devices have told their battery."""
+HOST = "lab-pc"
+SENSORS = "empatica_e4,polar_h10,zephyr"
+"""Beside other programs' streams; more would push those out of the picture."""
+OTHERS: list[dict[str, Any]] = [
+    {"name": "amplifier", "rate": 250.0, "channels": 32, "waves": True},
+    {"name": "experiment", "type": "Markers", "format": "string", "text": "trial {}"},
+    {"name": "microphone", "type": "Audio", "rate": 44_100.0, "unit": "normalized", "waves": True},
+]
+_LSL = "[lab]\nSessionID = pictures-{}\nKnownPeers = {{127.0.0.1}}\n[ports]\nPortRange = 256\n"
+# What is on the picture must not name the computer.
+_NAMED = ["unshare", "--map-root-user", "--uts", "sh", "-c", f'hostname {HOST}; exec "$@"', "sh"]
 _ADDRESS = re.compile(r"http://\S+")
 
 
@@ -40,31 +54,58 @@ def _take(browser: Browser, address: str, folder: Path) -> None:
     context.close()
 
 
+def _take_network(browser: Browser, address: str, folder: Path) -> None:
+    context = browser.new_context(viewport={"width": 1280, "height": 1020})
+    page = context.new_page()
+    page.goto(address)
+    expect(page.locator(".card", has_text="trial")).to_be_visible(timeout=60_000)
+    page.wait_for_timeout(1000 * SECONDS)
+    page.screenshot(path=folder / "page-lsl.png")
+    context.close()
+
+
+def _address(page: subprocess.Popen[bytes]) -> str:
+    assert page.stdout is not None
+    found = _ADDRESS.search(page.stdout.readline().decode())
+    assert found is not None
+    return found[0]
+
+
+@contextmanager
+def _running(*commands: list[str]) -> Generator[subprocess.Popen[bytes]]:
+    """Run programs, of which the first says where it is."""
+    processes = [
+        subprocess.Popen(each, stdout=subprocess.PIPE if i == 0 else subprocess.DEVNULL)
+        for i, each in enumerate(commands)
+    ]
+    try:
+        yield processes[0]
+    finally:
+        for process in reversed(processes):
+            process.terminate()
+            process.wait(30)
+
+
 def main() -> None:
     """Run agent and page, and take the pictures."""
     parser = argparse.ArgumentParser(description="Take pictures of the page from a real run.")
     parser.add_argument("folder", type=Path)
-    options = parser.parse_args()
+    folder = parser.parse_args().folder
     cli = [sys.executable, "-m", "biosensor_gateway.cli"]
-    with tempfile.TemporaryDirectory() as state:
-        # What is on the picture must not name the computer.
+    run = [*_NAMED, *cli, "run", "--simulate"]
+    page = [*cli, "page", "--no-open", "--settings", "settings.toml"]
+    others = [*_NAMED, sys.executable, "-m", "tests.page.other_streams", json.dumps(OTHERS)]
+    with tempfile.TemporaryDirectory() as state, sync_playwright() as playwright:
         os.environ["BIOSENSOR_GATEWAY_STATE"] = state
-        os.environ["BIOSENSOR_GATEWAY_LSL__SESSION_ID"] = f"pictures-{uuid.uuid4().hex}"
-        settings = ["--settings", "settings.toml"]
-        page = subprocess.Popen([*cli, "page", "--no-open", *settings], stdout=subprocess.PIPE)
-        agent = subprocess.Popen([*cli, "run", "--simulate", "all"], stderr=subprocess.DEVNULL)
-        try:
-            assert page.stdout is not None
-            found = _ADDRESS.search(page.stdout.readline().decode())
-            assert found is not None
-            with sync_playwright() as playwright:
-                browser = playwright.chromium.launch(**OPTIONS)
-                _take(browser, found[0], options.folder)
-                browser.close()
-        finally:
-            for process in (agent, page):
-                process.terminate()
-                process.wait(30)
+        lsl = Path(state) / "lsl_api.cfg"
+        lsl.write_text(_LSL.format(uuid.uuid4().hex))
+        os.environ["LSLAPICFG"] = str(lsl)
+        browser = playwright.chromium.launch(**OPTIONS)
+        with _running([*page, "--lsl"], [*run, SENSORS], others) as network:
+            _take_network(browser, _address(network), folder)
+        with _running(page, [*run, "all"]) as agent:
+            _take(browser, _address(agent), folder)
+        browser.close()
 
 
 if __name__ == "__main__":

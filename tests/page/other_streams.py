@@ -8,7 +8,7 @@ The argument is a list of streams::
      "stamps": "lsl" or "unix", "text": with a place for the number}
 
 A numeric stream has in each channel the number of the sample plus 1000 times that of the channel,
-a stream of text ``entry N``, twice a second.
+or, with ``"waves": true``, sines for a picture; a stream of text ``entry N``, twice a second.
 """
 
 from __future__ import annotations
@@ -53,8 +53,13 @@ class _Stream:
             stamps += time.time() - now
         values = np.empty((len(numbers), self._channels), np.float32)
         for channel in range(self._channels):
-            values[:, channel] = numbers + 1000 * channel
+            values[:, channel] = self._values(numbers, channel)
         self._outlet.push_chunk(values, stamps.tolist())
+
+    def _values(self, numbers: NDArray[Any], channel: int) -> NDArray[Any]:
+        if not self._wanted.get("waves"):
+            return numbers + 1000 * channel
+        return 40 * channel + 15 * np.sin(numbers / self._rate * (9 + channel))
 
     def _is_gap(self, elapsed_s: float) -> bool:
         every_s = self._wanted.get("gap_every_s")

@@ -28,13 +28,13 @@ _CONTENT_HALF = 0.5
 
 
 def group_of(stream: SeenStream) -> tuple[str, ...]:
-    """Return what streams of one device have in common; ours sort before others."""
+    """Return what streams of one device have in common; it sorts devices before programs."""
     header = stream.header
     if header is None or header.foreign:
         return ("other", stream.core.hostname, stream.core.name)
     identity = header.identity
     who = (identity.participant, identity.sensor, identity.unit, identity.label)
-    return ("gateway" if identity.sensor == GATEWAY.name else "device", *who)
+    return ("program" if identity.sensor == GATEWAY.name else "device", *who)
 
 
 def device_view(

@@ -18,7 +18,8 @@ from biosensor_gateway.page.network.placing import Placer
 from biosensor_gateway.page.network.receiver import Block
 
 TEXTS_KEPT = 8
-MAX_TEXT = 300
+MAX_TEXT = 4000
+"""More than is shown: an agent's entries are JSON."""
 MAX_COUNTERS = 1_000_000
 _TEXT_CHANNELS = 8
 _GAP_PERIODS = 1.5
