@@ -112,13 +112,15 @@ def test_it_is_what_was_sent_in_the_channels_that_were_asked_for(reading: Readin
         expected = np.add.outer(numbers, 1000.0 * np.arange(begin, begin + 8))
         assert (values == expected[: len(values)]).all()
     steps = np.diff(reading.stamps(first))
-    assert np.abs(steps - 1 / 250).max() < 0.001
+    # Where the sender's clock is known late, one step is that to the right time.
+    assert np.median(np.abs(steps - 1 / 250)) < 0.0001
+    assert steps.min() >= 0
     # An inlet of its own on the same stream: both clocks are this machine's.
     (info,) = pylsl.resolve_byprop("name", "amplifier", timeout=DEADLINE_S)
     rows, stamps = pylsl.StreamInlet(info).pull_chunk(DEADLINE_S, max_samples=1)
     until(lambda: reading.values(first)[-1, 0] > rows[0][0])
     place = np.flatnonzero(reading.values(first)[:, 0] == rows[0][0])[0]
-    assert reading.stamps(first)[place] == pytest.approx(stamps[0], abs=0.01)
+    assert reading.stamps(first)[place] == pytest.approx(stamps[0], abs=0.05)
     (stream,) = reading.wait("amplifier", SeenState.STREAMING).streams
     assert stream.windows[120].channels == [f"C{number}" for number in range(121, 129)]
     assert stream.rate_hz == pytest.approx(250, rel=0.05)
