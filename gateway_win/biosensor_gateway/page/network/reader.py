@@ -18,7 +18,7 @@ from biosensor_gateway.page.network.models import NetworkView
 from biosensor_gateway.page.network.receiver import Receiver
 from biosensor_gateway.page.network.seen import SeenStream
 from biosensor_gateway.page.network.viewer import Viewer
-from biosensor_gateway.page.network.windows import chosen, key_of, window
+from biosensor_gateway.page.network.windows import chosen, key_of, measured_rate, window
 
 READ_S = 0.05
 LOOK_EVERY = 10
@@ -114,7 +114,7 @@ class Reader:
         times = stream.received.take(block, now)
         if not len(stream.received.values):
             return []
-        rate = max(stream.core.rate, len(times) / READ_S)
+        rate = max(stream.core.rate, measured_rate(times))
         firsts = [each for each in windows.get(stream.number, ()) if each < block.samples.shape[1]]
         return [
             window(key_of(stream.number, first), times, block.samples, first, rate)

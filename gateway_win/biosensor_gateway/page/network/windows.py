@@ -59,6 +59,16 @@ def window(
     return _thinned(found) if rate > MAX_ROWS_HZ else found
 
 
+def measured_rate(times: NDArray[np.float64]) -> float:
+    """Return the rate of samples in Hz by their own times; 0 for too few to say.
+
+    How many come at once says nothing: what has waited is no faster.
+    """
+    if len(times) < MAX_ROWS_HZ / 10:
+        return 0.0
+    return (len(times) - 1) / max(float(times[-1] - times[0]), _BIN_S)
+
+
 def _thinned(samples: Samples) -> Samples:
     bins = binned([samples], _BIN_S)
     if bins is None:
