@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from collections.abc import Callable, Generator
 from dataclasses import replace
 from pathlib import Path
@@ -38,6 +39,7 @@ class Streaming(NamedTuple):
     shimmer: SimulatedShimmer3
 
 
+LOG_OFF_S = 60.0
 Request = Callable[[Streaming], None]
 
 
@@ -51,7 +53,12 @@ def _stop_command(it: Streaming) -> None:
 
 
 def _log_off(it: Streaming) -> None:
-    it.prefix.run("wineboot", "--end-session")
+    try:
+        it.prefix.run("wineboot", "--end-session", timeout=LOG_OFF_S)
+    except subprocess.TimeoutExpired:
+        # Wine's own program was once seen to hang before it had told anybody of the end.
+        assert it.program.is_running
+        it.prefix.run("wineboot", "--end-session", timeout=LOG_OFF_S)
 
 
 def _close_console(it: Streaming) -> None:
