@@ -20,6 +20,7 @@ import pytest
 
 from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.agent.state import STATE_WORDS, State
 from biosensor_gateway.devices.registry import declaration
 from tests.faults.expectations import is_by_agent, regular_streams, steady_streams
 from tests.rigs.hosts import counters
@@ -216,7 +217,8 @@ def test_missing_bluetooth_is_said_once_and_the_other_devices_run(job: MainJob) 
     assert (absent["error"], absent["connections"]) == (said["event"], 0)
     # Lines are broken for a narrow terminal, and it may just be trying again.
     shown, sentence = (" ".join(text.split()) for text in (job.status, said["event"]))
-    line = rf"{UNREACHABLE} \({VIRTUAL_UNIT}\): (backoff|connecting) - {re.escape(sentence)} stream"
+    trying = "|".join(STATE_WORDS[each.value] for each in (State.BACKOFF, State.CONNECTING))
+    line = rf"{UNREACHABLE} \({VIRTUAL_UNIT}\): ({trying}) - {re.escape(sentence)} stream"
     assert len(re.findall(line, shown)) == 1, job.status
     for name in SENSORS:
         device = job.devices[name]
