@@ -97,6 +97,7 @@ def main() -> None:
     others = [*_NAMED, sys.executable, "-m", "tests.page.other_streams", json.dumps(OTHERS)]
     with tempfile.TemporaryDirectory() as state, sync_playwright() as playwright:
         os.environ["BIOSENSOR_GATEWAY_STATE"] = state
+        os.environ["XDG_DOCUMENTS_DIR"] = "/home/lab/Documents"
         lsl = Path(state) / "lsl_api.cfg"
         lsl.write_text(_LSL.format(uuid.uuid4().hex))
         os.environ["LSLAPICFG"] = str(lsl)

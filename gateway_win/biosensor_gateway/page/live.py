@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import time
 from collections.abc import Callable
 
 from fastapi import FastAPI, WebSocket, WebSocketDisconnect
@@ -57,7 +58,7 @@ async def _send(
     socket: WebSocket, source: Source, screen: Screen, more: Callable[[], BaseModel]
 ) -> None:
     """Send pictures; a browser that is slow gets fewer of them, and nothing piles up here."""
-    count = 0
+    count, next_s = 0, time.monotonic()
     while not source.has_ended:
         if count % STATUS_EVERY == 0:
             await socket.send_text(more().model_dump_json())
@@ -65,5 +66,8 @@ async def _send(
         if picture is not None:
             await socket.send_bytes(picture)
         count += 1
-        await asyncio.sleep(1 / PICTURES_HZ)
+        # What making and sending one takes is not on top; one that is late is not caught up.
+        now_s = time.monotonic()
+        next_s = max(next_s + 1 / PICTURES_HZ, now_s)
+        await asyncio.sleep(next_s - now_s)
     await socket.close(ENDED)
