@@ -110,6 +110,34 @@ class ViewKeys(Keys):
         return self._cookie if fits else None
 
 
+class Sockets:
+    """Passes WebSockets on, so many at a time.
+
+    Parameters
+    ----------
+    app
+    most
+        How many.
+    """
+
+    def __init__(self, app: ASGIApp, most: int) -> None:
+        self._app = app
+        self._most = most
+        self._open = 0
+
+    async def serve(self, scope: Scope, receive: Receive, send: Send, *, is_refused: bool) -> None:
+        """Pass one on, unless it is refused or there are as many already."""
+        if is_refused or self._open >= self._most:
+            await receive()
+            await send({"type": "websocket.close", "code": REFUSED_SOCKET})
+            return
+        self._open += 1
+        try:
+            await self._app(scope, receive, send)
+        finally:
+            self._open -= 1
+
+
 class Guard:
     """Checks every request and WebSocket before the application sees it.
 
@@ -130,7 +158,7 @@ class Guard:
         self._origins = frozenset(origins)
         self._hosts = {each.partition("://")[2] for each in self._origins}
         self._is_secure = all(each.startswith("https:") for each in self._origins)
-        self._sockets = 0
+        self._sockets = Sockets(app, MAX_SOCKETS)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it with a sentence."""
@@ -144,15 +172,7 @@ class Guard:
     async def _socket(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = Headers(scope=scope)
         refusal = self._foreign(headers, needs_origin=True) or self._stranger(headers)
-        if refusal is not None or self._sockets >= MAX_SOCKETS:
-            await receive()
-            await send({"type": "websocket.close", "code": REFUSED_SOCKET})
-            return
-        self._sockets += 1
-        try:
-            await self._app(scope, receive, send)
-        finally:
-            self._sockets -= 1
+        await self._sockets.serve(scope, receive, send, is_refused=refusal is not None)
 
     async def _request(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = Headers(scope=scope)

@@ -15,12 +15,7 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from biosensor_gateway.page.experiments.token import is_same
-from biosensor_gateway.page.guard import (
-    REFUSED_SOCKET,
-    Refusal,
-    body_refusal,
-    with_headers,
-)
+from biosensor_gateway.page.guard import Refusal, Sockets, body_refusal, with_headers
 
 MARKERS = "/api/v1/markers"
 SOCKET = "/api/v1/markers/socket"
@@ -60,7 +55,7 @@ class ExperimentGuard:
         self._origins = frozenset(origins)
         self._token = token
         self._on_foreign = on_foreign
-        self._sockets = 0
+        self._sockets = Sockets(app, MAX_SOCKETS)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it with a sentence."""
@@ -71,15 +66,7 @@ class ExperimentGuard:
 
     async def _socket(self, scope: Scope, receive: Receive, send: Send) -> None:
         refusal = self._foreign(Headers(scope=scope))
-        if refusal is not None or self._sockets >= MAX_SOCKETS:
-            await receive()
-            await send({"type": "websocket.close", "code": REFUSED_SOCKET})
-            return
-        self._sockets += 1
-        try:
-            await self._app(scope, receive, send)
-        finally:
-            self._sockets -= 1
+        await self._sockets.serve(scope, receive, send, is_refused=refusal is not None)
 
     async def _request(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = Headers(scope=scope)
