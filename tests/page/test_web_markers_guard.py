@@ -17,6 +17,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
+from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.page.experiments.guard import MAX_SOCKETS, SOCKET
 from tests.page.conftest import DEADLINE_S
 from tests.page.web_lab import Answer, MarkerReader, WebLab, until
@@ -330,8 +331,15 @@ def _view(lab: WebLab) -> dict[str, Any]:
     return json.loads(received)["experiments"] or {"problem": ""}
 
 
+@pytest.fixture
+def without_agent(lab: WebLab) -> None:
+    """End the agent, if a test before has not."""
+    if is_held(lab.programs.folder):
+        lab.programs.call("stop")
+
+
+@pytest.mark.usefixtures("without_agent")
 def test_without_an_agent_it_says_so(lab: WebLab) -> None:
-    lab.programs.call("stop")
     answer = lab.request("POST", {"marker": "x"})
     assert answer.code == 503
     assert re.search("no agent is running|does not answer", answer.said["problem"])
@@ -341,6 +349,7 @@ def test_without_an_agent_it_says_so(lab: WebLab) -> None:
         assert told(page, "refused")["again"]
 
 
+@pytest.mark.usefixtures("without_agent")
 def test_a_flood_of_markers_is_refused(lab: WebLab) -> None:
     # Without an agent, for one takes its time, so that a slow machine makes no flood of it.
     def post(_number: int) -> Answer:
