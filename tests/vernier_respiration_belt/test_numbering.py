@@ -128,6 +128,23 @@ def test_of_a_stall_only_what_was_not_stored_is_lost(seed: int, length: int, sto
     assert newest.last_s - world.placed[0].last_s == pytest.approx(index * 0.1, abs=1e-6)
 
 
+@given(st.integers(0, 99), st.integers(20, 150), st.integers(0, 140), st.floats(0.0, 3.0))
+def test_a_computer_that_is_slow_to_read_what_was_stored_has_lost_nothing(
+    seed: int, stored: int, read: int, pause_s: float
+) -> None:
+    read = min(read, stored - 1)
+    world = World(seed)
+    world.packets(WARM_UP)
+    awake_s = world.true_s(world.index + stored)
+    for number in range(stored):
+        late_s = pause_s if number >= read else 0.0
+        world.packet(not_before_s=awake_s + 0.002 * number + late_s)
+    world.packets(WARM_UP)
+    missing, wrong = world.missing_and_misplaced()
+    assert (world.lost, missing) == (0, 0)
+    assert max(wrong) < 1e-6
+
+
 @given(st.integers(0, 99))
 def test_a_counter_that_counts_something_else_is_not_believed(seed: int) -> None:
     world = World(seed)

@@ -8,12 +8,16 @@ which of two things happened:
   sends what it had stored. Nothing is missing.
 * They come at the pace of measuring, and all of them later than they should: as many
   samples as fit into the delay are missing.
+
+After a silence the first may look like the second for a moment, when this computer has
+more to do than to read what the belt had stored. So the delay must still be there when
+the next few packets have come; a delay that shrinks is a store that empties.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from biosensor_common.clocks import PacketTimeline
@@ -91,6 +95,7 @@ class Numbering:
         self._restarted = True
         self._counter = _PacketCounter()
         self._suspicious = False
+        self._may_be_stored = False
         self._arrival_s = -math.inf
         self._held: list[Arrived] = []
 
@@ -99,7 +104,7 @@ class Numbering:
         self._origin_s, self._index = self._time(0), 0
         self._period_s = period_s
         self._restarted = True
-        self._suspicious = False
+        self._suspicious = self._may_be_stored = False
         self._counter = _PacketCounter()
 
     def count(self, counter: int) -> None:
@@ -118,15 +123,16 @@ class Numbering:
         if self._restarted:
             return [self._place_first(packet)]
         if pause > max(SILENCE_S, SILENCE_PERIODS * self._period_s):
-            self._suspicious = True
+            self._suspicious = self._may_be_stored = True
         if not self._suspicious:
             return [self._place_next(packet)]
         self._held.append(packet)
-        return self._place_held() if len(self._held) == HELD_PACKETS else []
+        return self._place_certain()
 
     def release(self) -> list[Placed]:
         """Return what is held back, because no more packets come."""
-        return self._place_held() if self._held else []
+        lost = 0 if not self._held or _is_backlog(self._held, self._period_s) else self._missing()
+        return self._place_held(len(self._held), lost)
 
     def _place_first(self, packet: Arrived) -> Placed:
         """Go on where the host's clock is: a start begins at any moment."""
@@ -142,19 +148,36 @@ class Numbering:
         self._index += lost + packet.samples
         return Placed(packet.measurement, packet.arrival_s, self._time(0), lost)
 
-    def _place_held(self) -> list[Placed]:
-        held, self._held = self._held, []
-        measured_s = sum(packet.samples for packet in held[1:]) * self._period_s
-        is_backlog = held[-1].arrival_s - held[0].arrival_s < BACKLOG_PACE * measured_s
-        # After a backlog it is still to be seen whether all of it came.
-        self._suspicious = is_backlog
-        lost = 0 if is_backlog else self._missing(held)
-        first, *others = held
-        return [self._place_next(first, lost), *map(self._place_next, others)]
+    def _place_certain(self) -> list[Placed]:
+        """Place what is held back as far as it is clear what happened before it."""
+        placed: list[Placed] = []
+        while len(self._held) >= HELD_PACKETS:
+            if _is_backlog(self._held[:HELD_PACKETS], self._period_s):
+                # After it, it is still to be seen whether all of it came.
+                self._may_be_stored = True
+                placed += self._place_held(HELD_PACKETS)
+                continue
+            lost = self._missing(0, HELD_PACKETS)
+            if lost and self._may_be_stored:
+                later = self._held[HELD_PACKETS:]
+                if len(later) < HELD_PACKETS:
+                    break
+                if _is_backlog(later, self._period_s) or self._missing(HELD_PACKETS) != lost:
+                    placed += self._place_held(HELD_PACKETS)
+                    continue
+            placed += self._place_held(len(self._held), lost)
+            self._suspicious = self._may_be_stored = False
+        return placed
 
-    def _missing(self, held: list[Arrived]) -> int:
-        samples, least_s = 0, math.inf
-        for packet in held:
+    def _place_held(self, count: int, lost: int = 0) -> list[Placed]:
+        held, self._held = self._held[:count], self._held[count:]
+        return [self._place_next(each, 0 if at else lost) for at, each in enumerate(held)]
+
+    def _missing(self, begin: int = 0, end: int | None = None) -> int:
+        """Count the samples that fit into the least delay of some of what is held back."""
+        samples = sum(packet.samples for packet in self._held[:begin])
+        least_s = math.inf
+        for packet in self._held[begin:end]:
             samples += packet.samples
             late_s = self._device_time(packet.arrival_s) - self._time(samples)
             least_s = min(least_s, late_s)
@@ -171,6 +194,12 @@ class Numbering:
             return self._time(0)
         newest_s = self._time(0)
         return newest_s + (arrival_s - newest_s - state.offset_s) / (1 + state.drift_ppm * 1e-6)
+
+
+def _is_backlog(held: Sequence[Arrived], period_s: float) -> bool:
+    """Whether packets came so fast that they had been stored."""
+    measured_s = sum(packet.samples for packet in held[1:]) * period_s
+    return held[-1].arrival_s - held[0].arrival_s < BACKLOG_PACE * measured_s
 
 
 class _PacketCounter:
