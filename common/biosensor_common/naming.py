@@ -39,6 +39,8 @@ Key = TypeVar("Key", bound=Hashable)
 
 AGENT = "gateway"
 """Sensor of an agent's own streams; its unit is the computer, so there are as many as computers."""
+NODE = "lsl_to_ros"
+"""Sensor of a node's own streams; its unit is the computer, too."""
 
 
 @dataclass(frozen=True, slots=True)

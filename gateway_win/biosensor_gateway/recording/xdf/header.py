@@ -37,6 +37,8 @@ class RecordedHeader:
         Which of our streams it is; None and empty if it is another program's.
     refused
         Why a ``<biosensor>`` block was not believed; empty if there was none or it was.
+    xml
+        The header as it was recorded.
     """
 
     name: str
@@ -52,6 +54,7 @@ class RecordedHeader:
     identity: DeviceIdentity | None
     data_name: str
     refused: str
+    xml: str = ""
 
     @property
     def is_ours(self) -> bool:
@@ -116,6 +119,7 @@ def parse_stream_header(content: bytes) -> RecordedHeader:
         identity=identity,
         data_name=data_name,
         refused=refused,
+        xml=text,
     )
 
 

@@ -25,6 +25,10 @@ _STAMP_BYTES = 8
 _LENGTH_SIZES = frozenset({1, 4, 8})
 
 
+Texts = list[tuple[str, ...]]
+"""One tuple a sample, one text a channel."""
+
+
 @dataclass(frozen=True, slots=True)
 class Block:
     """The samples of one chunk.
@@ -34,18 +38,27 @@ class Block:
     stamps : ndarray of float64, shape (n_samples,)
         LSL time on the stream's own clock; where the recorder left a stamp out,
         one period after the sample before.
-    nan_counts : ndarray of int64, shape (n_channels,)
-        Samples without a value, by channel; zero in streams of text or integers.
-    texts
-        First channel of a stream of text, else empty.
+    values : ndarray, shape (n_samples, n_channels), or list of tuple
+        In the stream's own format; may be a view of the chunk. Of a stream of text a list.
     unstamped
         How many samples come before the first that has a stamp of its own.
     """
 
     stamps: NDArray[np.float64]
-    nan_counts: NDArray[np.int64]
-    texts: tuple[str, ...] = ()
+    values: NDArray[Any] | Texts
     unstamped: int = 0
+
+    @property
+    def nan_counts(self) -> NDArray[np.int64] | int:
+        """Samples without a value, by channel; zero in streams of text or integers."""
+        if isinstance(self.values, list) or self.values.dtype.kind != "f":
+            return 0
+        return np.asarray(np.isnan(self.values).sum(axis=0), np.int64)
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """First channel of a stream of text, else empty."""
+        return tuple(each[0] for each in self.values) if isinstance(self.values, list) else ()
 
 
 def decode(content: memoryview, header: RecordedHeader, last_stamp: float) -> Block:
@@ -78,9 +91,7 @@ def _decode_numbers(
         # Most chunks: every sample has its stamp, so all have one size.
         samples = np.frombuffer(body, record)
         if bool((samples["size"] == _STAMP_BYTES).all()):
-            return Block(
-                samples["stamp"].copy(), _count_nan(samples["values"], header.channel_count)
-            )
+            return Block(samples["stamp"].copy(), samples["values"])
     value_bytes = header.channel_count * dtype.itemsize
     if count * (1 + value_bytes) > len(body):
         raise ChunkError("it is too short for its number of samples")
@@ -92,7 +103,7 @@ def _decode_numbers(
     values = _gather(raw, starts, dtype, header.channel_count)
     return Block(
         _complete(given, is_stamped, last_stamp, period),
-        _count_nan(values, header.channel_count),
+        values,
         unstamped=int(np.argmax(is_stamped)) if len(given) else count,
     )
 
@@ -102,12 +113,6 @@ def _record(channel_format: ChannelFormat, channel_count: int) -> np.dtype[Any]:
     """Return the layout of a sample that has a stamp."""
     values = (_DTYPES[channel_format], (channel_count,))
     return np.dtype([("size", "u1"), ("stamp", "<f8"), ("values", *values)])
-
-
-def _count_nan(values: NDArray[Any], channel_count: int) -> NDArray[np.int64]:
-    if values.dtype.kind != "f":
-        return np.zeros(channel_count, np.int64)
-    return np.asarray(np.isnan(values).sum(axis=0), np.int64)
 
 
 def _sample_offsets(body: memoryview, count: int, value_bytes: int) -> NDArray[np.int64]:
@@ -154,24 +159,25 @@ def _decode_texts(
     if count * (1 + 2 * channel_count) > len(body):
         raise ChunkError("it is too short for its number of samples")
     stamps = np.empty(count)
-    texts: list[str] = []
+    texts: Texts = []
     position, unstamped = 0, count
     for index in range(count):
         if unstamped == count and position < len(body) and body[position]:
             unstamped = index
         last_stamp, position = _text_stamp(body, position, last_stamp, period)
         stamps[index] = last_stamp
-        for channel in range(channel_count):
+        sample: list[str] = []
+        for _ in range(channel_count):
             length, position = _variable_length(body, position)
             end = position + length
             if end > len(body):
                 raise ChunkError("a text in it is longer than the chunk")
-            if channel == 0:
-                texts.append(str(body[position:end], "utf-8", "replace"))
+            sample.append(str(body[position:end], "utf-8", "replace"))
             position = end
+        texts.append(tuple(sample))
     if position != len(body):
         raise ChunkError("its samples do not fill it")
-    return Block(stamps, np.zeros(channel_count, np.int64), tuple(texts), unstamped)
+    return Block(stamps, texts, unstamped)
 
 
 def _text_stamp(

@@ -17,11 +17,14 @@ sensor, unit, participant, label
 Besides these:
 
 =================== =========================================================================
-``agent_started``   ``version``; ``restarts`` and ``last_end``, in words, if it had died and
-                    was started again (``run --keep-alive``), as in each heartbeat
+``agent_started``   ``version``; ``clock``: ``lsl_s`` and ``unix_ns``, this computer's clocks at
+                    one moment (:mod:`biosensor_common.clock_pair`); ``restarts`` and
+                    ``last_end``, in words, if it had died and was started again
+                    (``run --keep-alive``), as in each heartbeat
 ``agent_stopped``   Comes when the agent is asked to end; a killed one says nothing.
 ``heartbeat``       ``agent_started``: LSL time; ``devices``: state of each by
-                    ``sensor/unit``, as ``biosensor-gateway status`` has it, or ``paused``
+                    ``sensor/unit``, as ``biosensor-gateway status`` has it, or ``paused``;
+                    ``clock``, as above
 ``connected``       ``connection``: its number since the agent's start; ``firmware_version``
                     where it is known
 ``disconnected``    ``reason``: ``lost``, ``silent``, ``absent``, ``garbage``, ``no_reply``,

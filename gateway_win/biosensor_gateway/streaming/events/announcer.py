@@ -6,12 +6,14 @@ import asyncio
 import json
 import math
 import socket
+import time
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
 
 import pylsl
 import structlog
 
+from biosensor_common.clock_pair import measure_clock_pair
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.streaming.counters import Counters
@@ -58,7 +60,7 @@ class Announcer:
         self._had_consumers = False
         self._outlet = _outlet()
         self._start = dict(start or {})
-        facts = {"version": version("biosensor-gateway"), **self._start}
+        facts = {"version": version("biosensor-gateway"), **self._start, **_clock()}
         self.announce(EventKind.AGENT_STARTED, facts)
         self._tick()
 
@@ -125,8 +127,12 @@ class Announcer:
         if has_come or now >= self._due_s:
             self._due_s = now + self._period_s
             states = dict(self._states())
-            facts = {"agent_started": self._started_s, **self._start, "devices": states}
+            facts = {"agent_started": self._started_s, **self._start, "devices": states, **_clock()}
             self.announce(EventKind.HEARTBEAT, facts)
+
+
+def _clock() -> dict[str, object]:
+    return measure_clock_pair(time.time_ns, pylsl.local_clock).as_facts()
 
 
 def _outlet() -> Outlet | None:

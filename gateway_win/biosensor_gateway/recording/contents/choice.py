@@ -1,0 +1,135 @@
+"""Cuts out of a recording what somebody wants of it: streams, a span of time, a participant."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from fnmatch import fnmatchcase
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.ros_clock import NS_PER_S
+from biosensor_gateway.recording.contents.merging import merged
+from biosensor_gateway.recording.contents.opening import Contents
+from biosensor_gateway.recording.contents.stream import Samples, Stream
+
+# 12.5, 1:02.5 or 1:00:02.5
+_SPAN = re.compile(r"(?:(?:(\d+):)?(\d{1,2}):)?(\d+(?:\.\d+)?)")
+_MOST_NAMES = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What somebody wants of a recording, as typed.
+
+    Attributes
+    ----------
+    streams
+        Names or source_ids, with ``*`` and ``?``; none for all.
+    begin, end
+        Seconds since the recording's begin, ``h:mm:ss``, or a date and time of day as
+        ``2026-03-14T10:30:00``; empty for its own begin and end.
+    participant
+        Whose streams only; empty for everybody's, and those of nobody.
+    """
+
+    streams: Sequence[str] = ()
+    begin: str = ""
+    end: str = ""
+    participant: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """Streams and a span of time of an open recording.
+
+    Attributes
+    ----------
+    streams
+        In the order of the file, also those without samples.
+    begin_s, end_s
+        On the recorder's LSL clock; `end_s` excluded, infinite for all to the end.
+    """
+
+    contents: Contents
+    streams: tuple[Stream, ...]
+    begin_s: float
+    end_s: float
+
+    def samples(self, stream: Stream) -> Iterator[Samples]:
+        """Give the samples of one stream in the span of time, chunk by chunk."""
+        return stream.blocks(self.begin_s, self.end_s)
+
+    def merged(self) -> Iterator[tuple[Stream, Samples]]:
+        """Give chunks of samples of all streams in the order of time."""
+        return merged(self.streams, self.begin_s, self.end_s)
+
+
+def choose(contents: Contents, wish: Wish) -> Chosen:
+    """Find what is wanted.
+
+    Raises
+    ------
+    ConfigError
+        ``WRONG_VALUE``, if a stream or participant is not in the recording, or a time is no time.
+    """
+    streams = [each for each in contents.streams if _is_of(each, wish.participant)]
+    if wish.participant and not streams:
+        present = _listed({_participant(each) for each in contents.streams} - {""})
+        message = f"nobody is called {wish.participant!r} in {contents.path}; {present}"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    for pattern in wish.streams:
+        if not any(_fits(each, pattern) for each in streams):
+            names = _listed({each.header.name for each in streams})
+            message = f"there is no stream {pattern!r} in {contents.path}; {names}"
+            raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    if wish.streams:
+        streams = [each for each in streams if any(_fits(each, fit) for fit in wish.streams)]
+    begin_s = _moment(wish.begin, contents) if wish.begin else -math.inf
+    end_s = _moment(wish.end, contents) if wish.end else math.inf
+    if end_s <= begin_s:
+        message = f"the end, {wish.end}, is not after the begin, {wish.begin}"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    return Chosen(contents, tuple(streams), begin_s, end_s)
+
+
+def _participant(stream: Stream) -> str:
+    identity = stream.header.identity
+    return "" if identity is None else identity.participant
+
+
+def _is_of(stream: Stream, participant: str) -> bool:
+    return not participant or _participant(stream) == participant
+
+
+def _fits(stream: Stream, pattern: str) -> bool:
+    names = (stream.header.name, stream.header.source_id)
+    return any(fnmatchcase(name, pattern) for name in names)
+
+
+def _listed(names: set[str]) -> str:
+    if not names:
+        return "there is none at all"
+    shown = sorted(names)[:_MOST_NAMES]
+    rest = f" and {len(names) - len(shown)} more" if len(names) > len(shown) else ""
+    return f"there is {', '.join(map(repr, shown))}{rest}"
+
+
+def _moment(text: str, contents: Contents) -> float:
+    if found := _SPAN.fullmatch(text):
+        hours, minutes, seconds = (float(part or 0.0) for part in found.groups())
+        return contents.begin_s + hours * 3600 + minutes * 60 + seconds
+    try:
+        date = datetime.fromisoformat(text)
+    except ValueError:
+        message = (
+            f"{text!r} is no time in a recording; "
+            "use seconds as 90.5, 1:30.5, or a date as 2026-03-14T10:30:00"
+        )
+        raise ConfigError(ConfigReason.WRONG_VALUE, message) from None
+    if contents.wall is None:
+        message = f"{contents.path} does not say what time of day it was; use seconds, not {text}"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    return contents.wall.to_lsl_s(round(date.timestamp() * NS_PER_S))

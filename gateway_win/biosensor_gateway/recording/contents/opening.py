@@ -1,0 +1,66 @@
+"""Opens a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from biosensor_gateway.recording.contents.index import IndexedStream
+from biosensor_gateway.recording.contents.stream import Stream
+from biosensor_gateway.recording.contents.wall_clock import WallClock, find_wall_clock
+from biosensor_gateway.recording.xdf.container import Damage, open_recording, read_chunks
+from biosensor_gateway.recording.xdf.sorting import StreamSorter
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """An open recording.
+
+    Attributes
+    ----------
+    begun
+        When, by the recorder's own words; empty if it does not say.
+    streams
+        In the order of their headers, also those without samples.
+    damages
+        What could not be read; everything else can.
+    begin_s, end_s
+        Times of the first and the last sample of all on the recorder's LSL clock, in s;
+        0 where there are none.
+    wall
+        Time of day; None if nothing in the file tells it.
+    """
+
+    path: Path
+    begun: str
+    streams: tuple[Stream, ...]
+    damages: tuple[Damage, ...]
+    begin_s: float
+    end_s: float
+    wall: WallClock | None
+
+
+@contextmanager
+def open_contents(path: Path) -> Generator[Contents]:
+    """Open a recording, and find out where everything in it is, which takes one pass.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such file, it cannot be read, or it is no XDF file; also while it is
+        being read.
+    """
+    sorter = StreamSorter(IndexedStream)
+    with open_recording(path) as (file, size, is_unpacked_whole):
+        damages = read_chunks(file, size, sorter.take)
+        if not is_unpacked_whole:
+            what = "the rest is compressed and cannot be unpacked"
+            damages = (*damages, Damage(size, size, what, breaks_off=True))
+        streams = tuple(Stream(file, number, each) for number, each in sorter.streams.items())
+        ends = [end for each in streams for end in each.ends() or ()]
+        begin_s, end_s = (min(ends), max(ends)) if ends else (0.0, 0.0)
+        begun = sorter.begun or ""
+        wall = find_wall_clock(streams, begun, begin_s)
+        yield Contents(path, begun, streams, damages, begin_s, end_s, wall)

@@ -1,0 +1,132 @@
+"""Brings stamps of a stream's own clock onto the recorder's, by the clock offsets in the file.
+
+The recorder measures every few seconds how the clock of a stream's computer stands against its
+own. A straight line through these offsets is what EEGLAB's and pyxdf's loaders use, too, as
+the `XDF specification <https://github.com/sccn/xdf/wiki/Specifications>`_ asks for. Here it is
+a robust one (Huber's weights, by iterated least squares), because a network that is busy for a
+moment makes single offsets wrong. Where the computer was started anew its clock begins anew:
+a line of its own follows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+JUMP_S = 1.0
+"""An offset that changes by more between two measurements belongs to a clock begun anew."""
+LEAST_FOR_DRIFT = 3
+"""Fewer offsets say nothing about drift; their median holds for all times."""
+
+_ROUNDS = 20
+# Huber's: 95 % as efficient as least squares where errors are normal.
+_HUBER = 1.345
+# The standard deviation of normal errors by their median amount.
+_PER_MEDIAN = 1.4826
+_LEAST_SCALE_S = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """Offsets of one run of the clock: `offset + slope * (stamp - middle)`."""
+
+    begin: int
+    first: float
+    last: float
+    middle: float
+    offset: float
+    slope: float
+
+    def away(self, stamp: float) -> float:
+        return max(self.first - stamp, stamp - self.last, 0.0)
+
+
+class SenderClock:
+    """What to add to the stamps of one stream.
+
+    Parameters
+    ----------
+    offsets
+        LSL time on the stream's clock, and what to add to it to get the recorder's, in s, in
+        the order of the file. Without any, stamps stay as they are.
+    """
+
+    def __init__(self, offsets: Sequence[tuple[float, float]]) -> None:
+        self._lines = [_fit(begin, run) for begin, run in _runs(offsets)]
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the recorder has measured the clock at all."""
+        return bool(self._lines)
+
+    @property
+    def restarts(self) -> int:
+        """How often the clock began anew."""
+        return max(0, len(self._lines) - 1)
+
+    def to_recorder(
+        self, stamps: NDArray[np.float64], offsets_before: int = 0
+    ) -> NDArray[np.float64]:
+        """Return the recorder's time of the samples of one chunk, in s.
+
+        Parameters
+        ----------
+        stamps : ndarray of float64, shape (n_samples,)
+            On the stream's own clock.
+        offsets_before
+            How many clock offsets come before the chunk in the file, which tells runs of the
+            clock apart.
+        """
+        if not self._lines or not len(stamps):
+            return stamps
+        line = self._line(float(stamps[0]), offsets_before)
+        return stamps + (line.offset + line.slope * (stamps - line.middle))
+
+    def _line(self, stamp: float, offsets_before: int) -> _Line:
+        earlier = [line for line in self._lines if line.begin < offsets_before]
+        later = [line for line in self._lines if line.begin >= offsets_before]
+        # Samples of a new run may come before its first offset.
+        near = earlier[-1:] + later[:1]
+        return min(near, key=lambda line: line.away(stamp))
+
+
+def _runs(
+    offsets: Sequence[tuple[float, float]],
+) -> list[tuple[int, Sequence[tuple[float, float]]]]:
+    if not offsets:
+        return []
+    begins = [0]
+    for at in range(1, len(offsets)):
+        (before_s, before), (time_s, offset) = offsets[at - 1 : at + 1]
+        if time_s < before_s or abs(offset - before) > JUMP_S:
+            begins.append(at)
+    ends = [*begins[1:], len(offsets)]
+    return [(begin, offsets[begin:end]) for begin, end in zip(begins, ends, strict=True)]
+
+
+def _fit(begin: int, run: Sequence[tuple[float, float]]) -> _Line:
+    times, values = np.array(run).T
+    middle = float(times.mean())
+    offset, slope = float(np.median(values)), 0.0
+    if len(run) >= LEAST_FOR_DRIFT and np.ptp(times) > 0:
+        offset, slope = _robust_line(times - middle, values)
+    return _Line(begin, float(times.min()), float(times.max()), middle, offset, slope)
+
+
+def _robust_line(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float]:
+    """Return value at 0 and slope of Huber's line."""
+    weights = np.ones_like(x)
+    offset = slope = 0.0
+    for _ in range(_ROUNDS):
+        mean_x, mean_y = np.average(x, weights=weights), np.average(y, weights=weights)
+        spread = float(weights @ (x - mean_x) ** 2)
+        slope = float(weights @ ((x - mean_x) * (y - mean_y))) / spread if spread else 0.0
+        offset = float(mean_y - slope * mean_x)
+        errors = np.abs(y - offset - slope * x)
+        scale = max(_PER_MEDIAN * float(np.median(errors)), _LEAST_SCALE_S)
+        weights = np.minimum(1.0, _HUBER * scale / np.maximum(errors, _LEAST_SCALE_S))
+    return (offset, slope) if math.isfinite(offset) else (float(np.median(y)), 0.0)

@@ -1,0 +1,139 @@
+"""One stream of an open recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from biosensor_common.errors import SpecError
+from biosensor_common.lsl_header import read_header
+from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
+from biosensor_gateway.recording.contents.index import IndexedStream
+from biosensor_gateway.recording.contents.sender_clock import SenderClock
+from biosensor_gateway.recording.xdf.header import RecordedHeader
+from biosensor_gateway.recording.xdf.samples import Texts
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Some samples of one stream, in the order of the file.
+
+    Attributes
+    ----------
+    times : ndarray of float64, shape (n_samples,)
+        LSL time on the recorder's clock, in s: the stamps with the clock offsets applied.
+    stamps : ndarray of float64, shape (n_samples,)
+        As recorded, on the stream's own clock.
+    values : ndarray, shape (n_samples, n_channels), or list of tuple
+        In the stream's own format; of a stream of text one tuple a sample.
+    """
+
+    times: NDArray[np.float64]
+    stamps: NDArray[np.float64]
+    values: NDArray[Any] | Texts
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def picked(self, is_wanted: NDArray[np.bool_]) -> Samples:
+        """Return those samples for which `is_wanted`, of shape (n_samples,), is true."""
+        if is_wanted.all():
+            return self
+        values = self.values
+        if isinstance(values, list):
+            values = [each for each, wanted in zip(values, is_wanted, strict=True) if wanted]
+        else:
+            values = values[is_wanted]
+        return Samples(self.times[is_wanted], self.stamps[is_wanted], values)
+
+
+class Stream:
+    """One stream of an open recording; use it only while the recording is open.
+
+    Attributes
+    ----------
+    number
+        Its number in the file.
+    header
+        As recorded.
+    meaning
+        What the header says of itself: identity, labels, units, roles; of a stream of another
+        program, what the node makes of it.
+    clock
+        Its clock against the recorder's.
+    clock_offsets
+        What the recorder measured of that, in the order of the file: LSL time on the
+        stream's clock, and what to add to it to get the recorder's, in s.
+    sample_count
+        All its samples in the file.
+    """
+
+    def __init__(self, file: BinaryIO, number: int, indexed: IndexedStream) -> None:
+        self._file = file
+        self._indexed = indexed
+        self.number = number
+        self.header: RecordedHeader = indexed.header
+        self.meaning: StreamHeader = _meaning(indexed.header)
+        self.clock = SenderClock(indexed.clock_offsets)
+        self.clock_offsets = tuple(indexed.clock_offsets)
+        self.sample_count = indexed.sample_count
+
+    def blocks(self, begin_s: float = -np.inf, end_s: float = np.inf) -> Iterator[Samples]:
+        """Give the samples of each chunk that has some from `begin_s` to before `end_s`.
+
+        Samples whose stamp is no number are left out.
+
+        Parameters
+        ----------
+        begin_s, end_s
+            On the recorder's clock, in s.
+
+        Raises
+        ------
+        RecordingError
+            If the file cannot be read any more.
+        """
+        for place in self._indexed.places():
+            # Stamps in between may be outside of those of the ends, but not of a regular stream.
+            ends = self.clock.to_recorder(np.array([place.first, place.last]), place.offsets_before)
+            if self.header.is_regular and (ends.max() < begin_s or ends.min() >= end_s):
+                continue
+            block = self._indexed.read(self._file, place)
+            times = self.clock.to_recorder(block.stamps, place.offsets_before)
+            samples = Samples(times, block.stamps, block.values)
+            samples = samples.picked(np.isfinite(times) & (times >= begin_s) & (times < end_s))
+            if len(samples):
+                yield samples
+
+    def ends(self) -> tuple[float, float] | None:
+        """Return the least and the greatest time of the ends of its chunks, in s; None if empty.
+
+        The order of stamps within a chunk is the sender's, and hardly ever another.
+        """
+        times = [
+            self.clock.to_recorder(np.array([place.first, place.last]), place.offsets_before)
+            for place in self._indexed.places()
+        ]
+        found = np.concatenate(times) if times else np.empty(0)
+        found = found[np.isfinite(found)]
+        return (float(found.min()), float(found.max())) if len(found) else None
+
+
+def _meaning(header: RecordedHeader) -> StreamHeader:
+    try:
+        return read_header(header.xml)
+    except SpecError:
+        core = CoreFields(
+            name=header.name,
+            content_type=header.content_type,
+            source_id=header.source_id,
+            hostname=header.hostname,
+            channel_count=header.channel_count,
+            rate=header.rate,
+            format=header.format,
+        )
+        return foreign_header(core, header.labels)

@@ -1,0 +1,139 @@
+"""Tells what time of day a moment of a recording was.
+
+LSL's clock begins when a computer is switched on. Agent and node therefore say now and then, in
+their streams of events, what their computer's clock shows at a moment of LSL time: the element
+``clock`` with ``lsl_s`` and ``unix_ns``. Without these there is only the date that the
+recorder writes, of whole seconds.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from biosensor_common.clock_pair import ClockPair, read_clock_pair
+from biosensor_common.naming import AGENT, NODE
+from biosensor_common.ros_clock import NS_PER_S, STEP_NS
+from biosensor_gateway.recording.contents.stream import Stream
+
+EVENTS = "events"
+DATE_RESOLUTION_S = 1.0
+# The node's first: a bag has its times, and so has a recording that is turned into a bag.
+_TELLERS = (NODE, AGENT)
+
+
+@dataclass(frozen=True, slots=True)
+class WallClock:
+    """Time of day by the recorder's LSL clock.
+
+    Attributes
+    ----------
+    source
+        Who told it: name of a stream, or ``"date"`` for the recorder's own words.
+    resolution_s
+        How far off it may be by the way it was told.
+    times : ndarray of float64, shape (n_pairs,)
+        Moments on the recorder's LSL clock at which it was told, ascending, in s.
+    offsets_ns : ndarray of int64, shape (n_pairs,)
+        Unix time less LSL time at these.
+    """
+
+    source: str
+    resolution_s: float
+    times: NDArray[np.float64]
+    offsets_ns: NDArray[np.int64]
+
+    def to_unix_ns(self, times: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return unix time in ns.
+
+        Between two pairs the offset runs straight, outside of them it stays. Where somebody set
+        the clock, so that it is off by more than a millisecond, the new offset
+        holds from the pair that tells it.
+
+        Parameters
+        ----------
+        times : ndarray of float64, shape (n,)
+            Finite, on the recorder's LSL clock, in s.
+        """
+        base = self.offsets_ns[0]
+        relative = (self.offsets_ns - base).astype(np.float64)
+        after = np.clip(np.searchsorted(self.times, times, side="right"), 1, len(self.times)) - 1
+        following = np.minimum(after + 1, len(self.times) - 1)
+        change = relative[following] - relative[after]
+        span = self.times[following] - self.times[after]
+        part = np.clip((times - self.times[after]) / np.where(span > 0, span, 1.0), 0.0, 1.0)
+        moved = np.where(np.abs(change) > STEP_NS, 0.0, change * part)
+        whole = np.floor(times)
+        lsl_ns = whole.astype(np.int64) * NS_PER_S
+        lsl_ns += np.rint((times - whole) * NS_PER_S).astype(np.int64)
+        return np.asarray(lsl_ns + base + np.rint(relative[after] + moved).astype(np.int64))
+
+    def to_lsl_s(self, unix_ns: int) -> float:
+        """Return the moment on the recorder's LSL clock, in s, of a unix time."""
+        guess = (unix_ns - int(self.offsets_ns[0])) / NS_PER_S
+        for _ in range(2):
+            error_ns = int(self.to_unix_ns(np.array([guess]))[0]) - unix_ns
+            guess -= error_ns / NS_PER_S
+        return guess
+
+
+def find_wall_clock(streams: Sequence[Stream], begun: str, begin_s: float) -> WallClock | None:
+    """Find out what time of day a recording was made; None if nothing tells.
+
+    Parameters
+    ----------
+    streams
+        All of the recording.
+    begun
+        The recorder's own words.
+    begin_s
+        LSL time of the first sample.
+    """
+    for teller in _TELLERS:
+        told = [_of_stream(each) for each in streams if _is_told_by(each, teller)]
+        best = max((each for each in told if each), key=lambda each: len(each.times), default=None)
+        if best:
+            return best
+    try:
+        date = datetime.fromisoformat(begun)
+    except ValueError:
+        return None
+    offset_ns = int(date.timestamp() * NS_PER_S) - round(begin_s * NS_PER_S)
+    return WallClock("date", DATE_RESOLUTION_S, np.array([begin_s]), np.array([offset_ns]))
+
+
+def _is_told_by(stream: Stream, teller: str) -> bool:
+    identity = stream.header.identity
+    return identity is not None and identity.sensor == teller and stream.header.data_name == EVENTS
+
+
+def _of_stream(stream: Stream) -> WallClock | None:
+    pairs = sorted(_pairs(stream))
+    if not pairs:
+        return None
+    times = np.array([time_s for time_s, _ in pairs])
+    offsets_ns = np.array([pair.unix_ns - round(time_s * NS_PER_S) for time_s, pair in pairs])
+    return WallClock(stream.header.name, 0.0, times, offsets_ns)
+
+
+def _pairs(stream: Stream) -> Iterator[tuple[float, ClockPair]]:
+    """Give each pair with its moment on the recorder's clock."""
+    for samples in stream.blocks():
+        texts: Sequence[Sequence[Any]] = samples.values if isinstance(samples.values, list) else ()
+        for time_s, stamp, (text, *_) in zip(samples.times, samples.stamps, texts, strict=False):
+            pair = read_clock_pair(_json(text))
+            if pair is not None:
+                yield float(time_s - stamp + pair.lsl_s), pair
+
+
+def _json(text: str) -> object:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return None

@@ -1,0 +1,1 @@
+"""The contents of recordings, piece by piece."""

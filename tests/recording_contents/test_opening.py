@@ -1,0 +1,214 @@
+"""What is in a recording, piece by piece, on one clock, and what time of day it was."""
+
+from __future__ import annotations
+
+import json
+import re
+from datetime import UTC, datetime
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.naming import source_id
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.recording.contents.choice import Wish, choose
+from biosensor_gateway.recording.contents.opening import open_contents
+from tests.xdf import xdf_file as made
+
+DAY_NS = 1_790_000_000_000_000_000
+
+
+def _ours(sensor: str, data_name: str, participant: str = "") -> ET.Element:
+    is_text = data_name == "events"
+    desc = ET.Element("desc")
+    block = ET.SubElement(desc, "biosensor")
+    for name, text in {
+        "version": "1",
+        "sensor": sensor,
+        "unit": "u1",
+        "participant": participant,
+        "label": "",
+        "data_name": data_name,
+        "category": "raw",
+        "message_type": "std_msgs/msg/" + ("String" if is_text else "Float32MultiArray"),
+        "chunk": "" if is_text else data_name,
+        "is_state": "false",
+    }.items():
+        ET.SubElement(block, name).text = text
+    return desc
+
+
+def _events(stream_id: int, sensor: str, pairs: dict[float, int]) -> bytes:
+    texts = [
+        [json.dumps({"event": "heartbeat", "clock": {"lsl_s": at, "unix_ns": unix_ns}})]
+        for at, unix_ns in pairs.items()
+    ]
+    header = made.stream_header(
+        stream_id,
+        f"{sensor}/events",
+        fmt="string",
+        source_id=source_id(DeviceIdentity(sensor, "u1"), "events"),
+        desc=_ours(sensor, "events"),
+    )
+    return header + made.samples(stream_id, "string", texts, [at + 0.01 for at in pairs])
+
+
+def _numbers(stream_id: int, name: str, first_s: float, count: int, **header: object) -> bytes:
+    values = np.arange(2 * count, dtype=float).reshape(-1, 2)
+    stamps = first_s + np.arange(count) / 4.0
+    parts = [made.stream_header(stream_id, name, channels=2, rate=4.0, **header)]  # type: ignore[arg-type]
+    parts += [
+        made.samples(stream_id, "float32", values[at : at + 4].tolist(), list(stamps[at : at + 4]))
+        for at in range(0, count, 4)
+    ]
+    return b"".join(parts)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "study.xdf"
+
+
+def test_every_sample_comes_on_the_recorders_clock(path: Path) -> None:
+    content = _numbers(1, "a", 100.0, 40) + made.offsets(1, (100.0, 105.0, 110.0), 7.0)
+    path.write_bytes(made.xdf(content))
+    with open_contents(path) as contents:
+        (stream,) = contents.streams
+        blocks = list(stream.blocks())
+    assert (contents.begin_s, contents.end_s) == (107.0, 116.75)
+    assert np.concatenate([each.stamps for each in blocks]).tolist() == [
+        100.0 + n / 4 for n in range(40)
+    ]
+    assert np.concatenate([each.times for each in blocks])[0] == pytest.approx(107.0)
+    assert np.concatenate([np.asarray(each.values) for each in blocks])[-1].tolist() == [78, 79]
+
+
+def test_stamps_that_were_left_out_are_the_same_when_read_alone(path: Path) -> None:
+    path.write_bytes(b"".join(made.two_streams()))
+    with open_contents(path) as contents:
+        numbers, events = contents.streams
+        whole = np.concatenate([each.times for each in numbers.blocks()])
+        late = np.concatenate([each.times for each in numbers.blocks(30.0, 31.0)])
+        texts = [text for each in events.blocks() for (text,) in each.values]
+    assert late.tolist() == whole[(whole >= 30.0) & (whole < 31.0)].tolist()
+    assert texts == [f"event {k}" for k in range(40)]
+
+
+def test_many_streams_come_in_the_order_of_time(path: Path) -> None:
+    parts = _numbers(1, "a", 100.0, 40) + _numbers(2, "b", 103.1, 40)
+    path.write_bytes(made.xdf(parts))
+    with open_contents(path) as contents:
+        merged = [(s.number, float(b.times[0])) for s, b in choose(contents, Wish()).merged()]
+    assert [first for _, first in merged] == sorted(first for _, first in merged)
+    assert {number for number, _ in merged} == {1, 2}
+
+
+def test_a_damage_costs_only_what_it_hit(path: Path) -> None:
+    content = made.xdf(_numbers(1, "a", 100.0, 400))
+    path.write_bytes(content[:3000] + b"\xff" * 40 + content[3040:])
+    with open_contents(path) as contents:
+        (stream,) = contents.streams
+        count = sum(len(each) for each in stream.blocks())
+    assert len(contents.damages) == 1
+    assert count == stream.sample_count
+    assert 380 <= count < 400
+
+
+def test_the_node_tells_the_time_of_day_to_the_microsecond(path: Path) -> None:
+    lsl_s = [100.0 + 5 * n for n in range(5)]
+    node = {at: DAY_NS + round(at * 1e9) + 20_000 * n for n, at in enumerate(lsl_s)}
+    agent = {at: DAY_NS + 77 + round(at * 1e9) for at in lsl_s}
+    content = _events(1, "gateway", agent) + _events(2, "lsl_to_ros", node)
+    path.write_bytes(made.xdf(content + made.offsets(2, (100.0, 110.0, 120.0), 3.0)))
+    with open_contents(path) as contents:
+        wall = contents.wall
+    assert wall is not None
+    assert (wall.source, wall.resolution_s) == ("lsl_to_ros/events", 0.0)
+    # Between the first and the second pair, 3 s later on the recorder's clock.
+    (found,) = wall.to_unix_ns(np.array([105.5])).tolist()
+    assert found == pytest.approx(DAY_NS + 102_500_000_000 + 10_000, abs=1000)
+    assert wall.to_lsl_s(found) == pytest.approx(105.5, abs=1e-6)
+
+
+def test_a_clock_that_was_set_is_another_from_then_on(path: Path) -> None:
+    pairs = {100.0: DAY_NS, 105.0: DAY_NS + 65_000_000_000, 110.0: DAY_NS + 70_000_000_000}
+    path.write_bytes(made.xdf(_events(1, "gateway", pairs)))
+    with open_contents(path) as contents:
+        assert contents.wall is not None
+        found = contents.wall.to_unix_ns(np.array([99.0, 104.9, 105.0, 200.0])) - DAY_NS
+    assert found.tolist() == pytest.approx([-1e9, 4.9e9, 65e9, 160e9], abs=1000)
+
+
+def test_without_pairs_there_is_the_date_of_the_recorder(path: Path) -> None:
+    header = b"<?xml version='1.0'?><info><datetime>2026-03-14T10:30:00+0100</datetime></info>"
+    path.write_bytes(b"XDF:" + made.chunk(1, header) + _numbers(1, "a", 100.0, 8))
+    with open_contents(path) as contents:
+        assert contents.wall is not None
+        assert contents.wall.resolution_s == 1.0
+        (found,) = contents.wall.to_unix_ns(np.array([101.0])).tolist()
+    begun = datetime(2026, 3, 14, 9, 30, 1, tzinfo=UTC).timestamp()
+    assert found == int(begun * 1e9)
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "expected"),
+    [
+        ("", "", 40),
+        ("1", "2", 4),
+        ("0:05", "0:06.5", 6),
+        ("0:00:09", "", 4),
+        ("2026-09-21T14:13:25+00:00", "", 20),
+    ],
+)
+def test_a_span_of_time_is_cut_out(path: Path, begin: str, end: str, expected: int) -> None:
+    unix_ns = round(datetime(2026, 9, 21, 14, 13, 20, tzinfo=UTC).timestamp()) * 1_000_000_000
+    path.write_bytes(
+        made.xdf(_numbers(1, "a", 100.0, 40) + _events(2, "gateway", {100.0: unix_ns}))
+    )
+    with open_contents(path) as contents:
+        chosen = choose(contents, Wish(streams=["a"], begin=begin, end=end))
+        found = sum(len(each) for each in chosen.samples(chosen.streams[0]))
+    # The recording begins with the event, which is 10 ms before the numbers' second sample.
+    assert found == expected
+
+
+def test_one_person_can_be_cut_out(path: Path) -> None:
+    content = b"".join(
+        _numbers(
+            n,
+            f"polar_h10/{n}/ecg",
+            100.0,
+            8,
+            source_id=source_id(DeviceIdentity("polar_h10", "u1", who), "ecg"),
+            desc=_ours("polar_h10", "ecg", who),
+        )
+        for n, who in enumerate(("P1", "P2", ""), 1)
+    )
+    path.write_bytes(made.xdf(content))
+    with open_contents(path) as contents:
+        assert [each.number for each in choose(contents, Wish(participant="P2")).streams] == [2]
+        assert len(choose(contents, Wish(streams=["polar_*/ecg"])).streams) == 3
+
+
+@pytest.mark.parametrize(
+    ("wish", "words"),
+    [
+        (Wish(streams=["b*"]), "no stream 'b*'"),
+        (Wish(participant="P9"), "nobody is called 'P9'"),
+        (Wish(begin="soon"), "'soon' is no time"),
+        (Wish(begin="5", end="4"), "is not after"),
+        (Wish(begin="2026-03-14T10:30:00"), "does not say what time of day"),
+    ],
+)
+def test_a_wrong_wish_is_one_sentence(path: Path, wish: Wish, words: str) -> None:
+    path.write_bytes(made.xdf(_numbers(1, "a", 100.0, 8)))
+    with (
+        open_contents(path) as contents,
+        pytest.raises(ConfigError, match=re.escape(words)) as caught,
+    ):
+        choose(contents, wish)
+    assert caught.value.reason is ConfigReason.WRONG_VALUE
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,64 @@
+"""Stamps on the clock of the recorder."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from biosensor_gateway.recording.contents.sender_clock import SenderClock
+
+
+def _offsets(
+    begin_s: float, count: int, offset_s: float, ppm: float, noise: np.ndarray
+) -> list[tuple[float, float]]:
+    times = begin_s + 5.0 * np.arange(count)
+    values = offset_s + ppm * 1e-6 * (times - begin_s) + noise
+    return list(zip(times.tolist(), values.tolist(), strict=True))
+
+
+def test_without_offsets_stamps_stay() -> None:
+    stamps = np.array([1.0, 2.0])
+    clock = SenderClock([])
+    assert not clock.is_known
+    assert clock.to_recorder(stamps).tolist() == stamps.tolist()
+
+
+@given(
+    st.floats(0, 1e6),
+    st.integers(20, 400),
+    st.floats(-1e5, 1e5),
+    st.floats(-200, 200),
+    st.integers(0, 2**32),
+)
+def test_a_clock_that_drifts_is_followed_in_spite_of_a_busy_network(
+    begin_s: float, count: int, offset_s: float, ppm: float, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    noise = random.normal(0, 50e-6, count)
+    late = random.choice(count, count // 10, replace=False)
+    noise[late] += 0.08
+    clock = SenderClock(_offsets(begin_s, count, offset_s, ppm, noise))
+    stamps = np.linspace(begin_s, begin_s + 5.0 * (count - 1), 50)
+    true = stamps + offset_s + ppm * 1e-6 * (stamps - begin_s)
+    assert np.abs(clock.to_recorder(stamps, count // 2) - true).max() < 0.5e-3
+    assert clock.restarts == 0
+
+
+def test_two_offsets_say_nothing_of_drift() -> None:
+    clock = SenderClock([(100.0, 0.001), (105.0, 0.003)])
+    assert clock.to_recorder(np.array([1000.0]))[0] == pytest.approx(1000.002)
+
+
+@pytest.mark.parametrize("before_offset", [True, False])
+def test_a_computer_that_was_started_anew_has_a_line_of_its_own(before_offset: bool) -> None:
+    none = np.zeros(10)
+    first = _offsets(5000.0, 10, 2.0, 0.0, none)
+    second = _offsets(20.0, 10, 5100.0, 0.0, none)
+    clock = SenderClock([*first, *second])
+    assert clock.restarts == 1
+    assert clock.to_recorder(np.array([5020.0]), 4)[0] == pytest.approx(5022.0)
+    stamps = np.array([18.0 if before_offset else 30.0])
+    moved = clock.to_recorder(stamps, 10 if before_offset else 12)
+    assert moved[0] == pytest.approx(stamps[0] + 5100.0)
