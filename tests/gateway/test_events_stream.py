@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import socket
+import time
 from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from importlib.metadata import version
@@ -18,6 +19,7 @@ from pylsl.util import LostError
 from structlog.testing import capture_logs
 
 from biosensor_common import naming
+from biosensor_common.clock_pair import read_clock_pair
 from biosensor_common.errors import ConfigError
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
@@ -82,6 +84,11 @@ async def test_whoever_begins_to_receive_gets_a_sign_of_life_at_once(
         assert heartbeat["devices"] == STATES
         assert heartbeat["agent_started"] < stamp
         assert heartbeat["lsl_time"] == pytest.approx(stamp, abs=1e-6)
+        pair = read_clock_pair(heartbeat)
+        assert pair is not None
+        assert pair.lsl_s == pytest.approx(stamp, abs=0.01)
+        here_s = time.time() - pylsl.local_clock()
+        assert pair.unix_ns / 1e9 - pair.lsl_s == pytest.approx(here_s, abs=0.001)
         del heard
         again = announcer.counters[SOURCE].pushed
         await asyncio.sleep(0.6)
