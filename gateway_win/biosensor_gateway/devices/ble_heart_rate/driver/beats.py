@@ -71,6 +71,18 @@ class BeatClock:
         self._offset_s = self._bounded(self._offset_s)
         return walk_back(self._elapsed_s + self._offset_s, intervals_s)
 
+    def late_s(self, intervals_s: Sequence[float], arrival_s: float) -> float:
+        """Return how long after its last beat the next packet arrived; 0 for the first."""
+        if self._offset_s is None:
+            return 0.0
+        return arrival_s - self._elapsed_s - sum(intervals_s) - self._offset_s
+
+    def place_stored(self, intervals_s: Sequence[float], arrival_s: float) -> list[float]:
+        """Return what `place` does of a packet that waited, and so bounds nothing."""
+        self._arrival_s = arrival_s
+        self._elapsed_s += sum(intervals_s)
+        return walk_back(self._elapsed_s + (self._offset_s or 0.0), intervals_s)
+
     def _bounded(self, offset_s: float) -> float:
         """Move an offset between its bounds, and on towards their middle."""
         upper = min(self._upper)

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from biosensor_gateway.devices.ble_heart_rate.driver.beats import BeatClock
+from collections.abc import Sequence
+
 from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
     HeartRateMeasurement,
     parse_battery_level,
     parse_measurement,
+)
+from biosensor_gateway.devices.ble_heart_rate.driver.stored_beats import (
+    Beat,
+    PlacedBeat,
+    StoredBeats,
 )
 from biosensor_gateway.devices.sink import Sink
 
@@ -29,14 +35,14 @@ class StrapEmitter:
 
     def __init__(self, sink: Sink) -> None:
         self._sink = sink
-        self._beats = BeatClock()
+        self._beats = StoredBeats()
         self._sends_intervals = False
         self._interval_seen_s: float | None = None
         self.has_better_intervals = False
 
     def reconnected(self) -> None:
         """Prepare for a new connection of the same device."""
-        self._beats = BeatClock()
+        self._emit(self._beats.restart())
         self._interval_seen_s = None
 
     def measurement(self, data: bytes, arrival_s: float) -> None:
@@ -79,12 +85,14 @@ class StrapEmitter:
         intervals_s = measured.intervals_s
         if measured.is_saturated:
             # Nobody knows how long it was: beats are counted anew from the one that ended it.
-            self._beats = BeatClock()
+            self._emit(self._beats.restart())
             intervals_s = measured.intervals_s_since_saturation
-        times = self._beats.place(intervals_s, arrival_s)
-        for interval_s, time_s in zip(intervals_s, times, strict=True):
-            if interval_s:
-                self._sink.emit_at("ibi", [interval_s], [time_s])
+        self._emit(self._beats.place([Beat(each) for each in intervals_s], arrival_s))
+
+    def _emit(self, placed: Sequence[PlacedBeat]) -> None:
+        for beat, time_s in placed:
+            if beat.interval_s:
+                self._sink.emit_at("ibi", [beat.interval_s], [time_s])
 
     def _in_contact(self, measured: HeartRateMeasurement, arrival_s: float) -> bool:
         if measured.intervals or self._interval_seen_s is None:

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
-from biosensor_gateway.devices.ble_heart_rate.driver.beats import BeatClock, walk_back
+from biosensor_gateway.devices.ble_heart_rate.driver.beats import walk_back
 from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
+from biosensor_gateway.devices.ble_heart_rate.driver.stored_beats import (
+    Beat,
+    PlacedBeat,
+    StoredBeats,
+)
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement
 from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     Acceleration,
@@ -48,7 +53,7 @@ class PolarEmitter:
         self._rates: dict[Measurement, float] = {}
         self._factors: dict[int, float] = {}
         self._timelines: dict[tuple[int, int], FrameTimeline] = {}
-        self._beats = BeatClock()
+        self._beats = StoredBeats()
         self._clock_runs = False
         self._last: tuple[float, float] | None = None
 
@@ -61,7 +66,7 @@ class PolarEmitter:
         """Prepare for a new connection of the same device."""
         self.strap.reconnected()
         self._running.clear()
-        self._beats = BeatClock()
+        self._emit_beats(self._beats.restart())
         self._clock_runs = False
 
     def started(self, measurement: Measurement, rate_hz: float | None, factor: float) -> None:
@@ -154,17 +159,21 @@ class PolarEmitter:
 
     def _pulse_intervals(self, frame: PulseIntervals, arrival_s: float) -> None:
         self.strap.has_better_intervals = True
-        seconds = [each.interval_ms / 1000 for each in frame.intervals]
-        valid = [each.is_valid and each.interval_ms > 0 for each in frame.intervals]
+        beats = [
+            Beat(each.interval_ms / 1000, each.is_valid and each.interval_ms > 0)
+            for each in frame.intervals
+        ]
         stamp_ns = frame.header.timestamp_ns
-        on_device_clock = stamp_ns > 0 and self._clock_runs
+        if not (stamp_ns > 0 and self._clock_runs):
+            self._emit_beats(self._beats.place(beats, arrival_s))
+            return
         # These frames are seconds late, and so never told to the device's clock.
-        times = (
-            walk_back(stamp_ns / _NS, seconds)
-            if on_device_clock
-            else self._beats.place(seconds, arrival_s)
-        )
-        emit = self._sink.emit if on_device_clock else self._sink.emit_at
-        for interval_s, time_s, is_valid in zip(seconds, times, valid, strict=True):
-            if is_valid:
-                emit("ibi", [interval_s], [time_s])
+        times = walk_back(stamp_ns / _NS, [beat.interval_s for beat in beats])
+        for beat, time_s in zip(beats, times, strict=True):
+            if beat.is_valid:
+                self._sink.emit("ibi", [beat.interval_s], [time_s])
+
+    def _emit_beats(self, placed: Sequence[PlacedBeat]) -> None:
+        for beat, time_s in placed:
+            if beat.is_valid:
+                self._sink.emit_at("ibi", [beat.interval_s], [time_s])
