@@ -19,6 +19,7 @@ import pytest
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.single_instance import single_instance
 from biosensor_gateway.demo import virtual_devices as simulate
+from biosensor_gateway.devices.polar_h10.driver.driver import PolarH10Settings
 
 if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome
@@ -173,6 +174,21 @@ ALL = [
 def test_each_virtual_device_runs_once(names: list[str], expected: list[str]) -> None:
     with simulate.simulated_settings(names) as settings:
         assert [device.sensor for device in settings.devices] == expected
+
+
+def test_people_wear_virtual_devices_of_their_own() -> None:
+    names = ["all@P01", "polar_h10@P02", "zephyr:recording@P02", "polar_h10@P01"]
+    with simulate.simulated_settings(names) as settings:
+        devices = list(settings.devices)
+    assert [device.sensor for device in devices] == [*ALL, "polar_h10", "zephyr"]
+    assert [device.participant for device in devices] == ["P01"] * len(ALL) + ["P02"] * 2
+    first, second = (each.device for each in devices if isinstance(each, PolarH10Settings))
+    assert first != second
+
+
+def test_a_name_that_no_participant_can_have_is_refused(run: Run) -> None:
+    sentence = one_sentence(run("run", "--simulate", f"polar_h10@{'x' * 33}"), 2)
+    assert "is no participant: use at most 32" in sentence
 
 
 def test_a_virtual_device_says_which_package_it_needs(

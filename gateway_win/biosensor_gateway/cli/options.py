@@ -12,7 +12,10 @@ SettingsOption = Annotated[
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 SimulateOption = Annotated[
-    str, typer.Option(help="Use these virtual devices instead (comma-separated, or all).")
+    str,
+    typer.Option(
+        help="Use these virtual devices instead (comma-separated, or all); with @P01, worn by P01."
+    ),
 ]
 FaultOption = Annotated[
     list[str] | None,

@@ -7,27 +7,52 @@ do not know the difference.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections import Counter
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import cached_property
 from importlib import import_module
 from itertools import chain
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, NamedTuple, cast
+
+from pydantic import TypeAdapter, ValidationError
 
 from biosensor_common.errors import ConfigError, ConfigReason, SpecError, SpecReason
 from biosensor_gateway.devices.registry import driver, sensor, sensor_names
-from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings, environment_overrides
+from biosensor_gateway.settings.models import (
+    DeviceSettings,
+    GatewaySettings,
+    ShortText,
+    environment_overrides,
+)
 from biosensor_gateway.simulation.faults import Fault, ScheduledFault, parse_fault
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
+from biosensor_gateway.simulation.wearer import someone
 from biosensor_gateway.simulation.world import World
 
 if TYPE_CHECKING:
     from biosensor_gateway.simulation.radio import Radio
 
 ALL = "all"
+_WORN_BY = "@"
 # A virtual device may run for days; nobody asks this one what it has sent.
 _KEPT = 0
+
+
+class Wanted(NamedTuple):
+    """A virtual device that somebody asks for.
+
+    Attributes
+    ----------
+    name
+        ``zephyr`` or ``zephyr:recording``.
+    participant
+        Who wears it; empty for nobody in particular.
+    """
+
+    name: str
+    participant: str = ""
 
 
 class Scene:
@@ -100,14 +125,45 @@ def import_all(names: Iterable[str]) -> None:
     ConfigError, SpecError
         As for :func:`virtual_class`.
     """
-    if any(virtual_class(name).on_air for name in _each(names)):
+    if any(virtual_class(each.name).on_air for each in _each(names)):
         import_module("biosensor_gateway.simulation.bleak_backend")
 
 
-def _each(names: Iterable[str]) -> tuple[str, ...]:
+def _each(names: Iterable[str]) -> tuple[Wanted, ...]:
     """Return what the names stand for, each once: two would be two streams of one source_id."""
-    expanded = (one_of_each() if name == ALL else [name] for name in names)
+    typed = (Wanted(*name.split(_WORN_BY, 1)) for name in names)
+    expanded = (
+        (Wanted(each, wanted.participant) for each in one_of_each())
+        if wanted.name == ALL
+        else (wanted,)
+        for wanted in typed
+    )
     return tuple(dict.fromkeys(chain.from_iterable(expanded)))
+
+
+def _check_participant(participant: str) -> None:
+    try:
+        TypeAdapter(ShortText).validate_python(participant)
+    except ValidationError:
+        message = f"{participant!r} is no participant: use at most 32 printable characters"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message) from None
+
+
+def _start(wanted: Sequence[Wanted], stack: ExitStack) -> dict[Wanted, VirtualDevice]:
+    """Switch them on: those of one participant on the same person, those of a kind apart."""
+    scene = Scene(stack)
+    people = list(dict.fromkeys(each.participant for each in wanted))
+    kinds: Counter[str] = Counter()
+    devices: dict[Wanted, VirtualDevice] = {}
+    for each in wanted:
+        options: Mapping[str, object] = {}
+        if each.participant:
+            wearer = someone(people.index(each.participant))
+            options = virtual_class(each.name).worn_by(wearer, kinds[each.name])
+        kinds[each.name] += 1
+        device = make(each.name, scene, kept=_KEPT, **options)
+        devices[each] = stack.enter_context(device)
+    return devices
 
 
 def make(name: str, scene: Scene, /, **options: object) -> VirtualDevice:
@@ -133,8 +189,8 @@ def simulated_settings(
     Parameters
     ----------
     names
-        Sensors, as ``zephyr`` or ``zephyr:recording``; ``all`` for one of each sensor.
-        What is named twice runs once.
+        Sensors, as ``zephyr`` or ``zephyr:recording``; ``all`` for one of each sensor. With
+        ``@P01`` behind it, participant P01 wears it. What is named twice runs once.
     faults
         What goes wrong and when, as `parse_fault` reads it.
 
@@ -146,29 +202,34 @@ def simulated_settings(
     """
     scheduled = [parse_fault(text) for text in faults]
     wanted = _each(names)
-    for name in wanted:
-        virtual_class(name)
+    for each in wanted:
+        virtual_class(each.name)
+        _check_participant(each.participant)
     with ExitStack() as stack:
-        scene = Scene(stack)
-        devices = {name: stack.enter_context(make(name, scene, kept=_KEPT)) for name in wanted}
+        devices = _start(wanted, stack)
         _schedule(scheduled, devices)
         stack.enter_context(_environment(devices.values()))
-        tables = tuple(_settings(name, device) for name, device in devices.items())
+        tables = tuple(_settings(each, device) for each, device in devices.items())
         yield GatewaySettings.model_validate({**environment_overrides(), "device": tables})
 
 
-def _settings(name: str, device: VirtualDevice) -> DeviceSettings:
-    _, _, variant = name.partition(":")
-    fields = {"sensor": device.sensor, "unit": variant or "virtual", **device.settings}
+def _settings(wanted: Wanted, device: VirtualDevice) -> DeviceSettings:
+    _, _, variant = wanted.name.partition(":")
+    fields = {
+        "sensor": device.sensor,
+        "unit": variant or "virtual",
+        "participant": wanted.participant,
+        **device.settings,
+    }
     return driver(device.sensor).settings.model_validate(fields)
 
 
-def _schedule(scheduled: Iterable[ScheduledFault], devices: dict[str, VirtualDevice]) -> None:
+def _schedule(scheduled: Iterable[ScheduledFault], devices: dict[Wanted, VirtualDevice]) -> None:
     for each in scheduled:
         hit = [
             device
-            for name, device in devices.items()
-            if each.sensor in ("", name) and each.fault.kind in device.faults
+            for wanted, device in devices.items()
+            if each.sensor in ("", wanted.name) and each.fault.kind in device.faults
         ]
         if not hit:
             whom = each.sensor or "none of the virtual devices"

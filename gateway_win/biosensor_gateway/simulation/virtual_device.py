@@ -13,6 +13,7 @@ from biosensor_gateway.simulation.effects import Effects
 from biosensor_gateway.simulation.expected import Expected
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.truth import Truth
+from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
 LATE_LASTS_S = 30.0
@@ -79,6 +80,19 @@ class VirtualDevice(ABC):
         self.world = world
         self.truth = Truth(kept)
         self._lasting: dict[FaultKind, asyncio.TimerHandle | None] = {}
+
+    @classmethod
+    def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
+        """Return the options that make it the device of a person.
+
+        Parameters
+        ----------
+        wearer
+            Who wears it.
+        number
+            How many of its kind there are already, from which it can be told.
+        """
+        return {"wearer": wearer, "seed": number}
 
     @property
     @abstractmethod

@@ -156,5 +156,10 @@ class Wearer:
         return np.random.default_rng((self.seed, *name.encode("ascii")))
 
 
+def someone(number: int) -> Wearer:
+    """Return one of several people, whose hearts and breath differ."""
+    return Wearer(number, heart_rate_bpm=64.0 + 7.0 * number, respiration_rate_bpm=13.0 + number)
+
+
 _RESPONSE_CYCLE_S = 600.0
 """Skin conductance responses repeat after so long."""

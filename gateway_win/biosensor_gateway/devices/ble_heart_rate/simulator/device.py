@@ -82,6 +82,12 @@ class SimulatedHeartRateStrap(VirtualDevice):
             peripheral.demand_pairing = True
             self._strap.heart_rate.demand_pairing()
 
+    @classmethod
+    def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
+        """Give each an address of its own, too."""
+        own = {"address": f"C8:25:00:00:01:{number:02X}", "name": f"Heart Strap {number + 1:04}"}
+        return {**super().worn_by(wearer, number), **own}
+
     @property
     def settings(self) -> Mapping[str, Any]:
         """Fields that lead a driver to it."""

@@ -123,6 +123,12 @@ class SimulatedPolarH10(VirtualDevice):
         elif quirks.firmware is Firmware.OLD:
             self._strap.services.append(_file_transfer_service())
 
+    @classmethod
+    def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
+        """Give each an address of its own, too."""
+        own = {"address": f"A0:9E:1A:A1:B3:{number:02X}", "device_id": f"A1B3{number:04X}"}
+        return {**super().worn_by(wearer, number), **own}
+
     @property
     def settings(self) -> Mapping[str, Any]:
         """Fields that lead a driver to it."""

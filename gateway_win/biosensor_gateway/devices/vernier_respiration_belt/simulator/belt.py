@@ -115,6 +115,12 @@ class SimulatedBelt(VirtualDevice):
         self._peripheral.on_connected.append(self._note_signal)
         self._peripheral.on_disconnected.append(self._lose_host)
 
+    @classmethod
+    def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
+        """Give each an address of its own, too."""
+        own = {"address": f"E0:F5:BD:94:6B:{number:02X}", "serial": f"0K21{number:02d}Z5"}
+        return {**super().worn_by(wearer, number), **own}
+
     @property
     def settings(self) -> Mapping[str, Any]:
         """Fields that lead a driver to it."""

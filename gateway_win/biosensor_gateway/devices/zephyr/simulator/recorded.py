@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from types import MappingProxyType
 
 from biosensor_gateway.devices.zephyr.simulator.bioharness import BioHarness
 from biosensor_gateway.devices.zephyr.simulator.recording import RecordedSource
 from biosensor_gateway.simulation.virtual_device import Filled
+from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
 
@@ -30,6 +32,12 @@ class RecordedZephyr(BioHarness):
             "st": Filled(None, "the recorded device never reports a valid value"),
         }
     )
+
+    @classmethod
+    def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
+        """Play the same for everybody."""
+        del wearer, number
+        return {}
 
     def __init__(self, world: World, *, kept: int | None = None) -> None:
         super().__init__(world, RecordedSource.shipped(on_end="hang_up"), kept=kept)
