@@ -7,7 +7,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import BinaryIO, NamedTuple
 
-from biosensor_gateway.recording.xdf.container import Chunk
+from biosensor_gateway.recording.xdf.container import (
+    Chunk,
+    ChunkError,
+    RecordingError,
+    RecordingReason,
+)
 from biosensor_gateway.recording.xdf.framing import STREAM_ID_BYTES
 from biosensor_gateway.recording.xdf.header import Footer, RecordedHeader
 from biosensor_gateway.recording.xdf.samples import Block, decode
@@ -84,6 +89,11 @@ class IndexedStream:
         """Take in the footer."""
         self.footer = footer
 
+    @property
+    def byte_count(self) -> int:
+        """How many bytes of the file its samples take, with their stamps."""
+        return sum(self._bounds[1::3]) - sum(self._bounds[0::3])
+
     def places(self) -> Iterator[Place]:
         """Give the places of all chunks of samples, in the order of the file."""
         bounds, stamps = self._bounds, self._stamps
@@ -97,11 +107,13 @@ class IndexedStream:
 
         Raises
         ------
-        OSError
-            If the file has become shorter.
+        RecordingError
+            If they are not there any more.
         """
-        file.seek(place.start)
-        content = file.read(place.end - place.start)
-        if len(content) < place.end - place.start:
-            raise OSError("the recording became shorter meanwhile")
-        return decode(memoryview(content), self.header, place.before)
+        try:
+            file.seek(place.start)
+            content = file.read(place.end - place.start)
+            return decode(memoryview(content), self.header, place.before)
+        except (OSError, ChunkError) as error:
+            message = f"the recording cannot be read any more at byte {place.start}: {error}"
+            raise RecordingError(RecordingReason.UNREADABLE, message) from error

@@ -70,6 +70,8 @@ class Stream:
         stream's clock, and what to add to it to get the recorder's, in s.
     sample_count
         All its samples in the file.
+    byte_count
+        How many bytes of the file they take, with their stamps.
     """
 
     def __init__(self, file: BinaryIO, number: int, indexed: IndexedStream) -> None:
@@ -81,6 +83,7 @@ class Stream:
         self.clock = SenderClock(indexed.clock_offsets)
         self.clock_offsets = tuple(indexed.clock_offsets)
         self.sample_count = indexed.sample_count
+        self.byte_count = indexed.byte_count
 
     def blocks(self, begin_s: float = -np.inf, end_s: float = np.inf) -> Iterator[Samples]:
         """Give the samples of each chunk that has some from `begin_s` to before `end_s`.
