@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -11,9 +9,10 @@ import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
+from biosensor_gateway.cli.recordings import RecordingArgument, wrong_recording
 from biosensor_gateway.cli.screen import console, say, table_of_names
+from biosensor_gateway.cli.xdf_export import export_recording
 from biosensor_gateway.devices.registry import settings_models
-from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from biosensor_gateway.recording.xdf.expectation import ExpectedStream, by_devices, by_name
 from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.printing import as_json, as_text
@@ -22,12 +21,6 @@ from biosensor_gateway.recording.xdf.salvage import printing as salvage_printing
 from biosensor_gateway.recording.xdf.salvage.outcome import Outcome, salvage, salvaged_path
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.places import settings_path
-
-# The argument was wrong; exit code 1 is for what is wrong in a recording.
-_WRONG_ARGUMENT = frozenset(
-    {RecordingReason.NOT_FOUND, RecordingReason.UNREADABLE, RecordingReason.NOT_XDF}
-)
-FileArgument = Annotated[Path, typer.Argument(help="The recording.", show_default=False)]
 
 app = typer.Typer(help="Recordings of LabRecorder (XDF files).", no_args_is_help=True)
 
@@ -39,7 +32,7 @@ def _group() -> None:
 
 @app.command("check")
 def check(
-    file: FileArgument,
+    file: RecordingArgument,
     settings: SettingsOption = None,
     expect: Annotated[
         list[str] | None,
@@ -57,7 +50,7 @@ def check(
     notes do not change the exit code.
     """
     expected = (*_by_settings(settings), *by_name(expect or ()))
-    with _wrong_argument():
+    with wrong_recording():
         recording = read_recording(file)
     report = judge(recording, expected)
     typer.echo(as_json(report) if print_json else as_text(report))
@@ -67,7 +60,7 @@ def check(
 
 @app.command("salvage")
 def salvage_recording(
-    file: FileArgument,
+    file: RecordingArgument,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -83,12 +76,15 @@ def salvage_recording(
     The recording itself is never changed, and no file is overwritten. If the recording
     is whole, nothing is written.
     """
-    with _wrong_argument():
+    with wrong_recording():
         outcome = salvage(file, output or salvaged_path(file))
     if print_json:
         typer.echo(salvage_printing.as_json(outcome))
     else:
         _print_outcome(outcome)
+
+
+app.command("export")(export_recording)
 
 
 def _print_outcome(outcome: Outcome) -> None:
@@ -101,16 +97,6 @@ def _print_outcome(outcome: Outcome) -> None:
     terminal.print(table_of_names(salvage_printing.HEADINGS, rows, terminal.width))
     for sentence in salvage_printing.after_table(outcome):
         say(sentence)
-
-
-@contextmanager
-def _wrong_argument() -> Generator[None]:
-    try:
-        yield
-    except RecordingError as error:
-        if error.reason in _WRONG_ARGUMENT:
-            raise ConfigError(ConfigReason.UNREADABLE, str(error)) from error
-        raise
 
 
 def _by_settings(settings: Path | None) -> tuple[ExpectedStream, ...]:

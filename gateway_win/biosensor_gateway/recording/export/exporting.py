@@ -1,0 +1,217 @@
+"""Exports a recording: finds what is wanted, and has each format written beside and renamed."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.recording.contents.choice import Chosen, Wish, choose
+from biosensor_gateway.recording.contents.opening import Contents, open_contents
+from biosensor_gateway.recording.export.exporter import Clock, Exporter, Order, Progress
+from biosensor_gateway.recording.export.formats import FORMATS, GROWTH, USUAL_GROWTH
+from biosensor_gateway.recording.xdf.container import Damage, RecordingError, RecordingReason
+from biosensor_gateway.system.new_place import new_place
+
+Watch = Callable[[str, float], Progress]
+"""Takes a format and the seconds that it has before it; returns who is told how far it is."""
+
+_SUFFIXES = (".gz", ".xdfz", ".xdf")
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What is wanted.
+
+    Attributes
+    ----------
+    formats
+        Names in ``FORMATS``.
+    output
+        A folder that is there, or of one format the file or folder itself; None for the
+        recording's folder.
+    """
+
+    formats: Sequence[str]
+    wish: Wish
+    clock: Clock = Clock.LSL
+    output: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """One format of a recording, as it lies on the disk.
+
+    Attributes
+    ----------
+    size
+        In bytes, of all files.
+    notes
+        What the format could not take, a sentence each.
+    """
+
+    format: str
+    path: Path
+    size: int
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of a recording.
+
+    Attributes
+    ----------
+    streams
+        Name, source_id and number of samples in the file of what was chosen.
+    damages
+        What could not be read of the recording.
+    clock_notes
+        What is to be said of the times.
+    """
+
+    path: Path
+    streams: tuple[tuple[str, str, int], ...]
+    written: tuple[Written, ...]
+    damages: tuple[Damage, ...]
+    clock_notes: tuple[str, ...]
+
+
+def export(path: Path, task: Task, watch: Watch) -> Outcome:
+    """Write a recording in each of the formats.
+
+    Raises
+    ------
+    ConfigError
+        If something is in the way of a target, or what is wanted is not in the recording.
+    RecordingError
+        If the recording cannot be read, holds no sample of what is wanted, or a target cannot
+        be written. What was complete by then stays.
+    """
+    with open_contents(path) as contents:
+        chosen = choose(contents, task.wish)
+        _require_samples(chosen)
+        _require_clock(contents, task.clock)
+        order = Order(task.clock, bare_name(path))
+        exporters = {name: FORMATS[name]() for name in dict.fromkeys(task.formats)}
+        targets = _targets(path, task.output, order.name, exporters)
+        _require_space(chosen, targets)
+        written = tuple(
+            _write(chosen, order, name, exporters[name], targets[name], watch) for name in exporters
+        )
+        return Outcome(
+            path,
+            tuple((s.header.name, s.header.source_id, s.sample_count) for s in chosen.streams),
+            written,
+            contents.damages,
+            tuple(_clock_notes(chosen, task.clock)),
+        )
+
+
+def bare_name(path: Path) -> str:
+    """Return a recording's name without what tells its format."""
+    name = path.name
+    for suffix in _SUFFIXES:
+        if name.lower().endswith(suffix):
+            name = name[: -len(suffix)]
+    return name or path.name
+
+
+def _require_samples(chosen: Chosen) -> None:
+    if not any(True for each in chosen.streams for _ in chosen.samples(each)):
+        path = chosen.contents.path
+        message = f"{path} holds no sample of what is wanted, so nothing was written"
+        raise RecordingError(RecordingReason.EMPTY, message)
+
+
+def _require_clock(contents: Contents, clock: Clock) -> None:
+    if clock is Clock.WALL and contents.wall is None:
+        message = f"{contents.path} does not say what time of day it was; leave out --clock wall"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+
+
+def _clock_notes(chosen: Chosen, clock: Clock) -> Iterator[str]:
+    wall = chosen.contents.wall
+    if clock is Clock.WALL and wall is not None and wall.resolution_s:
+        yield (
+            f"the time of day is only good to {wall.resolution_s:g} s: "
+            "no stream of events of an agent or a node tells it"
+        )
+    unmeasured = [each.header.name for each in chosen.streams if not each.clock.is_known]
+    if unmeasured:
+        streams = "1 stream" if len(unmeasured) == 1 else f"{len(unmeasured)} streams"
+        yield (
+            f"the clock of {streams} was never measured ({', '.join(unmeasured[:3])}"
+            f"{', ...' if len(unmeasured) > 3 else ''}): their stamps are as recorded"
+        )
+
+
+def _targets(
+    path: Path, output: Path | None, name: str, exporters: dict[str, Exporter]
+) -> dict[str, Path]:
+    folder = path.parent if output is None else output
+    if output is not None and not output.is_dir():
+        if len(exporters) > 1:
+            message = f"there is no folder {output}; make it first, for it is to hold several"
+            raise ConfigError(ConfigReason.NOT_FOUND, message)
+        ((format_name, exporter),) = exporters.items()
+        suffix = exporter.suffix
+        if suffix.startswith(".") and not output.name.endswith(suffix):
+            message = f"{output} will be {format_name}; give it a name that ends in {suffix}"
+            raise ConfigError(ConfigReason.WRONG_VALUE, message)
+        targets = {format_name: output}
+    else:
+        targets = {key: folder / f"{name}{each.suffix}" for key, each in exporters.items()}
+    if len(set(targets.values())) < len(targets):
+        message = f"{' and '.join(targets)} would have the same name; export one after the other"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    for target in targets.values():
+        if target.is_symlink() or target.exists():
+            message = f"{target} exists and is not overwritten; give another place with --output"
+            raise ConfigError(ConfigReason.EXISTS, message)
+    return targets
+
+
+def _require_space(chosen: Chosen, targets: dict[str, Path]) -> None:
+    # Of a part of the recording it is too much, which is on the safe side.
+    samples = sum(each.byte_count for each in chosen.streams)
+    needed = samples * sum(GROWTH.get(name, USUAL_GROWTH) for name in targets)
+    folder = next(iter(targets.values())).parent
+    try:
+        free = shutil.disk_usage(folder).free
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+    if free < needed:
+        message = (
+            f"the disk of {folder} has {free / 1e6:.0f} MB left, and this may take "
+            f"{needed / 1e6:.0f} MB; make room on it, or give another place with --output"
+        )
+        raise RecordingError(RecordingReason.UNWRITABLE, message)
+
+
+def _write(
+    chosen: Chosen, order: Order, name: str, exporter: Exporter, target: Path, watch: Watch
+) -> Written:
+    contents = chosen.contents
+    begin_s, end_s = max(chosen.begin_s, contents.begin_s), min(chosen.end_s, contents.end_s)
+    try:
+        with new_place(target, like=contents.path) as made:
+            notes = exporter.write(chosen, order, made, watch(name, max(0.0, end_s - begin_s)))
+    except FileExistsError:
+        message = f"{target} exists and is not overwritten; give another place with --output"
+        raise ConfigError(ConfigReason.EXISTS, message) from None
+    except OSError as error:
+        raise _unwritable(target, error) from error
+    return Written(name, target, _size(target), tuple(notes))
+
+
+def _size(path: Path) -> int:
+    files = path.rglob("*") if path.is_dir() else [path]
+    return sum(each.stat().st_size for each in files if each.is_file())
+
+
+def _unwritable(path: Path, error: OSError) -> RecordingError:
+    message = f"cannot write {path}: {error.strerror or error}"
+    return RecordingError(RecordingReason.UNWRITABLE, message)

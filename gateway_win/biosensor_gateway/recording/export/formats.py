@@ -1,0 +1,30 @@
+"""All formats, by the names that people type."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from importlib import import_module
+
+from biosensor_gateway.recording.export.exporter import Exporter
+
+_HERE = "biosensor_gateway.recording.export"
+
+
+def _load(module: str, attribute: str, **options: bool) -> Exporter:
+    # Imported on demand: some bring large libraries.
+    return getattr(import_module(f"{_HERE}.{module}"), attribute)(**options)
+
+
+FORMATS: Mapping[str, Callable[[], Exporter]] = {
+    "csv": partial(_load, "csv.wide", "WideCsv"),
+    "csv.gz": partial(_load, "csv.wide", "WideCsv", is_packed=True),
+    "csv-long": partial(_load, "csv.long", "LongCsv"),
+    "csv-long.gz": partial(_load, "csv.long", "LongCsv", is_packed=True),
+}
+"""Makes the exporter."""
+
+GROWTH: Mapping[str, float] = {"csv": 3.0, "csv.gz": 1.5, "csv-long": 20.0, "csv-long.gz": 3.0}
+"""How many times the bytes of the samples in the recording a format may take on the disk."""
+USUAL_GROWTH = 2.0
+"""Of those that are not in it."""

@@ -1,0 +1,63 @@
+"""Tells what was exported, as sentences for a person and as JSON for a script."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict
+
+from biosensor_gateway.recording.export.exporting import Outcome
+from biosensor_gateway.recording.xdf.container import Damage
+from biosensor_gateway.recording.xdf.printing import finite, printable
+
+_MOST_DAMAGES = 10
+
+
+def as_json(outcome: Outcome) -> str:
+    """Return the outcome as JSON."""
+    content = {
+        "file": str(outcome.path),
+        "streams": [
+            {"name": name, "source_id": source_id, "samples": samples}
+            for name, source_id, samples in outcome.streams
+        ],
+        "damages": [asdict(each) for each in outcome.damages],
+        "notes": list(outcome.clock_notes),
+        "written": [
+            {
+                "format": each.format,
+                "path": str(each.path),
+                "bytes": each.size,
+                "notes": list(each.notes),
+            }
+            for each in outcome.written
+        ],
+    }
+    return json.dumps(finite(content), indent=2, allow_nan=False)
+
+
+def sentences(outcome: Outcome) -> Iterator[str]:
+    """Say what is wrong with the recording, and what was written."""
+    for damage in outcome.damages[:_MOST_DAMAGES]:
+        yield f"{outcome.path}: {_damage_text(damage)}"
+    more = len(outcome.damages) - _MOST_DAMAGES
+    if more > 0:
+        yield f"{outcome.path}: {more} more places cannot be read"
+    yield from map(printable, outcome.clock_notes)
+    for each in outcome.written:
+        for note in each.notes:
+            yield f"{each.format}: {printable(note)}"
+        yield f"wrote {each.path} ({_size_text(each.size)})"
+
+
+def _damage_text(damage: Damage) -> str:
+    if damage.breaks_off:
+        return f"from byte {damage.start} on nothing can be read ({damage.what})"
+    return f"bytes {damage.start} to {damage.end} cannot be read ({damage.what})"
+
+
+def _size_text(size: int) -> str:
+    for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if size >= scale:
+            return f"{size / scale:.1f} {unit}"
+    return f"{size} bytes"

@@ -1,0 +1,163 @@
+"""What holds for every format: names, refusals, damages, what is left behind."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import stat
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
+from biosensor_gateway.recording.contents.choice import Chosen, Wish
+from biosensor_gateway.recording.export import exporting
+from biosensor_gateway.recording.export.exporter import Clock, Order, Progress
+from biosensor_gateway.recording.export.formats import FORMATS
+from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
+from tests.recording_export.conftest import Exporting
+from tests.xdf import xdf_file as made
+
+WHOLE = b"".join(made.two_streams())
+
+
+class _Failing:
+    """A format that fails on the way."""
+
+    suffix = "_failing"
+
+    def __init__(self, error: BaseException) -> None:
+        self._error = error
+
+    def write(
+        self, chosen: Chosen, order: Order, target: Path, progress: Progress
+    ) -> Sequence[str]:
+        target.mkdir()
+        (target / "half").write_text("half")
+        raise self._error
+
+
+def _names(folder: Path) -> list[str]:
+    return sorted(each.name for each in folder.iterdir())
+
+
+@pytest.mark.parametrize("name", ["csv", "csv.gz", "csv-long", "csv-long.gz"])
+def test_a_format_is_written_beside_the_recording(
+    name: str, exported: Exporting, tmp_path: Path
+) -> None:
+    outcome = exported(WHOLE, name)
+    (written,) = outcome.written
+    suffix = {"csv": "_csv", "csv.gz": "_csv"}.get(name, name.replace("csv-long", ".csv"))
+    assert written.path == tmp_path / f"study{suffix}"
+    assert _names(tmp_path) == sorted(["study.xdf", f"study{suffix}"])
+    assert written.size > 0
+    assert outcome.damages == ()
+
+
+def test_several_formats_go_into_a_folder(exported: Exporting, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    outcome = exported(WHOLE, "csv", "csv-long", output=tmp_path / "out")
+    assert _names(tmp_path / "out") == ["study.csv", "study_csv"]
+    assert [each.format for each in outcome.written] == ["csv", "csv-long"]
+
+
+@pytest.mark.parametrize("kind", ["file", "folder", "link"])
+def test_nothing_is_overwritten(kind: str, exported: Exporting, tmp_path: Path) -> None:
+    target = tmp_path / "study.csv"
+    if kind == "file":
+        target.write_text("precious")
+    elif kind == "folder":
+        target.mkdir()
+    else:
+        target.symlink_to(tmp_path / "nowhere")
+    with pytest.raises(ConfigError, match="exists and is not overwritten") as caught:
+        exported(WHOLE, "csv", "csv-long")
+    assert caught.value.reason is ConfigReason.EXISTS
+    assert _names(tmp_path) == ["study.csv", "study.xdf"]
+    assert kind != "file" or target.read_text() == "precious"
+
+
+@pytest.mark.parametrize(
+    ("formats", "output", "words"),
+    [
+        (("csv-long",), "table.txt", "ends in .csv"),
+        (("csv", "csv-long"), "none", "there is no folder"),
+        (("csv", "csv.gz"), None, "would have the same name"),
+    ],
+)
+def test_a_wrong_place_is_one_sentence(
+    formats: Sequence[str], output: str | None, words: str, exported: Exporting, tmp_path: Path
+) -> None:
+    place = None if output is None else tmp_path / output
+    with pytest.raises(ConfigError, match=re.escape(words)):
+        exported(WHOLE, *formats, output=place)
+    assert _names(tmp_path) == ["study.xdf"]
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_what_fails_on_the_way_leaves_nothing(
+    error: BaseException, exported: Exporting, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    formats = {**FORMATS, "failing": lambda: _Failing(error)}
+    monkeypatch.setattr(exporting, "FORMATS", formats)
+    with pytest.raises((RecordingError, KeyboardInterrupt)) as caught:
+        exported(WHOLE, "csv-long", "failing")
+    if isinstance(caught.value, RecordingError):
+        assert caught.value.reason is RecordingReason.UNWRITABLE
+        assert str(caught.value).endswith("study_failing: No space left on device")
+    assert _names(tmp_path) == ["study.csv", "study.xdf"]
+
+
+def _nearly_full(_folder: Path) -> SimpleNamespace:
+    return SimpleNamespace(free=1000)
+
+
+def test_a_disk_that_is_nearly_full_is_left_alone(
+    exported: Exporting, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", _nearly_full)
+    with pytest.raises(RecordingError, match="make room on it") as caught:
+        exported(WHOLE, "csv")
+    assert caught.value.reason is RecordingReason.UNWRITABLE
+    assert _names(tmp_path) == ["study.xdf"]
+
+
+def test_what_is_not_in_it_is_not_written(exported: Exporting, tmp_path: Path) -> None:
+    with pytest.raises(RecordingError) as caught:
+        exported(WHOLE, "csv", wish=Wish(begin="9:00:00"))
+    assert caught.value.reason is RecordingReason.EMPTY
+    with pytest.raises(ConfigError, match="what time of day"):
+        exported(WHOLE, "csv", clock=Clock.WALL)
+    assert _names(tmp_path) == ["study.xdf"]
+
+
+def test_a_damaged_recording_is_exported_and_said(exported: Exporting) -> None:
+    begin = made.chunk_ends(WHOLE)[20]
+    outcome = exported(WHOLE[:begin] + b"\xff" * 20 + WHOLE[begin + 20 : -300], "csv")
+    assert len(outcome.damages) == 2
+    assert (outcome.written[0].path / "numbers.csv").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("length", [5, 60, 400])
+def test_a_recording_without_a_sample_is_one_sentence(length: int, exported: Exporting) -> None:
+    with pytest.raises(GatewayError) as caught:
+        exported(WHOLE[:length], "csv")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows knows no such modes")
+def test_who_may_not_read_the_recording_may_not_read_the_tables(
+    exported: Exporting, tmp_path: Path
+) -> None:
+    (tmp_path / "study.xdf").touch(0o600)
+    mask = os.umask(0)
+    try:
+        outcome = exported(WHOLE, "csv", "csv-long")
+    finally:
+        os.umask(mask)
+    files = [outcome.written[0].path / "numbers.csv", outcome.written[1].path]
+    assert [stat.S_IMODE(each.stat().st_mode) for each in files] == [0o600, 0o600]
