@@ -7,6 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import BinaryIO, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from biosensor_gateway.recording.xdf.container import (
     Chunk,
     ChunkError,
@@ -101,6 +104,10 @@ class IndexedStream:
             start, end, offsets_before = bounds[at : at + 3]
             before, first, last = stamps[at : at + 3]
             yield Place(start, end, before, first, last, offsets_before)
+
+    def end_stamps(self) -> NDArray[np.float64]:
+        """Return the stamps of first and last sample of all chunks, shape (n_chunks, 2), in s."""
+        return np.array(self._stamps).reshape(-1, 3)[:, 1:]
 
     def read(self, file: BinaryIO, place: Place) -> Block:
         """Read the samples of one chunk again.

@@ -83,7 +83,8 @@ class SenderClock:
         """
         if not self._lines or not len(stamps):
             return stamps
-        line = self._line(float(stamps[0]), offsets_before)
+        is_one = len(self._lines) == 1
+        line = self._lines[0] if is_one else self._line(float(stamps[0]), offsets_before)
         return stamps + (line.offset + line.slope * (stamps - line.middle))
 
     def _line(self, stamp: float, offsets_before: int) -> _Line:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl_header import read_header
 from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
-from biosensor_gateway.recording.contents.index import IndexedStream
+from biosensor_gateway.recording.contents.index import IndexedStream, Place
 from biosensor_gateway.recording.contents.sender_clock import SenderClock
 from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.recording.xdf.samples import Texts
@@ -100,28 +100,39 @@ class Stream:
         RecordingError
             If the file cannot be read any more.
         """
+        is_all = begin_s == -np.inf and end_s == np.inf
         for place in self._indexed.places():
-            # Stamps in between may be outside of those of the ends, but not of a regular stream.
-            ends = self.clock.to_recorder(np.array([place.first, place.last]), place.offsets_before)
-            if self.header.is_regular and (ends.max() < begin_s or ends.min() >= end_s):
+            if not is_all and self._is_outside(place, begin_s, end_s):
                 continue
             block = self._indexed.read(self._file, place)
             times = self.clock.to_recorder(block.stamps, place.offsets_before)
-            samples = Samples(times, block.stamps, block.values)
-            samples = samples.picked(np.isfinite(times) & (times >= begin_s) & (times < end_s))
+            is_wanted = np.isfinite(times)
+            if not is_all:
+                is_wanted &= (times >= begin_s) & (times < end_s)
+            samples = Samples(times, block.stamps, block.values).picked(is_wanted)
             if len(samples):
                 yield samples
+
+    def _is_outside(self, place: Place, begin_s: float, end_s: float) -> bool:
+        # Stamps in between may be outside of those of the ends, but not of a regular stream.
+        if not self.header.is_regular:
+            return False
+        ends = self.clock.to_recorder(np.array([place.first, place.last]), place.offsets_before)
+        return bool(ends.max() < begin_s or ends.min() >= end_s)
 
     def ends(self) -> tuple[float, float] | None:
         """Return the least and the greatest time of the ends of its chunks, in s; None if empty.
 
         The order of stamps within a chunk is the sender's, and hardly ever another.
         """
-        times = [
-            self.clock.to_recorder(np.array([place.first, place.last]), place.offsets_before)
-            for place in self._indexed.places()
-        ]
-        found = np.concatenate(times) if times else np.empty(0)
+        found = self._indexed.end_stamps()
+        if self.clock.restarts:
+            places = zip(found, self._indexed.places(), strict=True)
+            times = [self.clock.to_recorder(ends, place.offsets_before) for ends, place in places]
+            found = np.concatenate(times)
+        else:
+            # One line holds for all: a day has millions of chunks.
+            found = self.clock.to_recorder(found.ravel())
         found = found[np.isfinite(found)]
         return (float(found.min()), float(found.max())) if len(found) else None
 
