@@ -17,6 +17,7 @@ from tests.bench import (
     churn,
     clock_accuracy,
     doors,
+    export,
     hundred,
     idle,
     machine,
@@ -52,6 +53,7 @@ MEASUREMENTS: dict[str, Callable[[Effort], Measurement]] = {
     "decoders": agent_figures.measure_decoders,
     "clock": clock_accuracy.measure,
     "doors": doors.measure,
+    "export": export.measure,
 }
 
 

@@ -31,6 +31,8 @@ class Effort:
         Of each decoder.
     clock_seeds
         Simulated courses of each way, packet rate and drift.
+    recording_s
+        Length of the recording that is exported.
     """
 
     rounds: int
@@ -49,6 +51,7 @@ class Effort:
     taped_s: float
     passes: int
     clock_seeds: int
+    recording_s: float
 
 
 FULL = Effort(
@@ -69,6 +72,7 @@ FULL = Effort(
     taped_s=5.0,
     passes=15,
     clock_seeds=10,
+    recording_s=7200.0,
 )
 QUICK = Effort(
     rounds=1,
@@ -89,4 +93,5 @@ QUICK = Effort(
     taped_s=1.0,
     passes=5,
     clock_seeds=3,
+    recording_s=300.0,
 )

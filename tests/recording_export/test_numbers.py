@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from biosensor_gateway.recording.export.csv.numbers import numbers, rows_of_numbers
+from biosensor_gateway.recording.export.numbers import numbers, rows_of_numbers
 
 FORMATS = ("<f4", "<f8", "<i8", "<i4", "<i2", "i1")
 

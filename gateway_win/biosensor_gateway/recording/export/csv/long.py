@@ -7,14 +7,16 @@ from pathlib import Path
 
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
+from biosensor_gateway.recording.export.batches import batches
 from biosensor_gateway.recording.export.csv import tables
-from biosensor_gateway.recording.export.csv.numbers import numbers
 from biosensor_gateway.recording.export.exporter import (
     Order,
     Progress,
     SampleCount,
     on_clock,
 )
+from biosensor_gateway.recording.export.names import unique
+from biosensor_gateway.recording.export.numbers import numbers
 
 COLUMNS = ("participant", "stream", "channel", "unit", "value", "text")
 """Behind the time; a number stands in `value`, a text in `text`, and the other one is empty."""
@@ -38,12 +40,12 @@ class LongCsv:
     ) -> Sequence[str]:
         """See :class:`.Exporter`."""
         count = SampleCount(chosen, progress)
-        names = tables.unique(each.header.name for each in chosen.streams)
+        names = unique(each.header.name for each in chosen.streams)
         with tables.table_file(target, is_packed=self._is_packed) as file:
             file.write(tables.quoted([[tables.time_column(order.clock), *COLUMNS]]))
             for stream, name in zip(chosen.streams, names, strict=True):
                 channels = _channels(stream, name)
-                for samples in tables.batches(chosen, stream):
+                for samples in batches(chosen, stream):
                     times = numbers(on_clock(chosen, order.clock, samples.times))
                     file.write(_rows(times, channels, samples))
                     count.add(len(samples))

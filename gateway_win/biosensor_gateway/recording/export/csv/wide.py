@@ -9,8 +9,8 @@ from typing import Any
 
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
+from biosensor_gateway.recording.export.batches import batches
 from biosensor_gateway.recording.export.csv import tables
-from biosensor_gateway.recording.export.csv.numbers import rows_of_numbers
 from biosensor_gateway.recording.export.exporter import (
     Clock,
     Order,
@@ -18,6 +18,8 @@ from biosensor_gateway.recording.export.exporter import (
     SampleCount,
     on_clock,
 )
+from biosensor_gateway.recording.export.names import file_names
+from biosensor_gateway.recording.export.numbers import rows_of_numbers
 
 CONTENTS = "streams.json"
 """What the tables are, beside them."""
@@ -48,7 +50,7 @@ class WideCsv:
         suffix = ".csv.gz" if self._is_packed else ".csv"
         count = SampleCount(chosen, progress)
         described: list[dict[str, Any]] = []
-        for stream, name in zip(chosen.streams, tables.file_names(chosen.streams), strict=True):
+        for stream, name in zip(chosen.streams, file_names(chosen.streams), strict=True):
             path = target / f"{name}{suffix}"
             samples = self._write_stream(chosen, stream, order.clock, path, count)
             described.append(_described(stream, order.clock, samples, path.name))
@@ -69,7 +71,7 @@ class WideCsv:
         with tables.table_file(path, is_packed=self._is_packed) as file:
             names = [tables.time_column(clock), *tables.columns(stream)]
             file.write(tables.quoted([names]))
-            for samples in tables.batches(chosen, stream):
+            for samples in batches(chosen, stream):
                 file.write(_rows(chosen, clock, samples))
                 written += len(samples)
                 count.add(len(samples))

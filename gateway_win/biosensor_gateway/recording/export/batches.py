@@ -1,0 +1,36 @@
+"""Joins the samples of many chunks, for what takes its time by the call."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from biosensor_gateway.recording.contents.choice import Chosen
+from biosensor_gateway.recording.contents.stream import Samples, Stream
+
+BATCH = 1 << 16
+"""Values that are made text of at once: more cost memory, fewer time."""
+
+
+def batches(chosen: Chosen, stream: Stream) -> Iterator[Samples]:
+    """Give the samples of a stream, many chunks of the file at once."""
+    least = max(1, BATCH // stream.header.channel_count)
+    kept: list[Samples] = []
+    count = 0
+    for samples in chosen.samples(stream):
+        kept.append(samples)
+        count += len(samples)
+        if count >= least:
+            yield _joined(kept)
+            kept, count = [], 0
+    if kept:
+        yield _joined(kept)
+
+
+def _joined(parts: Sequence[Samples]) -> Samples:
+    times = np.concatenate([each.times for each in parts])
+    stamps = np.concatenate([each.stamps for each in parts])
+    texts = [text for each in parts if isinstance(each.values, list) for text in each.values]
+    arrays = [each.values for each in parts if not isinstance(each.values, list)]
+    return Samples(times, stamps, np.concatenate(arrays) if arrays else texts)
