@@ -8,36 +8,20 @@ from itertools import accumulate
 import numpy as np
 import pytest
 
-from biosensor_common.lsl_header import describe
 from biosensor_common.naming import lsl_name, source_id
-from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.devices.registry import declaration
+from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.recording.xdf.counted import Counted, Reading, compare, parse_readings
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from tests.xdf import xdf_file as x
 from tests.xdf.checking import check, codes, text_of
+from tests.xdf.own_streams import own_header
 
 RATE, SECONDS = 130, 30
 AGENT = DeviceIdentity("gateway", "lab-pc")
 STRAP = DeviceIdentity("polar_h10", "A1B2")
 ECG = source_id(STRAP, "ecg")
 STAMPS = [1000 + k / RATE for k in range(RATE * SECONDS)]
-
-
-def _header(stream_id: int, identity: DeviceIdentity, data_name: str) -> bytes:
-    spec = declaration(identity.sensor).stream(data_name)
-    assert isinstance(spec.rate, int | float)
-    return x.stream_header(
-        stream_id,
-        lsl_name(identity, data_name),
-        kind=spec.content_type.value,
-        channels=len(spec.channels),
-        rate=float(spec.rate),
-        fmt=spec.format.value,
-        source_id=source_id(identity, data_name),
-        desc=describe(spec, identity, DeviceInfo()),
-    )
 
 
 def _end(stream_id: int, count: int) -> bytes:
@@ -60,14 +44,14 @@ def _counted_each_second(*, lost: int = 0, more: int = 0) -> list[dict[str, Coun
 
 def _file(stamps: list[float], counted: list[Mapping[str, Counters]] | None) -> bytes:
     parts = [
-        _header(1, STRAP, "ecg"),
+        own_header(1, STRAP, "ecg"),
         x.samples(1, "float32", [[1.0]] * len(stamps), [*stamps]) if stamps else b"",
         _end(1, len(stamps)),
     ]
     if counted is not None:
         texts = [[counters_text(counters)] for counters in counted]
         times = [1001.0 + k for k in range(len(texts))]
-        parts += [_header(2, AGENT, "counters"), x.samples(2, "string", texts, times)]
+        parts += [own_header(2, AGENT, "counters"), x.samples(2, "string", texts, times)]
         parts += [_end(2, len(texts))]
     return x.xdf(*parts)
 
@@ -126,7 +110,7 @@ def test_counters_of_another_computer_do_not_count() -> None:
 def test_counters_that_cannot_be_read() -> None:
     texts = [["{"], ["[]"], ['{"a": 1}'], ['{"a": {"pushed": 1, "lost": 0, "last_stamp": NaN}}']]
     content = x.xdf(
-        _header(1, AGENT, "counters"), x.samples(1, "string", texts, [1.0, 2, 3, 4]), _end(1, 4)
+        own_header(1, AGENT, "counters"), x.samples(1, "string", texts, [1.0, 2, 3, 4]), _end(1, 4)
     )
     assert "4 of its samples" in text_of(check(content), "counters", lsl_name(AGENT, "counters"))
 

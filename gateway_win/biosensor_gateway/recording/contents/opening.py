@@ -27,8 +27,9 @@ class Contents:
     damages
         What could not be read; everything else can.
     begin_s, end_s
-        Times of the first and the last sample of all on the recorder's LSL clock, in s;
-        0 where there are none.
+        Times of the first and the last sample on the recorder's LSL clock, in s; 0 where there
+        are none. What shows a state may be older than the recording, and counts only if there is
+        nothing else.
     wall
         Time of day; None if nothing in the file tells it.
     """
@@ -59,8 +60,15 @@ def open_contents(path: Path) -> Generator[Contents]:
             what = "the rest is compressed and cannot be unpacked"
             damages = (*damages, Damage(size, size, what, breaks_off=True))
         streams = tuple(Stream(file, number, each) for number, each in sorter.streams.items())
-        ends = [end for each in streams for end in each.ends() or ()]
-        begin_s, end_s = (min(ends), max(ends)) if ends else (0.0, 0.0)
+        begin_s, end_s = _extent(streams)
         begun = sorter.begun or ""
         wall = find_wall_clock(streams, begun, begin_s)
         yield Contents(path, begun, streams, damages, begin_s, end_s, wall)
+
+
+def _extent(streams: tuple[Stream, ...]) -> tuple[float, float]:
+    ends = [(each.header.is_state, found) for each in streams if (found := each.ends())]
+    bounds = [found for is_state, found in ends if not is_state] or [found for _, found in ends]
+    if not bounds:
+        return 0.0, 0.0
+    return min(first for first, _ in bounds), max(last for _, last in bounds)

@@ -11,6 +11,7 @@ from biosensor_common.lsl_header import MAX_CHANNELS, read_header
 from biosensor_common.naming import AGENT
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.spec import DeviceIdentity
+from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.recording.xdf.container import ChunkError
 
 MAX_XML_BYTES = 64_000_000
@@ -39,6 +40,9 @@ class RecordedHeader:
         Why a ``<biosensor>`` block was not believed; empty if there was none or it was.
     xml
         The header as it was recorded.
+    is_state
+        Whether it is ours and shows a state, which is sent to whoever comes first, with the time
+        at which it was measured: long before the recording, it may be.
     """
 
     name: str
@@ -55,6 +59,7 @@ class RecordedHeader:
     data_name: str
     refused: str
     xml: str = ""
+    is_state: bool = False
 
     @property
     def is_ours(self) -> bool:
@@ -103,7 +108,7 @@ def parse_stream_header(content: bytes) -> RecordedHeader:
         channel_format = ChannelFormat(root.findtext("channel_format") or "")
     except ValueError:
         raise ChunkError("it has no known channel format") from None
-    identity, data_name, refused = _own(text)
+    own, refused = _own(text)
     drops = root.findtext("desc/synchronization/can_drop_samples") or ""
     return RecordedHeader(
         name=root.findtext("name") or "",
@@ -116,10 +121,11 @@ def parse_stream_header(content: bytes) -> RecordedHeader:
         created_at=_number(root, "created_at"),
         labels=_labels(root, int(channel_count)),
         can_drop_samples=drops.strip().lower() == "true",
-        identity=identity,
-        data_name=data_name,
+        identity=own.identity if own else None,
+        data_name=own.data_name if own else "",
         refused=refused,
         xml=text,
+        is_state=own is not None and own.is_state,
     )
 
 
@@ -176,10 +182,10 @@ def _labels(root: ET.Element, count: int) -> tuple[str, ...]:
     return tuple(label or str(index + 1) for index, label in enumerate(complete))
 
 
-def _own(xml: str) -> tuple[DeviceIdentity | None, str, str]:
-    """Return identity, data name, and why the stream's claim to be ours was refused."""
+def _own(xml: str) -> tuple[StreamHeader | None, str]:
+    """Return what our streams say of themselves, and why a claim to be ours was refused."""
     try:
         header = read_header(xml)
     except SpecError as error:
-        return None, "", str(error)
-    return (None, "", "") if header.foreign else (header.identity, header.data_name, "")
+        return None, str(error)
+    return (None if header.foreign else header), ""

@@ -218,7 +218,9 @@ def clock_error(
     # Of an outlet that has just gone, LabRecorder notes that its clock stood at 0.
     times = [time for time, _ in offsets if time]
     if times:
-        error_s = max(first - max(times), min(times) - last)
+        # What shows a state may have been measured at any time before.
+        early_s = 0.0 if header.is_state else min(times) - last
+        error_s = max(first - max(times), early_s)
         if error_s > MAX_STAMP_ERROR_S:
             return f"its stamps are {error_s:.0f} s away from the LSL clock{unix}"
         return ""

@@ -35,7 +35,8 @@ class Measured:
 class Extent:
     """When a recording begins and ends on the recorder's clock, in s.
 
-    That is the first and last sample of all streams that are on the LSL clock.
+    That is the first and last sample of all streams that are on the LSL clock; of those that
+    show a state, which may be older than the recording, only where there are no others.
     """
 
     begin: float
@@ -58,16 +59,16 @@ class Extent:
 
 def extent(streams: Sequence[Measured]) -> Extent:
     """Work out the extent of a recording; empty at 0 if no stream has samples."""
-    bounds = [
-        (figures.first + each.recorder_offset_s, figures.last + each.recorder_offset_s)
+    present = [
+        (each.stream.header.is_state, figures.first + offset_s, figures.last + offset_s)
         for each in streams
-        if (figures := each.figures).first is not None
-        and figures.last is not None
-        and not figures.clock_error
+        for figures, offset_s in [(each.figures, each.recorder_offset_s)]
+        if figures.first is not None and figures.last is not None and not figures.clock_error
     ]
+    bounds = [bound for bound in present if not bound[0]] or present
     if not bounds:
         return Extent(0.0, 0.0)
-    return Extent(min(begin for begin, _ in bounds), max(end for _, end in bounds))
+    return Extent(min(begin for _, begin, _ in bounds), max(end for _, _, end in bounds))
 
 
 @dataclass(frozen=True, slots=True)
