@@ -133,6 +133,14 @@ TYPES_OF_DEVICE = frozenset(
 """Types of streams that tell of the device, not of the person."""
 
 
+def waits_for_receivers(content_type: str, *, is_regular: bool, is_state: bool) -> bool:
+    """Whether samples of a stream wait in the outlet, with their stamps, for the first receiver.
+
+    So the stream may begin long before a recording that has it.
+    """
+    return not is_regular and (is_state or content_type in TYPES_OF_DEVICE)
+
+
 @unique
 class ChannelFormat(StrEnum):
     """LSL channel formats by liblsl's own names.

@@ -1,4 +1,4 @@
-"""What shows a state was measured before the recording, perhaps long before."""
+"""What tells of a device was measured before the recording, perhaps long before."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ STRAP = DeviceIdentity("polar_h10", "A1B2")
 BEGIN_S = 5000.0
 
 
-def _recording(battery_s: float) -> bytes:
+def _recording(told_s: float, name: str = "bat") -> bytes:
     heart = [BEGIN_S + k for k in range(20)]
     offsets = (BEGIN_S, BEGIN_S + 10, BEGIN_S + 20)
     return x.xdf(
         own_header(1, STRAP, "hr") + x.samples(1, "float32", [[60.0]] * 20, [*heart]),
-        own_header(2, STRAP, "bat") + x.samples(2, "float32", [[90.0]], [battery_s]),
+        own_header(2, STRAP, name) + x.samples(2, "float32", [[90.0]], [told_s]),
         *(
             x.offsets(number, offsets) + x.footer(number, count)
             for number, count in ((1, 20), (2, 1))
@@ -27,9 +27,10 @@ def _recording(battery_s: float) -> bytes:
     )
 
 
+@pytest.mark.parametrize("name", ["bat", "quality"])
 @pytest.mark.parametrize("before_s", [10.0, 100.0, 4000.0])
-def test_a_battery_level_of_before_is_no_error_and_no_begin(before_s: float) -> None:
-    report = check(_recording(BEGIN_S - before_s))
+def test_what_a_device_told_before_is_no_error_and_no_begin(before_s: float, name: str) -> None:
+    report = check(_recording(BEGIN_S - before_s, name))
     assert codes(report, Level.ERROR) == codes(report, Level.WARNING) == set()
     assert (report.extent.begin, report.extent.end) == (BEGIN_S, BEGIN_S + 19)
 

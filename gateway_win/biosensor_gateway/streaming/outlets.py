@@ -19,7 +19,7 @@ from biosensor_common import naming
 from biosensor_common.device_clock import LONGEST_DELAY_S
 from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
 from biosensor_common.lsl_header import describe
-from biosensor_common.quantities import TYPES_OF_DEVICE, ChannelFormat
+from biosensor_common.quantities import ChannelFormat, waits_for_receivers
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, StreamSpec
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
@@ -97,8 +97,9 @@ class Outlet:
         _append(lsl_info.desc(), describe(stream, identity, info))
         self._outlet = pylsl.StreamOutlet(lsl_info)
         # What a device says once or rarely, and what holds until it says otherwise.
-        tells_state = stream.is_state or stream.content_type in TYPES_OF_DEVICE
-        self._waits = tells_state and not stream.is_regular
+        self._waits = waits_for_receivers(
+            stream.content_type, is_regular=stream.is_regular, is_state=stream.is_state
+        )
         self._ready_s, self._latest_s = self._clock() + ATTACH_TIME_S, math.inf
         self._waiting: deque[tuple[NDArray[Any], float]] = deque(maxlen=MAX_WAITING)
 

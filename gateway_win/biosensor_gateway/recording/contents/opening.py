@@ -28,8 +28,8 @@ class Contents:
         What could not be read; everything else can.
     begin_s, end_s
         Times of the first and the last sample on the recorder's LSL clock, in s; 0 where there
-        are none. What shows a state may be older than the recording, and counts only if there is
-        nothing else.
+        are none. What tells of a device may be older than the recording, and counts only if
+        there is nothing else.
     wall
         Time of day; None if nothing in the file tells it.
     """
@@ -67,8 +67,8 @@ def open_contents(path: Path) -> Generator[Contents]:
 
 
 def _extent(streams: tuple[Stream, ...]) -> tuple[float, float]:
-    ends = [(each.header.is_state, found) for each in streams if (found := each.ends())]
-    bounds = [found for is_state, found in ends if not is_state] or [found for _, found in ends]
+    ends = [(each.header.may_be_older, found) for each in streams if (found := each.ends())]
+    bounds = [found for is_older, found in ends if not is_older] or [found for _, found in ends]
     if not bounds:
         return 0.0, 0.0
     return min(first for first, _ in bounds), max(last for _, last in bounds)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl_header import MAX_CHANNELS, read_header
 from biosensor_common.naming import AGENT
-from biosensor_common.quantities import ChannelFormat
+from biosensor_common.quantities import ChannelFormat, waits_for_receivers
 from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.recording.xdf.container import ChunkError
@@ -40,9 +40,9 @@ class RecordedHeader:
         Why a ``<biosensor>`` block was not believed; empty if there was none or it was.
     xml
         The header as it was recorded.
-    is_state
-        Whether it is ours and shows a state, which is sent to whoever comes first, with the time
-        at which it was measured: long before the recording, it may be.
+    may_be_older
+        Whether it is ours and tells of the device, which is sent to whoever comes first, with
+        the time at which it was measured: long before the recording, it may be.
     """
 
     name: str
@@ -59,7 +59,7 @@ class RecordedHeader:
     data_name: str
     refused: str
     xml: str = ""
-    is_state: bool = False
+    may_be_older: bool = False
 
     @property
     def is_ours(self) -> bool:
@@ -125,7 +125,8 @@ def parse_stream_header(content: bytes) -> RecordedHeader:
         data_name=own.data_name if own else "",
         refused=refused,
         xml=text,
-        is_state=own is not None and own.is_state,
+        may_be_older=own is not None
+        and waits_for_receivers(own.content_type, is_regular=rate > 0, is_state=own.is_state),
     )
 
 

@@ -218,8 +218,8 @@ def clock_error(
     # Of an outlet that has just gone, LabRecorder notes that its clock stood at 0.
     times = [time for time, _ in offsets if time]
     if times:
-        # What shows a state may have been measured at any time before.
-        early_s = 0.0 if header.is_state else min(times) - last
+        # What tells of a device may have been measured at any time before.
+        early_s = 0.0 if header.may_be_older else min(times) - last
         error_s = max(first - max(times), early_s)
         if error_s > MAX_STAMP_ERROR_S:
             return f"its stamps are {error_s:.0f} s away from the LSL clock{unix}"

@@ -36,7 +36,7 @@ class Extent:
     """When a recording begins and ends on the recorder's clock, in s.
 
     That is the first and last sample of all streams that are on the LSL clock; of those that
-    show a state, which may be older than the recording, only where there are no others.
+    tell of a device, which may be older than the recording, only where there are no others.
     """
 
     begin: float
@@ -60,7 +60,7 @@ class Extent:
 def extent(streams: Sequence[Measured]) -> Extent:
     """Work out the extent of a recording; empty at 0 if no stream has samples."""
     present = [
-        (each.stream.header.is_state, figures.first + offset_s, figures.last + offset_s)
+        (each.stream.header.may_be_older, figures.first + offset_s, figures.last + offset_s)
         for each in streams
         for figures, offset_s in [(each.figures, each.recorder_offset_s)]
         if figures.first is not None and figures.last is not None and not figures.clock_error
