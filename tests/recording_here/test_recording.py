@@ -6,6 +6,7 @@ import json
 import os
 import resource
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import psutil
+import pylsl
 import pytest
 import pyxdf
 
@@ -22,6 +24,7 @@ from biosensor_gateway.recording.here.memory import RecorderFolder
 from biosensor_gateway.recording.here.recording import Recording, Standing
 from biosensor_gateway.recording.labrecorder.file_name import BidsLabels, Place
 from biosensor_gateway.recording.labrecorder.starting import Order
+from biosensor_gateway.recording.labrecorder.streams import Presence, SeenStream
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour
 from tests.recording_here.conftest import Sources
@@ -133,6 +136,19 @@ def test_a_required_stream_that_the_program_does_not_find_refuses(
         recording.start(short, lambda: gone)
     assert caught.value.reason is RecorderReason.STREAMS_MISSING
     assert not recording.is_running
+
+
+def test_a_refusal_gives_the_name_back_if_no_sample_came(state: Path, tmp_path: Path) -> None:
+    silent = pylsl.StreamOutlet(pylsl.StreamInfo("silent", "Markers", 1, 0, "string", "silent-id"))
+    host = socket.gethostname()
+    seen = tuple(SeenStream(each, f"{each}-id", host) for each in ("silent", "gone"))
+    presence = Presence(seen, (), ())
+    short = Order(Place(tmp_path, labels=BIDS), growth_s=5.0)
+    with pytest.raises(RecorderError, match="gone") as caught:
+        Recording(state).start(short, lambda: presence)
+    assert caught.value.reason is RecorderReason.STREAMS_MISSING
+    assert not list(tmp_path.rglob("*.xdf"))
+    del silent
 
 
 def test_where_nothing_can_be_written_it_says_so(

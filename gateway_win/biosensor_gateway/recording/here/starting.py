@@ -20,6 +20,8 @@ from biosensor_gateway.recording.here.said import EVERYTHING, Said, predicate
 from biosensor_gateway.recording.labrecorder.recording_file import size_of
 from biosensor_gateway.recording.labrecorder.starting import Order, what_is_missing
 from biosensor_gateway.recording.labrecorder.streams import Presence, SeenStream, titles
+from biosensor_gateway.recording.xdf.container import RecordingError
+from biosensor_gateway.recording.xdf.recording import read_recording
 
 _POLL_S = 0.1
 _OPENING_S = 15.0
@@ -230,6 +232,11 @@ def _warnings(
 
 def _release(file: Path) -> None:
     """Give a name back to which nothing was recorded."""
-    with contextlib.suppress(OSError):
-        if not size_of(file):
+    # A program that found streams, but not all, leaves headers behind, and perhaps samples.
+    with contextlib.suppress(OSError, RecordingError):
+        if not size_of(file) or not _has_samples(file):
             file.unlink()
+
+
+def _has_samples(file: Path) -> bool:
+    return any(stream.sample_count for stream in read_recording(file).streams)
