@@ -21,6 +21,9 @@ FORMATS: Mapping[str, Callable[[], Exporter]] = {
     "csv.gz": partial(_load, "csv.wide", "WideCsv", is_packed=True),
     "csv-long": partial(_load, "csv.long", "LongCsv"),
     "csv-long.gz": partial(_load, "csv.long", "LongCsv", is_packed=True),
+    "edf": partial(_load, "edf.exporter", "Edf"),
+    "kubios": partial(_load, "kubios", "Kubios"),
+    "ledalab": partial(_load, "ledalab", "Ledalab"),
 }
 """Makes the exporter."""
 

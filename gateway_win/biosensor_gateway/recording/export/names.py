@@ -29,3 +29,8 @@ def file_names(streams: Sequence[Stream]) -> list[str]:
     plain = (_UNSAFE.sub("_", each.header.name)[:_LONGEST_NAME].strip("._") for each in streams)
     named = zip(plain, streams, strict=True)
     return unique(name or f"stream_{each.number}" for name, each in named)
+
+
+def numbered(count: int) -> list[str]:
+    """Return what tells files of one stream apart; nothing of a single one."""
+    return [""] if count == 1 else [f"_{number}" for number in range(1, count + 1)]

@@ -1,0 +1,174 @@
+"""Writes a BDF+ file for each run of each regular stream."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from biosensor_common.quantities import ChannelFormat
+from biosensor_gateway.recording.contents.choice import Chosen
+from biosensor_gateway.recording.contents.stream import Stream
+from biosensor_gateway.recording.export.edf.annotations import Annotation, annotation_records
+from biosensor_gateway.recording.export.edf.header import Facts, header
+from biosensor_gateway.recording.export.edf.holes import Holes
+from biosensor_gateway.recording.export.edf.layout import Channel, channel, layout
+from biosensor_gateway.recording.export.edf.records import digital, records
+from biosensor_gateway.recording.export.exporter import Clock, Order, Progress, SampleCount
+from biosensor_gateway.recording.export.markers import markers
+from biosensor_gateway.recording.export.names import file_names, numbered, unique
+from biosensor_gateway.recording.export.runs import MOST_RUNS, Run, find_runs, pieces
+from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
+
+_LABEL = 16
+# Of whom a header has no room for more.
+_MOST_CHANNELS = 4000
+
+
+@dataclass(slots=True)
+class _Job:
+    """One export."""
+
+    chosen: Chosen
+    clock: Clock
+    count: SampleCount
+    happened: list[tuple[float, str]]
+    notes: list[str] = field(default_factory=list[str])
+
+
+class Edf:
+    """Writes numbers of regular streams; markers are annotations in every file."""
+
+    suffix = "_edf"
+
+    def write(
+        self, chosen: Chosen, order: Order, target: Path, progress: Progress
+    ) -> Sequence[str]:
+        """See :class:`.Exporter`."""
+        target.mkdir()
+        job = _Job(chosen, order.clock, SampleCount(chosen, progress), sorted(markers(chosen)))
+        irregular = 0
+        for stream, name in zip(chosen.streams, file_names(chosen.streams), strict=True):
+            if stream.header.format is ChannelFormat.STRING:
+                continue
+            if not stream.header.is_regular:
+                irregular += 1
+                continue
+            _write_stream(job, stream, target / name)
+        if not any(target.iterdir()):
+            message = (
+                f"{chosen.contents.path} holds no regular stream of numbers of what is wanted, "
+                "so nothing was written as EDF"
+            )
+            raise RecordingError(RecordingReason.EMPTY, message)
+        if irregular:
+            streams = "1 stream" if irregular == 1 else f"{irregular} streams"
+            job.notes.append(f"{streams} without a rate left out, which EDF cannot hold")
+        return job.notes
+
+
+def _write_stream(job: _Job, stream: Stream, path: Path) -> None:
+    name, runs = stream.header.name, find_runs(job.chosen, stream)
+    if len(runs) > MOST_RUNS:
+        job.notes.append(f"{name}: left out, for it has more than {MOST_RUNS} gaps")
+        return
+    if len(runs) > 1:
+        job.notes.append(f"{name}: its gaps cut it into {len(runs)} files")
+    if not runs:
+        return
+    holes = Holes(stream, len(runs))
+    for number, samples in pieces(job.chosen, stream):
+        holes.take(number, samples)
+    job.notes += holes.notes()
+    files = [path.with_name(f"{path.name}{each}.bdf") for each in numbered(len(runs))]
+    left_out: set[str] = set()
+    given = _Given(job.chosen, stream)
+    for number, (run, file) in enumerate(zip(runs, files, strict=True)):
+        channels, without = _channels(stream, run)
+        left_out |= set(without)
+        if channels:
+            _write_run(job, stream, run, channels, holes.found[number], given.of(number), file)
+        job.count.add(run.count)
+    if left_out:
+        labels = ", ".join(sorted(left_out))
+        job.notes.append(f"{name}: without {labels}, whose values are beyond what EDF can hold")
+
+
+class _Given:
+    """Hands out the values of one run after the other; the runs are asked for in their order."""
+
+    def __init__(self, chosen: Chosen, stream: Stream) -> None:
+        self._pieces = pieces(chosen, stream)
+        self._next = next(self._pieces, None)
+
+    def of(self, number: int) -> Iterator[NDArray[np.generic]]:
+        while self._next is not None and self._next[0] <= number:
+            found, samples = self._next
+            if found == number:
+                yield np.asarray(samples.values)
+            self._next = next(self._pieces, None)
+
+
+def _channels(stream: Stream, run: Run) -> tuple[list[Channel], list[str]]:
+    """Return how the channels are written, and the labels of those that cannot be."""
+    labels = stream.header.labels
+    plain = ["".join(c if " " <= c <= "~" else "_" for c in each) for each in labels]
+    short = [each[:_LABEL] for each in plain]
+    if len(set(short)) < len(short):
+        # Room for what tells them apart.
+        short = unique(each[: _LABEL - 5] for each in plain)
+    named = zip(short, stream.meaning.units, run.least, run.greatest, strict=True)
+    found = [
+        channel(place, label, unit, float(least), float(greatest))
+        for place, (label, unit, least, greatest) in enumerate(named)
+    ]
+    kept = [each for each in found if each is not None][:_MOST_CHANNELS]
+    places = {each.place for each in kept}
+    return kept, [label for place, label in enumerate(labels) if place not in places]
+
+
+def _write_run(
+    job: _Job,
+    stream: Stream,
+    run: Run,
+    channels: Sequence[Channel],
+    holes: Sequence[Annotation],
+    values: Iterator[NDArray[np.generic]],
+    path: Path,
+) -> None:
+    rate_hz = run.rate_hz(stream.header.rate)
+    plan = layout(run.count, rate_hz)
+    facts = _facts(job, stream, run)
+    told = sorted([*_told(job, run, plan.samples * plan.records / rate_hz, rate_hz), *holes])
+    texts, room = annotation_records(told, plan.records, plan.record_s, facts.start_s)
+    with path.open("xb") as file:
+        file.write(header(channels, plan, facts, room))
+        steps = (digital(each, channels) for each in values)
+        file.writelines(records(steps, plan.samples, texts, room))
+
+
+def _facts(job: _Job, stream: Stream, run: Run) -> Facts:
+    identity, wall = stream.header.identity, job.chosen.contents.wall
+    begun_ns = None
+    if job.clock is Clock.WALL and wall is not None:
+        begun_ns = int(wall.to_unix_ns(np.array([run.begin_s]))[0])
+    participant = identity.participant if identity else ""
+    equipment = f"{identity.sensor}/{identity.unit}" if identity else stream.header.name
+    return Facts(participant, equipment, begun_ns)
+
+
+def _told(job: _Job, run: Run, length_s: float, rate_hz: float) -> Iterator[Annotation]:
+    """Give what happened in a run, and what must be known of its file."""
+    yield Annotation(0.0, 0.0, f"LSL time {run.begin_s:.6f} s")
+    first = bisect_left(job.happened, (run.begin_s, ""))
+    for time_s, text in job.happened[first:]:
+        if time_s >= run.begin_s + length_s:
+            break
+        yield Annotation(time_s - run.begin_s, 0.0, text)
+    end_s = run.count / rate_hz
+    if length_s - end_s > 0.5 / rate_hz:
+        yield Annotation(end_s, length_s - end_s, "end of data, the rest is filled up")

@@ -1,0 +1,120 @@
+"""Texts for Ledalab: time, conductance and marker, a line a sample.
+
+Ledalab imports three columns without a heading (its "Text" formats): time in s, skin
+conductance in microsiemens, and the number of a marker at the sample where it falls, else 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from biosensor_common.quantities import ChannelFormat, ContentType, Unit
+from biosensor_gateway.recording.contents.choice import Chosen
+from biosensor_gateway.recording.contents.stream import Stream
+from biosensor_gateway.recording.export.batches import batches
+from biosensor_gateway.recording.export.csv.tables import quoted
+from biosensor_gateway.recording.export.exporter import Order, Progress, SampleCount, on_clock
+from biosensor_gateway.recording.export.markers import markers
+from biosensor_gateway.recording.export.names import file_names
+from biosensor_gateway.recording.export.numbers import numbers
+from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
+
+CODES = "markers.csv"
+"""What the numbers of markers mean."""
+_MICROSIEMENS = {Unit.MICROSIEMENS.value, "uS", "\N{MICRO SIGN}S", "\N{GREEK SMALL LETTER MU}S"}
+
+
+class Ledalab:
+    """Writes a file for each stream of skin conductance, and ``markers.csv``."""
+
+    suffix = "_ledalab"
+
+    def write(
+        self, chosen: Chosen, order: Order, target: Path, progress: Progress
+    ) -> Sequence[str]:
+        """See :class:`.Exporter`."""
+        target.mkdir()
+        count = SampleCount(chosen, progress)
+        happened, codes = _numbered(chosen)
+        notes: list[str] = []
+        for stream, name in zip(chosen.streams, file_names(chosen.streams), strict=True):
+            if _is_conductance(stream):
+                path = target / f"{name}.txt"
+                notes += _write_stream(chosen, order, stream, happened, path)
+            count.add(stream.sample_count)
+        if not any(target.iterdir()):
+            message = (
+                f"{chosen.contents.path} holds no skin conductance of what is wanted, "
+                "so nothing was written for Ledalab"
+            )
+            raise RecordingError(RecordingReason.EMPTY, message)
+        if codes:
+            lines = quoted([("code", "marker"), *((code, text) for text, code in codes.items())])
+            (target / CODES).write_bytes(lines)
+        return notes
+
+
+def _is_conductance(stream: Stream) -> bool:
+    header = stream.header
+    return header.content_type == ContentType.GSR and header.format is not ChannelFormat.STRING
+
+
+def _numbered(chosen: Chosen) -> tuple[NDArray[np.float64], dict[str, int]]:
+    """Return time and number of each marker, shape (n, 2), and the numbers by text."""
+    codes: dict[str, int] = {}
+    happened = [
+        (time_s, codes.setdefault(text, len(codes) + 1)) for time_s, text in markers(chosen)
+    ]
+    return np.array(sorted(happened), np.float64).reshape(-1, 2), codes
+
+
+def _write_stream(
+    chosen: Chosen, order: Order, stream: Stream, happened: NDArray[np.float64], path: Path
+) -> Iterator[str]:
+    unit = stream.meaning.units[0]
+    without = together = 0
+    place, begin_s = 0, None
+    with path.open("xb") as file:
+        for samples in batches(chosen, stream):
+            values = np.asarray(samples.values)[:, 0]
+            has_value = np.isfinite(values)
+            without += int(np.count_nonzero(~has_value))
+            times, values = samples.times[has_value], values[has_value]
+            if not len(times):
+                continue
+            if begin_s is None:
+                begin_s = float(times[0])
+                place = int(np.searchsorted(happened[:, 0], begin_s))
+            end = int(np.searchsorted(happened[:, 0], float(times[-1]), side="right"))
+            codes, lost = _at_samples(happened[place : max(place, end)], times)
+            place, together = max(place, end), together + lost
+            told = on_clock(chosen, order.clock, times)
+            rows = zip(numbers(told), numbers(values), numbers(codes), strict=True)
+            file.writelines(b"%b\t%b\t%b\n" % row for row in rows)
+    if begin_s is None:
+        path.unlink()
+        yield f"{stream.header.name}: left out, for it has no value"
+        return
+    if unit not in _MICROSIEMENS:
+        yield f"{stream.header.name}: its unit is {unit!r}, and Ledalab takes it for microsiemens"
+    if without:
+        yield f"{stream.header.name}: {without} samples have no value and are left out"
+    if together:
+        yield (
+            f"{stream.header.name}: {together} markers fall on a sample that has one already, "
+            "and are left out"
+        )
+
+
+def _at_samples(
+    happened: NDArray[np.float64], times: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], int]:
+    """Return the number of the marker at each sample, 0 for none, and how many found no place."""
+    codes = np.zeros(len(times), np.int64)
+    places = np.minimum(np.searchsorted(times, happened[:, 0]), len(times) - 1)
+    codes[places[::-1]] = happened[::-1, 1]
+    return codes, len(places) - len(set(places.tolist()))

@@ -1,0 +1,145 @@
+"""Tables of comma-separated values: every sample once, and as it was."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from biosensor_gateway.recording.contents.choice import Wish
+from biosensor_gateway.recording.export.exporter import Clock
+from biosensor_gateway.recording.export.exporting import Task, export
+from tests.recording_export.conftest import Exporting
+from tests.recording_export.study import BEGIN_S, UNIX_NS, ecg_values, study
+from tests.xdf import xdf_file as made
+
+_TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\x00"), max_size=8)
+
+
+def _rows(content: bytes) -> list[list[str]]:
+    assert b"\r\n" not in content
+    return list(csv.reader(io.StringIO(content.decode(), newline="")))
+
+
+def _streams(folder: Path) -> list[dict[str, Any]]:
+    return json.loads((folder / "streams.json").read_text("utf-8"))["streams"]
+
+
+def test_each_stream_is_a_table(exported: Exporting) -> None:
+    folder = exported(study(), "csv").written[0].path
+    ecg, _, gsr, markers, _ = _streams(folder)
+    assert ecg["columns"] == [
+        {"name": "lsl_time", "unit": "s"},
+        {"name": "ECG", "label": "ECG", "unit": "microvolts"},
+    ]
+    assert (ecg["samples"], ecg["participant"], ecg["nominal_rate_hz"]) == (2600, "P1", 130)
+    head, *rows = _rows((folder / ecg["file"]).read_bytes())
+    assert head == ["lsl_time", "ECG"]
+    assert [np.float32(row[1]) for row in rows] == ecg_values(2600)[:, 0].tolist()
+    assert float(rows[0][0]) == BEGIN_S
+    assert _rows((folder / gsr["file"]).read_bytes())[8][1] == "NaN"
+    marks = _rows((folder / markers["file"]).read_bytes())
+    assert marks[2] == ["1012.0", 'say "no",\nthen stop']
+
+
+def test_the_time_of_day(exported: Exporting) -> None:
+    folder = exported(study(), "csv", clock=Clock.WALL).written[0].path
+    head, first, *_ = _rows((folder / _streams(folder)[0]["file"]).read_bytes())
+    assert head[0] == "unix_time"
+    assert float(first[0]) == UNIX_NS / 1e9
+
+
+def test_one_person_alone(exported: Exporting) -> None:
+    outcome = exported(study(), "csv-long", wish=Wish(participant="P2"))
+    _, *rows = _rows(outcome.written[0].path.read_bytes())
+    assert {row[1] for row in rows} == {"P2"}
+    assert len(rows) == 80
+
+
+def test_a_span_of_time(exported: Exporting) -> None:
+    outcome = exported(study(), "csv-long", wish=Wish(streams=["*ecg"], begin="1", end="2.5"))
+    _, *rows = _rows(outcome.written[0].path.read_bytes())
+    assert len(rows) == 195
+    assert min(float(row[0]) for row in rows) >= BEGIN_S + 1
+
+
+def test_streams_of_one_name_have_tables_of_their_own(exported: Exporting) -> None:
+    same = [made.stream_header(n, "a/b:c") + made.samples(n, "float32", [[n]], [n]) for n in (1, 2)]
+    folder = exported(made.xdf(*same), "csv").written[0].path
+    assert sorted(each.name for each in folder.iterdir()) == [
+        "a_b_c.csv",
+        "a_b_c_2.csv",
+        "streams.json",
+    ]
+
+
+@st.composite
+def _recordings(draw: st.DrawFn) -> tuple[bytes, str, list[float], list[list[Any]]]:
+    """One stream of any format in chunks of any size."""
+    fmt = draw(st.sampled_from(["string", "int64", *made.DTYPES]))
+    count, channels = draw(st.integers(1, 12)), draw(st.integers(1, 4))
+    if fmt == "string":
+        rows = draw(st.lists(st.lists(_TEXT, min_size=channels, max_size=channels), min_size=1))
+    else:
+        dtype = made.DTYPES.get(fmt, "<i8")
+        rows = draw(arrays.arrays(dtype, (count, channels))).tolist()
+    stamps = draw(
+        st.lists(st.floats(-1e9, 1e9), min_size=len(rows), max_size=len(rows)),
+    )
+    cut = draw(st.integers(0, len(rows)))
+    header = made.stream_header(1, "a", channels=channels, fmt=fmt)
+    parts = (slice(0, cut), slice(cut, None))
+    chunks = [_samples(fmt, rows[part], stamps[part]) for part in parts if stamps[part]]
+    return made.xdf(header, *chunks), fmt, stamps, rows
+
+
+def _samples(fmt: str, rows: list[list[Any]], stamps: list[float]) -> bytes:
+    if fmt != "int64":
+        return made.samples(1, fmt, rows, stamps)
+    parts = [
+        b"\x08" + np.array(stamp, "<f8").tobytes() + np.array(row, "<i8").tobytes()
+        for row, stamp in zip(rows, stamps, strict=True)
+    ]
+    count = b"\x04" + len(rows).to_bytes(4, "little")
+    return made.chunk(3, (1).to_bytes(4, "little") + count + b"".join(parts))
+
+
+@settings(max_examples=60, deadline=None)
+@given(_recordings(), st.booleans(), st.booleans())
+def test_every_sample_is_read_back(
+    made_of: tuple[bytes, str, list[float], list[list[Any]]], is_long: bool, is_packed: bool
+) -> None:
+    content, fmt, stamps, rows = made_of
+    name = ("csv-long" if is_long else "csv") + (".gz" if is_packed else "")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "study.xdf")
+        path.write_bytes(content)
+        outcome = export(path, Task([name], Wish()), lambda _name, _s: lambda _done: None)
+        target = outcome.written[0].path
+        file = target if is_long else target / ("a.csv.gz" if is_packed else "a.csv")
+        packed = file.read_bytes()
+    _, *lines = _rows(gzip.decompress(packed) if is_packed else packed)
+    width = len(rows[0])
+    if is_long:
+        times = [float(line[0]) for line in lines[::width]]
+        column = 6 if fmt == "string" else 5
+        cells = [line[column] for line in lines]
+        read = [cells[at : at + width] for at in range(0, len(cells), width)]
+    else:
+        times, read = [float(line[0]) for line in lines], [line[1:] for line in lines]
+    assert times == stamps
+    if fmt == "string":
+        assert read == rows
+    else:
+        dtype = np.dtype(made.DTYPES.get(fmt, "<i8"))
+        again = [[dtype.type(text) for text in line] for line in read]
+        np.testing.assert_array_equal(np.array(again), np.array(rows, dtype))

@@ -1,0 +1,126 @@
+"""BDF files, read by edfio."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from edfio import read_bdf
+from hypothesis import given
+from hypothesis import strategies as st
+
+from biosensor_gateway.recording.export.edf.annotations import Annotation, annotation_records
+from biosensor_gateway.recording.export.edf.layout import channel, layout
+from biosensor_gateway.recording.export.exporter import Clock
+from tests.recording_export.conftest import Exporting
+from tests.recording_export.study import BEGIN_S, ecg_values, study
+from tests.xdf import xdf_file as made
+
+
+def _regular(values: np.ndarray, rate: float, stamps: np.ndarray) -> bytes:
+    header = made.stream_header(1, "a", channels=values.shape[1], rate=rate)
+    chunks = [
+        made.samples(1, "float32", values[at : at + 40].tolist(), list(stamps[at : at + 40]))
+        for at in range(0, len(values), 40)
+    ]
+    return made.xdf(header, *chunks)
+
+
+def test_each_run_is_a_file(exported: Exporting) -> None:
+    (written,) = exported(study(), "edf", clock=Clock.WALL).written
+    files = [written.path / f"P1-polar_h10-U1-ecg_{n}.bdf" for n in (1, 2)]
+    opened = [read_bdf(each) for each in files]
+    for part, made_of in zip(opened, np.split(ecg_values(2600)[:, 0], 2), strict=True):
+        (signal,) = part.signals
+        assert (signal.label, signal.physical_dimension) == ("ECG", "uV")
+        assert signal.sampling_frequency == 130
+        step = (signal.physical_max - signal.physical_min) / 2**24
+        np.testing.assert_allclose(signal.data, made_of, rtol=0, atol=step)
+    assert opened[0].patient.code == "P1"
+    begun = opened[0].startdatetime
+    assert (begun.isoformat(), opened[0].starttime.microsecond) == (
+        "2026-09-21T14:13:20.250000",
+        250000,
+    )
+    # As the reader says it: since the begin.
+    told = [(round(each.onset, 3), each.text) for each in opened[0].annotations]
+    assert told == [(0.0, f"LSL time {BEGIN_S:.6f} s"), (3.0, "go")]
+    assert any("2 files" in each for each in written.notes)
+
+
+def test_values_that_are_none_are_annotated(exported: Exporting) -> None:
+    values = np.ones((100, 2), np.float32)
+    values[30:50, 1] = np.nan
+    (written,) = exported(_regular(values, 10.0, BEGIN_S + np.arange(100) / 10), "edf").written
+    opened = read_bdf(written.path / "a.bdf")
+    (hole,) = [each for each in opened.annotations if each.text.startswith("no value")]
+    assert (round(hole.onset, 6), round(hole.duration or 0, 6)) == (3.0, 2.0)
+    assert hole.text == "no value: 2"
+    assert opened.signals[1].data[30:50].tolist() == [opened.signals[1].physical_min] * 20
+
+
+@pytest.mark.parametrize("rate", [125 / 7, 129.6, 0.25, 1000 / 3, 4.0])
+def test_a_rate_need_not_be_whole(rate: float, exported: Exporting) -> None:
+    count = max(50, round(rate * 20))
+    values = np.arange(count, dtype=np.float32)[:, np.newaxis]
+    stamps = BEGIN_S + np.arange(count) / rate
+    (written,) = exported(_regular(values, rate, stamps), "edf").written
+    (signal,) = read_bdf(written.path / "a.bdf").signals
+    assert signal.sampling_frequency == pytest.approx(rate, rel=1e-6)
+    np.testing.assert_allclose(signal.data[:count], values[:, 0], atol=count / 2**23)
+
+
+def test_a_rate_that_is_not_the_nominal_one_is_measured(exported: Exporting) -> None:
+    stamps = BEGIN_S + np.arange(2000) / 99.0
+    values = np.zeros((2000, 1), np.float32)
+    (written,) = exported(_regular(values, 100.0, stamps), "edf").written
+    opened = read_bdf(written.path / "a.bdf")
+    assert opened.signals[0].sampling_frequency == pytest.approx(99.0, rel=1e-6)
+    assert opened.annotations[-1].text.startswith("end of data")
+    assert opened.annotations[-1].onset == pytest.approx(2000 / 99.0, abs=1e-5)
+
+
+def test_a_range_beyond_the_header_leaves_a_channel_out(exported: Exporting) -> None:
+    values = np.tile(np.array([[1e30, 2.0]], np.float32), (20, 1))
+    (written,) = exported(_regular(values, 10.0, BEGIN_S + np.arange(20) / 10), "edf").written
+    assert [each.label for each in read_bdf(written.path / "a.bdf").signals] == ["2"]
+    assert any("without 1" in each for each in written.notes)
+
+
+@given(st.floats(-1e9, 1e9), st.floats(-1e9, 1e9))
+def test_ranges_hold_what_is_in_them(one: float, other: float) -> None:
+    least, greatest = sorted((one, other))
+    found = channel(0, "a", "mV", least, greatest)
+    if found is None:
+        assert max(abs(least), abs(greatest)) > 9e6
+        return
+    assert found.least <= least <= greatest <= found.greatest
+    assert found.least < found.greatest
+
+
+@given(st.integers(1, 10**7), st.floats(0.01, 5000))
+def test_records_hold_all_samples_at_their_rate(count: int, rate: float) -> None:
+    found = layout(count, rate)
+    assert (found.records - 1) * found.samples < count <= found.records * found.samples
+    assert found.rate_hz == pytest.approx(rate, rel=1e-5)
+    assert len(f"{found.record_s}") <= 9
+
+
+@given(st.lists(st.tuples(st.floats(0, 30), st.text(max_size=300)), max_size=60))
+def test_every_annotation_finds_a_place(told: list[tuple[float, str]]) -> None:
+    given_ = sorted(Annotation(at, 0.0, text) for at, text in told)
+    placed, room = annotation_records(given_, 20, 1.0, 0.5)
+    assert len(placed) == 20
+    assert max(map(len, placed)) <= room
+    assert room % 3 == 0
+    assert sum(each.count(b"\x14\x00") for each in placed) == 20 + len(given_)
+
+
+def test_many_chunks_of_any_size_are_one_file(exported: Exporting, tmp_path: Path) -> None:
+    values = ecg_values(1001)
+    (written,) = exported(_regular(values, 16.0, BEGIN_S + np.arange(1001) / 16), "edf").written
+    (signal,) = read_bdf(written.path / "a.bdf").signals
+    assert len(signal.data) == 1008
+    np.testing.assert_allclose(signal.data[:1001], values[:, 0], atol=1e-3)
+    assert set(signal.data[1001:].tolist()) == {signal.data[1000]}
