@@ -33,6 +33,7 @@ NAMES = (
     "status",
     "vernier",
     "xdf",
+    "xdf_export",
     "zephyr",
 )
 """Every target: a module of `tests.fuzz.targets`, and a folder of the corpus."""

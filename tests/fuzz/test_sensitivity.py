@@ -37,6 +37,13 @@ def ends_too_late(find_damage: Any) -> Any:
     return broken
 
 
+def loses_the_last(batches: Any) -> Any:
+    def broken(*of: Any) -> Any:
+        return iter(list(batches(*of))[:-1])
+
+    return broken
+
+
 def always(answer: object) -> Breaking:
     """Something that says the same whatever it is asked."""
 
@@ -119,6 +126,7 @@ FAULTS: dict[str, tuple[str, str, Breaking]] = {
         forgets_what_it_holds,
     ),
     "xdf": ("biosensor_gateway.recording.xdf.container", "_damage", ends_too_late),
+    "xdf_export": ("biosensor_gateway.recording.export.csv.wide", "batches", loses_the_last),
     "zephyr": (f"{DEVICES}.zephyr.driver.frames.FrameParser", "feed", forgets_what_it_holds),
 }
 

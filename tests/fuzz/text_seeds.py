@@ -234,4 +234,5 @@ def seeds() -> dict[str, Seeds]:
         "settings": _settings(),
         "status": _status(),
         "xdf": _recordings(),
+        "xdf_export": _recordings(),
     }

@@ -1,9 +1,9 @@
 """Read exported recordings with the libraries of those who analyse them, and print what they read.
 
-    python export_reads.py csv|long|edf|kubios|ledalab FILE
+    python export_reads.py FORMAT=FILE...
 
 pandas reads tables and texts, NeuroKit2 analyses what they hold, MNE reads BDF. The output
-is one JSON object, NaN written as in Python.
+is one JSON object by file, NaN written as in Python.
 """
 
 from __future__ import annotations
@@ -91,4 +91,5 @@ _READERS: dict[str, Callable[[str], dict[str, Any]]] = {
 
 if __name__ == "__main__":
     warnings.simplefilter("ignore")
-    json.dump(_READERS[sys.argv[1]](sys.argv[2]), sys.stdout)
+    wanted = [argument.partition("=") for argument in sys.argv[1:]]
+    json.dump({file: _READERS[kind](file) for kind, _, file in wanted}, sys.stdout)

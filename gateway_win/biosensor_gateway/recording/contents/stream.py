@@ -126,7 +126,7 @@ class Stream:
         The order of stamps within a chunk is the sender's, and hardly ever another.
         """
         found = self._indexed.end_stamps()
-        if self.clock.restarts:
+        if len(found) and self.clock.restarts:
             places = zip(found, self._indexed.places(), strict=True)
             times = [self.clock.to_recorder(ends, place.offsets_before) for ends, place in places]
             found = np.concatenate(times)

@@ -16,7 +16,7 @@ from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export.edf.annotations import Annotation, annotation_records
 from biosensor_gateway.recording.export.edf.header import Facts, header
 from biosensor_gateway.recording.export.edf.holes import Holes
-from biosensor_gateway.recording.export.edf.layout import Channel, channel, layout
+from biosensor_gateway.recording.export.edf.layout import RATES_HZ, Channel, channel, layout
 from biosensor_gateway.recording.export.edf.records import digital, records
 from biosensor_gateway.recording.export.exporter import Clock, Order, Progress, SampleCount
 from biosensor_gateway.recording.export.markers import markers
@@ -141,6 +141,9 @@ def _write_run(
     path: Path,
 ) -> None:
     rate_hz = run.rate_hz(stream.header.rate)
+    if not RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
+        job.notes.append(f"{stream.header.name}: a run of {rate_hz:g} Hz left out")
+        return
     plan = layout(run.count, rate_hz)
     facts = _facts(job, stream, run)
     told = sorted([*_told(job, run, plan.samples * plan.records / rate_hz, rate_hz), *holes])

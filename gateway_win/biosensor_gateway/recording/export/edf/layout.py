@@ -12,7 +12,12 @@ from biosensor_common.quantities import Unit
 LEAST, GREATEST = -(1 << 23), (1 << 23) - 1
 """Of a sample, in 24 bits."""
 
+RATES_HZ = (1e-3, 1e6)
+"""Lowest and highest rate that makes sense, and that a header can say."""
+
 _FIELD = 8
+# A damaged header may claim a rate that would make one record larger than the memory.
+_SHORT = 10_000
 """Characters that a number has in the header."""
 _DIMENSIONS: dict[str, str] = {
     Unit.MICROVOLTS: "uV",
@@ -75,8 +80,15 @@ class Layout:
 
 
 def layout(count: int, rate_hz: float) -> Layout:
-    """Return records of about a second for so many samples at a rate, which need not be whole."""
-    samples = max(1, round(rate_hz))
+    """Return records of about a second for so many samples at a rate, which need not be whole.
+
+    Parameters
+    ----------
+    count
+    rate_hz
+        In `RATES_HZ`.
+    """
+    samples = max(1, min(round(rate_hz), max(count, _SHORT)))
     length_s = samples / rate_hz
     decimals = max(0, _FIELD - 1 - len(str(int(length_s))))
     return Layout(samples, round(length_s, decimals), math.ceil(count / samples))
