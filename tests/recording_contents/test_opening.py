@@ -190,6 +190,7 @@ def test_one_person_can_be_cut_out(path: Path) -> None:
     path.write_bytes(made.xdf(content))
     with open_contents(path) as contents:
         assert [each.number for each in choose(contents, Wish(participant="P2")).streams] == [2]
+        assert [each.number for each in choose(contents, Wish(without="P2")).streams] == [1, 3]
         assert len(choose(contents, Wish(streams=["polar_*/ecg"])).streams) == 3
 
 
@@ -198,6 +199,7 @@ def test_one_person_can_be_cut_out(path: Path) -> None:
     [
         (Wish(streams=["b*"]), "no stream 'b*'"),
         (Wish(participant="P9"), "nobody is called 'P9'"),
+        (Wish(without="P9"), "nobody is called 'P9'"),
         (Wish(begin="soon"), "'soon' is no time"),
         (Wish(begin="5", end="4"), "is not after"),
         (Wish(begin="2026-03-14T10:30:00"), "does not say what time of day"),

@@ -15,7 +15,8 @@ import threading
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 
-_COMMAND = re.compile(r"\x1b\[(\d*)(?:;\d+)*([AJKm])")
+# Up, clear, colours, and whether the cursor is seen.
+_COMMAND = re.compile(r"\x1b\[\??(\d*)(?:;\d+)*([AJKmhl])")
 _BLOCK = 1 << 16
 _DEADLINE_S = 60.0
 _POLL_S = 0.02
@@ -77,8 +78,9 @@ class Screen:
             self.pictures += 1
             self._y = max(0, self._y - int(number or 1))
         elif command in "JK":
-            assert number in ("", "0")
-            self._rows[self._y] = self._rows[self._y][: self._x]
+            assert number in ("", "0") or (number, command) == ("2", "K")
+            kept = 0 if number == "2" else self._x
+            self._rows[self._y] = self._rows[self._y][:kept]
             if command == "J":
                 del self._rows[self._y + 1 :]
 

@@ -36,6 +36,9 @@ def export_recording(
         ),
     ] = None,
     participant: Annotated[str, typer.Option(help="Only this person's streams.")] = "",
+    without: Annotated[
+        str, typer.Option(metavar="PERSON", help="All streams but those of this person.")
+    ] = "",
     begin: Annotated[
         str,
         typer.Option(
@@ -66,7 +69,7 @@ def export_recording(
         if each not in FORMATS:
             message = f"there is no format {each!r}; there is {', '.join(FORMATS)}"
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
-    wish = Wish(streams or (), begin, end, participant)
+    wish = Wish(streams or (), begin, end, participant, without)
     with wrong_recording(), _bars() as watch:
         outcome = export(file, Task(to, wish, clock, output), watch)
     if print_json:

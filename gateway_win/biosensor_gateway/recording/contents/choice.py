@@ -33,12 +33,15 @@ class Wish:
         ``2026-03-14T10:30:00``; empty for its own begin and end.
     participant
         Whose streams only; empty for everybody's, and those of nobody.
+    without
+        Whose streams are left out; those of nobody stay.
     """
 
     streams: Sequence[str] = ()
     begin: str = ""
     end: str = ""
     participant: str = ""
+    without: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,11 +78,9 @@ def choose(contents: Contents, wish: Wish) -> Chosen:
     ConfigError
         ``WRONG_VALUE``, if a stream or participant is not in the recording, or a time is no time.
     """
-    streams = [each for each in contents.streams if _is_of(each, wish.participant)]
-    if wish.participant and not streams:
-        present = _listed({_participant(each) for each in contents.streams} - {""})
-        message = f"nobody is called {wish.participant!r} in {contents.path}; {present}"
-        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    for person in filter(None, (wish.participant, wish.without)):
+        _require_person(contents, person)
+    streams = [each for each in contents.streams if _is_of(each, wish)]
     for pattern in wish.streams:
         if not any(_fits(each, pattern) for each in streams):
             names = _listed({each.header.name for each in streams})
@@ -100,8 +101,17 @@ def _participant(stream: Stream) -> str:
     return "" if identity is None else identity.participant
 
 
-def _is_of(stream: Stream, participant: str) -> bool:
-    return not participant or _participant(stream) == participant
+def _require_person(contents: Contents, person: str) -> None:
+    people = {_participant(each) for each in contents.streams} - {""}
+    if person not in people:
+        message = f"nobody is called {person!r} in {contents.path}; {_listed(people)}"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+
+
+def _is_of(stream: Stream, wish: Wish) -> bool:
+    person = _participant(stream)
+    is_left_out = bool(wish.without) and person == wish.without
+    return not is_left_out and (not wish.participant or person == wish.participant)
 
 
 def _fits(stream: Stream, pattern: str) -> bool:
