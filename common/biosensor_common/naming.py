@@ -70,6 +70,12 @@ class TopicName:
         """The relative topic name."""
         return f"{self.base}/{self.data}"
 
+    def frame_id(self, prefix: str) -> str:
+        """Name of the sensor as in the topic, without the prefix: ``p01/zephyr_left``."""
+        parts = self.base.split("/")
+        before = parts[: len(parts) - len(prefix.split("/") if prefix else []) - 1]
+        return "/".join([*before, parts[-1]])
+
 
 def sanitise(text: str) -> str:
     """Turn any string into one token of a ROS name, different strings into different ones.

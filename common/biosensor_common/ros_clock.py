@@ -18,6 +18,8 @@ KNOTS_KEPT = 16
 """Samples that are late by as many seconds keep the offset of their time."""
 
 NS_PER_S = 1_000_000_000
+MAX_TIME_S = 2.0**31 - 1e6
+"""The seconds of ROS's times are an int32. The margin is for slews and steps."""
 
 
 def measure_offset_ns(

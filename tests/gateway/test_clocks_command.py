@@ -19,6 +19,7 @@ import pytest
 
 from biosensor_common.device_clock import ClockState, DeviceClock
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_common.topic_text import read_counters
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.snapshot import snapshot
 from biosensor_gateway.devices.registry import declaration
@@ -172,8 +173,6 @@ def test_the_counters_carry_the_clock_once_a_device() -> None:
 
 
 def test_readers_of_the_counters_are_not_disturbed_by_it() -> None:
-    from lsl_to_ros.topics.messages import read_counters  # noqa: PLC0415 - brings ROS along
-
     text = counters_text({"a-1-x": Counters(5, 4, 3, 2.5)}, {"a-1-x": STATE})
     (entry,) = read_counters(text).values()
     assert (entry["pushed"], entry["lost"], entry["last_stamp"]) == (5, 4, 2.5)

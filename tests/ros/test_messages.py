@@ -15,6 +15,8 @@ from std_msgs.msg import Empty, String
 
 from biosensor_common.device_clock import ClockState
 from biosensor_common.quantities import MessageType
+from biosensor_common.topic_shape import chunk_type
+from biosensor_common.topic_text import clock_of, read_counters
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from lsl_to_ros.topics import messages
 
@@ -42,7 +44,7 @@ def test_every_type_of_the_closed_set_has_its_class(kind: MessageType) -> None:
     ],
 )
 def test_a_chunk_keeps_the_precision_of_its_samples(raw: MessageType, chunk: MessageType) -> None:
-    assert messages.chunk_type(raw) is chunk
+    assert chunk_type(raw) is chunk
 
 
 def samples(*texts: str) -> list[Any]:
@@ -91,7 +93,7 @@ def test_what_the_agent_writes_is_read_again() -> None:
         "zephyr-1-ecg": Counters(pushed=2**40, lost=3, last_stamp=123456.789012345),
         "zephyr-1-hr": Counters(),
     }
-    read = messages.read_counters(counters_text(written))
+    read = read_counters(counters_text(written))
     assert read == {
         source_id: {"pushed": its.pushed, "lost": its.lost, "last_stamp": its.last_stamp}
         for source_id, its in written.items()
@@ -101,21 +103,21 @@ def test_what_the_agent_writes_is_read_again() -> None:
 def test_a_device_s_clock_comes_with_the_counters_of_one_of_its_streams() -> None:
     clock = ClockState(-1795230819.108032, 3.18, 0.000271, 1, 9)
     text = counters_text({"a": Counters(), "b": Counters()}, {"a": clock})
-    read = messages.read_counters(text)
-    assert messages.clock_of(read["a"]) == {
+    read = read_counters(text)
+    assert clock_of(read["a"]) == {
         "offset_s": -1795230819.108032,
         "drift_ppm": 3.18,
         "residual_rms_s": 0.000271,
         "reanchors": 1,
     }
-    assert messages.clock_of(read["b"]) == {}
+    assert clock_of(read["b"]) == {}
 
 
 @pytest.mark.parametrize("clock", ["null", "3", '{"offset_s": NaN}'])
 def test_a_clock_that_no_agent_writes_is_a_value_error(clock: str) -> None:
     text = f'{{"a": {{"pushed": 1, "lost": 0, "last_stamp": 0, "clock": {clock}}}}}'
     with pytest.raises(ValueError, match=r".+"):
-        messages.read_counters(text)
+        read_counters(text)
 
 
 @pytest.mark.parametrize(
@@ -138,10 +140,10 @@ def test_a_clock_that_no_agent_writes_is_a_value_error(clock: str) -> None:
 )
 def test_what_no_agent_writes_is_a_value_error(text: str) -> None:
     with pytest.raises(ValueError, match=r".+"):
-        messages.read_counters(text)
+        read_counters(text)
 
 
 @given(text=st.text())
 def test_reading_counters_raises_nothing_else(text: str) -> None:
     with suppress(ValueError):
-        messages.read_counters(text)
+        read_counters(text)

@@ -13,6 +13,7 @@ from biosensor_common import naming
 from biosensor_common.naming import TopicName, resolve_topics
 from biosensor_common.quantities import MessageType
 from biosensor_common.stream_header import StreamHeader
+from biosensor_common.topic_text import clock_of, read_counters
 from lsl_to_ros.accounts.health import StreamHealth
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.accounts.stamping import Stamping
@@ -20,7 +21,6 @@ from lsl_to_ros.accounts.tally import Refusals, Tally, can_estimate_losses
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.lsl.inlets import Inlet
 from lsl_to_ros.parameters.streams import Parameters, StreamSettings
-from lsl_to_ros.topics import messages
 from lsl_to_ros.topics.bridge import Bridge, Outputs
 from lsl_to_ros.topics.outputs import open_outputs
 from lsl_to_ros.topics.pacing import Pacer
@@ -88,7 +88,7 @@ class Routing:
 
     def device_name(self, route: Route) -> str:
         """Name of a stream's device as in its topics: ``p01/zephyr_left``."""
-        return self._frame_id(route.topic) if route.topic else ""
+        return route.topic.frame_id(self._prefix) if route.topic else ""
 
     @property
     def routes(self) -> list[Route]:
@@ -212,7 +212,7 @@ class Routing:
         context = StreamContext(
             header=header,
             topic=topic,
-            frame_id=self._frame_id(topic),
+            frame_id=topic.frame_id(self._prefix),
             stamping=stamping,
             lost=lambda: tally.lost(can_estimate=can_estimate_losses(header)),
             refuse=refuse,
@@ -255,13 +255,6 @@ class Routing:
         )
         inlet.deliver_to(bridge)
 
-    def _frame_id(self, topic: TopicName) -> str:
-        """Name of the sensor as in the topic, without the prefix: ``p01/zephyr_left``."""
-        parts = topic.base.split("/")
-        prefix = self._prefix.split("/") if self._prefix else []
-        sensor, before = parts[-1], parts[: len(parts) - len(prefix) - 1]
-        return "/".join([*before, sensor])
-
     def _record(self, route: Route) -> _Record:
         inlet, header = route.inlet, route.header
         key = (inlet.source_id or inlet.uid, header.data_name)
@@ -285,7 +278,7 @@ class Routing:
     def _take_counters(self, sample: NDArray[Any]) -> None:
         """Hand on the agent's counters; runs in the thread that reads that stream."""
         try:
-            counters = messages.read_counters(sample[0])
+            counters = read_counters(sample[0])
         except ValueError:
             return
         for source_id, entry in counters.items():
@@ -293,7 +286,7 @@ class Routing:
             if known is not None:
                 pushed, lost = int(entry["pushed"]), int(entry["lost"])
                 known.account.reported(pushed, lost, entry["last_stamp"])
-                known.clock = messages.clock_of(entry)
+                known.clock = clock_of(entry)
 
 
 def _shape_text(shape: tuple[object, ...]) -> str:

@@ -10,7 +10,8 @@ import math
 
 from builtin_interfaces.msg import Time
 
-from lsl_to_ros.topics.messages import CLOCK_FACTS, counters_message, read_counters
+from biosensor_common.topic_text import CLOCK_FACTS, read_counters
+from lsl_to_ros.topics.messages import counters_message
 from tests.fuzz.contract import ensure
 
 _CLOCK = {f"clock_{fact}" for fact in CLOCK_FACTS}

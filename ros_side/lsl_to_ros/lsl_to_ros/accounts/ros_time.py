@@ -10,10 +10,13 @@ from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
 from rclpy.node import Node
 
-from biosensor_common.ros_clock import NS_PER_S, OffsetStep, OffsetTracker, measure_offset_ns
-
-# The seconds of builtin_interfaces/Time are an int32. The margin is for slews and steps.
-MAX_TIME_S = 2.0**31 - 1e6
+from biosensor_common.ros_clock import (
+    MAX_TIME_S,
+    NS_PER_S,
+    OffsetStep,
+    OffsetTracker,
+    measure_offset_ns,
+)
 
 
 class RosTime:

@@ -73,7 +73,8 @@ class Tally:
     delays
         Since the last report.
     clock
-        State of the device's clock, by `messages.CLOCK_FACTS`; of one stream of each device.
+        State of the device's clock, by the `CLOCK_FACTS` of `biosensor_common.topic_text`; of one
+        stream of each device.
     """
 
     received: int = 0

@@ -7,6 +7,7 @@ from importlib import import_module
 from types import ModuleType
 
 from biosensor_common.quantities import MessageType
+from biosensor_common.topic_shape import chunk_type
 from lsl_to_ros.accounts.stamping import Stamping
 from lsl_to_ros.lsl.blocks import Run
 from lsl_to_ros.topics import messages
@@ -77,7 +78,7 @@ def open_outputs(
                 continue
             outputs.timed.append(standard(publisher, header, context.frame_id, context.stamping))
     if header.chunk:
-        kind = messages.chunk_type(header.message_type)
+        kind = chunk_type(header.message_type)
         # Its name is that of another data name only where a declaration says so.
         data = topic.data if header.chunk == header.data_name else header.chunk
         publisher = opened(f"{data}_chunk", messages.CLASSES[kind])

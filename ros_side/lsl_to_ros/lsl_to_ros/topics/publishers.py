@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from math import ceil
 from typing import Any, NamedTuple
 
 from rclpy.duration import Duration
@@ -13,12 +12,8 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
+from biosensor_common.topic_shape import piece_messages, queue_depth
 from lsl_to_ros.topics.pacing import Lane, Pacer
-
-# On a network that loses packets, or is away for some seconds, what is sent again must
-# still be there; measured with 5 % of all packets lost and with a cut of 6 s.
-DEPTH_S = 30.0
-MIN_RATE_HZ, MAX_DEPTH = 10.0, 100_000
 
 _POLICIES = (
     QoSPolicyKind.HISTORY,
@@ -26,17 +21,6 @@ _POLICIES = (
     QoSPolicyKind.RELIABILITY,
     QoSPolicyKind.DURABILITY,
 )
-
-
-def piece_messages(rate: float) -> int:
-    """Return how many messages, of a topic of so many Hz, fill half of its queue."""
-    return queue_depth(rate) // 2
-
-
-def queue_depth(rate: float) -> int:
-    """Return how many messages are kept, of a topic of so many Hz; 0 for an irregular one."""
-    # The rate of another program's stream may be any number.
-    return ceil(min(max(rate, MIN_RATE_HZ) * DEPTH_S, MAX_DEPTH))
 
 
 class TopicTypeError(Exception):

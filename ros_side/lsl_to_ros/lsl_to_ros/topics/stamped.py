@@ -14,9 +14,9 @@ from std_msgs.msg import Header
 
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.stream_header import StreamHeader
+from biosensor_common.topic_text import text_of
 from lsl_to_ros.accounts.stamping import Stamping
 from lsl_to_ros.lsl.blocks import Run
-from lsl_to_ros.topics import messages
 from lsl_to_ros.topics.publishers import TopicPublisher
 from lsl_to_ros.topics.writers import StreamContext, Writer
 
@@ -69,7 +69,7 @@ class EventWriter(Writer):
             event = Event(
                 header=header,
                 sequence=run.sequence + number,
-                data=messages.text_of(sample),
+                data=text_of(sample),
             )
             self.publisher.publish(event)
 

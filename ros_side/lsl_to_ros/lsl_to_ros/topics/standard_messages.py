@@ -18,22 +18,19 @@ from geometry_msgs.msg import Quaternion, Vector3
 from sensor_msgs.msg import BatteryState, Imu, MagneticField, Temperature
 from std_msgs.msg import Header
 
+from biosensor_common import standard_topics
 from biosensor_common.quantities import (
     ACCELERATION,
     MAGNETIC_FIELD,
     ORIENTATION,
     ChannelRole,
-    ContentType,
-    Unit,
 )
+from biosensor_common.standard_topics import STANDARD_GRAVITY
 from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros.accounts.stamping import Stamping
 from lsl_to_ros.lsl.blocks import Run
 from lsl_to_ros.topics.publishers import TopicPublisher
 from lsl_to_ros.topics.writers import Writer
-
-STANDARD_GRAVITY = 9.80665
-"""In m/s², exactly (3rd General Conference on Weights and Measures, 1901)."""
 
 _MISSING = [-1.0, *[0.0] * 8]
 _UNKNOWN = [0.0] * 9
@@ -87,8 +84,7 @@ class TemperatureWriter(StandardMessageWriter):
     @classmethod
     def topic_of(cls, header: StreamHeader) -> str:
         """See :meth:`StandardMessageWriter.topic_of`."""
-        fits = header.content_type == ContentType.TEMPERATURE and header.units == (Unit.CELSIUS,)
-        return f"{header.data_name}_temperature" if fits else ""
+        return standard_topics.temperature(header)
 
     def build(self, header: Header, sample: Sequence[float]) -> Temperature:
         """Make a message; both are in °C."""
@@ -99,14 +95,11 @@ class BatteryStateWriter(StandardMessageWriter):
     """``<data>_state`` of a stream of the charge alone; ``bat_state`` of one among others."""
 
     message_class = BatteryState
-    _AMONG_OTHERS = "bat_state"
 
     @classmethod
     def topic_of(cls, header: StreamHeader) -> str:
         """See :meth:`StandardMessageWriter.topic_of`."""
-        if ChannelRole.STATE_OF_CHARGE not in header.roles:
-            return ""
-        return f"{header.data_name}_state" if len(header.roles) == 1 else cls._AMONG_OTHERS
+        return standard_topics.battery_state(header)
 
     def build(self, header: Header, sample: Sequence[float]) -> BatteryState:
         """Make a message: the charge as a fraction, NaN for all that is not measured."""
@@ -141,8 +134,7 @@ class ImuWriter(StandardMessageWriter):
     @classmethod
     def topic_of(cls, header: StreamHeader) -> str:
         """See :meth:`StandardMessageWriter.topic_of`."""
-        has_it = {*ORIENTATION, *ACCELERATION} <= set(header.roles)
-        return f"{header.data_name}_imu" if has_it else ""
+        return standard_topics.imu(header)
 
     def build(self, header: Header, sample: Sequence[float]) -> Imu:
         """Make a message; acceleration in m/s², no angular velocity."""
@@ -169,7 +161,7 @@ class MagneticFieldWriter(StandardMessageWriter):
     @classmethod
     def topic_of(cls, header: StreamHeader) -> str:
         """See :meth:`StandardMessageWriter.topic_of`."""
-        return f"{header.data_name}_mag" if set(MAGNETIC_FIELD) <= set(header.roles) else ""
+        return standard_topics.magnetic_field(header)
 
     def build(self, header: Header, sample: Sequence[float]) -> MagneticField:
         """Make a message in tesla."""
