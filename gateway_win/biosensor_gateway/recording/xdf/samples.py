@@ -86,10 +86,10 @@ def _decode_numbers(
     body: memoryview, count: int, header: RecordedHeader, last_stamp: float, period: float
 ) -> Block:
     dtype = _DTYPES[header.format]
-    record = _record(header.format, header.channel_count)
-    if len(body) == count * record.itemsize:
+    stamped = record(header.format, header.channel_count)
+    if len(body) == count * stamped.itemsize:
         # Most chunks: every sample has its stamp, so all have one size.
-        samples = np.frombuffer(body, record)
+        samples = np.frombuffer(body, stamped)
         if bool((samples["size"] == _STAMP_BYTES).all()):
             return Block(samples["stamp"].copy(), samples["values"])
     value_bytes = header.channel_count * dtype.itemsize
@@ -109,8 +109,11 @@ def _decode_numbers(
 
 
 @cache
-def _record(channel_format: ChannelFormat, channel_count: int) -> np.dtype[Any]:
-    """Return the layout of a sample that has a stamp."""
+def record(channel_format: ChannelFormat, channel_count: int) -> np.dtype[Any]:
+    """Return the layout of a sample of numbers that has a stamp.
+
+    Its fields are ``size`` (8, in bytes, of the stamp), ``stamp`` and ``values``.
+    """
     values = (_DTYPES[channel_format], (channel_count,))
     return np.dtype([("size", "u1"), ("stamp", "<f8"), ("values", *values)])
 

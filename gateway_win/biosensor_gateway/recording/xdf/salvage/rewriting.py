@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 from typing import BinaryIO
-from xml.etree import ElementTree as ET
 
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from biosensor_gateway.recording.xdf.framing import (
@@ -16,13 +15,13 @@ from biosensor_gateway.recording.xdf.framing import (
     framed,
     read_frame,
 )
-from biosensor_gateway.recording.xdf.salvage.kept import KeptStream, Restamp
+from biosensor_gateway.recording.xdf.salvage.kept import Restamp
 from biosensor_gateway.recording.xdf.salvage.survey import Survey
+from biosensor_gateway.recording.xdf.writing import footer
 from biosensor_gateway.system.new_file import new_file
 
 _BLOCK_BYTES = 1 << 20
 _FILE_HEADER = b'<?xml version="1.0"?><info><version>1.0</version></info>'
-_XML = b'<?xml version="1.0"?>'
 
 
 def write_salvaged(source: BinaryIO, survey: Survey, target: Path, original: Path) -> None:
@@ -65,8 +64,7 @@ def _write(source: BinaryIO, survey: Survey, target: BinaryIO) -> None:
         position = end
     _copy(source, position, survey.size, target)
     for number in survey.footers_due():
-        content = number.to_bytes(STREAM_ID_BYTES, "little") + footer_xml(survey.streams[number])
-        target.write(framed(Tag.STREAM_FOOTER, content))
+        target.write(footer(number, survey.streams[number]))
 
 
 def _copy(source: BinaryIO, start: int, end: int, target: BinaryIO) -> None:
@@ -88,25 +86,3 @@ def _restamped(source: BinaryIO, chunk: Restamp) -> bytes:
     first = STREAM_ID_BYTES + 1 + content[STREAM_ID_BYTES]
     stamp = b"\x08" + struct.pack("<d", chunk.stamp)
     return framed(Tag.SAMPLES, content[:first] + stamp + content[first + 1 :])
-
-
-def footer_xml(stream: KeptStream) -> bytes:
-    """Return the footer that LabRecorder would have written of the samples that are there."""
-    root = ET.Element("info")
-    _add(root, "first_timestamp", _number(stream.first))
-    _add(root, "last_timestamp", _number(stream.last))
-    _add(root, "sample_count", str(stream.sample_count))
-    offsets = ET.SubElement(root, "clock_offsets")
-    for taken_at, value in stream.clock_offsets:
-        offset = ET.SubElement(offsets, "offset")
-        _add(offset, "time", _number(taken_at))
-        _add(offset, "value", _number(value))
-    return _XML + ET.tostring(root)
-
-
-def _add(parent: ET.Element, tag: str, text: str) -> None:
-    ET.SubElement(parent, tag).text = text
-
-
-def _number(value: float) -> str:
-    return repr(value) if value else "0"
