@@ -62,7 +62,7 @@ def open_contents(path: Path) -> Generator[Contents]:
         streams = tuple(Stream(file, number, each) for number, each in sorter.streams.items())
         begin_s, end_s = _extent(streams)
         begun = sorter.begun or ""
-        wall = find_wall_clock(streams, begun, begin_s)
+        wall = find_wall_clock(streams, begun, begin_s, sorter.clock)
         yield Contents(path, begun, streams, damages, begin_s, end_s, wall)
 
 

@@ -87,6 +87,20 @@ class SenderClock:
         line = self._lines[0] if is_one else self._line(float(stamps[0]), offsets_before)
         return stamps + (line.offset + line.slope * (stamps - line.middle))
 
+    def to_sender(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the stream's own time of samples, in s: what :meth:`to_recorder` is given.
+
+        Parameters
+        ----------
+        times : ndarray of float64, shape (n_samples,)
+            On the recorder's clock.
+        """
+        if not self._lines or not len(times):
+            return times
+        first = float(times[0])
+        line = min(self._lines, key=lambda each: each.away(first - each.offset))
+        return line.middle + (times - line.middle - line.offset) / (1 + line.slope)
+
     def _line(self, stamp: float, offsets_before: int) -> _Line:
         earlier = [line for line in self._lines if line.begin < offsets_before]
         later = [line for line in self._lines if line.begin >= offsets_before]

@@ -21,6 +21,7 @@ from biosensor_common.clock_pair import ClockPair, read_clock_pair
 from biosensor_common.naming import AGENT, NODE
 from biosensor_common.ros_clock import NS_PER_S, STEP_NS
 from biosensor_gateway.recording.contents.stream import Stream
+from biosensor_gateway.recording.xdf.header import FileClock
 
 EVENTS = "events"
 DATE_RESOLUTION_S = 1.0
@@ -35,7 +36,8 @@ class WallClock:
     Attributes
     ----------
     source
-        Who told it: name of a stream, or ``"date"`` for the recorder's own words.
+        Who told it: name of a stream, ``"date"`` for the recorder's own words, or ``"file"``
+        for what :mod:`.xdf.writing` put into a recording that was made of a bag.
     resolution_s
         How far off it may be by the way it was told.
     times : ndarray of float64, shape (n_pairs,)
@@ -76,14 +78,35 @@ class WallClock:
 
     def to_lsl_s(self, unix_ns: int) -> float:
         """Return the moment on the recorder's LSL clock, in s, of a unix time."""
-        guess = (unix_ns - int(self.offsets_ns[0])) / NS_PER_S
-        for _ in range(2):
-            error_ns = int(self.to_unix_ns(np.array([guess]))[0]) - unix_ns
-            guess -= error_ns / NS_PER_S
-        return guess
+        return float(self.to_lsl(np.array([unix_ns]))[0])
+
+    def to_lsl(self, unix_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return moments on the recorder's LSL clock, in s, of unix times.
+
+        A time that the computer's clock showed twice, because somebody set it back, is taken for
+        the later one.
+
+        Parameters
+        ----------
+        unix_ns : ndarray of int64, shape (n,)
+        """
+        base_ns = self.offsets_ns[0]
+        shown = (unix_ns - base_ns) / NS_PER_S
+        set_at = np.flatnonzero(np.abs(np.diff(self.offsets_ns)) > STEP_NS) + 1
+        lsl_s = np.empty(len(unix_ns))
+        for part in np.split(np.arange(len(self.times)), set_at):
+            times = self.times[part]
+            clock = times + (self.offsets_ns[part] - base_ns) / NS_PER_S
+            is_later = shown >= clock[0] if part[0] else np.ones(len(shown), np.bool_)
+            within = np.clip(shown, clock[0], clock[-1])
+            found = np.asarray(np.interp(within, clock, times), np.float64) + (shown - within)
+            lsl_s[is_later] = found[is_later]
+        return lsl_s
 
 
-def find_wall_clock(streams: Sequence[Stream], begun: str, begin_s: float) -> WallClock | None:
+def find_wall_clock(
+    streams: Sequence[Stream], begun: str, begin_s: float, file_clock: FileClock | None = None
+) -> WallClock | None:
     """Find out what time of day a recording was made; None if nothing tells.
 
     Parameters
@@ -94,12 +117,17 @@ def find_wall_clock(streams: Sequence[Stream], begun: str, begin_s: float) -> Wa
         The recorder's own words.
     begin_s
         LSL time of the first sample.
+    file_clock
+        What stands in the file's header, if it was made of a bag.
     """
     for teller in _TELLERS:
         told = [_of_stream(each) for each in streams if _is_told_by(each, teller)]
         best = max((each for each in told if each), key=lambda each: len(each.times), default=None)
         if best:
             return best
+    if file_clock is not None:
+        pairs = [(pair.lsl_s, pair) for pair in file_clock.pairs]
+        return _of_pairs("file", file_clock.resolution_s, pairs)
     try:
         date = datetime.fromisoformat(begun)
     except ValueError:
@@ -117,9 +145,15 @@ def _of_stream(stream: Stream) -> WallClock | None:
     pairs = sorted(_pairs(stream))
     if not pairs:
         return None
+    return _of_pairs(stream.header.name, 0.0, pairs)
+
+
+def _of_pairs(
+    source: str, resolution_s: float, pairs: Sequence[tuple[float, ClockPair]]
+) -> WallClock:
     times = np.array([time_s for time_s, _ in pairs])
     offsets_ns = np.array([pair.unix_ns - round(time_s * NS_PER_S) for time_s, pair in pairs])
-    return WallClock(stream.header.name, 0.0, times, offsets_ns)
+    return WallClock(source, resolution_s, times, offsets_ns)
 
 
 def _pairs(stream: Stream) -> Iterator[tuple[float, ClockPair]]:

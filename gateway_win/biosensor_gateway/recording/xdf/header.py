@@ -6,6 +6,7 @@ import math
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 
+from biosensor_common.clock_pair import KEY, ClockPair, read_clock_pair
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl_header import MAX_CHANNELS, read_header
 from biosensor_common.naming import AGENT
@@ -90,6 +91,22 @@ class Footer:
     sample_count: int | None
 
 
+@dataclass(frozen=True, slots=True)
+class FileClock:
+    """What a file says of its clock.
+
+    Attributes
+    ----------
+    resolution_s
+        How far off it may be.
+    pairs
+        Ascending, at least one.
+    """
+
+    resolution_s: float
+    pairs: tuple[ClockPair, ...]
+
+
 def parse_stream_header(content: bytes) -> RecordedHeader:
     """Decode the content of a stream header chunk, without the stream's number.
 
@@ -153,6 +170,35 @@ def parse_file_header(content: bytes) -> str:
     """
     root, _ = _parse(content)
     return root.findtext("datetime") or ""
+
+
+def parse_file_clock(content: bytes) -> FileClock | None:
+    """Return unix time by the file's clock; None if the file header does not tell it.
+
+    Raises
+    ------
+    ChunkError
+        If it is no XML.
+    """
+    root, _ = _parse(content)
+    pairs: list[ClockPair] = []
+    for node in root.findall("clock"):
+        try:
+            told = {"lsl_s": float(node.findtext("lsl_s") or ""), "unix_ns": _whole(node)}
+        except ValueError:
+            return None
+        pair = read_clock_pair({KEY: told})
+        if pair is None or (pairs and pair.lsl_s < pairs[-1].lsl_s):
+            return None
+        pairs.append(pair)
+    resolution_s = _number(root, "clock/resolution_s")
+    if not pairs or not 0 <= resolution_s < math.inf:
+        return None
+    return FileClock(resolution_s, tuple(pairs))
+
+
+def _whole(node: ET.Element) -> int:
+    return int(node.findtext("unix_ns") or "")
 
 
 def _parse(content: bytes) -> tuple[ET.Element, str]:

@@ -11,8 +11,10 @@ from typing import Generic, Protocol, TypeVar
 from biosensor_gateway.recording.xdf.container import Chunk, ChunkError
 from biosensor_gateway.recording.xdf.framing import BOUNDARY, Tag
 from biosensor_gateway.recording.xdf.header import (
+    FileClock,
     Footer,
     RecordedHeader,
+    parse_file_clock,
     parse_file_header,
     parse_footer,
     parse_stream_header,
@@ -52,6 +54,8 @@ class StreamSorter(Generic[_StreamT]):
     ----------
     begun
         When, by the recorder's own words; None if there was no file header.
+    clock
+        Unix time by the file's clock; None of a recording that was not made of a bag.
     streams
         By their numbers, in the order of their headers.
     orphans
@@ -61,6 +65,7 @@ class StreamSorter(Generic[_StreamT]):
     def __init__(self, make: Callable[[RecordedHeader], _StreamT]) -> None:
         self._make = make
         self.begun: str | None = None
+        self.clock: FileClock | None = None
         self.streams: dict[int, _StreamT] = {}
         self.orphans: Counter[int] = Counter()
 
@@ -74,6 +79,7 @@ class StreamSorter(Generic[_StreamT]):
         """
         if chunk.tag is Tag.FILE_HEADER:
             self.begun = parse_file_header(chunk.content)
+            self.clock = parse_file_clock(chunk.content)
         elif chunk.tag is Tag.BOUNDARY:
             if chunk.content != BOUNDARY:
                 raise ChunkError("it is not the one that every recording has")

@@ -54,7 +54,9 @@ class Ended(Protocol):
         ...
 
 
-def begin(file: BinaryIO, begun: str, clock: Sequence[ClockPair]) -> None:
+def begin(
+    file: BinaryIO, begun: str, clock: Sequence[ClockPair], resolution_s: float = 0.0
+) -> None:
     """Write the beginning of a file.
 
     Parameters
@@ -63,6 +65,8 @@ def begin(file: BinaryIO, begun: str, clock: Sequence[ClockPair]) -> None:
         Date and time of day, in ISO 8601; empty if nobody knows.
     clock
         Moments on the file's clock and on that of the day, which no other program reads.
+    resolution_s
+        How far off these may be.
     """
     info = ET.Element("info")
     _add(info, "version", "1.0")
@@ -70,6 +74,7 @@ def begin(file: BinaryIO, begun: str, clock: Sequence[ClockPair]) -> None:
         _add(info, "datetime", begun)
     for pair in clock:
         node = ET.SubElement(info, "clock")
+        _add(node, "resolution_s", repr(resolution_s))
         _add(node, "lsl_s", repr(pair.lsl_s))
         _add(node, "unix_ns", str(pair.unix_ns))
     file.write(MAGIC + framed(Tag.FILE_HEADER, _XML + ET.tostring(info)))
