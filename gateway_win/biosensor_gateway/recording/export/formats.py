@@ -24,10 +24,17 @@ FORMATS: Mapping[str, Callable[[], Exporter]] = {
     "edf": partial(_load, "edf.exporter", "Edf"),
     "kubios": partial(_load, "kubios", "Kubios"),
     "ledalab": partial(_load, "ledalab", "Ledalab"),
+    "mcap": partial(_load, "mcap.exporter", "McapExporter"),
 }
 """Makes the exporter."""
 
-GROWTH: Mapping[str, float] = {"csv": 3.0, "csv.gz": 1.5, "csv-long": 20.0, "csv-long.gz": 3.0}
+GROWTH: Mapping[str, float] = {
+    "csv": 3.0,
+    "csv.gz": 1.5,
+    "csv-long": 20.0,
+    "csv-long.gz": 3.0,
+    "mcap": 8.0,
+}
 """How many times the bytes of the samples in the recording a format may take on the disk."""
 USUAL_GROWTH = 2.0
 """Of those that are not in it."""

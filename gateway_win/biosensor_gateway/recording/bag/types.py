@@ -1,0 +1,101 @@
+"""Definitions of the messages in bags: those of ROS 2 Jazzy, and this project's own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+from rosbags.interfaces import Nodetype
+from rosbags.serde import SerdeError
+from rosbags.typesys import (
+    Stores,
+    TypesysError,
+    get_types_from_idl,
+    get_types_from_msg,
+    get_typestore,
+)
+from rosbags.typesys.base import normalize_fieldname
+from rosbags.typesys.store import Typestore
+
+from biosensor_gateway.recording.bag.errors import MessageError
+from biosensor_gateway.recording.bag.messages import Topic
+
+SAMPLES = "biosensor_msgs/msg/Samples"
+EVENT = "biosensor_msgs/msg/Event"
+
+# The fields of the files in ros_side/biosensor_msgs, which have their meaning; those do not come
+# along with the agent.
+OWN = {
+    EVENT: "std_msgs/Header header\nuint64 sequence\nstring data\n",
+    SAMPLES: (
+        "std_msgs/Header header\nuint64 sequence\nint64 lost\nbool lost_is_estimated\n"
+        "string[] labels\nstring[] units\nint64[] offsets_ns\nfloat64[] data\nint64[] integers\n"
+    ),
+}
+
+
+@cache
+def typestore() -> Typestore:
+    """Return all definitions."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for name, text in OWN.items():
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
+class MessageType:
+    """Reads the messages of one type, as a bag defines it.
+
+    Parameters
+    ----------
+    topic
+        Whose type; where the bag has no definition, that of ROS 2 Jazzy holds.
+
+    Raises
+    ------
+    MessageError
+        If nobody knows the type, or its definition makes no sense.
+    """
+
+    def __init__(self, topic: Topic) -> None:
+        self.name = topic.type_name
+        self._store = _defined(topic) if topic.definition else typestore()
+        if self.name not in self._store.fielddefs:
+            raise MessageError(f"the type {self.name} is unknown, and the bag does not define it")
+
+    def fields(self, name: str) -> list[tuple[str, tuple[Nodetype, Any]]]:
+        """Return the fields of a type that it needs, with what they are."""
+        fields: Sequence[tuple[str, Any]] = self._store.fielddefs[name][1]
+        return [(normalize_fieldname(field), what) for field, what in fields]
+
+    def read(self, content: bytes) -> Any:  # noqa: ANN401 - of any type
+        """Return a message as an object.
+
+        Raises
+        ------
+        MessageError
+            If it is none.
+        """
+        try:
+            return self._store.deserialize_cdr(content, self.name)
+        except (SerdeError, IndexError, OverflowError, MemoryError) as error:
+            raise MessageError(f"it is no {self.name}") from error
+
+
+def _defined(topic: Topic) -> Typestore:
+    store = get_typestore(Stores.EMPTY)
+    try:
+        if topic.encoding == "ros2idl":
+            for part in topic.definition.split(_SEPARATOR):
+                if idl := part.partition("\n")[2]:
+                    store.register(get_types_from_idl(idl))
+        else:
+            store.register(get_types_from_msg(topic.definition, topic.type_name))
+    except (TypesysError, ValueError, KeyError, SyntaxError) as error:
+        raise MessageError(f"the definition of {topic.type_name} cannot be read") from error
+    return store
+
+
+# Between the files of a definition; the first line after it is a title.
+_SEPARATOR = "=" * 80 + "\n"

@@ -1,0 +1,128 @@
+"""Writes a recording as a bag."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from biosensor_common.ros_clock import MAX_TIME_S, NS_PER_S
+from biosensor_gateway.recording.bag.recorded_streams import (
+    TOPIC,
+    RecordedClock,
+    RecordedStream,
+    clock_text,
+    stream_text,
+)
+from biosensor_gateway.recording.contents.choice import Chosen
+from biosensor_gateway.recording.contents.stream import Samples, Stream
+from biosensor_gateway.recording.contents.wall_clock import WallClock
+from biosensor_gateway.recording.export.exporter import Order, Progress
+from biosensor_gateway.recording.export.mcap.bag import Bag, new_bag
+from biosensor_gateway.recording.export.mcap.cdr import ENCAPSULATION, text
+from biosensor_gateway.recording.export.mcap.stream_topics import StreamTopics, names_of
+
+_TOLD_EVERY_S = 1.0
+
+
+class McapExporter:
+    """A folder with an MCAP file and its metadata, as ``ros2 bag record`` makes them."""
+
+    suffix = "_bag"
+
+    def write(
+        self, chosen: Chosen, order: Order, target: Path, progress: Progress
+    ) -> Sequence[str]:
+        """See :meth:`.exporter.Exporter.write`; times are those of day, whatever is ordered."""
+        del order
+        with new_bag(target) as bag:
+            conversion = _Conversion(bag, chosen)
+            conversion.run(progress)
+        return list(conversion.sentences())
+
+
+class _Conversion:
+    """One recording on its way into a bag."""
+
+    def __init__(self, bag: Bag, chosen: Chosen) -> None:
+        self._bag = bag
+        self._chosen = chosen
+        contents = chosen.contents
+        self._wall = contents.wall or _no_wall_clock()
+        self._begin_s = max(chosen.begin_s, contents.begin_s)
+        self._timeless: dict[int, int] = {}
+        names = names_of(contents.streams)
+        # Looked for by the library from the first on, with each message.
+        by_rate = sorted(chosen.streams, key=lambda stream: -stream.header.rate)
+        self._topics = {
+            each.number: StreamTopics(bag, each, names[each.number]) for each in by_rate
+        }
+
+    def run(self, progress: Progress) -> None:
+        self._tell_origin()
+        told_s = self._begin_s
+        for stream, samples in self._chosen.merged():
+            first_ns = self._write(stream, samples)
+            if first_ns is not None:
+                self._bag.write_until(first_ns)
+            if (now_s := float(samples.times[0])) > told_s + _TOLD_EVERY_S:
+                told_s = now_s
+                progress(now_s - self._begin_s)
+
+    def _write(self, stream: Stream, samples: Samples) -> int | None:
+        """Write what has a time of day; return the first one, in ns."""
+        # In ns, times beyond that cannot be told.
+        kept = samples.picked(np.abs(samples.times) < MAX_TIME_S)
+        unix_ns = self._wall.to_unix_ns(kept.times)
+        is_time = (unix_ns >= 0) & (unix_ns < MAX_TIME_S * NS_PER_S)
+        kept, unix_ns = kept.picked(is_time), unix_ns[is_time]
+        missing = len(samples) - len(kept)
+        if missing:
+            self._timeless[stream.number] = self._timeless.get(stream.number, 0) + missing
+        if not len(kept):
+            return None
+        self._topics[stream.number].write(unix_ns, kept.values)
+        return int(unix_ns[0])
+
+    def _tell_origin(self) -> None:
+        """Write what the way back needs."""
+        contents = self._chosen.contents
+        told = [clock_text(RecordedClock(contents.begun, self._wall))]
+        for stream in self._chosen.streams:
+            topics = self._topics[stream.number].topics
+            recorded = RecordedStream(
+                stream.number, topics[0], tuple(topics), stream.header.xml, stream.clock_offsets
+            )
+            told.append(stream_text(recorded))
+        connection = self._bag.open(TOPIC, "std_msgs/msg/String", len(told), latched=True)
+        begin_ns = max(0, int(self._wall.to_unix_ns(np.array([self._begin_s]))[0]))
+        messages = [ENCAPSULATION + text(each) for each in told]
+        self._bag.add(connection, [begin_ns] * len(messages), messages)
+
+    def sentences(self) -> Iterator[str]:
+        """Say what the bag does not have, or not well."""
+        wall = self._chosen.contents.wall
+        if wall is None:
+            yield (
+                "nothing in the recording tells the time of day, so the bag's times are those of "
+                "the LSL clock and begin in 1970"
+            )
+        elif wall.resolution_s:
+            yield (
+                f"the bag's times are only good to {wall.resolution_s:g} s, for the recorder's "
+                "date is all that tells the time of day"
+            )
+        for stream in self._chosen.streams:
+            topics, name = self._topics[stream.number], stream.header.name
+            if missing := self._timeless.get(stream.number):
+                yield f"{missing} samples of {name} are not in it: their stamp is no time of day"
+            if topics.unfit.count:
+                yield (
+                    f"{topics.unfit.count} samples of {name} are on {topics.topics[0]} only: "
+                    f"{topics.unfit.what}"
+                )
+
+
+def _no_wall_clock() -> WallClock:
+    return WallClock("none", 0.0, np.zeros(1), np.zeros(1, np.int64))

@@ -1,0 +1,125 @@
+"""Makes the messages of ``sensor_msgs`` that a stream has beside its own, as the node does."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from biosensor_common import standard_topics
+from biosensor_common.quantities import (
+    ACCELERATION,
+    MAGNETIC_FIELD,
+    ORIENTATION,
+    ChannelRole,
+)
+from biosensor_common.stream_header import StreamHeader
+from biosensor_gateway.recording.export.mcap.cdr import HeadedRows, aligned, text
+
+_FLOAT64, _FLOAT32 = np.dtype("<f8"), np.dtype("<f4")
+_TESLA_PER_MICROTESLA = 1e-6
+# Battery states: three times unknown, a battery is present, and two empty lists of cells.
+_BATTERY = bytes([0, 0, 0, 1, *bytes(8)])
+
+Floats = NDArray[np.float64]
+
+
+class StandardMessage(NamedTuple):
+    """One topic beside a stream's own.
+
+    Attributes
+    ----------
+    data
+        Last part of its name.
+    type_name
+        Of the message.
+    fill
+        Returns a row of a message's values of each sample.
+    rows
+        Makes messages of them.
+    """
+
+    data: str
+    type_name: str
+    fill: Callable[[NDArray[Any]], NDArray[Any]]
+    rows: HeadedRows
+
+    def encode(self, unix_ns: NDArray[np.int64], values: NDArray[Any]) -> list[bytes]:
+        """Return a message of each sample, of shape (n, n_channels)."""
+        return self.rows.encode(unix_ns, self.fill(values))
+
+
+def standard_messages(header: StreamHeader, frame_id: str) -> list[StandardMessage]:
+    """Return all that a stream has, in the node's order."""
+    if header.foreign or header.message_type.is_text:
+        return []
+    columns = {role: at for at, role in enumerate(header.roles) if role is not None}
+
+    def picked(values: NDArray[Any], roles: Sequence[ChannelRole]) -> Floats:
+        return values[:, [columns[role] for role in roles]].astype(np.float64)
+
+    def charge(values: NDArray[Any]) -> NDArray[np.float32]:
+        return _battery(picked(values, [ChannelRole.STATE_OF_CHARGE]))
+
+    def motion(values: NDArray[Any]) -> Floats:
+        return _imu(picked(values, ORIENTATION), picked(values, ACCELERATION))
+
+    def field(values: NDArray[Any]) -> Floats:
+        return _magnetic_field(picked(values, MAGNETIC_FIELD))
+
+    battery_rows = HeadedRows(frame_id, _FLOAT32, 7, _battery_tail(header))
+    kinds = (
+        (standard_topics.temperature, "Temperature", _temperature, _doubles(frame_id, 2)),
+        (standard_topics.battery_state, "BatteryState", charge, battery_rows),
+        (standard_topics.imu, "Imu", motion, _doubles(frame_id, 37)),
+        (standard_topics.magnetic_field, "MagneticField", field, _doubles(frame_id, 12)),
+    )
+    return [
+        StandardMessage(data, f"sensor_msgs/msg/{name}", fill, rows)
+        for find, name, fill, rows in kinds
+        if (data := find(header))
+    ]
+
+
+def _doubles(frame_id: str, columns: int) -> HeadedRows:
+    return HeadedRows(frame_id, _FLOAT64, columns)
+
+
+def _temperature(values: NDArray[Any]) -> Floats:
+    """Return temperature and variance."""
+    return np.column_stack((values[:, 0].astype(np.float64), np.zeros(len(values))))
+
+
+def _battery(percent: Floats) -> NDArray[np.float32]:
+    rows = np.full((len(percent), 7), math.nan, np.float32)
+    with np.errstate(over="ignore"):
+        rows[:, 6] = percent[:, 0] / 100
+    return rows
+
+
+def _battery_tail(header: StreamHeader) -> bytes:
+    identity = header.identity
+    return aligned(_BATTERY + text(identity.label), 4) + text(identity.unit)
+
+
+def _imu(orientation: Floats, in_g: Floats) -> Floats:
+    """Return orientation, angular velocity and acceleration, each with its covariance."""
+    w, x, y, z = orientation.T
+    rows = np.zeros((len(w), 37))
+    is_known = ~np.isnan(x + y + z + w)
+    rows[:, 3] = 1.0
+    rows[is_known, :4] = np.column_stack((x, y, z, w))[is_known]
+    # A covariance whose first element is -1 says that the quantity is missing.
+    rows[~is_known, 4] = -1.0
+    rows[:, 16] = -1.0
+    has_acceleration = ~np.isnan(in_g).any(axis=1)
+    rows[has_acceleration, 25:28] = standard_topics.STANDARD_GRAVITY * in_g[has_acceleration]
+    rows[~has_acceleration, 28] = -1.0
+    return rows
+
+
+def _magnetic_field(microtesla: Floats) -> Floats:
+    return np.hstack((_TESLA_PER_MICROTESLA * microtesla, np.zeros((len(microtesla), 9))))
