@@ -92,5 +92,6 @@ COMMANDS = (
     _command("service", "service:app", "The agent as a service of this user (Linux)."),
     _command("record", "record:app", "Start, watch and stop recordings."),
     _command("xdf", "xdf:app", "Recordings of LabRecorder (XDF files)."),
+    _command("bag", "bag:app", "Bags of ROS (MCAP or SQLite); no ROS is needed."),
     _hidden("installation", "installation:app", "Used by the Windows installer."),
 )

@@ -1,0 +1,90 @@
+"""``biosensor-gateway bag``: bags of ROS."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.cli.options import JsonOption
+from biosensor_gateway.cli.screen import say
+from biosensor_gateway.recording.bag.errors import BagError, BagReason
+from biosensor_gateway.recording.xdf.printing import printable
+
+# The argument was wrong; exit code 1 is for what is wrong in a bag.
+_WRONG_ARGUMENT = {
+    BagReason.NOT_FOUND: ConfigReason.NOT_FOUND,
+    BagReason.UNREADABLE: ConfigReason.UNREADABLE,
+    BagReason.NOT_A_BAG: ConfigReason.UNREADABLE,
+    BagReason.EXISTS: ConfigReason.EXISTS,
+}
+_MOST_SENTENCES = 10
+
+app = typer.Typer(help="Bags of ROS (MCAP or SQLite); no ROS is needed.", no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    pass
+
+
+@app.command("import")
+def import_recording(
+    bag: Annotated[
+        Path, typer.Argument(help="A folder of ros2 bag record, or a file.", show_default=False)
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.xdf",
+            help="File to write, instead of NAME.xdf beside the bag.",
+            show_default=False,
+        ),
+    ] = None,
+    print_json: JsonOption = False,
+) -> None:
+    """Write a bag as a recording (XDF); exit code 1 if some of it cannot be read.
+
+    A bag that was made of a recording becomes that recording again. Of any
+    other, stamped topics of the node become its streams, and the numbers of
+    all other messages are channels named after their fields. No file is
+    overwritten.
+    """
+    from biosensor_gateway.recording.bag.importing import import_bag, usual_path  # noqa: PLC0415 - rosbags
+
+    try:
+        imported = import_bag(bag, output or usual_path(bag))
+    except BagError as error:
+        reason = _WRONG_ARGUMENT.get(error.reason) if isinstance(error.reason, BagReason) else None
+        if reason is None:
+            raise
+        raise ConfigError(reason, str(error)) from error
+    if print_json:
+        content = {
+            "bag": str(imported.path),
+            "written": str(imported.written),
+            "streams": [{"topic": name, "samples": count} for name, count in imported.streams],
+            "left_out": imported.left_out,
+            "damages": imported.damages,
+        }
+        typer.echo(json.dumps(content, indent=2))
+    else:
+        _say(
+            [f"{topic} is left out: {why}" for topic, why in imported.left_out.items()],
+            list(imported.damages),
+        )
+        samples = sum(count for _, count in imported.streams)
+        say(f"wrote {imported.written}: {len(imported.streams)} streams, {samples} samples")
+    if imported.damages:
+        raise typer.Exit(1)
+
+
+def _say(*groups: list[str]) -> None:
+    for sentences in groups:
+        for sentence in sentences[:_MOST_SENTENCES]:
+            say(printable(sentence))
+        if (more := len(sentences) - _MOST_SENTENCES) > 0:
+            say(f"and {more} more of these")

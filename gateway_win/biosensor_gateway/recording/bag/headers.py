@@ -1,0 +1,215 @@
+"""Makes the header of an LSL stream of what a bag says of a topic."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+from xml.etree import ElementTree as ET
+
+from biosensor_common import naming
+from biosensor_common.quantities import Category, ChannelFormat, MessageType
+from biosensor_common.spec import DeviceIdentity, is_data_name
+
+LATCHED = re.compile(r"durability:\s*(?:transient_local|1)\b")
+STAMPED = "_stamped"
+# What XML 1.0 has no way to write.
+_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+_FORMATS = {
+    MessageType.FLOAT32: ChannelFormat.FLOAT32,
+    MessageType.FLOAT32_MULTI_ARRAY: ChannelFormat.FLOAT32,
+    MessageType.INT32_MULTI_ARRAY: ChannelFormat.INT32,
+    MessageType.INT64_MULTI_ARRAY: ChannelFormat.INT64,
+    MessageType.UINT8: ChannelFormat.INT16,
+    MessageType.UINT16: ChannelFormat.INT32,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where the samples of a stream come from.
+
+    Attributes
+    ----------
+    stamp_source
+        ``header`` or ``log``: by what its samples are stamped.
+    """
+
+    topic: str
+    type_name: str
+    stamp_source: str
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What is known of a stream.
+
+    Attributes
+    ----------
+    block
+        What the header says of a stream of ours; empty for another program's.
+    """
+
+    name: str
+    content_type: str
+    source_id: str
+    host: str
+    rate: float
+    format: ChannelFormat
+    labels: tuple[str, ...]
+    units: tuple[str, ...] = ()
+    block: tuple[tuple[str, str], ...] = ()
+
+
+def header_xml(facts: Facts, origin: Origin) -> str:
+    """Return the header of a stream, as a recorder writes it."""
+    info = ET.Element("info")
+    _fill(
+        info,
+        name=facts.name,
+        type=facts.content_type,
+        channel_count=str(len(facts.labels)),
+        nominal_srate=repr(facts.rate),
+        channel_format=facts.format.value,
+        source_id=facts.source_id,
+        hostname=facts.host,
+    )
+    desc = ET.SubElement(info, "desc")
+    channels = ET.SubElement(desc, "channels")
+    for label, unit in zip(facts.labels, facts.units or [""] * len(facts.labels), strict=True):
+        _fill(ET.SubElement(channels, "channel"), label=label, unit=unit, type=facts.content_type)
+    if facts.rate:
+        _fill(ET.SubElement(desc, "synchronization"), can_drop_samples="true")
+    ros = {"topic": origin.topic, "type": origin.type_name, "stamp_source": origin.stamp_source}
+    _fill(ET.SubElement(desc, "ros"), **ros)
+    if facts.block:
+        _fill(ET.SubElement(desc, "biosensor"), **dict(facts.block))
+    return '<?xml version="1.0"?>' + ET.tostring(info, encoding="unicode")
+
+
+def _fill(parent: ET.Element, **fields: str) -> None:
+    for name, text in fields.items():
+        ET.SubElement(parent, name).text = _NOT_XML.sub("\N{REPLACEMENT CHARACTER}", text)
+
+
+def facts_of_topic(
+    topic: str, type_name: str, labels: Sequence[str], form: ChannelFormat, shapes_before: int
+) -> Facts:
+    """Return what is known of a topic of any node: its name and the fields of its type.
+
+    Parameters
+    ----------
+    shapes_before
+        Streams of this topic whose messages had another shape.
+    """
+    name = topic.strip("/")
+    source_id = f"{topic}-{shapes_before + 1}" if shapes_before else topic
+    return Facts(name, type_name, source_id, "", 0.0, form, tuple(labels))
+
+
+def facts_of_ours(
+    topic: str,
+    frame_id: str,
+    raw_type: str,
+    message: Any,  # noqa: ANN401 - of its type
+    *,
+    is_latched: bool,
+) -> Facts:
+    """Return what a stamped topic of the node tells of its stream.
+
+    Parameters
+    ----------
+    raw_type
+        Of the messages on the raw topic; empty if that was not recorded.
+    message
+        A ``Samples`` or ``Event``.
+    """
+    data = topic.removesuffix(STAMPED).rpartition("/")[2]
+    participant, _, sensor = frame_id.rpartition("/")
+    try:
+        message_type = MessageType(raw_type)
+    except ValueError:
+        message_type = None
+    if not hasattr(message, "labels"):
+        form, labels, units = ChannelFormat.STRING, ("event",), ("",)
+        message_type = message_type or MessageType.STRING
+    else:
+        labels, units = tuple(message.labels), tuple(message.units)
+        form = ChannelFormat.INT64 if len(message.integers) else ChannelFormat.DOUBLE64
+        form = _FORMATS.get(message_type, form) if message_type else form
+        message_type = message_type or _GENERIC[form]
+    identity = DeviceIdentity(sensor, "", participant)
+    is_ours = is_data_name(sensor) and is_data_name(data)
+    block = _block(identity, data, message_type, is_state=is_latched) if is_ours else {}
+    return Facts(
+        name=naming.lsl_name(identity, data) if is_ours else sensor,
+        content_type=data,
+        source_id=naming.source_id(identity, data) if is_ours else topic,
+        host="",
+        rate=0.0,
+        format=form,
+        labels=labels,
+        units=units,
+        block=tuple(block.items()),
+    )
+
+
+_GENERIC = {
+    ChannelFormat.DOUBLE64: MessageType.FLOAT64_MULTI_ARRAY,
+    ChannelFormat.INT64: MessageType.INT64_MULTI_ARRAY,
+}
+
+
+def listed_facts(statuses: Iterable[Any]) -> Mapping[str, Facts]:
+    """Return what the node's list of streams tells, by the names of their stamped topics."""
+    found: dict[str, Facts] = {}
+    for status in statuses:
+        values = {pair.key: pair.value for pair in status.values}
+        stamped = [key for key in values if key.startswith("topic ") and key.endswith(STAMPED)]
+        try:
+            facts = _listed(values, status.hardware_id, values.get(f"topic {status.name}", ""))
+        except (KeyError, ValueError):
+            continue
+        found.update({key.removeprefix("topic "): facts for key in stamped})
+    return found
+
+
+def _listed(values: Mapping[str, str], unit: str, raw_type: str) -> Facts:
+    source_id, form = values["source_id"], ChannelFormat(values["format"])
+    block: dict[str, str] = {}
+    if values["foreign"] == "false":
+        # Its fields hold none of these characters.
+        of_device = re.split("[.-]", source_id.rpartition("@")[2])
+        identity = DeviceIdentity(of_device[0], unit, values["participant"], values["label"])
+        data, message_type = source_id.rpartition("-")[2], MessageType(raw_type)
+        block = _block(identity, data, message_type, is_state=False)
+    return Facts(
+        name=values["lsl_name"],
+        content_type=values["lsl_type"],
+        source_id=source_id,
+        host=values["host"],
+        rate=float(values["rate"]),
+        format=form,
+        labels=tuple(values["labels"].split(", ")),
+        units=tuple(values["units"].split(", ")),
+        block=tuple(block.items()),
+    )
+
+
+def _block(
+    identity: DeviceIdentity, data: str, message_type: MessageType, *, is_state: bool
+) -> dict[str, str]:
+    return {
+        "version": "1",
+        "sensor": identity.sensor,
+        "unit": identity.unit,
+        "participant": identity.participant,
+        "label": identity.label,
+        "data_name": data,
+        "category": Category.RAW.value,
+        "message_type": message_type.value,
+        "chunk": "",
+        "is_state": str(is_state).lower(),
+    }

@@ -1,0 +1,207 @@
+"""Makes a recording of a bag."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from biosensor_common.clock_pair import ClockPair
+from biosensor_common.quantities import ChannelFormat
+from biosensor_common.ros_clock import NS_PER_S
+from biosensor_gateway.recording.bag.errors import (
+    BagError,
+    BagReason,
+    MessageError,
+    UnsuitableError,
+)
+from biosensor_gateway.recording.bag.messages import Message, Topic
+from biosensor_gateway.recording.bag.opening import bag_files, read_bag
+from biosensor_gateway.recording.bag.stream_writer import StreamWriter
+from biosensor_gateway.recording.bag.streams import AnyTopic, NewStream, StampedTopic
+from biosensor_gateway.recording.bag.survey import Survey, survey_bag
+from biosensor_gateway.recording.bag.types import EVENT, SAMPLES
+from biosensor_gateway.recording.contents.wall_clock import WallClock
+from biosensor_gateway.recording.xdf import writing
+from biosensor_gateway.system.new_file import new_file
+
+_MOST_STREAMS = 10_000
+_BOUNDARY_BYTES = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Imported:
+    """What became of a bag.
+
+    Attributes
+    ----------
+    path, written
+        The bag and the recording.
+    streams
+        Name of the topic and number of samples of each stream.
+    left_out
+        Why a topic is not in the recording, by its name.
+    damages
+        What could not be read, a sentence each.
+    """
+
+    path: Path
+    written: Path
+    streams: tuple[tuple[str, int], ...]
+    left_out: Mapping[str, str]
+    damages: tuple[str, ...]
+
+
+def usual_path(bag: Path) -> Path:
+    """Return where the recording of a bag goes: beside it, with its name."""
+    name = bag.name if bag.is_dir() else bag.stem
+    return bag.with_name(f"{name}.xdf")
+
+
+def import_bag(path: Path, target: Path) -> Imported:
+    """Write what a bag holds as a recording.
+
+    Raises
+    ------
+    BagError
+        If nothing can be read, nothing of it fits a recording, or the file cannot be written.
+    """
+    surveyed = survey_bag(path)
+    try:
+        with new_file(target, like=bag_files(path)[0]) as file:
+            conversion = _Conversion(file, surveyed)
+            conversion.run(path)
+            if not conversion.has_samples:
+                raise BagError(BagReason.EMPTY, f"{path} holds nothing that a recording can")
+    except FileExistsError:
+        message = f"{target} exists and is not overwritten; name another with --output"
+        raise BagError(BagReason.EXISTS, message) from None
+    except OSError as error:
+        message = f"cannot write {target}: {error.strerror or error}"
+        raise BagError(BagReason.UNWRITABLE, message) from error
+    return Imported(
+        path,
+        target,
+        tuple(conversion.counts()),
+        conversion.left_out,
+        tuple(dict.fromkeys((*surveyed.damages, *conversion.damages()))),
+    )
+
+
+class _Conversion:
+    """One bag on its way into a file."""
+
+    def __init__(self, file: BinaryIO, surveyed: Survey) -> None:
+        self._file, self._survey = file, surveyed
+        self._writers: list[tuple[str, StreamWriter]] = []
+        self._sinks: dict[str, StampedTopic | AnyTopic] = {}
+        self.left_out: dict[str, str] = {}
+        self._unread: Counter[tuple[str, str]] = Counter()
+        self._since_boundary = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        recorded = self._survey.clock
+        if recorded is None:
+            begin_ns = self._survey.begin_ns
+            date = datetime.fromtimestamp(begin_ns / NS_PER_S, UTC)
+            begun = date.isoformat(timespec="seconds")
+            # The file's clock is unix time then.
+            wall = WallClock("bag", 0.0, np.zeros(1), np.zeros(1, np.int64))
+        else:
+            begun, wall = recorded.begun, recorded.wall
+        self._wall = wall
+        writing.begin(self._file, begun, wall_pairs(wall), wall.resolution_s)
+
+    @property
+    def has_samples(self) -> bool:
+        """Whether there is one at all."""
+        return any(writer.sample_count for _, writer in self._writers)
+
+    def counts(self) -> list[tuple[str, int]]:
+        """Return topic and number of samples of each stream."""
+        return [(topic, writer.sample_count) for topic, writer in self._writers]
+
+    def damages(self) -> list[str]:
+        """Say which messages could not be read."""
+        return [
+            f"{topic}: {count} messages are left out ({why})"
+            for (topic, why), count in self._unread.items()
+        ]
+
+    def run(self, path: Path) -> None:
+        """Write everything."""
+        for topic in self._survey.in_order():
+            self._open(topic)
+        for message in read_bag(path, lambda _: None):
+            sink = self._sinks.get(message.topic.name)
+            if sink is not None:
+                self._take(sink, message)
+        for _, writer in self._writers:
+            writer.end()
+
+    def _take(self, sink: StampedTopic | AnyTopic, message: Message) -> None:
+        try:
+            sink.take(message)
+        except UnsuitableError as error:
+            self.left_out[message.topic.name] = str(error)
+            del self._sinks[message.topic.name]
+        except MessageError as error:
+            self._unread[message.topic.name, str(error)] += 1
+
+    def _open(self, topic: Topic) -> None:
+        name = topic.name
+        if name in self._survey.elsewhere:
+            return
+        try:
+            if topic.type_name in (SAMPLES, EVENT):
+                self._sinks[name] = StampedTopic(
+                    topic,
+                    self._new_stream_of(name),
+                    self._to_lsl,
+                    self._survey.recorded.get(name),
+                    self._survey.facts.get(name),
+                    self._survey.raw_type(name),
+                )
+            else:
+                self._sinks[name] = AnyTopic(topic, self._new_stream_of(name), self._to_lsl)
+        except MessageError as error:
+            self.left_out[name] = str(error)
+
+    def _new_stream_of(self, topic: str) -> NewStream:
+        def new_stream(
+            xml: str,
+            form: ChannelFormat,
+            channels: int,
+            clock_offsets: tuple[tuple[float, float], ...] | None = None,
+        ) -> StreamWriter:
+            if len(self._writers) == _MOST_STREAMS:
+                raise UnsuitableError(f"a recording holds {_MOST_STREAMS} streams at most")
+            number = len(self._writers) + 1
+            writer = StreamWriter(self._write, number, xml, form, channels, clock_offsets)
+            self._writers.append((topic, writer))
+            return writer
+
+        return new_stream
+
+    def _write(self, chunk: bytes) -> None:
+        self._file.write(chunk)
+        self._since_boundary += len(chunk)
+        if self._since_boundary > _BOUNDARY_BYTES:
+            self._since_boundary = 0
+            self._file.write(writing.boundary())
+
+    def _to_lsl(self, unix_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        return self._wall.to_lsl(unix_ns)
+
+
+def wall_pairs(wall: WallClock) -> list[ClockPair]:
+    """Return what a clock was made of."""
+    pairs = zip(wall.times.tolist(), wall.offsets_ns.tolist(), strict=True)
+    return [ClockPair(lsl_s, round(lsl_s * NS_PER_S) + offset_ns) for lsl_s, offset_ns in pairs]

@@ -1,0 +1,230 @@
+"""Lays the numbers of any message out as channels, by its definition.
+
+Sequences take their shape at the first message. Where a message names the elements of its
+sequences, as ``JointState`` its joints, the names are in the labels.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from operator import attrgetter
+from typing import Any, NamedTuple
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+
+from biosensor_common.lsl_header import MAX_CHANNELS
+from biosensor_gateway.recording.bag.errors import UnsuitableError
+from biosensor_gateway.recording.bag.types import MessageType
+
+HEADER = "std_msgs/msg/Header"
+_TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
+_NAMES = ("name", "names", "joint_names")
+_BYTES = ("uint8", "int8", "byte", "char", "octet")
+_TEXTS = ("string", "wstring")
+# What a message without fields has.
+_NO_FIELD = "structure_needs_at_least_one_member"
+
+Read = Callable[[Any, list[float]], None]
+"""Appends some numbers of a message."""
+
+
+class LayoutChangedError(Exception):
+    """A message has sequences of another length, or of other names, than the first."""
+
+
+class Layout(NamedTuple):
+    """The channels of a message.
+
+    Attributes
+    ----------
+    labels
+        One a channel: ``linear_acceleration.x``, ``panda_joint1.position``.
+    """
+
+    labels: tuple[str, ...]
+    reads: tuple[Read, ...]
+
+    def read(self, message: Any) -> list[float]:  # noqa: ANN401 - of any type
+        """Return the numbers, one a channel; NaN for those of a sequence that is empty.
+
+        Raises
+        ------
+        LayoutChangedError
+            If the message has another shape.
+        """
+        values: list[float] = []
+        for read in self.reads:
+            read(message, values)
+        return values
+
+
+def layout_of(kind: MessageType, message: Any) -> Layout:  # noqa: ANN401 - of any type
+    """Return the layout of messages like one of them; without labels if there are no numbers.
+
+    Raises
+    ------
+    UnsuitableError
+        If it holds bytes without a limit, such as an image, or more numbers than a stream can.
+    """
+    labels: list[str] = []
+    reads = tuple(_walk(kind, kind.name, message, "", "", labels))
+    if len(labels) > MAX_CHANNELS:
+        text = f"its {len(labels)} numbers are more than the {MAX_CHANNELS} channels of a stream"
+        raise UnsuitableError(text)
+    return Layout(tuple(labels), reads)
+
+
+def has_header(kind: MessageType) -> bool:
+    """Whether messages begin with a header that has a stamp."""
+    return ("header", (Nodetype.NAME, HEADER)) in kind.fields(kind.name)
+
+
+def _walk(
+    kind: MessageType,
+    type_name: str,
+    message: Any,  # noqa: ANN401 - of any type
+    path: str,
+    label: str,
+    labels: list[str],
+) -> Iterator[Read]:
+    """Give what reads the fields of a message that is at `path` of the outermost one."""
+    names = _names_in(kind, type_name, message)
+    if names:
+        yield _same_names(f"{path}{names[0]}", names[1])
+    for field, (node, what) in kind.fields(type_name):
+        value = getattr(message, field)
+        here, called = f"{path}{field}", f"{label}{field}"
+        if node is Nodetype.NAME:
+            if what == HEADER and not path:
+                continue
+            if what in _TIMES:
+                labels.append(called)
+                yield _time(here)
+            else:
+                yield from _walk(kind, what, value, f"{here}.", f"{called}.", labels)
+        elif node is Nodetype.BASE:
+            if what[0] not in _TEXTS and field != _NO_FIELD:
+                labels.append(called)
+                yield _number(here)
+        else:
+            told = names[1] if names and len(names[1]) == len(value) else ()
+            yield from _array(kind, (node, what), value, here, _Named(label, field, told), labels)
+
+
+class _Named(NamedTuple):
+    """What to call the elements of an array."""
+
+    group: str
+    field: str
+    names: Sequence[str]
+
+    def label(self, place: int) -> str:
+        if self.names:
+            return f"{self.group}{self.names[place]}.{self.field}"
+        return f"{self.group}{self.field}[{place}]"
+
+
+def _array(
+    kind: MessageType,
+    description: tuple[Nodetype, Any],
+    value: Any,  # noqa: ANN401 - of any type
+    path: str,
+    named: _Named,
+    labels: list[str],
+) -> Iterator[Read]:
+    node, ((inner, what), bound) = description
+    if inner is Nodetype.BASE:
+        if what[0] in _TEXTS:
+            return
+        if node is Nodetype.SEQUENCE and not bound and what[0] in _BYTES:
+            raise UnsuitableError(f"its field {path} holds bytes, not numbers")
+        labels.extend(named.label(place) for place in range(len(value)))
+        yield _numbers(path, len(value))
+        return
+    before = len(labels)
+    elements: list[tuple[Read, ...]] = []
+    for place, element in enumerate(value):
+        called = named.label(place)
+        if what in _TIMES:
+            labels.append(called)
+            elements.append((_time(""),))
+        else:
+            elements.append(tuple(_walk(kind, what, element, "", f"{called}.", labels)))
+    yield _messages(path, elements, len(labels) - before)
+
+
+def _names_in(
+    kind: MessageType,
+    type_name: str,
+    message: Any,  # noqa: ANN401 - of any type
+) -> tuple[str, list[str]] | None:
+    """Return the field by which a message names the elements of its sequences, and the names."""
+    for field, (node, what) in kind.fields(type_name):
+        is_texts = node is Nodetype.SEQUENCE and what[0][0] is Nodetype.BASE
+        if is_texts and what[0][1][0] in _TEXTS and field in _NAMES:
+            names = list(getattr(message, field))
+            return (
+                (field, names) if names and all(names) and len(set(names)) == len(names) else None
+            )
+    return None
+
+
+def _same_names(path: str, names: list[str]) -> Read:
+    get = attrgetter(path)
+
+    def read(message: Any, values: list[float]) -> None:  # noqa: ANN401
+        del values
+        got = list(get(message))
+        if got and got != names:
+            raise LayoutChangedError
+
+    return read
+
+
+def _number(path: str) -> Read:
+    get = attrgetter(path)
+    return lambda message, values: values.append(float(get(message)))
+
+
+def _time(path: str) -> Read:
+    get: Callable[[Any], Any] = attrgetter(path) if path else lambda message: message
+
+    def read(message: Any, values: list[float]) -> None:  # noqa: ANN401
+        time = get(message)
+        values.append(time.sec + time.nanosec * 1e-9)
+
+    return read
+
+
+def _numbers(path: str, length: int) -> Read:
+    get = attrgetter(path)
+
+    def read(message: Any, values: list[float]) -> None:  # noqa: ANN401
+        got = get(message)
+        if len(got) == length:
+            values.extend(np.asarray(got, np.float64).tolist())
+        elif not len(got):
+            values.extend([math.nan] * length)
+        else:
+            raise LayoutChangedError
+
+    return read
+
+
+def _messages(path: str, elements: Sequence[Sequence[Read]], width: int) -> Read:
+    get = attrgetter(path)
+
+    def read(message: Any, values: list[float]) -> None:  # noqa: ANN401
+        got = get(message)
+        if not len(got):
+            values.extend([math.nan] * width)
+            return
+        if len(got) != len(elements):
+            raise LayoutChangedError
+        for element, reads in zip(got, elements, strict=True):
+            for each in reads:
+                each(element, values)
+
+    return read

@@ -1,0 +1,138 @@
+"""Writes one stream of an XDF file: gathers its samples to chunks, and tells its clock."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from biosensor_common.quantities import ChannelFormat
+from biosensor_gateway.recording.contents.sender_clock import SenderClock
+from biosensor_gateway.recording.xdf import writing
+from biosensor_gateway.recording.xdf.samples import Texts
+
+OFFSETS_EVERY_S = 5.0
+"""As often as LabRecorder measures clocks."""
+
+# A chunk is to be large enough for readers to be quick, and small enough for the memory.
+_CHUNK_S, _MOST_PENDING = 1.0, 512
+_DTYPES = {
+    ChannelFormat.FLOAT32: np.float32,
+    ChannelFormat.DOUBLE64: np.float64,
+    ChannelFormat.INT64: np.int64,
+    ChannelFormat.INT32: np.int32,
+    ChannelFormat.INT16: np.int16,
+    ChannelFormat.INT8: np.int8,
+}
+
+
+class StreamWriter:
+    """One stream.
+
+    Parameters
+    ----------
+    write
+        Appends a chunk to the file.
+    number
+        Of the stream in it.
+    xml
+        Its header.
+    form, channels
+        What the header says.
+    clock_offsets
+        As they were measured: LSL time on the stream's clock, and what to add to it to get the
+        file's, in s. None for a stream that is on the file's clock; then an offset of 0 is told
+        every five seconds, without which loaders complain.
+
+    Attributes
+    ----------
+    first, last
+        Stamps of the first and the last sample, 0 without samples.
+    sample_count
+    clock_offsets
+        Those that are in the file.
+    """
+
+    def __init__(
+        self,
+        write: Callable[[bytes], object],
+        number: int,
+        xml: str,
+        form: ChannelFormat,
+        channels: int,
+        clock_offsets: Sequence[tuple[float, float]] | None = None,
+    ) -> None:
+        self._write = write
+        self.number = number
+        self._form, self._channels = form, channels
+        self._due = None if clock_offsets is None else list(reversed(clock_offsets))
+        self._clock = SenderClock(clock_offsets or ())
+        self._times: list[NDArray[np.float64]] = []
+        self._values: list[Any] = []
+        self.first = self.last = 0.0
+        self.sample_count = 0
+        self.clock_offsets: list[tuple[float, float]] = []
+        write(writing.stream_header(number, xml))
+
+    def add(self, times: NDArray[np.float64], values: NDArray[Any] | Texts) -> None:
+        """Take samples in.
+
+        Parameters
+        ----------
+        times : ndarray of float64, shape (n,)
+            Finite, on the file's clock.
+        values : ndarray, shape (n, n_channels), or list of tuple
+        """
+        if not len(times):
+            return
+        self._times.append(times)
+        if isinstance(values, list):
+            self._values.extend(values)
+        else:
+            self._values.append(values)
+        if len(self._times) >= _MOST_PENDING or times[-1] - self._times[0][0] >= _CHUNK_S:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what was taken in, after what is known of the clock by then."""
+        if not self._times:
+            return
+        times = np.concatenate(self._times)
+        self._tell_clock(float(times.max()))
+        stamps = self._clock.to_sender(times)
+        if not self.sample_count:
+            self.first = float(stamps[0])
+        self.last = float(stamps[-1])
+        self.sample_count += len(stamps)
+        if self._form is ChannelFormat.STRING:
+            values: Any = self._values
+        else:
+            with np.errstate(invalid="ignore", over="ignore"):
+                values = np.concatenate(self._values).astype(_DTYPES[self._form], copy=False)
+        self._write(writing.samples(self.number, self._form, stamps, values))
+        self._times, self._values = [], []
+
+    def end(self) -> None:
+        """Write the rest, and the footer."""
+        self.flush()
+        self._tell_clock(math.inf)
+        self._write(writing.footer(self.number, self))
+
+    def _tell_clock(self, until: float) -> None:
+        if self._due is not None:
+            while self._due and sum(self._due[-1]) <= until:
+                self._tell(*self._due.pop())
+        elif not math.isinf(until):
+            told = self.clock_offsets
+            # The first one at the first sample; the clock of a file may be any.
+            if not told or abs(until - told[-1][0]) >= OFFSETS_EVERY_S:
+                self._tell(until, 0.0)
+        elif self.sample_count and self.last != self.clock_offsets[-1][0]:
+            self._tell(self.last, 0.0)
+
+    def _tell(self, taken_at: float, offset: float) -> None:
+        self.clock_offsets.append((taken_at, offset))
+        self._write(writing.clock_offset(self.number, taken_at, offset))

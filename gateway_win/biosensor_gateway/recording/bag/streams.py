@@ -1,0 +1,199 @@
+"""Turns the messages of one topic into the samples of streams."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from biosensor_common.quantities import ChannelFormat
+from biosensor_common.ros_clock import NS_PER_S
+from biosensor_gateway.recording.bag.errors import MessageError, UnsuitableError
+from biosensor_gateway.recording.bag.headers import (
+    LATCHED,
+    Facts,
+    Origin,
+    facts_of_ours,
+    facts_of_topic,
+    header_xml,
+)
+from biosensor_gateway.recording.bag.layout import Layout, LayoutChangedError, has_header, layout_of
+from biosensor_gateway.recording.bag.messages import Message, Topic
+from biosensor_gateway.recording.bag.recorded_streams import RecordedStream
+from biosensor_gateway.recording.bag.stream_writer import StreamWriter
+from biosensor_gateway.recording.bag.types import MessageType
+from biosensor_gateway.recording.xdf.container import ChunkError
+from biosensor_gateway.recording.xdf.header import parse_stream_header
+from biosensor_gateway.recording.xdf.samples import Texts
+
+ToLsl = Callable[[NDArray[np.int64]], NDArray[np.float64]]
+"""Brings unix times in ns onto the clock of the file."""
+
+
+class NewStream(Protocol):
+    """Begins a stream of the file."""
+
+    def __call__(
+        self,
+        xml: str,
+        form: ChannelFormat,
+        channels: int,
+        clock_offsets: tuple[tuple[float, float], ...] | None = None,
+    ) -> StreamWriter:
+        """Return what takes its samples."""
+        ...
+
+
+class StampedTopic:
+    """A topic of ``Samples`` or ``Event``: samples of a stream with the time of each.
+
+    Parameters
+    ----------
+    recorded
+        The stream that it was made of; None if it was published live.
+    facts
+        What the node's list says of it; None if that was not recorded.
+    raw_type
+        Of its raw topic, if that was recorded.
+    """
+
+    def __init__(
+        self,
+        topic: Topic,
+        new_stream: NewStream,
+        to_lsl: ToLsl,
+        recorded: RecordedStream | None,
+        facts: Facts | None,
+        raw_type: str,
+    ) -> None:
+        self._topic, self._kind = topic, MessageType(topic)
+        self._new_stream, self._to_lsl = new_stream, to_lsl
+        self._facts, self._raw_type = facts, raw_type
+        self._writer: StreamWriter | None = None
+        self._columns = 0
+        if recorded is not None:
+            self._begin_recorded(recorded)
+
+    def _begin_recorded(self, recorded: RecordedStream) -> None:
+        try:
+            header = parse_stream_header(recorded.xml.encode("utf-8", "surrogatepass"))
+        except ChunkError as error:
+            raise MessageError(f"the header of its stream: {error}") from error
+        self._begin(recorded.xml, header.format, header.channel_count, recorded.clock_offsets)
+
+    def _begin(
+        self,
+        xml: str,
+        form: ChannelFormat,
+        channels: int,
+        offsets: tuple[tuple[float, float], ...] | None = None,
+    ) -> StreamWriter:
+        self._columns = channels
+        self._writer = self._new_stream(xml, form, channels, offsets)
+        return self._writer
+
+    def take(self, message: Message) -> None:
+        """Write the samples of a message.
+
+        Raises
+        ------
+        MessageError
+            If it is none, or of another shape than those before.
+        """
+        read = self._kind.read(message.content)
+        writer = self._writer or self._begin_live(read)
+        begin_ns = read.header.stamp.sec * NS_PER_S + read.header.stamp.nanosec
+        if isinstance(read.data, str):
+            writer.add(self._to_lsl(np.array([begin_ns])), self._texts(read.data))
+            return
+        values = read.integers if len(read.integers) else read.data
+        if len(values) != len(read.offsets_ns) * self._columns:
+            raise MessageError("it has another number of values than its stream")
+        times = self._to_lsl(begin_ns + read.offsets_ns)
+        writer.add(times, values.reshape(-1, self._columns))
+
+    def _begin_live(self, message: Any) -> StreamWriter:  # noqa: ANN401 - of its type
+        is_latched = LATCHED.search(self._topic.qos) is not None
+        facts = self._facts or facts_of_ours(
+            self._topic.name,
+            message.header.frame_id,
+            self._raw_type,
+            message,
+            is_latched=is_latched,
+        )
+        origin = Origin(self._topic.name, self._topic.type_name, "header")
+        return self._begin(header_xml(facts, origin), facts.format, len(facts.labels))
+
+    def _texts(self, text: str) -> Texts:
+        if self._columns == 1:
+            return [(text,)]
+        try:
+            told = json.loads(text)
+        except (ValueError, RecursionError):
+            told = None
+        if not isinstance(told, list) or len(told) != self._columns:  # pyright: ignore[reportUnknownArgumentType]
+            raise MessageError(f"its text is no list of {self._columns} texts")
+        return [tuple(map(str, told))]  # pyright: ignore[reportUnknownArgumentType]
+
+
+class AnyTopic:
+    """A topic of any type that has numbers, or only text."""
+
+    def __init__(self, topic: Topic, new_stream: NewStream, to_lsl: ToLsl) -> None:
+        self._topic, self._kind = topic, MessageType(topic)
+        self._has_header = has_header(self._kind)
+        self._new_stream, self._to_lsl = new_stream, to_lsl
+        self._writers: dict[tuple[str, ...], StreamWriter] = {}
+        self._layout: Layout | None = None
+        self._writer: StreamWriter | None = None
+
+    def take(self, message: Message) -> None:
+        """Write a message as one sample.
+
+        Raises
+        ------
+        MessageError
+            If it is none, or holds what a stream cannot.
+        """
+        read = self._kind.read(message.content)
+        stamp_ns = self._stamp_ns(read) or message.unix_ns
+        values = self._values(read)
+        samples: Any = np.array([values]) if values else [(str(read.data),)]
+        assert self._writer is not None
+        self._writer.add(self._to_lsl(np.array([stamp_ns])), samples)
+
+    def _values(self, message: Any) -> list[float]:  # noqa: ANN401 - of its type
+        """Return the numbers of a message, and have the stream that fits them."""
+        layout = self._layout or self._lay_out(message)
+        try:
+            return layout.read(message)
+        except LayoutChangedError:
+            # As with an outlet, another shape is another stream.
+            return self._lay_out(message).read(message)
+
+    def _lay_out(self, message: Any) -> Layout:  # noqa: ANN401 - of its type
+        self._layout = layout = layout_of(self._kind, message)
+        is_text = not layout.labels
+        if is_text and not isinstance(getattr(message, "data", None), str):
+            raise UnsuitableError(f"{self._topic.type_name} has no numbers")
+        self._writer = self._writers.get(layout.labels)
+        if self._writer is None:
+            form = ChannelFormat.STRING if is_text else ChannelFormat.DOUBLE64
+            labels = ("text",) if is_text else layout.labels
+            facts = facts_of_topic(
+                self._topic.name, self._topic.type_name, labels, form, len(self._writers)
+            )
+            source = "header" if self._stamp_ns(message) else "log"
+            origin = Origin(self._topic.name, self._topic.type_name, source)
+            self._writer = self._new_stream(header_xml(facts, origin), form, len(labels))
+            self._writers[layout.labels] = self._writer
+        return layout
+
+    def _stamp_ns(self, message: Any) -> int:  # noqa: ANN401 - of its type
+        if not self._has_header:
+            return 0
+        stamp = message.header.stamp
+        return stamp.sec * NS_PER_S + stamp.nanosec
