@@ -11,7 +11,14 @@ import numpy as np
 
 UUID = bytes.fromhex("43a546dccbf5410fb30ed5467383cbe4")
 FILE_HEADER = b"<?xml version='1.0'?><info><version>1.0</version></info>"
-DTYPES = {"float32": "<f4", "double64": "<f8", "int8": "i1", "int16": "<i2", "int32": "<i4"}
+DTYPES = {
+    "float32": "<f4",
+    "double64": "<f8",
+    "int8": "i1",
+    "int16": "<i2",
+    "int32": "<i4",
+    "int64": "<i8",
+}
 
 
 def chunk(tag: int, content: bytes, length_size: int = 4) -> bytes:

@@ -17,6 +17,8 @@ from biosensor_gateway.recording.xdf.samples import Texts
 OFFSETS_EVERY_S = 5.0
 """As often as LabRecorder measures clocks."""
 
+# What goes on for longer is no silence, but a clock that jumped.
+_LONGEST_SILENCE_S = 3600.0
 # A chunk is to be large enough for readers to be quick, and small enough for the memory.
 _CHUNK_S, _MOST_PENDING = 1.0, 512
 _DTYPES = {
@@ -101,7 +103,7 @@ class StreamWriter:
         if not self._times:
             return
         times = np.concatenate(self._times)
-        self._tell_clock(float(times.max()))
+        self._tell_clock(float(times.min()), float(times.max()))
         stamps = self._clock.to_sender(times)
         if not self.sample_count:
             self.first = float(stamps[0])
@@ -118,20 +120,22 @@ class StreamWriter:
     def end(self) -> None:
         """Write the rest, and the footer."""
         self.flush()
-        self._tell_clock(math.inf)
+        if self._due is not None:
+            self._tell_clock(0.0, math.inf)
         self._write(writing.footer(self.number, self))
 
-    def _tell_clock(self, until: float) -> None:
+    def _tell_clock(self, first: float, until: float) -> None:
         if self._due is not None:
             while self._due and sum(self._due[-1]) <= until:
                 self._tell(*self._due.pop())
-        elif not math.isinf(until):
-            told = self.clock_offsets
-            # The first one at the first sample; the clock of a file may be any.
-            if not told or abs(until - told[-1][0]) >= OFFSETS_EVERY_S:
-                self._tell(until, 0.0)
-        elif self.sample_count and self.last != self.clock_offsets[-1][0]:
-            self._tell(self.last, 0.0)
+            return
+        if not self.clock_offsets:
+            self._tell(first, 0.0)
+        told = self.clock_offsets[-1][0]
+        if until - told > _LONGEST_SILENCE_S:
+            self._tell(until, 0.0)
+        while (told := self.clock_offsets[-1][0] + OFFSETS_EVERY_S) <= until:
+            self._tell(told, 0.0)
 
     def _tell(self, taken_at: float, offset: float) -> None:
         self.clock_offsets.append((taken_at, offset))

@@ -82,7 +82,9 @@ class StampedTopic:
             header = parse_stream_header(recorded.xml.encode("utf-8", "surrogatepass"))
         except ChunkError as error:
             raise MessageError(f"the header of its stream: {error}") from error
-        self._begin(recorded.xml, header.format, header.channel_count, recorded.clock_offsets)
+        # Where none were measured, stamps are those of the file's clock.
+        offsets = recorded.clock_offsets or None
+        self._begin(recorded.xml, header.format, header.channel_count, offsets)
 
     def _begin(
         self,

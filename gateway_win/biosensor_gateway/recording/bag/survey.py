@@ -58,7 +58,7 @@ class Survey:
         for name in stamped:
             raw = name.removesuffix(STAMPED)
             names.update((raw, f"{raw}_chunk"))
-        return frozenset(names - stamped)
+        return frozenset(names - stamped - self.recorded.keys())
 
     def raw_type(self, stamped: str) -> str:
         """Return the type of the raw topic beside a stamped one; empty if it was not recorded."""
@@ -67,7 +67,7 @@ class Survey:
 
     def in_order(self) -> Iterator[Topic]:
         """Give all topics: first those of the recording that it was made of, in its order."""
-        for stream in sorted(self.recorded.values(), key=lambda each: each.number):
+        for stream in self.recorded.values():
             yield self.topics.get(stream.stamped) or Topic(stream.stamped, SAMPLES)
         for name, topic in self.topics.items():
             if name not in self.recorded:

@@ -1,0 +1,1 @@
+"""Bags made of recordings, and recordings made of bags."""
