@@ -12,6 +12,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ DATE_RESOLUTION_S = 1.0
 _TELLERS = (NODE, AGENT)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class WallClock:
     """Time of day by the recorder's LSL clock.
 
@@ -63,18 +64,23 @@ class WallClock:
         times : ndarray of float64, shape (n,)
             Finite, on the recorder's LSL clock, in s.
         """
-        base = self.offsets_ns[0]
-        relative = (self.offsets_ns - base).astype(np.float64)
-        after = np.clip(np.searchsorted(self.times, times, side="right"), 1, len(self.times)) - 1
-        following = np.minimum(after + 1, len(self.times) - 1)
-        change = relative[following] - relative[after]
-        span = self.times[following] - self.times[after]
-        part = np.clip((times - self.times[after]) / np.where(span > 0, span, 1.0), 0.0, 1.0)
-        moved = np.where(np.abs(change) > STEP_NS, 0.0, change * part)
+        knots, relative_ns = self._course
         whole = np.floor(times)
         lsl_ns = whole.astype(np.int64) * NS_PER_S
         lsl_ns += np.rint((times - whole) * NS_PER_S).astype(np.int64)
-        return np.asarray(lsl_ns + base + np.rint(relative[after] + moved).astype(np.int64))
+        moved = np.rint(np.interp(times, knots, relative_ns)).astype(np.int64)
+        return np.asarray(lsl_ns + self.offsets_ns[0] + moved)
+
+    @cached_property
+    def _course(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """LSL times in s, and the offsets there less the first one, in ns.
+
+        Where the clock was set, a time stands twice, with the offset before and that after.
+        """
+        relative = (self.offsets_ns - self.offsets_ns[0]).astype(np.float64)
+        set_at = np.flatnonzero(np.abs(np.diff(relative)) > STEP_NS) + 1
+        knots = np.insert(self.times, set_at, self.times[set_at])
+        return knots, np.insert(relative, set_at, relative[set_at - 1])
 
     def to_lsl_s(self, unix_ns: int) -> float:
         """Return the moment on the recorder's LSL clock, in s, of a unix time."""
