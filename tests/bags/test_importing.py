@@ -1,0 +1,304 @@
+"""Bags of others: what becomes of their topics, and what is said of what cannot be read."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from typer.testing import CliRunner
+
+from biosensor_gateway.cli.bag import app
+from biosensor_gateway.recording.bag.errors import BagError, BagReason
+from biosensor_gateway.recording.bag.importing import import_bag
+from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.xdf.judging import judge
+from biosensor_gateway.recording.xdf.recording import read_recording
+from tests.bags import made
+from tests.xdf.checking import load_by_pyxdf
+
+BEGIN_NS = 1_790_000_000_000_000_000
+STORE = made.typestore()
+TYPES = STORE.types
+
+
+def _header(unix_ns: int, frame_id: str = "base") -> Any:
+    time = TYPES["builtin_interfaces/msg/Time"](*divmod(unix_ns, 10**9))
+    return TYPES["std_msgs/msg/Header"](stamp=time, frame_id=frame_id)
+
+
+def _joints(
+    number: int, names: tuple[str, ...] = ("shoulder", "elbow"), *, moves: bool = False
+) -> Any:
+    count = len(names)
+    return TYPES["sensor_msgs/msg/JointState"](
+        header=_header(BEGIN_NS + number * 10_000_000),
+        name=list(names),
+        position=np.arange(count) + number / 3,
+        velocity=np.zeros(count) if moves else np.empty(0),
+        effort=np.empty(0),
+    )
+
+
+def _robot(count: int = 200) -> list[tuple[str, str, int, Any]]:
+    messages: list[tuple[str, str, int, Any]] = []
+    float64 = TYPES["std_msgs/msg/Float64"]
+    for number in range(count):
+        # It arrives 3 ms after it was measured.
+        at_ns = BEGIN_NS + number * 10_000_000 + 3_000_000
+        messages.append(("/joint_states", "sensor_msgs/msg/JointState", at_ns, _joints(number)))
+        messages.append(("/load", "std_msgs/msg/Float64", at_ns, float64(number / 7)))
+    said = TYPES["std_msgs/msg/String"]("trial \u00e4 \U0001f9e0")
+    messages.append(("/said", "std_msgs/msg/String", BEGIN_NS + 10**9, said))
+    pixels = TYPES["sensor_msgs/msg/CompressedImage"](
+        header=_header(BEGIN_NS), format="png", data=np.zeros(50, np.uint8)
+    )
+    messages.append(("/camera", "sensor_msgs/msg/CompressedImage", BEGIN_NS, pixels))
+    return sorted(messages, key=lambda each: each[2])
+
+
+@pytest.mark.parametrize("storage", StoragePlugin)
+def test_any_numbers_become_channels(tmp_path: Path, storage: StoragePlugin) -> None:
+    made.write_bag(tmp_path / "robot", _robot(), storage)
+    imported = import_bag(tmp_path / "robot", tmp_path / "robot.xdf")
+    assert dict(imported.streams) == {"/joint_states": 200, "/load": 200, "/said": 1}
+    assert imported.left_out == {"/camera": "its field data holds bytes, not numbers"}
+    assert not imported.damages
+    joints, load, said = load_by_pyxdf(tmp_path / "robot.xdf")
+    assert joints["info"]["name"] == ["joint_states"]
+    labels = [each["label"][0] for each in joints["info"]["desc"][0]["channels"][0]["channel"]]
+    assert labels == ["shoulder.position", "elbow.position"]
+    np.testing.assert_array_equal(joints["time_series"][:, 1], 1 + np.arange(200) / 3)
+    # By the stamp in the message, to the step of a float of today's seconds.
+    expected = BEGIN_NS / 1e9 + np.arange(200) / 100
+    np.testing.assert_allclose(joints["time_stamps"], expected, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(load["time_stamps"], expected + 0.003, rtol=0, atol=1e-6)
+    assert load["time_series"][3, 0] == 3 / 7
+    assert said["time_series"] == [["trial \u00e4 \U0001f9e0"]]
+
+
+def test_another_shape_is_another_stream(tmp_path: Path) -> None:
+    messages = [
+        ("/joints", "sensor_msgs/msg/JointState", BEGIN_NS + n, _joints(1, names, moves=True))
+        for n, names in enumerate([("a", "b"), ("a", "b", "c"), ("a", "b")])
+    ]
+    made.write_bag(tmp_path / "robot", messages)
+    import_bag(tmp_path / "robot", tmp_path / "robot.xdf")
+    two, three = made.held(tmp_path / "robot.xdf")
+    assert [len(two.stamps), len(three.stamps)] == [2, 1]
+    assert np.asarray(three.values).shape == (1, 6)
+    assert np.asarray(two.values)[1].tolist() == [1 / 3, 4 / 3, 0.0, 0.0]
+
+
+def test_times_and_nested_messages_are_flattened(tmp_path: Path) -> None:
+    pose = TYPES["geometry_msgs/msg/Pose"](
+        TYPES["geometry_msgs/msg/Point"](1.0, 2.0, 3.0),
+        TYPES["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
+    )
+    poses = TYPES["geometry_msgs/msg/PoseArray"](_header(0), [pose, pose])
+    made.write_bag(tmp_path / "a", [("/poses", "geometry_msgs/msg/PoseArray", BEGIN_NS, poses)])
+    import_bag(tmp_path / "a", tmp_path / "a.xdf")
+    with open_contents(tmp_path / "a.xdf") as contents:
+        (stream,) = contents.streams
+        labels = stream.header.labels
+        (samples,) = stream.blocks()
+    assert labels[:4] == (
+        "poses[0].position.x",
+        "poses[0].position.y",
+        "poses[0].position.z",
+        "poses[0].orientation.x",
+    )
+    assert labels[-1] == "poses[1].orientation.w"
+    assert np.asarray(samples.values)[0, -7:].tolist() == [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]
+    # A stamp of zero is none.
+    assert samples.times[0] == pytest.approx(BEGIN_NS / 1e9)
+
+
+def _live(topic: str, count: int) -> list[tuple[str, str, int, Any]]:
+    """What a node publishes of a stream of ours: raw, stamped, and a chunk."""
+    messages: list[tuple[str, str, int, Any]] = []
+    float32 = TYPES["std_msgs/msg/Float32"]
+    for number in range(count):
+        at_ns = BEGIN_NS + number * 4_000_000
+        messages.append((topic, "std_msgs/msg/Float32", at_ns, float32(number / 4)))
+        if number % 5 == 0:
+            samples = TYPES["biosensor_msgs/msg/Samples"](
+                header=_header(at_ns, "p01/zephyr_left"),
+                sequence=number,
+                lost=0,
+                lost_is_estimated=False,
+                labels=["ecg"],
+                units=["millivolts"],
+                offsets_ns=np.arange(5) * 4_000_000,
+                data=(number + np.arange(5)) / 4,
+                integers=np.empty(0, np.int64),
+            )
+            stamped = (f"{topic}_stamped", "biosensor_msgs/msg/Samples", at_ns, samples)
+            messages.append(stamped)
+    return messages
+
+
+def test_a_bag_of_the_node_becomes_its_streams_and_the_same_topics_again(tmp_path: Path) -> None:
+    topic = "/p01/biosensors/zephyr_left/ecg"
+    made.write_bag(tmp_path / "live", _live(topic, 50))
+    imported = import_bag(tmp_path / "live", tmp_path / "live.xdf")
+    assert imported.streams == ((f"{topic}_stamped", 50),)
+    with open_contents(tmp_path / "live.xdf") as contents:
+        (stream,) = contents.streams
+        assert (stream.header.format.value, stream.meaning.units) == ("float32", ("millivolts",))
+        assert stream.meaning.identity.participant == "p01"
+    outcome = made.to_bag(tmp_path / "live.xdf", tmp_path / "again")
+    assert not outcome.written[0].notes
+    again = import_bag(tmp_path / "again", tmp_path / "again.xdf")
+    assert again.streams == ((f"{topic}_stamped", 50),)
+    (first,), (second,) = made.held(tmp_path / "live.xdf"), made.held(tmp_path / "again.xdf")
+    assert first.bits == second.bits
+    assert first.xml == second.xml
+    np.testing.assert_allclose(first.stamps, second.stamps, rtol=0, atol=1e-6)
+
+
+def test_the_nodes_list_of_streams_tells_what_its_topics_do_not(tmp_path: Path) -> None:
+    topic = "/p01/biosensors/zephyr_left/ecg"
+    pair = TYPES["diagnostic_msgs/msg/KeyValue"]
+    told = {
+        "lsl_name": "p01-zephyr__left-U1-ecg",
+        "lsl_type": "ECG",
+        "source_id": "p01@zephyr.left-ecg",
+        "host": "pc",
+        "rate": "250",
+        "format": "float32",
+        "labels": "ecg",
+        "units": "millivolts",
+        "participant": "p01",
+        "label": "left",
+        "foreign": "false",
+        f"topic {topic}": "std_msgs/msg/Float32",
+        f"topic {topic}_stamped": "biosensor_msgs/msg/Samples",
+    }
+    status = TYPES["diagnostic_msgs/msg/DiagnosticStatus"](
+        0, topic, "", "U1", [pair(key, value) for key, value in told.items()]
+    )
+    listed = TYPES["diagnostic_msgs/msg/DiagnosticArray"](_header(BEGIN_NS), [status])
+    kind = "diagnostic_msgs/msg/DiagnosticArray"
+    made.write_bag(
+        tmp_path / "live", [("/lsl_to_ros/streams", kind, BEGIN_NS, listed), *_live(topic, 50)]
+    )
+    import_bag(tmp_path / "live", tmp_path / "live.xdf")
+    with open_contents(tmp_path / "live.xdf") as contents:
+        (stream,) = contents.streams
+    assert stream.header.refused == ""
+    assert (stream.header.rate, stream.header.name) == (250.0, told["lsl_name"])
+    identity = stream.meaning.identity
+    assert (identity.sensor, identity.label, identity.unit) == ("zephyr", "left", "U1")
+
+
+def test_what_is_imported_is_a_good_recording(tmp_path: Path) -> None:
+    made.write_bag(tmp_path / "robot", _robot())
+    import_bag(tmp_path / "robot", tmp_path / "robot.xdf")
+    report = judge(read_recording(tmp_path / "robot.xdf"))
+    assert report.is_good, [finding.text for finding in report.findings]
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.STORAGE, CompressionMode.MESSAGE])
+def test_compressed_bags_are_read(tmp_path: Path, mode: CompressionMode) -> None:
+    writer = Writer(tmp_path / "a", version=9, storage_plugin=StoragePlugin.MCAP)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        topic = writer.add_connection("/load", "std_msgs/msg/Float64", typestore=STORE)
+        for number in range(100):
+            message = TYPES["std_msgs/msg/Float64"](float(number))
+            writer.write(topic, BEGIN_NS + number, STORE.serialize_cdr(message, topic.msgtype))
+    import_bag(tmp_path / "a", tmp_path / "a.xdf")
+    (stream,) = made.held(tmp_path / "a.xdf")
+    assert np.asarray(stream.values)[:, 0].tolist() == list(range(100))
+
+
+def _bag_file(folder: Path, count: int = 60_000) -> Path:
+    float64 = TYPES["std_msgs/msg/Float64"]
+    messages = [("/load", "std_msgs/msg/Float64", BEGIN_NS + n, float64(n)) for n in range(count)]
+    made.write_bag(folder / "long", messages)
+    (file,) = (folder / "long").glob("*.mcap")
+    return file
+
+
+def test_of_a_bag_that_was_cut_off_what_is_whole_is_read(tmp_path: Path) -> None:
+    file = _bag_file(tmp_path)
+    content = file.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(content[: len(content) // 3 * 2])
+    imported = import_bag(tmp_path / "cut.mcap", tmp_path / "cut.xdf")
+    (damage,) = imported.damages
+    assert "cut off" in damage
+    ((_, count),) = imported.streams
+    assert 1000 < count < 60_000
+    (stream,) = made.held(tmp_path / "cut.xdf")
+    assert np.asarray(stream.values)[:, 0].tolist() == list(range(count))
+
+
+def test_a_flipped_byte_costs_what_it_hit(tmp_path: Path) -> None:
+    file = _bag_file(tmp_path)
+    content = bytearray(file.read_bytes())
+    # A length inside the first chunk.
+    content[2000] ^= 0xFF
+    file.write_bytes(content)
+    imported = import_bag(tmp_path / "long", tmp_path / "a.xdf")
+    ((_, count),) = imported.streams
+    assert count >= 3000
+    assert len(imported.damages) <= 2
+
+
+def test_messages_that_are_none_are_counted(tmp_path: Path) -> None:
+    with Writer(tmp_path / "a", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        topic = writer.add_connection("/load", "std_msgs/msg/Float64", typestore=STORE)
+        good = STORE.serialize_cdr(TYPES["std_msgs/msg/Float64"](1.5), topic.msgtype)
+        for content in (good, b"\x00\x01\x00\x00\x01", good, b""):
+            writer.write(topic, BEGIN_NS, content)
+    imported = import_bag(tmp_path / "a", tmp_path / "a.xdf")
+    assert imported.streams == (("/load", 2),)
+    assert imported.damages == ("/load: 2 messages are left out (it is no std_msgs/msg/Float64)",)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "reason"),
+    [
+        ("a.mcap", b"nonsense", BagReason.NOT_A_BAG),
+        ("a.db3", b"nonsense" * 100, BagReason.NOT_A_BAG),
+        ("a.bag", b"#ROSBAG V2.0", BagReason.NOT_A_BAG),
+        ("a.mcap", b"\x89MCAP0\r\n", BagReason.EMPTY),
+    ],
+)
+def test_what_is_no_bag_is_refused(
+    tmp_path: Path, name: str, content: bytes, reason: BagReason
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(BagError) as caught:
+        import_bag(tmp_path / name, tmp_path / "a.xdf")
+    assert caught.value.reason is reason
+    assert str(tmp_path / name) in str(caught.value)
+    assert not (tmp_path / "a.xdf").exists()
+
+
+def test_the_command_says_what_it_did(tmp_path: Path) -> None:
+    made.write_bag(tmp_path / "robot", _robot())
+    result = CliRunner().invoke(app, ["import", str(tmp_path / "robot"), "--json"])
+    assert result.exit_code == 0
+    told = json.loads(result.output)
+    assert told["written"] == str(tmp_path / "robot.xdf")
+    assert sum(each["samples"] for each in told["streams"]) == 401
+    again = CliRunner().invoke(app, ["import", str(tmp_path / "robot")])
+    assert "exists and is not overwritten" in str(again.exception)
+
+
+def test_a_clock_that_nobody_knows_is_said(tmp_path: Path) -> None:
+    header, _ = made.declared(1, "zephyr", "ecg")
+    samples = made.xdf_file.samples(1, "float32", [[0.5], [1.5]], [math.inf, 9.0])
+    (tmp_path / "a.xdf").write_bytes(made.xdf_file.xdf(header, samples))
+    outcome = made.to_bag(tmp_path / "a.xdf", tmp_path / "a")
+    (note,) = outcome.written[0].notes
+    assert "begin in 1970" in note
+    import_bag(tmp_path / "a", tmp_path / "b.xdf")
+    (stream,) = made.held(tmp_path / "b.xdf")
+    assert stream.stamps.tolist() == [9.0]
