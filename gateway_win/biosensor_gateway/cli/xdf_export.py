@@ -49,6 +49,12 @@ def export_recording(
     clock: Annotated[
         exporter.Clock, typer.Option(help="LSL time, or unix time where the recording tells it.")
     ] = exporter.Clock.LSL,
+    task: Annotated[
+        str, typer.Option(help="Of bids, else what the recording's name says, or study.")
+    ] = "",
+    session: Annotated[
+        str, typer.Option(help="Of bids, else what the recording's name says.")
+    ] = "",
     output: Annotated[
         Path | None,
         typer.Option(
@@ -71,7 +77,7 @@ def export_recording(
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
     wish = Wish(streams or (), begin, end, participant, without)
     with wrong_recording(), _bars() as watch:
-        outcome = export(file, Task(to, wish, clock, output), watch)
+        outcome = export(file, Task(to, wish, clock, output, task, session), watch)
     if print_json:
         typer.echo(printing.as_json(outcome))
     else:

@@ -22,13 +22,14 @@ def batches(chosen: Chosen, stream: Stream) -> Iterator[Samples]:
         kept.append(samples)
         count += len(samples)
         if count >= least:
-            yield _joined(kept)
+            yield joined(kept)
             kept, count = [], 0
     if kept:
-        yield _joined(kept)
+        yield joined(kept)
 
 
-def _joined(parts: Sequence[Samples]) -> Samples:
+def joined(parts: Sequence[Samples]) -> Samples:
+    """Return samples of one stream that follow each other, as one."""
     times = np.concatenate([each.times for each in parts])
     stamps = np.concatenate([each.stamps for each in parts])
     texts = [text for each in parts if isinstance(each.values, list) for text in each.values]

@@ -38,10 +38,14 @@ class Order:
         Of the times.
     name
         What to call it: the recording's name without its suffix.
+    task, session
+        What was recorded, for formats that tell it; empty for what `name` says.
     """
 
     clock: Clock
     name: str
+    task: str = ""
+    session: str = ""
 
 
 class Exporter(Protocol):

@@ -32,12 +32,16 @@ class Task:
     output
         A folder that is there, or of one format the file or folder itself; None for the
         recording's folder.
+    task, session
+        What was recorded, for formats that tell it; empty for what the recording's name says.
     """
 
     formats: Sequence[str]
     wish: Wish
     clock: Clock = Clock.LSL
     output: Path | None = None
+    task: str = ""
+    session: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +98,7 @@ def export(path: Path, task: Task, watch: Watch) -> Outcome:
         chosen = choose(contents, task.wish)
         _require_samples(chosen)
         _require_clock(contents, task.clock)
-        order = Order(task.clock, bare_name(path))
+        order = Order(task.clock, bare_name(path), task.task, task.session)
         exporters = {name: FORMATS[name]() for name in dict.fromkeys(task.formats)}
         targets = _targets(path, task.output, order.name, exporters)
         _require_space(chosen, targets)

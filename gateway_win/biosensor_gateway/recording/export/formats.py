@@ -17,6 +17,7 @@ def _load(module: str, attribute: str, **options: bool) -> Exporter:
 
 
 FORMATS: Mapping[str, Callable[[], Exporter]] = {
+    "bids": partial(_load, "bids.dataset", "BidsDataset"),
     "csv": partial(_load, "csv.wide", "WideCsv"),
     "csv.gz": partial(_load, "csv.wide", "WideCsv", is_packed=True),
     "csv-long": partial(_load, "csv.long", "LongCsv"),
@@ -34,6 +35,7 @@ GROWTH: Mapping[str, float] = {
     "csv-long": 20.0,
     "csv-long.gz": 3.0,
     "mcap": 8.0,
+    "bids": 3.0,
 }
 """How many times the bytes of the samples in the recording a format may take on the disk."""
 USUAL_GROWTH = 2.0

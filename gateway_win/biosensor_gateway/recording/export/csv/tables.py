@@ -25,8 +25,15 @@ def time_column(clock: Clock) -> str:
 
 
 @contextmanager
-def table_file(path: Path, *, is_packed: bool) -> Generator[BinaryIO]:
+def table_file(path: Path, *, is_packed: bool, level: int = _GZIP_LEVEL) -> Generator[BinaryIO]:
     """Open a new file, which is compressed by gzip or not.
+
+    Parameters
+    ----------
+    path
+    is_packed
+    level
+        Of gzip, 1 to 9.
 
     Raises
     ------
@@ -37,7 +44,7 @@ def table_file(path: Path, *, is_packed: bool) -> Generator[BinaryIO]:
         file: BinaryIO = stack.enter_context(path.open("xb"))
         if is_packed:
             # Without the time of day and a name: equal contents make equal files.
-            packing = gzip.GzipFile("", "wb", _GZIP_LEVEL, file, mtime=0)
+            packing = gzip.GzipFile("", "wb", level, file, mtime=0)
             file = stack.enter_context(packing)  # type: ignore[assignment]
         yield file
 

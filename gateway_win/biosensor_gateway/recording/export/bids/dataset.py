@@ -1,0 +1,128 @@
+"""Writes a dataset: a folder for each person, and what tells of the whole."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from biosensor_gateway.recording.contents.choice import Chosen
+from biosensor_gateway.recording.contents.merging import merged
+from biosensor_gateway.recording.contents.stream import Stream
+from biosensor_gateway.recording.export.bids.describing import describe, sentences
+from biosensor_gateway.recording.export.bids.events import DESCRIBED, Events
+from biosensor_gateway.recording.export.bids.file_names import (
+    Entities,
+    entities_of,
+    labels,
+)
+from biosensor_gateway.recording.export.bids.happening import Happening, happenings, is_left_out
+from biosensor_gateway.recording.export.bids.signals import BEHAVIOUR, Place, SignalWriter
+from biosensor_gateway.recording.export.bids.subjects import (
+    UNKNOWN,
+    find_subjects,
+    is_markers,
+)
+from biosensor_gateway.recording.export.bids.tables import write_json
+from biosensor_gateway.recording.export.bids.timeline import timeline
+from biosensor_gateway.recording.export.exporter import Order, Progress, SampleCount
+from biosensor_gateway.recording.labrecorder.file_name import BidsLabels
+from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
+
+_USUAL_TASK = "study"
+
+
+class BidsDataset:
+    """Writes a dataset in which the BIDS validator finds no error.
+
+    A stream becomes one table, in the folder of the person who wears the device: a regular
+    one ``_physio`` or, of what moves, ``_motion``; one without a rate ``_physioevents``.
+    Markers become ``_events``.
+    """
+
+    suffix = "_bids"
+
+    def write(
+        self, chosen: Chosen, order: Order, target: Path, progress: Progress
+    ) -> Sequence[str]:
+        """See :class:`.Exporter`."""
+        dataset = _Dataset(chosen, order, target, progress)
+        target.mkdir()
+        return dataset.write()
+
+
+class _Dataset:
+    def __init__(self, chosen: Chosen, order: Order, root: Path, progress: Progress) -> None:
+        self._chosen = chosen
+        self._order = order
+        self._root = root
+        self._timeline = timeline(chosen, order.clock)
+        self._count = SampleCount(chosen, progress)
+        told = entities_of(order.name)
+        task = order.task or told.get("task", _USUAL_TASK)
+        session = order.session or told.get("ses", "")
+        # What somebody typed is refused where it cannot be a label, not changed.
+        BidsLabels(UNKNOWN, task=task, session=session or UNKNOWN)
+        self._entities = Entities("", task, session, told.get("acq", ""), told.get("run", ""))
+        streams = [each for each in chosen.streams if not is_left_out(each)]
+        self._signals = [each for each in streams if not is_markers(each)]
+        self._markers = [each for each in streams if is_markers(each)]
+        self._subjects = find_subjects(streams, told.get("sub", ""))
+
+    def write(self) -> list[str]:
+        writer = SignalWriter(self._chosen, self._timeline, self._root, self._count)
+        places = self._places()
+        written = {
+            self._subjects.of(each)
+            for each in self._signals
+            if writer.write(each, places[each.number])
+        }
+        written |= self._write_events()
+        if not written:
+            path = self._chosen.contents.path
+            message = f"{path} holds nothing that BIDS has a place for"
+            raise RecordingError(RecordingReason.EMPTY, message)
+        describe(self._root, self._order.name, self._subjects, written)
+        return list(sentences(writer.remarks, self._subjects))
+
+    def _places(self) -> dict[int, Place]:
+        """Give each stream its place, by its number."""
+        found: dict[int, Place] = {}
+        for subject in {self._subjects.of(each) for each in self._signals}:
+            own = [each for each in self._signals if self._subjects.of(each) == subject]
+            named = labels({each.number: _names(each) for each in own})
+            entities = replace(self._entities, subject=subject)
+            found |= {number: Place(entities, name) for number, name in named.items()}
+        return found
+
+    def _write_events(self) -> set[str]:
+        """Write the events of everybody; return the labels of those who have some."""
+        participants = self._subjects.participants
+        entities = {each: replace(self._entities, subject=each) for each in participants}
+        paths = {key: self._root / of.path(BEHAVIOUR, "events.tsv") for key, of in entities.items()}
+        events = Events(paths, participants)
+        holds = {each.number: self._subjects.of_markers(each) for each in self._markers}
+        events.write(self._happenings(), holds)
+        for key in events.counts:
+            content = {
+                "TaskName": self._entities.task,
+                **DESCRIBED,
+                **self._timeline.described(),
+            }
+            write_json(self._root / entities[key].path(BEHAVIOUR, "events.json"), content)
+        return set(events.counts)
+
+    def _happenings(self) -> Iterator[tuple[Stream, Happening]]:
+        span = (self._chosen.begin_s, self._chosen.end_s)
+        for stream, samples in merged(self._markers, *span):
+            for happening in happenings(stream, samples, self._timeline):
+                yield stream, happening
+            self._count.add(len(samples))
+
+
+def _names(stream: Stream) -> Sequence[str]:
+    """Return what a stream is called, and what tells it from others that are called so."""
+    header, identity = stream.header, stream.header.identity
+    if identity is None:
+        return (header.name or header.content_type, header.content_type, header.source_id)
+    return (f"{identity.sensor}{identity.label}{header.data_name}", identity.unit)

@@ -1,0 +1,131 @@
+"""Names folders and files as BIDS wants it; what people and programs are called is no such name."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections import Counter
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import TypeVar
+
+_MOST_CHARACTERS = 40
+_HASH_CHARACTERS = 6
+_NOT_OF_A_LABEL = re.compile(r"[^0-9A-Za-z]+")
+_ENTITY = re.compile(r"(sub|ses|task|acq|run)-([0-9A-Za-z]+)")
+
+Key = TypeVar("Key", bound=Hashable)
+
+
+def label(text: str) -> str:
+    """Return letters and digits of a text: BIDS allows no other in its labels.
+
+    Letters lose their accents. Where nothing is left, or it is cut, it gets a hash of the text,
+    so that different ones stay different.
+    """
+    plain = _NOT_OF_A_LABEL.sub("", unicodedata.normalize("NFKD", text))
+    if plain and len(plain) <= _MOST_CHARACTERS:
+        return plain
+    return plain[: _MOST_CHARACTERS - _HASH_CHARACTERS] + _hash(text)
+
+
+def labels(names: Mapping[Key, Sequence[str]]) -> dict[Key, str]:
+    """Give each its label, no two the same, also where capitals do not count.
+
+    Parameters
+    ----------
+    names
+        What each is called, from its usual name to what tells it from others of that name.
+
+    Returns
+    -------
+    dict
+        Its usual name; of those that share one, longer ones, at last with a number.
+    """
+    result: dict[Key, str] = {}
+    for length in range(1, max((len(each) for each in names.values()), default=0) + 1):
+        tried = {key: label("".join(names[key][:length])) for key in names if key not in result}
+        claims = Counter(each.lower() for each in tried.values())
+        taken = {each.lower() for each in result.values()}
+        result |= {
+            key: found
+            for key, found in tried.items()
+            if claims[found.lower()] == 1 and found.lower() not in taken
+        }
+    taken = {each.lower() for each in result.values()}
+    for key, parts in names.items():
+        if key not in result:
+            result[key] = _numbered(label("".join(parts)), taken)
+    return result
+
+
+def _numbered(plain: str, taken: set[str]) -> str:
+    number = 1
+    while (found := f"{plain}n{number}").lower() in taken:
+        number += 1
+    taken.add(found.lower())
+    return found
+
+
+def _hash(text: str) -> str:
+    return sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:_HASH_CHARACTERS]
+
+
+@dataclass(frozen=True, slots=True)
+class Entities:
+    """What the files of one recording have in common in their names.
+
+    Attributes
+    ----------
+    subject, session, task, acquisition, run
+        Labels; empty where there is none, except `subject` and `task`.
+    """
+
+    subject: str
+    task: str
+    session: str = ""
+    acquisition: str = ""
+    run: str = ""
+
+    def of(self, subject: str) -> Entities:
+        """Return the same of another person."""
+        return replace(self, subject=subject)
+
+    def path(self, datatype: str, suffix: str, **more: str) -> Path:
+        """Return a file's path in the dataset.
+
+        Parameters
+        ----------
+        datatype
+            The folder, ``beh`` or ``motion``.
+        suffix
+            With the ending: ``physio.tsv.gz``.
+        more
+            ``tracksys`` or ``recording``, as far as this file has it.
+        """
+        named = {
+            "sub": self.subject,
+            "ses": self.session,
+            "task": self.task,
+            "tracksys": more.get("tracksys", ""),
+            "acq": self.acquisition,
+            "run": self.run,
+            "recording": more.get("recording", ""),
+        }
+        name = "_".join(f"{key}-{value}" for key, value in named.items() if value)
+        folders = [f"{key}-{named[key]}" for key in ("sub", "ses") if named[key]]
+        return Path(*folders, datatype, f"{name}_{suffix}")
+
+
+def entities_of(name: str) -> dict[str, str]:
+    """Return what a name says that is made as BIDS has it, by ``sub``, ``ses``, ``task`` ...
+
+    ``biosensor-gateway record`` and LabRecorder make such names; of others, it is empty.
+    """
+    matches = (_ENTITY.fullmatch(part) for part in name.split("_"))
+    found = {match[1]: match[2] for match in matches if match}
+    if not found.get("run", "0").isdigit():
+        del found["run"]
+    return found

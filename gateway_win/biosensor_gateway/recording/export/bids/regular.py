@@ -1,0 +1,169 @@
+"""Writes a regular stream as tables of equal steps, of which some rows may be empty."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from biosensor_gateway.recording.contents.stream import Samples
+from biosensor_gateway.recording.export.batches import joined
+from biosensor_gateway.recording.export.bids.placing import Displacement, place
+from biosensor_gateway.recording.export.bids.tables import NOTHING
+from biosensor_gateway.recording.export.bids.timing import Part
+from biosensor_gateway.recording.export.csv.tables import table_file
+from biosensor_gateway.recording.export.numbers import rows_of_numbers
+
+_WINDOW_S = 1.0
+_LEAST_WINDOW, _MOST_WINDOW = 16, 4096
+_EMPTY_ROWS_AT_ONCE = 4096
+_MICROSECONDS = 6
+# Of what was measured, higher levels leave a few percent less, and take several times as long.
+GZIP_LEVEL = 1
+
+
+@dataclass(frozen=True, slots=True)
+class RegularTable:
+    """What became of a part of a stream.
+
+    Attributes
+    ----------
+    path
+    start_s
+        Time of the first row.
+    samples, empty_rows
+    largest_displacement_s
+        How far a sample is from the time of its row at most.
+    moved
+        Samples whose own row was another one's.
+    """
+
+    path: Path
+    start_s: float
+    samples: int
+    empty_rows: int
+    largest_displacement_s: float
+    moved: int
+
+
+def write_regular(
+    path: Path, batches: Iterator[Samples], part: Part, rate_hz: float
+) -> RegularTable:
+    """Write the table of one part: the time of each sample, then its values.
+
+    Parameters
+    ----------
+    path
+        Packed if its name ends in ``.gz``.
+    batches
+        The samples of the part; times are seconds since zero.
+    part
+    rate_hz
+        Rows a second.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    window = int(np.clip(np.ceil(rate_hz * _WINDOW_S), _LEAST_WINDOW, _MOST_WINDOW))
+    with table_file(path, is_packed=path.suffix == ".gz", level=GZIP_LEVEL) as file:
+        writer = _Writer(file, part.start_s, rate_hz)
+        kept: Samples | None = None
+        for samples in batches:
+            kept = samples if kept is None else joined([kept, samples])
+            if len(kept) >= 2 * window:
+                kept = writer.write(kept, len(kept) - window)
+        if kept is not None:
+            writer.write(kept, len(kept))
+    return RegularTable(
+        path,
+        part.start_s + writer.first_row / rate_hz,
+        writer.samples,
+        writer.last_row + 1 - writer.first_row - writer.samples,
+        writer.displacement.largest / rate_hz,
+        writer.displacement.moved,
+    )
+
+
+class _Writer:
+    def __init__(self, file: BinaryIO, start_s: float, rate_hz: float) -> None:
+        self._file = file
+        self._start_s = start_s
+        self._rate_hz = rate_hz
+        self.first_row = 0
+        self.last_row = np.iinfo(np.int64).min // 2
+        self.samples = 0
+        self.displacement = Displacement()
+
+    def write(self, samples: Samples, count: int) -> Samples:
+        """Write the first samples, of which those behind them have a say; return the others."""
+        places = (samples.times - self._start_s) * self._rate_hz
+        rows = place(places, self.last_row)[:count]
+        self.displacement.add(places[:count], rows)
+        if not self.samples:
+            self.first_row = int(rows[0])
+            self.last_row = self.first_row - 1
+        empty = np.diff(rows, prepend=self.last_row) - 1
+        text = _text(samples, count)
+        if empty.any():
+            self._write_with_gaps(text, empty, samples)
+        else:
+            self._file.write(text)
+        self.last_row = int(rows[-1])
+        self.samples += count
+        return Samples(samples.times[count:], samples.stamps[count:], samples.values[count:])
+
+    def _write_with_gaps(self, text: bytes, empty: NDArray[np.int64], samples: Samples) -> None:
+        width = 1 + np.asarray(samples.values).shape[1]
+        nothing = b"\t".join([NOTHING.encode()] * width) + b"\n"
+        lines = text.splitlines(keepends=True)
+        before = 0
+        for at in np.flatnonzero(empty).tolist():
+            self._file.write(b"".join(lines[before:at]))
+            missing = int(empty[at])
+            while missing:
+                some = min(missing, _EMPTY_ROWS_AT_ONCE)
+                self._file.write(nothing * some)
+                missing -= some
+            before = at
+        self._file.write(b"".join(lines[before:]))
+
+
+def _text(samples: Samples, count: int) -> bytes:
+    times = np.round(samples.times[:count], _MICROSECONDS)
+    text = rows_of_numbers(times, np.asarray(samples.values)[:count])
+    return text.replace(b",", b"\t").replace(b"NaN", NOTHING.encode())
+
+
+def parts_of(batches: Iterator[Samples], parts: tuple[Part, ...]) -> Iterator[Iterator[Samples]]:
+    """Give the samples of each part; take all of one before the next.
+
+    Parameters
+    ----------
+    batches
+        All samples of the stream.
+    parts
+        How many each has.
+    """
+    left: list[Samples] = []
+
+    def of(count: int) -> Iterator[Samples]:
+        while count:
+            samples = left.pop() if left else next(batches)
+            if len(samples) > count:
+                left.append(_cut(samples, count, len(samples)))
+                samples = _cut(samples, 0, count)
+            count -= len(samples)
+            yield samples
+
+    for part in parts:
+        yield of(part.count)
+
+
+def _cut(samples: Samples, begin: int, end: int) -> Samples:
+    return Samples(samples.times[begin:end], samples.stamps[begin:end], samples.values[begin:end])

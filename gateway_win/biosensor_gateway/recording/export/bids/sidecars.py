@@ -1,0 +1,161 @@
+"""Says what the columns of a table mean and what made them: the content of its JSON."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Sequence
+
+from biosensor_common.quantities import Unit
+from biosensor_gateway.recording.contents.stream import Stream
+from biosensor_gateway.recording.export import names
+from biosensor_gateway.recording.export.bids.regular import RegularTable
+from biosensor_gateway.recording.export.bids.timeline import Timeline
+from biosensor_gateway.recording.export.bids.timing import Timing
+from biosensor_gateway.recording.export.csv import tables
+
+TIMESTAMP = "timestamp"
+ONSET = "onset"
+DURATION = "duration"
+_OWN = frozenset({TIMESTAMP, ONSET, DURATION, "trial_type", "message"})
+
+# As BIDS writes units in its appendix; the others are as it wants them, or have no such form.
+_UNITS = {
+    Unit.CELSIUS: "oC",
+    Unit.MICROSIEMENS: "uS",
+    Unit.MICROVOLTS: "uV",
+    Unit.MILLIVOLTS: "mV",
+    Unit.NEWTONS: "N",
+    Unit.PERCENT: "%",
+}
+_NOT_SAID = {
+    Unit.G: "in standard gravity, 1 g = 9.80665 m/s^2",
+    Unit.COUNTS: "counts of the device's converter, without a physical unit",
+}
+_HARDWARE = {
+    "Manufacturer": "manufacturer",
+    "ManufacturersModelName": "model",
+    "DeviceSerialNumber": "serial_number",
+    "SoftwareVersions": "firmware_version",
+}
+
+
+def unit(name: str) -> str:
+    """Return how BIDS writes a unit; empty if there is none."""
+    return {**_UNITS, Unit.NONE: ""}.get(name, name)  # type: ignore[call-overload]
+
+
+def columns(stream: Stream) -> list[str]:
+    """Return a name for the column of each channel, other than those of the sidecar's own keys."""
+    labels = tables.columns(stream)
+    if labels == ["1"]:
+        labels = [stream.meaning.data_name]
+    # Names of keys begin with a capital, and so do most labels.
+    taken = {*_OWN, *_KEYS}
+    return names.unique(
+        f"channel_{each}" if each in taken or each.isdigit() else "_".join(each.split())
+        for each in labels
+    )
+
+
+def described_columns(stream: Stream) -> dict[str, object]:
+    """Return what each column is, by its name."""
+    found: dict[str, object] = {}
+    told = zip(columns(stream), stream.header.labels, stream.meaning.units, strict=True)
+    for name, label, unit_name in told:
+        facts = {"Description": f"{label} of {stream.header.name}"}
+        if unit_name in _NOT_SAID:
+            facts["Description"] += f", {_NOT_SAID[Unit(unit_name)]}"
+        if unit(unit_name):
+            facts["Units"] = unit(unit_name)
+        found[name] = facts
+    return found
+
+
+def of_stream(stream: Stream, timeline: Timeline) -> dict[str, object]:
+    """Return what holds for any table of a stream: device, source, zero of time."""
+    header = stream.header
+    return {
+        **hardware(stream),
+        **timeline.described(),
+        "LslStream": {
+            "Name": header.name,
+            "Type": header.content_type,
+            "SourceId": header.source_id,
+            "Format": header.format.value,
+            "ClockMeasured": stream.clock.is_known,
+        },
+    }
+
+
+def of_grid(stream: Stream, timing: Timing, table: RegularTable) -> dict[str, object]:
+    """Return how the rows of a regular table came about."""
+    return {
+        "StartTime": round(table.start_s, 6),
+        "SamplingFrequencyNominal": stream.header.rate,
+        "Samples": table.samples,
+        "EmptyRows": table.empty_rows,
+        "Gaps": timing.gaps,
+        "LongestGap": round(timing.longest_gap_s, 6),
+        "LargestDisplacement": round(table.largest_displacement_s, 9),
+        "SamplesInAnotherRow": table.moved,
+    }
+
+
+def timestamp() -> dict[str, object]:
+    """Return what the column of times is."""
+    told = "time of the sample as it was recorded, since TimeZero; rows are where it is nearest"
+    return {TIMESTAMP: {"Description": told, "Units": "s"}}
+
+
+def hardware(stream: Stream) -> dict[str, str]:
+    """Return what the header says of the device, as far as it does."""
+    try:
+        root = ET.fromstring(stream.header.xml)  # noqa: S314 - read before, without entities
+    except (ET.ParseError, ValueError):
+        return {}
+    told = {
+        key: (root.findtext(f"desc/acquisition/{element}") or "").strip()
+        for key, element in _HARDWARE.items()
+    }
+    return {key: text for key, text in told.items() if text}
+
+
+def channel_types(stream: Stream) -> Sequence[str]:
+    """Return what type the header says each channel is, empty where it does not."""
+
+    def told() -> Iterator[str]:
+        root = ET.fromstring(stream.header.xml)  # noqa: S314 - read before, without entities
+        for channel in root.findall("desc/channels/channel"):
+            yield (channel.findtext("type") or "").strip()
+
+    count = stream.header.channel_count
+    try:
+        types = list(told())
+    except (ET.ParseError, ValueError):
+        types = []
+    return types if len(types) == count else [""] * count
+
+
+_KEYS = frozenset(
+    {
+        *_HARDWARE,
+        "StartTime",
+        "SamplingFrequency",
+        "SamplingFrequencyEffective",
+        "SamplingFrequencyNominal",
+        "Samples",
+        "EmptyRows",
+        "Gaps",
+        "LongestGap",
+        "LargestDisplacement",
+        "SamplesInAnotherRow",
+        "TimeZero",
+        "LslStream",
+        "Columns",
+        "PhysioType",
+        "TaskName",
+        "Description",
+        "OnsetSource",
+        "MissingValues",
+    }
+)

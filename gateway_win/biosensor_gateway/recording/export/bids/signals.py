@@ -1,0 +1,201 @@
+"""Writes one stream of numbers: its tables, and what they mean."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from biosensor_gateway.recording.contents.choice import Chosen
+from biosensor_gateway.recording.contents.stream import Samples, Stream
+from biosensor_gateway.recording.export.batches import batches
+from biosensor_gateway.recording.export.bids import motion, sidecars
+from biosensor_gateway.recording.export.bids.file_names import Entities
+from biosensor_gateway.recording.export.bids.irregular import write_irregular
+from biosensor_gateway.recording.export.bids.regular import (
+    RegularTable,
+    parts_of,
+    write_regular,
+)
+from biosensor_gateway.recording.export.bids.sidecars import DURATION, ONSET, TIMESTAMP
+from biosensor_gateway.recording.export.bids.tables import write_json, write_rows
+from biosensor_gateway.recording.export.bids.timeline import Timeline
+from biosensor_gateway.recording.export.bids.timing import Timing, find_timing
+from biosensor_gateway.recording.export.exporter import SampleCount
+
+BEHAVIOUR, MOTION = "beh", "motion"
+# Stamps that are further away are of no clock.
+_FURTHEST_S = 4e9
+_MOST_PARTS = 100
+# What is mostly gaps is no table of equal steps.
+_MOST_EMPTY_PER_SAMPLE = 100
+_ALWAYS_EMPTY_S = 24 * 3600.0
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where the files of a stream go; `label` tells it from the person's other streams."""
+
+    entities: Entities
+    label: str
+
+
+@dataclass(slots=True)
+class Remarks:
+    """Names of streams of which something is to be said."""
+
+    without_samples: list[str] = field(default_factory=list[str])
+    without_table: list[str] = field(default_factory=list[str])
+    cut: list[str] = field(default_factory=list[str])
+    moved: list[str] = field(default_factory=list[str])
+    unplaced: int = 0
+    """Samples whose times are of no clock."""
+
+
+class SignalWriter:
+    """Writes streams of numbers.
+
+    Parameters
+    ----------
+    chosen
+    timeline
+    root
+        Of the dataset.
+    count
+        Is told what is written.
+    """
+
+    def __init__(self, chosen: Chosen, timeline: Timeline, root: Path, count: SampleCount) -> None:
+        self._chosen = chosen
+        self._timeline = timeline
+        self._root = root
+        self._count = count
+        self.remarks = Remarks()
+
+    def write(self, stream: Stream, place: Place) -> bool:
+        """Write a stream; return whether it has a table now.
+
+        Raises
+        ------
+        OSError
+            If a file cannot be written.
+        """
+        if stream.header.is_regular:
+            return self._write_regular(stream, place)
+        if next(self._batches(stream), None) is None:
+            self.remarks.without_samples.append(stream.header.name)
+            return False
+        self._write_irregular(stream, place)
+        return True
+
+    def _batches(self, stream: Stream, *, is_first: bool = False) -> Iterator[Samples]:
+        """Give the samples with seconds since zero; for the first time, count what is left out."""
+        for samples in batches(self._chosen, stream):
+            near = samples.picked(np.abs(samples.times - self._timeline.zero_s) < _FURTHEST_S)
+            if is_first:
+                self.remarks.unplaced += len(samples) - len(near)
+            if len(near):
+                times = self._timeline.since_zero(near.times)
+                yield Samples(times, near.stamps, near.values)
+
+    def _counted(self, parts: Iterator[Samples]) -> Iterator[Samples]:
+        for samples in parts:
+            yield samples
+            self._count.add(len(samples))
+
+    def _write_irregular(self, stream: Stream, place: Place) -> None:
+        entities, recording = place.entities, {"recording": place.label}
+        table = self._root / entities.path(BEHAVIOUR, "physioevents.tsv.gz", **recording)
+        table.parent.mkdir(parents=True, exist_ok=True)
+        samples = write_irregular(table, self._counted(self._batches(stream, is_first=True)))
+        content = {
+            "Description": f"the stream {stream.header.name}, which has no rate",
+            "Columns": [ONSET, DURATION, *sidecars.columns(stream)],
+            # There is no column of another table: onsets are seconds since TimeZero.
+            "OnsetSource": "",
+            ONSET: {"Description": "time of the sample, since TimeZero", "Units": "s"},
+            DURATION: {"Description": "0: a sample holds for a moment", "Units": "s"},
+            **sidecars.described_columns(stream),
+            "TaskName": entities.task,
+            "Samples": samples,
+            **sidecars.of_stream(stream, self._timeline),
+        }
+        path = self._root / entities.path(BEHAVIOUR, "physioevents.json", **recording)
+        write_json(path, content)
+
+    def _write_regular(self, stream: Stream, place: Place) -> bool:
+        name = stream.header.name
+        first = self._batches(stream, is_first=True)
+        timing = find_timing((each.times for each in first), stream.header)
+        if timing is None:
+            self.remarks.without_samples.append(name)
+            return False
+        samples = sum(part.count for part in timing.parts)
+        most = samples * _MOST_EMPTY_PER_SAMPLE + _ALWAYS_EMPTY_S * timing.rate_hz
+        if len(timing.parts) > _MOST_PARTS or timing.rows > most:
+            self.remarks.without_table.append(name)
+            return False
+        moved = 0
+        parts = parts_of(self._batches(stream), timing.parts)
+        for number, (part, batched) in enumerate(zip(timing.parts, parts, strict=True), 1):
+            label = f"{place.label}part{number}" if len(timing.parts) > 1 else place.label
+            files = _Files(self._root, Place(place.entities, label), motion.is_motion(stream))
+            files.table.parent.mkdir(parents=True, exist_ok=True)
+            table = write_regular(files.table, self._counted(batched), part, timing.rate_hz)
+            files.describe(stream, timing, table, self._timeline)
+            moved += table.moved
+        if len(timing.parts) > 1:
+            self.remarks.cut.append(name)
+        if moved:
+            self.remarks.moved.append(name)
+        return True
+
+
+class _Files:
+    """The files of a regular table."""
+
+    def __init__(self, root: Path, place: Place, is_motion: bool) -> None:
+        self._root = root
+        self._place = place
+        self._is_motion = is_motion
+        self.table = self._path("motion.tsv" if is_motion else "physio.tsv.gz")
+
+    def _path(self, suffix: str) -> Path:
+        datatype, key = (MOTION, "tracksys") if self._is_motion else (BEHAVIOUR, "recording")
+        return self._root / self._place.entities.path(datatype, suffix, **{key: self._place.label})
+
+    def describe(
+        self, stream: Stream, timing: Timing, table: RegularTable, timeline: Timeline
+    ) -> None:
+        """Write what belongs to the table."""
+        content = {
+            "TaskName": self._place.entities.task,
+            **(self._of_motion(stream, timing) if self._is_motion else _of_physio(stream, timing)),
+            **sidecars.of_grid(stream, timing, table),
+            **sidecars.of_stream(stream, timeline),
+            **sidecars.timestamp(),
+            **sidecars.described_columns(stream),
+        }
+        write_json(self._path("motion.json" if self._is_motion else "physio.json"), content)
+
+    def _of_motion(self, stream: Stream, timing: Timing) -> dict[str, object]:
+        channels = motion.channels(stream, TIMESTAMP)
+        write_rows(self._path("channels.tsv"), motion.table(channels))
+        return {
+            "TrackingSystemName": stream.meaning.identity.sensor,
+            # Here BIDS wants the nominal rate, and the real one in a key of its own.
+            "SamplingFrequency": stream.header.rate,
+            "SamplingFrequencyEffective": timing.rate_hz,
+            "MissingValues": "n/a",
+            **motion.counts(channels),
+        }
+
+
+def _of_physio(stream: Stream, timing: Timing) -> dict[str, object]:
+    return {
+        "SamplingFrequency": timing.rate_hz,
+        "Columns": [TIMESTAMP, *sidecars.columns(stream)],
+        "PhysioType": "generic",
+    }

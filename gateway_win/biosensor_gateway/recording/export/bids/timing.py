@@ -1,0 +1,173 @@
+"""Finds the rate at which a regular stream was sampled, and where its table has to be cut."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from biosensor_gateway.recording.xdf.header import RecordedHeader
+from biosensor_gateway.recording.xdf.measuring import longest_step_s
+
+LONGEST_FILLED_S = 3600.0
+"""A longer gap is not filled with empty rows: a table of its own begins behind it."""
+FURTHEST_BACK_S = 1.0
+"""Where time steps back further, the clock was another one, and a table of its own begins."""
+# A stream whose stamps all come at once seems to have any rate.
+_MOST_OFF_NOMINAL = 10.0
+
+
+@dataclass(slots=True)
+class Part:
+    """Samples that go into one table.
+
+    Attributes
+    ----------
+    count
+    start_s
+        Time of its first row.
+    """
+
+    count: int = 0
+    start_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """How a regular stream was sampled.
+
+    Attributes
+    ----------
+    rate_hz
+        Of the samples between gaps; the nominal rate if they do not tell.
+    gaps
+        Steps that are longer than those of neighbours can be.
+    longest_gap_s
+    parts
+        At least one; in the order of the file.
+    rows
+        How many rows these need, samples and empty ones, about.
+    """
+
+    rate_hz: float
+    gaps: int
+    longest_gap_s: float
+    parts: tuple[Part, ...]
+    rows: float
+
+
+@dataclass(slots=True)
+class _Line:
+    """Samples without a gap between them: index against time, as sums around their means."""
+
+    count: int = 0
+    mean_index: float = 0.0
+    mean_s: float = 0.0
+    spread: float = 0.0
+    product: float = 0.0
+
+    def add(self, times: NDArray[np.float64]) -> None:
+        """Take in the samples that follow; means and sums are joined as Chan et al. (1983) do."""
+        count = len(times)
+        index = self.count + np.arange(count, dtype=np.float64)
+        mean_index, mean_s = float(index.mean()), float(times.mean())
+        total = self.count + count
+        weight = self.count * count / total
+        away, away_s = mean_index - self.mean_index, mean_s - self.mean_s
+        self.spread += float(((index - mean_index) ** 2).sum()) + weight * away**2
+        self.product += float((index - mean_index) @ (times - mean_s)) + weight * away * away_s
+        self.mean_index += away * count / total
+        self.mean_s += away_s * count / total
+        self.count = total
+
+
+@dataclass(slots=True)
+class _Survey:
+    longest_step_s: float
+    spread: float = 0.0
+    product: float = 0.0
+    gaps: int = 0
+    longest_gap_s: float = 0.0
+    spans_s: float = 0.0
+    parts: list[Part] = field(default_factory=list[Part])
+    firsts: list[_Line] = field(default_factory=list[_Line])
+    _line: _Line = field(default_factory=_Line)
+    _begin_s: float = 0.0
+    _last_s: float = 0.0
+
+    def add(self, times: NDArray[np.float64]) -> None:
+        steps = np.diff(times, prepend=self._last_s if self.parts else times[0])
+        cuts = (steps > LONGEST_FILLED_S) | (steps < -FURTHEST_BACK_S)
+        if not self.parts:
+            cuts[0] = True
+        begins = np.flatnonzero(cuts | (steps > self.longest_step_s))
+        before = 0
+        for at in begins.tolist():
+            self._extend(times[before:at])
+            self._break(float(times[at]), float(steps[at]), is_cut=bool(cuts[at]))
+            before = at
+        self._extend(times[before:])
+
+    def _extend(self, times: NDArray[np.float64]) -> None:
+        if len(times):
+            self._line.add(times)
+            self.parts[-1].count += len(times)
+            self._last_s = float(times[-1])
+
+    def _break(self, time_s: float, step_s: float, *, is_cut: bool) -> None:
+        self.end_line()
+        if not is_cut:
+            self.gaps += 1
+            self.longest_gap_s = max(self.longest_gap_s, step_s)
+            return
+        self.end_part()
+        self.parts.append(Part())
+        self._begin_s = time_s
+        self.firsts.append(self._line)
+
+    def end_line(self) -> None:
+        self.spread += self._line.spread
+        self.product += self._line.product
+        self._line = _Line()
+
+    def end_part(self) -> None:
+        if self.parts:
+            self.spans_s += self._last_s - self._begin_s
+
+
+def find_timing(blocks: Iterable[NDArray[np.float64]], header: RecordedHeader) -> Timing | None:
+    """Find out how a regular stream was sampled; None if there is no sample.
+
+    The rate is the slope of one straight line with an offset for each run between two gaps,
+    by least squares. Rows are counted from where the line through the first run begins.
+
+    Parameters
+    ----------
+    blocks
+        Times of the samples, finite, in s, each array of shape (n_samples,) and not empty.
+    header
+        Of the stream.
+    """
+    survey = _Survey(longest_step_s(header))
+    for times in blocks:
+        survey.add(times)
+    if not survey.parts:
+        return None
+    survey.end_line()
+    survey.end_part()
+    rate_hz = _rate(survey, header.rate)
+    for part, line in zip(survey.parts, survey.firsts, strict=True):
+        part.start_s = line.mean_s - line.mean_index / rate_hz
+    rows = survey.spans_s * rate_hz + len(survey.parts)
+    return Timing(rate_hz, survey.gaps, survey.longest_gap_s, tuple(survey.parts), rows)
+
+
+def _rate(survey: _Survey, nominal_hz: float) -> float:
+    # Two samples are not enough: the step between them may be of any length.
+    if survey.spread < 1.0 or survey.product <= 0:
+        return nominal_hz
+    found_hz = survey.spread / survey.product
+    is_likely = nominal_hz / _MOST_OFF_NOMINAL < found_hz < nominal_hz * _MOST_OFF_NOMINAL
+    return found_hz if is_likely else nominal_hz

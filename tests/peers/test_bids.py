@@ -1,0 +1,81 @@
+"""The validator of BIDS finds no error in any dataset, and pandas reads what was recorded."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from biosensor_gateway.recording.contents.choice import Wish
+from biosensor_gateway.recording.export.exporting import Task, export
+from tests.peers.test_peers import DEADLINE_S, ENVIRONMENT, PEERS
+from tests.recording_export.bids_shapes import BEGIN_S, SHAPES, numbers, times
+
+
+def _run(program: str, *arguments: str) -> str:
+    # A skip would pass where nothing was tried.
+    if not (ENVIRONMENT / ".installed").exists():
+        pytest.fail("the peers are not installed: run `make test`, or tests/peers/install.sh first")
+    line = [str(ENVIRONMENT / "bin" / program), *arguments]
+    done = subprocess.run(line, capture_output=True, text=True, timeout=DEADLINE_S, check=False)
+    assert done.stdout, done.stderr
+    return done.stdout
+
+
+def _validated(dataset: Path) -> list[dict[str, Any]]:
+    """All issues that the validator names; it reads every row, not only the first thousand."""
+    told = _run("bids-validator-deno", "--max-rows", "-1", "--format", "json", str(dataset))
+    return json.loads(told)["issues"]["issues"]
+
+
+def _exported(tmp_path: Path, shape: str) -> Path:
+    path = tmp_path / "study.xdf"
+    path.write_bytes(SHAPES[shape])
+    (written,) = export(path, Task(["bids"], Wish()), lambda _name, _s: lambda _done: None).written
+    return written.path
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_validator_finds_no_error(shape: str, tmp_path: Path) -> None:
+    issues = _validated(_exported(tmp_path, shape))
+    assert [each for each in issues if each["severity"] == "error"] == []
+    # What it warns of, only people know: authors, licence, institution, instructions.
+    told = {each["code"] for each in issues}
+    assert told <= {
+        "EVENTS_TSV_MISSING",
+        "JSON_KEY_RECOMMENDED",
+        "NO_AUTHORS",
+        "SIDECAR_KEY_RECOMMENDED",
+        "TOO_FEW_AUTHORS",
+    }
+
+
+def test_the_validator_finds_an_error_where_there_is_one(tmp_path: Path) -> None:
+    dataset = _exported(tmp_path, "one person")
+    (sidecar,) = dataset.rglob("*ecg_physio.json")
+    content = json.loads(sidecar.read_text("utf-8"))
+    del content["SamplingFrequency"]
+    sidecar.write_text(json.dumps(content), "utf-8")
+    codes = {each["code"] for each in _validated(dataset) if each["severity"] == "error"}
+    assert codes == {"SIDECAR_KEY_REQUIRED"}
+
+
+def test_pandas_reads_every_bit(tmp_path: Path) -> None:
+    tables = sorted(map(str, _exported(tmp_path, "two persons").rglob("*_physio.tsv.gz")))
+    found = json.loads(_run("python", str(PEERS / "physio_reads.py"), *tables))
+    assert len(found) == 2
+    for table in found:
+        assert table["columns"] == ["timestamp", "ECG"]
+        assert table["rows"] == 1000
+        bits = numbers(960).ravel().view(np.uint32)
+        nan = np.isnan(numbers(960).ravel())
+        read = np.array(table["bits"]["ECG"], np.uint32)
+        # No value has no certain bits.
+        assert np.isnan(read.view(np.float32)).tolist() == nan.tolist()
+        assert read[~nan].tolist() == bits[~nan].tolist()
+        at = np.delete(times(1000, 130.0), slice(300, 340)) - BEGIN_S
+        np.testing.assert_allclose(table["timestamps"], at, rtol=0, atol=1e-6)

@@ -1,0 +1,201 @@
+"""Recordings of all shapes that a BIDS dataset is made of."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import numpy as np
+from numpy.typing import NDArray
+
+from biosensor_common.naming import lsl_name, source_id
+from biosensor_common.spec import DeviceIdentity
+from tests.xdf import xdf_file as made
+
+BEGIN_S = 100.0
+_AT_ONCE = 50
+
+
+def numbers(rows: int, channels: int = 1, seed: int = 0) -> NDArray[np.float32]:
+    """Values as a converter gives them and as a filter does, and NaN, which is no value."""
+    random = np.random.default_rng(seed)
+    values = random.normal(0, 300, (rows, channels)).astype(np.float32)
+    values[::3] = np.round(values[::3]) * np.float32(0.1)
+    values[5::97] = np.nan
+    return values
+
+
+def times(count: int, rate_hz: float, begin_s: float = BEGIN_S) -> NDArray[np.float64]:
+    return begin_s + np.arange(count) / rate_hz
+
+
+def stream(
+    number: int,
+    name: str,
+    values: Sequence[Sequence[Any]] | NDArray[Any],
+    stamps: Iterable[float],
+    *,
+    offsets: bool = True,
+    **header: Any,
+) -> bytes:
+    """A stream of any kind, as the part of a file."""
+    rows = values.tolist() if isinstance(values, np.ndarray) else values
+    at = list(stamps)
+    header = {"fmt": "float32", "channels": len(rows[0]) if rows else 1, **header}
+    parts = [made.stream_header(number, name, **header)]
+    for begin in range(0, len(at), _AT_ONCE):
+        end = begin + _AT_ONCE
+        parts.append(made.samples(number, header["fmt"], rows[begin:end], at[begin:end]))
+    if offsets and at:
+        parts.append(made.offsets(number, (at[0], at[-1])))
+    return b"".join(parts)
+
+
+def ours(
+    number: int,
+    identity: DeviceIdentity,
+    data_name: str,
+    values: Sequence[Sequence[Any]] | NDArray[Any],
+    stamps: Iterable[float],
+    channels: Sequence[tuple[str, str]] = (("value", "microvolts"),),
+    **header: Any,
+) -> bytes:
+    """A stream as the agent sends it; `channels` are labels and units."""
+    is_text = header.get("fmt") == "string"
+    return stream(
+        number,
+        lsl_name(identity, data_name),
+        values,
+        stamps,
+        source_id=source_id(identity, data_name),
+        desc=_description(identity, data_name, channels, is_text=is_text),
+        **header,
+    )
+
+
+def _description(
+    identity: DeviceIdentity,
+    data_name: str,
+    channels: Sequence[tuple[str, str]],
+    *,
+    is_text: bool,
+) -> ET.Element:
+    desc = ET.Element("desc")
+    listed = ET.SubElement(desc, "channels")
+    for label, unit in channels:
+        channel = ET.SubElement(listed, "channel")
+        ET.SubElement(channel, "label").text = label
+        ET.SubElement(channel, "unit").text = unit
+    acquisition = ET.SubElement(desc, "acquisition")
+    ET.SubElement(acquisition, "manufacturer").text = "Acme"
+    ET.SubElement(acquisition, "model").text = identity.sensor.upper()
+    ET.SubElement(acquisition, "serial_number").text = identity.unit
+    block = ET.SubElement(desc, "biosensor")
+    for name, text in {
+        "version": "1",
+        "sensor": identity.sensor,
+        "unit": identity.unit,
+        "participant": identity.participant,
+        "label": identity.label,
+        "data_name": data_name,
+        "category": "raw",
+        "message_type": "std_msgs/msg/" + ("String" if is_text else "Float32MultiArray"),
+        "chunk": "",
+        "is_state": "false",
+    }.items():
+        ET.SubElement(block, name).text = text
+    return desc
+
+
+def marker(number: int, name: str, at: float, **more: Any) -> list[str]:
+    """A marker as the agent sends it."""
+    return [json.dumps({"marker": name, "kind": "api", "id": number, "lsl_time": at, **more})]
+
+
+def h10(first: int, who: str, unit: str = "A1", label: str = "") -> bytes:
+    """A strap: ECG with a gap, acceleration, beats."""
+    strap = DeviceIdentity("polar_h10", unit, who, label)
+    ecg = np.delete(times(1000, 130.0), slice(300, 340))
+    axes = [(axis, "g") for axis in "XYZ"]
+    beats = times(9, 1.25)
+    return b"".join(
+        [
+            ours(first, strap, "ecg", numbers(960), ecg, [("ECG", "microvolts")], rate=130.0,
+                 kind="ECG"),
+            ours(first + 1, strap, "acc", numbers(300, 3), times(300, 50.0), axes, rate=50.0,
+                 kind="Accelerometer"),
+            ours(first + 2, strap, "ibi", numbers(9), beats, [("RR", "s")], kind="RR"),
+        ]
+    )  # fmt: skip
+
+
+def _markers(number: int) -> bytes:
+    agent = DeviceIdentity("gateway", "lab-pc")
+    texts = [
+        marker(1, "baseline", 101.0),
+        marker(2, "stimulus\ton", 102.0),
+        marker(3, "note", 103.0, note="Übelkeit?"),
+        marker(4, "undo", 104.0, of=2),
+    ]
+    stamps = [101.0, 102.0, 103.0, 104.0]
+    return ours(number, agent, "markers", texts, stamps, [("marker", "none")], fmt="string",
+                kind="Markers")  # fmt: skip
+
+
+def _foreign() -> bytes:
+    jitter = np.random.default_rng(3).exponential(0.01, 2000)
+    texts = [[f"trial {n}", "left"] for n in range(4)]
+    return b"".join(
+        [
+            stream(1, "BrainAmp 0-1", numbers(2000, 4), times(2000, 500.0) + jitter, rate=500.0,
+                   kind="EEG", offsets=False),
+            stream(2, "PsychoPy", texts, times(4, 1.0), fmt="string", kind="Markers"),
+            stream(3, "Tobii: blink", [(n,) for n in range(5)], times(5, 2.0), fmt="int32"),
+            stream(4, "keys", [(n,) for n in range(5)], times(5, 2.0), fmt="int16",
+                   kind="Markers"),
+            stream(5, "rigid body", numbers(200, 7), times(200, 100.0), rate=100.0, kind="MoCap"),
+            stream(6, "empty", [], [], rate=10.0),
+        ]
+    )  # fmt: skip
+
+
+def _far_apart() -> bytes:
+    """A pause of two hours, a clock that was set back, a rate that nothing keeps to."""
+    paused = np.concatenate([times(200, 50.0), times(200, 50.0, BEGIN_S + 7300.0)])
+    back = np.concatenate([times(200, 50.0, 150.0), times(200, 50.0, 120.0)])
+    nowhere = BEGIN_S + np.cumsum(np.full(300, 3000.0))
+    return b"".join(
+        [
+            stream(1, "paused", numbers(400), paused, rate=50.0),
+            stream(2, "set back", numbers(400), back, rate=50.0),
+            stream(3, "nowhere", numbers(300), nowhere, rate=100.0),
+        ]
+    )
+
+
+def _irregular_only() -> bytes:
+    strap = DeviceIdentity("ble_heart_rate", "B2", "p7")
+    return ours(1, strap, "ibi", numbers(9), times(9, 1.1), [("RR", "s")], kind="RR")
+
+
+SHAPES: dict[str, bytes] = {
+    "one person": made.xdf(h10(1, "p01"), _markers(4)),
+    "two persons": made.xdf(h10(1, "p01"), h10(4, "p02", "A2"), _markers(7)),
+    "two persons and a room": made.xdf(
+        h10(1, "p01"),
+        h10(4, "p02", "A2"),
+        stream(7, "room", numbers(40), times(40, 4.0), rate=4.0, kind="Temperature"),
+        _markers(8),
+    ),
+    "nobody": made.xdf(h10(1, "")),
+    "two sensors of a kind": made.xdf(
+        h10(1, "p01", "A1"), h10(4, "p01", "A2", "left"), h10(7, "", "A3"), h10(10, "", "A4")
+    ),
+    "irregular only": made.xdf(_irregular_only()),
+    "markers only": made.xdf(_markers(1)),
+    "unicode": made.xdf(h10(1, "Jörg"), h10(4, "Jorg", "A2"), h10(7, "李"), h10(10, "王", "ß")),
+    "foreign": made.xdf(_foreign()),
+    "far apart": made.xdf(_far_apart()),
+}
