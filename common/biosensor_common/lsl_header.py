@@ -37,6 +37,7 @@ from biosensor_common.quantities import (
     ContentType,
     MessageType,
 )
+from biosensor_common.replay import Replay, read_replay, recorded_source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, StreamSpec, is_data_name
 from biosensor_common.stream_header import (
     MAX_FIELD_CHARACTERS,
@@ -122,10 +123,10 @@ def read_header(xml: str) -> StreamHeader:
     blocks = root.findall("desc/biosensor")
     if not blocks:
         channels = read_channels(root, core.channel_count)
-        return foreign_header(core, channels.labels, channels.units)
+        return foreign_header(core, channels.labels, channels.units, read_replay(root))
     if len(blocks) > 1:
         raise SpecError(SpecReason.MALFORMED, f"{core}: more than one <biosensor> block")
-    return _own(core, blocks[0], read_channels(root, core.channel_count))
+    return _own(core, blocks[0], read_channels(root, core.channel_count), read_replay(root))
 
 
 _CORE_FIELDS = (
@@ -177,7 +178,9 @@ def _parse(xml: str) -> ET.Element:
         raise SpecError(SpecReason.MALFORMED, message) from error
 
 
-def _own(core: CoreFields, block: ET.Element, channels: Channels) -> StreamHeader:
+def _own(
+    core: CoreFields, block: ET.Element, channels: Channels, replay: Replay | None
+) -> StreamHeader:
     version = _field(core, block, "version")
     if version != VERSION:
         message = f"{core}: <biosensor> version {version!r} is newer than this node; update it"
@@ -203,6 +206,7 @@ def _own(core: CoreFields, block: ET.Element, channels: Channels) -> StreamHeade
         message_type=_member(core, MessageType, _field(core, block, "message_type")),
         chunk=_field(core, block, "chunk"),
         is_state=is_state,
+        replay=replay,
     )
     _check(core, header)
     return header
@@ -252,8 +256,9 @@ def _check(core: CoreFields, header: StreamHeader) -> None:
     if not all(is_data_name(name) for name in names):
         raise SpecError(SpecReason.INVALID, f"{core}: {names} are not all lower-case ROS names")
     is_text = header.format is ChannelFormat.STRING
+    measured_as = recorded_source_id(core.source_id, header.replay)
     for lie, claim in (
-        (core.source_id != naming.source_id(identity, header.data_name), "another source_id"),
+        (measured_as != naming.source_id(identity, header.data_name), "another source_id"),
         (is_text != message_type.is_text, f"messages {message_type}"),
         (core.channel_count > 1 and not message_type.is_array, f"messages {message_type}"),
         (_is_too_narrow(message_type, header.format), f"messages {message_type}"),

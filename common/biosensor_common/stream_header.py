@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from biosensor_common import naming
 from biosensor_common.quantities import Category, ChannelFormat, ChannelRole, MessageType
+from biosensor_common.replay import Replay
 from biosensor_common.spec import DeviceIdentity
 
 MAX_FIELD_CHARACTERS = 128
@@ -46,6 +47,8 @@ class StreamHeader:
         Data name of the chunk topic, empty if there is none.
     is_state
         Each sample holds until the next one; never of a regular or foreign stream.
+    replay
+        Of which recording it is played; None if it is measured now.
     """
 
     identity: DeviceIdentity
@@ -61,6 +64,7 @@ class StreamHeader:
     chunk: str
     is_state: bool = False
     foreign: bool = False
+    replay: Replay | None = None
 
 
 _GENERIC = {
@@ -74,7 +78,10 @@ _GENERIC = {
 
 
 def foreign_header(
-    core: CoreFields, labels: tuple[str, ...] = (), units: tuple[str, ...] = ()
+    core: CoreFields,
+    labels: tuple[str, ...] = (),
+    units: tuple[str, ...] = (),
+    replay: Replay | None = None,
 ) -> StreamHeader:
     """Map a stream that is not ours: sensor from its name, data name from its type.
 
@@ -98,4 +105,5 @@ def foreign_header(
         message_type=_GENERIC.get(core.format, MessageType.FLOAT32_MULTI_ARRAY),
         chunk=data_name if has_chunks else "",
         foreign=True,
+        replay=replay,
     )

@@ -6,7 +6,6 @@ import json
 import re
 from datetime import UTC, datetime
 from pathlib import Path
-from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
@@ -16,29 +15,10 @@ from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.recording.contents.choice import Wish, choose
 from biosensor_gateway.recording.contents.opening import open_contents
+from tests.recording_contents.ours import description
 from tests.xdf import xdf_file as made
 
 DAY_NS = 1_790_000_000_000_000_000
-
-
-def _ours(sensor: str, data_name: str, participant: str = "") -> ET.Element:
-    is_text = data_name == "events"
-    desc = ET.Element("desc")
-    block = ET.SubElement(desc, "biosensor")
-    for name, text in {
-        "version": "1",
-        "sensor": sensor,
-        "unit": "u1",
-        "participant": participant,
-        "label": "",
-        "data_name": data_name,
-        "category": "raw",
-        "message_type": "std_msgs/msg/" + ("String" if is_text else "Float32MultiArray"),
-        "chunk": "" if is_text else data_name,
-        "is_state": "false",
-    }.items():
-        ET.SubElement(block, name).text = text
-    return desc
 
 
 def _events(stream_id: int, sensor: str, pairs: dict[float, int]) -> bytes:
@@ -51,7 +31,7 @@ def _events(stream_id: int, sensor: str, pairs: dict[float, int]) -> bytes:
         f"{sensor}/events",
         fmt="string",
         source_id=source_id(DeviceIdentity(sensor, "u1"), "events"),
-        desc=_ours(sensor, "events"),
+        desc=description(sensor, "events"),
     )
     return header + made.samples(stream_id, "string", texts, [at + 0.01 for at in pairs])
 
@@ -183,7 +163,7 @@ def test_one_person_can_be_cut_out(path: Path) -> None:
             100.0,
             8,
             source_id=source_id(DeviceIdentity("polar_h10", "u1", who), "ecg"),
-            desc=_ours("polar_h10", "ecg", who),
+            desc=description("polar_h10", "ecg", who),
         )
         for n, who in enumerate(("P1", "P2", ""), 1)
     )

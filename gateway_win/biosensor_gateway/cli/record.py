@@ -9,11 +9,10 @@ from typing import Annotated
 
 import typer
 
-from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.cli import recording_here
+from biosensor_gateway.cli.loading import settings_or_defaults
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
 from biosensor_gateway.cli.recording_here import as_text, look_for, warn
-from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.recording.labrecorder.file_name import MAX_RUN, BidsLabels, Place
 from biosensor_gateway.recording.labrecorder.remote import DEFAULT_PORT, RemoteControl
 from biosensor_gateway.recording.labrecorder.situation import Situation, situation
@@ -21,9 +20,7 @@ from biosensor_gateway.recording.labrecorder.starting import GROWTH_S, Order, St
 from biosensor_gateway.recording.labrecorder.starting import start as start_recording
 from biosensor_gateway.recording.labrecorder.stopping import Stopped
 from biosensor_gateway.recording.labrecorder.stopping import stop as stop_recording
-from biosensor_gateway.settings import file as settings_file
-from biosensor_gateway.settings.models import GatewaySettings
-from biosensor_gateway.settings.places import settings_path, state_folder
+from biosensor_gateway.settings.places import state_folder
 
 _LOCAL = "127.0.0.1"
 
@@ -117,7 +114,7 @@ def start(
     )
     place = Place(folder, recorder_folder, file, labels)
     order = Order(place, all_streams, only_ours, allow_missing, timeout)
-    loaded = _loaded(settings)
+    loaded = settings_or_defaults(settings)
     if here or not (window or host or port or recording_here.has_window(_LOCAL, DEFAULT_PORT)):
         recording_here.start(order, loaded, counts_up=run is None, as_json=as_json)
         return
@@ -136,16 +133,6 @@ def _labels(
             raise typer.BadParameter("a BIDS name needs --participant")
         return None
     return BidsLabels(participant, run=run or 1, **given)
-
-
-def _loaded(path: Path | None) -> GatewaySettings:
-    try:
-        return settings_file.load_settings(path or settings_path(), settings_models())
-    except ConfigError as error:
-        # Virtual devices need none, nor does LabRecorder; a broken file is another matter.
-        if path is not None or error.reason is not ConfigReason.NOT_FOUND:
-            raise
-        return GatewaySettings()
 
 
 def _start_text(started: Started) -> str:

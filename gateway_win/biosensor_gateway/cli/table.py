@@ -91,6 +91,11 @@ COMMANDS = (
     _command("secrets", "secrets:app", "Secrets in the keyring of the system."),
     _command("service", "service:app", "The agent as a service of this user (Linux)."),
     _command("record", "record:app", "Start, watch and stop recordings."),
+    _command(
+        "replay",
+        "replay:replay",
+        "Play a recording as LSL streams, with the headers, gaps and times that were recorded.",
+    ),
     _command("xdf", "xdf:app", "Recordings of LabRecorder (XDF files)."),
     _command("bag", "bag:app", "Bags of ROS (MCAP or SQLite); no ROS is needed."),
     _hidden("installation", "installation:app", "Used by the Windows installer."),

@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element
 
 import numpy as np
 import pylsl
 from numpy.typing import ArrayLike, NDArray
 
 from biosensor_common import naming
+from biosensor_common.description_xml import append_children
 from biosensor_common.device_clock import LONGEST_DELAY_S
 from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
 from biosensor_common.lsl_header import describe
@@ -94,7 +94,7 @@ class Outlet:
             stream.format.value,
             self.source_id,
         )
-        _append(lsl_info.desc(), describe(stream, identity, info))
+        append_children(lsl_info.desc(), describe(stream, identity, info))
         self._outlet = pylsl.StreamOutlet(lsl_info)
         # What a device says once or rarely, and what holds until it says otherwise.
         self._waits = waits_for_receivers(
@@ -223,11 +223,3 @@ class Outlet:
         if (values < low).any() or (values > high).any():
             return f"values outside {low}..{high}"
         return None
-
-
-def _append(parent: pylsl.XMLElement, element: Element) -> None:
-    for child in element:
-        if len(child):
-            _append(parent.append_child(child.tag), child)
-        else:
-            parent.append_child_value(child.tag, child.text or "")

@@ -240,7 +240,8 @@ class Routing:
             inlet.deliver_to(route.bridge)
         else:
             self._newest.append(route)
-        self._log.inform(f"{topic.name} ({header.message_type})")
+        replay = f", a replay of {header.replay.title}" if header.replay else ""
+        self._log.inform(f"{topic.name} ({header.message_type}){replay}")
 
     def _listen_only(self, inlet: Inlet, header: StreamHeader) -> None:
         """Take in an agent's counters that another node publishes."""
@@ -273,7 +274,8 @@ class Routing:
 
     def _listener(self, header: StreamHeader) -> Callable[[NDArray[Any]], None] | None:
         is_counters = header.message_type is MessageType.DIAGNOSTIC_ARRAY
-        return self._take_counters if is_counters else None
+        # Counts in a replay are of samples that another computer got on another day.
+        return self._take_counters if is_counters and header.replay is None else None
 
     def _take_counters(self, sample: NDArray[Any]) -> None:
         """Hand on the agent's counters; runs in the thread that reads that stream."""

@@ -143,8 +143,11 @@ def find_wall_clock(
 
 
 def _is_told_by(stream: Stream, teller: str) -> bool:
-    identity = stream.header.identity
-    return identity is not None and identity.sensor == teller and stream.header.data_name == EVENTS
+    header = stream.header
+    # What a replay says was so on another day.
+    if header.identity is None or header.replay is not None:
+        return False
+    return header.identity.sensor == teller and header.data_name == EVENTS
 
 
 def _of_stream(stream: Stream) -> WallClock | None:

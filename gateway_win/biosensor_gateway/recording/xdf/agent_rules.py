@@ -63,7 +63,8 @@ def _left_out(source_id: str, run: Sequence[Reading], name: str) -> Iterator[Fin
 
 
 def _uncounted(streams: Sequence[Measured]) -> Iterator[Finding]:
-    ours = [each.stream.header for each in streams if each.stream.header.is_ours]
-    if ours and not any(header.is_counters for header in ours):
+    # Of a replay nobody counts, nor of what a node says of itself.
+    counted = [each.stream.header for each in streams if each.stream.header.is_of_agent]
+    if counted and not any(header.is_counters for header in counted):
         text = "the agent's counters were not recorded, so nothing can be compared with them"
         yield Finding(Level.NOTE, "no-counters", "", text)

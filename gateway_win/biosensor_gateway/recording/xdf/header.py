@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from biosensor_common.clock_pair import KEY, ClockPair, read_clock_pair
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl_header import MAX_CHANNELS, read_header
-from biosensor_common.naming import AGENT
+from biosensor_common.naming import AGENT, NODE
 from biosensor_common.quantities import ChannelFormat, waits_for_receivers
+from biosensor_common.replay import Replay
 from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.recording.xdf.container import ChunkError
@@ -39,6 +40,8 @@ class RecordedHeader:
         Which of our streams it is; None and empty if it is another program's.
     refused
         Why a ``<biosensor>`` block was not believed; empty if there was none or it was.
+    replay
+        Of which recording the stream was played; None if it was measured then.
     xml
         The header as it was recorded.
     may_be_older
@@ -59,6 +62,7 @@ class RecordedHeader:
     identity: DeviceIdentity | None
     data_name: str
     refused: str
+    replay: Replay | None = None
     xml: str = ""
     may_be_older: bool = False
 
@@ -68,10 +72,16 @@ class RecordedHeader:
         return self.identity is not None
 
     @property
+    def is_of_agent(self) -> bool:
+        """Whether a capture agent sent it while it was recorded, and so counted its samples."""
+        is_of_node = self.identity is not None and self.identity.sensor == NODE
+        return self.is_ours and self.replay is None and not is_of_node
+
+    @property
     def is_counters(self) -> bool:
         """Whether the capture agent counts its samples in this stream."""
-        ours = self.identity is not None and self.identity.sensor == AGENT
-        return ours and self.data_name == "counters"
+        is_agent = self.identity is not None and self.identity.sensor == AGENT
+        return is_agent and self.replay is None and self.data_name == "counters"
 
     @property
     def is_recordable(self) -> bool:
@@ -126,6 +136,7 @@ def parse_stream_header(content: bytes) -> RecordedHeader:
     except ValueError:
         raise ChunkError("it has no known channel format") from None
     own, refused = _own(text)
+    ours = None if own is None or own.foreign else own
     drops = root.findtext("desc/synchronization/can_drop_samples") or ""
     return RecordedHeader(
         name=root.findtext("name") or "",
@@ -138,12 +149,13 @@ def parse_stream_header(content: bytes) -> RecordedHeader:
         created_at=_number(root, "created_at"),
         labels=_labels(root, int(channel_count)),
         can_drop_samples=drops.strip().lower() == "true",
-        identity=own.identity if own else None,
-        data_name=own.data_name if own else "",
+        identity=ours.identity if ours else None,
+        data_name=ours.data_name if ours else "",
         refused=refused,
+        replay=own.replay if own else None,
         xml=text,
-        may_be_older=own is not None
-        and waits_for_receivers(own.content_type, is_regular=rate > 0, is_state=own.is_state),
+        may_be_older=ours is not None
+        and waits_for_receivers(ours.content_type, is_regular=rate > 0, is_state=ours.is_state),
     )
 
 
@@ -230,9 +242,8 @@ def _labels(root: ET.Element, count: int) -> tuple[str, ...]:
 
 
 def _own(xml: str) -> tuple[StreamHeader | None, str]:
-    """Return what our streams say of themselves, and why a claim to be ours was refused."""
+    """Return what the header says of itself, and why that was refused."""
     try:
-        header = read_header(xml)
+        return read_header(xml), ""
     except SpecError as error:
         return None, str(error)
-    return (None if header.foreign else header), ""

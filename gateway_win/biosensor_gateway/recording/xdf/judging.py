@@ -29,6 +29,7 @@ def judge(recording: Recording, expected: Sequence[ExpectedStream] = ()) -> Repo
         *_missing(streams, expected),
         *_duplicates(streams),
         *_unaligned(streams),
+        *_replayed(streams),
         *findings,
         *(finding for each in streams for finding in judge_stream(each, length)),
     ]
@@ -103,6 +104,15 @@ def _duplicates(measured: Sequence[Measured]) -> Iterator[Finding]:
         if count > 1:
             text = f"{count} streams have the name {name!r}"
             yield Finding(Level.WARNING, "duplicate-name", "", text)
+
+
+def _replayed(measured: Sequence[Measured]) -> Iterator[Finding]:
+    """Say once for each recording that was played which of the streams are no live ones."""
+    played = Counter(replay.title for each in measured if (replay := each.stream.header.replay))
+    for title, count in played.items():
+        streams = "1 stream is" if count == 1 else f"{count} streams are"
+        text = f"{streams} a replay of {title}, and not measured while this was recorded"
+        yield Finding(Level.WARNING, "replay", "", text)
 
 
 def _unaligned(measured: Sequence[Measured]) -> Iterator[Finding]:

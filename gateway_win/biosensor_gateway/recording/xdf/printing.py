@@ -61,6 +61,7 @@ def _stream_as_json(measured: Measured, report: Report) -> dict[str, Any]:
         "nominal_hz": header.rate,
         "can_drop_samples": header.can_drop_samples,
         "ours": header.is_ours,
+        "replay": None if header.replay is None else asdict(header.replay),
         "samples": stream.sample_count,
         "footer_samples": None if stream.footer is None else stream.footer.sample_count,
         "has_footer": stream.footer is not None,
@@ -125,6 +126,8 @@ def _stream_lines(measured: Measured, report: Report) -> Iterator[str]:
     stream, figures = measured.stream, measured.figures
     header = stream.header
     owner = "ours" if header.is_ours else "another program's"
+    if header.replay is not None:
+        owner = f"{owner}, a replay of {printable(header.replay.title)}"
     rate = f"{header.rate:g} Hz" if header.is_regular else "irregular"
     channels = "1 channel" if header.channel_count == 1 else f"{header.channel_count} channels"
     kind, source_id = printable(header.content_type), printable(header.source_id)

@@ -134,5 +134,8 @@ class Refusals:
 
 
 def can_estimate_losses(header: StreamHeader) -> bool:
-    """Whether gaps of the stamps tell of losses; our own streams have the agent's count."""
-    return header.foreign and header.rate > 0
+    """Whether gaps of the stamps tell of losses; our own streams have the agent's count.
+
+    A replay has none: it is sent by a program that measures nothing.
+    """
+    return (header.foreign or header.replay is not None) and header.rate > 0

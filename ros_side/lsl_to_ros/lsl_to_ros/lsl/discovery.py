@@ -10,6 +10,7 @@ from typing import NamedTuple
 import pylsl
 
 from biosensor_common.errors import SpecError
+from biosensor_common.naming import NODE
 from biosensor_common.quantities import ContentType
 from lsl_to_ros.lsl.inlets import Inlet, InletState
 from lsl_to_ros.lsl.rivals import Rivals, Swap
@@ -143,6 +144,8 @@ class Discovery:
         return inlet.matches(self._predicate) and self._share.has(inlet.info)
 
     def _is_for_us(self, info: pylsl.StreamInfo) -> bool:
+        if _is_of_a_node(info):
+            return False
         return self._share.has(info) or info.type() == ContentType.COUNTERS
 
     def _open(self, info: pylsl.StreamInfo) -> list[Inlet]:
@@ -200,6 +203,14 @@ class Discovery:
                 del record[uid]
         self._refused.intersection_update(found)
         self._warned.intersection_update(found)
+
+
+def _is_of_a_node(info: pylsl.StreamInfo) -> bool:
+    """Whether it says what a node says of itself, which ROS knows already, or did once."""
+    if info.type() != ContentType.MARKERS:
+        return False
+    name = info.name()
+    return name.startswith(f"{NODE}-") and info.source_id().endswith(name)
 
 
 def _resolver(predicate: str) -> pylsl.ContinuousResolver:

@@ -16,6 +16,7 @@ from lsl_to_ros.parameters.node import PROCESSES
 from lsl_to_ros.processes.child import ENDS_WITHIN_S, Child
 from lsl_to_ros.processes.mail import AllClaims, Claims, Report, Settings, Setup, Topics
 from lsl_to_ros.processes.work import LOOK_PERIOD_S, Work
+from lsl_to_ros.reports.clock_pairs import CLOCK_PERIOD_S, ClockPairs
 from lsl_to_ros.reports.processes import ProcessFacts
 from lsl_to_ros.reports.reporting import Reporting
 from lsl_to_ros.topics.register import Claim, Register
@@ -48,13 +49,16 @@ class LslToRos(Node):
             for index in range(1, share.of)
         ]
         self._told = 0
+        self._clock_pairs = ClockPairs(self, log.warn)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
         if self._children:
-            steady = Clock(clock_type=ClockType.STEADY_TIME)
             self.create_timer(LOOK_PERIOD_S, self._look, clock=steady)
+        self.create_timer(CLOCK_PERIOD_S, self._clock_pairs.look, clock=steady)
         self._work.start()
 
     def stop(self) -> None:
         """Close every inlet, and publish what has come; end the other processes."""
+        self._clock_pairs.close()
         for child in self._children:
             child.close()
         until_s = monotonic() + ENDS_WITHIN_S

@@ -131,6 +131,9 @@ def stream_status(facts: StreamFacts) -> DiagnosticStatus:
     """Describe one stream."""
     bridge, header = facts.bridge, facts.bridge.header
     level, message = judge(facts)
+    replay = header.replay
+    if replay is not None:
+        message = f"{message}; a replay of {replay.title}"
     raw, chunk = bridge.outputs.of_samples[0].publisher, bridge.outputs.chunk
     tally = bridge.tally
     lost = tally.lost(can_estimate=can_estimate_losses(header))
@@ -140,6 +143,7 @@ def stream_status(facts: StreamFacts) -> DiagnosticStatus:
         "sensor": header.identity.sensor,
         "participant": header.identity.participant,
         "label": header.identity.label,
+        "replay_of": replay.file if replay else "",
         "unit_of_measurement": ", ".join(dict.fromkeys(header.units)),
         "rate_measured": f"{facts.rate:.2f}",
         "rate_nominal": f"{header.rate:.2f}",

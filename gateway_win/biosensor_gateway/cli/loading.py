@@ -1,0 +1,28 @@
+"""Loads the settings for commands that do without a settings file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.devices.registry import settings_models
+from biosensor_gateway.settings import file as settings_file
+from biosensor_gateway.settings.models import GatewaySettings
+from biosensor_gateway.settings.places import settings_path
+
+
+def settings_or_defaults(path: Path | None) -> GatewaySettings:
+    """Load a settings file, or the usual one if there is one.
+
+    Raises
+    ------
+    ConfigError
+        If the file is wrong, or the named one is not there.
+    """
+    try:
+        return settings_file.load_settings(path or settings_path(), settings_models())
+    except ConfigError as error:
+        # Virtual devices need none, nor do recordings; a broken file is another matter.
+        if path is not None or error.reason is not ConfigReason.NOT_FOUND:
+            raise
+        return GatewaySettings()

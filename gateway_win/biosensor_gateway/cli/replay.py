@@ -1,0 +1,82 @@
+"""``biosensor-gateway replay``: a recording as LSL streams again."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from biosensor_gateway.cli.loading import settings_or_defaults
+from biosensor_gateway.cli.options import SettingsOption
+
+_SLOWEST, _FASTEST = 0.01, 1000.0
+
+
+def replay(
+    file: Annotated[Path, typer.Argument(help="The recording.", show_default=False)],
+    speed: Annotated[
+        float,
+        typer.Option(min=_SLOWEST, max=_FASTEST, help="Seconds of the recording in one second."),
+    ] = 1.0,
+    begin: Annotated[
+        str,
+        typer.Option(
+            "--from",
+            metavar="TIME",
+            help="Where to begin: seconds, h:mm:ss, or a date as 2026-03-14T10:30:00.",
+            show_default=False,
+        ),
+    ] = "",
+    end: Annotated[
+        str, typer.Option("--until", metavar="TIME", help="Where to end.", show_default=False)
+    ] = "",
+    streams: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATTERN",
+            help="Only streams of this name or source_id, with * and ? (repeatable).",
+        ),
+    ] = None,
+    participant: Annotated[
+        str, typer.Option(help="Only the streams of this participant.", show_default=False)
+    ] = "",
+    loop: Annotated[
+        bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C.")
+    ] = False,
+    waits: Annotated[
+        bool,
+        typer.Option("--wait-for-consumers", help="Begin when every stream has a receiver."),
+    ] = False,
+    as_original: Annotated[
+        bool,
+        typer.Option("--as-original", help="Keep the recorded source_ids, for who looks for them."),
+    ] = False,
+    beside_live: Annotated[
+        bool,
+        typer.Option("--beside-live", help="Play although a real stream of them is here, too."),
+    ] = False,
+    settings: SettingsOption = None,
+) -> None:
+    """Play a recording as LSL streams, with the headers, gaps and times that were recorded.
+
+    Each sample has a stamp of its own, in the recorded distance to all others. Headers say
+    that it is a replay, and source_ids begin with "replay:", so that nobody takes it for the
+    real sensor; while that is on the network nothing is played.
+    """
+    if as_original and beside_live:
+        raise typer.BadParameter("--as-original and --beside-live exclude each other")
+    from biosensor_gateway.cli.playing import Wanted, play  # noqa: PLC0415 - imports take a second
+    from biosensor_gateway.recording.contents.choice import Wish  # noqa: PLC0415 - as above
+    from biosensor_gateway.recording.replay.player import Order  # noqa: PLC0415 - as above
+    from biosensor_gateway.system.shutdown import until_signalled  # noqa: PLC0415 - as above
+
+    wanted = Wanted(
+        file=file,
+        wish=Wish(streams or (), begin, end, participant),
+        order=Order(speed=speed, loop=loop, waits=waits, as_original=as_original),
+        may_be_beside=beside_live,
+    )
+    lsl = settings_or_defaults(settings).lsl
+    asyncio.run(until_signalled(lambda: play(wanted, lsl)))

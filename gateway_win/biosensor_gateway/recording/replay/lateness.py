@@ -1,0 +1,56 @@
+"""Counts how much later than its stamp each sample was sent."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+BIN_S = 0.0001
+_BINS = 100_000
+# Folded together only now and then: a block has a sample or two.
+_MOST_BLOCKS = 1024
+
+
+class Lateness:
+    """A histogram of 0.1 ms, so that hours of samples take no more memory than a second.
+
+    Attributes
+    ----------
+    most_s
+        The latest sample.
+    """
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(_BINS, np.int64)
+        self._blocks: list[NDArray[np.float64]] = []
+        self.most_s = 0.0
+
+    def add(self, sent_s: float, stamps: NDArray[np.float64]) -> None:
+        """Take in samples.
+
+        Parameters
+        ----------
+        sent_s
+            LSL time at which they had been given to LSL.
+        stamps : ndarray of float64, shape (n_samples,)
+        """
+        self._blocks.append(sent_s - stamps)
+        if len(self._blocks) >= _MOST_BLOCKS:
+            self._fold()
+
+    def percentile_s(self, percent: float) -> float:
+        """Return within which time so many of the samples were sent; 0 if there are none."""
+        self._fold()
+        sums = np.cumsum(self._counts)
+        if not sums[-1]:
+            return 0.0
+        return float(np.searchsorted(sums, sums[-1] * percent / 100) + 1) * BIN_S
+
+    def _fold(self) -> None:
+        if not self._blocks:
+            return
+        late: NDArray[np.float64] = np.concatenate(self._blocks)
+        self._blocks.clear()
+        self.most_s = max(self.most_s, *late.tolist())
+        bins = np.clip(late / BIN_S, 0, _BINS - 1).astype(np.int64)
+        np.add.at(self._counts, bins, 1)

@@ -1,0 +1,221 @@
+"""Sends the samples of all streams in time, from one thread."""
+
+from __future__ import annotations
+
+import heapq
+import math
+import threading
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import pylsl
+
+from biosensor_common.replay import Replay, recorded_source_id, replay_source_id
+from biosensor_gateway.recording.contents.choice import Chosen
+from biosensor_gateway.recording.contents.stream import Stream
+from biosensor_gateway.recording.replay.errors import ReplayError, ReplayReason
+from biosensor_gateway.recording.replay.lateness import Lateness
+from biosensor_gateway.recording.replay.outlet import PlayedOutlet
+from biosensor_gateway.recording.replay.timeline import Timeline
+from biosensor_gateway.recording.replay.track import Track
+
+PACE_S = 0.002
+"""What is due within this time is sent together, so that many streams cost no more than few."""
+LAP_PAUSE_S = 1.0
+"""Between the end and the next begin, by the clock of now: a gap, as between two recordings."""
+# LSL sends from threads of its own, and drops what it has not sent when an outlet ends.
+_LINGER_S = 1.0
+_LEAD_S = 0.05
+_LOOK_S = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """How to play.
+
+    Attributes
+    ----------
+    speed
+        Seconds of the recording in one second, above 0.
+    loop
+        Whether to begin again at the end, until stopped.
+    waits
+        Whether to wait until each stream has a receiver.
+    as_original
+        Whether streams keep their recorded source_ids.
+    """
+
+    speed: float = 1.0
+    loop: bool = False
+    waits: bool = False
+    as_original: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Where the player is; times in seconds of the recording.
+
+    Attributes
+    ----------
+    lap
+        How often it has begun, 0 while it waits for receivers.
+    received
+        How many streams somebody receives.
+    """
+
+    lap: int
+    position_s: float
+    length_s: float
+    sent: int
+    received: int
+
+
+class Player:
+    """Plays what was chosen of an open recording.
+
+    Parameters
+    ----------
+    chosen
+        The recording must stay open.
+    file_hash
+        What tells this recording from others.
+
+    Attributes
+    ----------
+    streams
+        Those that are played, also such as hold nothing: a receiver may wait for them.
+    lateness
+        Of all samples that were sent.
+
+    Raises
+    ------
+    ReplayError
+        ``EMPTY``, if no stream holds a sample in the span of time.
+    """
+
+    def __init__(self, chosen: Chosen, order: Order, file_hash: str) -> None:
+        self._chosen, self._order = chosen, order
+        self._file_hash = file_hash
+        self.streams = chosen.streams
+        ends = [end for each in self.streams for end in each.ends() or ()]
+        self.begin_s = chosen.begin_s if math.isfinite(chosen.begin_s) else min(ends, default=0.0)
+        self.end_s = min(chosen.end_s, max(ends, default=0.0))
+        if self.end_s < self.begin_s or not ends:
+            raise self._empty()
+        self.lateness = Lateness()
+        self._outlets: dict[int, PlayedOutlet] = {}
+        self._sent = self._lap = 0
+        self._position_s = self.begin_s
+
+    @property
+    def recorded_ids(self) -> list[str]:
+        """source_ids of the streams when they were measured; some may be empty."""
+        return [_recorded_id(each) for each in self.streams]
+
+    @property
+    def own_ids(self) -> list[str]:
+        """source_ids of the streams as they are played."""
+        recorded = self.recorded_ids
+        if self._order.as_original:
+            return recorded
+        several = Counter(_recorded_id(each) for each in self._chosen.contents.streams)
+        return [
+            replay_source_id(
+                self._file_hash,
+                known if known and several[known] == 1 else f"{known}#{stream.number}",
+            )
+            for stream, known in zip(self.streams, recorded, strict=True)
+        ]
+
+    def offer(self) -> None:
+        """Put all streams on the network; nothing is sent yet.
+
+        Raises
+        ------
+        ReplayError
+            ``NO_OUTLET``, if LSL cannot offer one.
+        """
+        for stream, source_id in zip(self.streams, self.own_ids, strict=True):
+            header = stream.header
+            replay = Replay(
+                file=self._chosen.contents.path.name,
+                source_id=_recorded_id(stream),
+                rate=header.rate,
+                speed=self._order.speed,
+                start_s=self.begin_s,
+            )
+            self._outlets[stream.number] = PlayedOutlet(header, source_id, replay)
+
+    def progress(self) -> Progress:
+        """Return where it is; may be called from any thread."""
+        return Progress(
+            lap=self._lap,
+            position_s=self._position_s - self.begin_s,
+            length_s=self.end_s - self.begin_s,
+            sent=self._sent,
+            received=sum(each.has_receiver() for each in list(self._outlets.values())),
+        )
+
+    def run(self, stopping: threading.Event) -> None:
+        """Play to the end, or until it is to stop; call it once, after `offer`.
+
+        Raises
+        ------
+        RecordingError
+            If the file cannot be read any more.
+        ReplayError
+            ``EMPTY``, if there was nothing to send.
+        """
+        while self._order.waits and not self._all_received():
+            if stopping.wait(_LOOK_S):
+                return
+        tracks = self._tracks()
+        start_s = pylsl.local_clock() + _LEAD_S
+        while not stopping.is_set():
+            self._lap += 1
+            self._play(tracks, Timeline(start_s, self.begin_s, self._order.speed), stopping)
+            if not (self._sent or stopping.is_set()):
+                raise self._empty()
+            if not self._order.loop:
+                break
+            tracks = self._tracks()
+            start_s += (self.end_s - self.begin_s) / self._order.speed + LAP_PAUSE_S
+        if self.progress().received:
+            time.sleep(_LINGER_S)
+
+    def _all_received(self) -> bool:
+        return all(each.has_receiver() for each in self._outlets.values())
+
+    def _empty(self) -> ReplayError:
+        message = f"{self._chosen.contents.path} holds no sample that was asked for"
+        return ReplayError(ReplayReason.EMPTY, message)
+
+    def _tracks(self) -> list[Track]:
+        return [
+            Track(self._outlets[each.number], self._chosen.samples(each)) for each in self.streams
+        ]
+
+    def _play(self, tracks: Sequence[Track], timeline: Timeline, stopping: threading.Event) -> None:
+        # The number tells tracks apart that are due at the same time.
+        due = [(each.due_s, number) for number, each in enumerate(tracks)]
+        heapq.heapify(due)
+        while due[0][0] < math.inf and not stopping.is_set():
+            until_s = timeline.recorded(pylsl.local_clock())
+            self._position_s = min(max(until_s, self.begin_s), self.end_s)
+            while due[0][0] <= until_s and not stopping.is_set():
+                number = due[0][1]
+                stamps = tracks[number].send(until_s, timeline)
+                self._sent += len(stamps)
+                if len(stamps):
+                    self.lateness.add(pylsl.local_clock(), stamps)
+                heapq.heapreplace(due, (tracks[number].due_s, number))
+            wait_s = (due[0][0] - until_s) / timeline.speed
+            time.sleep(min(max(wait_s, PACE_S), _LOOK_S))
+        if not stopping.is_set():
+            self._position_s = self.end_s
+
+
+def _recorded_id(stream: Stream) -> str:
+    return recorded_source_id(stream.header.source_id, stream.header.replay)

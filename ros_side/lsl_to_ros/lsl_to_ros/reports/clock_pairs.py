@@ -1,0 +1,124 @@
+"""Tells recorders of LSL what the system clock shows, in the stream ``lsl_to_ros/events``.
+
+Stamps of topics are system time, those of streams LSL time. With the pairs of both that a
+recording has from here, it and a bag of the same session fall onto one axis. Each sample is a
+JSON object like those of the agent's events: ``event`` (``heartbeat``), ``lsl_time``, ``node``,
+``use_sim_time``, and ``clock`` as in :mod:`biosensor_common.clock_pair`. Under ``use_sim_time``
+the pairs are still of the system clock, to which the stamps of the topics then have no relation.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import socket
+import time
+from collections.abc import Callable
+
+import pylsl
+from rclpy.node import Node
+
+from biosensor_common.clock_pair import ClockPair, measure_clock_pair
+from biosensor_common.description_xml import append_children
+from biosensor_common.lsl_header import describe
+from biosensor_common.naming import NODE, lsl_name, source_id
+from biosensor_common.quantities import ChannelFormat, ContentType, MessageType, Unit
+from biosensor_common.ros_clock import NS_PER_S, STEP_NS
+from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_common.table import channels, hardware
+
+CLOCK_PERIOD_S = 0.5
+"""How often to look whether there is something to tell."""
+HEARTBEAT_S = 10.0
+
+EVENTS = hardware(
+    "events",
+    ContentType.MARKERS,
+    channels(Unit.NONE, "event"),
+    channel_format=ChannelFormat.STRING,
+    message_type=MessageType.STRING,
+)
+
+
+class ClockPairs:
+    """The node's own stream; a node that cannot have one goes on without.
+
+    A pair is told every ten seconds, when somebody begins to receive, and when the system
+    clock has been set.
+
+    Parameters
+    ----------
+    node
+        It says its name and domain, by which nodes of one computer differ.
+    warn
+        Called with a sentence if there can be no stream.
+    """
+
+    def __init__(self, node: Node, warn: Callable[[str], None]) -> None:
+        self._node = node
+        self._outlet = _outlet(node, warn)
+        self._told: ClockPair | None = None
+        self._due_s = -math.inf
+        self._had_receivers = False
+
+    def look(self) -> None:
+        """Tell a pair if it is time; call it a few times a second."""
+        if self._outlet is None:
+            return
+        pair = measure_clock_pair(time.time_ns, pylsl.local_clock)
+        has_receivers = self._outlet.have_consumers()
+        has_come = has_receivers and not self._had_receivers
+        self._had_receivers = has_receivers
+        if has_come or pair.lsl_s >= self._due_s or self._was_set(pair):
+            self._tell(self._outlet, pair)
+
+    def close(self) -> None:
+        """End the stream."""
+        self._outlet = None
+
+    def _was_set(self, pair: ClockPair) -> bool:
+        told = self._told
+        if told is None:
+            return False
+        return abs(_offset_ns(pair) - _offset_ns(told)) > STEP_NS
+
+    def _tell(self, outlet: pylsl.StreamOutlet, pair: ClockPair) -> None:
+        self._told, self._due_s = pair, pair.lsl_s + HEARTBEAT_S
+        event = {
+            "event": "heartbeat",
+            "node": self._node.get_fully_qualified_name(),
+            "use_sim_time": self._node.get_clock().ros_time_is_active,
+            **pair.as_facts(),
+            "lsl_time": pair.lsl_s,
+        }
+        outlet.push_sample([json.dumps(event, separators=(",", ":"))], pair.lsl_s)
+
+
+def _offset_ns(pair: ClockPair) -> int:
+    return pair.unix_ns - round(pair.lsl_s * NS_PER_S)
+
+
+def _outlet(node: Node, warn: Callable[[str], None]) -> pylsl.StreamOutlet | None:
+    identity = DeviceIdentity(NODE, unit_of(socket.gethostname(), node))
+    info = pylsl.StreamInfo(
+        lsl_name(identity, EVENTS.data_name),
+        EVENTS.content_type.value,
+        len(EVENTS.channels),
+        0.0,
+        EVENTS.format.value,
+        source_id(identity, EVENTS.data_name),
+    )
+    append_children(info.desc(), describe(EVENTS, identity, DeviceInfo(model="lsl_to_ros")))
+    try:
+        return pylsl.StreamOutlet(info)
+    except RuntimeError as error:
+        warn(f"recordings will not tell the time of this computer: LSL offers no stream ({error})")
+        return None
+
+
+def unit_of(hostname: str, node: Node) -> str:
+    """Name the node among all: its computer, and what is not as usual."""
+    name = node.get_fully_qualified_name().strip("/").replace("/", "_")
+    domain = node.context.get_domain_id()
+    other_name = f"_{name}" if name != NODE else ""
+    return f"{hostname}{other_name}" + (f"_domain{domain}" if domain else "")
