@@ -23,7 +23,7 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
-from biosensor_gateway.agent.single_instance import is_held
+from biosensor_gateway.agent.single_instance import LOCK_FILE, is_held
 
 CONTROL_FILE = "control.json"
 HOST = "127.0.0.1"
@@ -38,6 +38,7 @@ def ask(
     command: str,
     arguments: Mapping[str, Any] | None = None,
     time_limit_s: float = TIME_LIMIT_S,
+    lock_file: str = LOCK_FILE,
 ) -> dict[str, Any]:
     """Have the running agent do something, and return its answer.
 
@@ -49,6 +50,8 @@ def ask(
         What to do, and how.
     time_limit_s
         How long each step of the conversation may take.
+    lock_file
+        Name of the lock that it holds.
 
     Raises
     ------
@@ -58,7 +61,7 @@ def ask(
     ProtocolError
         ``REFUSED``, with the sentence of the agent.
     """
-    if not is_held(folder):
+    if not is_held(folder, lock_file):
         message = "no agent is running; start one with: biosensor-gateway run"
         raise TransportError(TransportReason.ABSENT, message)
     try:

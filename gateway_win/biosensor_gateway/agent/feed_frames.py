@@ -24,15 +24,15 @@ not read in time.
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+if TYPE_CHECKING:
+    # It takes a fifth of a second, and the page begins without it; see `sample_frames`.
+    import numpy as np
+    from numpy.typing import NDArray
 
 HEAD = struct.Struct("<IB")
-_SAMPLES = struct.Struct("<HIH")
 _COUNT = struct.Struct("<I")
 
 
@@ -66,43 +66,9 @@ def frame(kind: FrameKind, content: bytes) -> bytes:
     return HEAD.pack(len(content), kind) + content
 
 
-def samples_frame(source_id: str, stamps: Sequence[float], values: ArrayLike) -> bytes:
-    """Return a frame of samples.
-
-    Parameters
-    ----------
-    stamps : length n
-    values : array_like, shape (n, n_channels), (n,), or empty for text
-    """
-    name = source_id.encode()
-    rows: NDArray[Any] = np.asarray(values, dtype="<f4").reshape(len(stamps), -1)
-    head = _SAMPLES.pack(len(name), len(stamps), rows.shape[1])
-    times = np.asarray(stamps, dtype="<f8")
-    return frame(FrameKind.SAMPLES, b"".join((head, name, times.tobytes(), rows.tobytes())))
-
-
 def dropped_frame(count: int) -> bytes:
     """Return a frame that says how many samples were left out."""
     return frame(FrameKind.DROPPED, _COUNT.pack(min(count, 0xFFFFFFFF)))
-
-
-def read_samples(content: bytes) -> Samples:
-    """Read the content of a frame of samples.
-
-    Raises
-    ------
-    ValueError
-        It is not one.
-    """
-    try:
-        n_name, n, channels = _SAMPLES.unpack_from(content)
-        end = _SAMPLES.size + n_name
-        stamps = np.frombuffer(content, "<f8", n, end)
-        values = np.frombuffer(content, "<f4", n * channels, end + stamps.nbytes)
-        name = content[_SAMPLES.size : end].decode()
-    except struct.error as error:
-        raise ValueError(str(error)) from error
-    return Samples(name, stamps, values.reshape(n, channels))
 
 
 def read_count(content: bytes) -> int:

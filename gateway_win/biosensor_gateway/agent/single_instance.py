@@ -16,6 +16,7 @@ from filelock import FileLock, Timeout
 from biosensor_common.errors import ConfigError, ConfigReason
 
 LOCK_FILE = "agent.lock"
+"""Of the agent; another program with a folder of this kind has a name of its own."""
 
 # Who looks whether an agent runs holds the lock for an instant; that is no agent.
 _PATIENCE_S = 0.5
@@ -23,13 +24,15 @@ _POLL_S = 0.05
 
 
 @contextlib.contextmanager
-def single_instance(folder: Path) -> Generator[None]:
+def single_instance(folder: Path, lock_file: str = LOCK_FILE) -> Generator[None]:
     """Be the only agent with a state folder while the context lasts.
 
     Parameters
     ----------
     folder
         The state folder, made if needed.
+    lock_file
+        Name of the lock there.
 
     Raises
     ------
@@ -37,7 +40,7 @@ def single_instance(folder: Path) -> Generator[None]:
         ``IN_USE`` if another agent runs with the folder; ``UNREADABLE`` if the
         folder cannot be written, which need not keep an agent from running.
     """
-    lock = _lock(folder)
+    lock = _lock(folder / lock_file)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock.acquire(timeout=_PATIENCE_S, poll_interval=_POLL_S)
@@ -59,16 +62,16 @@ def single_instance(folder: Path) -> Generator[None]:
         _give_back(lock)
 
 
-def is_held(folder: Path) -> bool:
+def is_held(folder: Path, lock_file: str = LOCK_FILE) -> bool:
     """Whether an agent runs with a state folder."""
-    return not wait_until_free(folder, 0.0)
+    return not wait_until_free(folder, 0.0, lock_file)
 
 
-def wait_until_free(folder: Path, timeout_s: float) -> bool:
+def wait_until_free(folder: Path, timeout_s: float, lock_file: str = LOCK_FILE) -> bool:
     """Wait until no agent runs with a state folder; return whether that came in time."""
-    if not (folder / LOCK_FILE).exists():
+    if not (folder / lock_file).exists():
         return True
-    lock = _lock(folder)
+    lock = _lock(folder / lock_file)
     try:
         lock.acquire(timeout=timeout_s, poll_interval=_POLL_S)
     except Timeout:
@@ -80,9 +83,9 @@ def wait_until_free(folder: Path, timeout_s: float) -> bool:
     return True
 
 
-def _lock(folder: Path) -> FileLock:
+def _lock(path: Path) -> FileLock:
     # The stand-in for file systems without locks would outlive a killed agent.
-    return FileLock(folder / LOCK_FILE, fallback_to_soft=False)
+    return FileLock(path, fallback_to_soft=False)
 
 
 def _give_back(lock: FileLock) -> None:

@@ -10,9 +10,9 @@ from typing import Annotated
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
+from biosensor_gateway.cli.later_log import LaterLog
 from biosensor_gateway.cli.network_page import serve_network
 from biosensor_gateway.cli.options import SettingsOption
-from biosensor_gateway.cli.start_log import StartLog
 from biosensor_gateway.page.running import (
     ADDRESS,
     IS_SHARED,
@@ -21,12 +21,17 @@ from biosensor_gateway.page.running import (
     ask_to_end,
     page_folder,
 )
-from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.settings.places import settings_path, state_folder
 from biosensor_gateway.system.browser import open_page
 
 SHARE_PORT = 8719
 """Always the same, for it has to be opened in firewalls."""
+
+
+def _a_time(minutes: float) -> float:
+    if math.isnan(minutes):
+        raise typer.BadParameter("nan is no time; give minutes, such as 2")
+    return minutes
 
 
 def page(
@@ -45,6 +50,7 @@ def page(
         typer.Option(
             min=0,
             metavar="MINUTES",
+            callback=_a_time,
             help="End when neither a window nor an agent nor a recording was there for so long.",
             show_default="never",
         ),
@@ -138,7 +144,7 @@ def _serve(
     end_after_s: float,
     share_port: int | None,
 ) -> None:
-    from biosensor_gateway.page.server import PageServer  # noqa: PLC0415 - takes a second
+    from biosensor_gateway.page.server import PageServer  # noqa: PLC0415 - takes a fifth of one
 
     def ready(address: str) -> None:
         show(address)
@@ -150,10 +156,9 @@ def _serve(
             typer.echo(f"  {server.share.fingerprint[:47]}")
         typer.echo("Press Ctrl-C to end the page; the agent goes on.")
 
-    with StartLog(page_folder(folder)) as log:
-        log.go_on(LogSettings(), verbose=False, title=str)
+    with LaterLog(page_folder(folder)) as log:
         try:
-            server = PageServer(folder, settings, ready, end_after_s, share_port)
+            server = PageServer(folder, settings, ready, log.open, end_after_s, share_port)
             server.run()
         except OSError as error:
             message = f"the page cannot be served: {error.strerror or error}"

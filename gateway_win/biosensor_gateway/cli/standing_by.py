@@ -21,5 +21,6 @@ def stand_by(simulate: str) -> None:
         from biosensor_gateway.demo import virtual_devices  # noqa: PLC0415 - only on request
 
         virtual_devices.import_all(simulate.split(","))
-    settings_models()
+    # To look each of them up imports its driver.
+    dict(settings_models())
     await_turn()

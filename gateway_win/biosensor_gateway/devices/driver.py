@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
-from biosensor_gateway.settings.secrets import SecretName
 from biosensor_gateway.streaming.silence import PATIENCE_S
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+
+if TYPE_CHECKING:
+    # Brings the keyring, which few sensors need.
+    from biosensor_gateway.settings.secrets import SecretName
 
 _Settings = TypeVar("_Settings", bound=DeviceSettings)
 

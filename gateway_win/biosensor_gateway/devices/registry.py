@@ -7,7 +7,7 @@ A built-in sensor cannot be replaced; an entry point of its name is ignored.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
@@ -108,9 +108,30 @@ def driver(name: str) -> DriverEntry:
     return entry
 
 
-def settings_models() -> dict[str, type[DeviceSettings]]:
-    """Models of the settings file's device tables by sensor."""
-    return {name: driver(name).settings for name in sensor_names()}
+class _SettingsModels(Mapping[str, type[DeviceSettings]]):
+    """Imports a driver when its model is asked for."""
+
+    def __init__(self) -> None:
+        self._names = sensor_names()
+
+    def __getitem__(self, name: str) -> type[DeviceSettings]:
+        if name not in self._names:
+            raise KeyError(name)
+        return driver(name).settings
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+
+def settings_models() -> Mapping[str, type[DeviceSettings]]:
+    """Models of the settings file's device tables by sensor.
+
+    To look one up raises what `driver` does.
+    """
+    return _SettingsModels()
 
 
 def _load(offer: EntryPoint) -> Sensor:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
-
-from numpy.typing import ArrayLike
+from typing import TYPE_CHECKING, Protocol
 
 from biosensor_common.device_clock import ClockState
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.system.clock import Clock
+
+if TYPE_CHECKING:
+    # Neither numpy nor LSL is needed to know what there are for sensors.
+    from numpy.typing import ArrayLike
+
+    from biosensor_gateway.system.clock import Clock
 
 
 class Sink(Protocol):

@@ -6,22 +6,16 @@ import asyncio
 from collections.abc import Mapping
 from typing import Any
 
-from fastapi import APIRouter, FastAPI, Request
-from fastapi.exceptions import RequestValidationError
-from fastapi.responses import JSONResponse
+from fastapi import APIRouter, FastAPI
 
-from biosensor_common.errors import (
-    ConfigError,
-    ConfigReason,
-    GatewayError,
-    TransportReason,
-)
+from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent import control
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.page.access import Access, add_access
 from biosensor_gateway.page.agent_process import start_agent
 from biosensor_gateway.page.doctor import Doctor, add_doctor
+from biosensor_gateway.page.front import PREFIX
 from biosensor_gateway.page.marker_models import MarkerNumber, NewMarker
 from biosensor_gateway.page.marking import Marking
 from biosensor_gateway.page.models import (
@@ -36,14 +30,11 @@ from biosensor_gateway.page.models import (
 )
 from biosensor_gateway.page.network_check import NetworkCheck, add_network_check
 from biosensor_gateway.page.recorder import Recorder
-from biosensor_gateway.page.refusals import misformed
+from biosensor_gateway.page.refusals import add_refusals
 from biosensor_gateway.page.searching import Search
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.page.trial import Trial, add_trial
 from biosensor_gateway.settings import editing
-
-PREFIX = "/api/v1"
-_CODES = {ConfigReason.NOT_FOUND: 404, ConfigReason.IN_USE: 409, TransportReason.BUSY: 409}
 
 
 def add_api(app: FastAPI, session: Session, recorder: Recorder, marking: Marking) -> None:
@@ -58,8 +49,7 @@ def add_api(app: FastAPI, session: Session, recorder: Recorder, marking: Marking
     add_doctor(router, Doctor(session.settings, session.folder))
     add_network_check(router, NetworkCheck(session.settings, session.folder))
     app.include_router(router)
-    app.exception_handler(GatewayError)(_refused)
-    app.exception_handler(RequestValidationError)(misformed)
+    add_refusals(app)
 
 
 def _add_agent(router: APIRouter, session: Session) -> None:
@@ -191,10 +181,3 @@ async def _switched(session: Session, command: str, device: DeviceName) -> Outco
 
 async def _asked(session: Session, command: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
     return await asyncio.to_thread(control.ask, session.folder, command, arguments)
-
-
-async def _refused(_request: Request, error: Exception) -> JSONResponse:
-    assert isinstance(error, GatewayError)
-    reason = error.reason
-    code = _CODES.get(reason, 400) if isinstance(reason, ConfigReason | TransportReason) else 400
-    return JSONResponse(Problem(problem=str(error)).model_dump(), code)

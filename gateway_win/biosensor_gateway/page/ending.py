@@ -6,9 +6,7 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import Callable
 
-from biosensor_common.errors import GatewayError
 from biosensor_gateway.page.models import AgentState
 from biosensor_gateway.page.session import Session
 
@@ -29,33 +27,25 @@ class Ending:
     after_s
         How long there must have been neither window nor agent nor recording; infinite for a
         server that stays.
-
-    Attributes
-    ----------
-    error
-        Why the server could not do what it was started for.
     """
 
     def __init__(self, session: Session, after_s: float = math.inf) -> None:
         self._session = session
         self._after_s = after_s
         self._asked = asyncio.Event()
-        self.error: GatewayError | None = None
 
-    def request(self, error: GatewayError | None = None) -> None:
+    def request(self) -> None:
         """End the server soon; what is being answered is answered first."""
-        self.error = error
         self._asked.set()
 
-    async def run(self, end: Callable[[], object]) -> None:
-        """Call `end` when the time has come and all windows have heard of it."""
+    async def run(self) -> None:
+        """Wait until the time has come and all windows have heard of it."""
         await self._until_asked_or_not_needed()
         self._session.has_ended = True
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(_GOODBYE_S):
                 while self._session.traces.screens:  # noqa: ASYNC110 - each leaves by itself
                     await asyncio.sleep(_HEARD_S)
-        end()
 
     async def _until_asked_or_not_needed(self) -> None:
         needed = time.monotonic() + _FIRST_WINDOW_S

@@ -9,15 +9,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import structlog
-
 from biosensor_gateway.agent.control import CONTROL_FILE, HOST, json_object, line
 from biosensor_gateway.agent.feed_frames import (
     HEAD,
     FrameKind,
     Samples,
     read_count,
-    read_samples,
 )
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.system import state_file
@@ -25,8 +22,6 @@ from biosensor_gateway.system import state_file
 RETRY_S = 0.25
 SILENT_AFTER_S = 4.0
 """The agent tells its status every second; one that does not for so long is stuck."""
-
-_log = structlog.get_logger("biosensor_gateway.page")
 
 
 class AgentLink:
@@ -74,7 +69,7 @@ class AgentLink:
             async with asyncio.timeout(SILENT_AFTER_S):
                 answer = json_object(await reader.readline())
             if answer is None or answer.get("ok") is not True:
-                _log.warning("the agent shows nothing", answer=answer)
+                _warn("the agent shows nothing", answer=answer)
                 return
             while True:
                 async with asyncio.timeout(SILENT_AFTER_S):
@@ -88,6 +83,16 @@ class AgentLink:
         if kind == FrameKind.STATUS:
             self._on_status(json.loads(content))
         elif kind == FrameKind.SAMPLES:
+            # It brings numpy, and the status comes before.
+            from biosensor_gateway.agent.sample_frames import read_samples  # noqa: PLC0415
+
             self._on_samples(read_samples(content))
         elif kind == FrameKind.DROPPED:
             self._on_dropped(read_count(content))
+
+
+def _warn(event: str, **facts: object) -> None:
+    # It takes a fifth of a second, and the page shows devices before.
+    import structlog  # noqa: PLC0415
+
+    structlog.get_logger("biosensor_gateway.page").warning(event, **facts)

@@ -7,10 +7,11 @@ import contextlib
 import time
 from collections.abc import Callable
 
-from fastapi import FastAPI, WebSocket, WebSocketDisconnect
 from pydantic import BaseModel, ValidationError
-from pylsl import local_clock
+from starlette.routing import WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from biosensor_gateway.page.front import LIVE
 from biosensor_gateway.page.screen import Screen, View
 from biosensor_gateway.page.source import Source
 
@@ -21,35 +22,35 @@ STATUS_EVERY = 10
 """Pictures from one status to the next: twice a second."""
 
 
-def add_live(app: FastAPI, source: Source, more: Callable[[], BaseModel]) -> None:
-    """Add the WebSocket.
+def live(source: Source, more: Callable[[], BaseModel]) -> WebSocketRoute:
+    """Return the WebSocket.
 
     Parameters
     ----------
-    app
     source
     more
         Says what else the page shows, twice a second.
     """
 
-    @app.websocket("/live")
-    async def live(socket: WebSocket) -> None:
+    async def show(socket: WebSocket) -> None:
         await socket.accept()
         screen = source.traces.open()
         sending = asyncio.create_task(_send(socket, source, screen, more))
         try:
-            await _receive(socket, screen)
+            await _receive(socket, source, screen)
         finally:
             source.traces.close(screen)
             sending.cancel()
             await asyncio.gather(sending, return_exceptions=True)
 
+    return WebSocketRoute(LIVE, show)
 
-async def _receive(socket: WebSocket, screen: Screen) -> None:
+
+async def _receive(socket: WebSocket, source: Source, screen: Screen) -> None:
     with contextlib.suppress(WebSocketDisconnect, ValidationError, KeyError):
         # Who asks for something that cannot be shown is not the page, and is let go.
         while True:
-            screen.show(View.model_validate_json(await socket.receive_text()), local_clock())
+            screen.show(View.model_validate_json(await socket.receive_text()), source.now())
     with contextlib.suppress(RuntimeError):
         await socket.close()
 
@@ -62,8 +63,7 @@ async def _send(
     while not source.has_ended:
         if count % STATUS_EVERY == 0:
             await socket.send_text(more().model_dump_json())
-        picture = screen.picture(local_clock())
-        if picture is not None:
+        if screen.streams and (picture := screen.picture(source.now())) is not None:
             await socket.send_bytes(picture)
         count += 1
         # What making and sending one takes is not on top; one that is late is not caught up.

@@ -1,12 +1,21 @@
-"""How a request is refused whose content is not what the interface takes."""
+"""How the interface refuses: with a code of HTTP, and one sentence for people."""
 
 from __future__ import annotations
 
-from fastapi import Request
+from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 
+from biosensor_common.errors import ConfigReason, GatewayError, TransportReason
 from biosensor_gateway.page.models import Problem
+
+_CODES = {ConfigReason.NOT_FOUND: 404, ConfigReason.IN_USE: 409, TransportReason.BUSY: 409}
+
+
+def add_refusals(app: FastAPI) -> None:
+    """Answer errors of ours, and content that the interface does not take, with a sentence."""
+    app.exception_handler(GatewayError)(_refused)
+    app.exception_handler(RequestValidationError)(misformed)
 
 
 async def misformed(_request: Request, error: Exception) -> JSONResponse:
@@ -17,3 +26,10 @@ async def misformed(_request: Request, error: Exception) -> JSONResponse:
     return JSONResponse(
         Problem(problem=f"{place or 'the request'}: {first['msg']}").model_dump(), 422
     )
+
+
+async def _refused(_request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, GatewayError)
+    reason = error.reason
+    code = _CODES.get(reason, 400) if isinstance(reason, ConfigReason | TransportReason) else 400
+    return JSONResponse(Problem(problem=str(error)).model_dump(), code)

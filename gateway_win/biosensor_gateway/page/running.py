@@ -2,35 +2,31 @@
 
 It has a folder of its own in the state folder of the agent, with a lock and a control channel like
 the agent's. So a second start opens another window of the server that runs, by an address that
-is good once and never lies in a file.
+is good once and never lies in a file; `reachable` is the server's end.
 """
 
 from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import AsyncGenerator, Generator
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
-import structlog
-
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_gateway.agent import control
-from biosensor_gateway.agent.control_server import Command, ControlServer
 from biosensor_gateway.agent.single_instance import single_instance, wait_until_free
 
 OPEN, END = "open", "end"
 ADDRESS, SETTINGS, IS_SHARED = "address", "settings", "shared"
 """What `OPEN` answers: an address that opens the page once, the server's settings file, and
 whether other computers can look on."""
+LOCK_FILE = "page.lock"
 
 _START_S = 30.0
 """A server of a busy computer may take so long until it listens."""
 _END_S = 10.0
 _ASK_AGAIN_S = 0.1
-
-_log = structlog.get_logger("biosensor_gateway.page")
 
 
 def page_folder(folder: Path) -> Path:
@@ -39,10 +35,13 @@ def page_folder(folder: Path) -> Path:
 
 
 @contextlib.contextmanager
-def only_server(folder: Path) -> Generator[None]:
+def only_server(folder: Path) -> Generator[ConfigError | None]:
     """Be the only server of a state folder while the context lasts.
 
-    Where the folder cannot be written there is a server all the same, which no other finds.
+    Yields
+    ------
+    ConfigError or None
+        Why no other server would find this one, where the folder cannot be written.
 
     Raises
     ------
@@ -50,26 +49,14 @@ def only_server(folder: Path) -> Generator[None]:
         ``IN_USE`` if there is another one.
     """
     with contextlib.ExitStack() as stack:
+        problem: ConfigError | None = None
         try:
-            stack.enter_context(single_instance(page_folder(folder)))
+            stack.enter_context(single_instance(page_folder(folder), LOCK_FILE))
         except ConfigError as error:
             if error.reason is ConfigReason.IN_USE:
                 raise
-            _log.warning("a second page would be a second server", reason=str(error))
-        yield
-
-
-@contextlib.asynccontextmanager
-async def reachable(folder: Path, new_window: Command, end: Command) -> AsyncGenerator[None]:
-    """Let `ask_for_window` and `ask_to_end` reach this server while the context lasts."""
-    commands = {OPEN: new_window, END: end}
-    async with contextlib.AsyncExitStack() as stack:
-        try:
-            server = ControlServer(page_folder(folder), commands, looks=commands)
-            await stack.enter_async_context(server)
-        except ConfigError as error:
-            _log.warning("a second page would be a second server", reason=str(error))
-        yield
+            problem = error
+        yield problem
 
 
 def ask_for_window(folder: Path) -> dict[str, Any] | None:
@@ -93,7 +80,7 @@ def ask_to_end(folder: Path) -> bool:
     """
     if _ask(folder, END) is None:
         return False
-    if not wait_until_free(page_folder(folder), _END_S):
+    if not wait_until_free(page_folder(folder), _END_S, LOCK_FILE):
         raise TransportError(TransportReason.BUSY, f"the page has not ended within {_END_S:g} s")
     return True
 
@@ -102,7 +89,7 @@ def _ask(folder: Path, command: str) -> dict[str, Any] | None:
     deadline = time.monotonic() + _START_S
     while True:
         try:
-            return control.ask(page_folder(folder), command)
+            return control.ask(page_folder(folder), command, lock_file=LOCK_FILE)
         except TransportError as error:
             if error.reason is TransportReason.ABSENT:
                 return None

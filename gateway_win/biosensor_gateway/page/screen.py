@@ -7,7 +7,7 @@ import struct
 from pydantic import BaseModel, ConfigDict, Field
 
 from biosensor_gateway.agent.feed_frames import Samples
-from biosensor_gateway.page.history import KEPT_S, History, binned, newest_bins, packed
+from biosensor_gateway.page.history import KEPT_S, History
 
 MAX_STREAMS = 200
 _HEAD = struct.Struct("<Idd")
@@ -99,12 +99,15 @@ class Screen:
             generation  uint32
             now         float64, LSL time in seconds
             bin_s       float64, width of a pixel; pixels count from LSL time `begin`
-            ...         one block for each stream that has something new, see `packed`
+            ...         one block for each stream that has something new, see `bins.packed`
 
         A pixel may come again, with what was measured in it since.
         """
         if self._view is None or self._begin_s is None:
             return None
+        # They bring numpy, and there is something to show before.
+        from biosensor_gateway.page.bins import binned, newest_bins, packed  # noqa: PLC0415
+
         bin_s = self._view.bin_s
         begin = int(self._begin_s // bin_s)
         blocks = [_HEAD.pack(self._view.generation, now - begin * bin_s, bin_s)]

@@ -1,4 +1,8 @@
-"""Runs the server: on the loopback address, at a port that the system chooses."""
+"""Runs the server: on the loopback address, at a port that the system chooses.
+
+It listens before most of the program is loaded. Only what that takes is imported here; the rest is
+in `service` and `steering`, which are loaded in a thread while the browser opens.
+"""
 
 from __future__ import annotations
 
@@ -6,33 +10,30 @@ import asyncio
 import contextlib
 import logging
 import math
-import mimetypes
 import signal
 import socket
 import sys
-from collections.abc import AsyncGenerator, Callable, Coroutine, Generator, Mapping, Sequence
+from collections.abc import AsyncGenerator, Callable, Coroutine, Iterable, Mapping
+from contextlib import AbstractAsyncContextManager
 from importlib.resources import as_file, files
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import uvicorn
-from fastapi import FastAPI
-from fastapi.staticfiles import StaticFiles
+from starlette.applications import Starlette
+from starlette.types import ASGIApp
 
 from biosensor_common.errors import GatewayError
-from biosensor_gateway.page.api import PREFIX, add_api
-from biosensor_gateway.page.ending import Ending
-from biosensor_gateway.page.experiments.server import ExperimentServer
+from biosensor_gateway.page.front import Front
 from biosensor_gateway.page.guard import DOOR, OPENS_ONCE, Guard, Keys
-from biosensor_gateway.page.link import AgentLink
-from biosensor_gateway.page.live import add_live
-from biosensor_gateway.page.marking import Marking
-from biosensor_gateway.page.models import ShareView
-from biosensor_gateway.page.quitting import add_quit
-from biosensor_gateway.page.recorder import Recorder
-from biosensor_gateway.page.running import ADDRESS, IS_SHARED, SETTINGS, only_server, reachable
-from biosensor_gateway.page.session import Session
+from biosensor_gateway.page.running import ADDRESS, IS_SHARED, SETTINGS, only_server
+
+if TYPE_CHECKING:
+    from biosensor_gateway.page.models import ShareView
+    from biosensor_gateway.page.service import Service
+    from biosensor_gateway.page.session import Session
+    from biosensor_gateway.page.steering import Steering
 
 HOST = "127.0.0.1"
 MAX_CONNECTIONS = 100
@@ -47,7 +48,6 @@ _OPTIONS: Mapping[str, Any] = {
     "ws_max_size": MAX_MESSAGE,
     "timeout_graceful_shutdown": 2,
 }
-_Serve = Callable[[], Coroutine[Any, Any, None]]
 _REQUESTS = [signal.SIGINT, signal.SIGBREAK if sys.platform == "win32" else signal.SIGTERM]
 
 
@@ -62,7 +62,9 @@ class PageServer:
         The settings file.
     on_ready
         Called in a thread with an address that opens the page once, as soon as it can be
-        opened. A `GatewayError` that it raises ends the server.
+        opened. An error that it raises ends the server.
+    open_log
+        Called in another thread once the page has something to show.
     end_after_s
         How long there must have been neither window nor agent nor recording for the server to
         end by itself.
@@ -75,21 +77,15 @@ class PageServer:
         folder: Path,
         settings: Path,
         on_ready: Callable[[str], None],
+        open_log: Callable[[], None],
         end_after_s: float = math.inf,
         share_port: int | None = None,
     ) -> None:
-        self._folder = folder
-        self._session = Session(folder, settings)
-        self._recorder = Recorder(self._session)
-        self._marking = Marking(self._session)
-        self._ending = Ending(self._session, end_after_s)
-        self._on_ready = on_ready
-        self._share_port = share_port
-
-    @property
-    def share(self) -> ShareView | None:
-        """How other computers look on, once the server runs."""
-        return self._session.share
+        self._folder, self._settings = folder, settings
+        self._on_ready, self._open_log = on_ready, open_log
+        self._end_after_s, self._share_port = end_after_s, share_port
+        self._error: Exception | None = None
+        self.share: ShareView | None = None
 
     def run(self) -> None:
         """Serve until SIGINT or SIGTERM, or until somebody ends the page.
@@ -106,108 +102,111 @@ class PageServer:
             Whatever `on_ready` has raised.
         """
         with (
-            only_server(self._folder),
+            only_server(self._folder) as self._unfound,
             socket.create_server((HOST, 0)) as listening,
-            as_file(files("biosensor_gateway.page") / "static") as pages,
-            self._shared(pages) as beside,
+            as_file(files("biosensor_gateway.page") / "static") as self._pages,
         ):
-            port: int = listening.getsockname()[1]
-            keys = Keys(port)
-            app = self._app(pages, keys, port, beside)
-            self._server = guarded(app, port, keys)
+            self._port: int = listening.getsockname()[1]
+            self._keys = Keys(self._port)
+            self._front = Front(self._pages, "index.html", self._serving)
+            self._server = guarded(self._front, self._port, self._keys)
             self._server.run([listening])
-        if self._ending.error is not None:
-            raise self._ending.error
+        if self._error is not None:
+            raise self._error
 
-    @contextlib.contextmanager
-    def _shared(self, pages: Path) -> Generator[Sequence[_Serve]]:
-        """Open the way for other computers to look on, if that is wanted; what serves it."""
+    def _way_in(self) -> str:
+        return f"http://{HOST}:{self._port}{DOOR}?token={self._keys.new_token()}"
+
+    @contextlib.asynccontextmanager
+    async def _serving(self, _app: Starlette) -> AsyncGenerator[None]:
+        """Run what goes on beside the requests."""
+        running = asyncio.create_task(self._run())
+        try:
+            yield
+        finally:
+            running.cancel()
+            await asyncio.gather(running, return_exceptions=True)
+
+    async def _run(self) -> None:
+        """Load the rest and run it until somebody ends the page; an error ends it, too."""
+        running: list[asyncio.Task[None]] = []
+
+        def begin(beside: Coroutine[Any, Any, None]) -> None:
+            running.append(asyncio.create_task(beside))
+
+        try:
+            if self._share_port is None:
+                begin(self._show())
+            service = await asyncio.to_thread(self._load)
+            self._front.show(service.live)
+            begin(service.run())
+            steering = await asyncio.to_thread(self._load_more, service)
+            self._front.complete(steering.app)
+            begin(steering.run())
+            async with self._shared(service.session), self._reachable(service):
+                if self._share_port is not None:
+                    begin(self._show())
+                await service.ending.run()
+        except Exception as error:  # noqa: BLE001 - raised again when the server has ended
+            self._error = error
+        finally:
+            await _cancelled(running)
+            self._server.should_exit = True
+
+    def _load(self) -> Service:
+        from biosensor_gateway.page.service import Service  # noqa: PLC0415 - takes a second
+
+        return Service(self._folder, self._settings, self._end_after_s)
+
+    def _load_more(self, service: Service) -> Steering:
+        self._open_log()
+        from biosensor_gateway.page.steering import Steering  # noqa: PLC0415 - as above
+
+        return Steering(service)
+
+    async def _show(self) -> None:
+        try:
+            await asyncio.to_thread(self._on_ready, self._way_in())
+        except GatewayError as error:
+            self._error = error
+            self._server.should_exit = True
+
+    @contextlib.asynccontextmanager
+    async def _shared(self, session: Session) -> AsyncGenerator[None]:
+        """Let other computers look on, if that is wanted."""
         if self._share_port is None:
-            yield ()
+            yield
             return
         # Its certificate takes a fifth of the time of a start.
         from biosensor_gateway.page.sharing import Sharing  # noqa: PLC0415
 
-        with Sharing(self._session, pages, _OPTIONS).opened(self._share_port) as serve:
-            yield (serve,)
+        with Sharing(session, self._pages, _OPTIONS).opened(self._share_port) as serve:
+            self.share = session.share
+            serving = asyncio.create_task(serve())
+            try:
+                yield
+            finally:
+                await _cancelled([serving])
 
-    def _end(self) -> None:
-        self._server.should_exit = True
-
-    @contextlib.asynccontextmanager
-    async def _serving(
-        self, keys: Keys, port: int, beside: Sequence[_Serve]
-    ) -> AsyncGenerator[None]:
-        """Run what goes on beside the requests."""
-        session = self._session
-        link = AgentLink(
-            self._folder, session.take_status, session.traces.take, session.take_dropped
-        )
-
-        def way_in() -> str:
-            return f"http://{HOST}:{port}{DOOR}?token={keys.new_token()}"
+    def _reachable(self, service: Service) -> AbstractAsyncContextManager[None]:
+        """Let other programs of the same user ask for a window, or for the end."""
+        from biosensor_gateway.page.reachable import reachable  # noqa: PLC0415 - as above
 
         async def new_window(_arguments: Mapping[str, Any]) -> dict[str, Any]:
             return {
-                ADDRESS: way_in(),
-                SETTINGS: str(session.settings),
+                ADDRESS: self._way_in(),
+                SETTINGS: str(self._settings),
                 IS_SHARED: self.share is not None,
             }
 
         async def end(_arguments: Mapping[str, Any]) -> dict[str, Any]:
-            self._ending.request()
+            service.ending.request()
             return {}
 
-        async with reachable(self._folder, new_window, end):
-            running = [
-                asyncio.create_task(each)
-                for each in (
-                    link.run(),
-                    self._recorder.run(),
-                    self._marking.run(),
-                    ExperimentServer(session).run(),
-                    self._ending.run(self._end),
-                    self._show(way_in()),
-                    *(serve() for serve in beside),
-                )
-            ]
-            try:
-                yield
-            finally:
-                for task in running:
-                    task.cancel()
-                await asyncio.gather(*running, return_exceptions=True)
-
-    async def _show(self, address: str) -> None:
-        try:
-            await asyncio.to_thread(self._on_ready, address)
-        except GatewayError as error:
-            self._ending.request(error)
-
-    def _app(self, pages: Path, keys: Keys, port: int, beside: Sequence[_Serve]) -> FastAPI:
-        app = new_app(lambda _app: self._serving(keys, port, beside))
-        add_api(app, self._session, self._recorder, self._marking)
-        add_quit(app, self._session, self._recorder, self._ending)
-        add_live(app, self._session, self._session.status)
-        app.mount("/", StaticFiles(directory=pages, html=True))
-        return app
+        return reachable(self._folder, new_window, end, self._unfound)
 
 
-def new_app(lifespan: Callable[[FastAPI], contextlib.AbstractAsyncContextManager[None]]) -> FastAPI:
-    """Return an application without pages that load scripts of other servers."""
-    # Windows asks its registry, where any program may have said otherwise.
-    mimetypes.add_type("text/javascript", ".js")
-    return FastAPI(
-        title="Biosensor Gateway",
-        version="1",
-        lifespan=lifespan,
-        docs_url=None,
-        redoc_url=None,
-        openapi_url=f"{PREFIX}/openapi.json",
-    )
-
-
-def guarded(app: FastAPI, port: int, keys: Keys) -> uvicorn.Server:
+def guarded(app: ASGIApp, port: int, keys: Keys) -> uvicorn.Server:
     """Return the server of an application for the browser of this computer; signals end it."""
     origins = [f"http://{name}:{port}" for name in (HOST, "localhost")]
     config = uvicorn.Config(Guard(app, origins, keys, OPENS_ONCE), lifespan="on", **_OPTIONS)
@@ -215,6 +214,12 @@ def guarded(app: FastAPI, port: int, keys: Keys) -> uvicorn.Server:
     for number in _REQUESTS:
         signal.signal(number, _ignore)
     return uvicorn.Server(config)
+
+
+async def _cancelled(tasks: Iterable[asyncio.Task[None]]) -> None:
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)
 
 
 def _ignore(_number: int, _frame: FrameType | None) -> None:

@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pylsl import local_clock
-
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.devices.registry import settings_models
@@ -68,6 +66,9 @@ class Session:
     @staticmethod
     def now() -> float:
         """Return the LSL time in seconds."""
+        # It brings numpy, and there is something to show before.
+        from pylsl import local_clock  # noqa: PLC0415
+
         return local_clock()
 
     def configured(self) -> Sequence[DeviceSettings]:

@@ -20,7 +20,7 @@ from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.page.beside import ServerBeside
 from biosensor_gateway.page.certificate import Certificate, own_certificate
 from biosensor_gateway.page.guard import DOOR, Guard, ViewKeys
-from biosensor_gateway.page.live import add_live
+from biosensor_gateway.page.live import live
 from biosensor_gateway.page.models import ShareView, StatusView
 from biosensor_gateway.page.session import Session
 
@@ -93,7 +93,7 @@ class Sharing:
         async def page() -> FileResponse:
             return FileResponse(self._pages / "view.html")
 
-        add_live(app, self._session, self._status)
+        app.router.routes.append(live(self._session, self._status))
         app.mount("/", StaticFiles(directory=self._pages))
         return app
 

@@ -20,3 +20,7 @@ class Source(Protocol):
 
     traces: Traces
     has_ended: bool
+
+    def now(self) -> float:
+        """Return the LSL time in seconds."""
+        ...

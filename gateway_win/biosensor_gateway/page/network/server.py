@@ -7,18 +7,18 @@ import contextlib
 import socket
 from collections.abc import AsyncGenerator, Callable
 from importlib.resources import as_file, files
-from pathlib import Path
 
 from fastapi import FastAPI
-from fastapi.responses import FileResponse
-from fastapi.staticfiles import StaticFiles
+from starlette.applications import Starlette
+from starlette.routing import Router
 
-from biosensor_gateway.page.api import PREFIX
+from biosensor_gateway.page.front import PREFIX, Front
 from biosensor_gateway.page.guard import DOOR, Keys
-from biosensor_gateway.page.live import add_live
+from biosensor_gateway.page.live import live
 from biosensor_gateway.page.network.models import NetworkView
 from biosensor_gateway.page.network.source import NetworkSource
-from biosensor_gateway.page.server import HOST, guarded, new_app
+from biosensor_gateway.page.server import HOST, guarded
+from biosensor_gateway.page.steering import new_app
 
 _DOCUMENT = "network.html"
 
@@ -53,10 +53,13 @@ class NetworkServer:
             port: int = listening.getsockname()[1]
             keys = Keys(port)
             address = f"http://{HOST}:{port}{DOOR}?token={keys.new_token()}"
-            guarded(self._app(pages, address), port, keys).run([listening])
+            front = Front(pages, _DOCUMENT, lambda app: self._serving(app, address))
+            front.show(Router([live(self._source, self._source.status)]))
+            front.complete(self._app())
+            guarded(front, port, keys).run([listening])
 
     @contextlib.asynccontextmanager
-    async def _serving(self, address: str) -> AsyncGenerator[None]:
+    async def _serving(self, _app: Starlette, address: str) -> AsyncGenerator[None]:
         running = [
             asyncio.create_task(self._source.run()),
             asyncio.create_task(asyncio.to_thread(self._on_ready, address)),
@@ -68,18 +71,12 @@ class NetworkServer:
                 task.cancel()
             await asyncio.gather(*running, return_exceptions=True)
 
-    def _app(self, pages: Path, address: str) -> FastAPI:
-        app = new_app(lambda _app: self._serving(address))
+    def _app(self) -> FastAPI:
+        app = new_app()
 
         @app.get(f"{PREFIX}/streams")
         async def streams() -> NetworkView:  # pyright: ignore[reportUnusedFunction]
             """Say which streams this computer sees, and how they are."""
             return self._source.status()
 
-        @app.get("/", include_in_schema=False)
-        async def page() -> FileResponse:  # pyright: ignore[reportUnusedFunction]
-            return FileResponse(pages / _DOCUMENT)
-
-        add_live(app, self._source, self._source.status)
-        app.mount("/", StaticFiles(directory=pages))
         return app

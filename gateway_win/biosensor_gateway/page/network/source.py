@@ -50,6 +50,11 @@ class NetworkSource:
         self._search = _search(lsl, settings, own)
         self._reader: Reader | None = None
 
+    @staticmethod
+    def now() -> float:
+        """Return the LSL time in seconds."""
+        return local_clock()
+
     def status(self) -> NetworkView:
         """Describe all streams; none if what is known of them is old."""
         view = NetworkView() if self._reader is None else self._reader.view

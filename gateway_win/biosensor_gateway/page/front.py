@@ -1,0 +1,86 @@
+"""Serves the page's files at once, and the rest of the page as soon as that is loaded.
+
+The libraries of the interface take longer to import than a person likes to wait. A browser that
+opens meanwhile gets the page and its scripts, and what these ask for waits here.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import mimetypes
+from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager
+from pathlib import Path
+
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import FileResponse
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+PREFIX = "/api/v1"
+LIVE = "/live"
+"""The WebSocket."""
+
+Lifespan = Callable[[Starlette], AbstractAsyncContextManager[None]]
+
+
+class Front:
+    """The application of a server whose larger part comes later.
+
+    Parameters
+    ----------
+    pages
+        The folder of the files.
+    document
+        The file there that is the page.
+    lifespan
+        What goes on beside the requests.
+    """
+
+    def __init__(self, pages: Path, document: str, lifespan: Lifespan) -> None:
+        async def page(_request: Request) -> FileResponse:
+            return FileResponse(pages / document)
+
+        # Windows asks its registry, where any program may have said otherwise.
+        mimetypes.add_type("text/javascript", ".js")
+        routes = [Route("/", page), Mount("/", StaticFiles(directory=pages))]
+        self._files = Starlette(routes=routes, lifespan=lifespan)
+        self._live, self._rest = _Later(), _Later()
+
+    def show(self, live: ASGIApp) -> None:
+        """Have an application answer the WebSocket from now on."""
+        self._live.take(live)
+
+    def complete(self, rest: ASGIApp) -> None:
+        """Have an application answer everything else that is no file."""
+        self._rest.take(rest)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer with a file, or have an application answer, once there is one."""
+        await self._app(scope)(scope, receive, send)
+
+    def _app(self, scope: Scope) -> ASGIApp:
+        if scope["type"] == "lifespan":
+            return self._files
+        if scope["type"] == "websocket":
+            return self._live
+        return self._rest if scope["path"].startswith(f"{PREFIX}/") else self._files
+
+
+class _Later:
+    """Passes requests on to an application that may not be there yet; they wait for it."""
+
+    def __init__(self) -> None:
+        self._app: ASGIApp | None = None
+        self._is_here = asyncio.Event()
+
+    def take(self, app: ASGIApp) -> None:
+        self._app = app
+        self._is_here.set()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        await self._is_here.wait()
+        assert self._app is not None
+        await self._app(scope, receive, send)

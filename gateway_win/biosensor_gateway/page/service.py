@@ -1,0 +1,47 @@
+"""The first half of what is loaded while the server runs already: what the page shows."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from starlette.routing import Router
+
+from biosensor_gateway.page.ending import Ending
+from biosensor_gateway.page.link import AgentLink
+from biosensor_gateway.page.live import live
+from biosensor_gateway.page.session import Session
+
+
+class Service:
+    """Shows the agent, its devices and what they measure.
+
+    Parameters
+    ----------
+    folder
+        The state folder of the agent.
+    settings
+        The settings file.
+    end_after_s
+        See `Ending`.
+
+    Attributes
+    ----------
+    session
+    ending
+    live
+        The application of the WebSocket.
+    """
+
+    def __init__(self, folder: Path, settings: Path, end_after_s: float = math.inf) -> None:
+        self.session = session = Session(folder, settings)
+        self.ending = Ending(session, end_after_s)
+        self.live = Router([live(session, session.status)])
+
+    async def run(self) -> None:
+        """Follow the agent until cancelled."""
+        session = self.session
+        link = AgentLink(
+            session.folder, session.take_status, session.traces.take, session.take_dropped
+        )
+        await link.run()

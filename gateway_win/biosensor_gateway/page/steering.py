@@ -1,0 +1,55 @@
+"""The second half of what is loaded while the server runs already: the interface."""
+
+from __future__ import annotations
+
+import asyncio
+
+from fastapi import FastAPI
+
+from biosensor_gateway.page.api import add_api
+from biosensor_gateway.page.experiments.server import ExperimentServer
+from biosensor_gateway.page.front import PREFIX
+from biosensor_gateway.page.marking import Marking
+from biosensor_gateway.page.quitting import add_quit
+from biosensor_gateway.page.recorder import Recorder
+from biosensor_gateway.page.service import Service
+
+
+class Steering:
+    """Takes what a person or a script asks for: devices, recordings, markers, checks.
+
+    Parameters
+    ----------
+    service
+        What is shown, and the end of it.
+
+    Attributes
+    ----------
+    app
+        The application of the interface.
+    """
+
+    def __init__(self, service: Service) -> None:
+        self._session = session = service.session
+        self._recorder = Recorder(session)
+        self._marking = Marking(session)
+        self.app = new_app()
+        add_api(self.app, session, self._recorder, self._marking)
+        add_quit(self.app, session, self._recorder, service.ending)
+
+    async def run(self) -> None:
+        """Watch the recording, the markers and web experiments until cancelled."""
+        await asyncio.gather(
+            self._recorder.run(), self._marking.run(), ExperimentServer(self._session).run()
+        )
+
+
+def new_app() -> FastAPI:
+    """Return an application without pages that load scripts of other servers."""
+    return FastAPI(
+        title="Biosensor Gateway",
+        version="1",
+        docs_url=None,
+        redoc_url=None,
+        openapi_url=f"{PREFIX}/openapi.json",
+    )
