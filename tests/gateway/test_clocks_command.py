@@ -142,8 +142,9 @@ def test_the_status_has_the_time_to_which_the_ages_belong(unit: str) -> None:
     sink.open(DeviceInfo(), {})
     now = pylsl.local_clock()
     sink.observe(5.0, now)
-    taken = snapshot([])
-    assert taken["lsl_time"] - sink.clock_state.newest_s == pytest.approx(0.0, abs=DEADLINE_S)
+    taken = snapshot([]).lsl_time
+    assert taken is not None
+    assert taken - sink.clock_state.newest_s == pytest.approx(0.0, abs=DEADLINE_S)
     assert sink.clock_state.newest_s == pytest.approx(now)
     rates = {source.rpartition("-")[2]: rate for source, rate in sink.nominal_rates.items()}
     assert (rates["ecg"], rates["acc"], rates["hr"]) == (250, 50, 0)

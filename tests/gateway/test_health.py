@@ -143,14 +143,14 @@ def test_a_reader_never_sees_half_a_file(tmp_path: Path) -> None:
 def test_a_snapshot_holds_every_device_and_stream_and_is_json(unit: str) -> None:
     sink = DeviceSink(DeviceIdentity("gateway", unit, "p01", "left"), declaration("gateway"))
     supervisor = Supervisor(NoDriver, sink)
-    before = snapshot([Device(supervisor, sink)])["devices"][0]
+    before = snapshot([Device(supervisor, sink)]).model_dump()["devices"][0]
     assert (before["state"], before["connections"]) == ("discovering", 0)
     assert (before["clock"], before["streams"]) == (None, {})
     sink.open(DeviceInfo(), {})
     sink.observe(1.0, 2.0)
     sink.dropped_bytes = 9
     sink.lost("events", 4)
-    taken = snapshot([Device(supervisor, sink)])
+    taken = snapshot([Device(supervisor, sink)]).model_dump()
     (device,) = json.loads(json.dumps(taken, allow_nan=False))["devices"]
     assert {key: device[key] for key in ("sensor", "unit", "participant", "label")} == {
         "sensor": "gateway", "unit": unit, "participant": "p01", "label": "left"

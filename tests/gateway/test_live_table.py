@@ -27,13 +27,13 @@ def table() -> LiveTable:
 
 
 def stream(
-    pushed: int, last_stamp: float, rate_hz: float, lost: int = 0, *, silent: bool = False
+    pushed: int, last_stamp: float, nominal_hz: float, lost: int = 0, *, silent: bool = False
 ) -> dict[str, Any]:
     return {
         "pushed": pushed,
         "lost": lost,
         "last_stamp": last_stamp,
-        "rate_hz": rate_hz,
+        "nominal_hz": nominal_hz,
         "silent": silent,
     }
 

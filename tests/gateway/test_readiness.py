@@ -44,7 +44,7 @@ def device(sensor: str = "zephyr", **more: object) -> dict[str, Any]:
 
 
 def streams(count: int, *sources: str) -> dict[str, Any]:
-    return {source: {"pushed": count, "waited": 0, "rate_hz": 50.0} for source in sources}
+    return {source: {"pushed": count, "waited": 0, "nominal_hz": 50.0} for source in sources}
 
 
 @contextmanager
@@ -75,7 +75,7 @@ def missing(outcome: Readiness) -> list[tuple[str, tuple[str, ...], str]]:
 
 @pytest.mark.parametrize("name", expectations.SENSORS)
 def test_waited_for_is_what_the_fault_suite_knows_to_be_steady(name: str) -> None:
-    absent: dict[str, Any] = {"emotiv_insight-1-gyro": {"pushed": 0, "rate_hz": 0.0}}
+    absent: dict[str, Any] = {"emotiv_insight-1-gyro": {"pushed": 0, "nominal_hz": 0.0}}
     described = device(name, streams=absent if name == "emotiv_insight" else {})
     expected = [f"{name}-1-{data}" for data in expectations.steady_streams(name)]
     assert list(steady_streams(described, frozenset())) == expected
@@ -156,7 +156,7 @@ def test_a_paused_device_is_not_ready(state: Path) -> None:
 
 def test_a_strap_is_ready_by_what_waits_for_its_first_receiver(state: Path) -> None:
     def report(number: int) -> list[dict[str, Any]]:
-        quality = {"pushed": 0, "waited": number, "rate_hz": 0.0}
+        quality = {"pushed": 0, "waited": number, "nominal_hz": 0.0}
         return [device("ble_heart_rate", streams={"ble_heart_rate-1-quality": quality})]
 
     with reporting(state, report):

@@ -123,7 +123,7 @@ def test_it_is_what_was_sent_in_the_channels_that_were_asked_for(reading: Readin
     assert reading.stamps(first)[place] == pytest.approx(stamps[0], abs=0.05)
     (stream,) = reading.wait("amplifier", SeenState.STREAMING).streams
     assert stream.windows[120].channels == [f"C{number}" for number in range(121, 129)]
-    assert stream.rate_hz == pytest.approx(250, rel=0.05)
+    assert stream.measured_hz == pytest.approx(250, rel=0.05)
 
 
 def test_streams_of_strangers_do_no_harm(reading: Reading) -> None:

@@ -87,8 +87,9 @@ def test_it_serves_where_nothing_can_be_written_and_says_what_that_means(
 ) -> None:
     page_folder(programs.folder).write_text("no folder")
     assert Server(programs).request("GET", "/", "").status == 401
-    said = (programs.folder / "stderr-0.txt").read_text()
-    assert "a second page would be a second server" in said
+    said = programs.folder / "stderr-0.txt"
+    expected = "a second page would be a second server"
+    until(lambda: expected in said.read_text(), expected)
 
 
 def test_it_is_ended_by_a_command_and_its_windows_say_so(

@@ -58,7 +58,7 @@ class Agent:
     Attributes
     ----------
     on_status
-        Called once a second with what the status file then says.
+        Called once a second with what the status file then says, see `AgentStatus`.
 
     Raises
     ------
@@ -152,7 +152,7 @@ class Agent:
                 device.sink.release()
                 merged |= device.sink.counters
             outlet.push_text(counters_text(merged, self._clocks()), pylsl.local_clock())
-            status = snapshot(self.devices) | {"virtual": self._reloading.is_virtual}
+            status = snapshot(self.devices, virtual=self._reloading.is_virtual).model_dump()
             self.on_status(status)
             self._status.write(status)
             self._feed.tell(status)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from math import isfinite
-from typing import Any
 
 from biosensor_common import naming
+from biosensor_common.device_clock import ClockState
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.pauses.selection import device_name
+from biosensor_gateway.agent.status import ClockStatus, DeviceStatus, StreamStatus
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.registry import declaration, driver
 from biosensor_gateway.settings.models import DeviceSettings
@@ -65,28 +66,33 @@ class Device:
         if self._events is not None:
             announcer.unwatch(self._events.tick)
 
-    def status(self) -> dict[str, Any]:
-        """Describe it for the status file: state, last error, clock, counters of each stream."""
+    def status(self) -> DeviceStatus:
+        """Describe it: state, last error, clock, counters of each stream."""
         supervisor, sink = self.supervisor, self.sink
-        clock = asdict(sink.clock_state)
-        silent = {naming.source_id(sink.identity, data_name) for data_name in sink.silent}
-        return {
+        return DeviceStatus(
             **asdict(sink.identity),
-            "state": supervisor.state.value,
-            "paused": sink.is_paused,
-            "worn": None if self._events is None else self._events.is_worn,
-            "connections": supervisor.connections,
-            "error": supervisor.last_error,
-            "dropped_bytes": sink.dropped_bytes,
-            "battery_percent": sink.charge.percent,
-            # JSON knows no NaN; before the first packet there is nothing to say.
-            "clock": clock if isfinite(clock["offset_s"]) else None,
-            "streams": {
-                source: {
-                    **asdict(counters),
-                    "rate_hz": sink.nominal_rates[source],
-                    "silent": source in silent,
-                }
-                for source, counters in sink.counters.items()
-            },
-        }
+            state=supervisor.state.value,
+            paused=sink.is_paused,
+            worn=None if self._events is None else self._events.is_worn,
+            connections=supervisor.connections,
+            error=supervisor.last_error,
+            dropped_bytes=sink.dropped_bytes,
+            battery_percent=sink.charge.percent,
+            clock=_clock_status(sink.clock_state),
+            streams=_stream_status(sink),
+        )
+
+
+def _clock_status(state: ClockState) -> ClockStatus | None:
+    # JSON knows no NaN; before the first packet there is nothing to say.
+    return ClockStatus(**asdict(state)) if isfinite(state.offset_s) else None
+
+
+def _stream_status(sink: DeviceSink) -> dict[str, StreamStatus]:
+    silent = {naming.source_id(sink.identity, data_name) for data_name in sink.silent}
+    return {
+        source: StreamStatus(
+            **asdict(counters), nominal_hz=sink.nominal_rates[source], silent=source in silent
+        )
+        for source, counters in sink.counters.items()
+    }

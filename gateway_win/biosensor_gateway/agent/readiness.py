@@ -169,7 +169,7 @@ def steady_streams(device: Mapping[str, Any], excluded: frozenset[str]) -> tuple
             continue
         # What the device told at its connection counts: some have a stream only in name.
         told = open_streams.get(source, {})
-        rate = 0 if told.get("silent") else told.get("rate_hz", stream.rate)
+        rate = 0 if told.get("silent") else told.get("nominal_hz", stream.rate)
         if rate != 0 and not stream.message_type.is_text:
             steady.append(source)
         elif stream.content_type is ContentType.QUALITY:

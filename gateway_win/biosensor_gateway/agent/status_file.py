@@ -1,4 +1,7 @@
-"""Writes and reads the file with the agent's status, for ``status`` and for scripts."""
+"""Writes and reads the file with the agent's status, for ``status`` and for scripts.
+
+What is in it: `biosensor_gateway.agent.status`.
+"""
 
 from __future__ import annotations
 

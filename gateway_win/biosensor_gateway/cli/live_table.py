@@ -104,7 +104,7 @@ class LiveTable:
         }
         if not sending:
             return None
-        main = max(sending, key=lambda source: sending[source]["rate_hz"])
+        main = max(sending, key=lambda source: sending[source]["nominal_hz"])
         each = sending[main]
         meter = self._meters.setdefault(main, RateMeter())
         meter.note(each["pushed"], each["last_stamp"])

@@ -10,7 +10,7 @@ from biosensor_gateway.agent.state import STATE_WORDS
 
 def restart_sentences(status: Mapping[str, Any]) -> Iterator[str]:
     """Say that the agent had died, if it had."""
-    if "restarts" in status:
+    if status.get("restarts"):
         times = "once" if status["restarts"] == 1 else f"{status['restarts']} times"
         yield f"started again {times}, last after: {status['last_end']}"
 

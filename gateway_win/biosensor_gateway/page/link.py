@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from biosensor_gateway.agent.control import CONTROL_FILE, HOST, json_object, line
 from biosensor_gateway.agent.feed_frames import (
@@ -17,6 +15,7 @@ from biosensor_gateway.agent.feed_frames import (
     read_count,
 )
 from biosensor_gateway.agent.single_instance import is_held
+from biosensor_gateway.agent.status import AgentStatus
 from biosensor_gateway.system import state_file
 
 RETRY_S = 0.25
@@ -42,7 +41,7 @@ class AgentLink:
     def __init__(
         self,
         folder: Path,
-        on_status: Callable[[Mapping[str, Any] | None], None],
+        on_status: Callable[[AgentStatus | None], None],
         on_samples: Callable[[Samples], None],
         on_dropped: Callable[[int], None],
     ) -> None:
@@ -81,7 +80,7 @@ class AgentLink:
 
     def _take(self, kind: int, content: bytes) -> None:
         if kind == FrameKind.STATUS:
-            self._on_status(json.loads(content))
+            self._on_status(AgentStatus.model_validate_json(content))
         elif kind == FrameKind.SAMPLES:
             # It brings numpy, and the status comes before.
             from biosensor_gateway.agent.sample_frames import read_samples  # noqa: PLC0415

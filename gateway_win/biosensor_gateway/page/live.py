@@ -63,7 +63,7 @@ async def _send(
     while not source.has_ended:
         if count % STATUS_EVERY == 0:
             await socket.send_text(more().model_dump_json())
-        if screen.streams and (picture := screen.picture(source.now())) is not None:
+        if screen.is_asked and (picture := screen.picture(source.now())) is not None:
             await socket.send_bytes(picture)
         count += 1
         # What making and sending one takes is not on top; one that is late is not caught up.

@@ -1,4 +1,7 @@
-"""What the API `/api/v1` answers; the page and tests use the same models."""
+"""What the API `/api/v1` answers.
+
+What the agent says of itself has the models of ``status --json``; here is what comes on top.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from biosensor_gateway.agent.status import AgentFacts, DeviceFacts, StreamStatus
 from biosensor_gateway.page.marker_models import ExperimentsView, MarkersView
 from biosensor_gateway.settings.models import ShortText, UnitText
 
@@ -20,32 +24,16 @@ class AgentState(StrEnum):
     ABSENT = "absent"
 
 
-@unique
-class DeviceState(StrEnum):
-    """How a device does, in the words of the page."""
-
-    STREAMING = "streaming"
-    NOT_WORN = "not worn"
-    SEARCHING = "searching"
-    CONNECTING = "connecting"
-    NO_DATA = "no data"
-    REFUSED = "refused"
-    PAUSED = "paused"
-    STOPPED = "stopped"
-
-
-class StreamView(BaseModel):
-    """One stream now.
+class ScreenStream(BaseModel):
+    """What a screen shows of a stream, of whichever program.
 
     Attributes
     ----------
     source_id, lsl_name, topic
         Its names for programs, for LabRecorder, and in ROS with the usual prefix.
-    rate_hz, nominal_hz
-        Measured over the last seconds by the samples' own times, None while nothing comes;
-        and declared, 0 for streams that come when they come.
-    lost
-        None where nobody counts.
+    measured_hz
+        Over the last seconds, by the samples' own times; None while nothing comes, and for
+        streams that come when they come.
     age_s
         Of the newest sample; None before the first.
     is_fresh
@@ -63,19 +51,19 @@ class StreamView(BaseModel):
     content_type: str
     channels: list[str]
     units: list[str]
-    rate_hz: float | None
-    nominal_hz: float
-    pushed: int
-    lost: int | None
+    measured_hz: float | None
     age_s: float | None
     is_fresh: bool
-    is_silent: bool
     is_signal: bool
     values: list[float | None]
 
 
-class DeviceView(BaseModel):
-    """One device now.
+class StreamView(StreamStatus, ScreenStream):
+    """One stream of the agent: what it says of it, and what a screen needs besides."""
+
+
+class DeviceView(DeviceFacts):
+    """One device of the agent: what it says of it, and what a screen needs besides.
 
     Attributes
     ----------
@@ -83,23 +71,16 @@ class DeviceView(BaseModel):
         What commands call it, ``sensor/unit``.
     title
         What people call the kind of sensor.
-    reason
-        The sentence of the log, empty while all is well.
+    lost
+        Samples of all its streams.
+    streams
+        By source_id.
     """
 
     name: str
-    sensor: str
-    unit: str
     title: str
-    participant: str
-    label: str
-    state: DeviceState
-    reason: str
-    paused: bool
-    battery_percent: float | None
-    connections: int
     lost: int
-    streams: list[StreamView]
+    streams: dict[str, StreamView]
 
 
 class VerdictView(BaseModel):
@@ -162,13 +143,12 @@ class ShareView(BaseModel):
     fingerprint: str
 
 
-class StatusView(BaseModel):
+class StatusView(AgentFacts):
     """The agent and its devices now.
 
     Attributes
     ----------
-    restarts, last_end
-        How often the agent died and came back, and how it ended last.
+    agent
     settings_file
     problem
         What is wrong with the settings, one sentence for each line; empty if nothing is.
@@ -183,9 +163,6 @@ class StatusView(BaseModel):
     """
 
     agent: AgentState
-    virtual: bool = False
-    restarts: int = 0
-    last_end: str = ""
     settings_file: str = ""
     problem: str = ""
     configured: int = 0

@@ -77,6 +77,11 @@ class Screen:
         }
 
     @property
+    def is_asked(self) -> bool:
+        """Whether the browser has said what it shows."""
+        return self._view is not None
+
+    @property
     def streams(self) -> tuple[str, ...]:
         """What it shows."""
         return () if self._view is None else self._view.streams

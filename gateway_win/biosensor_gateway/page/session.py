@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent.single_instance import is_held
+from biosensor_gateway.agent.status import AgentStatus, DeviceStatus
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.page.marker_models import ExperimentsView, MarkersView
 from biosensor_gateway.page.models import AgentState, RecordingView, ShareView, StatusView
@@ -46,12 +47,12 @@ class Session:
         self.share: ShareView | None = None
         self.experiments: ExperimentsView | None = None
         self._viewer = Viewer(self.traces.history)
-        self._status: Mapping[str, Any] | None = None
+        self._status: AgentStatus | None = None
         self._skipped = 0
         self._started_s = -STARTING_S
         self._loaded: tuple[object, GatewaySettings | ConfigError] = None, GatewaySettings()
 
-    def take_status(self, status: Mapping[str, Any] | None) -> None:
+    def take_status(self, status: AgentStatus | None) -> None:
         """Note how the agent is; None if there is none."""
         self._status = status
 
@@ -90,18 +91,19 @@ class Session:
 
     def streamed(self) -> tuple[tuple[str, str], ...]:
         """Return the devices that the agent has, by sensor and unit."""
-        devices: list[Any] = [] if self._status is None else self._status["devices"]
-        return tuple((each["sensor"], each["unit"]) for each in devices)
+        return tuple((each.sensor, each.unit) for each in self._devices())
 
     def silent(self) -> tuple[str, ...]:
         """Return the source_ids of streams that may say nothing: paused, or switched off."""
-        devices: list[Any] = [] if self._status is None else self._status["devices"]
         return tuple(
             source
-            for device in devices
-            for source, stream in device["streams"].items()
-            if device["paused"] or stream["silent"]
+            for device in self._devices()
+            for source, stream in device.streams.items()
+            if device.paused or stream.silent
         )
+
+    def _devices(self) -> Sequence[DeviceStatus]:
+        return () if self._status is None else self._status.devices
 
     def loaded(self) -> GatewaySettings:
         """Return the settings; the usual ones if there is no file.
@@ -128,12 +130,10 @@ class Session:
         if status is None:
             return StatusView(agent=self._absence(), **facts)
         return StatusView(
-            agent=AgentState.RUNNING,
-            virtual=bool(status.get("virtual")),
-            restarts=status.get("restarts", 0),
-            last_end=status.get("last_end", ""),
-            skipped=self._skipped,
+            **{name: value for name, value in status if name != "devices"},
             devices=self._viewer.devices(status),
+            agent=AgentState.RUNNING,
+            skipped=self._skipped,
             markers=self.markers,
             **facts,
         )

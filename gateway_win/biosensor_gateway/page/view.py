@@ -11,19 +11,10 @@ from biosensor_common.quantities import TYPES_OF_DEVICE
 from biosensor_common.spec import DeviceIdentity, StreamSpec
 from biosensor_gateway.agent.pauses.selection import device_name
 from biosensor_gateway.agent.rate_meter import STALE_AFTER_S, RateMeter
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.status import AgentStatus, DeviceStatus, StreamStatus
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.page.history import History
-from biosensor_gateway.page.models import DeviceState, DeviceView, StreamView
-
-_STATES = {
-    State.DISCOVERING.value: DeviceState.SEARCHING,
-    State.CONNECTING.value: DeviceState.CONNECTING,
-    State.STREAMING.value: DeviceState.STREAMING,
-    State.ENABLING.value: DeviceState.NO_DATA,
-    State.BACKOFF.value: DeviceState.REFUSED,
-    State.STOPPED.value: DeviceState.STOPPED,
-}
+from biosensor_gateway.page.models import DeviceView, StreamView
 
 
 class Viewer:
@@ -39,43 +30,35 @@ class Viewer:
         self._history = history
         self._meters: dict[str, RateMeter] = {}
 
-    def devices(self, status: Mapping[str, Any]) -> list[DeviceView]:
-        """Describe the devices of a status, see `snapshot`."""
-        now = float(status["lsl_time"])
-        identities = [_identity(each) for each in status["devices"]]
+    def devices(self, status: AgentStatus) -> list[DeviceView]:
+        """Describe the devices of an agent."""
+        now = status.lsl_time or 0.0
+        identities = [_identity(each) for each in status.devices]
         topics = _topics(identities)
         return [
             self._device(identity, device, topics, now)
-            for identity, device in zip(identities, status["devices"], strict=True)
+            for identity, device in zip(identities, status.devices, strict=True)
         ]
 
     def _device(
         self,
         identity: DeviceIdentity,
-        device: Mapping[str, Any],
+        device: DeviceStatus,
         topics: Mapping[str, str],
         now: float,
     ) -> DeviceView:
         declared = _declared(identity)
-        streams = [
-            self._stream(identity, declared[source], source, each, topics, now)
-            for source, each in device["streams"].items()
+        streams = {
+            source: self._stream(identity, declared[source], source, each, topics[source], now)
+            for source, each in device.streams.items()
             if source in declared
-        ]
+        }
         return DeviceView(
-            name=device_name(identity),
-            sensor=identity.sensor,
-            unit=identity.unit,
-            title=title_of(identity.sensor),
-            participant=identity.participant,
-            label=identity.label,
-            state=_state(device),
-            reason=" ".join((device["error"] or "").split()),
-            paused=device["paused"],
-            battery_percent=device["battery_percent"],
-            connections=device["connections"],
-            lost=sum(each.lost or 0 for each in streams),
+            **_facts(device),
             streams=streams,
+            name=device_name(identity),
+            title=title_of(identity.sensor),
+            lost=sum(each.lost for each in streams.values()),
         )
 
     def _stream(
@@ -83,39 +66,39 @@ class Viewer:
         identity: DeviceIdentity,
         spec: StreamSpec,
         source: str,
-        counted: Mapping[str, Any],
-        topics: Mapping[str, str],
+        counted: StreamStatus,
+        topic: str,
         now: float,
     ) -> StreamView:
         meter = self._meters.setdefault(source, RateMeter())
-        meter.note(counted["pushed"], counted["last_stamp"])
+        meter.note(counted.pushed, counted.last_stamp)
         newest = self._history.newest(source)
-        age_s = now - newest[0] if newest else None
-        is_regular = counted["rate_hz"] > 0
+        is_regular = counted.nominal_hz > 0
         # What comes when it changes holds until it changes again.
         is_fresh = newest is not None and (not is_regular or now - newest[0] < STALE_AFTER_S)
         return StreamView(
+            **dict(counted),
             source_id=source,
             data_name=spec.data_name,
             lsl_name=naming.lsl_name(identity, spec.data_name),
-            topic=topics[source],
+            topic=topic,
             content_type=spec.content_type.value,
             channels=[each.label for each in spec.channels],
             units=[str(each.unit) for each in spec.channels],
-            rate_hz=meter.rate_hz(now) if is_regular else None,
-            nominal_hz=counted["rate_hz"],
-            pushed=counted["pushed"],
-            lost=counted["lost"],
-            age_s=None if age_s is None else max(0.0, age_s),
+            measured_hz=meter.rate_hz(now) if is_regular else None,
+            age_s=max(0.0, now - newest[0]) if newest else None,
             is_fresh=is_fresh,
-            is_silent=counted["silent"],
             is_signal=spec.content_type not in TYPES_OF_DEVICE,
             values=newest[1] if newest and is_fresh else [],
         )
 
 
-def _identity(device: Mapping[str, Any]) -> DeviceIdentity:
-    return DeviceIdentity(device["sensor"], device["unit"], device["participant"], device["label"])
+def _facts(device: DeviceStatus) -> dict[str, Any]:
+    return {name: value for name, value in device if name != "streams"}
+
+
+def _identity(device: DeviceStatus) -> DeviceIdentity:
+    return DeviceIdentity(device.sensor, device.unit, device.participant, device.label)
 
 
 def _topics(identities: list[DeviceIdentity]) -> dict[str, str]:
@@ -141,12 +124,3 @@ def title_of(sensor: str) -> str:
         return declaration(sensor).title
     except SpecError:
         return sensor
-
-
-def _state(device: Mapping[str, Any]) -> DeviceState:
-    if device["paused"]:
-        return DeviceState.PAUSED
-    state = _STATES[device["state"]]
-    if state is DeviceState.STREAMING and device["worn"] is False:
-        return DeviceState.NOT_WORN
-    return state

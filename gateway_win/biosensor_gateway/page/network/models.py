@@ -6,7 +6,7 @@ from enum import StrEnum, unique
 
 from pydantic import BaseModel, Field
 
-from biosensor_gateway.page.models import StreamView
+from biosensor_gateway.page.models import ScreenStream
 
 
 @unique
@@ -37,14 +37,18 @@ class WindowView(BaseModel):
     values: list[float | None]
 
 
-class SeenStreamView(StreamView):
+class SeenStreamView(ScreenStream):
     """One stream of the network.
 
-    The base's `source_id` is a number by which the page asks for its traces, `lost` is None
-    where nobody counts, and `channels`, `units` and `values` are those of its first channels.
+    The base's `source_id` is a number by which the page asks for its traces, and `channels`,
+    `units` and `values` are those of its first channels.
 
     Attributes
     ----------
+    nominal_hz
+        Declared; 0 for streams that come when they come.
+    lost
+        None where nobody counts.
     seen
         How it does.
     silent_s
@@ -64,6 +68,8 @@ class SeenStreamView(StreamView):
         What receiving it costs by its nominal rate; 0 if that is irregular.
     """
 
+    nominal_hz: float
+    lost: int | None
     seen: SeenState
     silent_s: float
     note: str

@@ -2,14 +2,14 @@
 
 import { html, useEffect, useRef } from "../vendor/preact-htm.js";
 import { drawSpark } from "./draw.js";
-import { rateOf, stateOf, valueOf } from "./words.js";
+import { rateOf, stateOf, streamsOf, valueOf } from "./words.js";
 
 const SHOWN = 4;
 
 // What a person looks at first: what was measured on the body, the fastest first.
 export function mainStreams(device) {
-  return device.streams
-    .filter((each) => each.is_signal && each.channels.length && each.units[0] !== "boolean" && !each.is_silent)
+  return streamsOf(device)
+    .filter((each) => each.is_signal && each.channels.length && each.units[0] !== "boolean" && !each.silent)
     .sort((a, b) => b.nominal_hz - a.nominal_hz)
     .slice(0, SHOWN);
 }
@@ -43,7 +43,7 @@ function Card({ live, device, onOpen }) {
           <${Spark} live=${live} stream=${stream} />
           <span class="value small" title=${rateOf(stream)}>${valueOf(stream)}</span>`)}
       </div>
-      ${device.reason && html`<p class="reason small">${device.reason}</p>`}
+      ${device.error && html`<p class="reason small">${device.error}</p>`}
       <p class="facts small soft">
         <span>battery ${battery === null ? "–" : `${battery.toFixed(0)} %`}</span>
         <span>lost ${device.lost}</span>

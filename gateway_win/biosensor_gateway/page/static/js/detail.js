@@ -4,7 +4,7 @@ import { html, useEffect, useRef, useState } from "../vendor/preact-htm.js";
 import { Access } from "./access.js";
 import { State } from "./cards.js";
 import { lineOf, Plot } from "./draw.js";
-import { ageOf, figure, rateOf } from "./words.js";
+import { ageOf, figure, rateOf, streamsOf } from "./words.js";
 
 const NAMED = 12;
 const VALUES = 5;
@@ -58,11 +58,11 @@ function Streams({ device }) {
           <th scope="col">LSL name</th><th scope="col">ROS topic</th>
         </tr></thead>
         <tbody>
-          ${device.streams.map((stream) => html`
+          ${streamsOf(device).map((stream) => html`
             <tr key=${stream.source_id} data-stream=${stream.source_id}>
               <th scope="row">${stream.data_name}</th>
               <td class="figure values">${values(stream)}</td>
-              <td class="figure">${stream.is_silent ? "switched off" : rateOf(stream)}</td>
+              <td class="figure">${stream.silent ? "switched off" : rateOf(stream)}</td>
               <td class="figure">${stream.lost}</td>
               <td class="figure">${ageOf(stream)}</td>
               <td><${Copied} text=${stream.lsl_name} /></td>
@@ -111,14 +111,14 @@ export function Detail({ live, device, isVirtual, act, onClose }) {
       act("DELETE", "/devices", which).then((isDone) => isDone && onClose());
     }
   };
-  const plotted = device.streams.filter((each) => each.channels.length && each.content_type !== "Markers" && !each.is_silent);
+  const plotted = streamsOf(device).filter((each) => each.channels.length && each.content_type !== "Markers" && !each.silent);
   return html`
     <section class="panel" aria-labelledby="detail">
       <div class="card-head">
         <h2 id="detail" ref=${heading} tabindex="-1">${device.title} ${device.unit}</h2>
         <${State} device=${device} />
       </div>
-      ${device.reason && html`<p class="reason">${device.reason}</p>`}
+      ${device.error && html`<p class="reason">${device.error}</p>`}
       <div class="buttons">
         <button onClick=${onClose}>Back to all devices</button>
         ${!act ? null : device.paused

@@ -2,6 +2,7 @@
 
 import { html, useEffect } from "../vendor/preact-htm.js";
 import { mainStreams } from "./cards.js";
+import { streamsOf } from "./words.js";
 
 const WINDOW_S = 10;
 const SPARK_PIXELS = 300;
@@ -32,7 +33,7 @@ export function useShown(live, status, open) {
   const device = devices.find((each) => each.name === open);
   useEffect(() => {
     if (!live.current || !status) return;
-    const shown = device ? device.streams : devices.flatMap(mainStreams);
+    const shown = device ? streamsOf(device) : devices.flatMap(mainStreams);
     live.current.show(shown.map((each) => each.source_id), WINDOW_S, device ? PLOT_PIXELS : SPARK_PIXELS);
   }, [status]);
   return { devices, device };

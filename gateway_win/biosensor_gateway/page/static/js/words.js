@@ -3,17 +3,24 @@
 const STATES = {
   streaming: ["●", "good", "streaming"],
   "not worn": ["◐", "warn", "not worn"],
-  searching: ["◌", "warn", "looking for it"],
+  discovering: ["◌", "warn", "looking for it"],
   connecting: ["◌", "warn", "connecting"],
-  "no data": ["▲", "bad", "no data yet"],
-  refused: ["▲", "bad", "will try again"],
+  enabling: ["▲", "bad", "no data yet"],
+  backoff: ["▲", "bad", "will try again"],
   paused: ["❚❚", "warn", "paused: nothing is sent"],
   stopped: ["■", "bad", "stopped"],
 };
 
 export function stateOf(device) {
-  const [sign, tone, word] = STATES[device.state] ?? ["?", "bad", device.state];
+  const isOff = device.state === "streaming" && device.worn === false;
+  const state = device.paused ? "paused" : isOff ? "not worn" : device.state;
+  const [sign, tone, word] = STATES[state] ?? ["?", "bad", state];
   return { sign, tone, word };
+}
+
+// The agent names its streams; those of the network have numbers only.
+export function streamsOf(device) {
+  return Object.values(device.streams);
 }
 
 export function personOf(device) {
@@ -29,7 +36,7 @@ export function figure(value, unit) {
 
 export function rateOf(stream) {
   if (!stream.nominal_hz) return "when it changes";
-  const measured = stream.rate_hz === null ? "–" : stream.rate_hz.toFixed(1);
+  const measured = stream.measured_hz === null ? "–" : stream.measured_hz.toFixed(1);
   return `${measured} of ${Number(stream.nominal_hz.toFixed(1))} Hz`;
 }
 

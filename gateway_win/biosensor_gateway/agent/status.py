@@ -1,0 +1,143 @@
+"""The agent and its devices now: what its status file, ``status --json`` and the page's API say.
+
+One set of models for all three. The agent fills them once a second; the page adds to them what a
+screen needs, by classes that inherit from these.
+"""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, Field
+
+
+class ClockStatus(BaseModel):
+    """How a device's clock is mapped to the LSL clock; see `biosensor_common.device_clock`.
+
+    Attributes
+    ----------
+    offset_s
+        LSL time minus device time at the newest device time, in seconds; it contains the
+        smallest delay of the way.
+    drift_ppm
+        LSL microseconds gained per device second: positive for a slow device clock.
+    residual_rms_s
+        RMS distance in seconds of the earliest packets of each half second from the line that
+        is kept below them.
+    reanchors
+        How often the mapping had to jump.
+    observations
+        Packets that it was measured by.
+    newest_s
+        LSL time of the newest device time, in seconds.
+    """
+
+    offset_s: float
+    drift_ppm: float
+    residual_rms_s: float
+    reanchors: int
+    observations: int
+    newest_s: float
+
+
+class StreamStatus(BaseModel):
+    """What happened to one stream's samples on their way into LSL.
+
+    Attributes
+    ----------
+    pushed, lost, refused, withheld, waited, last_stamp
+        See `biosensor_gateway.streaming.counters.Counters`.
+    nominal_hz
+        Declared rate, 0 for streams that come when they come.
+    silent
+        Whether the settings switch it off.
+    """
+
+    pushed: int
+    lost: int
+    refused: int
+    last_stamp: float
+    withheld: int
+    waited: int
+    nominal_hz: float
+    silent: bool
+
+
+class DeviceFacts(BaseModel):
+    """One device, without its streams.
+
+    Attributes
+    ----------
+    sensor, unit, participant, label
+        Which device it is, and who wears it.
+    state
+        Where it is on its way to streaming, a value of `biosensor_gateway.agent.state.State`.
+    paused
+        Whether its participant has withdrawn, so that nothing is sent.
+    worn
+        None where nobody knows.
+    connections
+        How often it was connected.
+    error
+        Why it does not stream, in one sentence; None while all is well.
+    dropped_bytes
+        Bytes that made no valid message.
+    battery_percent
+        None where nobody knows.
+    clock
+        None before its first packet.
+    """
+
+    sensor: str
+    unit: str
+    participant: str
+    label: str
+    state: str
+    paused: bool
+    worn: bool | None
+    connections: int
+    error: str | None
+    dropped_bytes: int
+    battery_percent: float | None
+    clock: ClockStatus | None
+
+
+class DeviceStatus(DeviceFacts):
+    """One device.
+
+    Attributes
+    ----------
+    streams
+        By source_id.
+    """
+
+    streams: dict[str, StreamStatus]
+
+
+class AgentFacts(BaseModel):
+    """An agent, without its devices; as they stand here while there is none.
+
+    Attributes
+    ----------
+    written
+        When this was so, Unix time in seconds.
+    lsl_time
+        The same as LSL time, on which the clocks' `newest_s` and the streams' `last_stamp` are.
+    process
+        Its number.
+    virtual
+        Whether its devices are virtual.
+    restarts, last_end
+        How often the agent died and came back, and how it ended last.
+    """
+
+    written: float | None = None
+    lsl_time: float | None = None
+    process: int | None = None
+    virtual: bool = False
+    restarts: int = 0
+    last_end: str = ""
+
+
+class AgentStatus(AgentFacts):
+    """An agent with its devices."""
+
+    devices: list[DeviceStatus] = Field(default_factory=list[DeviceStatus])
