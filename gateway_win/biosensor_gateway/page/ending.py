@@ -49,9 +49,12 @@ class Ending:
 
     async def _until_asked_or_not_needed(self) -> None:
         needed = time.monotonic() + _FIRST_WINDOW_S
+        opened = 0
         while time.monotonic() - needed < self._after_s:
-            if self._is_needed():
+            # A window may have come and gone since the last look.
+            if self._is_needed() or self._session.traces.opened != opened:
                 needed = time.monotonic()
+                opened = self._session.traces.opened
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._asked.wait(), _LOOK_S)
                 return

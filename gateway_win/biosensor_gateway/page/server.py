@@ -138,6 +138,8 @@ class PageServer:
             if self._share_port is None:
                 begin(self._show())
             service = await asyncio.to_thread(self._load)
+            ended = asyncio.create_task(service.ending.run())
+            running.append(ended)
             self._front.show(service.live)
             begin(service.run())
             steering = await asyncio.to_thread(self._load_more, service)
@@ -146,7 +148,7 @@ class PageServer:
             async with self._shared(service.session), self._reachable(service):
                 if self._share_port is not None:
                     begin(self._show())
-                await service.ending.run()
+                await ended
         except Exception as error:  # noqa: BLE001 - raised again when the server has ended
             self._error = error
         finally:

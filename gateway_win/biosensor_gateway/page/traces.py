@@ -20,11 +20,14 @@ class Traces:
     history
     screens
         One a browser.
+    opened
+        How many there have been.
     """
 
     def __init__(self, kept_s: float = KEPT_S) -> None:
         self.history = History(kept_s)
         self.screens: set[Screen] = set()
+        self.opened = 0
 
     def take(self, samples: Samples) -> None:
         """Keep what came, and give it to the browsers that show it."""
@@ -36,6 +39,7 @@ class Traces:
         """Add a browser."""
         screen = Screen(self.history)
         self.screens.add(screen)
+        self.opened += 1
         return screen
 
     def close(self, screen: Screen) -> None:
