@@ -14,6 +14,7 @@ from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.page.access import Access, add_access
 from biosensor_gateway.page.agent_process import start_agent
+from biosensor_gateway.page.device_log import add_device_log
 from biosensor_gateway.page.doctor import Doctor, add_doctor
 from biosensor_gateway.page.front import PREFIX
 from biosensor_gateway.page.marker_models import MarkerNumber, NewMarker
@@ -28,6 +29,7 @@ from biosensor_gateway.page.models import (
     SearchView,
     StatusView,
 )
+from biosensor_gateway.page.network_answer import NetworkAnswer, add_network_answer
 from biosensor_gateway.page.network_check import NetworkCheck, add_network_check
 from biosensor_gateway.page.recorder import Recorder
 from biosensor_gateway.page.refusals import add_refusals
@@ -37,7 +39,13 @@ from biosensor_gateway.page.trial import Trial, add_trial
 from biosensor_gateway.settings import editing
 
 
-def add_api(app: FastAPI, session: Session, recorder: Recorder, marking: Marking) -> None:
+def add_api(
+    app: FastAPI,
+    session: Session,
+    recorder: Recorder,
+    marking: Marking,
+    answer: NetworkAnswer,
+) -> None:
     """Add everything under `/api/v1`, and how refusals are told."""
     router = APIRouter(prefix=PREFIX, responses={400: {"model": Problem}})
     _add_agent(router, session)
@@ -45,9 +53,11 @@ def add_api(app: FastAPI, session: Session, recorder: Recorder, marking: Marking
     _add_recording(router, recorder)
     _add_markers(router, marking)
     add_trial(router, Trial(session.streamed))
+    add_device_log(router, session.folder)
     add_access(router, Access(session.configured))
     add_doctor(router, Doctor(session.settings, session.folder))
     add_network_check(router, NetworkCheck(session.settings, session.folder))
+    add_network_answer(router, answer)
     app.include_router(router)
     add_refusals(app)
 

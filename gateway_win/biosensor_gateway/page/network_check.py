@@ -72,7 +72,7 @@ class NetworkCheck:
             raise ConfigError(ConfigReason.IN_USE, message)
         self._is_busy = True
         try:
-            return _view(await asyncio.to_thread(self._run, other))
+            return network_view(await asyncio.to_thread(self._run, other))
         finally:
             self._is_busy = False
 
@@ -90,7 +90,8 @@ def add_network_check(router: APIRouter, check: NetworkCheck) -> None:
         return await check.check(other)
 
 
-def _view(outcome: Outcome) -> NetworkView:
+def network_view(outcome: Outcome) -> NetworkView:
+    """Return an outcome as the page shows it."""
     ends = outcome.ends
     category = report.CHECK.category.value
     return NetworkView(

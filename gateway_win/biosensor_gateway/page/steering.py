@@ -10,6 +10,7 @@ from biosensor_gateway.page.api import add_api
 from biosensor_gateway.page.experiments.server import ExperimentServer
 from biosensor_gateway.page.front import PREFIX
 from biosensor_gateway.page.marking import Marking
+from biosensor_gateway.page.network_answer import NetworkAnswer
 from biosensor_gateway.page.quitting import add_quit
 from biosensor_gateway.page.recorder import Recorder
 from biosensor_gateway.page.service import Service
@@ -33,14 +34,18 @@ class Steering:
         self._session = session = service.session
         self._recorder = Recorder(session)
         self._marking = Marking(session)
+        self._answer = NetworkAnswer(session.settings, session.folder)
         self.app = new_app()
-        add_api(self.app, session, self._recorder, self._marking)
+        add_api(self.app, session, self._recorder, self._marking, self._answer)
         add_quit(self.app, session, self._recorder, service.ending)
 
     async def run(self) -> None:
         """Watch the recording, the markers and web experiments until cancelled."""
         await asyncio.gather(
-            self._recorder.run(), self._marking.run(), ExperimentServer(self._session).run()
+            self._recorder.run(),
+            self._marking.run(),
+            self._answer.run(),
+            ExperimentServer(self._session).run(),
         )
 
 

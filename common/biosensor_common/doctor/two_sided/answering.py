@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import sys
+import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -59,6 +60,15 @@ class Answerer:
         Of this computer; all of them unless one is named.
     patience_s
 
+    Attributes
+    ----------
+    code
+        What the other side must know.
+    port
+        At which it listens.
+    is_busy
+        Whether somebody who came is being answered.
+
     Raises
     ------
     TransportError
@@ -78,6 +88,8 @@ class Answerer:
         self._place = (address, port)
         self._patience_s = patience_s
         self._stack = ExitStack()
+        self._is_given_up = threading.Event()
+        self.is_busy = False
         self.code = new_code()
         self.port = port
 
@@ -125,7 +137,7 @@ class Answerer:
         Raises
         ------
         TransportError
-            ``SILENT``: nobody came in time.
+            ``SILENT``: nobody came in time, or until it was given up.
         CredentialError
             ``REJECTED``: the code was wrong too often.
         """
@@ -134,6 +146,7 @@ class Answerer:
         while True:
             connection, address = self._next(end)
             with connection:
+                self.is_busy = True
                 try:
                     return self._converse(Channel(connection, address))
                 except CredentialError as problem:
@@ -143,16 +156,25 @@ class Answerer:
                         raise
                 except GatewayError as problem:
                     say(str(problem))
+                finally:
+                    self.is_busy = False
+
+    def give_up(self) -> None:
+        """Have `wait` come to its end, from another thread; who is being answered is first."""
+        self._is_given_up.set()
 
     def _next(self, end: float) -> tuple[socket.socket, str]:
         # In small steps, for Windows heeds Ctrl-C between them only.
         self._listener.settimeout(_STEP_S)
-        while time.monotonic() < end:
+        while time.monotonic() < end and not self._is_given_up.is_set():
             try:
                 connection, (address, _) = self._listener.accept()
             except TimeoutError:
                 continue
             return connection, address
+        if self._is_given_up.is_set():
+            message = "nobody has asked; this computer does not answer any more"
+            raise TransportError(TransportReason.SILENT, message)
         raise TransportError(
             TransportReason.SILENT,
             f"nobody asked within {self._patience_s / 60:g} minutes, so this computer does not "

@@ -13,7 +13,7 @@ from biosensor_common.doctor.finding import Finding, error
 from biosensor_common.doctor.report import printable
 from biosensor_common.doctor.runner import Report
 from biosensor_common.doctor.two_sided import asking
-from biosensor_common.doctor.two_sided.answering import PATIENCE_S, Answerer
+from biosensor_common.doctor.two_sided.answering import PATIENCE_S, Answerer, Say
 from biosensor_common.doctor.two_sided.facts import AGENT, NODE, End
 from biosensor_common.doctor.two_sided.judgement import judge
 from biosensor_common.doctor.two_sided.remedies import doctor_command, local_opening, port_option
@@ -70,8 +70,7 @@ def answer(context: Context, program: str, port: int, *, json: bool) -> int:
         with Answerer(context, program, port) as answerer:
             lines = _invitation(context, answerer)
             _say("\n".join(wrapped(each, columns(output), hang=4) for each in lines), output)
-            begun = time.monotonic()
-            ends = answerer.wait(lambda sentence: _say(printable(sentence), output))
+            outcome = answer_one(answerer, lambda sentence: _say(printable(sentence), output))
     except KeyboardInterrupt:
         _say("Nobody has asked; this computer does not answer any more.", output)
         return 1
@@ -79,7 +78,41 @@ def answer(context: Context, program: str, port: int, *, json: bool) -> int:
         why = "Nothing was tried."
         fix = f"{doctor_command(program)} --answer{port_option(port)}"
         return _print(_outcome([error(str(problem), why, fix)], None, begun), json=json)
-    return _print(_outcome(judge(*ends), ends, begun), json=json)
+    return _print(outcome, json=json)
+
+
+def answer_one(answerer: Answerer, say: Say) -> Outcome:
+    """Answer one computer, and judge what both have found out; see `Answerer.wait`."""
+    begun = time.monotonic()
+    ends = answerer.wait(say)
+    return _outcome(judge(*ends), ends, begun)
+
+
+class WayHere(NamedTuple):
+    """How another computer reaches this one.
+
+    Attributes
+    ----------
+    address
+        The one to try first.
+    others
+        Adapters with further ones, in words.
+    opening
+        The command that opens the port here.
+    """
+
+    address: str
+    others: tuple[str, ...]
+    opening: str
+
+
+def way_here(context: Context, port: int) -> WayHere:
+    """Tell by which way another computer reaches a TCP port of this one."""
+    adapters = [each for each in interfaces() if not each.is_loopback]
+    real = [each for each in adapters if not each.is_virtual] or adapters
+    address = real[0].addresses[0] if real else "127.0.0.1"
+    others = tuple(str(each) for each in adapters if address not in each.addresses)
+    return WayHere(address, others, local_opening([port_way(context, port)]))
 
 
 def _outcome(found: list[Finding], ends: tuple[End, End] | None, begun: float) -> Outcome:
@@ -96,13 +129,9 @@ def _print(outcome: Outcome, *, json: bool) -> int:
 
 
 def _invitation(context: Context, answerer: Answerer) -> list[str]:
-    adapters = [each for each in interfaces() if not each.is_loopback]
-    real = [each for each in adapters if not each.is_virtual] or adapters
-    address = real[0].addresses[0] if real else "127.0.0.1"
-    typed = f"--with {address}{port_option(answerer.port)} --code {answerer.code}"
-    others = [str(each) for each in adapters if address not in each.addresses]
-    more = [f"Its other addresses: {', '.join(others)}."] if others else []
-    way = port_way(context, answerer.port)
+    way = way_here(context, answerer.port)
+    typed = f"--with {way.address}{port_option(answerer.port)} --code {answerer.code}"
+    more = [f"Its other addresses: {', '.join(way.others)}."] if way.others else []
     return [
         f"For {PATIENCE_S / 60:g} minutes this computer answers (Ctrl-C ends it).",
         "On the other one, type:",
@@ -112,7 +141,7 @@ def _invitation(context: Context, answerer: Answerer) -> list[str]:
         "",
         *more,
         "If it is said there that nothing comes back, open the port here:",
-        *(f"  {line}" for line in local_opening([way]).splitlines()),
+        *(f"  {line}" for line in way.opening.splitlines()),
         "",
     ]
 
