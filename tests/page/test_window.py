@@ -86,6 +86,9 @@ def test_two_sensors_are_found_added_watched_paused_renamed_and_removed(
     sent = [float(value) for value in wristbands.truth_of(LEFT).samples("gsr").values[:, 0]]
     assert min(abs(shown - value) for value in sent) < 0.01
     expect(row.locator("code", has_text="/p01/biosensors/empatica_e4/gsr")).to_be_visible()
+    clock = page.get_by_label("Clock of the device")
+    expect(clock).to_contain_text(re.compile(r"Drift\s*-?[\d.]+ ppm: it (loses|gains)"))
+    expect(page.get_by_role("heading", name="What the log says last")).to_be_visible()
 
     page.get_by_role("button", name="Pause").click()
     expect(page.get_by_text("paused: nothing is sent")).to_be_visible()
@@ -126,6 +129,15 @@ def test_a_mistake_in_the_settings_is_explained_and_an_agent_that_dies_comes_bac
     expect(card(page, "A").get_by_text("streaming")).to_be_visible()
     settings.write_text(good)
     expect(alert).to_have_count(0)
+
+    # The log says of the wristband alone what has happened to it.
+    page.get_by_role("button", name="Traces and details").click()
+    wristbands.close_connections()
+    log = page.get_by_role("region", name="Log of the device, the newest first")
+    expect(log.locator("li", has_text="warning").first).to_be_visible()
+    assert violations(page) == []
+    page.get_by_role("button", name="Back to all devices").click()
+    expect(card(page, "A").get_by_text("streaming")).to_be_visible()
 
     process = status_file.read_status(server.programs.folder)["process"]
     psutil.Process(process).send_signal(signal.SIGKILL)

@@ -77,10 +77,7 @@ class LinesForPeople:
     def _sentence(self, record: EventDict) -> str:
         said = record.get(FOR_PEOPLE)
         if self._verbose or said is None:
-            # What a device's service says in a text of its own is the sentence.
-            event = str(record.get("text") or record.get("event", ""))
-            facts = ", ".join(self._facts(record))
-            said = f"{event} ({facts})" if facts else event
+            said = sentence_of(record, verbose=self._verbose)
         said = str(said)
         return f"{self._device(record, said)}{said}"
 
@@ -91,16 +88,33 @@ class LinesForPeople:
         name = "" if title and said.startswith(title) else f"{title} {unit}".strip()
         return f"{name}: " if name else ""
 
-    def _facts(self, record: EventDict) -> Iterator[str]:
-        if self._verbose:
-            known = _EVERYWHERE | {FOR_PEOPLE}
-            yield from (f"{key}={value!r}" for key, value in record.items() if key not in known)
-            return
-        for key, value in record.items():
-            if key in _EVERYWHERE or key in _UNSHOWN or value in (None, False, ""):
-                continue
-            words = key.replace("_", " ")
-            yield words if value is True else f"{words} {_shown(value)}"
+
+def sentence_of(record: Mapping[str, object], *, verbose: bool = False) -> str:
+    """Say what happened, with its facts; the device and the time are left to others.
+
+    Parameters
+    ----------
+    record
+        Of the log, also as read from its file.
+    verbose
+        Show all facts.
+    """
+    # What a device's service says in a text of its own is the sentence.
+    event = str(record.get("text") or record.get("event", ""))
+    facts = ", ".join(_facts(record, verbose=verbose))
+    return f"{event} ({facts})" if facts else event
+
+
+def _facts(record: Mapping[str, object], *, verbose: bool) -> Iterator[str]:
+    if verbose:
+        known = _EVERYWHERE | {FOR_PEOPLE}
+        yield from (f"{key}={value!r}" for key, value in record.items() if key not in known)
+        return
+    for key, value in record.items():
+        if key in _EVERYWHERE or key in _UNSHOWN or value in (None, False, ""):
+            continue
+        words = key.replace("_", " ")
+        yield words if value is True else f"{words} {_shown(value)}"
 
 
 def _clock_time(record: Mapping[str, object]) -> str:

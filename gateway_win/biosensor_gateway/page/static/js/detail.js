@@ -4,6 +4,7 @@ import { html, useEffect, useRef, useState } from "../vendor/preact-htm.js";
 import { Access } from "./access.js";
 import { State } from "./cards.js";
 import { lineOf, Plot } from "./draw.js";
+import { Clock, Log } from "./inside.js";
 import { ageOf, figure, rateOf, streamsOf } from "./words.js";
 
 const NAMED = 12;
@@ -129,6 +130,8 @@ export function Detail({ live, device, isVirtual, act, onClose }) {
       ${plotted.map((stream) => html`<${Trace} key=${stream.source_id} live=${live} stream=${stream} />`)}
       <h3>Streams</h3>
       <${Streams} device=${device} />
+      <${Clock} clock=${device.clock} />
+      ${act && html`<${Log} device=${device} />`}
       ${act && !isVirtual && html`<h3>Who wears it</h3><${Edit} key=${device.name} device=${device} act=${act} />
         <${Access} sensor=${device.sensor} act=${act} />`}
     </section>`;
