@@ -92,6 +92,15 @@ def test_it_serves_where_nothing_can_be_written_and_says_what_that_means(
     until(lambda: expected in said.read_text(), expected)
 
 
+def test_a_time_that_is_none_is_refused_in_one_sentence(programs: Programs) -> None:
+    command = [sys.executable, "-m", "biosensor_gateway.cli", "page", "--end-after", "nan"]
+    ended = subprocess.run(
+        command, env=programs.environment, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 2
+    assert "nan is no time; give minutes, such as 2" in " ".join(ended.stderr.split())
+
+
 def test_it_is_ended_by_a_command_and_its_windows_say_so(
     server: Server, window: OpenWindow
 ) -> None:

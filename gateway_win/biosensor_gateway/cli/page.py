@@ -29,8 +29,9 @@ SHARE_PORT = 8719
 
 
 def _a_time(minutes: float) -> float:
-    if math.isnan(minutes):
-        raise typer.BadParameter("nan is no time; give minutes, such as 2")
+    # What is no number is not larger than any.
+    if not minutes >= 0:
+        raise typer.BadParameter(f"{minutes:g} is no time; give minutes, such as 2")
     return minutes
 
 
@@ -48,7 +49,6 @@ def page(
     end_after: Annotated[
         float,
         typer.Option(
-            min=0,
             metavar="MINUTES",
             callback=_a_time,
             help="End when neither a window nor an agent nor a recording was there for so long.",
