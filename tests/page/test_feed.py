@@ -67,7 +67,8 @@ async def test_it_is_what_a_recorder_gets_to_the_last_bit(programs: Programs) ->
         assert len(received) > 900
         assert received == [row[0] for row in rows[: len(received)]]
         assert taken.stamps(ECG)[first:][: len(stamps)] == stamps[: len(received)]
-        assert taken.status["devices"][0]["sensor"] == "zephyr"
+        assert taken.status is not None
+        assert taken.status.devices[0].sensor == "zephyr"
     finally:
         following.cancel()
         await asyncio.gather(following, return_exceptions=True)
