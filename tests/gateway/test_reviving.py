@@ -16,6 +16,7 @@ from biosensor_gateway.agent import reviving
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.device import Device
 from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.status import DeviceStatus
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.registry import declaration
@@ -124,7 +125,7 @@ class Bench:
     def reason(self) -> str:
         return self.supervisor.last_error or ""
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> DeviceStatus:
         return Device(self.supervisor, self.sink).status()
 
     async def end(self) -> None:
@@ -176,7 +177,7 @@ async def test_what_falls_silent_is_enabled_again_and_said_until_it_comes(
     start: Start, eventually: Eventually, announced: list[dict[str, Any]]
 ) -> None:
     bench = await start(Reviver)
-    reasons: list[dict[str, Any]] = []
+    reasons: list[DeviceStatus] = []
     with capture_logs() as logs:
         bench.can_be_enabled = {"ibi"}
         bench.sends = {"hr"}
@@ -184,8 +185,8 @@ async def test_what_falls_silent_is_enabled_again_and_said_until_it_comes(
         await eventually(lambda: bench.states[-2:] == [State.ENABLING, State.STREAMING])
     assert bench.asked == [{"ibi"}]
     assert bench.supervisor.connections == 1
-    assert bench.status()["error"] is None
-    assert [(each["state"], "no data of ibi" in each["error"]) for each in reasons[-1:]] == [
+    assert bench.status().error is None
+    assert [(each.state, "no data of ibi" in (each.error or "")) for each in reasons[-1:]] == [
         ("enabling", True)
     ]
     said = [entry["event"] for entry in logs if "data" in entry["event"]]
@@ -212,7 +213,7 @@ async def test_what_cannot_be_enabled_costs_one_connection_and_leaves_a_reason(
         Remedy.NONE,
     ]
     assert bench.supervisor.connections == 2
-    reason = bench.status()["error"]
+    reason = bench.status().error or ""
     assert "no data of ibi" in reason
     assert "switch the device off and on" in reason
     assert any(entry["event"] == reason for entry in logs)
@@ -224,7 +225,7 @@ async def test_what_cannot_be_enabled_costs_one_connection_and_leaves_a_reason(
     ]
     # It comes back by itself, and nothing is wrong any more.
     bench.sends = {"hr", "ibi"}
-    await eventually(lambda: bench.status()["error"] is None)
+    await eventually(lambda: bench.status().error is None)
     assert announced[-1]["event"] == "streams_back"
 
 
@@ -236,7 +237,7 @@ async def test_a_driver_without_the_hook_is_connected_anew(
     bench.sends = set()
     await eventually(lambda: bench.supervisor.connections == 2)
     assert bench.sink.told == [(Remedy.RECONNECT, {"hr", "ibi"})]
-    await eventually(lambda: bench.status()["error"] is None)
+    await eventually(lambda: bench.status().error is None)
 
 
 async def test_the_reason_outlives_connections_that_bring_nothing(
@@ -283,7 +284,7 @@ async def test_what_the_device_refuses_is_said_until_it_comes(
         await eventually(lambda: "acc" not in bench.reason)
         assert bench.reason == "connected, but the device refuses quality (no room)"
         bench.sends |= {"quality"}
-        await eventually(lambda: bench.status()["error"] is None)
+        await eventually(lambda: bench.status().error is None)
     assert bench.states[:3] == [State.CONNECTING, State.STREAMING, State.DISCOVERING]
     assert announced[0] == {
         "event": "streams_silent",

@@ -9,8 +9,9 @@ import importlib
 import json
 import math
 import sys
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 # By name, since they are in the peers' environment only, where nothing is type-checked.
 mcap_reader: Any = importlib.import_module("mcap.reader")
@@ -24,7 +25,7 @@ def value(read: Any) -> Any:
     if isinstance(read, float):
         return read if math.isfinite(read) else str(read)
     if isinstance(read, bytes | list | tuple) or hasattr(read, "tolist"):
-        return [value(each) for each in read]
+        return [value(each) for each in cast("Iterable[Any]", read)]
     names = [name for name in read.__slots__ if not name.startswith("_")]
     return {name: value(getattr(read, name)) for name in names}
 
