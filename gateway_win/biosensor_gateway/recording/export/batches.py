@@ -9,8 +9,8 @@ import numpy as np
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 
-BATCH = 1 << 16
-"""Values that are made text of at once: more cost memory, fewer time."""
+BATCH = 1 << 14
+"""Values that are taken at once: fewer cost calls, more do not fit into a processor's cache."""
 
 
 def batches(chosen: Chosen, stream: Stream) -> Iterator[Samples]:
