@@ -18,6 +18,7 @@ DICTIONARY = Path(__file__).parent / "tokens.dict"
 RAISED = "raised: "
 """What begins the line that says why an input is a find."""
 NAMES = (
+    "bags",
     "ble_heart_rate",
     "control_request",
     "counters",

@@ -87,6 +87,7 @@ def any_status(folder: Path) -> object:
 
 # Where, what, and how it is broken.
 FAULTS: dict[str, tuple[str, str, Breaking]] = {
+    "bags": ("biosensor_gateway.recording.xdf.writing", "footer", always(b"")),
     "ble_heart_rate": (
         "tests.fuzz.targets.ble_heart_rate",
         "parse_battery_level",
@@ -97,7 +98,7 @@ FAULTS: dict[str, tuple[str, str, Breaking]] = {
         "_is_token",
         always(True),
     ),
-    "counters": ("lsl_to_ros.topics.messages", "_finite", instead(float)),
+    "counters": ("biosensor_common.topic_text", "_finite", instead(float)),
     "emotiv_cortex": (
         f"{DEVICES}.emotiv_insight.driver.protocol",
         "_labelled",

@@ -13,6 +13,7 @@ from biosensor_common.naming import lsl_name, source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, StreamSpec
 from biosensor_gateway.devices.registry import declaration, settings_models
 from biosensor_gateway.settings.template import template
+from tests.fuzz.bag_seeds import bags
 from tests.xdf import xdf_file
 
 Seeds = Iterator[tuple[str, bytes]]
@@ -233,6 +234,7 @@ def seeds() -> dict[str, Seeds]:
         "naming": _names(),
         "settings": _settings(),
         "status": _status(),
+        "bags": bags(),
         "xdf": _recordings(),
         "xdf_export": _recordings(),
     }

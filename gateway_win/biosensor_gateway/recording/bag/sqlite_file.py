@@ -10,6 +10,13 @@ from pathlib import Path
 from biosensor_gateway.recording.bag.errors import BagError, BagReason
 from biosensor_gateway.recording.bag.messages import Message, Note, Topic
 
+# What is damaged may be in the library's own words, too.
+_UNREADABLE = (sqlite3.Error, UnicodeDecodeError, OverflowError)
+
+
+def _text(content: bytes) -> str:
+    return content.decode("utf-8", "replace")
+
 
 def read_sqlite(path: Path, note: Note) -> Iterator[Message]:
     """Give all messages that can be read, in the order in which they were recorded.
@@ -25,9 +32,10 @@ def read_sqlite(path: Path, note: Note) -> Iterator[Message]:
         ``NOT_A_BAG`` if it is another file.
     """
     with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
+        database.text_factory = _text
         try:
             topics = _topics(database)
-        except sqlite3.DatabaseError as error:
+        except _UNREADABLE as error:
             message = f"{path} is no bag: {error}"
             raise BagError(BagReason.NOT_A_BAG, message) from error
         try:
@@ -36,7 +44,7 @@ def read_sqlite(path: Path, note: Note) -> Iterator[Message]:
                 topic = topics.get(number)
                 if topic and isinstance(content, bytes) and isinstance(unix_ns, int):
                     yield Message(topic, unix_ns, content)
-        except (sqlite3.DatabaseError, OverflowError) as error:
+        except _UNREADABLE as error:
             note(f"{path} is damaged ({error}); what comes before was read")
 
 
@@ -59,5 +67,5 @@ def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:
             "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
         )
         return {str(name): (str(encoding), str(text)) for name, encoding, text in rows}
-    except sqlite3.OperationalError:
+    except _UNREADABLE:
         return {}

@@ -61,13 +61,24 @@ class MessageType:
     def __init__(self, topic: Topic) -> None:
         self.name = topic.type_name
         self._store = _defined(topic) if topic.definition else typestore()
-        if self.name not in self._store.fielddefs:
-            raise MessageError(f"the type {self.name} is unknown, and the bag does not define it")
+        self._require(self.name, ())
 
     def fields(self, name: str) -> list[tuple[str, tuple[Nodetype, Any]]]:
         """Return the fields of a type that it needs, with what they are."""
         fields: Sequence[tuple[str, Any]] = self._store.fielddefs[name][1]
         return [(normalize_fieldname(field), what) for field, what in fields]
+
+    def _require(self, name: str, within: tuple[str, ...]) -> None:
+        """See to it that a type is known, with all that it needs, and is not inside itself."""
+        if name not in self._store.fielddefs:
+            raise MessageError(f"the type {name} is unknown, and the bag does not define it")
+        if name in within:
+            raise MessageError(f"the type {name} is inside itself")
+        for _, (node, what) in self.fields(name):
+            is_array = node in (Nodetype.ARRAY, Nodetype.SEQUENCE)
+            inner_node, inner = what[0] if is_array else (node, what)
+            if inner_node is Nodetype.NAME:
+                self._require(inner, (*within, name))
 
     def read(self, content: bytes) -> Any:  # noqa: ANN401 - of any type
         """Return a message as an object.
