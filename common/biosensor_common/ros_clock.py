@@ -1,4 +1,4 @@
-"""Maps LSL time to ROS time by the offset between the two clocks of one machine.
+"""Maps LSL time to ROS time, and back, by the offset between the two clocks of one machine.
 
 On Linux the LSL clock is monotonic and the ROS clock is the system clock, which
 NTP slews and people set. Not for simulated time, where there is nothing to map.
@@ -16,6 +16,9 @@ SLEW_S = 1.0
 STEP_NS = 1_000_000
 KNOTS_KEPT = 16
 """Samples that are late by as many seconds keep the offset of their time."""
+
+# The offset moves by less than 1 ms, of which the second one leaves a nanosecond.
+_INVERSE_ROUNDS = 2
 
 NS_PER_S = 1_000_000_000
 MAX_TIME_S = 2.0**31 - 1e6
@@ -141,6 +144,17 @@ class OffsetTracker:
             If `lsl_s` is not finite.
         """
         return _to_ns(lsl_s) + self._offset_at(lsl_s)
+
+    def to_lsl_s(self, ros_ns: int) -> float:
+        """Return the LSL time of a ROS time: the inverse of :meth:`to_ros_ns`.
+
+        The offset changes by at most 1 ms/s, so each round leaves a thousandth of the error of
+        the one before.
+        """
+        lsl_s = (ros_ns - self._knots[-1][1]) / NS_PER_S
+        for _ in range(_INVERSE_ROUNDS):
+            lsl_s = (ros_ns - self._offset_at(lsl_s)) / NS_PER_S
+        return lsl_s
 
     def _offset_at(self, lsl_s: float) -> int:
         knots = self._knots

@@ -151,3 +151,23 @@ def test_readings_must_be_finite(bad: float) -> None:
         tracker.update(OFFSET_NS, bad)
     with pytest.raises(ValueError, match="finite"):
         tracker.to_ros_ns(bad)
+
+
+@given(
+    updates=st.lists(
+        st.tuples(st.integers(-1_000_000, 1_000_000), st.floats(0.01, 5.0)), max_size=20
+    ),
+    at_s=st.floats(-60.0, 60.0),
+)
+def test_the_way_back_leads_to_where_it_came_from(
+    updates: list[tuple[int, float]], at_s: float
+) -> None:
+    tracker = OffsetTracker(OFFSET_NS, NOW_S)
+    now_s, offset_ns = NOW_S, OFFSET_NS
+    for change_ns, later_s in updates:
+        now_s, offset_ns = now_s + later_s, offset_ns + change_ns
+        tracker.update(offset_ns, now_s)
+
+    there_and_back = tracker.to_lsl_s(tracker.to_ros_ns(now_s + at_s))
+
+    assert there_and_back == pytest.approx(now_s + at_s, abs=1e-8)

@@ -1,4 +1,4 @@
-"""Converts LSL time to ROS time."""
+"""Converts LSL time to ROS time, and back."""
 
 from __future__ import annotations
 
@@ -53,6 +53,10 @@ class RosTime:
             return self._clock.now().to_msg()
         seconds, nanoseconds = divmod(self._tracker.to_ros_ns(lsl_s), NS_PER_S)
         return Time(sec=seconds, nanosec=nanoseconds)
+
+    def to_lsl_s(self, wall_ns: int) -> float:
+        """LSL time of a time on this machine's system clock, in nanoseconds since 1970."""
+        return self._tracker.to_lsl_s(wall_ns)
 
 
 def _measure() -> int:
