@@ -12,7 +12,7 @@ import pylsl
 from biosensor_common.errors import SpecError
 from biosensor_common.naming import NODE
 from biosensor_common.quantities import ContentType
-from lsl_to_ros.lsl.inlets import Inlet, InletState
+from lsl_to_ros.lsl.inlets import FROM_ROS, Inlet, InletState
 from lsl_to_ros.lsl.rivals import Rivals, Swap
 from lsl_to_ros.lsl.share import ALL, Share
 
@@ -23,6 +23,7 @@ FORGET_AFTER_S = 5.0
 # An outlet that is reported for longer after another took its place is alive.
 ALIVE_AFTER_S = FORGET_AFTER_S + 2.0
 STOP_TIMEOUT_S = 1.0
+_ROS_BLOCK = "desc/ros"
 
 
 class Changes(NamedTuple):
@@ -35,7 +36,9 @@ class Changes(NamedTuple):
 class Discovery:
     """Keeps one inlet for each stream on the network, or of a share of them.
 
-    The agents' counts of losses are kept whatever the share: they are of all streams.
+    The agents' counts of losses are kept whatever the share: they are of all streams. Streams
+    that ``ros_to_lsl`` makes of topics are left out, unless the predicate itself asks for
+    ``desc/ros``: they would go round in a circle.
 
     An inlet is given up when its stream is lost or comes back under the same
     source_id, never because the resolver stopped seeing it: a cut network heals
@@ -141,7 +144,8 @@ class Discovery:
         return is_announced and self._is_to_be_served(inlet) is not inlet.is_served
 
     def _is_to_be_served(self, inlet: Inlet) -> bool:
-        return inlet.matches(self._predicate) and self._share.has(inlet.info)
+        is_wanted = inlet.matches(self._predicate) and self._share.has(inlet.info)
+        return is_wanted and (not inlet.is_from_ros or _asks_for_ros(self._predicate))
 
     def _is_for_us(self, info: pylsl.StreamInfo) -> bool:
         if _is_of_a_node(info):
@@ -213,8 +217,15 @@ def _is_of_a_node(info: pylsl.StreamInfo) -> bool:
     return name.startswith(f"{NODE}-") and info.source_id().endswith(name)
 
 
+def _asks_for_ros(predicate: str) -> bool:
+    return _ROS_BLOCK in predicate
+
+
 def _resolver(predicate: str) -> pylsl.ContinuousResolver:
     """Look for what a predicate names, and for the counts of losses of all agents."""
+    parts = [f"({predicate})"] if predicate else []
+    if not _asks_for_ros(predicate):
+        parts.append(f"not({FROM_ROS})")
     # In brackets, for liblsl puts its own condition on the session before it.
-    query = f"(({predicate}) or type='{ContentType.COUNTERS}')" if predicate else None
+    query = f"(({' and '.join(parts)}) or type='{ContentType.COUNTERS}')"
     return pylsl.ContinuousResolver(pred=query, forget_after=FORGET_AFTER_S)

@@ -30,6 +30,8 @@ LAST_ENTRY_S = 0.1
 # A receiver that is full is looked at again after so long.
 ROOM_S = 0.01
 BATCH_SAMPLES = 1024
+# What ros_to_lsl sends is in ROS already; what is replayed from a recording of it is not.
+FROM_ROS = "desc/ros and not(desc/replay)"
 
 
 @unique
@@ -99,6 +101,8 @@ class Inlet:
         Set once the state is ``READY``.
     is_served
         Whether this process publishes it; else it only serves the node itself.
+    is_from_ros
+        Whether ``ros_to_lsl`` makes it of a topic.
     heard_s
         Monotonic time at which something came last, 0 before.
     correction
@@ -114,6 +118,7 @@ class Inlet:
         self.core = read_core(info)
         self.correction: float | None = None
         self.is_served = True
+        self.is_from_ros = False
         self.heard_s = 0.0
         self._corrections: deque[float] = deque(maxlen=CORRECTIONS_KEPT)
         self._full_info: pylsl.StreamInfo | None = None
@@ -281,6 +286,7 @@ class Inlet:
     def _read_descriptions(self, lsl: pylsl.StreamInlet) -> None:
         lsl.open_stream(OPEN_TIMEOUT_S)
         self._full_info = lsl.info(OPEN_TIMEOUT_S)
+        self.is_from_ros = matches_query(self._full_info, FROM_ROS)
         self.header = self._read_header(self._full_info)
         self.state = InletState.READY
 

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from pathlib import Path
 
-import pylsl
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
 from biosensor_common.sender_clocks import SenderClocks
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.limited_log import LimitedLog
+from lsl_to_ros.lsl.configuration import configure_lsl
 from lsl_to_ros.lsl.discovery import Discovery
 from lsl_to_ros.lsl.hosts import Senders
 from lsl_to_ros.lsl.readers import Pump
@@ -152,11 +149,7 @@ class Work:
 
 def _configure_lsl(node: Node) -> None:
     session = node_parameters.declare(node, SESSION_ID)
-    peers = node_parameters.declare(node, KNOWN_PEERS)
-    known_peers = tuple(peer for peer in peers if peer)
-    overrides = LslOverrides(session, known_peers, search_pause_s=SEARCH_PAUSE_S)
-    path = user_config_file(os.environ, Path.home(), Path.cwd())
-    pylsl.set_config_content(effective_config(path, overrides))
+    configure_lsl(session, node_parameters.declare(node, KNOWN_PEERS), SEARCH_PAUSE_S)
 
 
 def _say_nothing(_sentence: str) -> None:

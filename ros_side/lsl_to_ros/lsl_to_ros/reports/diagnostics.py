@@ -34,7 +34,7 @@ CLOCK_TOLERANCE_S = 30.0
 # A clock that is unknown for longer cannot be asked: UDP does not get through.
 CLOCK_PATIENCE_S = 10.0
 
-PREFIX = "lsl_to_ros: "
+PROGRAM = "lsl_to_ros"
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,12 +171,17 @@ def stream_status(facts: StreamFacts) -> DiagnosticStatus:
 
 
 def status(
-    name: str, level: bytes, message: str, values: dict[str, str], hardware_id: str = ""
+    name: str,
+    level: bytes,
+    message: str,
+    values: dict[str, str],
+    hardware_id: str = "",
+    program: str = PROGRAM,
 ) -> DiagnosticStatus:
     """Make an entry of ``/diagnostics``."""
     return DiagnosticStatus(
         level=level,
-        name=f"{PREFIX}{name}",
+        name=f"{program}: {name}",
         message=message,
         hardware_id=hardware_id,
         values=[KeyValue(key=key, value=value) for key, value in values.items()],

@@ -1,0 +1,86 @@
+"""Runs a node of this package as a program, until SIGINT or SIGTERM."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+from typing import NoReturn
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import get_rmw_implementation_identifier
+
+from biosensor_common.errors import ConfigError
+from biosensor_common.relay import console_relayed
+from biosensor_common.terminal import columns, wrapped
+from lsl_to_ros import fastdds
+
+Make = Callable[[threading.Event], tuple[Node, Callable[[], None]]]
+
+
+def run(program: str, make: Make) -> None:
+    """Run a node; exit code 0, or 2 for unusable settings.
+
+    Parameters
+    ----------
+    program
+        Its name, for the console.
+    make
+        Makes the node, when ROS is there, and returns it with what ends it. The event ends the
+        program, and so does an EOFError at once.
+    """
+    if sys.stderr.isatty():
+        # rcutils asks at each line whether it writes to a terminal, and will find a pipe.
+        os.environ.setdefault("RCUTILS_COLORIZED_OUTPUT", "1")
+    # Behind the relay nothing is a terminal any more.
+    width = columns(sys.stderr)
+
+    def refuse(sentence: str) -> NoReturn:
+        sys.stderr.write(f"{wrapped(f'{program}: {sentence}', width)}\n")
+        raise SystemExit(2)
+
+    # rclpy holds the GIL while it logs, so a held console would stop every thread.
+    with console_relayed():
+        _spin(make, refuse)
+
+
+def _spin(make: Make, refuse: Callable[[str], NoReturn]) -> None:
+    fastdds.configure(os.environ, Path.cwd(), get_rmw_implementation_identifier())
+    # Our own handlers: rclpy's end spin by an exception that ros2 run shows as a failure.
+    try:
+        rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        # rcl's own, which has no class that could be imported.
+        reason = str(error).split(", at ")[0].splitlines()[0]
+        refuse(f"what stands behind --ros-args cannot be read: {reason}")
+    stopping = threading.Event()
+
+    def stop(_number: int, _frame: FrameType | None) -> None:
+        stopping.set()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+    try:
+        node, end = make(stopping)
+    except EOFError:
+        # Who has started this process is gone already.
+        return
+    except ConfigError as error:
+        refuse(str(error))
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        while not stopping.is_set():
+            executor.spin_once(timeout_sec=0.1)
+    finally:
+        end()
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.shutdown()
