@@ -75,6 +75,11 @@ class Programs:
         command = [sys.executable, "-m", "biosensor_gateway.cli", "status", "--json"]
         return json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
 
+    def interrupt(self, process: subprocess.Popen[bytes]) -> None:
+        """End one of them."""
+        process.send_signal(signal.SIGINT)
+        process.wait(DEADLINE_S)
+
     def stop_all(self) -> None:
         for _, process in self._processes:
             if process.poll() is None:

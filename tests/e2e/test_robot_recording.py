@@ -1,0 +1,164 @@
+"""A robot's topics, sent by ``ros_to_lsl``, beside all sensors in one file of LabRecorder."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pylsl
+import pytest
+import pyxdf
+from rclpy.qos import QoSProfile
+from std_msgs.msg import String
+
+from biosensor_common.clock_pair import read_clock_pair
+from biosensor_common.ros_clock import NS_PER_S
+from biosensor_gateway.demo.virtual_devices import one_of_each
+from tests.faults.scenarios.length import is_long
+from tests.rigs.lab_client import LabProcess, settings_toml
+from tests.rigs.lab_recorder import LabRecorder
+from tests.rigs.robot import JOINTS, PARTS
+
+RECORD_S = 60.0 if is_long() else 15.0
+STAMP_LIMIT_S = 0.001
+# LabRecorder does not write what comes in its last half second.
+UNWRITTEN_S = 1.0
+ROBOT = ("joint_states", "odom", "wrench", "robot-event", "trial")
+MARKER = "trial 1 begins"
+
+Stream = dict[str, Any]
+_load_xdf: Callable[..., tuple[list[Stream], Stream]] = cast("Any", pyxdf).load_xdf
+
+
+def _desc(stream: Stream, group: str) -> Stream:
+    return stream["info"]["desc"][0][group][0]
+
+
+def _labels(stream: Stream) -> list[str]:
+    return [each["label"][0] for each in _desc(stream, "channels")["channel"]]
+
+
+def _column(stream: Stream, label: str) -> list[int]:
+    """Return what a channel counts."""
+    return np.asarray(stream["time_series"])[:, _labels(stream).index(label)].astype(int).tolist()
+
+
+def _texts(stream: Stream) -> list[str]:
+    return [text for (text,) in stream["time_series"]]
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Any:
+    devices = [
+        {"key": name, "sensor": name, "options": {"seed": number}}
+        for number, name in enumerate(one_of_each())
+    ]
+    with LabProcess(devices, tmp_path) as running:
+        yield running
+
+
+def test_a_robot_stands_beside_the_sensors_in_one_recording(
+    lab: LabProcess,
+    programs: Any,
+    listener: Any,
+    wait_until: Callable[..., None],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name, value in lab.environment.items():
+        monkeypatch.setenv(name, value)
+    programs.agent(settings_toml(lab, {name: name for name in one_of_each()}))
+    topics = ", ".join([*(each.topic for each in PARTS), "/trial"])
+    node = programs.start(
+        "lsl_to_ros.ros_to_lsl.node",
+        "--ros-args",
+        *("-p", f"topics:=[{topics}]"),
+        *("-p", "/trial.as:=markers"),
+    )
+    sent = tmp_path / "sent.json"
+    robot = programs.start("tests.rigs.robot", str(sent))
+
+    resolver = pylsl.ContinuousResolver()
+    wanted = {*one_of_each(), *ROBOT}
+
+    def are_there() -> bool:
+        names = [info.name() for info in resolver.results()]
+        return all(any(name.startswith(each) for name in names) for each in wanted)
+
+    wait_until(are_there, "streams of seven sensors and of a robot", 90.0)
+    trial = listener.node.create_publisher(String, "/trial", QoSProfile(depth=1))
+    wait_until(trial.get_subscription_count, "a subscriber of /trial")
+    with LabRecorder(tmp_path / "study.xdf", at_least=len(resolver.results())):
+        begun_ns = time.time_ns()
+        time.sleep(RECORD_S / 2)
+        marked_ns = time.time_ns()
+        trial.publish(String(data=MARKER))
+        time.sleep(RECORD_S / 2)
+        ended_ns = time.time_ns()
+    programs.interrupt(robot)
+    published: dict[str, list[int]] = json.loads(sent.read_text())
+
+    streams, _ = _load_xdf(str(tmp_path / "study.xdf"))
+    by_name = {each["info"]["name"][0]: each for each in streams}
+    (events,) = (each for name, each in by_name.items() if "ros_to_lsl-events" in name)
+    offset_s = _wall_clock_offset_s(events)
+    columns = {
+        "/joint_states": ("joint_states", "panda_joint1.position"),
+        "/odom": ("odom", "pose.pose.position.x"),
+        "/wrench": ("wrench", "wrench.force.z"),
+    }
+    for topic, (name, label) in columns.items():
+        numbers = _column(by_name[name], label)
+        _check(topic, numbers, by_name[name], published[topic], offset_s, begun_ns, ended_ns)
+    steps = [int(text.split()[1]) for text in _texts(by_name["robot-event"]) if "step" in text]
+    assert len(steps) >= RECORD_S
+    assert np.diff(steps).tolist() == [1] * (len(steps) - 1)
+
+    joints = by_name["joint_states"]
+    measures = ("position", "velocity")
+    assert _labels(joints) == [f"{joint}.{each}" for each in measures for joint in JOINTS]
+    assert _desc(joints, "ros")["stamp_source"] == ["header"]
+    assert _desc(joints, "ros")["clock"] == ["synchronised"]
+    assert _desc(by_name["odom"], "ros")["child_frame_id"] == ["base_link"]
+
+    at_s = by_name["trial"]["time_stamps"][_texts(by_name["trial"]).index(MARKER)]
+    assert at_s + offset_s == pytest.approx(marked_ns / 1e9, abs=0.01)
+    # One that LabRecorder has not ended has no footer.
+    assert all(each["footer"] for each in streams)
+    assert programs.log(node).count("lost") == 0
+    heartbeat = [json.loads(text) for text in _texts(events) if "heartbeat" in text][-1]
+    assert {each["lost"] for each in heartbeat["topics"].values()} == {0}
+    recorded = [name for name, each in by_name.items() if len(each["time_stamps"])]
+    assert all(any(name.startswith(each) for name in recorded) for each in wanted)
+
+
+def _wall_clock_offset_s(events: Stream) -> float:
+    """Return wall clock less LSL clock, as the node's own events tell it."""
+    pairs = [read_clock_pair(json.loads(text)) for text in _texts(events)]
+    return next(pair.unix_ns / 1e9 - pair.lsl_s for pair in pairs if pair is not None)
+
+
+def _check(
+    topic: str,
+    numbers: list[int],
+    stream: Mapping[str, Any],
+    published: list[int],
+    offset_s: float,
+    begun_ns: int,
+    ended_ns: int,
+) -> None:
+    """Every message of the recording's time is there, once, with the time of its publication."""
+    written_ns = ended_ns - round(UNWRITTEN_S * NS_PER_S)
+    first = next(place for place, at_ns in enumerate(published) if at_ns > begun_ns)
+    last = next(place for place, at_ns in enumerate(published) if at_ns > written_ns)
+    assert numbers == list(range(numbers[0], numbers[-1] + 1)), topic
+    assert numbers[0] <= first, topic
+    assert numbers[-1] >= last, topic
+    stamps_s = np.array([published[number] for number in numbers]) / 1e9
+    errors_s = np.asarray(stream["time_stamps"]) + offset_s - stamps_s
+    print(f"{topic}: {len(numbers)}, stamps {np.abs(errors_s).max() * 1e6:.0f} us off at most")
+    assert np.abs(errors_s).max() < STAMP_LIMIT_S, topic
