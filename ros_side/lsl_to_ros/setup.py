@@ -10,10 +10,10 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
-        (f"share/{PACKAGE}/launch", ["launch/lsl_to_ros.launch.py"]),
+        (f"share/{PACKAGE}/launch", ["launch/lsl_to_ros.launch.py", "launch/ros_to_lsl.launch.py"]),
         (
             f"share/{PACKAGE}/config",
-            ["config/lsl_to_ros.policy.xml", "config/params.yaml"],
+            ["config/lsl_to_ros.policy.xml", "config/params.yaml", "config/ros_to_lsl.yaml"],
         ),
         (
             f"share/{PACKAGE}/config/layouts",
@@ -29,10 +29,13 @@ setup(
     zip_safe=False,
     maintainer="Biosensor Gateway maintainers",
     maintainer_email="maintainers@biosensor-gateway.org",
-    description="Finds every LSL stream in the lab and publishes it as ROS 2 topics",
+    description="Publishes every LSL stream as ROS 2 topics, and sends topics as streams",
     license="Apache-2.0",
     entry_points={
-        "console_scripts": ["lsl_to_ros = lsl_to_ros.node:main"],
+        "console_scripts": [
+            "lsl_to_ros = lsl_to_ros.node:main",
+            "ros_to_lsl = lsl_to_ros.ros_to_lsl.node:main",
+        ],
         # Read by ``ros2 doctor`` where ros2doctor is installed; nothing needs it.
         "ros2doctor.checks": ["BiosensorCheck = lsl_to_ros.doctor.ros2_doctor:BiosensorCheck"],
         "ros2doctor.report": ["BiosensorReport = lsl_to_ros.doctor.ros2_doctor:BiosensorReport"],

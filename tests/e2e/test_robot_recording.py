@@ -16,6 +16,7 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
 from biosensor_common.clock_pair import read_clock_pair
+from biosensor_common.naming import NODE
 from biosensor_common.ros_clock import NS_PER_S
 from biosensor_gateway.demo.virtual_devices import one_of_each
 from tests.faults.scenarios.length import is_long
@@ -104,7 +105,7 @@ def test_a_robot_stands_beside_the_sensors_in_one_recording(
 
     streams, _ = _load_xdf(str(tmp_path / "study.xdf"))
     by_name = {each["info"]["name"][0]: each for each in streams}
-    (events,) = (each for name, each in by_name.items() if "ros_to_lsl-events" in name)
+    (events,) = (by_name[name] for name in by_name if name.startswith(f"{NODE}-"))
     offset_s = _wall_clock_offset_s(events)
     columns = {
         "/joint_states": ("joint_states", "panda_joint1.position"),

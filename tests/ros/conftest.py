@@ -21,9 +21,11 @@ from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 
 DEADLINE_S, QUEUE = 30.0, 20_000
 NODE = "/lsl_to_ros"
@@ -54,6 +56,8 @@ class Ros:
         self._executor.add_node(self.node)
         self._clients: dict[str, Client] = {}
         self._heard: list[Subscription] = []
+        self._timers: list[Timer] = []
+        self._publishers: list[Publisher] = []
         self._status: dict[str, Status] = {}
         self._reported_ns = 0
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._take, 100)
@@ -82,8 +86,24 @@ class Ros:
         self._heard.append(self.node.create_subscription(kind, topic, messages.append, profile))
         return messages
 
+    def publish(
+        self, make: Callable[[], Any], topic: str, qos: QoSProfile | int = 10, every_s: float = 0.05
+    ) -> None:
+        """Publish again and again while the test waits, until it ends."""
+        first: Any = make()
+        publisher = self.node.create_publisher(first.__class__, topic, qos)
+        self._publishers.append(publisher)
+        timer = self.node.create_timer(every_s, lambda: publisher.publish(make()))
+        self._timers.append(timer)
+
     def stop_listening(self) -> None:
-        """End what :meth:`listen` has begun."""
+        """End what :meth:`listen` and :meth:`publish` have begun."""
+        for timer in self._timers:
+            self.node.destroy_timer(timer)
+        for publisher in self._publishers:
+            self.node.destroy_publisher(publisher)
+        self._timers.clear()
+        self._publishers.clear()
         for subscription in self._heard:
             self.node.destroy_subscription(subscription)
         self._heard.clear()
@@ -157,7 +177,7 @@ class Ros:
         stamp = report.header.stamp
         self._reported_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
         self._status = {
-            status.name.removeprefix("lsl_to_ros: "): Status(
+            status.name.removeprefix("lsl_to_ros: ").removeprefix("ros_to_lsl: "): Status(
                 status.level,
                 status.message,
                 status.hardware_id,
@@ -170,9 +190,9 @@ class Ros:
 class RunningNode:
     """The node, with everything that it writes."""
 
-    def __init__(self, *arguments: str) -> None:
+    def __init__(self, *arguments: str, module: str = "lsl_to_ros.node") -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "lsl_to_ros.node", *arguments],
+            [sys.executable, "-m", module, *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -301,8 +321,8 @@ def start_node() -> Iterator[Callable[..., RunningNode]]:
     """Start a node of one's own, in a module that does not use the shared one."""
     started: list[RunningNode] = []
 
-    def start(*arguments: str) -> RunningNode:
-        started.append(RunningNode(*arguments))
+    def start(*arguments: str, **options: str) -> RunningNode:
+        started.append(RunningNode(*arguments, **options))
         return started[-1]
 
     yield start

@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
-LAUNCH_FILE = (
-    Path(__file__).parents[2] / "ros_side" / "lsl_to_ros" / "launch" / "lsl_to_ros.launch.py"
-)
+from lsl_to_ros.ros_to_lsl.parameters import NODE_OPTIONS
+
+LAUNCH_FILES = Path(__file__).parents[2] / "ros_side" / "lsl_to_ros" / "launch"
 PARAMETERS = ("topic_prefix", "stream_predicate", "processes", "session_id", "known_peers")
 NOTHING_GIVEN = {
     "namespace": "",
@@ -49,15 +49,19 @@ STAND_INS: dict[str, dict[str, type]] = {
 }
 
 
-@pytest.fixture
-def actions(monkeypatch: pytest.MonkeyPatch) -> list[Noted]:
+def _actions(monkeypatch: pytest.MonkeyPatch, file: str) -> list[Noted]:
     for name, members in STAND_INS.items():
         module = ModuleType(name)
         vars(module).update(members)
         monkeypatch.setitem(sys.modules, name, module)
-    description: Noted = runpy.run_path(str(LAUNCH_FILE))["generate_launch_description"]()
+    description: Noted = runpy.run_path(str(LAUNCH_FILES / file))["generate_launch_description"]()
     (entities,) = description.args
     return entities
+
+
+@pytest.fixture
+def actions(monkeypatch: pytest.MonkeyPatch) -> list[Noted]:
+    return _actions(monkeypatch, "lsl_to_ros.launch.py")
 
 
 def _node(actions: list[Noted], **given: str) -> dict[str, Any]:
@@ -115,3 +119,21 @@ def test_what_is_given_comes_after_the_file_and_keeps_its_type(actions: list[Not
 def test_each_parameter_can_be_given_alone(actions: list[Noted], name: str) -> None:
     (given,) = _node(actions, **{name: "x"})["parameters"]
     assert list(given) == [name]
+
+
+def test_the_second_node_has_a_file_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    *declared, start = _actions(monkeypatch, "ros_to_lsl.launch.py")
+    nothing = {action.args[0]: action.options["default_value"] for action in declared}
+    assert all(action.options["description"] for action in declared)
+    assert {name: value for name, value in nothing.items() if value} == {"node_name": "ros_to_lsl"}
+    (node,) = start.options["function"](nothing)
+    assert (node.options["executable"], node.options["parameters"]) == ("ros_to_lsl", [])
+    given = nothing | {"topics": "[/odom]", "all_small": "true", "params_file": "robot.yaml"}
+    (node,) = start.options["function"](given)
+    file, parameters = node.options["parameters"]
+    assert file == "robot.yaml"
+    types = {name: value.options["value_type"] for name, value in parameters.items()}
+    assert repr(types.pop("topics")) == "typing.List[str]"
+    assert types == {"all_small": bool}
+    assert parameters.keys() <= NODE_OPTIONS.keys()
+    assert nothing.keys() - NODE_OPTIONS.keys() == {"namespace", "node_name", "params_file"}

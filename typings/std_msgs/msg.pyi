@@ -44,6 +44,10 @@ class Float32:
     data: float
     def __init__(self, *, data: float = ...) -> None: ...
 
+class Float64:
+    data: float
+    def __init__(self, *, data: float = ...) -> None: ...
+
 class String:
     data: str
     def __init__(self, *, data: str = ...) -> None: ...

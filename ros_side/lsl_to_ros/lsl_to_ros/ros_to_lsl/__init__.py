@@ -1,0 +1,1 @@
+"""The second node: sends topics of ROS as LSL streams."""

@@ -1,0 +1,184 @@
+"""The node ``ros_to_lsl``: finds topics, and sends them."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from difflib import get_close_matches
+from functools import partial
+from time import monotonic
+from typing import Any
+
+import pylsl
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+from std_msgs.msg import Header
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from lsl_to_ros import spinning
+from lsl_to_ros.accounts.ros_time import RosTime
+from lsl_to_ros.limited_log import LimitedLog
+from lsl_to_ros.lsl.configuration import configure_lsl
+from lsl_to_ros.parameters.node import KNOWN_PEERS, SESSION_ID
+from lsl_to_ros.ros_to_lsl.bridge import Bridge
+from lsl_to_ros.ros_to_lsl.events import Events
+from lsl_to_ros.ros_to_lsl.graph import Graph
+from lsl_to_ros.ros_to_lsl.parameters import read_requests
+from lsl_to_ros.ros_to_lsl.reports import (
+    PROGRAM,
+    TopicHealth,
+    node_status,
+    topic_facts,
+    topic_status,
+)
+from lsl_to_ros.ros_to_lsl.requests import TopicRequest, stream_name
+from lsl_to_ros.ros_to_lsl.taking import TakenElsewhere, Taker
+from lsl_to_ros.ros_to_lsl.topic import Topic
+from lsl_to_ros.topics.publishers import make_publisher
+
+LOOK_PERIOD_S = 0.25
+LOOKS_BETWEEN = 4
+"""So often the publishers of a topic are asked for that has some already: it takes a while."""
+# By then a node has found the others.
+FOUND_AFTER_S = 5.0
+REPORT_PERIOD_S = 1.0
+
+
+class RosToLsl(Node):
+    """Sends topics as LSL streams; see the project's docs/ros-to-lsl.md.
+
+    Raises
+    ------
+    ConfigError
+        If a parameter is wrong.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(
+            PROGRAM,
+            allow_undeclared_parameters=True,
+            automatically_declare_parameters_from_overrides=True,
+        )
+        self._requests = read_requests(self, self.resolve_topic_name)
+        value = self.get_parameter
+        configure_lsl(value(SESSION_ID).value, value(KNOWN_PEERS).value)
+        self._log = LimitedLog(self.get_logger())
+        self._ros_time = RosTime(self)
+        self._topics: dict[str, TopicHealth] = {}
+        self._events = Events(self, self._facts)
+        self._taker = Taker(self, self._fail)
+        self._group = TakenElsewhere()
+        self._seen: set[str] = set()
+        self._looks = 0
+        self._missed_s = monotonic() + FOUND_AFTER_S
+        for request in self._requests.topics:
+            self._open(request)
+        self._diagnostics = make_publisher(self, "/diagnostics", DiagnosticArray)
+        # By the node's own clock they would rest for as long as that is set back.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(LOOK_PERIOD_S, self._look, clock=steady)
+        self.create_timer(REPORT_PERIOD_S, self._report, clock=steady)
+        self._look()
+
+    def stop(self) -> None:
+        """Send what has come, and end."""
+        self._taker.stop()
+        for each in self._topics.values():
+            each.topic.bridge.end()
+
+    def _open(self, request: TopicRequest) -> None:
+        say = partial(self._say, request.topic)
+        bridge = Bridge(request, self._ros_time, say, by_arrival=self._requests.by_arrival)
+        topic = Topic(self, self._taker, self._group, bridge, say)
+        self._topics[request.topic] = TopicHealth(topic)
+
+    def _look(self) -> None:
+        """See who publishes what, and do what is due."""
+        graph = Graph(self)
+        if self._requests.all_small:
+            self._open_small(graph)
+        self._looks += 1
+        is_to_ask_all = self._looks % LOOKS_BETWEEN == 0
+        for each in self._topics.values():
+            if is_to_ask_all or each.topic.kind is None:
+                self._follow(graph, each.topic)
+        if monotonic() > self._missed_s:
+            self._missed_s = math.inf
+            self._say_missing(graph)
+        now = pylsl.local_clock()
+        for each in self._topics.values():
+            each.topic.bridge.look(now)
+        self._events.look(now)
+
+    def _open_small(self, graph: Graph) -> None:
+        """Open what has been seen at two looks: by then it is known whose it is."""
+        small = set(graph.small())
+        for name in sorted(small & self._seen - self._topics.keys()):
+            publishers = graph.publishers(name)
+            if publishers and not graph.is_ours(publishers):
+                self._open(TopicRequest(name, stream_name(name)))
+        self._seen = small
+
+    def _follow(self, graph: Graph, topic: Topic) -> None:
+        publishers = graph.publishers(topic.name)
+        if graph.is_ours(publishers):
+            topic.refuse("lsl_to_ros publishes it, and it is an LSL stream already")
+            return
+        was_known = topic.kind is not None
+        lost = topic.follow(publishers)
+        if lost:
+            self._say(topic.name, f"{lost} messages were lost on the way from its publisher")
+        if topic.kind is not None and not was_known and not topic.bridge.fault:
+            self._log.inform(f"{topic.name} ({topic.kind.name}): {topic.quality}")
+
+    def _say_missing(self, graph: Graph) -> None:
+        """Say which topics nobody publishes: a name may be misspelt."""
+        published = [name for name in graph.topics if name not in self._topics]
+        for name, each in self._topics.items():
+            if not each.topic.publishers:
+                similar = get_close_matches(name, published, n=1)
+                question = f"; is {similar[0]} meant?" if similar else ""
+                self._log.inform(f"{name}: nobody publishes it yet{question}")
+
+    def _say(self, topic: str, sentence: str) -> None:
+        self._log.warn(f"{topic}: {sentence}")
+        self._events.notice(topic, sentence)
+
+    def _fail(self, subscription: Subscription, error: Exception) -> None:
+        # It may be each message, so it is no event: the log says it once a minute.
+        self._log.warn(f"{subscription.topic_name}: a message could not be sent: {error!r}")
+
+    def _facts(self) -> dict[str, Any]:
+        return {name: topic_facts(each.topic) for name, each in list(self._topics.items())}
+
+    def _report(self) -> None:
+        step = self._ros_time.refresh()
+        if step is not None:
+            self._log.warn(f"the system clock jumped by {step.size_ns / 1e9:.6f} s; stamps follow")
+            for each in self._topics.values():
+                each.topic.bridge.clock_was_set()
+        streams = sum(len(each.topic.bridge.streams) for each in self._topics.values())
+        statuses = [node_status(len(self._topics), streams, self._ros_time.steps)]
+        statuses += [topic_status(each) for each in self._topics.values()]
+        header = Header(stamp=self.get_clock().now().to_msg())
+        self._diagnostics.publish(DiagnosticArray(header=header, status=statuses))
+
+
+def run() -> None:
+    """Run the node until SIGINT or SIGTERM; exit code 0, or 2 for unusable settings."""
+    spinning.run(PROGRAM, _node)
+
+
+def _node(_stopping: threading.Event) -> tuple[Node, Callable[[], None]]:
+    try:
+        node = RosToLsl()
+    except ValueError as error:
+        # rclpy's, of a parameter that is an empty list or has no value.
+        message = (
+            "a parameter has no value, or is an empty list, which ROS cannot take; leave it out"
+        )
+        raise ConfigError(ConfigReason.WRONG_VALUE, message) from error
+    return node, node.stop

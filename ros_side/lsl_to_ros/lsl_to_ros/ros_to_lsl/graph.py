@@ -1,0 +1,129 @@
+"""Looks at who publishes what."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from biosensor_common.errors import GatewayError
+from lsl_to_ros.ros_to_lsl.fields import all_fields, fields_of, message_class
+
+QUEUE = 1000
+"""A second of the fastest topics that Python can take."""
+_STREAM_LIST = "/streams"
+_STREAM_LIST_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
+_OF_ROS = frozenset({"/rosout", "/parameter_events", "/clock"})
+
+
+class Quality(NamedTuple):
+    """How a topic is subscribed: as its publishers offer it.
+
+    Attributes
+    ----------
+    is_reliable
+        All of them are; a reliable subscriber would get nothing from one that is not.
+    is_latched
+        All of them keep their last messages for later subscribers.
+    """
+
+    is_reliable: bool = True
+    is_latched: bool = False
+
+    @property
+    def profile(self) -> QoSProfile:
+        """ROS's form of it."""
+        return QoSProfile(
+            depth=QUEUE,
+            reliability=ReliabilityPolicy.RELIABLE
+            if self.is_reliable
+            else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL
+            if self.is_latched
+            else DurabilityPolicy.VOLATILE,
+        )
+
+    def __str__(self) -> str:
+        reliability = "reliable" if self.is_reliable else "best effort"
+        return f"{reliability}, {'transient local' if self.is_latched else 'volatile'}"
+
+
+def quality_of(publishers: Sequence[TopicEndpointInfo]) -> Quality:
+    """Return the quality of service with which all these publishers are heard."""
+    profiles = [each.qos_profile for each in publishers]
+    return Quality(
+        all(each.reliability is not ReliabilityPolicy.BEST_EFFORT for each in profiles),
+        bool(profiles)
+        and all(each.durability is DurabilityPolicy.TRANSIENT_LOCAL for each in profiles),
+    )
+
+
+class Graph:
+    """One look at the topics of the network.
+
+    Nodes of ``lsl_to_ros`` are known by the list of streams that each of them publishes as
+    ``~/streams``, whatever they are called; further processes of one are called ``_NAME_1``,
+    ``_NAME_2`` and so on.
+
+    Attributes
+    ----------
+    topics
+        Their types, by full name.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self.topics: Mapping[str, list[str]] = dict(node.get_topic_names_and_types())
+        self._own = _full_name(node.get_namespace(), node.get_name())
+        self._gateways = set(self._find_gateways())
+
+    def publishers(self, topic: str) -> list[TopicEndpointInfo]:
+        """Return who publishes a topic."""
+        return list(self._node.get_publishers_info_by_topic(topic)) if topic in self.topics else []
+
+    def is_ours(self, publishers: Iterable[TopicEndpointInfo]) -> bool:
+        """Whether one of them is a node of ``lsl_to_ros``, or this node itself."""
+        return any(self._is_gateway(each) for each in publishers)
+
+    def small(self) -> list[str]:
+        """Return the topics that ``all_small`` means.
+
+        Hidden ones and ROS's own are not of them, nor what has sequences of bytes without a
+        limit: images and clouds of points.
+        """
+        return [
+            topic
+            for topic, types in self.topics.items()
+            if topic not in _OF_ROS and "/_" not in topic and all(map(_is_small, types))
+        ]
+
+    def _find_gateways(self) -> Iterable[str]:
+        for topic, types in self.topics.items():
+            if topic.endswith(_STREAM_LIST) and _STREAM_LIST_TYPE in types:
+                for each in self._node.get_publishers_info_by_topic(topic):
+                    name = _full_name(each.node_namespace, each.node_name)
+                    if topic == name + _STREAM_LIST:
+                        yield name
+
+    def _is_gateway(self, publisher: TopicEndpointInfo) -> bool:
+        namespace, name = publisher.node_namespace, publisher.node_name
+        first = name.removeprefix("_").rpartition("_")[0] if name.startswith("_") else name
+        return bool(
+            {_full_name(namespace, name), _full_name(namespace, first)}
+            & (self._gateways | {self._own})
+        )
+
+
+def _full_name(namespace: str, name: str) -> str:
+    return f"{namespace.rstrip('/')}/{name}"
+
+
+def _is_small(type_name: str) -> bool:
+    try:
+        fields = fields_of(message_class(type_name))
+    except GatewayError:
+        return False
+    return not any(each.is_blob for each in all_fields(fields))

@@ -1,0 +1,293 @@
+"""Lays the numbers of a message out as channels.
+
+A type says how many numbers a message has, except for sequences: of those the first message
+tells the length. Where a message has a list of names beside its sequences, as the joints of
+``JointState``, they label the channels.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from operator import attrgetter, itemgetter
+from typing import Any, NamedTuple, Protocol
+
+from biosensor_common.errors import SpecError, SpecReason
+from biosensor_common.lsl_header import MAX_CHANNELS
+from lsl_to_ros.ros_to_lsl.fields import NAMES, Field, FieldKind, RosMessage
+from lsl_to_ros.ros_to_lsl.quantities import NOTHING_KNOWN, channel_type
+
+_EXACT_UP_TO = 2.0**53
+
+
+class LayoutChangedError(Exception):
+    """A message has other sequences than the one that the layout was made from."""
+
+
+class Channel(NamedTuple):
+    """One number of a message.
+
+    Attributes
+    ----------
+    path
+        Where it stands: ``position[0]``.
+    label
+        The same, with the element's name where it has one: ``panda_joint1.position``.
+    values
+        Names of its values, if the type enumerates them.
+    """
+
+    path: str
+    label: str
+    unit: str
+    kind: str
+    values: Mapping[int, str]
+    is_wide: bool = False
+
+
+class _Part(Protocol):
+    """Some of the numbers of a message."""
+
+    def read(self, message: RosMessage, values: list[float]) -> None:
+        """Append them; raises LayoutChangedError if there are others than there were."""
+        ...
+
+
+class _Scalars:
+    """Fields that are no arrays, one after the other."""
+
+    def __init__(self, fields: Sequence[Field]) -> None:
+        get: Callable[[RosMessage], Any] = attrgetter(*(each.path for each in fields))
+        # Of one path it returns the value, of several a tuple.
+        self._get: Callable[[RosMessage], tuple[Any, ...]] = (
+            get if len(fields) > 1 else lambda message: (get(message),)
+        )
+        self._other = [
+            (place, each.kind)
+            for place, each in enumerate(fields)
+            if each.kind is not FieldKind.NUMBER
+        ]
+
+    def read(self, message: RosMessage, values: list[float]) -> None:
+        begin = len(values)
+        values.extend(self._get(message))
+        for place, kind in self._other:
+            values[begin + place] = _number(values[begin + place], kind)
+
+
+class _Numbers:
+    """An array of numbers."""
+
+    def __init__(self, field: Field, length: int) -> None:
+        self._get = attrgetter(field.path)
+        self._kind, self._length = field.kind, length
+
+    def read(self, message: RosMessage, values: list[float]) -> None:
+        got = self._get(message)
+        if len(got) == self._length:
+            if self._kind is FieldKind.NUMBER:
+                # An array of numpy would be taken for numbers of numpy, which is slow.
+                values.extend(got.tolist() if hasattr(got, "tolist") else got)
+            else:
+                values.extend(_number(each, self._kind) for each in got)
+        elif not len(got):
+            values.extend([math.nan] * self._length)
+        else:
+            raise LayoutChangedError
+
+
+class _Messages:
+    """An array of messages."""
+
+    def __init__(self, field: Field, elements: Sequence[Sequence[_Part]], width: int) -> None:
+        self._get = attrgetter(field.path)
+        self._elements, self._width = elements, width
+
+    def read(self, message: RosMessage, values: list[float]) -> None:
+        got = self._get(message)
+        if not len(got):
+            values.extend([math.nan] * self._width)
+            return
+        if len(got) != len(self._elements):
+            raise LayoutChangedError
+        for element, parts in zip(got, self._elements, strict=True):
+            for part in parts:
+                part.read(element, values)
+
+
+class _Names:
+    """Names that label channels; they stay as they were."""
+
+    def __init__(self, get: attrgetter[Any], names: Sequence[str]) -> None:
+        self._get, self._names = get, list(names)
+
+    def read(self, message: RosMessage, values: list[float]) -> None:
+        del values
+        got = self._get(message)
+        if got and got != self._names:
+            raise LayoutChangedError
+
+
+class Layout:
+    """The channels of one stream, and how to read them from a message.
+
+    Parameters
+    ----------
+    fields
+        Of the message's type.
+    message
+        Whose sequences give the lengths.
+    wanted
+        Fields, groups of fields or labels to send; all of them if there is none.
+
+    Raises
+    ------
+    SpecError
+        ``INVALID`` if nothing fits what is wanted, ``TOO_LARGE`` if there are too many channels.
+    """
+
+    def __init__(
+        self,
+        fields: Sequence[Field],
+        message: RosMessage,
+        wanted: Sequence[str] = (),
+    ) -> None:
+        found: list[Channel] = []
+        self._parts = _read_parts(fields, message, "", found)
+        places = [place for place, each in enumerate(found) if _is_wanted(each, wanted)]
+        _check(fields, found, places, wanted)
+        self.channels = tuple(found[place] for place in places)
+        is_all = len(places) == len(found)
+        self._pick = None if is_all or not places else itemgetter(*places)
+        self._wide = [place for place, each in enumerate(self.channels) if each.is_wide]
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """One a channel."""
+        return tuple(each.label for each in self.channels)
+
+    def read(self, message: RosMessage) -> Sequence[float]:
+        """Return a message's numbers, one a channel; NaN for those of a sequence that is empty.
+
+        Raises
+        ------
+        LayoutChangedError
+            If the message has other sequences, or other names, than the first one.
+        """
+        values: list[float] = []
+        for part in self._parts:
+            part.read(message, values)
+        if self._pick is None:
+            return values
+        picked = self._pick(values)
+        return picked if len(self.channels) > 1 else (picked,)
+
+    def inexact(self, values: Sequence[float]) -> str:
+        """Return the label of a channel whose integer a float of 64 bits does not hold, if any."""
+        for place in self._wide:
+            if abs(values[place]) > _EXACT_UP_TO:
+                return self.channels[place].label
+        return ""
+
+
+def _read_parts(
+    fields: Sequence[Field],
+    message: RosMessage,
+    before: str,
+    found: list[Channel],
+) -> list[_Part]:
+    parts: list[_Part] = []
+    scalars: list[Field] = []
+    names = _names_in(fields, message)
+    if names:
+        parts.append(_Names(*names))
+    for each in fields:
+        if each.kind is FieldKind.TEXT:
+            continue
+        if not each.is_array:
+            found.append(_channel(each, before + each.path, before + each.path))
+            scalars.append(each)
+            continue
+        if scalars:
+            parts.append(_Scalars(scalars))
+            scalars = []
+        parts.append(_array_part(each, message, before, found, names[1] if names else ()))
+    return [*parts, _Scalars(scalars)] if scalars else parts
+
+
+def _array_part(
+    field: Field,
+    message: RosMessage,
+    before: str,
+    found: list[Channel],
+    names: Sequence[str],
+) -> _Part:
+    elements = attrgetter(field.path)(message)
+    path, has_names = before + field.path, len(names) == len(elements)
+    if field.kind is FieldKind.MESSAGE:
+        begin = len(found)
+        inside: list[list[_Part]] = []
+        for place, element in enumerate(elements):
+            named = f"{names[place]}.{field.path}" if has_names else f"{path}[{place}]"
+            inside.append(_read_parts(field.elements, element, f"{named}.", found))
+        return _Messages(field, inside, len(found) - begin)
+    group = path.removesuffix(field.name)
+    for place in range(len(elements)):
+        label = f"{group}{names[place]}.{field.name}" if has_names else f"{path}[{place}]"
+        found.append(_channel(field, f"{path}[{place}]", label))
+    return _Numbers(field, len(elements))
+
+
+def _names_in(
+    fields: Sequence[Field], message: RosMessage
+) -> tuple[attrgetter[Any], list[str]] | None:
+    """Return the names that a message gives the elements of its sequences, if it does."""
+    for each in fields:
+        if each.kind is FieldKind.TEXT and each.is_array and each.name in NAMES:
+            get = attrgetter(each.path)
+            names = list(get(message))
+            is_one_each = all(names) and len(set(names)) == len(names)
+            return (get, names) if names and is_one_each else None
+    return None
+
+
+def _channel(field: Field, path: str, label: str) -> Channel:
+    measured = field.measured
+    kind = NOTHING_KNOWN.kind if measured is NOTHING_KNOWN else channel_type(measured, field.name)
+    return Channel(path, label, measured.unit, kind, field.values, field.is_wide)
+
+
+def _is_wanted(channel: Channel, wanted: Sequence[str]) -> bool:
+    return not wanted or any(
+        _is_part(channel.path, each) or _is_part(channel.label, each) for each in wanted
+    )
+
+
+def _is_part(path: str, group: str) -> bool:
+    """Whether a path is another one, or inside of it."""
+    return path == group or (path.startswith(group) and path[len(group)] in ".[")
+
+
+def _check(
+    fields: Sequence[Field], found: Sequence[Channel], places: Sequence[int], wanted: Sequence[str]
+) -> None:
+    for each in wanted:
+        group = each.split("[")[0]
+        # A sequence that is empty today is a field, too.
+        is_field = any(_is_part(f.path, group) or _is_part(group, f.path) for f in fields)
+        if found and not is_field and not any(_is_wanted(channel, [each]) for channel in found):
+            known = ", ".join(dict.fromkeys(channel.path.split("[")[0] for channel in found))
+            message = f"there is no number {each!r}; there are {known[:300]}"
+            raise SpecError(SpecReason.INVALID, message)
+    if len(places) > MAX_CHANNELS:
+        message = (
+            f"{len(places)} numbers are more than the {MAX_CHANNELS} channels that a stream can"
+            " have; name the fields that you want"
+        )
+        raise SpecError(SpecReason.TOO_LARGE, message)
+
+
+def _number(value: Any, kind: FieldKind) -> float:  # noqa: ANN401 - by its kind
+    if kind is FieldKind.TIME:
+        return value.sec + value.nanosec * 1e-9
+    return float(value[0]) if kind is FieldKind.BYTE else value

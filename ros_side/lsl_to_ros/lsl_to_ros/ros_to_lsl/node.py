@@ -1,0 +1,23 @@
+"""Starts ``ros_to_lsl``."""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib import import_module
+
+from biosensor_common.heap import limit_arenas
+
+
+def main() -> None:
+    """Run the node until SIGINT or SIGTERM; exit code 0, or 2 for unusable settings."""
+    limit_arenas(os.environ)
+    # Not before: ROS's libraries begin threads when they are imported, whose arenas stay.
+    if any(argument in ("-h", "--help") for argument in sys.argv[1:]):
+        sys.stdout.write(import_module("lsl_to_ros.ros_to_lsl.usage").usage())
+        return
+    import_module("lsl_to_ros.ros_to_lsl.application").run()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,172 @@
+"""Makes outlets for topics; their headers say where the samples come from.
+
+Beside XDF's fields a header has one block, by which ``lsl_to_ros`` knows what it must not
+publish again::
+
+    <ros>
+      <topic>/joint_states</topic> <type>sensor_msgs/msg/JointState</type>
+      <type_hash>RIHS01_...</type_hash> <frame_id>base</frame_id>
+      <stamp_source>header</stamp_source> <clock>synchronised</clock>
+    </ros>
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from xml.etree.ElementTree import Element, SubElement
+
+import pylsl
+
+from biosensor_common import naming
+from biosensor_common.description_xml import append_children
+from biosensor_common.quantities import ChannelFormat, ContentType
+from lsl_to_ros.ros_to_lsl.layout import Channel
+from lsl_to_ros.ros_to_lsl.publisher_clock import ClockState
+from lsl_to_ros.ros_to_lsl.stamping import StampSource
+
+READY = "ros_to_lsl ready"
+"""A marker of our own: somebody begins to receive, and nobody did before. Some versions of the
+loader for MATLAB cannot load a stream of markers without any."""
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where the samples of a stream come from.
+
+    Attributes
+    ----------
+    type_name, type_hash
+        Of the message; empty if nobody has published yet.
+    frames
+        ``frame_id`` and ``child_frame_id`` of the first message, as far as there are.
+    stamp_source
+        By what the first message was stamped, or is expected to be.
+    clock
+        Of the one who made that stamp.
+    clock_edge_s
+        Its lower edge of arrival minus stamp, if it is not synchronised.
+    """
+
+    topic: str
+    type_name: str = ""
+    type_hash: str = ""
+    frames: Mapping[str, str] | None = None
+    stamp_source: StampSource = StampSource.SOURCE
+    clock: ClockState = ClockState.UNKNOWN
+    clock_edge_s: float | None = None
+
+
+class SampleOutlet:
+    """An outlet of numbers, as they stand in a layout."""
+
+    def __init__(self, name: str, origin: Origin, channels: Sequence[Channel], rate: float) -> None:
+        shape = sha256("\n".join(each.label for each in channels).encode()).hexdigest()[:8]
+        info = pylsl.StreamInfo(
+            name,
+            _content_type(origin, channels),
+            len(channels),
+            rate,
+            ChannelFormat.DOUBLE64.value,
+            f"{_source_id(name)}-{shape}",
+        )
+        description = Element("desc")
+        above = SubElement(description, "channels")
+        for each in channels:
+            node = SubElement(above, "channel")
+            _fill(node, label=each.label, unit=each.unit, type=each.kind)
+            values = SubElement(node, "values") if each.values else node
+            for number, text in each.values.items():
+                _fill(SubElement(values, "value"), number=str(number), name=text)
+        _describe(description, origin, can_drop_samples=rate > 0)
+        append_children(info.desc(), description)
+        self._outlet = pylsl.StreamOutlet(info)
+        self.pushed = 0
+
+    def push(self, values: Sequence[float], stamp: float) -> None:
+        """Push one sample."""
+        self._outlet.push_sample(values, stamp)
+        self.pushed += 1
+
+    def have_consumers(self) -> bool:
+        """Whether anybody receives the stream."""
+        return self._outlet.have_consumers()
+
+
+class MarkerOutlet:
+    """An outlet of text."""
+
+    def __init__(self, name: str, origin: Origin) -> None:
+        info = pylsl.StreamInfo(
+            name,
+            ContentType.MARKERS.value,
+            1,
+            0.0,
+            ChannelFormat.STRING.value,
+            _source_id(name),
+        )
+        description = Element("desc")
+        node = SubElement(SubElement(description, "channels"), "channel")
+        _fill(node, label="marker", unit="none", type=ContentType.MARKERS.value)
+        _describe(description, origin, can_drop_samples=False)
+        append_children(info.desc(), description)
+        self._outlet = pylsl.StreamOutlet(info)
+        self._had_consumers = False
+        self.pushed = 0
+
+    def push(self, text: str, stamp: float) -> None:
+        """Push one marker."""
+        # Whoever gets this one needs no other to begin with.
+        self._had_consumers = self.have_consumers()
+        self._outlet.push_sample([text], stamp)
+        self.pushed += 1
+
+    def look(self, stamp: float) -> None:
+        """Tell whoever has begun to receive that the stream is there; at an LSL time."""
+        had_consumers, self._had_consumers = self._had_consumers, self.have_consumers()
+        if self._had_consumers and not had_consumers:
+            self._outlet.push_sample([READY], stamp)
+
+    def have_consumers(self) -> bool:
+        """Whether anybody receives the stream."""
+        return self._outlet.have_consumers()
+
+
+def with_stamp(origin: Origin, source: StampSource, clock: ClockState, edge_s: float) -> Origin:
+    """Return an origin that says by what the stream is stamped."""
+    wrong = edge_s if clock is ClockState.UNSYNCHRONISED else None
+    return replace(origin, stamp_source=source, clock=clock, clock_edge_s=wrong)
+
+
+def _source_id(name: str) -> str:
+    # The same topic may be on another computer, or in another ROS domain.
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    return f"ros-{naming.sanitise(socket.gethostname())}-{domain}-{name}"
+
+
+def _content_type(origin: Origin, channels: Sequence[Channel]) -> str:
+    """Return XDF's word for poses, else the message's own name."""
+    is_pose = any(each.kind.startswith(("Position", "Orientation")) for each in channels)
+    return ContentType.MOCAP.value if is_pose else origin.type_name.rpartition("/")[2]
+
+
+def _describe(description: Element, origin: Origin, *, can_drop_samples: bool) -> None:
+    synchronization = SubElement(description, "synchronization")
+    _fill(synchronization, offset_mean="0")
+    if can_drop_samples:
+        # Without it pyxdf smears a gap of less than 500 samples over the recording.
+        _fill(synchronization, can_drop_samples="true")
+    ros = SubElement(description, "ros")
+    _fill(ros, topic=origin.topic, type=origin.type_name, type_hash=origin.type_hash)
+    _fill(ros, **(origin.frames or {}))
+    _fill(ros, stamp_source=origin.stamp_source.value, clock=origin.clock.value)
+    if origin.clock_edge_s is not None:
+        _fill(ros, clock_edge_s=f"{origin.clock_edge_s:.6f}")
+
+
+def _fill(parent: Element, **fields: str) -> None:
+    for name, text in fields.items():
+        SubElement(parent, name).text = text

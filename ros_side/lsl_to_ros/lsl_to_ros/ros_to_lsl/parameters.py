@@ -1,0 +1,210 @@
+"""The parameters of ``ros_to_lsl``; they are read at the start, and what is wrong ends it."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, cast
+
+from rcl_interfaces.msg import ParameterDescriptor, ParameterType
+from rclpy.node import Node
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from lsl_to_ros.parameters.node import KNOWN_PEERS, SESSION_ID
+from lsl_to_ros.ros_to_lsl.requests import Requests, SendAs, TopicRequest, stream_name
+
+TOPICS, ALL_SMALL, STAMPS = "topics", "all_small", "stamps"
+MEASURED, ARRIVAL = "measured", "arrival"
+AS, FIELDS, NAME, RATE, TYPE = "as", "fields", "name", "rate", "type"
+USE_SIM_TIME = "use_sim_time"
+# Of ROS itself.
+_OF_ROS = frozenset({USE_SIM_TIME, "start_type_description_service"})
+_QOS_OVERRIDES = "qos_overrides."
+_STREAM_NAME = re.compile(r"[A-Za-z0-9_-]{1,100}")
+_TYPE_NAME = re.compile(r"[a-z][a-z0-9_]*/(msg/)?[A-Z][A-Za-z0-9]*")
+
+
+class Option(NamedTuple):
+    """What a parameter takes.
+
+    Attributes
+    ----------
+    default
+        Its type is that of the parameter, too.
+    text
+        For ``ros2 param describe`` and ``--help``.
+    """
+
+    default: str | float | bool | list[str]
+    text: str
+
+
+NODE_OPTIONS: Mapping[str, Option] = {
+    TOPICS: Option([""], "topics to send, as a list: [/joint_states, /odom]"),
+    ALL_SMALL: Option(False, "send every topic but images and other bytes without a limit"),
+    STAMPS: Option(
+        MEASURED, "measured: header, else source stamp, else arrival; arrival: always arrival"
+    ),
+    SESSION_ID: Option("", "LSL session; empty: LSL's own setting"),
+    KNOWN_PEERS: Option([""], "hosts that multicast does not reach"),
+}
+TOPIC_OPTIONS: Mapping[str, Option] = {
+    AS: Option("", "samples, markers or json (whole messages); else the type decides"),
+    FIELDS: Option([""], "fields to send, or groups of them: [pose.pose.position]; else all"),
+    NAME: Option("", "of the LSL stream; else the topic's, robot-odom for /robot/odom"),
+    RATE: Option(0.0, "nominal rate in Hz of the LSL stream; 0: irregular"),
+    TYPE: Option("", "message type, to be subscribed before anybody publishes"),
+}
+_TYPES: dict[type[Any], int] = {
+    bool: ParameterType.PARAMETER_BOOL,
+    float: ParameterType.PARAMETER_DOUBLE,
+    list: ParameterType.PARAMETER_STRING_ARRAY,
+    str: ParameterType.PARAMETER_STRING,
+}
+
+
+def read_requests(node: Node, resolve: Callable[[str], str]) -> Requests:
+    """Declare every parameter; return what is to be sent.
+
+    Parameters
+    ----------
+    resolve
+        Full name of a topic.
+
+    Raises
+    ------
+    ConfigError
+        ``UNKNOWN_KEY`` or ``WRONG_VALUE``, with a sentence for the user.
+    """
+    given = {name: each.value for name, each in node.get_parameters_by_prefix("").items()}
+    topics = _topics(_value(given, TOPICS, NODE_OPTIONS[TOPICS]))
+    for name in given:
+        _check_known(name, topics)
+    values = {name: _value(given, name, option) for name, option in NODE_OPTIONS.items()}
+    requests = tuple(_request(topic, given, resolve) for topic in topics)
+    _check_names(requests)
+    _check_stamps(values[STAMPS], use_sim_time=bool(given.get(USE_SIM_TIME)))
+    if not requests and not values[ALL_SMALL]:
+        message = (
+            'there is nothing to send: name topics, as in -p topics:="[/joint_states]", or'
+            " set all_small:=true"
+        )
+        raise ConfigError(ConfigReason.NOT_FOUND, message)
+    of_topics = {
+        f"{topic}.{name}": _value(given, f"{topic}.{name}", option)
+        for topic in topics
+        for name, option in TOPIC_OPTIONS.items()
+    }
+    _declare(node, values | of_topics)
+    return Requests(requests, values[ALL_SMALL], by_arrival=values[STAMPS] == ARRIVAL)
+
+
+def _topics(value: Sequence[str]) -> list[str]:
+    topics = [topic for topic in value if topic]
+    for topic in topics:
+        if topics.count(topic) > 1:
+            raise _wrong(f"{TOPICS} has {topic} twice")
+        if "." in topic:
+            raise _wrong(f"{TOPICS}: {topic!r} is no name of a topic")
+    return topics
+
+
+def _check_known(name: str, topics: Sequence[str]) -> None:
+    if name in _OF_ROS or name in NODE_OPTIONS or name.startswith(_QOS_OVERRIDES):
+        return
+    topic, _, option = name.rpartition(".")
+    if topic in topics and option in TOPIC_OPTIONS:
+        return
+    if topic and topic not in topics:
+        message = f"{name}: {topic} is not among the topics; add it to {TOPICS}, spelt alike"
+    elif topic:
+        message = f"{name}: a topic has no {option!r}; it has {', '.join(TOPIC_OPTIONS)}"
+    else:
+        known = ", ".join(NODE_OPTIONS)
+        message = f"{name} is no parameter of ros_to_lsl; there are {known}, and those of topics"
+    raise ConfigError(ConfigReason.UNKNOWN_KEY, message)
+
+
+def _value(given: Mapping[str, Any], name: str, option: Option) -> Any:  # noqa: ANN401 - of the option's type
+    value = given.get(name)
+    if value is None:
+        return option.default
+    default = option.default
+    if isinstance(default, bool):
+        return _right(name, value, isinstance(value, bool), "true or false")
+    if isinstance(default, float):
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        return float(_right(name, value, is_number, "a number"))
+    if isinstance(default, str):
+        return _right(name, value, isinstance(value, str), "text")
+    is_list = isinstance(value, Sequence) and not isinstance(value, str | bytes)
+    items = list(cast("Sequence[object]", value)) if is_list else []
+    is_text = is_list and all(isinstance(item, str) for item in items)
+    _right(name, value, is_text, "a list of names such as [a, b]")
+    return items
+
+
+def _right(name: str, value: Any, is_right: bool, what: str) -> Any:  # noqa: ANN401 - as above
+    if not is_right:
+        raise _wrong(f"{name} must be {what}, not {value!r}")
+    return value
+
+
+def _request(topic: str, given: Mapping[str, Any], resolve: Callable[[str], str]) -> TopicRequest:
+    value = {
+        name: _value(given, f"{topic}.{name}", option) for name, option in TOPIC_OPTIONS.items()
+    }
+    try:
+        full = resolve(topic)
+    except Exception as error:
+        raise _wrong(f"{TOPICS}: {topic!r} is no name of a topic") from error
+    name = value[NAME] or stream_name(full)
+    if not _STREAM_NAME.fullmatch(name):
+        raise _wrong(
+            f"{topic}.{NAME} must be of letters, digits, _ and -, at most 100, not {name!r}"
+        )
+    if value[AS] not in list(SendAs):
+        raise _wrong(f"{topic}.{AS} must be samples, markers or json, not {value[AS]!r}")
+    if not (math.isfinite(value[RATE]) and value[RATE] >= 0):
+        raise _wrong(f"{topic}.{RATE} must be 0 or a rate in Hz, not {value[RATE]!r}")
+    if value[TYPE] and not _TYPE_NAME.fullmatch(value[TYPE]):
+        raise _wrong(f"{topic}.{TYPE} must be such as std_msgs/msg/String, not {value[TYPE]!r}")
+    fields = tuple(each for each in value[FIELDS] if each)
+    return TopicRequest(full, name, SendAs(value[AS]), fields, value[RATE], value[TYPE])
+
+
+def _check_names(requests: Sequence[TopicRequest]) -> None:
+    names: dict[str, str] = {}
+    for each in requests:
+        other = names.setdefault(each.name, each.topic)
+        if other != each.topic:
+            raise _wrong(
+                f"{other} and {each.topic} would both be the stream {each.name}; give one a name"
+            )
+
+
+def _check_stamps(stamps: str, *, use_sim_time: bool) -> None:
+    if stamps not in (MEASURED, ARRIVAL):
+        raise _wrong(f"{STAMPS} must be {MEASURED} or {ARRIVAL}, not {stamps!r}")
+    if use_sim_time and stamps != ARRIVAL:
+        raise _wrong(
+            f"{USE_SIM_TIME}: simulated time cannot be put on the LSL clock; leave it out, or stamp"
+            f" by arrival with {STAMPS}:={ARRIVAL}"
+        )
+
+
+def _declare(node: Node, values: Mapping[str, Any]) -> None:
+    """Show the parameters to ``ros2 param``; none can be changed while the node runs."""
+    for name, value in values.items():
+        option = NODE_OPTIONS.get(name) or TOPIC_OPTIONS[name.rpartition(".")[2]]
+        if node.has_parameter(name):
+            node.undeclare_parameter(name)
+        descriptor = ParameterDescriptor(
+            description=option.text, read_only=True, type=_TYPES[type(option.default)]
+        )
+        node.declare_parameter(name, value, descriptor, ignore_override=True)
+
+
+def _wrong(message: str) -> ConfigError:
+    return ConfigError(ConfigReason.WRONG_VALUE, message)

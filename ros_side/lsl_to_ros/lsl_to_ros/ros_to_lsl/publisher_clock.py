@@ -1,0 +1,113 @@
+"""Finds out whether who stamps messages has this computer's time."""
+
+from __future__ import annotations
+
+import math
+from enum import StrEnum, unique
+
+from biosensor_common.late_run import LateRun, Patience
+from biosensor_common.lower_envelope import LowerEnvelope
+from biosensor_common.ros_clock import NS_PER_S
+
+AHEAD_S = 0.002
+"""By how much a message may seem to come before it was sent: what NTP leaves in a lab's network."""
+BEHIND_S = 1.0
+"""The fastest messages of a clock that is right are never so late."""
+PATIENCE_S = 2.0
+"""As long as all that came was late, it may be the way."""
+SET_BACK = Patience(10.0, 10, spread=0.5)
+"""When messages of a clock that was right stay late, and all by the same, it was set."""
+_PERIOD_S = 1.0
+
+
+@unique
+class ClockState(StrEnum):
+    """What is known of a clock."""
+
+    UNKNOWN = "unknown"
+    """Nothing has come, or only late messages, and not for long."""
+    SYNCHRONISED = "synchronised"
+    UNSYNCHRONISED = "unsynchronised"
+
+
+class PublisherClock:
+    """Follows the lower edge of arrival minus stamp, which is the fastest way plus the offset.
+
+    Delays are never negative, so the edge of a clock that is right lies just above 0. Once a
+    clock was found to be wrong it stays so: what it will stamp next is not to be trusted.
+
+    Attributes
+    ----------
+    state
+    """
+
+    def __init__(self) -> None:
+        self.state = ClockState.UNKNOWN
+        self._first_stamp_ns = self._first_arrival_ns = 0
+        self._envelope: LowerEnvelope | None = None
+        self._lowest = (0.0, math.inf)
+        self._newest_s = self._period_begin_s = 0.0
+        self._late = LateRun()
+
+    @property
+    def is_in_doubt(self) -> bool:
+        """Whether something has come, and it may still be the way that was slow."""
+        return self._envelope is not None and self.state is ClockState.UNKNOWN
+
+    @property
+    def edge_s(self) -> float:
+        """Lower edge of arrival minus stamp, in seconds; NaN before the first message."""
+        if self._envelope is None:
+            return math.nan
+        first_delay_s = (self._first_arrival_ns - self._first_stamp_ns) / NS_PER_S
+        return first_delay_s + min(self._envelope.at(self._newest_s), self._lowest[1])
+
+    def observe(self, stamp_ns: int, arrival_ns: int) -> None:
+        """Take in a message.
+
+        Parameters
+        ----------
+        stamp_ns
+            By the publisher's clock, in nanoseconds since 1970.
+        arrival_ns
+            By this computer's clock.
+        """
+        if self._envelope is None:
+            self._begin(stamp_ns, arrival_ns)
+        delay_ns = arrival_ns - stamp_ns
+        passed_s = (arrival_ns - self._first_arrival_ns) / NS_PER_S
+        height_s = (delay_ns - self._first_arrival_ns + self._first_stamp_ns) / NS_PER_S
+        self._newest_s = max(self._newest_s, passed_s)
+        if height_s < self._lowest[1]:
+            self._lowest = passed_s, height_s
+        if passed_s - self._period_begin_s > _PERIOD_S and self._envelope is not None:
+            # Of each second the lowest point, for a fit takes longer than all the rest.
+            self._envelope.add(*self._lowest)
+            self._lowest, self._period_begin_s = (0.0, math.inf), passed_s
+        self._late.add(delay_ns / NS_PER_S, BEHIND_S, passed_s)
+        self._judge(delay_ns / NS_PER_S)
+        if self.state is ClockState.SYNCHRONISED and self._late.outlasts(SET_BACK):
+            self.state = ClockState.UNSYNCHRONISED
+            self._begin(stamp_ns, arrival_ns)
+
+    def _begin(self, stamp_ns: int, arrival_ns: int) -> None:
+        self._first_stamp_ns, self._first_arrival_ns = stamp_ns, arrival_ns
+        self._envelope, self._lowest = LowerEnvelope(0.0), (0.0, math.inf)
+        self._newest_s = self._period_begin_s = 0.0
+        self._late = LateRun()
+
+    def look(self, now_ns: int) -> None:
+        """Judge by the time that has passed, also if nothing comes any more."""
+        if self.is_in_doubt:
+            passed_s = (now_ns - self._first_arrival_ns) / NS_PER_S
+            if passed_s > PATIENCE_S:
+                self.state = ClockState.UNSYNCHRONISED
+
+    def _judge(self, delay_s: float) -> None:
+        if delay_s < -AHEAD_S:
+            self.state = ClockState.UNSYNCHRONISED
+        elif self.state is ClockState.UNKNOWN:
+            if delay_s <= BEHIND_S:
+                self.state = ClockState.SYNCHRONISED
+            elif self._newest_s > PATIENCE_S:
+                self.state = ClockState.UNSYNCHRONISED

@@ -1,0 +1,108 @@
+"""Builds the entries of ``/diagnostics``: one for the node, one for each topic.
+
+Levels of a topic:
+
+* ERROR: it cannot be sent, and why.
+* STALE: a topic with a nominal rate, without a message for 5 s.
+* WARN: in the last 10 s messages were lost on the way, or its stream was replaced; a clock
+  is not synchronised; an integer was too large.
+* OK: none of these.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from lsl_to_ros.accounts.health import StreamHealth
+from lsl_to_ros.reports.diagnostics import STALE_AFTER_S, status
+from lsl_to_ros.ros_to_lsl.bridge import Bridge, wrong_clock
+from lsl_to_ros.ros_to_lsl.topic import Topic
+
+PROGRAM = "ros_to_lsl"
+
+
+@dataclass(slots=True)
+class TopicHealth:
+    """What the reports of one topic remember."""
+
+    topic: Topic
+    health: StreamHealth = field(default_factory=StreamHealth)
+
+
+def node_status(topics: int, streams: int, clock_steps: int) -> DiagnosticStatus:
+    """Describe the node."""
+    values = {"topics": str(topics), "streams": str(streams), "clock_steps": str(clock_steps)}
+    return status("node", DiagnosticStatus.OK, f"{streams} streams", values, program=PROGRAM)
+
+
+def topic_status(each: TopicHealth) -> DiagnosticStatus:
+    """Describe one topic."""
+    topic, health = each.topic, each.health
+    bridge = topic.bridge
+    lost = bridge.losses.lost
+    rate = health.meter.rate(bridge.received, bridge.newest_s)
+    level, message = _judge(topic, health)
+    values = {
+        "type": topic.kind.name if topic.kind else bridge.request.type_name,
+        "publishers": str(topic.publishers),
+        "quality_of_service": str(topic.quality),
+        "streams": ", ".join(bridge.streams),
+        "received": str(bridge.received),
+        "lost": "unknown" if lost is None else str(lost),
+        "pushed": ", ".join(str(count) for count in bridge.streams.values()),
+        "rate_measured": f"{rate:.2f}",
+        "replaced": str(bridge.replaced),
+        "stamped_by": _stamped_by(bridge),
+        "stamps_moved": str(bridge.stamping.moved),
+        **{
+            f"clock_{source.value}": _clock(clock.state.value, clock.edge_s)
+            for source, clock in bridge.stamping.clocks.items()
+        },
+        "is_received": str(bridge.is_received).lower(),
+    }
+    return status(topic.name, level, message, values, program=PROGRAM)
+
+
+def topic_facts(topic: Topic) -> dict[str, object]:
+    """Return what a heartbeat says of one topic."""
+    bridge = topic.bridge
+    wrong = {source.value: round(edge, 6) for source, edge in bridge.stamping.wrong_clocks.items()}
+    return {
+        "received": bridge.received,
+        "lost": bridge.losses.lost,
+        "replaced": bridge.replaced,
+        "stamped_by": {s.value: n for s, n in bridge.stamping.sources.items() if n},
+        "wrong_clocks": wrong,
+        "fault": bridge.fault,
+    }
+
+
+def _judge(topic: Topic, health: StreamHealth) -> tuple[bytes, str]:
+    bridge = topic.bridge
+    lost_lately, replaced_lately = health.recent(bridge.losses.lost or 0, bridge.replaced)
+    silent_s = health.silence(bridge.received)
+    if bridge.fault:
+        return DiagnosticStatus.ERROR, bridge.fault
+    if bridge.request.rate and silent_s > STALE_AFTER_S:
+        return DiagnosticStatus.STALE, "no messages"
+    warnings = [wrong_clock(*each) for each in bridge.stamping.wrong_clocks.items()]
+    if lost_lately:
+        warnings.append(f"{lost_lately} messages lost in the last 10 s")
+    if replaced_lately:
+        warnings.append("its sequences have changed, and so has the stream")
+    if warnings:
+        return DiagnosticStatus.WARN, "; ".join(warnings)
+    if bridge.received:
+        return DiagnosticStatus.OK, "sending"
+    return DiagnosticStatus.OK, "no message yet" if topic.publishers else "nobody publishes it"
+
+
+def _stamped_by(bridge: Bridge) -> str:
+    used = (f"{source.value} {count}" for source, count in bridge.stamping.sources.items() if count)
+    return ", ".join(used)
+
+
+def _clock(state: str, edge_s: float) -> str:
+    return state if edge_s != edge_s else f"{state}, {edge_s:.6f} s"  # noqa: PLR0124 - NaN

@@ -1,0 +1,223 @@
+"""Sends what messages say: their numbers as samples, their text as markers."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from time import monotonic
+from typing import Any, Protocol
+
+from biosensor_common.errors import SpecError, SpecReason
+from lsl_to_ros.ros_to_lsl.fields import Field, FieldKind, RosMessage, all_fields, fields_of
+from lsl_to_ros.ros_to_lsl.layout import Layout, LayoutChangedError
+from lsl_to_ros.ros_to_lsl.outlets import MarkerOutlet, Origin, SampleOutlet
+from lsl_to_ros.ros_to_lsl.requests import SendAs, TopicRequest
+from lsl_to_ros.ros_to_lsl.texts import ToText, as_json, has_records, is_text, marker_of, text_of
+
+LINGER_S = 0.25
+"""How long an outlet stays after its last sample, which LSL sends from a thread of its own."""
+MAX_REPLACED, REPLACED_WITHIN_S = 10, 60.0
+TEXT_SUFFIX = "__text"
+"""No topic has two underscores, so no other stream has this name."""
+
+
+class Sender(Protocol):
+    """One stream of a topic."""
+
+    @property
+    def name(self) -> str:
+        """The stream's."""
+        ...
+
+    @property
+    def outlet(self) -> SampleOutlet | MarkerOutlet | None:
+        """The present outlet; None before there is one."""
+        ...
+
+    def send(self, message: RosMessage, stamp: float, origin: Callable[[], Origin]) -> None:
+        """Send what belongs into this stream, at an LSL time.
+
+        Raises
+        ------
+        SpecError
+            If the message cannot be sent as it was asked for.
+        """
+        ...
+
+    def look(self, now: float) -> None:
+        """Do what is due; a few times a second, with the LSL time."""
+        ...
+
+
+class NumberSender:
+    """The numbers of a message, as a sample.
+
+    The outlet is there from the first message on that has any. One whose sequences have another
+    length or other names gets a new outlet, because LSL cannot change a stream's channels.
+
+    Attributes
+    ----------
+    replaced
+        How often that was.
+    inexact
+        Label of a channel that had an integer which is too large for a float; empty if none had.
+    """
+
+    def __init__(
+        self, fields: Sequence[Field], request: TopicRequest, say: Callable[[str], None]
+    ) -> None:
+        self.name = request.name
+        self.outlet: SampleOutlet | None = None
+        self.replaced = 0
+        self.inexact = ""
+        self._fields, self._request, self._say = fields, request, say
+        self._layout: Layout | None = None
+        self._left: list[tuple[float, SampleOutlet]] = []
+        self._replaced_at: deque[float] = deque(maxlen=MAX_REPLACED)
+
+    def send(self, message: RosMessage, stamp: float, origin: Callable[[], Origin]) -> None:
+        """See :class:`Sender`."""
+        try:
+            values = self._layout.read(message) if self._layout else None
+        except LayoutChangedError:
+            values = None
+        if values is None:
+            self._open(message, origin)
+            if self._layout is None:
+                return
+            values = self._layout.read(message)
+        assert self._layout is not None
+        assert self.outlet is not None
+        inexact = self._layout.inexact(values)
+        if inexact and not self.inexact:
+            self.inexact = inexact
+            self._say(f"{inexact} has integers above 2**53, which a float of 64 bits rounds")
+        self.outlet.push(values, stamp)
+
+    def look(self, now: float) -> None:
+        """Let go of outlets that have been replaced."""
+        del now
+        self._left = [each for each in self._left if monotonic() - each[0] < LINGER_S]
+
+    def _open(self, message: RosMessage, origin: Callable[[], Origin]) -> None:
+        before = self.outlet
+        layout = Layout(self._fields, message, self._request.fields)
+        if not layout.channels:
+            # All of its sequences are empty: wait for one that says how many channels there are.
+            return
+        if before is not None:
+            self._note_replaced()
+            self._left.append((monotonic(), before))
+            self._say(
+                f"its sequences have changed: {len(layout.channels)} channels now; the stream"
+                f" {self.name} goes on as a new one, which a recording that runs may not have"
+            )
+        self._layout = layout
+        self.outlet = SampleOutlet(self.name, origin(), layout.channels, self._request.rate)
+        self.outlet.pushed = before.pushed if before else 0
+
+    def _note_replaced(self) -> None:
+        self.replaced += 1
+        now = monotonic()
+        is_full = len(self._replaced_at) == MAX_REPLACED
+        if is_full and now - self._replaced_at[0] < REPLACED_WITHIN_S:
+            message = (
+                "its sequences change all the time, and a stream has as many channels as it began"
+                " with; name fields that stay, or send it as json"
+            )
+            raise SpecError(SpecReason.CONTRADICTORY, message)
+        self._replaced_at.append(now)
+
+
+class TextSender:
+    """The text beside numbers: a marker at the first message, and whenever it changes."""
+
+    def __init__(self, fields: Sequence[Field], name: str) -> None:
+        self.name = name
+        self.outlet: MarkerOutlet | None = None
+        self._read = text_of(fields)
+        self._newest: str | None = None
+
+    def send(self, message: RosMessage, stamp: float, origin: Callable[[], Origin]) -> None:
+        """See :class:`Sender`."""
+        if self.outlet is None:
+            self.outlet = MarkerOutlet(self.name, origin())
+        text = self._read(message)
+        if text != self._newest:
+            self._newest = text
+            self.outlet.push(text, stamp)
+
+    def look(self, now: float) -> None:
+        """See :class:`Sender`."""
+        if self.outlet is not None:
+            self.outlet.look(now)
+
+
+class MarkerSender:
+    """Each message as a marker.
+
+    Parameters
+    ----------
+    outlet
+        Which is there already, because a recorder must see it before the first event.
+    """
+
+    def __init__(self, read: ToText, name: str, outlet: MarkerOutlet) -> None:
+        self.name = name
+        self.outlet = outlet
+        self._read = read
+
+    def send(self, message: RosMessage, stamp: float, origin: Callable[[], Origin]) -> None:
+        """See :class:`Sender`."""
+        del origin
+        self.outlet.push(self._read(message), stamp)
+
+    def look(self, now: float) -> None:
+        """See :class:`Sender`."""
+        self.outlet.look(now)
+
+
+def senders_for(
+    message_class: type[Any],
+    request: TopicRequest,
+    markers: Callable[[], MarkerOutlet],
+    say: Callable[[str], None],
+) -> list[Sender]:
+    """Return what sends the messages of a type.
+
+    Parameters
+    ----------
+    markers
+        Gives the outlet of markers under the topic's own name.
+    say
+        Called with a sentence about the topic.
+
+    Raises
+    ------
+    SpecError
+        ``INVALID`` if fields are asked for that are not there.
+    """
+    fields = fields_of(message_class)
+    send_as = request.send_as
+    if send_as is SendAs.AUTO:
+        numbers = any(each.kind is not FieldKind.TEXT for each in _leaves(fields))
+        is_report = has_records(fields) and not request.fields
+        send_as = SendAs.SAMPLES if numbers and not is_report else SendAs.MARKERS
+        with_text = send_as is SendAs.SAMPLES and not request.fields
+        if with_text and any(is_text(each) for each in fields):
+            text = TextSender(fields, request.name + TEXT_SUFFIX)
+            return [NumberSender(fields, request, say), text]
+    if send_as is SendAs.SAMPLES:
+        if not any(each.kind is not FieldKind.TEXT for each in _leaves(fields)):
+            message = "its messages have no numbers; leave out 'as', or say markers"
+            raise SpecError(SpecReason.INVALID, message)
+        return [NumberSender(fields, request, say)]
+    if send_as is SendAs.JSON:
+        read: ToText = as_json
+    else:
+        read = marker_of(message_class, request.topic, request.fields)
+    return [MarkerSender(read, request.name, markers())]
+
+
+def _leaves(fields: tuple[Field, ...]) -> list[Field]:
+    return [each for each in all_fields(fields) if each.kind is not FieldKind.MESSAGE]

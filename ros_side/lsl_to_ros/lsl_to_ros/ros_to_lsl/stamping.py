@@ -1,0 +1,163 @@
+"""Chooses the time of a message, and puts it on the LSL clock."""
+
+from __future__ import annotations
+
+from enum import StrEnum, unique
+from typing import NamedTuple, TypedDict
+
+from biosensor_common.clocks import MonotonicStamps
+from biosensor_common.ros_clock import NS_PER_S
+from lsl_to_ros.accounts.ros_time import RosTime
+from lsl_to_ros.ros_to_lsl.fields import RosMessage
+from lsl_to_ros.ros_to_lsl.publisher_clock import ClockState, PublisherClock
+
+
+class MessageInfo(TypedDict):
+    """What ROS tells of a message besides; None where the middleware does not know.
+
+    Attributes
+    ----------
+    source_timestamp, received_timestamp
+        When it was published and when it arrived, in nanoseconds since 1970.
+    publication_sequence_number
+        Counted by its publisher.
+    """
+
+    source_timestamp: int
+    received_timestamp: int
+    publication_sequence_number: int | None
+
+
+@unique
+class StampSource(StrEnum):
+    """Whose time a sample has."""
+
+    HEADER = "header"
+    """``header.stamp`` of the message: when it was measured, says the publisher."""
+    SOURCE = "source"
+    """When it was published, says the middleware of the publisher."""
+    ARRIVAL = "arrival"
+    """When it came to this computer."""
+
+
+class Stamped(NamedTuple):
+    """The time of one message.
+
+    Attributes
+    ----------
+    lsl_s
+        On this computer's LSL clock.
+    """
+
+    lsl_s: float
+    source: StampSource
+
+
+class MessageStamping:
+    """The stamps of one topic.
+
+    The first one is taken that is there and whose clock is not known to be wrong.
+
+    Parameters
+    ----------
+    ros_time
+        This computer's clock to LSL time.
+    has_header
+    by_arrival
+        Take no other than the time of arrival.
+
+    Attributes
+    ----------
+    clocks
+        Of the header's stamps and of the source's.
+    sources
+        How many messages were stamped by which.
+    """
+
+    def __init__(self, ros_time: RosTime, *, has_header: bool, by_arrival: bool) -> None:
+        self._ros_time = ros_time
+        self._has_header, self._by_arrival = has_header and not by_arrival, by_arrival
+        self._monotonic = MonotonicStamps()
+        self.clocks = _new_clocks()
+        self.sources = dict.fromkeys(StampSource, 0)
+
+    @property
+    def expected(self) -> StampSource:
+        """What messages of this type are stamped by as a rule."""
+        if self._by_arrival:
+            return StampSource.ARRIVAL
+        return StampSource.HEADER if self._has_header else StampSource.SOURCE
+
+    @property
+    def moved(self) -> int:
+        """How many stamps did not follow the one before, and were moved behind it."""
+        return self._monotonic.corrections
+
+    @property
+    def wrong_clocks(self) -> dict[StampSource, float]:
+        """Lower edge of arrival minus stamp of each clock that is not synchronised, in seconds."""
+        return {
+            source: clock.edge_s
+            for source, clock in self.clocks.items()
+            if clock.state is ClockState.UNSYNCHRONISED
+        }
+
+    def observe(self, message: RosMessage, info: MessageInfo) -> None:
+        """Compare a message's stamps with its arrival."""
+        if self._by_arrival:
+            return
+        arrival_ns = info["received_timestamp"]
+        if self._has_header and (stamp_ns := _header_ns(message)):
+            self.clocks[StampSource.HEADER].observe(stamp_ns, arrival_ns)
+        if info["source_timestamp"]:
+            self.clocks[StampSource.SOURCE].observe(info["source_timestamp"], arrival_ns)
+
+    def look(self, now_ns: int) -> None:
+        """Judge the clocks by the time that has passed."""
+        for clock in self.clocks.values():
+            clock.look(now_ns)
+
+    @property
+    def is_in_doubt(self) -> bool:
+        """Whether it is not known yet if a clock is right."""
+        return any(clock.is_in_doubt for clock in self.clocks.values())
+
+    def restart(self) -> None:
+        """Judge the clocks anew, since this computer's own one was set."""
+        self.clocks = _new_clocks()
+
+    def choose(self, message: RosMessage, info: MessageInfo) -> StampSource:
+        """Return by what a message is to be stamped."""
+        if self._has_header and self._trusts(StampSource.HEADER) and _header_ns(message):
+            return StampSource.HEADER
+        is_there = not self._by_arrival and info["source_timestamp"]
+        return (
+            StampSource.SOURCE
+            if is_there and self._trusts(StampSource.SOURCE)
+            else StampSource.ARRIVAL
+        )
+
+    def stamp(self, message: RosMessage, info: MessageInfo) -> Stamped:
+        """Return a message's LSL time, after that of the message before."""
+        source = self.choose(message, info)
+        self.sources[source] += 1
+        if source is StampSource.HEADER:
+            stamp_ns = _header_ns(message)
+        elif source is StampSource.SOURCE:
+            stamp_ns = info["source_timestamp"]
+        else:
+            stamp_ns = info["received_timestamp"]
+        (lsl_s,) = self._monotonic.apply([self._ros_time.to_lsl_s(stamp_ns)])
+        return Stamped(lsl_s, source)
+
+    def _trusts(self, source: StampSource) -> bool:
+        return self.clocks[source].state is not ClockState.UNSYNCHRONISED
+
+
+def _header_ns(message: RosMessage) -> int:
+    stamp = message.header.stamp
+    return stamp.sec * NS_PER_S + stamp.nanosec
+
+
+def _new_clocks() -> dict[StampSource, PublisherClock]:
+    return {source: PublisherClock() for source in (StampSource.HEADER, StampSource.SOURCE)}

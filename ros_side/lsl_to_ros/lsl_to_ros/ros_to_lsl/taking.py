@@ -1,0 +1,135 @@
+"""Takes messages from subscriptions, in a thread of its own."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+
+from lsl_to_ros.ros_to_lsl.fields import RosMessage
+from lsl_to_ros.ros_to_lsl.stamping import MessageInfo
+
+REST_S = 0.0015
+"""After each round, so that messages that come close together are taken together: a round
+costs more than a message."""
+_WAIT_NS = 50_000_000
+_MAX_TAKEN = 200
+"""Of one subscription in a round, so that a flood does not keep the others waiting."""
+_END_S = 5.0
+
+Take = Callable[[RosMessage, MessageInfo], None]
+
+
+class TakenElsewhere(CallbackGroup):
+    """Keeps subscriptions away from the node's executor."""
+
+    def can_execute(self, entity: object) -> bool:
+        """No executor takes from them."""
+        del entity
+        return False
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    subscription: Subscription
+    take: Take
+
+
+class Taker:
+    """Waits for messages of any subscription, and hands each to whom it belongs.
+
+    An executor of rclpy takes two to three times the processor time (decision 58).
+
+    Parameters
+    ----------
+    node
+        That made the subscriptions.
+    failed
+        Called with an error that a receiver has raised.
+    """
+
+    def __init__(self, node: Node, failed: Callable[[Subscription, Exception], None]) -> None:
+        self._context = node.context
+        self._failed = failed
+        self._entries: list[_Entry] = []
+        self._todo: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True, name="take messages")
+        self._thread.start()
+
+    def add(self, subscription: Subscription, take: Take) -> None:
+        """Hand the messages of a subscription to *take* from now on."""
+        self._todo.put(lambda: self._entries.append(_Entry(subscription, take)))
+
+    def remove(self, subscription: Subscription) -> None:
+        """Take what has come, and nothing more; the subscription may be destroyed then."""
+        done = threading.Event()
+
+        def leave() -> None:
+            for each in [each for each in self._entries if each.subscription is subscription]:
+                self._take(each)
+                self._entries.remove(each)
+            done.set()
+
+        self._todo.put(leave)
+        done.wait(_END_S)
+
+    def stop(self) -> None:
+        """Take what has come, and end."""
+        self._stopping.set()
+        self._thread.join(_END_S)
+
+    def _run(self) -> None:
+        wait_set: Any = None
+        while not self._stopping.is_set():
+            before = len(self._entries), wait_set
+            self._do_what_is_to_do()
+            if not self._entries:
+                time.sleep(_WAIT_NS / 1e9)
+                continue
+            if wait_set is None or len(self._entries) != before[0]:
+                size = len(self._entries)
+                wait_set = rclpy_implementation.WaitSet(size, 0, 0, 0, 0, 0, self._context.handle)
+            self._round(wait_set)
+            time.sleep(REST_S)
+        self._do_what_is_to_do()
+        for each in self._entries:
+            self._take(each)
+
+    def _do_what_is_to_do(self) -> None:
+        try:
+            while True:
+                self._todo.get_nowait()()
+        except Empty:
+            return
+
+    def _round(self, wait_set: Any) -> None:  # noqa: ANN401 - rclpy has no types for it
+        wait_set.clear_entities()
+        for each in self._entries:
+            wait_set.add_subscription(each.subscription.handle)
+        wait_set.wait(_WAIT_NS)
+        ready = set(wait_set.get_ready_entities("subscription"))
+        for each in self._entries:
+            if each.subscription.handle.pointer in ready:
+                self._take(each)
+
+    def _take(self, entry: _Entry) -> None:
+        subscription = entry.subscription
+        handle, kind = subscription.handle, subscription.msg_type
+        for _ in range(_MAX_TAKEN):
+            try:
+                taken = handle.take_message(kind, False)
+                if taken is None:
+                    return
+                entry.take(*taken)
+            except Exception as error:  # noqa: BLE001 - else no topic would be sent any more
+                self._failed(subscription, error)
+                return

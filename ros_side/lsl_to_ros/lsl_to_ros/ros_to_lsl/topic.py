@@ -1,0 +1,132 @@
+"""One topic that is sent: its subscription follows its publishers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from time import monotonic
+
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from biosensor_common.errors import GatewayError
+from lsl_to_ros.ros_to_lsl.bridge import OLD_MESSAGES_S, Bridge, MessageType
+from lsl_to_ros.ros_to_lsl.fields import RosMessage, message_class
+from lsl_to_ros.ros_to_lsl.graph import Quality, quality_of
+from lsl_to_ros.ros_to_lsl.stamping import MessageInfo
+from lsl_to_ros.ros_to_lsl.taking import TakenElsewhere, Taker
+
+_USUAL = Quality()
+"""Of a topic that nobody publishes yet: what most publishers will offer."""
+
+
+class Topic:
+    """Subscribes a topic as its publishers offer it, anew when that changes.
+
+    Attributes
+    ----------
+    bridge
+    kind
+        Type of the messages; None before it is known.
+    quality
+        Of the subscription.
+    publishers
+        How many there are.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        taker: Taker,
+        group: TakenElsewhere,
+        bridge: Bridge,
+        say: Callable[[str], None],
+    ) -> None:
+        self._node, self._taker, self._group, self._say = node, taker, group, say
+        self.bridge = bridge
+        self.kind: MessageType | None = None
+        self.quality = Quality()
+        self.publishers = 0
+        self._subscription: Subscription | None = None
+        self._subscribed_s = 0.0
+        self._others: set[str] = set()
+        if bridge.request.type_name:
+            # Before anybody publishes, for the first message may be the only one.
+            self._connect(bridge.request.type_name, "")
+
+    @property
+    def name(self) -> str:
+        """Full name of the topic."""
+        return self.bridge.request.topic
+
+    def follow(self, publishers: Sequence[TopicEndpointInfo]) -> int:
+        """Take in who publishes it now; return how many messages were newly lost on the way."""
+        self.publishers = len(publishers)
+        if publishers and self.kind is None:
+            first = publishers[0]
+            self._connect(first.topic_type, str(first.topic_type_hash), quality_of(publishers))
+        elif publishers and self.kind is not None:
+            self._tell_others(publishers, self.kind.name)
+            quality = quality_of([p for p in publishers if p.topic_type == self.kind.name])
+            if self._subscription is not None and quality != self.quality:
+                self._say(f"its publishers are {quality} now, and so is the subscription")
+                self._subscribe(quality)
+        return self.bridge.losses.look(len(publishers))
+
+    def refuse(self, reason: str) -> None:
+        """Send nothing while there is a reason."""
+        self._unsubscribe()
+        self.kind = None
+        if self.bridge.fault != reason:
+            self.bridge.fault = reason
+            self._say(f"{reason}; it is not sent")
+
+    def _connect(self, type_name: str, type_hash: str, quality: Quality = _USUAL) -> None:
+        try:
+            self.kind = MessageType(type_name, type_hash, message_class(type_name))
+        except GatewayError as error:
+            if not self.bridge.fault:
+                self.bridge.fault = str(error)
+                self._say(f"{error}; it is not sent")
+            return
+        self.bridge.fault = ""
+        self.bridge.connect(self.kind)
+        if not self.bridge.fault:
+            self._subscribe(quality)
+
+    def _tell_others(self, publishers: Sequence[TopicEndpointInfo], type_name: str) -> None:
+        others = {each.topic_type for each in publishers} - {type_name} - self._others
+        if others:
+            self._others |= others
+            self._say(
+                f"{', '.join(sorted(others))} is published on it, too; only {type_name} is sent"
+            )
+
+    def _subscribe(self, quality: Quality) -> None:
+        assert self.kind is not None
+        self._unsubscribe()
+        self.quality, self._subscribed_s = quality, monotonic()
+        self._subscription = self._node.create_subscription(
+            self.kind.message_class,
+            self.name,
+            _nobody,
+            quality.profile,
+            callback_group=self._group,
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+        )
+        self._taker.add(self._subscription, self._take)
+
+    def _unsubscribe(self) -> None:
+        if self._subscription is not None:
+            self._taker.remove(self._subscription)
+            self._node.destroy_subscription(self._subscription)
+            self._subscription = None
+
+    def _take(self, message: RosMessage, info: MessageInfo) -> None:
+        is_new = monotonic() - self._subscribed_s < OLD_MESSAGES_S
+        self.bridge.take(message, info, may_be_old=self.quality.is_latched and is_new)
+
+
+def _nobody(_message: object) -> None:
+    """Stand in for a callback: no executor takes from these subscriptions."""

@@ -1,0 +1,281 @@
+"""The node ``ros_to_lsl``, from real publishers to real inlets."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import time
+from array import array
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+
+import pylsl
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import BatteryState, Image, JointState
+from std_msgs.msg import Empty, Float64, String
+
+if TYPE_CHECKING:
+    from tests.ros.conftest import Ros, RunningNode
+
+MODULE = "lsl_to_ros.ros_to_lsl.node"
+DEADLINE_S = 30.0
+BEST_EFFORT = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+Start = Callable[..., "RunningNode"]
+
+
+class Streams:
+    """What the node offers to LSL."""
+
+    def __init__(self, ros: Ros) -> None:
+        self._ros = ros
+        self._resolver = pylsl.ContinuousResolver()
+
+    def names(self) -> set[str]:
+        return {info.name() for info in self._resolver.results()}
+
+    def open(self, name: str, other_than: Stream | None = None) -> Stream:
+        """Wait for a stream of a name, and open it."""
+        known = other_than.source_id if other_than else ""
+
+        def found() -> list[pylsl.StreamInfo]:
+            results = self._resolver.results()
+            return [each for each in results if each.name() == name and each.source_id() != known]
+
+        self._ros.until(lambda: bool(found()), f"a stream {name}")
+        return Stream(self._ros, pylsl.StreamInlet(found()[0], recover=False))
+
+
+class Stream:
+    """One of its streams, received from now on."""
+
+    def __init__(self, ros: Ros, inlet: pylsl.StreamInlet) -> None:
+        self._ros, self._inlet = ros, inlet
+        inlet.open_stream(DEADLINE_S)
+        self.header = ElementTree.fromstring(inlet.info(DEADLINE_S).as_xml())
+        self.samples: list[list[Any]] = []
+        self.stamps: list[float] = []
+
+    @property
+    def source_id(self) -> str:
+        return self.header.findtext("source_id") or ""
+
+    @property
+    def labels(self) -> list[str | None]:
+        return [each.text for each in self.header.findall("desc/channels/channel/label")]
+
+    def of_ros(self, name: str) -> str:
+        return self.header.findtext(f"desc/ros/{name}") or ""
+
+    def until(self, holds: Callable[[], bool], expected: str) -> None:
+        def look() -> bool:
+            samples, stamps = self._inlet.pull_chunk(timeout=0.0, max_samples=1024)
+            self.samples += [list(each) for each in samples]
+            self.stamps += list(stamps)
+            return holds()
+
+        self._ros.until(look, expected)
+
+    def until_sent(self, publish: Callable[[], None], holds: Callable[[], bool]) -> None:
+        """Publish again and again until something has come."""
+
+        def look() -> bool:
+            publish()
+            return holds()
+
+        self.until(look, "what is published")
+
+
+@pytest.fixture
+def streams(ros: Ros) -> Iterator[Streams]:
+    yield Streams(ros)
+
+
+def arguments(topics: str, *more: str) -> list[str]:
+    given = (f"topics:=[{topics}]", *more)
+    return ["--ros-args", *(word for each in given for word in ("-p", each))]
+
+
+def stamped_now(message: Any, offset_s: float = 0.0) -> Any:
+    now_ns = time.time_ns() + round(offset_s * 1e9)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(now_ns, 10**9)
+    return message
+
+
+def joints(*names: str) -> JointState:
+    return stamped_now(JointState(name=list(names), position=array("d", range(len(names)))))
+
+
+def test_joints_are_a_stream_with_their_names_and_a_new_one_when_they_change(
+    ros: Ros, streams: Streams, start_node: Start
+) -> None:
+    names = ["shoulder", "elbow"]
+    ros.publish(lambda: joints(*names), "/arm/joint_states")
+    node = start_node(*arguments("/arm/joint_states"), module=MODULE)
+    first = streams.open("arm-joint_states")
+    assert first.labels == ["shoulder.position", "elbow.position"]
+    assert first.header.findtext("channel_format") == "double64"
+    assert first.of_ros("topic") == "/arm/joint_states"
+    assert first.of_ros("type") == "sensor_msgs/msg/JointState"
+    assert first.of_ros("type_hash").startswith("RIHS01_")
+    assert (first.of_ros("stamp_source"), first.of_ros("clock")) == ("header", "synchronised")
+    before = pylsl.local_clock()
+    first.until(lambda: bool(first.stamps) and first.stamps[-1] > before, "samples of now")
+    assert first.samples[-1] == [0.0, 1.0]
+    assert first.stamps[-1] < pylsl.local_clock()
+
+    names.append("wrist")
+    second = streams.open("arm-joint_states", other_than=first)
+    ros.until(lambda: ros_value(ros, "/arm/joint_states", "replaced") == "1", "that it is counted")
+    assert second.labels == ["shoulder.position", "elbow.position", "wrist.position"]
+    assert node.count("its sequences have changed: 3 channels now") == 1
+    assert node.signal(signal.SIGINT) == 0
+    assert "Traceback" not in node.log
+
+
+def ros_value(ros: Ros, topic: str, key: str) -> str:
+    status = ros.status(topic)
+    return status[key] if status is not None else ""
+
+
+def test_a_marker_that_is_published_once_is_in_the_stream_at_its_time(
+    ros: Ros, streams: Streams, start_node: Start
+) -> None:
+    options = ("/trial.as:=markers", "/go.as:=markers", "/go.type:=std_msgs/msg/Empty")
+    start_node(*arguments("/trial, /go", *options), module=MODULE)
+    # Nobody publishes them yet, and a recorder sees them all the same.
+    trial, go = streams.open("trial"), streams.open("go")
+    assert go.of_ros("type") == "std_msgs/msg/Empty"
+    go.until(lambda: go.samples == [["ros_to_lsl ready"]], "that the stream is there")
+    ready = ros.node.create_publisher(Empty, "/go", 1)
+    ros.until(lambda: ready.get_subscription_count() == 1, "a subscriber")
+    ready.publish(Empty())
+    go.until(lambda: go.samples[1:] == [["/go"]], "a marker")
+
+    publisher = ros.node.create_publisher(String, "/trial", 1)
+    ros.until(lambda: publisher.get_subscription_count() == 1, "a subscriber")
+    before = pylsl.local_clock()
+    publisher.publish(String(data="trial 1"))
+    after = pylsl.local_clock()
+    trial.until(lambda: ["trial 1"] in trial.samples, "a marker")
+    stamp = trial.stamps[trial.samples.index(["trial 1"])]
+    assert before - 0.001 < stamp < after + 0.001
+
+
+def test_a_clock_that_is_wrong_is_said_everywhere_and_not_used(
+    ros: Ros, streams: Streams, start_node: Start
+) -> None:
+    ros.publish(lambda: stamped_now(PoseStamped(), offset_s=3600.0), "/hand", BEST_EFFORT)
+    node = start_node(*arguments("/hand"), module=MODULE)
+    hand = streams.open("hand")
+    assert (hand.of_ros("stamp_source"), hand.of_ros("clock")) == ("source", "unsynchronised")
+    assert float(hand.of_ros("clock_edge_s")) == pytest.approx(-3600, abs=1)
+    assert hand.header.findtext("type") == "MoCap"
+    hand.until(lambda: bool(hand.stamps), "a sample")
+    assert hand.stamps[0] == pytest.approx(pylsl.local_clock(), abs=5)
+    ros.until(lambda: ros_status(ros, "/hand").level == DiagnosticStatus.WARN, "a warning")
+    assert "3600" in ros_status(ros, "/hand").message
+    assert node.count("/hand", "ahead of this computer's time") == 1
+
+
+def ros_status(ros: Ros, topic: str) -> Any:
+    ros.until(lambda: ros.status(topic) is not None, f"{topic} in /diagnostics")
+    return ros.status(topic)
+
+
+def test_publishers_of_another_quality_are_heard_too(
+    ros: Ros, streams: Streams, start_node: Start
+) -> None:
+    ros.publish(lambda: Float64(data=1.0), "/level")
+    start_node(*arguments("/level"), module=MODULE)
+    level = streams.open("level")
+    level.until(lambda: bool(level.samples), "a sample")
+    ros.until(lambda: ros_value(ros, "/level", "lost") == "0", "no loss")
+    ros.publish(lambda: Float64(data=2.0), "/level", BEST_EFFORT)
+    level.until(lambda: [2.0] in level.samples, "what is published with best effort")
+    count = len(level.samples)
+    level.until(lambda: [1.0] in level.samples[count:], "what is published reliably")
+    # Two publishers count each for itself.
+    ros.until(lambda: ros_value(ros, "/level", "lost") == "unknown", "that nobody knows")
+    assert ros_value(ros, "/level", "quality_of_service") == "best effort, volatile"
+
+
+def test_text_beside_numbers_is_a_stream_of_markers_of_its_changes(
+    ros: Ros, streams: Streams, start_node: Start
+) -> None:
+    state = BatteryState(voltage=12.5, percentage=math.nan)
+    state.power_supply_status = BatteryState.POWER_SUPPLY_STATUS_CHARGING
+    publisher = ros.node.create_publisher(BatteryState, "/battery", LATCHED)
+    publisher.publish(state)
+    start_node(*arguments("/battery"), module=MODULE)
+    numbers, text = streams.open("battery"), streams.open("battery__text")
+    assert "voltage" in numbers.labels
+    numbers.until_sent(lambda: publisher.publish(state), lambda: bool(numbers.samples))
+    assert numbers.samples[0][numbers.labels.index("voltage")] == 12.5
+    assert math.isnan(numbers.samples[0][numbers.labels.index("percentage")])
+    state.power_supply_status = BatteryState.POWER_SUPPLY_STATUS_FULL
+    text.until_sent(lambda: publisher.publish(state), lambda: '"FULL"' in str(text.samples))
+    changes = [json.loads(each) for (each,) in text.samples if each.startswith("{")]
+    assert [each["power_supply_status"] for each in changes] == ["FULL"]
+
+
+def test_everything_small_is_sent_and_nothing_goes_in_a_circle(
+    ros: Ros, streams: Streams, start_node: Start
+) -> None:
+    # An LSL stream of somebody else, which lsl_to_ros publishes.
+    outlet = pylsl.StreamOutlet(pylsl.StreamInfo("amp", "EEG", 1, 0, "double64", "amp-1"))
+    start_node()
+    amp = "/biosensors/amp/EEG"
+    ros.until(lambda: bool(ros.publishers(amp)), "a topic of lsl_to_ros")
+    ros.publish(lambda: Float64(data=4.0), "/level")
+    ros.publish(Image, "/camera")
+    explicit = start_node(*arguments(amp, "all_small:=true"), module=MODULE)
+    sent = streams.open("level")
+    sent.until(lambda: [4.0] in sent.samples, "a sample")
+    # By then both nodes have looked at all of it several times.
+    ros.spin(3.0)
+    names = streams.names()
+    assert {"level", "amp"} <= names
+    assert not any("biosensors" in name or "camera" in name for name in names)
+    assert not any(name in names for name in ("diagnostics", "rosout", "lsl_to_ros-streams"))
+    assert not any("level" in topic for topic in ros.topics() if topic.startswith("/biosensors"))
+    assert not any("ros_to_lsl" in topic for topic in ros.topics() if "/biosensors" in topic)
+    assert explicit.count(amp, "lsl_to_ros publishes it") == 1
+    del outlet
+
+
+def test_a_type_that_is_not_installed_is_said_and_the_others_go_on(
+    ros: Ros, streams: Streams, start_node: Start
+) -> None:
+    ros.publish(lambda: Float64(data=5.0), "/level")
+    more = ("/face.type:=hri_msgs/msg/FacialLandmarks", "/pose.fields:=[position]")
+    node = start_node(*arguments("/level, /face, /pose, /levels", *more), module=MODULE)
+    ros.publish(lambda: stamped_now(PoseStamped()), "/pose")
+    sent = streams.open("level")
+    sent.until(lambda: [5.0] in sent.samples, "a sample")
+    ros.until(lambda: ros_status(ros, "/face").level == DiagnosticStatus.ERROR, "an error")
+    assert "hri_msgs/msg/FacialLandmarks is not installed" in ros_status(ros, "/face").message
+    ros.until(lambda: ros_status(ros, "/pose").level == DiagnosticStatus.ERROR, "an error")
+    assert "'position'" in ros_status(ros, "/pose").message
+    ros.until(lambda: node.count("/levels: nobody publishes it yet") == 1, "a hint")
+    assert node.is_running
+
+
+def test_what_is_wrong_ends_it_with_one_sentence(start_node: Start) -> None:
+    simulated = start_node(*arguments("/a", "use_sim_time:=true"), module=MODULE)
+    unreadable = start_node("--ros-args", "-p", "topics:=[", module=MODULE)
+    empty = start_node("--ros-args", "-p", "topics:=[]", module=MODULE)
+    shown = start_node("--help", module=MODULE)
+    for node in (simulated, unreadable, empty):
+        assert node.wait() == 2
+        assert "Traceback" not in node.log
+        assert node.count("ros_to_lsl:") == 1
+    assert "simulated time cannot be put on the LSL clock" in simulated.log
+    assert shown.wait() == 0
+    assert "all_small" in shown.log

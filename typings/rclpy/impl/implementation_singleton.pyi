@@ -1,0 +1,3 @@
+from typing import Any
+
+rclpy_implementation: Any
