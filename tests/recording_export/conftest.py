@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,14 @@ from biosensor_gateway.recording.export.exporter import Clock
 from biosensor_gateway.recording.export.exporting import Outcome, Task, export
 
 Exporting = Callable[..., Outcome]
+
+
+@pytest.fixture(scope="package", autouse=True)
+def _no_wait_for_the_disk() -> Generator[None]:  # pyright: ignore[reportUnusedFunction]
+    """Hundreds of small files are exported, and none has to outlive the power."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(os, "fsync", lambda _file: None)  # pyright: ignore[reportUnknownLambdaType, reportUnknownArgumentType]
+        yield
 
 
 @pytest.fixture
