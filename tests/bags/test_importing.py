@@ -16,6 +16,7 @@ from biosensor_gateway.cli.bag import app
 from biosensor_gateway.recording.bag.errors import BagError, BagReason
 from biosensor_gateway.recording.bag.importing import import_bag
 from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.recording import read_recording
 from tests.bags import made
@@ -302,3 +303,29 @@ def test_a_clock_that_nobody_knows_is_said(tmp_path: Path) -> None:
     import_bag(tmp_path / "a", tmp_path / "b.xdf")
     (stream,) = made.held(tmp_path / "b.xdf")
     assert stream.stamps.tolist() == [9.0]
+
+
+def test_samples_without_a_time_of_day_are_left_out_and_counted(tmp_path: Path) -> None:
+    header, _ = made.declared(1, "zephyr", "ecg")
+    values, stamps = [[0.5], [1.5], [2.5], [3.5]], [-1e300, 9.0, 9.004, 1e300]
+    samples = [
+        made.xdf_file.samples(1, "float32", [value], [stamp])
+        for value, stamp in zip(values, stamps, strict=True)
+    ]
+    (tmp_path / "a.xdf").write_bytes(made.xdf_file.xdf(header, *samples))
+    outcome = made.to_bag(tmp_path / "a.xdf", tmp_path / "a")
+    _, left_out = outcome.written[0].notes
+    assert left_out == "2 samples of zephyr-U1-ecg are not in it: their stamp is no time of day"
+    import_bag(tmp_path / "a", tmp_path / "b.xdf")
+    (stream,) = made.held(tmp_path / "b.xdf")
+    assert stream.stamps.tolist() == [9.0, 9.004]
+
+
+def test_without_any_time_there_is_no_bag(tmp_path: Path) -> None:
+    header, _ = made.declared(1, "zephyr", "ecg")
+    samples = made.xdf_file.samples(1, "float32", [[0.5]], [1e300])
+    (tmp_path / "a.xdf").write_bytes(made.xdf_file.xdf(header, samples))
+    with pytest.raises(RecordingError) as caught:
+        made.to_bag(tmp_path / "a.xdf", tmp_path / "a")
+    assert caught.value.reason is RecordingReason.EMPTY
+    assert not (tmp_path / "a").exists()

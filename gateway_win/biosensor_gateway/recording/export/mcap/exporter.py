@@ -22,6 +22,7 @@ from biosensor_gateway.recording.export.exporter import Order, Progress
 from biosensor_gateway.recording.export.mcap.bag import Bag, new_bag
 from biosensor_gateway.recording.export.mcap.cdr import ENCAPSULATION, text
 from biosensor_gateway.recording.export.mcap.stream_topics import StreamTopics, names_of
+from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
 _TOLD_EVERY_S = 1.0
 
@@ -52,6 +53,7 @@ class _Conversion:
         self._wall = contents.wall or _no_wall_clock()
         self._begin_s = max(chosen.begin_s, contents.begin_s)
         self._timeless: dict[int, int] = {}
+        self._is_told = False
         names = names_of(contents.streams)
         # Looked for by the library from the first on, with each message.
         by_rate = sorted(chosen.streams, key=lambda stream: -stream.header.rate)
@@ -60,7 +62,6 @@ class _Conversion:
         }
 
     def run(self, progress: Progress) -> None:
-        self._tell_origin()
         told_s = self._begin_s
         for stream, samples in self._chosen.merged():
             first_ns = self._write(stream, samples)
@@ -69,6 +70,10 @@ class _Conversion:
             if (now_s := float(samples.times[0])) > told_s + _TOLD_EVERY_S:
                 told_s = now_s
                 progress(now_s - self._begin_s)
+        if not self._is_told:
+            path = self._chosen.contents.path
+            message = f"no sample of {path} has a time of day, so there is nothing for a bag"
+            raise RecordingError(RecordingReason.EMPTY, message)
 
     def _write(self, stream: Stream, samples: Samples) -> int | None:
         """Write what has a time of day; return the first one, in ns."""
@@ -82,11 +87,14 @@ class _Conversion:
             self._timeless[stream.number] = self._timeless.get(stream.number, 0) + missing
         if not len(kept):
             return None
+        if not self._is_told:
+            self._tell_origin(int(unix_ns[0]))
         self._topics[stream.number].write(unix_ns, kept.values)
         return int(unix_ns[0])
 
-    def _tell_origin(self) -> None:
-        """Write what the way back needs."""
+    def _tell_origin(self, begin_ns: int) -> None:
+        """Write what the way back needs, at the time of the first sample."""
+        self._is_told = True
         contents = self._chosen.contents
         told = [clock_text(RecordedClock(contents.begun, self._wall))]
         for stream in self._chosen.streams:
@@ -96,7 +104,6 @@ class _Conversion:
             )
             told.append(stream_text(recorded))
         connection = self._bag.open(TOPIC, "std_msgs/msg/String", len(told), latched=True)
-        begin_ns = max(0, int(self._wall.to_unix_ns(np.array([self._begin_s]))[0]))
         messages = [ENCAPSULATION + text(each) for each in told]
         self._bag.add(connection, [begin_ns] * len(messages), messages)
 
