@@ -167,6 +167,13 @@ def test_one_person_alone_can_be_cut_out(exported: Exporting) -> None:
     assert _folders(dataset) == ["sub-p02"]
 
 
+def test_who_is_left_out_leaves_nothing_to_the_other(exported: Exporting) -> None:
+    dataset = _dataset(exported, SHAPES["two persons and a room"], without="p01")
+    assert _folders(dataset) == ["sub-p02", "sub-shared"]
+    assert "p01" not in "".join(map(str, dataset.rglob("*")))
+    read(dataset / "sub-shared", "recording-room_physio")
+
+
 def test_time_has_one_zero_for_all(exported: Exporting) -> None:
     dataset = _dataset(exported, SHAPES["two persons and a room"], begin="2")
     for path in dataset.rglob("*beh/*.json"):

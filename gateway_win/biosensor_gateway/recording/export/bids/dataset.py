@@ -67,7 +67,7 @@ class _Dataset:
         streams = [each for each in chosen.streams if not is_left_out(each)]
         self._signals = [each for each in streams if not is_markers(each)]
         self._markers = [each for each in streams if is_markers(each)]
-        self._subjects = find_subjects(streams, told.get("sub", ""))
+        self._subjects = find_subjects(chosen, streams, told.get("sub", ""))
 
     def write(self) -> list[str]:
         writer = SignalWriter(self._chosen, self._timeline, self._root, self._count)

@@ -76,9 +76,9 @@ def describe(root: Path, name: str, subjects: Subjects, written: set[str]) -> No
 
 def sentences(remarks: Remarks, subjects: Subjects) -> Iterator[str]:
     """Give what a person should know at once."""
-    if subjects.nobodys == UNKNOWN:
+    if subjects.participants.get(UNKNOWN) == "":
         yield f"no stream names a participant: all is in sub-{UNKNOWN}"
-    elif subjects.nobodys in subjects.participants and len(subjects.participants) > 1:
+    elif subjects.participants.get(subjects.nobodys) == "":
         yield f"streams that name nobody are in sub-{subjects.nobodys}; markers hold for everybody"
     if remarks.without_samples:
         yield f"no samples, so no table: {_listed(remarks.without_samples)}"

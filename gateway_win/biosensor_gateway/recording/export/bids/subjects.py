@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from biosensor_common.quantities import ChannelFormat, ContentType
+from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export.bids.file_names import labels
 
@@ -48,32 +49,38 @@ def participant(stream: Stream) -> str:
     return "" if identity is None else identity.participant
 
 
-def find_subjects(streams: Sequence[Stream], named: str) -> Subjects:
+def find_subjects(chosen: Chosen, streams: Sequence[Stream], named: str) -> Subjects:
     """Find out who was recorded.
 
-    Of a single person are also the streams that name nobody. Of several, these have a folder of
-    their own, if there are any that are more than markers.
+    Of a single person are also the streams that name nobody. Where there were several, these
+    have a folder of their own, if there are any that are more than markers.
 
     Parameters
     ----------
+    chosen
+        Who is left out of it was there, nevertheless.
     streams
-        Which may be fewer than the recording has.
+        Of these, what is to be written.
     named
         Label of the subject in the recording's name, empty if there is none.
     """
-    named_people = [participant(each) for each in streams]
-    people = list(dict.fromkeys(each for each in named_people if each))
-    if not people:
+    people = _people(streams)
+    if not people and len(_people(chosen.contents.streams)) < 2:
         only = named or UNKNOWN
         return Subjects({only: ""}, only)
     # Reserved, so that nobody's label is the same.
     found = labels({"": [SHARED], **{each: [each] for each in people}})
     shared = found.pop("")
     called = {found[each]: each for each in people}
-    if len(people) == 1:
+    if len(_people(chosen.contents.streams)) == 1:
         return Subjects(called, next(iter(called)))
     has_shared = any(not participant(each) and not is_markers(each) for each in streams)
-    return Subjects(called | ({shared: ""} if has_shared else {}), shared)
+    return Subjects(called | ({shared: ""} if has_shared or not people else {}), shared)
+
+
+def _people(streams: Sequence[Stream]) -> list[str]:
+    named = [participant(each) for each in streams]
+    return list(dict.fromkeys(each for each in named if each))
 
 
 def is_markers(stream: Stream) -> bool:
