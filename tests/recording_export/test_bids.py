@@ -100,6 +100,14 @@ def test_markers_are_events_and_what_was_taken_back_says_so(exported: Exporting)
     assert json.loads(table.of("value")[2])["note"] == "Übelkeit?"
 
 
+def test_markers_of_other_programs_are_events_too(exported: Exporting) -> None:
+    table = read(_dataset(exported, SHAPES["foreign"]), "_events")
+    names = dict(zip(table.of("trial_type"), table.of("stream"), strict=True))
+    assert names["trial 3, left"] == "PsychoPy"
+    assert names["4"] == "keys"
+    assert list(map(float, table.of("onset"))) == sorted(map(float, table.of("onset")))
+
+
 def test_a_marker_is_when_it_says_it_was(exported: Exporting) -> None:
     agent = DeviceIdentity("gateway", "lab-pc")
     texts = [marker(1, "later", 105.0), marker(2, "earlier", 103.5), marker(3, "wrong", 9e9)]

@@ -50,11 +50,9 @@ def export_recording(
         exporter.Clock, typer.Option(help="LSL time, or unix time where the recording tells it.")
     ] = exporter.Clock.LSL,
     task: Annotated[
-        str, typer.Option(help="Of bids, else what the recording's name says, or study.")
+        str, typer.Option(help="For bids; else from the recording's name, or study.")
     ] = "",
-    session: Annotated[
-        str, typer.Option(help="Of bids, else what the recording's name says.")
-    ] = "",
+    session: Annotated[str, typer.Option(help="For bids; else from the recording's name.")] = "",
     output: Annotated[
         Path | None,
         typer.Option(

@@ -78,15 +78,17 @@ def happenings(stream: Stream, samples: Samples, timeline: Timeline) -> Iterator
     kind = stream.header.data_name if identity is not None and identity.sensor == AGENT else ""
     onsets = timeline.since_zero(samples.times).tolist()
     for place, onset_s in enumerate(onsets):
-        happening = Happening(onset_s, "", _text(samples.values[place]))
+        texts = _texts(samples.values[place])
+        whole = texts[0] if len(texts) == 1 else json.dumps(texts, ensure_ascii=False)
+        happening = Happening(onset_s, "", whole)
         if kind:
             content = _content(happening.text)
             if kind == EVENTS and content.get("event") not in _OF_DEVICES:
                 continue
             _tell(happening, content)
             happening.onset_s = _told_onset(samples, place, content, timeline, onset_s)
-        elif len(happening.text) <= _LONGEST_NAME:
-            happening.name = happening.text
+        elif len(whole) <= _LONGEST_NAME:
+            happening.name = ", ".join(texts)
         yield happening
 
 
@@ -110,10 +112,9 @@ def _told_onset(
     return float(timeline.since_zero(np.array([time_s - stamp_s + told]))[0])
 
 
-def _text(value: Iterable[str | np.generic]) -> str:
-    """Return all channels of a sample, as text."""
-    texts = [each if isinstance(each, str) else str(each.item()) for each in value]
-    return texts[0] if len(texts) == 1 else json.dumps(texts, ensure_ascii=False)
+def _texts(values: Iterable[str | np.generic]) -> list[str]:
+    """Return all channels of a sample, as texts."""
+    return [each if isinstance(each, str) else str(each.item()) for each in values]
 
 
 def _content(text: str) -> Mapping[str, Any]:
