@@ -76,6 +76,14 @@ def test_the_rate_is_that_between_gaps() -> None:
     assert part.start_s == pytest.approx(0.0, abs=1e-4)
 
 
+def test_the_rate_is_not_that_of_stamps_which_all_come_at_once() -> None:
+    times = np.arange(20000) / 249.95
+    times[5000:8000] = times[8000] - np.arange(3000, 0, -1) * 1e-6
+    timing = find_timing(np.array_split(times, 11), _header(250.0))
+    assert timing is not None
+    assert timing.rate_hz == pytest.approx(249.95, rel=1e-4)
+
+
 @pytest.mark.parametrize(
     "times", [np.zeros(500), np.array([1.0, 1.001]), np.array([3.0]), np.arange(40) * 1e-6]
 )

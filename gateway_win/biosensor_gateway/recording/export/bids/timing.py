@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -17,6 +18,10 @@ FURTHEST_BACK_S = 1.0
 """Where time steps back further, the clock was another one, and a table of its own begins."""
 # A stream whose stamps all come at once seems to have any rate.
 _MOST_OFF_NOMINAL = 10.0
+# Where a clock was lost for a while, samples are stamped all at once, which the line follows.
+_MOST_OFF_MEDIAN = 0.01
+_STRETCH_S = 4.0
+_LEAST_STRETCH = 16
 
 
 @dataclass(slots=True)
@@ -86,6 +91,9 @@ class _Line:
 @dataclass(slots=True)
 class _Survey:
     longest_step_s: float
+    stretch: int
+    """Samples."""
+    stretches_s: array[float] = field(default_factory=lambda: array("d"))
     spread: float = 0.0
     product: float = 0.0
     gaps: int = 0
@@ -113,6 +121,7 @@ class _Survey:
     def _extend(self, times: NDArray[np.float64]) -> None:
         if len(times):
             self._line.add(times)
+            self.stretches_s.extend(np.diff(times[:: self.stretch]))
             self.parts[-1].count += len(times)
             self._last_s = float(times[-1])
 
@@ -141,7 +150,9 @@ def find_timing(blocks: Iterable[NDArray[np.float64]], header: RecordedHeader) -
     """Find out how a regular stream was sampled; None if there is no sample.
 
     The rate is the slope of one straight line with an offset for each run between two gaps,
-    by least squares. Rows are counted from where the line through the first run begins.
+    by least squares; where that is far from the median of stretches of a few seconds, because
+    stamps are wrong, it is this median. Rows are counted from where the line through the first
+    run begins.
 
     Parameters
     ----------
@@ -150,7 +161,8 @@ def find_timing(blocks: Iterable[NDArray[np.float64]], header: RecordedHeader) -
     header
         Of the stream.
     """
-    survey = _Survey(longest_step_s(header))
+    stretch = max(_LEAST_STRETCH, round(header.rate * _STRETCH_S))
+    survey = _Survey(longest_step_s(header), stretch)
     for times in blocks:
         survey.add(times)
     if not survey.parts:
@@ -169,5 +181,9 @@ def _rate(survey: _Survey, nominal_hz: float) -> float:
     if survey.spread < 1.0 or survey.product <= 0:
         return nominal_hz
     found_hz = survey.spread / survey.product
+    if survey.stretches_s:
+        median_s = float(np.median(survey.stretches_s)) / survey.stretch
+        if abs(found_hz * median_s - 1.0) > _MOST_OFF_MEDIAN:
+            found_hz = 1.0 / median_s if median_s > 0 else nominal_hz
     is_likely = nominal_hz / _MOST_OFF_NOMINAL < found_hz < nominal_hz * _MOST_OFF_NOMINAL
     return found_hz if is_likely else nominal_hz
