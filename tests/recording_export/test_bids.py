@@ -213,7 +213,7 @@ def test_what_is_far_apart_has_tables_of_its_own(exported: Exporting) -> None:
     (written,) = outcome.written
     starts = [
         read(written.path, f"recording-{name}_physio").sidecar["StartTime"]
-        for name in ("pausedpart1", "pausedpart2", "setbackpart1", "setbackpart2")
+        for name in ("paused+part1", "paused+part2", "setback+part1", "setback+part2")
     ]
     assert starts == pytest.approx([0.0, 7300.0, 50.0, 20.0], abs=1e-5)
     assert not list(written.path.rglob("*nowhere*"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from biosensor_common.quantities import Unit
 from biosensor_gateway.recording.contents.stream import Stream
@@ -19,15 +19,16 @@ DURATION = "duration"
 _OWN = frozenset({TIMESTAMP, ONSET, DURATION, "trial_type", "message"})
 
 # As BIDS writes units in its appendix; the others are as it wants them, or have no such form.
-_UNITS = {
+_UNITS: Mapping[str, str] = {
     Unit.CELSIUS: "oC",
     Unit.MICROSIEMENS: "uS",
     Unit.MICROVOLTS: "uV",
     Unit.MILLIVOLTS: "mV",
     Unit.NEWTONS: "N",
+    Unit.NONE: "",
     Unit.PERCENT: "%",
 }
-_NOT_SAID = {
+_NOT_SAID: Mapping[str, str] = {
     Unit.G: "in standard gravity, 1 g = 9.80665 m/s^2",
     Unit.COUNTS: "counts of the device's converter, without a physical unit",
 }
@@ -41,7 +42,7 @@ _HARDWARE = {
 
 def unit(name: str) -> str:
     """Return how BIDS writes a unit; empty if there is none."""
-    return {**_UNITS, Unit.NONE: ""}.get(name, name)  # type: ignore[call-overload]
+    return _UNITS.get(name, name)
 
 
 def columns(stream: Stream) -> list[str]:
@@ -64,7 +65,7 @@ def described_columns(stream: Stream) -> dict[str, object]:
     for name, label, unit_name in told:
         facts = {"Description": f"{label} of {stream.header.name}"}
         if unit_name in _NOT_SAID:
-            facts["Description"] += f", {_NOT_SAID[Unit(unit_name)]}"
+            facts["Description"] += f", {_NOT_SAID[unit_name]}"
         if unit(unit_name):
             facts["Units"] = unit(unit_name)
         found[name] = facts

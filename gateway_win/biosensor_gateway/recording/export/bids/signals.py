@@ -140,7 +140,8 @@ class SignalWriter:
         moved = 0
         parts = parts_of(self._batches(stream), timing.parts)
         for number, (part, batched) in enumerate(zip(timing.parts, parts, strict=True), 1):
-            label = f"{place.label}part{number}" if len(timing.parts) > 1 else place.label
+            # No other stream's label has a plus.
+            label = f"{place.label}+part{number}" if len(timing.parts) > 1 else place.label
             files = _Files(self._root, Place(place.entities, label), motion.is_motion(stream))
             files.table.parent.mkdir(parents=True, exist_ok=True)
             table = write_regular(files.table, self._counted(batched), part, timing.rate_hz)
