@@ -117,8 +117,8 @@ def _samples(stream: Stream) -> tuple[Any, list[Any]]:
     blocks = list(stream.blocks())
     values: list[Any] = []
     for block in blocks:
-        is_text = isinstance(block.values, list)
-        values += block.values if is_text else [each.tobytes() for each in block.values]
+        numbers = None if isinstance(block.values, list) else np.asarray(block.values)
+        values += block.values if numbers is None else [each.tobytes() for each in numbers]
     return np.concatenate([each.times for each in blocks]), values
 
 

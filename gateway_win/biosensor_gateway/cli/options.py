@@ -25,3 +25,24 @@ FaultOption = Annotated[
         "(repeatable).",
     ),
 ]
+
+# What of a recording is wanted.
+StreamsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--streams",
+        metavar="PATTERN",
+        help="Only streams of this name or source_id; * and ? stand for others (repeatable).",
+    ),
+]
+ParticipantOption = Annotated[str, typer.Option(help="Only this person's streams.")]
+WithoutOption = Annotated[
+    str, typer.Option("--without", metavar="PERSON", help="All streams but those of this person.")
+]
+FromOption = Annotated[
+    str,
+    typer.Option(
+        "--from", metavar="TIME", help="Since the begin, as 90.5 or 1:30.5, or a date and time."
+    ),
+]
+UntilOption = Annotated[str, typer.Option("--until", metavar="TIME", help="Likewise.")]

@@ -14,15 +14,14 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.lsl_config import LslOverrides
 from biosensor_gateway.cli import playing_words as words
+from biosensor_gateway.cli.recordings import wrong_recording
 from biosensor_gateway.cli.screen import say
 from biosensor_gateway.recording.contents.choice import Wish, choose
 from biosensor_gateway.recording.replay.live import refuse_if_present
 from biosensor_gateway.recording.replay.player import Order, Player
 from biosensor_gateway.recording.replay.source import content_hash, opened
-from biosensor_gateway.recording.xdf.container import RecordingError
 from biosensor_gateway.settings.models import LslSettings
 from biosensor_gateway.streaming.outlets import configure_lsl
 
@@ -61,26 +60,23 @@ async def play(wanted: Wanted, lsl: LslSettings) -> None:
 
 
 def _play(wanted: Wanted, stopping: threading.Event) -> None:
-    try:
-        with opened(wanted.file) as contents:
-            for sentence in words.damaged(contents.damages):
-                say(sentence)
-            player = Player(choose(contents, wanted.wish), wanted.order, content_hash(wanted.file))
-            refuse_if_present(
-                player.own_ids,
-                player.recorded_ids,
-                wanted.file.name,
-                may_be_beside=wanted.may_be_beside,
-            )
-            if not stopping.is_set():
-                player.offer()
-                say(words.begun(wanted.file.name, player, wanted.order.speed))
-                with _shown(player):
-                    player.run(stopping)
-            for sentence in words.ended(player, was_stopped=stopping.is_set()):
-                say(sentence)
-    except RecordingError as error:
-        raise ConfigError(ConfigReason.UNREADABLE, str(error)) from error
+    with wrong_recording(), opened(wanted.file) as contents:
+        for sentence in words.damaged(contents.damages):
+            say(sentence)
+        player = Player(choose(contents, wanted.wish), wanted.order, content_hash(wanted.file))
+        refuse_if_present(
+            player.own_ids,
+            player.recorded_ids,
+            wanted.file.name,
+            may_be_beside=wanted.may_be_beside,
+        )
+        if not stopping.is_set():
+            player.offer()
+            say(words.begun(wanted.file.name, player, wanted.order.speed))
+            with _shown(player):
+                player.run(stopping)
+        for sentence in words.ended(player, was_stopped=stopping.is_set()):
+            say(sentence)
 
 
 @contextmanager

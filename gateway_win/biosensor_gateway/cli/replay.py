@@ -3,45 +3,35 @@
 from __future__ import annotations
 
 import asyncio
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from biosensor_gateway.cli.loading import settings_or_defaults
-from biosensor_gateway.cli.options import SettingsOption
+from biosensor_gateway.cli.options import (
+    FromOption,
+    ParticipantOption,
+    SettingsOption,
+    StreamsOption,
+    UntilOption,
+    WithoutOption,
+)
+from biosensor_gateway.cli.recordings import RecordingArgument
 
 _SLOWEST, _FASTEST = 0.01, 1000.0
 
 
 def replay(
-    file: Annotated[Path, typer.Argument(help="The recording.", show_default=False)],
+    file: RecordingArgument,
     speed: Annotated[
         float,
         typer.Option(min=_SLOWEST, max=_FASTEST, help="Seconds of the recording in one second."),
     ] = 1.0,
-    begin: Annotated[
-        str,
-        typer.Option(
-            "--from",
-            metavar="TIME",
-            help="Where to begin: seconds, h:mm:ss, or a date as 2026-03-14T10:30:00.",
-            show_default=False,
-        ),
-    ] = "",
-    end: Annotated[
-        str, typer.Option("--until", metavar="TIME", help="Where to end.", show_default=False)
-    ] = "",
-    streams: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PATTERN",
-            help="Only streams of this name or source_id, with * and ? (repeatable).",
-        ),
-    ] = None,
-    participant: Annotated[
-        str, typer.Option(help="Only the streams of this participant.", show_default=False)
-    ] = "",
+    begin: FromOption = "",
+    end: UntilOption = "",
+    streams: StreamsOption = None,
+    participant: ParticipantOption = "",
+    without: WithoutOption = "",
     loop: Annotated[
         bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C.")
     ] = False,
@@ -61,9 +51,10 @@ def replay(
 ) -> None:
     """Play a recording as LSL streams, with the headers, gaps and times that were recorded.
 
-    Each sample has a stamp of its own, in the recorded distance to all others. Headers say
-    that it is a replay, and source_ids begin with "replay:", so that nobody takes it for the
-    real sensor; while that is on the network nothing is played.
+    Each sample has a stamp of its own, in the recorded distance to all
+    others. Headers say that it is a replay, and source_ids begin with
+    "replay:", so that nobody takes it for the real sensor; while that is on
+    the network nothing is played.
     """
     if as_original and beside_live:
         raise typer.BadParameter("--as-original and --beside-live exclude each other")
@@ -74,7 +65,7 @@ def replay(
 
     wanted = Wanted(
         file=file,
-        wish=Wish(streams or (), begin, end, participant),
+        wish=Wish(streams or (), begin, end, participant, without),
         order=Order(speed=speed, loop=loop, waits=waits, as_original=as_original),
         may_be_beside=beside_live,
     )

@@ -13,7 +13,14 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.cli.options import JsonOption
+from biosensor_gateway.cli.options import (
+    FromOption,
+    JsonOption,
+    ParticipantOption,
+    StreamsOption,
+    UntilOption,
+    WithoutOption,
+)
 from biosensor_gateway.cli.recordings import RecordingArgument, wrong_recording
 from biosensor_gateway.cli.screen import say
 from biosensor_gateway.recording.contents.choice import Wish
@@ -28,24 +35,11 @@ def export_recording(
         list[str],
         typer.Option("--to", metavar="FORMAT", help=f"{', '.join(FORMATS)} (repeatable)."),
     ],
-    streams: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PATTERN",
-            help="Only streams of this name or source_id; * and ? stand for others (repeatable).",
-        ),
-    ] = None,
-    participant: Annotated[str, typer.Option(help="Only this person's streams.")] = "",
-    without: Annotated[
-        str, typer.Option(metavar="PERSON", help="All streams but those of this person.")
-    ] = "",
-    begin: Annotated[
-        str,
-        typer.Option(
-            "--from", metavar="TIME", help="Since the begin, as 90.5 or 1:30.5, or a date and time."
-        ),
-    ] = "",
-    end: Annotated[str, typer.Option("--until", metavar="TIME", help="Likewise.")] = "",
+    streams: StreamsOption = None,
+    participant: ParticipantOption = "",
+    without: WithoutOption = "",
+    begin: FromOption = "",
+    end: UntilOption = "",
     clock: Annotated[
         exporter.Clock, typer.Option(help="LSL time, or unix time where the recording tells it.")
     ] = exporter.Clock.LSL,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,13 +60,18 @@ def open_contents(path: Path) -> Generator[Contents]:
             what = "the rest is compressed and cannot be unpacked"
             damages = (*damages, Damage(size, size, what, breaks_off=True))
         streams = tuple(Stream(file, number, each) for number, each in sorter.streams.items())
-        begin_s, end_s = _extent(streams)
+        begin_s, end_s = extent(streams)
         begun = sorter.begun or ""
         wall = find_wall_clock(streams, begun, begin_s, sorter.clock)
         yield Contents(path, begun, streams, damages, begin_s, end_s, wall)
 
 
-def _extent(streams: tuple[Stream, ...]) -> tuple[float, float]:
+def extent(streams: Sequence[Stream]) -> tuple[float, float]:
+    """Return when the first and the last sample of some streams was recorded; 0 if there is none.
+
+    On the recorder's clock, in s. What devices had told of themselves long before counts only
+    where there is nothing else.
+    """
     ends = [(each.header.may_be_older, found) for each in streams if (found := each.ends())]
     bounds = [found for is_older, found in ends if not is_older] or [found for _, found in ends]
     if not bounds:

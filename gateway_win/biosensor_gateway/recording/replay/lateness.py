@@ -41,16 +41,17 @@ class Lateness:
     def percentile_s(self, percent: float) -> float:
         """Return within which time so many of the samples were sent; 0 if there are none."""
         self._fold()
-        sums = np.cumsum(self._counts)
+        sums: NDArray[np.int64] = np.cumsum(self._counts)
         if not sums[-1]:
             return 0.0
-        return float(np.searchsorted(sums, sums[-1] * percent / 100) + 1) * BIN_S
+        wanted = int(sums[-1]) * percent / 100
+        return (int(np.count_nonzero(sums < wanted)) + 1) * BIN_S
 
     def _fold(self) -> None:
         if not self._blocks:
             return
         late: NDArray[np.float64] = np.concatenate(self._blocks)
         self._blocks.clear()
-        self.most_s = max(self.most_s, *late.tolist())
+        self.most_s = max(self.most_s, float(late.max()))
         bins = np.clip(late / BIN_S, 0, _BINS - 1).astype(np.int64)
         np.add.at(self._counts, bins, 1)

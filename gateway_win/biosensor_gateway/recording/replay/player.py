@@ -14,6 +14,7 @@ import pylsl
 
 from biosensor_common.replay import Replay, recorded_source_id, replay_source_id
 from biosensor_gateway.recording.contents.choice import Chosen
+from biosensor_gateway.recording.contents.opening import extent
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.replay.errors import ReplayError, ReplayReason
 from biosensor_gateway.recording.replay.lateness import Lateness
@@ -99,10 +100,10 @@ class Player:
         self._chosen, self._order = chosen, order
         self._file_hash = file_hash
         self.streams = chosen.streams
-        ends = [end for each in self.streams for end in each.ends() or ()]
-        self.begin_s = chosen.begin_s if math.isfinite(chosen.begin_s) else min(ends, default=0.0)
-        self.end_s = min(chosen.end_s, max(ends, default=0.0))
-        if self.end_s < self.begin_s or not ends:
+        first_s, last_s = extent(self.streams)
+        self.begin_s = chosen.begin_s if math.isfinite(chosen.begin_s) else first_s
+        self.end_s = min(chosen.end_s, last_s)
+        if self.end_s < self.begin_s:
             raise self._empty()
         self.lateness = Lateness()
         self._outlets: dict[int, PlayedOutlet] = {}
@@ -208,8 +209,10 @@ class Player:
                 number = due[0][1]
                 stamps = tracks[number].send(until_s, timeline)
                 self._sent += len(stamps)
-                if len(stamps):
-                    self.lateness.add(pylsl.local_clock(), stamps)
+                # What a device had told long before goes first, at once.
+                timely = stamps[stamps >= timeline.start_s]
+                if len(timely):
+                    self.lateness.add(pylsl.local_clock(), timely)
                 heapq.heapreplace(due, (tracks[number].due_s, number))
             wait_s = (due[0][0] - until_s) / timeline.speed
             time.sleep(min(max(wait_s, PACE_S), _LOOK_S))
