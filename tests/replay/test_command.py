@@ -9,7 +9,7 @@ from pathlib import Path
 import pylsl
 import pytest
 
-from biosensor_common.errors import ConfigError
+from biosensor_gateway.recording.bag.errors import BagError, BagReason
 from biosensor_gateway.recording.contents.choice import Wish, choose
 from biosensor_gateway.recording.replay.errors import ReplayError, ReplayReason
 from biosensor_gateway.recording.replay.player import Order, Player
@@ -100,8 +100,9 @@ def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
         with pytest.raises(RecordingError) as caught, opened(path):
             pass
         assert caught.value.reason is reason
-    with pytest.raises(ConfigError, match="is a bag"), opened(tmp_path):
+    with pytest.raises(BagError) as refused, opened(tmp_path):
         pass
+    assert refused.value.reason is BagReason.NOT_A_BAG
 
 
 @pytest.mark.parametrize("wish", [Wish(begin="9:00:00"), Wish(["slow"], "0.2", "0.21")])
@@ -111,3 +112,15 @@ def test_where_nothing_is_nothing_is_played(long: Path, wish: Wish) -> None:
         player.offer()
         player.run(threading.Event())
     assert caught.value.reason is ReplayReason.EMPTY
+
+
+def test_a_bag_is_played_by_way_of_a_recording(long: Path, tmp_path: Path) -> None:
+    exported = export(long, Task(["mcap"], Wish(["slow"], "", "20"), Clock.LSL, tmp_path))
+    (bag,) = [each.path for each in exported.written]
+    with opened(bag) as contents:
+        player = Player(choose(contents, Wish()), Order(speed=50.0), "hash")
+        player.offer()
+        player.run(threading.Event())
+        assert contents.path.name == bag.name
+        assert player.progress().sent == 80
+    assert not contents.path.exists()

@@ -8,19 +8,11 @@ from typing import Annotated
 
 import typer
 
-from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.cli.options import JsonOption
+from biosensor_gateway.cli.recordings import wrong_recording
 from biosensor_gateway.cli.screen import say
-from biosensor_gateway.recording.bag.errors import BagError, BagReason
 from biosensor_gateway.recording.xdf.printing import printable
 
-# The argument was wrong; exit code 1 is for what is wrong in a bag.
-_WRONG_ARGUMENT = {
-    BagReason.NOT_FOUND: ConfigReason.NOT_FOUND,
-    BagReason.UNREADABLE: ConfigReason.UNREADABLE,
-    BagReason.NOT_A_BAG: ConfigReason.UNREADABLE,
-    BagReason.EXISTS: ConfigReason.EXISTS,
-}
 _MOST_SENTENCES = 10
 
 app = typer.Typer(help="Bags of ROS (MCAP or SQLite); no ROS is needed.", no_args_is_help=True)
@@ -55,13 +47,8 @@ def import_recording(
     """
     from biosensor_gateway.recording.bag.importing import import_bag, usual_path  # noqa: PLC0415 - rosbags
 
-    try:
+    with wrong_recording():
         imported = import_bag(bag, output or usual_path(bag))
-    except BagError as error:
-        reason = _WRONG_ARGUMENT.get(error.reason) if isinstance(error.reason, BagReason) else None
-        if reason is None:
-            raise
-        raise ConfigError(reason, str(error)) from error
     if print_json:
         content = {
             "bag": str(imported.path),

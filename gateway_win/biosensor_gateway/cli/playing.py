@@ -63,7 +63,7 @@ def _play(wanted: Wanted, stopping: threading.Event) -> None:
     with wrong_recording(), opened(wanted.file) as contents:
         for sentence in words.damaged(contents.damages):
             say(sentence)
-        player = Player(choose(contents, wanted.wish), wanted.order, content_hash(wanted.file))
+        player = Player(choose(contents, wanted.wish), wanted.order, content_hash(contents.path))
         refuse_if_present(
             player.own_ids,
             player.recorded_ids,

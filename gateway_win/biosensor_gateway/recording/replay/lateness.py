@@ -12,18 +12,12 @@ _MOST_BLOCKS = 1024
 
 
 class Lateness:
-    """A histogram of 0.1 ms, so that hours of samples take no more memory than a second.
-
-    Attributes
-    ----------
-    most_s
-        The latest sample.
-    """
+    """A histogram of 0.1 ms, so that hours of samples take no more memory than a second."""
 
     def __init__(self) -> None:
         self._counts = np.zeros(_BINS, np.int64)
         self._blocks: list[NDArray[np.float64]] = []
-        self.most_s = 0.0
+        self._most_s = 0.0
 
     def add(self, sent_s: float, stamps: NDArray[np.float64]) -> None:
         """Take in samples.
@@ -37,6 +31,12 @@ class Lateness:
         self._blocks.append(sent_s - stamps)
         if len(self._blocks) >= _MOST_BLOCKS:
             self._fold()
+
+    @property
+    def most_s(self) -> float:
+        """How late the latest sample was."""
+        self._fold()
+        return self._most_s
 
     def percentile_s(self, percent: float) -> float:
         """Return within which time so many of the samples were sent; 0 if there are none."""
@@ -52,6 +52,6 @@ class Lateness:
             return
         late: NDArray[np.float64] = np.concatenate(self._blocks)
         self._blocks.clear()
-        self.most_s = max(self.most_s, float(late.max()))
+        self._most_s = max(self._most_s, float(late.max()))
         bins = np.clip(late / BIN_S, 0, _BINS - 1).astype(np.int64)
         np.add.at(self._counts, bins, 1)

@@ -6,8 +6,8 @@ import hashlib
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
-from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.recording.contents.opening import Contents, open_contents
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
@@ -17,20 +17,33 @@ _HASH_CHARACTERS = 12
 
 @contextmanager
 def opened(path: Path) -> Generator[Contents]:
-    """Open a recording.
+    """Open a recording, or a bag of ROS by way of one in the folder for temporary files.
 
     Raises
     ------
-    ConfigError
-        ``UNREADABLE``, if it is a bag.
+    BagError
+        If a bag cannot be read, or no recording made of it.
     RecordingError
         If there is no such file, it cannot be read, or it is no XDF file.
     """
     if path.is_dir() or path.suffix.lower() in _BAGS:
-        message = f"{path} is a bag of ROS; only XDF files can be played"
-        raise ConfigError(ConfigReason.UNREADABLE, message)
+        with _imported(path) as recording, open_contents(recording) as contents:
+            yield contents
+        return
     with open_contents(path) as contents:
         yield contents
+
+
+@contextmanager
+def _imported(bag: Path) -> Generator[Path]:
+    """Turn a bag into a recording that is gone at the end."""
+    from biosensor_gateway.recording.bag.importing import import_bag  # noqa: PLC0415 - rosbags
+
+    with TemporaryDirectory(prefix="biosensor-gateway-replay-") as folder:
+        # Its name is in the headers.
+        recording = Path(folder, bag.resolve().name)
+        import_bag(bag, recording)
+        yield recording
 
 
 def content_hash(path: Path) -> str:
