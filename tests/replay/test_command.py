@@ -11,6 +11,8 @@ import pytest
 
 from biosensor_gateway.recording.bag.errors import BagError, BagReason
 from biosensor_gateway.recording.contents.choice import Wish, choose
+from biosensor_gateway.recording.export.exporter import Clock, Progress
+from biosensor_gateway.recording.export.exporting import Task, export
 from biosensor_gateway.recording.replay.errors import ReplayError, ReplayReason
 from biosensor_gateway.recording.replay.player import Order, Player
 from biosensor_gateway.recording.replay.source import opened
@@ -115,7 +117,9 @@ def test_where_nothing_is_nothing_is_played(long: Path, wish: Wish) -> None:
 
 
 def test_a_bag_is_played_by_way_of_a_recording(long: Path, tmp_path: Path) -> None:
-    exported = export(long, Task(["mcap"], Wish(["slow"], "", "20"), Clock.LSL, tmp_path))
+    exported = export(
+        long, Task(["mcap"], Wish(["slow"], "", "20"), Clock.LSL, tmp_path), _unwatched
+    )
     (bag,) = [each.path for each in exported.written]
     with opened(bag) as contents:
         player = Player(choose(contents, Wish()), Order(speed=50.0), "hash")
@@ -124,3 +128,7 @@ def test_a_bag_is_played_by_way_of_a_recording(long: Path, tmp_path: Path) -> No
         assert contents.path.name == bag.name
         assert player.progress().sent == 80
     assert not contents.path.exists()
+
+
+def _unwatched(_name: str, _seconds: float) -> Progress:
+    return lambda _done: None
