@@ -25,6 +25,7 @@ from tests.bench import (
     page,
     page_growth,
     publish,
+    replay,
     report,
     restart,
     ros_to_lsl,
@@ -56,6 +57,7 @@ MEASUREMENTS: dict[str, Callable[[Effort], Measurement]] = {
     "clock": clock_accuracy.measure,
     "doors": doors.measure,
     "export": export.measure,
+    "replay": replay.measure,
 }
 
 

@@ -55,7 +55,8 @@ def measure(effort: Effort) -> Measurement:
     """
     with tempfile.TemporaryDirectory() as name:
         recording = Path(name, "study.xdf")
-        streams = long_recording.write(recording, effort.recording_s)
+        streams = long_recording.of_a_lab()
+        long_recording.write(recording, effort.recording_s, streams)
         size = recording.stat().st_size
         exports = {each: _export(recording, each) for each in FORMATS}
     figures = [
@@ -63,7 +64,8 @@ def measure(effort: Effort) -> Measurement:
         for each, export in exports.items()
         for figure in _figures(each, export, effort.recording_s)
     ]
-    title = f"export of {effort.recording_s / 60:.0f} min of {streams} streams, {size / 1e6:.0f} MB"
+    minutes = effort.recording_s / 60
+    title = f"export of {minutes:.0f} min of {len(streams)} streams, {size / 1e6:.0f} MB"
     return Measurement(title, figures, {name: asdict(each) for name, each in exports.items()})
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -38,7 +38,7 @@ _FILE_HEADER = b"<?xml version='1.0'?><info><version>1.0</version></info>"
 
 
 @dataclass(frozen=True, slots=True)
-class _Made:
+class Made:
     """One stream: its header, how often it has a sample, and of what type; None for text."""
 
     header: bytes
@@ -47,10 +47,22 @@ class _Made:
     dtype: str | None
 
 
-def write(path: Path, seconds: float) -> int:
-    """Write a recording of so many seconds; return its number of streams."""
+def of_a_lab() -> list[Made]:
+    """Return the streams of all sensors, and an EEG."""
+    return [*_sensors(), _eeg()]
+
+
+def of_signals(rates: Sequence[float]) -> list[Made]:
+    """Return streams of other programs, with two channels each, at these rates in Hz."""
+    return [
+        Made(_xml(_signal(number, rate), ET.Element("desc")), rate, 2, "<f4")
+        for number, rate in enumerate(rates, 1)
+    ]
+
+
+def write(path: Path, seconds: float, streams: Sequence[Made]) -> None:
+    """Write a recording of so many seconds."""
     random = np.random.default_rng(14)
-    streams = [*_sensors(), _eeg()]
     with path.open("xb") as file:
         file.write(MAGIC + framed(Tag.FILE_HEADER, _FILE_HEADER))
         for number, stream in enumerate(streams, 1):
@@ -64,12 +76,11 @@ def write(path: Path, seconds: float) -> int:
             count = math.ceil(seconds * stream.rate)
             content = f"<info><sample_count>{count}</sample_count></info>".encode()
             file.write(framed(Tag.STREAM_FOOTER, struct.pack("<I", number) + content))
-    return len(streams)
 
 
 def _write_part(
     file: BinaryIO,
-    streams: list[_Made],
+    streams: Sequence[Made],
     begin_s: float,
     length_s: float,
     random: np.random.Generator,
@@ -88,7 +99,7 @@ def _write_part(
 
 
 def _chunks(
-    stream: _Made, begin_s: float, length_s: float, random: np.random.Generator
+    stream: Made, begin_s: float, length_s: float, random: np.random.Generator
 ) -> Iterator[bytes]:
     """Give the content of each half second's chunk; empty where no sample falls into it."""
     first, last = (math.ceil(each * stream.rate) for each in (begin_s, begin_s + length_s))
@@ -106,7 +117,7 @@ def _chunks(
 
 
 def _records(
-    stream: _Made, stamps: NDArray[np.float64], random: np.random.Generator
+    stream: Made, stamps: NDArray[np.float64], random: np.random.Generator
 ) -> NDArray[Any]:
     assert stream.dtype is not None
     layout = [("size", "u1"), ("stamp", "<f8"), ("values", stream.dtype, (stream.channels,))]
@@ -126,7 +137,7 @@ def _texts(stamps: NDArray[np.float64]) -> bytes:
     return b"".join(parts)
 
 
-def _sensors() -> Iterator[_Made]:
+def _sensors() -> Iterator[Made]:
     for sensor, stream in declared_streams():
         assert not isinstance(stream.rate, FromDevice)
         # The generic heart rate sensor is no eighth one, but stands in for the other brands.
@@ -135,7 +146,7 @@ def _sensors() -> Iterator[_Made]:
         rate = stream.rate or _IRREGULAR_HZ
         if stream.format is ChannelFormat.STRING:
             rate = stream.rate or 1 / _OFFSET_S
-        yield _Made(header, rate, len(stream.channels), _DTYPES.get(stream.format))
+        yield Made(header, rate, len(stream.channels), _DTYPES.get(stream.format))
 
 
 def _header(stream: StreamSpec, owner: DeviceIdentity, rate: float) -> bytes:
@@ -151,7 +162,7 @@ def _header(stream: StreamSpec, owner: DeviceIdentity, rate: float) -> bytes:
     return _xml(facts, desc)
 
 
-def _eeg() -> _Made:
+def _eeg() -> Made:
     desc = ET.Element("desc")
     channels = ET.SubElement(desc, "channels")
     for place in range(_EEG_CHANNELS):
@@ -159,15 +170,23 @@ def _eeg() -> _Made:
         ET.SubElement(channel, "label").text = f"E{place + 1}"
         ET.SubElement(channel, "unit").text = "microvolts"
         ET.SubElement(channel, "type").text = "EEG"
-    facts = {
-        "name": "EEG",
+    facts = _facts("EEG", _EEG_HZ, _EEG_CHANNELS, "amplifier-1")
+    return Made(_xml(facts, desc), _EEG_HZ, _EEG_CHANNELS, "<f4")
+
+
+def _signal(number: int, rate: float) -> dict[str, str]:
+    return _facts(f"signal {number}", rate, 2, f"signal-{number}")
+
+
+def _facts(name: str, rate: float, channels: int, source: str) -> dict[str, str]:
+    return {
+        "name": name,
         "type": "EEG",
-        "channel_count": str(_EEG_CHANNELS),
-        "nominal_srate": repr(_EEG_HZ),
+        "channel_count": str(channels),
+        "nominal_srate": repr(rate),
         "channel_format": "float32",
-        "source_id": "amplifier-1",
+        "source_id": source,
     }
-    return _Made(_xml(facts, desc), _EEG_HZ, _EEG_CHANNELS, "<f4")
 
 
 def _xml(facts: dict[str, str], desc: ET.Element) -> bytes:
