@@ -18,14 +18,14 @@ def main() -> None:
 
 
 def _configure(request: Request) -> None:
-    import pylsl  # noqa: PLC0415
+    import pylsl
 
     pylsl.set_config_content(request["config"])
 
 
 def _offer(request: Request) -> None:
     """Have an outlet, and send with it, until this process is ended."""
-    import pylsl  # noqa: PLC0415
+    import pylsl
 
     _configure(request)
     source_id = request["source_id"]
@@ -38,7 +38,7 @@ def _offer(request: Request) -> None:
 
 def _find(request: Request) -> None:
     """Look for a stream."""
-    import pylsl  # noqa: PLC0415
+    import pylsl
 
     _configure(request)
     found = pylsl.resolve_byprop("source_id", request["source_id"], 1, request["timeout_s"])
@@ -48,7 +48,7 @@ def _find(request: Request) -> None:
 def _survey(request: Request) -> None:
     """Look at all streams."""
     _configure(request)
-    from biosensor_common.doctor.survey import survey  # noqa: PLC0415
+    from biosensor_common.doctor.survey import survey
 
     answer(survey(request["search_s"], request["listen_s"], request["listen_until_s"]))
 
@@ -56,7 +56,7 @@ def _survey(request: Request) -> None:
 def _list(request: Request) -> None:
     """List all streams, and listen to none."""
     _configure(request)
-    from biosensor_common.doctor.survey import list_streams  # noqa: PLC0415
+    from biosensor_common.doctor.survey import list_streams
 
     answer(list_streams(request["search_s"]))
 
@@ -64,7 +64,7 @@ def _list(request: Request) -> None:
 def _meet(request: Request) -> None:
     """Look for a stream and receive it."""
     _configure(request)
-    from biosensor_common.doctor.survey import meet  # noqa: PLC0415
+    from biosensor_common.doctor.survey import meet
 
     answer(meet(request["source_id"], request["search_s"], request["listen_s"]))
 

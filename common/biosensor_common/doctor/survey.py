@@ -104,7 +104,7 @@ def _has_sample(inlet: pylsl.StreamInlet, limit_s: float) -> bool:
 
 def _peer(ports: Sequence[int]) -> str:
     """Return the address to which this process is connected; liblsl does not tell."""
-    import psutil  # noqa: PLC0415
+    import psutil
 
     connections = psutil.Process().net_connections("tcp")
     found = (each.raddr.ip for each in connections if each.raddr and each.raddr.port in ports)

@@ -32,26 +32,26 @@ def _run() -> None:
     if len(sys.argv) == 1:
         _lead_after_a_double_click()
     if sys.argv[1:2] == [KEEP_RECORDING]:
-        from biosensor_gateway.recording.here.keeper import keep  # noqa: PLC0415 - only then
+        from biosensor_gateway.recording.here.keeper import keep  # only then
 
         sys.exit(keep(Path(sys.argv[2])))
     if sys.argv[1:2] == ["run"]:
         if KEEP_ALIVE in sys.argv:
-            from biosensor_gateway.system.keep_alive import keep_alive  # noqa: PLC0415 - only then
+            from biosensor_gateway.system.keep_alive import keep_alive  # only then
 
             # Here, because who waits for an agent to die needs nothing that an agent needs.
             sys.exit(keep_alive([each for each in sys.argv[1:] if each != KEEP_ALIVE]))
-        from biosensor_gateway.system.shutdown import end_quietly_until_running  # noqa: PLC0415 - asyncio
+        from biosensor_gateway.system.shutdown import end_quietly_until_running  # asyncio
 
         # What it needs takes a second to import, and a service may be stopped as it starts.
         end_quietly_until_running()
-    from biosensor_gateway.cli import app  # noqa: PLC0415 - only now
+    from biosensor_gateway.cli import app  # only now
 
     app.main()
 
 
 def _lead_after_a_double_click() -> None:
-    from biosensor_gateway.system.own_window import has_a_reader, is_own_window  # noqa: PLC0415 - only now
+    from biosensor_gateway.system.own_window import has_a_reader, is_own_window  # only now
 
     if is_own_window() and has_a_reader():
         # There is nobody who would read a list of commands.
@@ -63,7 +63,7 @@ def _hold_window_of_a_failure(
 ) -> None:
     if error is None or (isinstance(error, SystemExit) and not error.code):
         return
-    from biosensor_gateway.system.own_window import hold_open  # noqa: PLC0415 - only now
+    from biosensor_gateway.system.own_window import hold_open  # only now
 
     hold_open()
 

@@ -55,7 +55,7 @@ def _fail(error: GatewayError, code: int) -> None:
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from importlib.metadata import version  # noqa: PLC0415 - takes longer than all the rest
+        from importlib.metadata import version  # takes longer than all the rest
 
         typer.echo(f"biosensor-gateway {version('biosensor-gateway')}")
         raise typer.Exit

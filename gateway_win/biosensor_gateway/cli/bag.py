@@ -45,7 +45,7 @@ def import_recording(
     all other messages are channels named after their fields. No file is
     overwritten.
     """
-    from biosensor_gateway.recording.bag.importing import import_bag, usual_path  # noqa: PLC0415 - rosbags
+    from biosensor_gateway.recording.bag.importing import import_bag, usual_path  # rosbags
 
     with wrong_recording():
         imported = import_bag(bag, output or usual_path(bag))

@@ -17,7 +17,7 @@ from biosensor_gateway.settings.places import settings_path
 def chosen_devices(settings: Path | None, simulate: str) -> Generator[tuple[DeviceSettings, ...]]:
     """Yield the devices of the settings, or virtual ones while the context lasts."""
     if simulate:
-        from biosensor_gateway.demo.virtual_devices import simulated_settings  # noqa: PLC0415 - only on request
+        from biosensor_gateway.demo.virtual_devices import simulated_settings  # only on request
 
         with simulated_settings(simulate.split(",")) as loaded:
             yield loaded.devices

@@ -14,6 +14,6 @@ def demo(
     ] = None,
 ) -> None:
     """Show all virtual devices on their way to ROS topics."""
-    from biosensor_gateway.demo import demonstration  # noqa: PLC0415 - takes a second
+    from biosensor_gateway.demo import demonstration  # takes a second
 
     raise typer.Exit(demonstration.run(seconds))

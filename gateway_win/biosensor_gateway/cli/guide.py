@@ -96,7 +96,7 @@ def _end() -> str | None:
 
 
 def _virtual() -> str | None:
-    from biosensor_gateway.demo.virtual_devices import one_of_each  # noqa: PLC0415 - only on request
+    from biosensor_gateway.demo.virtual_devices import one_of_each  # only on request
 
     names = one_of_each()
     typer.echo()

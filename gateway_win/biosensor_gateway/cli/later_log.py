@@ -24,8 +24,8 @@ class LaterLog:
 
     def open(self) -> None:
         """Log to the file and to the console from now on."""
-        from biosensor_gateway.cli.start_log import StartLog  # noqa: PLC0415 - takes half a second
-        from biosensor_gateway.settings.models import LogSettings  # noqa: PLC0415 - as above
+        from biosensor_gateway.cli.start_log import StartLog  # takes half a second
+        from biosensor_gateway.settings.models import LogSettings
 
         self._is_open = True
         log = self._stack.enter_context(StartLog(self._folder))

@@ -68,7 +68,7 @@ def mark(
 
 
 def _show_web(save: Path | None, *, renew: bool) -> None:
-    from biosensor_gateway.cli import web_marking  # noqa: PLC0415 - a marker does without
+    from biosensor_gateway.cli import web_marking  # a marker does without
 
     if save is not None:
         web_marking.save(save)
@@ -77,7 +77,7 @@ def _show_web(save: Path | None, *, renew: bool) -> None:
 
 def _when_given() -> float:
     """Return the LSL time at which the command was given."""
-    from pylsl import local_clock  # noqa: PLC0415 - an undo does without
+    from pylsl import local_clock  # an undo does without
 
     return local_clock() - (time.perf_counter() - BEGUN_S)
 
@@ -90,7 +90,7 @@ def _number(text: str) -> int:
 
 
 def _print_list(answer: Mapping[str, Any]) -> None:
-    from pylsl import local_clock  # noqa: PLC0415 - an undo does without
+    from pylsl import local_clock  # an undo does without
 
     width, now = columns(sys.stdout), local_clock()
     rows = [_row(each, now) for each in answer["markers"]] or [("", "nothing is marked yet")]

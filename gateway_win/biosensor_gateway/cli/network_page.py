@@ -29,8 +29,8 @@ def serve_network(settings: Path, show: Callable[[str], None]) -> None:
     TransportError
         The page cannot be served.
     """
-    from biosensor_gateway.page.network.server import NetworkServer  # noqa: PLC0415 - takes a second
-    from biosensor_gateway.page.network.source import NetworkSource  # noqa: PLC0415 - as above
+    from biosensor_gateway.page.network.server import NetworkServer  # takes a second
+    from biosensor_gateway.page.network.source import NetworkSource
 
     def ready(address: str) -> None:
         show(address)

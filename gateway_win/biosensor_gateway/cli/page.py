@@ -144,7 +144,7 @@ def _serve(
     end_after_s: float,
     share_port: int | None,
 ) -> None:
-    from biosensor_gateway.page.server import PageServer  # noqa: PLC0415 - takes a fifth of one
+    from biosensor_gateway.page.server import PageServer  # takes a fifth of one
 
     def ready(address: str) -> None:
         show(address)

@@ -58,10 +58,10 @@ def replay(
     """
     if as_original and beside_live:
         raise typer.BadParameter("--as-original and --beside-live exclude each other")
-    from biosensor_gateway.cli.playing import Wanted, play  # noqa: PLC0415 - imports take a second
-    from biosensor_gateway.recording.contents.choice import Wish  # noqa: PLC0415 - as above
-    from biosensor_gateway.recording.replay.player import Order  # noqa: PLC0415 - as above
-    from biosensor_gateway.system.shutdown import until_signalled  # noqa: PLC0415 - as above
+    from biosensor_gateway.cli.playing import Wanted, play  # imports take a second
+    from biosensor_gateway.recording.contents.choice import Wish
+    from biosensor_gateway.recording.replay.player import Order
+    from biosensor_gateway.system.shutdown import until_signalled
 
     wanted = Wanted(
         file=file,

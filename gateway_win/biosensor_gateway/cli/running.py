@@ -37,7 +37,7 @@ def run(
 ) -> None:
     """Stream all devices of the settings until Ctrl-C, or until it is told to stop."""
     if is_standby():
-        from biosensor_gateway.cli.standing_by import stand_by  # noqa: PLC0415 - takes a second
+        from biosensor_gateway.cli.standing_by import stand_by  # takes a second
 
         stand_by(simulate)
     if ask and restart_facts(os.environ):
@@ -51,6 +51,6 @@ def run(
         ask = False
     if page and not restart_facts(os.environ):
         open_page_beside(settings)
-    from biosensor_gateway.cli.streaming import stream  # noqa: PLC0415 - takes a second
+    from biosensor_gateway.cli.streaming import stream  # takes a second
 
     stream(settings, simulate, fault or (), ask=ask, verbose=verbose)

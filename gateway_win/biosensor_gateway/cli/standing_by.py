@@ -18,7 +18,7 @@ def stand_by(simulate: str) -> None:
     """
     import_module("biosensor_gateway.cli.streaming")
     if simulate:
-        from biosensor_gateway.demo import virtual_devices  # noqa: PLC0415 - only on request
+        from biosensor_gateway.demo import virtual_devices  # only on request
 
         virtual_devices.import_all(simulate.split(","))
     # To look each of them up imports its driver.

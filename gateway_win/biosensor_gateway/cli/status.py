@@ -30,7 +30,7 @@ def status(
         # The command was right: there is no agent.
         raise TransportError(TransportReason.ABSENT, str(error)) from error
     if watch:
-        from biosensor_gateway.cli import status_watch  # noqa: PLC0415 - once does without
+        from biosensor_gateway.cli import status_watch  # once does without
 
         status_watch.watch(state_folder(), as_json=as_json)
     elif as_json:

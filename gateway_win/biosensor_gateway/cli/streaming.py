@@ -70,13 +70,13 @@ def _is_guide_wanted(settings: Path | None, simulate: str) -> bool:
     # Who names a file, or virtual devices, knows what is wanted.
     if simulate or settings is not None or not can_ask():
         return False
-    from biosensor_gateway.cli import guide  # noqa: PLC0415 - only at a terminal
+    from biosensor_gateway.cli import guide  # only at a terminal
 
     return guide.is_wanted(settings_path())
 
 
 def _guided(path: Path) -> str:
-    from biosensor_gateway.cli import guide  # noqa: PLC0415 - only on request
+    from biosensor_gateway.cli import guide  # only on request
 
     return guide.lead(path)
 
@@ -88,7 +88,7 @@ def _reader(path: Path | None) -> ReadSettings:
 
 
 def _virtual_devices(names: str, faults: Iterable[str]) -> AbstractContextManager[GatewaySettings]:
-    from biosensor_gateway.demo.virtual_devices import simulated_settings  # noqa: PLC0415 - only on request
+    from biosensor_gateway.demo.virtual_devices import simulated_settings  # only on request
 
     return simulated_settings(names.split(","), faults)
 

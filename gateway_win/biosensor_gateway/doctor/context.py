@@ -77,8 +77,8 @@ def read_context(
     context = Context(settings_path, state_folder, lab_recorder_port=lab_recorder_port)
     try:
         # The drivers, which the models come from, bring all their libraries.
-        from biosensor_gateway.devices.registry import settings_models  # noqa: PLC0415
-        from biosensor_gateway.settings.file import load_settings  # noqa: PLC0415
+        from biosensor_gateway.devices.registry import settings_models
+        from biosensor_gateway.settings.file import load_settings
 
         loaded = load_settings(settings_path, settings_models())
     except Exception as problem:  # noqa: BLE001 - a driver that cannot be imported, too

@@ -148,7 +148,7 @@ def rules() -> list[Rule] | None:
     """Return the rules of this PC and of its domain; None where they cannot be read."""
     if sys.platform != "win32":
         return None
-    import winreg  # noqa: PLC0415 - Windows only
+    import winreg  # Windows only
 
     found: list[Rule] = []
     for path in (_RULES, _RULES_OF_DOMAIN):

@@ -140,7 +140,7 @@ def _not_synchronised(name: str) -> Finding:
 
 
 def _running() -> set[str]:
-    import psutil  # noqa: PLC0415
+    import psutil
 
     return {str(each.info["name"]) for each in psutil.process_iter(["name"])}
 

@@ -79,7 +79,7 @@ def examine(context: Context) -> Iterator[Finding]:
 
 def interfaces() -> list[Interface]:
     """Return the adapters that are up and have an IPv4 address."""
-    import psutil  # noqa: PLC0415
+    import psutil
 
     states = psutil.net_if_stats()
     found: list[Interface] = []

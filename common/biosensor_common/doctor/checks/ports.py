@@ -89,7 +89,7 @@ def _held(kind: str, ports: Sequence[int]) -> dict[int, str]:
 
 def _owners(kind: str, ports: Sequence[int]) -> dict[int, int | None]:
     """Return the processes that hold ports, None for one that may not be known."""
-    import psutil  # noqa: PLC0415
+    import psutil
 
     wanted, owners = set(ports), dict[int, int | None]()
     if not wanted:
@@ -108,7 +108,7 @@ def _owners(kind: str, ports: Sequence[int]) -> dict[int, int | None]:
 
 def _probes() -> set[int]:
     """Return the processes in which other checks use LSL at this moment."""
-    import psutil  # noqa: PLC0415
+    import psutil
 
     marks, found = probe_command()[1:], set[int]()
     for child in psutil.Process().children(recursive=True):
@@ -122,7 +122,7 @@ def _probes() -> set[int]:
 
 
 def _program(pid: int | None) -> str:
-    import psutil  # noqa: PLC0415
+    import psutil
 
     if pid is None:
         return _UNKNOWN

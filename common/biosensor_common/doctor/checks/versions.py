@@ -46,8 +46,8 @@ def _program(guide: Guide) -> Finding:
 def _lsl(guide: Guide) -> Iterator[Finding]:
     try:
         # Without its library, importing it fails.
-        import pylsl  # noqa: PLC0415
-        from pylsl.lib import lib  # noqa: PLC0415
+        import pylsl
+        from pylsl.lib import lib
     except (ImportError, OSError, RuntimeError) as problem:
         yield error(
             f"pylsl cannot be used: {_first_line(problem)}",

@@ -226,7 +226,7 @@ def _addresses() -> list[str]:
 
 
 def _is_near(other: str) -> bool:
-    import psutil  # noqa: PLC0415
+    import psutil
 
     for entries in psutil.net_if_addrs().values():
         for each in entries:

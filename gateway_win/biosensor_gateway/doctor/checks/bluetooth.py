@@ -33,7 +33,7 @@ _FIXES = {"win32": _WINDOWS_FIXES, "darwin": _MAC_FIXES}
 
 def examine(context: Context) -> Iterator[Finding]:
     """Listen for a moment."""
-    from biosensor_gateway.transports.ble_scanner import scan  # noqa: PLC0415 - brings bleak
+    from biosensor_gateway.transports.ble_scanner import scan  # brings bleak
 
     needing = by_bluetooth_le(context.enabled)
     try:

@@ -23,7 +23,7 @@ def examine(context: Context) -> Iterator[Finding]:
     """Sign in to each service whose streams need a licence, and ask what it does not cover."""
     if not context.enabled:
         return
-    from biosensor_gateway.devices.registry import driver  # noqa: PLC0415 - brings all drivers' libraries
+    from biosensor_gateway.devices.registry import driver  # brings all drivers' libraries
 
     asked: set[str] = set()
     for device in context.enabled:
@@ -72,7 +72,7 @@ async def _unlicensed(entry: DriverEntry, device: DeviceSettings) -> Sequence[st
 
 def _are_there(secrets: Sequence[SecretName]) -> bool:
     """Whether all secrets can be found; the check of the services says which cannot."""
-    from biosensor_gateway.settings.secrets import find_secret  # noqa: PLC0415 - slow to import
+    from biosensor_gateway.settings.secrets import find_secret  # slow to import
 
     try:
         for secret in secrets:

@@ -70,7 +70,7 @@ def _windows_sleep() -> str | None:
 
 
 def _battery() -> Iterator[Finding]:
-    import psutil  # noqa: PLC0415
+    import psutil
 
     # Not on every system.
     state = psutil.sensors_battery() if hasattr(psutil, "sensors_battery") else None

@@ -28,7 +28,7 @@ def examine(context: Context) -> Iterator[Finding]:
     if not named:
         yield ok("no device of the settings has a serial port")
         return
-    from biosensor_gateway.transports.serial_ports import (  # noqa: PLC0415 - brings D-Bus
+    from biosensor_gateway.transports.serial_ports import (  # brings D-Bus
         serial_ports as present_ports,
     )
 

@@ -28,7 +28,7 @@ def _service(service: Service) -> Finding:
     try:
         with socket.create_connection((service.host, service.port), CONNECT_S) as connection:
             if service.ca_file is not None:
-                from biosensor_gateway.transports.websocket import tls_context  # noqa: PLC0415
+                from biosensor_gateway.transports.websocket import tls_context
 
                 context = tls_context(service.ca_file)
                 context.wrap_socket(connection, server_hostname=service.host).close()
@@ -60,8 +60,8 @@ def _secrets(context: Context) -> Iterator[Finding]:
     sensors = dict.fromkeys(device.sensor for device in context.enabled)
     if not sensors:
         return
-    from biosensor_gateway.devices.registry import driver  # noqa: PLC0415 - brings all drivers' libraries
-    from biosensor_gateway.settings.secrets import find_secret  # noqa: PLC0415
+    from biosensor_gateway.devices.registry import driver  # brings all drivers' libraries
+    from biosensor_gateway.settings.secrets import find_secret
 
     for sensor in sensors:
         for secret in driver(sensor).secrets:

@@ -147,7 +147,7 @@ def latest_network() -> tuple[str, Network] | None:
     """Return the network that was connected last, which most often is the present one."""
     if sys.platform != "win32":
         return None
-    import winreg  # noqa: PLC0415 - Windows only
+    import winreg  # Windows only
 
     found: list[tuple[bytes, str, Network]] = []
     try:
