@@ -45,7 +45,10 @@ PRODUCT_SCRIPTS = frozenset({"frozen", "windowed"})
 
 # Read in the texts or sources of each.
 LICENCES = {
+    # Its text, that of zlib, or at choice any that the OSI has approved.
+    "apsw": "Zlib",
     "colorama": "BSD-3-Clause",
+    "lz4": "BSD-3-Clause",
     "prompt-toolkit": "BSD-3-Clause",
     "pyserial": "BSD-3-Clause",
     "pyserial-asyncio": "BSD-3-Clause",
@@ -127,6 +130,10 @@ PARTS = (
     _cpython("zlib", "Zlib", "python31*.dll", version=rb"\0(1\.[23]\.\d+(?:\.\d+)?)\0"),
     Part("zlib", PRODUCT, "Zlib", ("*.exe",), version=re.compile(rb"inflate (\d+\.\d+[.\d]*) ")),
     Part("libffi", "cffi", "MIT", ("_cffi_backend*.pyd",)),
+    # Compiled into the modules that read and write bags.
+    Part("sqlite", "apsw", "blessing", ("__init__*.pyd",)),
+    Part("liblz4", "lz4", "BSD-2-Clause", ("_block*.pyd", "_frame*.pyd", "_version*.pyd")),
+    Part("zstd", "backports-zstd", "BSD-3-Clause", ("_zstd*.pyd",)),
     # liblsl's LICENSE and thirdparty folder name these.
     Part("liblsl", "pylsl", "MIT", _LSL, whole=True, version=re.compile(rb"refs/tags/v([\w.]+)/")),
     Part("asio", "pylsl", "BSL-1.0", _LSL),

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
+import sysconfig
 import tomllib
 from pathlib import Path
 
 import pytest
 
+from installer.bundle import known
 from installer.bundle.distributions import Distribution, read_distributions
 from installer.bundle.errors import (
     ForbiddenLicenceError,
@@ -15,8 +18,11 @@ from installer.bundle.errors import (
 )
 from installer.bundle.expressions import choice, declared, may_ship, normalise
 from installer.bundle.licences import component_texts, distribution_texts
+from installer.bundle.names import normalised
 from installer.bundle.texts import FOLDER
 from tests.installer.test_bundle_rig import Rig
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
@@ -47,6 +53,18 @@ def bring(rig: Rig, licence: str, name: str = "subject") -> None:
 )
 def test_metadata_is_read_as_spdx(rig: Rig, metadata: list[str], expected: str) -> None:
     assert declared(installed(rig, *metadata)) == expected
+
+
+def test_every_dependency_may_be_shipped() -> None:
+    # Those that are for Windows only are not installed here; the build looks at them.
+    lock = (ROOT / "requirements" / "gateway.txt").read_text(encoding="utf-8")
+    wanted = {normalised(name) for name in re.findall(r"^([\w.-]+)==", lock, re.MULTILINE)}
+    here = read_distributions((Path(sysconfig.get_path("purelib")),))
+    ours = [each for each in here if each.name in wanted]
+    assert len(ours) > len(wanted) / 2
+    for each in ours:
+        licence = normalise(known.LICENCES.get(each.name) or declared(each))
+        assert may_ship(licence), each.name
 
 
 @pytest.mark.parametrize(
