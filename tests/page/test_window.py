@@ -54,19 +54,27 @@ def test_from_nothing_to_traces_of_virtual_sensors(server: Server, window: OpenW
     expect(page.locator(".card")).to_have_count(0)
 
 
+# A search where there is no Bluetooth is over before anybody could look.
+WATCH_FOR_PROGRESS = """() => {
+    const look = () => { window.progressSeen ||= document.querySelector("progress") !== null; };
+    new MutationObserver(look).observe(document.body, { childList: true, subtree: true });
+}"""
+
+
 def test_two_sensors_are_found_added_watched_paused_renamed_and_removed(
     server: Server, window: OpenWindow, wristbands: SimulatedE4
 ) -> None:
     server.programs.settings.write_text(LOCATED.format(**wristbands.settings))
     page = window()
     page.goto(server.address)
+    page.evaluate(WATCH_FOR_PROGRESS)
     page.get_by_role("button", name="Find sensors").first.click()
-    expect(page.get_by_role("progressbar")).to_be_visible()
     for unit, participant in ((LEFT, "p01"), (RIGHT, "p02")):
         entry = page.locator(".found li", has_text=unit)
         entry.get_by_label("Participant").fill(participant)
         entry.get_by_role("button", name="Add").click()
         expect(entry.get_by_text("in the settings already")).to_be_visible()
+    assert page.evaluate("window.progressSeen")
     page.get_by_role("button", name="Close").click()
     assert "# Where the server" in server.programs.settings.read_text()
     for unit, participant in ((LEFT, "p01"), (RIGHT, "p02")):
