@@ -86,6 +86,7 @@ def test_the_status_of_a_stream_says_everything_about_it(ros: Ros, flow: Begin) 
     measured = {key: float(status.values.pop(key)) for key in MEASURED}
     assert status.values == {
         "topic": f"{BASE}/ecg",
+        "replay_of": "",
         "chunk_topic": f"{BASE}/ecg_chunk",
         "sensor": "polar_h10",
         "participant": "p02",

