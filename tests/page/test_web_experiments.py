@@ -216,11 +216,10 @@ def test_the_example_is_run_by_a_participant(
     assert page.evaluate("document.documentElement.scrollWidth") <= 400
     count = len(reader.named("key"))
     page.get_by_role("button", name="Start").press("Enter")
-    on_before = len(reader.named("circle on"))
     for trial in range(1, 6):
         expect(page.get_by_role("img", name="circle")).to_be_visible()
         # This participant would be faster than the frame in which the circle is shown.
-        until(lambda shown=on_before + trial: len(reader.named("circle on")) >= shown)
+        reader.wait_for("circle on", f"trial {trial}")
         page.keyboard.press("Space")
         expect(page.get_by_role("img", name="circle")).to_be_hidden()
     expect(page.get_by_text("Done. Thank you.")).to_be_visible()

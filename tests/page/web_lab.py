@@ -168,6 +168,10 @@ class MarkerReader:
         until(lambda: self._has(lambda each: each["marker"] == marker))
         return self.named(marker)[0]
 
+    def wait_for(self, marker: str, note: str) -> None:
+        """Wait for a marker with a note."""
+        until(lambda: self._has(lambda each: (each["marker"], each.get("note")) == (marker, note)))
+
     def named(self, marker: str) -> list[dict[str, Any]]:
         """Return those of this name that have come."""
         return [each for each in self.markers if each["marker"] == marker]
