@@ -151,7 +151,8 @@ class Bench:
             episode.truth[name, data_name] = Samples(times[recent], values[recent])
         newest = episode.after[name].status["streams"].values()
         is_new = max(counters["last_stamp"] for counters in newest) > recovered_s
-        return is_new and episode.is_balanced(name)
+        # Some streams may be enabled again when others flow already.
+        return is_new and self._is_well(name) and episode.is_balanced(name)
 
     def _is_noticed(self, episode: Episode, kind: Kind, name: str) -> bool:
         status = self._status(name)
