@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from functools import partial
 from time import monotonic
@@ -16,6 +16,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import Header
 
 from biosensor_common.errors import ConfigError, ConfigReason
@@ -43,6 +44,8 @@ from lsl_to_ros.topics.publishers import make_publisher
 LOOK_PERIOD_S = 0.25
 LOOKS_BETWEEN = 4
 """So often the publishers of a topic are asked for that has some already: it takes a while."""
+LOOKS_TO_MEET = 4
+"""So often who publishes a topic that was asked for is seen before it is subscribed."""
 LOOKS_TO_SETTLE = 8
 """So often a topic has been seen when it is known whose it is."""
 # By then a node has found the others.
@@ -75,7 +78,7 @@ class RosToLsl(Node):
         self._taker = Taker(self, self._fail)
         self._group = TakenElsewhere()
         self._seen: dict[str, int] = {}
-        self._unnamed: Counter[str] = Counter()
+        self._met: Counter[str] = Counter()
         self._looks = 0
         self._missed_s = monotonic() + FOUND_AFTER_S
         for request in self._requests.topics:
@@ -129,11 +132,8 @@ class RosToLsl(Node):
 
     def _follow(self, graph: Graph, topic: Topic) -> None:
         publishers = graph.publishers(topic.name)
-        if not graph.are_named(publishers):
-            # What is no ROS node never has a name.
-            self._unnamed[topic.name] += 1
-            if self._unnamed[topic.name] <= LOOKS_TO_SETTLE:
-                return
+        if topic.kind is None and publishers and not self._is_met(graph, topic.name, publishers):
+            return
         if graph.is_ours(publishers):
             topic.refuse("lsl_to_ros publishes it, and it is an LSL stream already")
             return
@@ -143,6 +143,13 @@ class RosToLsl(Node):
             self._say(topic.name, f"{lost} messages were lost on the way from its publisher")
         if topic.kind is not None and not was_known and not topic.bridge.fault:
             self._log.inform(f"{topic.name} ({topic.kind.name}): {topic.quality}")
+
+    def _is_met(self, graph: Graph, topic: str, publishers: Sequence[TopicEndpointInfo]) -> bool:
+        """Whether a topic's publishers have been there long enough to know whose they are."""
+        self._met[topic] += 1
+        # What is no ROS node never has a name.
+        needed = LOOKS_TO_MEET if graph.are_named(publishers) else LOOKS_TO_SETTLE
+        return self._met[topic] > needed
 
     def _say_missing(self, graph: Graph) -> None:
         """Say which topics nobody publishes: a name may be misspelt."""
