@@ -3,7 +3,7 @@
 Below ``desc``, beside the recorded description, which stays as it is::
 
     <replay>
-      <file>study.xdf</file> <source_id>polar_h10-U1-ecg</source_id>
+      <file>study.xdf</file> <source_id>amplifier-1</source_id>
       <nominal_srate>130.0</nominal_srate> <speed>1.0</speed> <start>4711.25</start>
     </replay>
 

@@ -27,9 +27,8 @@ from tests.system.lab_recorder import recording
 
 LIMIT_S = 0.005
 # Virtual devices write when this computer lets them, and what it delays a clock takes for the
-# device's own: after a break the first packets are all that it knows. A gap that is smeared
-# moves samples by a second.
-BUSY = 10
+# device's own: after a break the first packets are all that it knows.
+BUSY = 3
 DROP_S = 2.0
 # A clock is as good as it gets from the tenth second on.
 SETTLE_S = 11.0

@@ -99,6 +99,21 @@ def _offset_ns(pair: ClockPair) -> int:
 
 
 def _outlet(node: Node, warn: Callable[[str], None]) -> pylsl.StreamOutlet | None:
+    try:
+        return events_outlet(node, "lsl_to_ros")
+    except RuntimeError as error:
+        warn(f"recordings will not tell the time of this computer: LSL offers no stream ({error})")
+        return None
+
+
+def events_outlet(node: Node, model: str) -> pylsl.StreamOutlet:
+    """Offer a node's own stream of events; `model` is the program that has it.
+
+    Raises
+    ------
+    RuntimeError
+        pylsl's, if LSL offers no stream.
+    """
     identity = DeviceIdentity(NODE, unit_of(socket.gethostname(), node))
     info = pylsl.StreamInfo(
         lsl_name(identity, EVENTS.data_name),
@@ -108,12 +123,8 @@ def _outlet(node: Node, warn: Callable[[str], None]) -> pylsl.StreamOutlet | Non
         EVENTS.format.value,
         source_id(identity, EVENTS.data_name),
     )
-    append_children(info.desc(), describe(EVENTS, identity, DeviceInfo(model="lsl_to_ros")))
-    try:
-        return pylsl.StreamOutlet(info)
-    except RuntimeError as error:
-        warn(f"recordings will not tell the time of this computer: LSL offers no stream ({error})")
-        return None
+    append_children(info.desc(), describe(EVENTS, identity, DeviceInfo(model=model)))
+    return pylsl.StreamOutlet(info)
 
 
 def unit_of(hostname: str, node: Node) -> str:

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import json
 import math
-import socket
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -26,11 +25,7 @@ from rclpy.node import Node
 
 from biosensor_common.clock_pair import measure_clock_pair
 from biosensor_common.clocks import MonotonicStamps
-from biosensor_common.description_xml import append_children
-from biosensor_common.lsl_header import describe
-from biosensor_common.naming import NODE, lsl_name, source_id
-from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from lsl_to_ros.reports.clock_pairs import EVENTS, unit_of
+from lsl_to_ros.reports.clock_pairs import events_outlet
 
 HEARTBEAT_S = 5.0
 
@@ -51,7 +46,7 @@ class Events:
         self._lock = threading.Lock()
         self._stamps = MonotonicStamps()
         self._due_s, self._had_consumers = -math.inf, False
-        self._outlet = _outlet(node)
+        self._outlet = events_outlet(node, "ros_to_lsl")
         self._send("started", _clock())
 
     def notice(self, topic: str, text: str) -> None:
@@ -76,17 +71,3 @@ class Events:
 
 def _clock() -> dict[str, object]:
     return measure_clock_pair(time.time_ns, pylsl.local_clock).as_facts()
-
-
-def _outlet(node: Node) -> pylsl.StreamOutlet:
-    identity = DeviceIdentity(NODE, unit_of(socket.gethostname(), node))
-    info = pylsl.StreamInfo(
-        lsl_name(identity, EVENTS.data_name),
-        EVENTS.content_type.value,
-        len(EVENTS.channels),
-        0.0,
-        EVENTS.format.value,
-        source_id(identity, EVENTS.data_name),
-    )
-    append_children(info.desc(), describe(EVENTS, identity, DeviceInfo(model="ros_to_lsl")))
-    return pylsl.StreamOutlet(info)
