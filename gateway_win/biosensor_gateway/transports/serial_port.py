@@ -23,6 +23,8 @@ OPEN_TIMEOUT_S = 20.0
 # On Windows a write to a vanished Bluetooth port would wait for ever.
 WRITE_TIMEOUT_S = 2.0
 CLOSE_TIMEOUT_S = 1.0
+# A read that was not yet on its way when it was cancelled is cancelled again after this time.
+_CANCEL_AGAIN_S = 0.02
 
 # pyserial raises these, too, when a port is closed under a blocked call.
 _PORT_ERRORS = (OSError, TypeError, ValueError, AttributeError)
@@ -89,7 +91,6 @@ class SerialLink:
 
     def _end(self) -> None:
         if self._traffic.started:
-            self._traffic.join_reader(CLOSE_TIMEOUT_S)
             self._traffic.join_writer(CLOSE_TIMEOUT_S)
         elif self._port is not None:
             # It was opened when whoever asked for it had gone.
@@ -141,10 +142,20 @@ class SerialLink:
         except _PORT_ERRORS as error:
             self._traffic.lost(error)
         try:
-            port.cancel_read()
+            self._end_reading(port)
             port.close()
         except _PORT_ERRORS as error:
             self._traffic.lost(error)
+
+    def _end_reading(self, port: serial.Serial) -> None:
+        """Have the reading thread end; however long that takes, the port is not closed before.
+
+        Windows writes how a read has ended to where pyserial keeps the read, which closing frees.
+        """
+        self._traffic.closing = True
+        port.cancel_read()
+        while not self._traffic.join_reader(_CANCEL_AGAIN_S):
+            port.cancel_read()
 
 
 def _error_code(error: OSError) -> int | None:

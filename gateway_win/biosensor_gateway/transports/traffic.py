@@ -90,9 +90,10 @@ class Traffic:
         """Wait for the writing thread, at most so long."""
         self._threads[1].join(seconds)
 
-    def join_reader(self, seconds: float | None = None) -> None:
-        """Wait for the reading thread, at most so long."""
+    def join_reader(self, seconds: float | None = None) -> bool:
+        """Wait for the reading thread, at most so long; return whether it has ended."""
         self._threads[0].join(seconds)
+        return not self._threads[0].is_alive()
 
     def _hand_on(self, item: Received | TransportError) -> None:
         assert self._loop is not None
