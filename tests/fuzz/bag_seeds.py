@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +31,7 @@ def bags() -> Iterator[tuple[str, bytes]]:
     )
     yield "numbers", mcap_bytes.file(raw)
     yield "live", mcap_bytes.file(mcap_bytes.chunk(raw, stamped))
+    yield "listed", mcap_bytes.file(_listed(), stamped)
     texts = [_TYPES["std_msgs/msg/String"](text) for text in _told()]
     told = mcap_bytes.topic(3, "/biosensors/recorded_streams", "std_msgs/msg/String", *texts)
     yield "recorded", mcap_bytes.file(told, mcap_bytes.chunk(stamped))
@@ -65,6 +67,19 @@ def _samples() -> list[object]:
         )
         for at in (0, 2)
     ]
+
+
+def _listed() -> bytes:
+    """Return what the node says of its streams."""
+    stamped = "/biosensors/zephyr/ecg_stamped"
+    told = {"source_id": "zephyr-ecg", "format": "float32", "labels": "ecg", "units": "mV"}
+    told |= {"foreign": "false", "participant": "", "label": "", "lsl_name": "zephyr-U1-ecg"}
+    told |= {"lsl_type": "ECG", "host": "pc", "rate": "250", f"topic {stamped}": ""}
+    pair = _TYPES["diagnostic_msgs/msg/KeyValue"]
+    pairs: list[Any] = [pair(key, value) for key, value in told.items()]
+    status = _TYPES["diagnostic_msgs/msg/DiagnosticStatus"](0, stamped, "", "U1", pairs)
+    kind = "diagnostic_msgs/msg/DiagnosticArray"
+    return mcap_bytes.topic(6, "/lsl_to_ros/streams", kind, _TYPES[kind](_HEADER, [status]))
 
 
 def _told() -> Iterator[str]:

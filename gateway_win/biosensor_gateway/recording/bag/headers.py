@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,8 +10,10 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 from biosensor_common import naming
+from biosensor_common.lsl_header import MAX_CHANNELS
 from biosensor_common.quantities import Category, ChannelFormat, MessageType
 from biosensor_common.spec import DeviceIdentity, is_data_name
+from biosensor_gateway.recording.bag.errors import MessageError
 
 LATCHED = re.compile(r"durability:\s*(?:transient_local|1)\b")
 STAMPED = "_stamped"
@@ -125,6 +128,11 @@ def facts_of_ours(
         Of the messages on the raw topic; empty if that was not recorded.
     message
         A ``Samples`` or ``Event``.
+
+    Raises
+    ------
+    MessageError
+        If it does not tell of each channel of a stream.
     """
     data = topic.removesuffix(STAMPED).rpartition("/")[2]
     participant, _, sensor = frame_id.rpartition("/")
@@ -137,6 +145,9 @@ def facts_of_ours(
         message_type = message_type or MessageType.STRING
     else:
         labels, units = tuple(message.labels), tuple(message.units)
+        if not 0 < len(labels) == len(units) <= MAX_CHANNELS:
+            text = f"{len(labels)} labels and {len(units)} units are no channels of a stream"
+            raise MessageError(text)
         form = ChannelFormat.INT64 if len(message.integers) else ChannelFormat.DOUBLE64
         form = _FORMATS.get(message_type, form) if message_type else form
         message_type = message_type or _GENERIC[form]
@@ -178,6 +189,9 @@ def listed_facts(statuses: Iterable[Any]) -> Mapping[str, Facts]:
 
 def _listed(values: Mapping[str, str], unit: str, raw_type: str) -> Facts:
     source_id, form = values["source_id"], ChannelFormat(values["format"])
+    labels, units = values["labels"].split(", "), values["units"].split(", ")
+    if len(labels) != len(units):
+        raise ValueError("there is not one unit a label")
     block: dict[str, str] = {}
     if values["foreign"] == "false":
         # Its fields hold none of these characters.
@@ -190,12 +204,19 @@ def _listed(values: Mapping[str, str], unit: str, raw_type: str) -> Facts:
         content_type=values["lsl_type"],
         source_id=source_id,
         host=values["host"],
-        rate=float(values["rate"]),
+        rate=_rate(values["rate"]),
         format=form,
-        labels=tuple(values["labels"].split(", ")),
-        units=tuple(values["units"].split(", ")),
+        labels=tuple(labels),
+        units=tuple(units),
         block=tuple(block.items()),
     )
+
+
+def _rate(text: str) -> float:
+    rate = float(text)
+    if not 0 <= rate < math.inf:
+        raise ValueError("it is no rate")
+    return rate
 
 
 def _block(

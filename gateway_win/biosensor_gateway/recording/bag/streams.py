@@ -73,7 +73,7 @@ class StampedTopic:
         self._new_stream, self._to_lsl = new_stream, to_lsl
         self._facts, self._raw_type = facts, raw_type
         self._writer: StreamWriter | None = None
-        self._columns = 0
+        self._columns, self._is_text = 0, False
         if recorded is not None:
             self._begin_recorded(recorded)
 
@@ -93,7 +93,7 @@ class StampedTopic:
         channels: int,
         offsets: tuple[tuple[float, float], ...] | None = None,
     ) -> StreamWriter:
-        self._columns = channels
+        self._columns, self._is_text = channels, form is ChannelFormat.STRING
         self._writer = self._new_stream(xml, form, channels, offsets)
         return self._writer
 
@@ -108,7 +108,9 @@ class StampedTopic:
         read = self._kind.read(message.content)
         writer = self._writer or self._begin_live(read)
         begin_ns = read.header.stamp.sec * NS_PER_S + read.header.stamp.nanosec
-        if isinstance(read.data, str):
+        if isinstance(read.data, str) is not self._is_text:
+            raise MessageError("it has text for numbers, or numbers for text")
+        if self._is_text:
             writer.add(self._to_lsl(np.array([begin_ns])), self._texts(read.data))
             return
         values = read.integers if len(read.integers) else read.data

@@ -35,6 +35,11 @@ OWN = {
 }
 
 
+# What is read by the names of its fields, so that its definition must have those. Time and Duration
+# are so, too, but the library refuses definitions of these that are not its own.
+_READ_BY_NAME = (*OWN, "std_msgs/msg/Header")
+
+
 @cache
 def typestore() -> Typestore:
     """Return all definitions."""
@@ -74,11 +79,21 @@ class MessageType:
             raise MessageError(f"the type {name} is unknown, and the bag does not define it")
         if name in within:
             raise MessageError(f"the type {name} is inside itself")
+        if name in _READ_BY_NAME:
+            self._require_fields(name)
         for _, (node, what) in self.fields(name):
             is_array = node in (Nodetype.ARRAY, Nodetype.SEQUENCE)
             inner_node, inner = what[0] if is_array else (node, what)
             if inner_node is Nodetype.NAME:
                 self._require(inner, (*within, name))
+
+    def _require_fields(self, name: str) -> None:
+        """See to it that a type has the fields that it has everywhere else; more do no harm."""
+        defined = dict(self.fields(name))
+        for field, what in typestore().fielddefs[name][1]:
+            if defined.get(field) != what:
+                text = f"its bag defines {name} without the field {field}, or as another type"
+                raise MessageError(text)
 
     def read(self, content: bytes) -> Any:  # noqa: ANN401 - of any type
         """Return a message as an object.
