@@ -25,6 +25,18 @@ def test_without_offsets_stamps_stay() -> None:
     assert clock.to_recorder(stamps).tolist() == stamps.tolist()
 
 
+@pytest.mark.parametrize("damaged", [1e200, -1e12, np.inf, np.nan])
+@pytest.mark.parametrize("place", [0, 1])
+def test_what_no_clock_can_read_is_passed_over(damaged: float, place: int) -> None:
+    offsets = _offsets(100.0, 20, 3.0, 0.0, np.zeros(20))
+    wrong = list(offsets[10])
+    wrong[place] = damaged
+    clock = SenderClock([*offsets[:10], (wrong[0], wrong[1]), *offsets[10:]])
+    assert clock.restarts == 0
+    assert clock.to_recorder(np.array([150.0]), offsets_before=12).tolist() == [153.0]
+    assert not SenderClock([(wrong[0], wrong[1])]).is_known
+
+
 @given(
     st.floats(0, 1e6),
     st.integers(20, 400),

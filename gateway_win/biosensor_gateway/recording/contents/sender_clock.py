@@ -17,6 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from biosensor_common.device_clock import READING_LIMIT_S
+
 JUMP_S = 1.0
 """An offset that changes by more between two measurements belongs to a clock begun anew."""
 LEAST_FOR_DRIFT = 3
@@ -112,15 +114,26 @@ class SenderClock:
 def _runs(
     offsets: Sequence[tuple[float, float]],
 ) -> list[tuple[int, Sequence[tuple[float, float]]]]:
-    if not offsets:
-        return []
-    begins = [0]
-    for at in range(1, len(offsets)):
-        (before_s, before), (time_s, offset) = offsets[at - 1 : at + 1]
-        if time_s < before_s or abs(offset - before) > JUMP_S:
-            begins.append(at)
-    ends = [*begins[1:], len(offsets)]
-    return [(begin, offsets[begin:end]) for begin, end in zip(begins, ends, strict=True)]
+    """Divide offsets where the clock began anew; each run has its place among all of the file.
+
+    What no clock can read was damaged, and is passed over.
+    """
+    known = [(at, *each) for at, each in enumerate(offsets) if all(map(_is_reading, each))]
+    begins = [
+        number
+        for number, (_, time_s, offset) in enumerate(known)
+        if number == 0
+        or time_s < known[number - 1][1]
+        or abs(offset - known[number - 1][2]) > JUMP_S
+    ]
+    ends = [*begins[1:], len(known)] if known else []
+    runs = [known[begin:end] for begin, end in zip(begins, ends, strict=True)]
+    return [(run[0][0], [(time_s, offset) for _, time_s, offset in run]) for run in runs]
+
+
+def _is_reading(value: float) -> bool:
+    # Not a number is not within the limit either.
+    return abs(value) <= READING_LIMIT_S
 
 
 def _fit(begin: int, run: Sequence[tuple[float, float]]) -> _Line:
