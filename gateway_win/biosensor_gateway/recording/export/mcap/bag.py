@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections.abc import Generator, Iterable
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from rosbags.interfaces import (
     Connection,
     Qos,
@@ -16,9 +17,10 @@ from rosbags.interfaces import (
     QosReliability,
     QosTime,
 )
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import StoragePlugin
 
 from biosensor_gateway.recording.bag.types import typestore
+from biosensor_gateway.recording.export.mcap.writer import BagWriter, Messages
 
 # Messages that wait until no earlier one can come; of more, the oldest are written all the same.
 _MOST_WAITING = 100_000
@@ -30,12 +32,10 @@ _INFINITE = QosTime(9_223_372_036, 854_775_807)
 class Bag:
     """A bag that is being written."""
 
-    def __init__(self, writer: Writer) -> None:
+    def __init__(self, writer: BagWriter) -> None:
         self._writer = writer
         self._types: dict[str, str] = {}
-        self._waiting: list[tuple[int, int, Connection, bytes]] = []
-        self._waiting_bytes = 0
-        self._count = 0
+        self._wait(Messages(np.empty(0, np.int64), np.empty(0, np.int64), []))
 
     @property
     def topics(self) -> frozenset[str]:
@@ -69,36 +69,39 @@ class Bag:
             topic, type_name, typestore=typestore(), offered_qos_profiles=[qos]
         )
 
-    def add(self, connection: Connection, unix_ns: Iterable[int], messages: list[bytes]) -> None:
+    def add(
+        self,
+        connection: Connection,
+        unix_ns: NDArray[np.int64] | Sequence[int],
+        messages: list[bytes],
+    ) -> None:
         """Take messages in, with the times at which the bag is to have them."""
-        first = self._count
-        self._count += len(messages)
-        numbers = range(first, self._count)
-        each = zip(unix_ns, numbers, [connection] * len(messages), messages, strict=True)
-        self._waiting.extend(each)
+        self._times.append(np.asarray(unix_ns, np.int64))
+        self._channels.append(np.full(len(messages), connection.id))
+        self._contents.extend(messages)
         self._waiting_bytes += sum(map(len, messages))
 
     def write_until(self, unix_ns: int) -> None:
         """Write what is before a time, once it is worth the while, or too much waits."""
-        if len(self._waiting) < _MOST_WAITING and self._waiting_bytes < _MOST_WAITING_BYTES:
+        if len(self._contents) < _MOST_WAITING and self._waiting_bytes < _MOST_WAITING_BYTES:
             return
-        self._waiting.sort()
-        self._write(self._place_of(unix_ns) or len(self._waiting) // 2)
+        waiting = self._waiting()
+        count = int(np.searchsorted(waiting.unix_ns, unix_ns)) or len(waiting.contents) // 2
+        self._writer.write_all(waiting.part(0, count))
+        self._wait(waiting.part(count, len(waiting.contents)))
 
     def write_all(self) -> None:
         """Write all that waits."""
-        self._waiting.sort()
-        self._write(len(self._waiting))
+        self._writer.write_all(self._waiting())
 
-    def _place_of(self, unix_ns: int) -> int:
-        return bisect_left(self._waiting, (unix_ns,))
+    def _waiting(self) -> Messages:
+        times, channels = np.concatenate(self._times), np.concatenate(self._channels)
+        return Messages(times, channels, self._contents).in_time()
 
-    def _write(self, count: int) -> None:
-        write = self._writer.write
-        for unix_ns, _, connection, message in self._waiting[:count]:
-            write(connection, unix_ns, message)
-        del self._waiting[:count]
-        self._waiting_bytes = sum(len(message) for *_, message in self._waiting)
+    def _wait(self, messages: Messages) -> None:
+        self._times, self._channels = [messages.unix_ns], [messages.channels]
+        self._contents = messages.contents
+        self._waiting_bytes = sum(map(len, messages.contents))
 
 
 @contextmanager
@@ -110,7 +113,7 @@ def new_bag(folder: Path) -> Generator[Bag]:
     OSError
         If it cannot be written.
     """
-    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+    with BagWriter(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         bag = Bag(writer)
         yield bag
         bag.write_all()

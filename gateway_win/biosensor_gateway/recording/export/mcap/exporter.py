@@ -55,10 +55,8 @@ class _Conversion:
         self._timeless: dict[int, int] = {}
         self._is_told = False
         names = names_of(contents.streams)
-        # Looked for by the library from the first on, with each message.
-        by_rate = sorted(chosen.streams, key=lambda stream: -stream.header.rate)
         self._topics = {
-            each.number: StreamTopics(bag, each, names[each.number]) for each in by_rate
+            each.number: StreamTopics(bag, each, names[each.number]) for each in chosen.streams
         }
 
     def run(self, progress: Progress) -> None:

@@ -133,21 +133,21 @@ class StreamTopics:
         assert self._raw_numbers is not None
         fits = self._raw_numbers.fitting(values)
         if fits.all():
-            self._bag.add(self._raw, unix_ns.tolist(), self._raw_numbers.encode(values))
+            self._bag.add(self._raw, unix_ns, self._raw_numbers.encode(values))
         else:
             unfit = values[~fits][0, 0]
             self.unfit.add(int((~fits).sum()), f"{unfit} does not fit {self._header.message_type}")
             messages = self._raw_numbers.encode(values[fits])
-            self._bag.add(self._raw, unix_ns[fits].tolist(), messages)
+            self._bag.add(self._raw, unix_ns[fits], messages)
         for start in range(0, len(unix_ns), self._most):
             part = slice(start, start + self._most)
             message = self._stamped_numbers.encode(
                 unix_ns[part], values[part], self.written + start
             )
             # As with the node, it is there when its last sample is.
-            self._bag.add(self._stamped, [int(unix_ns[part][-1])], [message])
+            self._bag.add(self._stamped, unix_ns[part][-1:], [message])
         for standard, connection in self._standard:
-            self._bag.add(connection, unix_ns.tolist(), standard.encode(unix_ns, values))
+            self._bag.add(connection, unix_ns, standard.encode(unix_ns, values))
 
     def _write_texts(self, unix_ns: NDArray[np.int64], values: Texts) -> None:
         times = unix_ns.tolist()
