@@ -25,9 +25,14 @@ class _Sent:
         self.values: list[int] = []
         self.stamps: list[float] = []
 
-    def push(self, samples: Samples, begin: int, end: int, stamps: NDArray[np.float64]) -> None:
+    def block(self, samples: Samples, stamps: NDArray[np.float64]) -> _Sent:
+        self._block = samples, stamps
+        return self
+
+    def push(self, begin: int, end: int) -> None:
+        samples, stamps = self._block
         self.values += np.asarray(samples.values)[begin:end, 0].tolist()
-        self.stamps += stamps.tolist()
+        self.stamps += stamps[begin:end].tolist()
 
 
 @given(st.lists(TIMES, min_size=1, max_size=5), st.sampled_from([0.5, 1.0, 4.0]))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,10 +18,10 @@ class Lateness:
 
     def __init__(self) -> None:
         self._counts = np.zeros(_BINS, np.int64)
-        self._blocks: list[NDArray[np.float64]] = []
+        self._blocks: list[tuple[float, float, NDArray[np.float64]]] = []
         self._most_s = 0.0
 
-    def add(self, sent_s: float, stamps: NDArray[np.float64]) -> None:
+    def add(self, sent_s: float, stamps: NDArray[np.float64], since_s: float = -math.inf) -> None:
         """Take in samples.
 
         Parameters
@@ -27,8 +29,10 @@ class Lateness:
         sent_s
             LSL time at which they had been given to LSL.
         stamps : ndarray of float64, shape (n_samples,)
+        since_s
+            What is stamped before that was late by intent, and is not counted.
         """
-        self._blocks.append(sent_s - stamps)
+        self._blocks.append((sent_s, since_s, stamps))
         if len(self._blocks) >= _MOST_BLOCKS:
             self._fold()
 
@@ -50,8 +54,11 @@ class Lateness:
     def _fold(self) -> None:
         if not self._blocks:
             return
-        late: NDArray[np.float64] = np.concatenate(self._blocks)
+        sent, since, blocks = zip(*self._blocks, strict=True)
+        lengths = [len(each) for each in blocks]
+        stamps: NDArray[np.float64] = np.concatenate(blocks)
+        late = (np.repeat(sent, lengths) - stamps)[stamps >= np.repeat(since, lengths)]
         self._blocks.clear()
-        self._most_s = max(self._most_s, float(late.max()))
+        self._most_s = max(self._most_s, float(late.max(initial=0.0)))
         bins = np.clip(late / BIN_S, 0, _BINS - 1).astype(np.int64)
         np.add.at(self._counts, bins, 1)

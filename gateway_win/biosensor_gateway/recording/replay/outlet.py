@@ -5,6 +5,8 @@ from __future__ import annotations
 import ctypes
 import sys
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from typing import Any, Protocol
 
 import numpy as np
 import pylsl
@@ -16,6 +18,7 @@ from biosensor_common.replay import Replay, mark_as_replay
 from biosensor_gateway.recording.contents.stream import Samples
 from biosensor_gateway.recording.replay.errors import ReplayError, ReplayReason
 from biosensor_gateway.recording.xdf.header import RecordedHeader
+from biosensor_gateway.recording.xdf.samples import Texts
 
 # The fields of this computer. LSL puts its own texts in place of these, but only where one is;
 # an address that is not empty it would believe.
@@ -58,6 +61,74 @@ def played_description(header: RecordedHeader, source_id: str, replay: Replay) -
     return ET.tostring(root, encoding="unicode")
 
 
+class Block(Protocol):
+    """Some samples of a stream, which go out part by part."""
+
+    def push(self, begin: int, end: int) -> None:
+        """Send some of them, `end` excluded."""
+        ...
+
+
+class _Texts:
+    def __init__(
+        self, outlet: pylsl.StreamOutlet, values: Texts, stamps: NDArray[np.float64]
+    ) -> None:
+        self._outlet, self._values, self._stamps = outlet, values, stamps
+
+    def push(self, begin: int, end: int) -> None:
+        texts = [text for sample in self._values[begin:end] for text in sample]
+        self._outlet.push_chunk(texts, self._stamps[begin:end].tolist())
+
+
+class _Numbers:
+    """Keeps where samples stand in memory.
+
+    To find that out with each sample of each of many streams, as pylsl does, takes longer than LSL
+    takes to take them in.
+    """
+
+    def __init__(
+        self,
+        outlet: pylsl.StreamOutlet,
+        values: NDArray[Any],
+        stamps: NDArray[np.float64],
+        form: ChannelFormat,
+    ) -> None:
+        self._push, self._outlet = _PUSHES[form], outlet
+        # They stay as long as their addresses are used.
+        self._values, self._stamps = np.ascontiguousarray(values), np.ascontiguousarray(stamps)
+        self._values_at, self._stamps_at = self._values.ctypes.data, self._stamps.ctypes.data
+
+    def push(self, begin: int, end: int) -> None:
+        count, channels = end - begin, self._values.shape[1]
+        # It has no error but that of a number of values that are no samples.
+        self._push(
+            self._outlet.obj,
+            self._values_at + begin * channels * self._values.itemsize,
+            count * channels,
+            self._stamps_at + begin * self._stamps.itemsize,
+            1,
+        )
+
+
+def _push_function(letter: str) -> Callable[..., int]:
+    # Not the one that pylsl uses: it knows no types of arguments.
+    function = lib[f"lsl_push_chunk_{letter}tnp"]
+    pointer = ctypes.c_void_p
+    function.argtypes = (pointer, pointer, ctypes.c_ulong, pointer, ctypes.c_int32)
+    return function
+
+
+_PUSHES = {
+    ChannelFormat.FLOAT32: _push_function("f"),
+    ChannelFormat.DOUBLE64: _push_function("d"),
+    ChannelFormat.INT64: _push_function("l"),
+    ChannelFormat.INT32: _push_function("i"),
+    ChannelFormat.INT16: _push_function("s"),
+    ChannelFormat.INT8: _push_function("c"),
+}
+
+
 class PlayedOutlet:
     """An outlet like the recorded one; it is on the network from the beginning.
 
@@ -73,27 +144,23 @@ class PlayedOutlet:
             raise ReplayError(ReplayReason.NO_OUTLET, message)
         try:
             info = _info(played_description(header, source_id, replay))
-            self._outlet = pylsl.StreamOutlet(info)
+            self._outlet, self._format = pylsl.StreamOutlet(info), header.format
         except RuntimeError as error:
             message = f"LSL cannot offer the stream {header.name!r} ({error})"
             raise ReplayError(ReplayReason.NO_OUTLET, message) from error
 
-    def push(self, samples: Samples, begin: int, end: int, stamps: NDArray[np.float64]) -> None:
-        """Send some of the samples.
+    def block(self, samples: Samples, stamps: NDArray[np.float64]) -> Block:
+        """Return what sends samples.
 
         Parameters
         ----------
         samples
-        begin, end
-            Which of them, `end` excluded.
-        stamps : ndarray of float64, shape (end - begin,)
+        stamps : ndarray of float64, shape (n_samples,)
             LSL times of now.
         """
         if isinstance(samples.values, list):
-            texts = [text for sample in samples.values[begin:end] for text in sample]
-            self._outlet.push_chunk(texts, stamps.tolist())
-        else:
-            self._outlet.push_chunk(samples.values[begin:end], stamps.tolist())
+            return _Texts(self._outlet, samples.values, stamps)
+        return _Numbers(self._outlet, samples.values, stamps, self._format)
 
     def has_receiver(self) -> bool:
         """Whether anybody receives it."""

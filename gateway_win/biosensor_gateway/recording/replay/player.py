@@ -210,9 +210,7 @@ class Player:
                 stamps = tracks[number].send(until_s, timeline)
                 self._sent += len(stamps)
                 # What a device had told long before goes first, at once.
-                timely = stamps[stamps >= timeline.start_s]
-                if len(timely):
-                    self.lateness.add(pylsl.local_clock(), timely)
+                self.lateness.add(pylsl.local_clock(), stamps, timeline.start_s)
                 heapq.heapreplace(due, (tracks[number].due_s, number))
             wait_s = (due[0][0] - until_s) / timeline.speed
             time.sleep(min(max(wait_s, PACE_S), _LOOK_S))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_gateway.recording.contents.stream import Samples
-from biosensor_gateway.recording.replay.outlet import PlayedOutlet
+from biosensor_gateway.recording.replay.outlet import Block, PlayedOutlet
 from biosensor_gateway.recording.replay.timeline import Timeline
 
 
@@ -36,7 +37,9 @@ class Track:
     def __init__(self, outlet: PlayedOutlet, blocks: Iterator[Samples]) -> None:
         self._outlet, self._blocks = outlet, blocks
         self._samples: Samples | None = None
-        self._due = np.empty(0)
+        self._block: Block | None = None
+        self._stamps = np.empty(0)
+        self._due: list[float] = []
         self._at = 0
         self.due_s = -math.inf
         self._read()
@@ -56,21 +59,26 @@ class Track:
         """
         if self._samples is None:
             return np.empty(0)
-        begin, end = self._at, int(np.searchsorted(self._due, until_s, side="right"))
-        stamps = timeline.stamps(self._samples.times[begin:end])
-        self._outlet.push(self._samples, begin, end, stamps)
+        if self._block is None:
+            self._stamps = timeline.stamps(self._samples.times)
+            self._block = self._outlet.block(self._samples, self._stamps)
+        begin, end = self._at, bisect_right(self._due, until_s, self._at)
+        self._block.push(begin, end)
+        stamps = self._stamps[begin:end]
         self._at = end
         if end < len(self._due):
-            self.due_s = float(self._due[end])
+            self.due_s = self._due[end]
         else:
             self._read()
         return stamps
 
     def _read(self) -> None:
-        self._samples, self._at = next(self._blocks, None), 0
+        self._samples, self._block, self._at = next(self._blocks, None), None, 0
         if self._samples is None:
             self.due_s = math.inf
             return
         # From the chunk before on, so that a chunk that begins earlier goes out at once.
-        self._due = np.maximum.accumulate(np.maximum(self._samples.times, self.due_s))
-        self.due_s = float(self._due[0])
+        due = np.maximum.accumulate(np.maximum(self._samples.times, self.due_s))
+        # Asked for one by one, numbers of Python are three times as fast as those of numpy.
+        self._due = due.tolist()
+        self.due_s = self._due[0]
