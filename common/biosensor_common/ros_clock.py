@@ -8,7 +8,6 @@ Nothing here reads a clock; the readers are passed in.
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -158,7 +157,10 @@ class OffsetTracker:
 
     def _offset_at(self, lsl_s: float) -> int:
         knots = self._knots
-        place = bisect_right(knots, lsl_s, key=lambda knot: knot[0])
+        place = len(knots)
+        # From the end: nearly all that is asked for is of this second.
+        while place and lsl_s < knots[place - 1][0]:
+            place -= 1
         if place == 0:
             return knots[0][1]
         if place == len(knots):

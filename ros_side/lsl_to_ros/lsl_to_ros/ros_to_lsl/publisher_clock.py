@@ -43,7 +43,7 @@ class PublisherClock:
 
     def __init__(self) -> None:
         self.state = ClockState.UNKNOWN
-        self._first_stamp_ns = self._first_arrival_ns = 0
+        self._first_delay_ns = self._first_arrival_ns = 0
         self._envelope: LowerEnvelope | None = None
         self._lowest = (0.0, math.inf)
         self._newest_s = self._period_begin_s = 0.0
@@ -59,8 +59,9 @@ class PublisherClock:
         """Lower edge of arrival minus stamp, in seconds; NaN before the first message."""
         if self._envelope is None:
             return math.nan
-        first_delay_s = (self._first_arrival_ns - self._first_stamp_ns) / NS_PER_S
-        return first_delay_s + min(self._envelope.at(self._newest_s), self._lowest[1])
+        return self._first_delay_ns / NS_PER_S + min(
+            self._envelope.at(self._newest_s), self._lowest[1]
+        )
 
     def observe(self, stamp_ns: int, arrival_ns: int) -> None:
         """Take in a message.
@@ -76,7 +77,8 @@ class PublisherClock:
             self._begin(stamp_ns, arrival_ns)
         delay_ns = arrival_ns - stamp_ns
         passed_s = (arrival_ns - self._first_arrival_ns) / NS_PER_S
-        height_s = (delay_ns - self._first_arrival_ns + self._first_stamp_ns) / NS_PER_S
+        height_s = (delay_ns - self._first_delay_ns) / NS_PER_S
+        delay_s = delay_ns / NS_PER_S
         self._newest_s = max(self._newest_s, passed_s)
         if height_s < self._lowest[1]:
             self._lowest = passed_s, height_s
@@ -84,14 +86,14 @@ class PublisherClock:
             # Of each second the lowest point, for a fit takes longer than all the rest.
             self._envelope.add(*self._lowest)
             self._lowest, self._period_begin_s = (0.0, math.inf), passed_s
-        self._late.add(delay_ns / NS_PER_S, BEHIND_S, passed_s)
-        self._judge(delay_ns / NS_PER_S)
+        self._late.add(delay_s, BEHIND_S, passed_s)
+        self._judge(delay_s)
         if self.state is ClockState.SYNCHRONISED and self._late.outlasts(SET_BACK):
             self.state = ClockState.UNSYNCHRONISED
             self._begin(stamp_ns, arrival_ns)
 
     def _begin(self, stamp_ns: int, arrival_ns: int) -> None:
-        self._first_stamp_ns, self._first_arrival_ns = stamp_ns, arrival_ns
+        self._first_delay_ns, self._first_arrival_ns = arrival_ns - stamp_ns, arrival_ns
         self._envelope, self._lowest = LowerEnvelope(0.0), (0.0, math.inf)
         self._newest_s = self._period_begin_s = 0.0
         self._late = LateRun()

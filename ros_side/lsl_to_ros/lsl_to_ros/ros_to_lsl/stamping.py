@@ -128,27 +128,24 @@ class MessageStamping:
 
     def choose(self, message: RosMessage, info: MessageInfo) -> StampSource:
         """Return by what a message is to be stamped."""
-        if self._has_header and self._trusts(StampSource.HEADER) and _header_ns(message):
-            return StampSource.HEADER
-        is_there = not self._by_arrival and info["source_timestamp"]
-        return (
-            StampSource.SOURCE
-            if is_there and self._trusts(StampSource.SOURCE)
-            else StampSource.ARRIVAL
-        )
+        return self._chosen(message, info)[0]
 
     def stamp(self, message: RosMessage, info: MessageInfo) -> Stamped:
         """Return a message's LSL time, after that of the message before."""
-        source = self.choose(message, info)
+        source, stamp_ns = self._chosen(message, info)
         self.sources[source] += 1
-        if source is StampSource.HEADER:
-            stamp_ns = _header_ns(message)
-        elif source is StampSource.SOURCE:
-            stamp_ns = info["source_timestamp"]
-        else:
-            stamp_ns = info["received_timestamp"]
         (lsl_s,) = self._monotonic.apply([self._ros_time.to_lsl_s(stamp_ns)])
         return Stamped(lsl_s, source)
+
+    def _chosen(self, message: RosMessage, info: MessageInfo) -> tuple[StampSource, int]:
+        """Return also the stamp, in nanoseconds since 1970."""
+        is_headed = self._has_header and self._trusts(StampSource.HEADER)
+        if is_headed and (stamp_ns := _header_ns(message)):
+            return StampSource.HEADER, stamp_ns
+        source_ns = 0 if self._by_arrival else info["source_timestamp"]
+        if source_ns and self._trusts(StampSource.SOURCE):
+            return StampSource.SOURCE, source_ns
+        return StampSource.ARRIVAL, info["received_timestamp"]
 
     def _trusts(self, source: StampSource) -> bool:
         return self.clocks[source].state is not ClockState.UNSYNCHRONISED

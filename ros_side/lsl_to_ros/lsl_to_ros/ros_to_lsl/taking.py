@@ -5,8 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from queue import Empty, SimpleQueue
+from queue import SimpleQueue
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
@@ -37,10 +36,11 @@ class TakenElsewhere(CallbackGroup):
         return False
 
 
-@dataclass(frozen=True, slots=True)
 class _Entry:
-    subscription: Subscription
-    take: Take
+    def __init__(self, subscription: Subscription, take: Take) -> None:
+        self.subscription, self.take = subscription, take
+        # Asked for by every round, which a property of rclpy makes dear.
+        self.handle = subscription.handle
 
 
 class Taker:
@@ -59,7 +59,7 @@ class Taker:
     def __init__(self, node: Node, failed: Callable[[Subscription, Exception], None]) -> None:
         self._context = node.context
         self._failed = failed
-        self._entries: list[_Entry] = []
+        self._entries: dict[int, _Entry] = {}
         self._todo: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True, name="take messages")
@@ -67,16 +67,17 @@ class Taker:
 
     def add(self, subscription: Subscription, take: Take) -> None:
         """Hand the messages of a subscription to *take* from now on."""
-        self._todo.put(lambda: self._entries.append(_Entry(subscription, take)))
+        entry = _Entry(subscription, take)
+        self._todo.put(lambda: self._entries.update({subscription.handle.pointer: entry}))
 
     def remove(self, subscription: Subscription) -> None:
         """Take what has come, and nothing more; the subscription may be destroyed then."""
         done = threading.Event()
 
         def leave() -> None:
-            for each in [each for each in self._entries if each.subscription is subscription]:
-                self._take(each)
-                self._entries.remove(each)
+            entry = self._entries.pop(subscription.handle.pointer, None)
+            if entry is not None:
+                self._take(entry)
             done.set()
 
         self._todo.put(leave)
@@ -101,35 +102,28 @@ class Taker:
             self._round(wait_set)
             time.sleep(REST_S)
         self._do_what_is_to_do()
-        for each in self._entries:
+        for each in self._entries.values():
             self._take(each)
 
     def _do_what_is_to_do(self) -> None:
-        try:
-            while True:
-                self._todo.get_nowait()()
-        except Empty:
-            return
+        while not self._todo.empty():
+            self._todo.get()()
 
     def _round(self, wait_set: Any) -> None:  # noqa: ANN401 - rclpy has no types for it
         wait_set.clear_entities()
-        for each in self._entries:
-            wait_set.add_subscription(each.subscription.handle)
+        for each in self._entries.values():
+            wait_set.add_subscription(each.handle)
         wait_set.wait(_WAIT_NS)
-        ready = set(wait_set.get_ready_entities("subscription"))
-        for each in self._entries:
-            if each.subscription.handle.pointer in ready:
-                self._take(each)
+        for pointer in wait_set.get_ready_entities("subscription"):
+            self._take(self._entries[pointer])
 
     def _take(self, entry: _Entry) -> None:
-        subscription = entry.subscription
-        handle, kind = subscription.handle, subscription.msg_type
-        for _ in range(_MAX_TAKEN):
-            try:
-                taken = handle.take_message(kind, False)
+        take_message, kind = entry.handle.take_message, entry.subscription.msg_type
+        try:
+            for _ in range(_MAX_TAKEN):
+                taken = take_message(kind, False)
                 if taken is None:
                     return
                 entry.take(*taken)
-            except Exception as error:  # noqa: BLE001 - else no topic would be sent any more
-                self._failed(subscription, error)
-                return
+        except Exception as error:  # noqa: BLE001 - else no topic would be sent any more
+            self._failed(entry.subscription, error)
