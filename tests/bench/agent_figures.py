@@ -10,6 +10,8 @@ from tests.bench.figures import Figure, Measurement, Target
 
 _CPU, _MEMORY, _P99_MS = Target(25.0), Target(150.0), Target(5.0)
 _PARSER, _DECODER = Target(500.0, at_least=True), Target(200.0, at_least=True)
+# Two hundred messages of text a second: the slowest once, so it is held to more.
+_DECODERS = {"emotiv_insight": Target(1000.0, at_least=True)}
 
 
 def measure_agent(effort: Effort) -> Measurement:
@@ -41,7 +43,13 @@ def measure_decoders(effort: Effort) -> Measurement:
         for speed in parsers
     ]
     figures += [
-        Figure(speed.sensor, speed.median, "x", _DECODER, f"best {speed.best:.0f}")
+        Figure(
+            speed.sensor,
+            speed.median,
+            "x",
+            _DECODERS.get(speed.sensor, _DECODER),
+            f"best {speed.best:.0f}",
+        )
         for speed in decoders
     ]
     details = {

@@ -16,7 +16,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum, unique
-from typing import NoReturn, cast
+from typing import NamedTuple, NoReturn, cast
 
 from biosensor_gateway.devices.emotiv_insight.driver.codes import (
     ErrorKind,
@@ -111,8 +111,7 @@ class Reply:
     attention: Warned | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Data:
+class Data(NamedTuple):
     """One sample, its values still in the order of the stream's columns.
 
     Attributes
@@ -141,7 +140,7 @@ class _NonFiniteError(ValueError):
 def parse(text: str) -> Message:
     """Read one message; what cannot be read is a Fault."""
     try:
-        message: object = json.loads(text, parse_constant=_reject)
+        message: object = _DECODER.decode(text)
     except _NonFiniteError:
         return Fault(FaultCode.NON_FINITE)
     except (ValueError, RecursionError):
@@ -169,6 +168,8 @@ def list_of(value: object) -> list[object]:
 
 def number_of(value: object) -> float | None:
     """Return a finite JSON number, None for any other JSON value."""
+    if value.__class__ is float and -math.inf < cast("float", value) < math.inf:
+        return cast("float", value)
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     try:
@@ -182,6 +183,10 @@ def _reject(constant: str) -> NoReturn:
     raise _NonFiniteError(constant)
 
 
+# `json.loads` with arguments makes a decoder for each message, which takes as long as the message.
+_DECODER = json.JSONDecoder(parse_constant=_reject)
+
+
 def _dispatch(fields: Mapping[str, object]) -> Message:
     if "sid" in fields:
         return _data(fields)
@@ -193,8 +198,10 @@ def _dispatch(fields: Mapping[str, object]) -> Message:
 
 
 def _data(fields: Mapping[str, object]) -> Data | Fault:
-    stream = next((key for key in fields if key in STREAMS), None)
-    if stream is None:
+    for stream in fields:
+        if stream in STREAMS:
+            break
+    else:
         return Fault(FaultCode.UNKNOWN_STREAM)
     session = fields["sid"]
     if not isinstance(session, str):

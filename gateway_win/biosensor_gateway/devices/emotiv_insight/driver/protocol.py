@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
-from typing import cast
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import NamedTuple, cast
 
 from biosensor_gateway.devices.emotiv_insight.driver.messages import (
     Data,
@@ -35,15 +36,18 @@ class Layout:
     @property
     def labels(self) -> frozenset[str]:
         """All labels, those of nested columns too."""
-        return frozenset(
+        return frozenset(self.in_order())
+
+    def in_order(self) -> tuple[str, ...]:
+        """Return all labels as their values come; those of a nested column in its place."""
+        return tuple(
             label
             for column in self.columns
             for label in ((column,) if isinstance(column, str) else column)
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
+class Sample(NamedTuple):
     """One sample of one stream.
 
     Attributes
@@ -60,7 +64,16 @@ class Sample:
     stream: str
     time_s: float
     numbers: Mapping[str, float]
-    others: Mapping[str, object] = field(default_factory=dict[str, object])
+    others: Mapping[str, object] = MappingProxyType({})
+
+
+class _Reading(NamedTuple):
+    """How to read the values of one stream; made once, as samples are many."""
+
+    columns: tuple[Column, ...]
+    is_nested: bool
+    labels: tuple[tuple[str, bool], ...]
+    """Each with whether its value must be a number."""
 
 
 class _FaultError(Exception):
@@ -87,60 +100,82 @@ class Decoder:
     """Decodes the data of the sessions and streams that were subscribed to."""
 
     def __init__(self) -> None:
-        self._layouts: dict[str, dict[str, Layout]] = {}
+        self._readings: dict[str, dict[str, _Reading]] = {}
 
     def subscribed(self, session: str, layouts: Mapping[str, Layout]) -> None:
         """Take in the layouts of a session's streams."""
-        self._layouts.setdefault(session, {}).update(layouts)
+        readings = self._readings.setdefault(session, {})
+        for stream, columns in layouts.items():
+            readings[stream] = _reading(stream, columns)
 
     def decode(self, data: Data) -> Sample | Fault:
         """Give the values of a message their labels; never raises."""
-        layouts = self._layouts.get(data.session)
-        if layouts is None:
+        readings = self._readings.get(data.session)
+        if readings is None:
             return Fault(FaultCode.UNKNOWN_SESSION)
-        if data.stream not in layouts:
+        reading = readings.get(data.stream)
+        if reading is None:
             return Fault(FaultCode.UNKNOWN_STREAM)
-        numbers: dict[str, float] = {}
-        others: dict[str, object] = {}
         try:
-            for label, value in _labelled(layouts[data.stream].columns, data.values):
-                if data.stream in _NUMERIC_STREAMS and not label.endswith(_NOT_NUMBERS):
-                    numbers[label] = _number(value)
-                elif (number := number_of(value)) is not None:
-                    numbers[label] = number
-                else:
-                    others[label] = value
+            numbers, others = _labelled(reading, data.values)
         except _FaultError as fault:
             return Fault(fault.code)
         return Sample(data.stream, data.time_s, numbers, others)
 
 
-def _labelled(columns: tuple[Column, ...], values: list[object]) -> Iterable[tuple[str, object]]:
-    if len(columns) != len(values):
+def _reading(stream: str, columns: Layout) -> _Reading:
+    is_numeric = stream in _NUMERIC_STREAMS
+    return _Reading(
+        columns=columns.columns,
+        is_nested=not all(isinstance(column, str) for column in columns.columns),
+        labels=tuple(
+            (label, is_numeric and not label.endswith(_NOT_NUMBERS)) for label in columns.in_order()
+        ),
+    )
+
+
+def _labelled(
+    reading: _Reading, values: list[object]
+) -> tuple[dict[str, float], dict[str, object]]:
+    if len(reading.columns) != len(values):
         raise _FaultError(FaultCode.LENGTH_MISMATCH)
+    if reading.is_nested:
+        values = list(_flat(reading.columns, values))
+    numbers: dict[str, float] = {}
+    others: dict[str, object] = {}
+    for (label, is_number), value in zip(reading.labels, values, strict=True):
+        number = number_of(value)
+        if number is not None:
+            numbers[label] = number
+        elif is_number:
+            numbers[label] = _missing(value)
+        else:
+            others[label] = value
+    return numbers, others
+
+
+def _flat(columns: tuple[Column, ...], values: list[object]) -> Iterable[object]:
     for column, value in zip(columns, values, strict=True):
         if isinstance(column, str):
-            yield column, value
+            yield value
         else:
             yield from _nested(column, value)
 
 
-def _nested(labels: tuple[str, ...], value: object) -> Iterable[tuple[str, object]]:
+def _nested(labels: tuple[str, ...], value: object) -> Iterable[object]:
     if value is None:
-        return ((label, None) for label in labels)
+        return (None for _ in labels)
     if not isinstance(value, list):
         raise _FaultError(FaultCode.BAD_TYPE)
     values = cast("list[object]", value)
     if len(values) != len(labels):
         raise _FaultError(FaultCode.LENGTH_MISMATCH)
-    return zip(labels, values, strict=True)
+    return values
 
 
-def _number(value: object) -> float:
+def _missing(value: object) -> float:
+    """Return NaN for a value that Cortex does not have; anything else is no number."""
     if value is None:
         return math.nan
-    number = number_of(value)
-    if number is None:
-        not_finite = isinstance(value, int | float) and not isinstance(value, bool)
-        raise _FaultError(FaultCode.NON_FINITE if not_finite else FaultCode.BAD_TYPE)
-    return number
+    not_finite = isinstance(value, int | float) and not isinstance(value, bool)
+    raise _FaultError(FaultCode.NON_FINITE if not_finite else FaultCode.BAD_TYPE)
