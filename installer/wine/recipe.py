@@ -61,6 +61,10 @@ def _freeze(folder: Path) -> None:
         {
             "PYTHONPATH": ";".join(windows_path(WORK / each.name) for each in (PRODUCT, PACKAGES)),
             "PYTHONHASHSEED": "0",
+            # PyInstaller asks many short-lived Pythons, all of which import the same; what they
+            # have compiled must not lie among the packages, for those are what is shipped.
+            "PYTHONDONTWRITEBYTECODE": "",
+            "PYTHONPYCACHEPREFIX": windows_path(folder / "bytecode"),
             "GATEWAY_VERSION": version(),
             "GATEWAY_FROZEN": windows_path(SOURCES / "frozen.py"),
             "GATEWAY_ICON": windows_path(WORK / PICTURES.name / pictures.ICON),
