@@ -12,6 +12,10 @@ SHELL := /bin/sh
 PYTHON_FILES := common gateway_win installer ros_side tests typings
 RUN := .venv/bin/python -m
 SECONDS :=
+# The tests start thousands of programs. Where the environment forbids Python to keep what it has
+# compiled, as in many containers, each of them would compile all that it imports.
+unexport PYTHONDONTWRITEBYTECODE
+export PYTHONPYCACHEPREFIX := $(CURDIR)/build/bytecode
 # Not --quiet, which would silence the warnings that strict mode counts. The theme tells of MkDocs 2.0;
 # the lock has 1.6.
 DOCS_SITE := NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
