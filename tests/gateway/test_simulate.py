@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent import status_file
+from biosensor_gateway.demo.virtual_devices import virtual_class, virtual_names
 from biosensor_gateway.simulation import virtual_device
 from biosensor_gateway.simulation.effects import Effect
 from biosensor_gateway.simulation.faults import Fault, FaultKind, ScheduledFault, parse_fault
@@ -151,6 +152,16 @@ def test_a_fault_that_nobody_can_have_ends_the_command(
     assert (code, out) == (2, "")
     assert err.startswith(f"biosensor-gateway: {who} cannot have the fault ")
     assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ["nobody", "", "zephyr:", "zephyr:nothing", ":recording"])
+def test_what_there_is_not_is_told_with_what_there_is(name: str) -> None:
+    with pytest.raises(ConfigError) as raised:
+        virtual_class(name)
+    assert raised.value.reason is ConfigReason.WRONG_VALUE
+    assert f"there is no virtual {name!r}; there are " in str(raised.value)
+    for there_is in virtual_names():
+        assert there_is in str(raised.value)
 
 
 def test_real_devices_are_given_no_faults(run: Run) -> None:

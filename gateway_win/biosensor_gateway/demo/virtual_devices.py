@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cached_property
 from importlib import import_module
 from itertools import chain
@@ -99,11 +99,7 @@ def virtual_class(name: str) -> type[VirtualDevice]:
     SpecError
         ``INVALID``, if what another package names is no virtual device.
     """
-    if name not in virtual_names():
-        message = f"there is no virtual {name!r}; there are {', '.join(virtual_names())} and {ALL}"
-        raise ConfigError(ConfigReason.WRONG_VALUE, message)
-    sensor_name, _, variant = name.partition(":")
-    place = sensor(sensor_name).virtual[variant]
+    place = _place(name)
     try:
         found: object = resolve_name(place)
     except ModuleNotFoundError as error:
@@ -115,6 +111,25 @@ def virtual_class(name: str) -> type[VirtualDevice]:
     if not (isinstance(found, type) and issubclass(found, VirtualDevice)):
         raise SpecError(SpecReason.INVALID, f"The virtual {name}, {place}, is not a VirtualDevice.")
     return found
+
+
+def _place(name: str) -> str:
+    """Look a virtual device up by its name alone: to list all looks through every package."""
+    sensor_name, colon, variant = name.partition(":")
+    with suppress(KeyError):
+        if variant or not colon:
+            return _virtual_of(sensor_name)[variant]
+    message = f"there is no virtual {name!r}; there are {', '.join(virtual_names())} and {ALL}"
+    raise ConfigError(ConfigReason.WRONG_VALUE, message)
+
+
+def _virtual_of(sensor_name: str) -> Mapping[str, str]:
+    try:
+        return sensor(sensor_name).virtual
+    except SpecError as error:
+        if error.reason is SpecReason.UNKNOWN_SENSOR:
+            return {}
+        raise
 
 
 def import_all(names: Iterable[str]) -> None:
