@@ -61,18 +61,23 @@ def unread(places: Places) -> int:
 
 def _best(head: _Values, sent: _Values, apart_s: Floats) -> int:
     """The place nearest in time among those where most of *head* fits; 0 if there is none."""
-    near = np.flatnonzero(np.abs(apart_s) < NEAR_S).tolist()
-    fitting = [
+    near = np.flatnonzero(np.abs(apart_s) < NEAR_S)
+    # Most of them begin otherwise already, which is seen at one look.
+    begin = near[_same(sent[near], head[:1])].tolist()
+    fitting = (
         (_common(head, sent[place : place + len(head)]), -abs(float(apart_s[place])), place)
-        for place in near
-    ]
-    _, _, place = max((each for each in fitting if each[0]), default=(0, 0.0, 0))
+        for place in begin
+    )
+    _, _, place = max(fitting, default=(0, 0.0, 0))
     return place
 
 
 def _common(a: _Values, b: _Values) -> int:
     """How many samples are the same from the first on."""
     size = min(len(a), len(b))
-    same = np.isclose(a[:size], b[:size], rtol=2e-6, atol=1e-6, equal_nan=True).all(axis=1)
-    differs = np.flatnonzero(~same)
+    differs = np.flatnonzero(~_same(a[:size], b[:size]))
     return int(differs[0]) if len(differs) else size
+
+
+def _same(a: _Values, b: _Values) -> NDArray[np.bool_]:
+    return np.all(np.isclose(a, b, rtol=2e-6, atol=1e-6, equal_nan=True), axis=1)
