@@ -1,4 +1,4 @@
-"""From the device to ROS, for every sensor at once: each sample once, in order, on time.
+"""From the device to ROS, for every sensor: each sample once, in order, on time.
 
 The virtual devices run in a process of their own, with drifting crystals and a radio
 that delays every packet by up to `JITTER_S`; Bluetooth ones are reached through bleak's
@@ -32,6 +32,7 @@ from tests.faults.expectations import (
     regular_streams,
 )
 from tests.rigs.lab_client import LabProcess, Samples, settings_toml
+from tests.rigs.turns import turns
 
 JITTER_S = 0.03
 SECONDS = 30.0
@@ -44,6 +45,7 @@ STAMP_LIMIT_S = 0.020
 READ_LATE_S = 0.25
 SPACING_LIMIT_S = 0.001
 _DRIFTS_PPM = (-80.0, 120.0, -150.0, 150.0, 60.0, 100.0, -100.0)
+_DRIFT_PPM = dict(zip(SENSORS, cycle(_DRIFTS_PPM), strict=False))
 _MARKS = {name: DeviceIdentity(name, name.upper()) for name in SENSORS}
 
 Floats = NDArray[np.float64]
@@ -95,15 +97,25 @@ class Recorder:
         return Recorded(np.array(times, np.float64), np.array(rows, np.float64))
 
 
+@pytest.fixture(params=turns(SENSORS), ids="+".join)
+def sensors(request: pytest.FixtureRequest) -> tuple[str, ...]:
+    """Those whose turn it is."""
+    return request.param
+
+
 @pytest.fixture
-def lab(tmp_path: Path) -> Generator[LabProcess]:
+def lab(sensors: tuple[str, ...], tmp_path: Path) -> Generator[LabProcess]:
     devices = [
         {
             "key": name,
             "sensor": name,
-            "options": {"seed": index + 1, "jitter_s": JITTER_S, "drift_ppm": drift},
+            "options": {
+                "seed": SENSORS.index(name) + 1,
+                "jitter_s": JITTER_S,
+                "drift_ppm": _DRIFT_PPM[name],
+            },
         }
-        for index, (name, drift) in enumerate(zip(SENSORS, cycle(_DRIFTS_PPM), strict=False))
+        for name in sensors
     ]
     with LabProcess(devices, tmp_path) as running:
         yield running
@@ -169,9 +181,10 @@ def _flat(messages: list[Any]) -> Floats:
 
 
 # Seven devices, agent, node, recorder and subscriber take 1.6 processors, and the stamps of what a
-# device does not stamp itself are as late as its reader.
+# device does not stamp itself are as late as its reader: so nothing beside, and sensors in turns.
 @pytest.mark.alone
 def test_every_sensor_from_device_to_ros(
+    sensors: tuple[str, ...],
     lab: LabProcess,
     programs: Any,
     listener: Any,
@@ -181,19 +194,19 @@ def test_every_sensor_from_device_to_ros(
 ) -> None:
     for key, value in lab.environment.items():
         monkeypatch.setenv(key, value)
-    streams = {name: _listed(name, numeric_streams(name)) for name in SENSORS}
+    streams = {name: _listed(name, numeric_streams(name)) for name in sensors}
     topics = {
         (name, stream.data_name): listener.listen(
             CLASSES[stream.message_type], f"/biosensors/{name}/{stream.data_name}"
         )
-        for name in SENSORS
+        for name in sensors
         for stream in streams[name]
     }
     sources = {key: source_id(_MARKS[key[0]], key[1]) for key in topics}
     recorder = Recorder(list(sources.values()))
     programs.node()
-    programs.agent(settings_toml(lab, {name: name for name in SENSORS}))
-    regular = [(name, data_name) for name in SENSORS for data_name in regular_streams(name)]
+    programs.agent(settings_toml(lab, {name: name for name in sensors}))
+    regular = [(name, data_name) for name in sensors for data_name in regular_streams(name)]
     wait_until(lambda: all(topics[key] for key in regular), "all regular streams", 60.0)
     time.sleep(SECONDS)
     until_s = pylsl.local_clock()
@@ -208,13 +221,13 @@ def test_every_sensor_from_device_to_ros(
     received = {key: list(messages) for key, messages in topics.items()}
     recorder.stop()
     status = programs.status()
-    truths = {name: lab.truth(name) for name in SENSORS}
+    truths = {name: lab.truth(name) for name in sensors}
 
     for device in status["devices"]:
         assert device["connections"] == 1, device
         for source, counters in device["streams"].items():
             assert (counters["lost"], counters["refused"]) == (0, 0), source
-    for name in SENSORS:
+    for name in sensors:
         for stream in streams[name]:
             key = (name, stream.data_name)
             if is_by_agent(*key) or stream.data_name not in truths[name]:

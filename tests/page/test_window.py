@@ -12,6 +12,7 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from biosensor_gateway.agent import status_file
+from biosensor_gateway.demo.virtual_devices import one_of_each
 from biosensor_gateway.devices.empatica_e4.simulator.e4 import SimulatedE4
 from biosensor_gateway.simulation.world import World
 from tests.page.axe import violations
@@ -46,7 +47,7 @@ def test_from_nothing_to_traces_of_virtual_sensors(server: Server, window: OpenW
     assert page.url == f"{server.origin}/"
     page.get_by_role("button", name="Try it with virtual sensors").click()
     expect(page.get_by_text("These are virtual sensors")).to_be_visible()
-    expect(page.locator(".card", has_text="streaming")).to_have_count(7)
+    expect(page.locator(".card", has_text="streaming")).to_have_count(len(one_of_each()))
     page.get_by_role("button", name="End the agent").wait_for()
     page.once("dialog", lambda dialog: dialog.accept())
     page.get_by_role("button", name="End the agent").click()

@@ -28,9 +28,11 @@ from tests.faults.scenarios.ledger import CounterLedger, DrainedRecorder, TruthL
 from tests.faults.scenarios.length import is_long
 from tests.faults.scenarios.stage import channels_of, lab_of, wait_until, write_settings
 from tests.rigs.lab_client import LabProcess, Samples
+from tests.rigs.turns import turns
 
 SECONDS = float(os.environ.get("BIOSENSOR_GATEWAY_STEADY_S") or (1800 if is_long() else 30))
-FAULT = f"steady, all {len(SENSORS)} devices, {SECONDS / 60:g} min"
+# More devices than these are more than two processors carry beside other tests; alone, all of them.
+TURNS = (SENSORS,) if is_long() else turns(SENSORS)
 # So long the memory of both programs grows fast, and slower all the time.
 FULL_WARM_UP_S = 300.0
 WARM_UP_S = min(FULL_WARM_UP_S, SECONDS / 5)
@@ -77,11 +79,18 @@ def growth(counts: list[int]) -> int:
 class Run:
     """The books of all streams at the end, by sensor and data name, and what it took."""
 
+    sensors: tuple[str, ...]
     sent: dict[tuple[str, str], TruthLedger]
     pushed: dict[tuple[str, str], CounterLedger]
     overdue: dict[tuple[str, str], int]
     counters: Mapping[str, Mapping[str, Any]]
     footprints: Mapping[str, Footprint]
+
+    @property
+    def fault(self) -> str:
+        """What the figures call it."""
+        which = "all" if len(self.sensors) == len(SENSORS) else "+".join(self.sensors)
+        return f"steady, {which} {len(self.sensors)} devices, {SECONDS / 60:g} min"
 
 
 class Books:
@@ -89,7 +98,8 @@ class Books:
 
     def __init__(self, lab: LabProcess, recorder: DrainedRecorder, state: Path) -> None:
         self._lab, self._recorder, self._state = lab, recorder, state
-        self._streams = [(name, each) for name in SENSORS for each in numeric_streams(name)]
+        self.sensors = tuple(lab.settings)
+        self._streams = [(name, each) for name in self.sensors for each in numeric_streams(name)]
         self._begin_s = pylsl.local_clock()
         counters = self.counters()
         self.sent = {each: TruthLedger() for each in self._streams if not is_by_agent(*each)}
@@ -105,7 +115,7 @@ class Books:
         return {key: value for device in devices for key, value in device["streams"].items()}
 
     def truths(self) -> Truths:
-        return {name: self._lab.truth(name) for name in SENSORS}
+        return {name: self._lab.truth(name) for name in self.sensors}
 
     def settle(self) -> None:
         """Account for what came since the last time."""
@@ -129,17 +139,18 @@ class Books:
         }
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+@pytest.fixture(scope="module", params=TURNS, ids="+".join)
+def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    sensors: tuple[str, ...] = request.param
     folder = tmp_path_factory.mktemp("steady")
-    with lab_of(SENSORS, folder, jitter_s=0.01, kept=KEPT) as lab, ExitStack() as stack:
-        settings = write_settings(folder, lab, {name: name for name in SENSORS})
+    with lab_of(sensors, folder, jitter_s=0.01, kept=KEPT) as lab, ExitStack() as stack:
+        settings = write_settings(folder, lab, {name: name for name in sensors})
         environment = {**os.environ, **lab.environment, "BIOSENSOR_GATEWAY_STATE": str(folder)}
         command = ["biosensor_gateway.cli", "run", *settings]
         agent = stack.enter_context(Process(command, environment, folder / "agent.txt"))
         node = stack.enter_context(Process(["lsl_to_ros.node"], environment, folder / "node.txt"))
-        with DrainedRecorder(channels_of(SENSORS)) as recorder:
-            awaited = [source(name, each) for name in SENSORS for each in steady_streams(name)]
+        with DrainedRecorder(channels_of(sensors)) as recorder:
+            awaited = [source(name, each) for name in sensors for each in steady_streams(name)]
             wait_until(lambda: all(map(recorder.newest, awaited)), "streaming devices")
             time.sleep(WARM_UP_S)
             ended = run_for(SECONDS, Books(lab, recorder, folder), {"agent": agent, "node": node})
@@ -161,13 +172,15 @@ def run_for(seconds: float, books: Books, processes: Mapping[str, Process]) -> R
         books.settle()
     truths = books.truths()
     books.settle()
-    return Run(books.sent, books.pushed, books.overdue(truths), books.counters(), footprints)
+    return Run(
+        books.sensors, books.sent, books.pushed, books.overdue(truths), books.counters(), footprints
+    )
 
 
 def test_what_was_sent_was_received(run: Run, figures: Record) -> None:
     received = sum(ledger.received for ledger in run.sent.values())
     lost = sum(ledger.lost for ledger in run.sent.values()) + sum(run.overdue.values())
-    figures(FAULT, "lost, duplicated, reordered of the samples that devices sent", "0",
+    figures(run.fault, "lost, duplicated, reordered of the samples that devices sent", "0",
             f"{lost} of {received:,} in {len(run.sent)} streams")  # fmt: skip
     assert received
     assert {stream: ledger.lost for stream, ledger in run.sent.items() if ledger.lost} == {}
@@ -176,7 +189,7 @@ def test_what_was_sent_was_received(run: Run, figures: Record) -> None:
 
 def test_what_was_pushed_was_received(run: Run, figures: Record) -> None:
     wrong = {stream: each.difference for stream, each in run.pushed.items() if each.difference}
-    figures(FAULT, "received less pushed by the agent", "0 per stream",
+    figures(run.fault, "received less pushed by the agent", "0 per stream",
             f"0 in {len(run.pushed) - len(wrong)} of {len(run.pushed)} streams")  # fmt: skip
     assert wrong == {}
     for each in run.counters.values():
@@ -189,11 +202,11 @@ def test_nothing_grows(run: Run, figures: Record, program: str) -> None:
     hours = np.array(footprint.times) / 3600
     slope = fit(hours, footprint.memory_mb)
     cold = "" if WARM_UP_S == FULL_WARM_UP_S else " (still warming up)"
-    figures(FAULT, f"memory slope of the {program}{cold}", "reported",
+    figures(run.fault, f"memory slope of the {program}{cold}", "reported",
             f"{slope.value:+.1f} MB/h [{slope.low:+.1f}, {slope.high:+.1f}], "
             f"{footprint.memory_mb[-1]:.0f} MB")  # fmt: skip
     threads, descriptors = growth(footprint.threads), growth(footprint.descriptors)
-    figures(FAULT, f"threads and descriptors of the {program}", "flat",
+    figures(run.fault, f"threads and descriptors of the {program}", "flat",
             f"{max(threads, 0):+d} and {max(descriptors, 0):+d}")  # fmt: skip
     assert threads <= POOL
     assert descriptors <= 0

@@ -178,6 +178,7 @@ class Pair:
         self._best_effort = best_effort
         self._given_agent = agent
         self._stack = ExitStack()
+        self._sensors = sensors
         self.expected = expected_places(places.agent, sensors)
 
     def __enter__(self) -> Self:
@@ -237,7 +238,7 @@ class Pair:
         )
 
     def _simulating_agent(self) -> AbstractContextManager[Talking]:
-        simulate = ("run", "--simulate", "all")
+        simulate = ("run", "--simulate", ",".join(self._sensors))
         return Program(*self._on(self._places.agent), "biosensor_gateway.cli", *simulate)
 
     def _on(self, name: str) -> tuple[Host, dict[str, str], Path]:
