@@ -47,7 +47,7 @@ test-system: system-tests
 tests: tests-of-parts tests-of-programs
 
 tests-of-parts: venv-dev
-	$(RUN) pytest -m "not system and not alone" $(SIDE_BY_SIDE) -n 4 $(MANY_PROGRAMS:%=--ignore=%)
+	$(RUN) pytest -m "not system and not alone" $(SIDE_BY_SIDE) -n 5 $(MANY_PROGRAMS:%=--ignore=%)
 
 tests-of-programs: venv-peers
 	$(RUN) pytest -m "not system and not alone" $(SIDE_BY_SIDE) -n 3 $(MANY_PROGRAMS)
