@@ -30,7 +30,7 @@ class Feed:
     """Whoever wants to see, and what waits for each of them."""
 
     def __init__(self) -> None:
-        self._readers: set[_Reader] = set()
+        self._readers: set[Waiting] = set()
 
     def watch(self, sink: DeviceSink) -> None:
         """Send what a device measures from now on."""
@@ -59,7 +59,7 @@ class Feed:
         if len(self._readers) >= MAX_READERS:
             message = f"{MAX_READERS} programs show the agent's data already; close one"
             raise TransportError(TransportReason.BUSY, message)
-        reader = _Reader()
+        reader = Waiting()
         self._readers.add(reader)
         try:
             while True:
@@ -74,7 +74,7 @@ class Feed:
             reader.put(message, len(stamps))
 
 
-class _Reader:
+class Waiting:
     """Frames that wait for one reader; the oldest go when there are too many."""
 
     def __init__(self) -> None:
@@ -83,6 +83,7 @@ class _Reader:
         self._dropped = 0
 
     def put(self, message: bytes, samples: int) -> None:
+        """Add a frame that has so many samples."""
         self._waiting.append((message, samples))
         self._bytes += len(message)
         while self._bytes > MAX_WAITING_BYTES:

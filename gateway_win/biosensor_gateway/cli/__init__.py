@@ -18,6 +18,8 @@ BEGUN_S = time.perf_counter()
 KEEP_ALIVE = "--keep-alive"
 KEEP_RECORDING = "keep-recording"
 """Not for people: this process is then the keeper of a recording."""
+PLAY_RECORDING = "play-recording"
+"""Likewise: it plays one, for the page."""
 
 
 def main() -> None:
@@ -35,6 +37,10 @@ def _run() -> None:
         from biosensor_gateway.recording.here.keeper import keep  # only then
 
         sys.exit(keep(Path(sys.argv[2])))
+    if sys.argv[1:2] == [PLAY_RECORDING]:
+        from biosensor_gateway.recording.replay.player_process import play_for_another  # only then
+
+        sys.exit(play_for_another())
     if sys.argv[1:2] == ["run"]:
         if KEEP_ALIVE in sys.argv:
             from biosensor_gateway.system.keep_alive import keep_alive  # only then

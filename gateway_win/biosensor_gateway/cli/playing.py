@@ -7,35 +7,22 @@ import sys
 import threading
 from collections.abc import Generator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from pathlib import Path
 
 from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
 from biosensor_common.lsl_config import LslOverrides
-from biosensor_gateway.cli import playing_words as words
 from biosensor_gateway.cli.recordings import wrong_recording
 from biosensor_gateway.cli.screen import say
-from biosensor_gateway.recording.contents.choice import Wish, choose
-from biosensor_gateway.recording.replay.live import refuse_if_present
-from biosensor_gateway.recording.replay.player import Order, Player
-from biosensor_gateway.recording.replay.source import content_hash, opened
+from biosensor_gateway.recording.replay import words
+from biosensor_gateway.recording.replay.player import Player
+from biosensor_gateway.recording.replay.playing import Wanted, prepared
 from biosensor_gateway.settings.models import LslSettings
 from biosensor_gateway.streaming.outlets import configure_lsl
 
 _SHOWN_PER_S = 2
-
-
-@dataclass(frozen=True, slots=True)
-class Wanted:
-    """What to play, and how; `may_be_beside`: although the real streams are here, too."""
-
-    file: Path
-    wish: Wish
-    order: Order
-    may_be_beside: bool
+_ALLOWED_BY = "add --beside-live"
 
 
 async def play(wanted: Wanted, lsl: LslSettings) -> None:
@@ -60,18 +47,10 @@ async def play(wanted: Wanted, lsl: LslSettings) -> None:
 
 
 def _play(wanted: Wanted, stopping: threading.Event) -> None:
-    with wrong_recording(), opened(wanted.file) as contents:
-        for sentence in words.damaged(contents.damages):
+    with wrong_recording(), prepared(wanted, _ALLOWED_BY) as player:
+        for sentence in words.damaged(player.damages):
             say(sentence)
-        player = Player(choose(contents, wanted.wish), wanted.order, content_hash(contents.path))
-        refuse_if_present(
-            player.own_ids,
-            player.recorded_ids,
-            wanted.file.name,
-            may_be_beside=wanted.may_be_beside,
-        )
         if not stopping.is_set():
-            player.offer()
             say(words.begun(wanted.file.name, player, wanted.order.speed))
             with _shown(player):
                 player.run(stopping)

@@ -17,15 +17,14 @@ from biosensor_gateway.cli.options import (
     WithoutOption,
 )
 from biosensor_gateway.cli.recordings import RecordingArgument
-
-_SLOWEST, _FASTEST = 0.01, 1000.0
+from biosensor_gateway.recording.replay.speeds import FASTEST, SLOWEST
 
 
 def replay(
     file: RecordingArgument,
     speed: Annotated[
         float,
-        typer.Option(min=_SLOWEST, max=_FASTEST, help="Seconds of the recording in one second."),
+        typer.Option(min=SLOWEST, max=FASTEST, help="Seconds of the recording in one second."),
     ] = 1.0,
     begin: FromOption = "",
     end: UntilOption = "",
@@ -58,9 +57,10 @@ def replay(
     """
     if as_original and beside_live:
         raise typer.BadParameter("--as-original and --beside-live exclude each other")
-    from biosensor_gateway.cli.playing import Wanted, play  # imports take a second
+    from biosensor_gateway.cli.playing import play  # imports take a second
     from biosensor_gateway.recording.contents.choice import Wish
     from biosensor_gateway.recording.replay.player import Order
+    from biosensor_gateway.recording.replay.playing import Wanted
     from biosensor_gateway.system.shutdown import until_signalled
 
     wanted = Wanted(

@@ -32,7 +32,9 @@ from biosensor_gateway.page.models import (
 from biosensor_gateway.page.network_answer import NetworkAnswer, add_network_answer
 from biosensor_gateway.page.network_check import NetworkCheck, add_network_check
 from biosensor_gateway.page.recorder import Recorder
+from biosensor_gateway.page.recordings import add_replay
 from biosensor_gateway.page.refusals import add_refusals
+from biosensor_gateway.page.replaying import Replaying
 from biosensor_gateway.page.searching import Search
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.page.trial import Trial, add_trial
@@ -45,6 +47,7 @@ def add_api(
     recorder: Recorder,
     marking: Marking,
     answer: NetworkAnswer,
+    replaying: Replaying,
 ) -> None:
     """Add everything under `/api/v1`, and how refusals are told."""
     router = APIRouter(prefix=PREFIX, responses={400: {"model": Problem}})
@@ -58,6 +61,7 @@ def add_api(
     add_doctor(router, Doctor(session.settings, session.folder))
     add_network_check(router, NetworkCheck(session.settings, session.folder))
     add_network_answer(router, answer)
+    add_replay(router, recorder, replaying)
     app.include_router(router)
     add_refusals(app)
 

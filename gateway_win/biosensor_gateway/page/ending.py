@@ -25,7 +25,7 @@ class Ending:
     session
         Its windows are told of the end.
     after_s
-        How long there must have been neither window nor agent nor recording; infinite for a
+        How long there must have been neither window nor agent, recording or replay; infinite for a
         server that stays.
     """
 
@@ -63,4 +63,5 @@ class Ending:
         session = self._session
         is_recording = session.recording.is_running or bool(session.recording.busy)
         has_window = bool(session.traces.screens)
-        return has_window or is_recording or session.agent is not AgentState.ABSENT
+        is_going_on = is_recording or session.replay.is_running
+        return has_window or is_going_on or session.agent is not AgentState.ABSENT

@@ -41,6 +41,11 @@ class History:
         for name in self._chunks.keys() - source_ids:
             del self._chunks[name]
 
+    def forget(self, source_ids: Collection[str]) -> None:
+        """Forget these streams."""
+        for name in source_ids & self._chunks.keys():
+            del self._chunks[name]
+
     def newest(self, source_id: str) -> tuple[float, list[float | None]] | None:
         """Return stamp and values of the newest sample; None if there is none."""
         kept = self._chunks.get(source_id)

@@ -12,6 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from biosensor_gateway.agent.status import AgentFacts, DeviceFacts, StreamStatus
 from biosensor_gateway.page.marker_models import ExperimentsView, MarkersView
+from biosensor_gateway.page.replay_models import ReplayView
+from biosensor_gateway.page.screen_models import ScreenStream
 from biosensor_gateway.settings.models import ShortText, UnitText
 
 
@@ -22,40 +24,6 @@ class AgentState(StrEnum):
     RUNNING = "running"
     STARTING = "starting"
     ABSENT = "absent"
-
-
-class ScreenStream(BaseModel):
-    """What a screen shows of a stream, of whichever program.
-
-    Attributes
-    ----------
-    source_id, lsl_name, topic
-        Its names for programs, for LabRecorder, and in ROS with the usual prefix.
-    measured_hz
-        Over the last seconds, by the samples' own times; None while nothing comes, and for
-        streams that come when they come.
-    age_s
-        Of the newest sample; None before the first.
-    is_fresh
-        Whether the newest values are those of now; a stale value is not shown.
-    is_signal
-        Whether it was measured on the body: not a battery, a radio or a counter.
-    values
-        Newest values by channel; empty when they are stale, and for text.
-    """
-
-    source_id: str
-    data_name: str
-    lsl_name: str
-    topic: str
-    content_type: str
-    channels: list[str]
-    units: list[str]
-    measured_hz: float | None
-    age_s: float | None
-    is_fresh: bool
-    is_signal: bool
-    values: list[float | None]
 
 
 class StreamView(StreamStatus, ScreenStream):
@@ -170,6 +138,7 @@ class StatusView(AgentFacts):
     devices: list[DeviceView] = Field(default_factory=list[DeviceView])
     recording: RecordingView = Field(default_factory=RecordingView)
     markers: MarkersView = Field(default_factory=MarkersView)
+    replay: ReplayView = Field(default_factory=ReplayView)
     share: ShareView | None = None
     experiments: ExperimentsView | None = None
 

@@ -40,12 +40,24 @@ class Recorder:
         self._looking = asyncio.Lock()
         self._verdict: VerdictView | None = None
         self._folder = platformdirs.user_documents_path() / _FOLDER
+        self._used: set[Path] = set()
 
     async def run(self) -> None:
         """Look at the file every second, until cancelled."""
         while True:
             await self._show()
             await asyncio.sleep(LOOK_S)
+
+    @property
+    def folders(self) -> set[Path]:
+        """Where recordings are that were made here."""
+        file = self._recording.file
+        return {self._folder, *self._used, *((file.parent,) if file else ())}
+
+    @property
+    def file_going_on(self) -> str:
+        """The one that is being recorded; empty if none is."""
+        return str(self._recording.file or "") if self._recording.is_running else ""
 
     async def start(self, wanted: NewRecording) -> Outcome:
         """Begin to record.
@@ -115,6 +127,7 @@ class Recorder:
         except OSError as error:
             message = f"cannot make the folder {folder}: {error.strerror or error}"
             raise ConfigError(ConfigReason.UNREADABLE, message) from error
+        self._used.add(folder)
         order = Order(Place(folder, labels=labels), allow_missing=wanted.allow_missing)
         return self._recording.start(order, self._streams)
 

@@ -13,6 +13,7 @@ from biosensor_gateway.agent.status import AgentStatus, DeviceStatus
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.page.marker_models import ExperimentsView, MarkersView
 from biosensor_gateway.page.models import AgentState, RecordingView, ShareView, StatusView
+from biosensor_gateway.page.replayed import Replayed
 from biosensor_gateway.page.traces import Traces
 from biosensor_gateway.page.view import Viewer
 from biosensor_gateway.settings import file as settings_file
@@ -43,6 +44,7 @@ class Session:
         self.traces = Traces()
         self.recording = RecordingView()
         self.markers = MarkersView()
+        self.replay = Replayed(self.traces)
         self.has_ended = False
         self.share: ShareView | None = None
         self.experiments: ExperimentsView | None = None
@@ -125,6 +127,7 @@ class Session:
         status = self._status
         facts = self._settings_facts()
         facts["recording"] = self.recording
+        facts["replay"] = self.replay.view(self.now() if self.replay.is_running else 0.0)
         facts["share"] = self.share
         facts["experiments"] = self.experiments
         if status is None:

@@ -114,6 +114,7 @@ class Sharing:
                 "settings_file": "",
                 "problem": "The settings file has a mistake." if status.problem else "",
                 "recording": shown,
+                "replay": status.replay.model_copy(update={"said": []}),
             }
         )
 

@@ -13,6 +13,7 @@ from biosensor_gateway.page.marking import Marking
 from biosensor_gateway.page.network_answer import NetworkAnswer
 from biosensor_gateway.page.quitting import add_quit
 from biosensor_gateway.page.recorder import Recorder
+from biosensor_gateway.page.replaying import Replaying
 from biosensor_gateway.page.service import Service
 
 
@@ -35,8 +36,9 @@ class Steering:
         self._recorder = Recorder(session)
         self._marking = Marking(session)
         self._answer = NetworkAnswer(session.settings, session.folder)
+        self._replaying = Replaying(session)
         self.app = new_app()
-        add_api(self.app, session, self._recorder, self._marking, self._answer)
+        add_api(self.app, session, self._recorder, self._marking, self._answer, self._replaying)
         add_quit(self.app, session, self._recorder, service.ending)
 
     async def run(self) -> None:
@@ -45,6 +47,7 @@ class Steering:
             self._recorder.run(),
             self._marking.run(),
             self._answer.run(),
+            self._replaying.run(),
             ExperimentServer(self._session).run(),
         )
 

@@ -10,9 +10,10 @@ from pathlib import Path
 _PROGRAM = "biosensor-gateway.exe"
 
 if sys.platform == "win32":
-    _FLAGS = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
+    NO_WINDOW = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
 else:
-    _FLAGS = 0
+    NO_WINDOW = 0
+"""Flags of a process that has neither a window nor this one's Ctrl-C."""
 
 
 def own_command(arguments: Sequence[str]) -> list[str]:
@@ -39,7 +40,7 @@ def start_beside(arguments: Sequence[str]) -> None:
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        creationflags=_FLAGS,
+        creationflags=NO_WINDOW,
         # Ctrl-C at this one's terminal is meant for this one.
         start_new_session=True,
     )

@@ -14,6 +14,7 @@ from biosensor_gateway.page.view import title_of
 from biosensor_gateway.streaming.gateway import GATEWAY
 
 _AGENT = "Capture agent"
+_REPLAY = "↻ Replay"
 # The first of these that one of its streams has is how the device does.
 _ORDER = (
     SeenState.STREAMING,
@@ -31,10 +32,10 @@ def group_of(stream: SeenStream) -> tuple[str, ...]:
     """Return what streams of one device have in common; it sorts devices before programs."""
     header = stream.header
     if header is None or header.foreign:
-        return ("other", stream.core.hostname, stream.core.name)
+        return ("other", _played(stream), stream.core.hostname, stream.core.name)
     identity = header.identity
     who = (identity.participant, identity.sensor, identity.unit, identity.label)
-    return ("program" if identity.sensor == GATEWAY.name else "device", *who)
+    return ("program" if identity.sensor == GATEWAY.name else "device", _played(stream), *who)
 
 
 def device_view(
@@ -59,6 +60,7 @@ def device_view(
         participant="" if identity is None else readable(identity.participant),
         host=readable(first.core.hostname) or "an unknown computer",
         section=_section(first),
+        replay=readable(_played(first)),
         is_ours=identity is not None,
         seen=seen,
         silent_s=min(each.silent_s for each in shown if each.seen is seen),
@@ -75,7 +77,19 @@ def _rank(stream: SeenStreamView) -> tuple[object, ...]:
     return (stream.is_text, not stream.is_signal, -stream.nominal_hz, stream.data_name)
 
 
+def _played(stream: SeenStream) -> str:
+    """Return what it is a replay of; empty if it is measured now."""
+    replay = stream.header.replay if stream.header else None
+    return replay.title if replay else ""
+
+
 def _section(stream: SeenStream) -> str:
+    if _played(stream):
+        return f"{_REPLAY}: {_section_of_live(stream)}"
+    return _section_of_live(stream)
+
+
+def _section_of_live(stream: SeenStream) -> str:
     if not stream.is_ours or stream.header is None:
         return f"Other programs on {readable(stream.core.hostname) or 'an unknown computer'}"
     identity = stream.header.identity

@@ -20,7 +20,8 @@ def lost_by_source(streams: Iterable[SeenStream]) -> dict[str, int]:
     """Return how many samples never reached their agent, by source_id."""
     found: dict[str, int] = {}
     for stream in streams:
-        if is_counters(stream):
+        # What an agent counted in a recording is of another day.
+        if is_counters(stream) and not (stream.header and stream.header.replay):
             found.update(_lost(stream.received.raw))
     return found
 

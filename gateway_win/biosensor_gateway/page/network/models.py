@@ -6,7 +6,7 @@ from enum import StrEnum, unique
 
 from pydantic import BaseModel, Field
 
-from biosensor_gateway.page.models import ScreenStream
+from biosensor_gateway.page.screen_models import ScreenStream
 
 
 @unique
@@ -90,6 +90,8 @@ class SeenDeviceView(BaseModel):
         By which the page knows it.
     section
         Below which heading it stands.
+    replay
+        The recording that is played; empty if it is measured now.
     is_ours
         Whether an agent of ours says so.
     worn
@@ -103,6 +105,7 @@ class SeenDeviceView(BaseModel):
     participant: str
     host: str
     section: str
+    replay: str
     is_ours: bool
     seen: SeenState
     silent_s: float

@@ -19,6 +19,8 @@ class ReplayReason(Enum):
     """There is no sample to play."""
     NO_OUTLET = "no_outlet"
     """LSL cannot offer a stream."""
+    REFUSED = "refused"
+    """The process that was to play it says why, for any of these reasons or another."""
 
 
 class ReplayError(GatewayError):

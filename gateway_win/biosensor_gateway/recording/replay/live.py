@@ -15,7 +15,12 @@ _LOOK_S = 0.1
 
 
 def refuse_if_present(
-    own: Iterable[str], recorded: Iterable[str], file: str, *, may_be_beside: bool
+    own: Iterable[str],
+    recorded: Iterable[str],
+    file: str,
+    *,
+    allowed_by: str,
+    may_be_beside: bool,
 ) -> None:
     """Look for streams for some seconds.
 
@@ -27,6 +32,8 @@ def refuse_if_present(
         source_ids that the same streams had when they were measured.
     file
         What is to be played, for the sentence.
+    allowed_by
+        How to play although a real one is there, for the sentence.
     may_be_beside
         Whether the real streams may be there.
 
@@ -48,7 +55,10 @@ def refuse_if_present(
                 raise ReplayError(
                     reason,
                     _SENTENCES[reason].format(
-                        file=file, name=info.name(), host=info.hostname() or "an unknown computer"
+                        file=file,
+                        name=info.name(),
+                        host=info.hostname() or "an unknown computer",
+                        allowed_by=allowed_by,
                     ),
                 )
 
@@ -56,7 +66,7 @@ def refuse_if_present(
 _SENTENCES: Mapping[ReplayReason, str] = {
     ReplayReason.LIVE: (
         "the real stream {name} is on the network, from {host}, and whoever receives it could "
-        "take the replay of {file} for it; end it first, or add --beside-live"
+        "take the replay of {file} for it; end it first, or {allowed_by}"
     ),
     ReplayReason.PLAYED: "{file} is being played already, by {host}; end that replay first",
 }

@@ -61,6 +61,10 @@ def played_description(header: RecordedHeader, source_id: str, replay: Replay) -
     return ET.tostring(root, encoding="unicode")
 
 
+Tap = Callable[[NDArray[np.float64], NDArray[Any]], None]
+"""See :attr:`PlayedOutlet.tap`."""
+
+
 class Block(Protocol):
     """Some samples of a stream, which go out part by part."""
 
@@ -111,6 +115,20 @@ class _Numbers:
         )
 
 
+class _Tapped:
+    """Shows what is sent to somebody else, too."""
+
+    def __init__(
+        self, block: Block, tap: Tap, stamps: NDArray[np.float64], values: NDArray[Any]
+    ) -> None:
+        self._block, self._tap = block, tap
+        self._stamps, self._values = stamps, values
+
+    def push(self, begin: int, end: int) -> None:
+        self._block.push(begin, end)
+        self._tap(self._stamps[begin:end], self._values[begin:end])
+
+
 def _push_function(letter: str) -> Callable[..., int]:
     # Not the one that pylsl uses: it knows no types of arguments.
     function = lib[f"lsl_push_chunk_{letter}tnp"]
@@ -132,6 +150,12 @@ _PUSHES = {
 class PlayedOutlet:
     """An outlet like the recorded one; it is on the network from the beginning.
 
+    Attributes
+    ----------
+    tap
+        Is given stamps, shape (n,), and values, shape (n, n_channels), of what was sent; of text
+        there are no channels.
+
     Raises
     ------
     ReplayError
@@ -142,6 +166,7 @@ class PlayedOutlet:
         if header.format is ChannelFormat.INT64 and sys.platform == "win32":
             message = f"pylsl cannot send int64 on Windows; leave {header.name!r} out by --streams"
             raise ReplayError(ReplayReason.NO_OUTLET, message)
+        self.tap: Tap | None = None
         try:
             info = _info(played_description(header, source_id, replay))
             self._outlet, self._format = pylsl.StreamOutlet(info), header.format
@@ -159,8 +184,12 @@ class PlayedOutlet:
             LSL times of now.
         """
         if isinstance(samples.values, list):
-            return _Texts(self._outlet, samples.values, stamps)
-        return _Numbers(self._outlet, samples.values, stamps, self._format)
+            block: Block = _Texts(self._outlet, samples.values, stamps)
+            shown: NDArray[Any] = np.empty((len(stamps), 0))
+        else:
+            block = _Numbers(self._outlet, samples.values, stamps, self._format)
+            shown = samples.values
+        return block if self.tap is None else _Tapped(block, self.tap, stamps, shown)
 
     def has_receiver(self) -> bool:
         """Whether anybody receives it."""

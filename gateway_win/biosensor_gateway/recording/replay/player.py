@@ -7,10 +7,14 @@ import math
 import threading
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
+import numpy as np
 import pylsl
+from numpy.typing import NDArray
 
 from biosensor_common.replay import Replay, recorded_source_id, replay_source_id
 from biosensor_gateway.recording.contents.choice import Chosen
@@ -21,6 +25,7 @@ from biosensor_gateway.recording.replay.lateness import Lateness
 from biosensor_gateway.recording.replay.outlet import PlayedOutlet
 from biosensor_gateway.recording.replay.timeline import Timeline
 from biosensor_gateway.recording.replay.track import Track
+from biosensor_gateway.recording.xdf.container import Damage
 
 PACE_S = 0.002
 """What is due within this time is sent together, so that many streams cost no more than few."""
@@ -111,6 +116,11 @@ class Player:
         self._position_s = self.begin_s
 
     @property
+    def damages(self) -> tuple[Damage, ...]:
+        """What of the recording cannot be played."""
+        return self._chosen.contents.damages
+
+    @property
     def recorded_ids(self) -> list[str]:
         """source_ids of the streams when they were measured; some may be empty."""
         return [_recorded_id(each) for each in self.streams]
@@ -148,6 +158,14 @@ class Player:
                 start_s=self.begin_s,
             )
             self._outlets[stream.number] = PlayedOutlet(header, source_id, replay)
+
+    def watch(self, tap: Callable[[str, NDArray[np.float64], NDArray[Any]], None]) -> None:
+        """Have a function given what is sent, with the source_id it is sent under.
+
+        Call it after `offer`; see `PlayedOutlet.tap`. It is called from the thread that plays.
+        """
+        for outlet, source_id in zip(self._outlets.values(), self.own_ids, strict=True):
+            outlet.tap = partial(tap, source_id)
 
     def progress(self) -> Progress:
         """Return where it is; may be called from any thread."""

@@ -9,13 +9,14 @@ import { Live } from "./live.js";
 import { Markers } from "./markers.js";
 import { Ended, Quit } from "./quit.js";
 import { Session } from "./recording.js";
+import { Replay, ReplayNotice } from "./replay.js";
 import { Setup } from "./setup.js";
 import { Share } from "./share.js";
 import { Agent, Notices, useShown } from "./status.js";
 
 const TOLD_MS = 8000;
 
-function Head({ status, act, onSetup, onDoctor }) {
+function Head({ status, act, onSetup, onReplay, onDoctor }) {
   const isHere = status?.agent === "running";
   const isAway = status?.agent === "absent";
   const end = () => {
@@ -29,13 +30,14 @@ function Head({ status, act, onSetup, onDoctor }) {
         ${isAway && status.configured > 0 && html`<button class="main" onClick=${() => act("POST", "/agent/start")}>Start streaming</button>`}
         ${isHere && html`<button onClick=${end}>End the agent</button>`}
         ${!status?.virtual && html`<button onClick=${onSetup}>Find sensors</button>`}
+        ${status && html`<button onClick=${onReplay}>Play a recording</button>`}
         ${status && html`<button onClick=${onDoctor}>Check this computer</button>`}
         ${status && html`<${Quit} status=${status} act=${act} />`}
       </div>
     </header>`;
 }
 
-function Welcome({ act, onSetup }) {
+function Welcome({ act, onSetup, onReplay }) {
   return html`
     <section class="panel notice">
       <h2>No sensor is set up yet</h2>
@@ -43,6 +45,7 @@ function Welcome({ act, onSetup }) {
       <div class="buttons">
         <button class="main" onClick=${onSetup}>Find sensors</button>
         <button onClick=${() => act("POST", "/agent/try")}>Try it with virtual sensors</button>
+        <button onClick=${onReplay}>Play a recording</button>
       </div>
     </section>`;
 }
@@ -51,6 +54,7 @@ function App() {
   const [status, setStatus] = useState(undefined);
   const [open, setOpen] = useState(null);
   const [isSetup, setSetup] = useState(false);
+  const [isReplay, setReplay] = useState(false);
   const [isExamined, setExamined] = useState(false);
   const [told, setTold] = useState(null);
   const live = useRef(null);
@@ -80,23 +84,25 @@ function App() {
 
   if (status?.ended) return html`<${Ended} told=${told} />`;
   if (status === undefined) return html`<p class="wait">Opening …</p>`;
-  const isEmpty = status && !status.devices.length && !status.configured && status.agent !== "starting" && !status.experiments;
+  const isEmpty = status && !status.devices.length && !status.configured && status.agent !== "starting" && !status.experiments && !status.replay.is_running;
   return html`
-    <${Head} status=${status} act=${act} onSetup=${() => setSetup(true)} onDoctor=${() => setExamined(true)} />
+    <${Head} status=${status} act=${act} onSetup=${() => setSetup(true)} onReplay=${() => setReplay(true)} onDoctor=${() => setExamined(true)} />
     <main>
       ${status && html`<${Notices} status=${status} />`}
+      ${status && html`<${ReplayNotice} replay=${status.replay} act=${act} />`}
       ${status?.share && html`<${Share} share=${status.share} />`}
       ${!status && html`<p class="panel problem" role="alert">The page's program does not answer. Nothing here is of now. If it was ended, start it again: biosensor-gateway page.</p>`}
       ${isSetup && html`<${Setup} act=${act} configured=${status?.configured} onClose=${() => setSetup(false)} />`}
+      ${isReplay && status && html`<${Replay} act=${act} isRunning=${status.replay.is_running} onClose=${() => setReplay(false)} />`}
       ${isExamined && html`<${Doctor} onClose=${() => setExamined(false)} />`}
-      ${isEmpty && !isSetup && html`<${Welcome} act=${act} onSetup=${() => setSetup(true)} />`}
+      ${isEmpty && !isSetup && !isReplay && html`<${Welcome} act=${act} onSetup=${() => setSetup(true)} onReplay=${() => setReplay(true)} />`}
       ${status && !isEmpty && !device && html`
         <div class="pair">
           <${Session} recording=${status.recording} act=${act} />
           ${status.agent === "running" && html`<${Markers} markers=${status.markers} experiments=${status.experiments} act=${act} />`}
         </div>`}
       ${device
-        ? html`<${Detail} live=${live.current} device=${device} isVirtual=${status.virtual} act=${act} onClose=${() => setOpen(null)} />`
+        ? html`<${Detail} live=${live.current} device=${device} isVirtual=${status.virtual} act=${device.replay ? undefined : act} onClose=${() => setOpen(null)} />`
         : html`<${Cards} live=${live.current} devices=${devices} onOpen=${setOpen} />`}
     </main>
     <footer class="small">${status?.settings_file && html`Settings: ${status.settings_file}`}</footer>

@@ -32,7 +32,7 @@ export function Spark({ live, stream }) {
 function Card({ live, device, onOpen }) {
   const battery = device.battery_percent;
   return html`
-    <li class="card" data-device=${device.name}>
+    <li class="card ${device.replay ? "replay" : ""}" data-device=${device.name}>
       <div class="card-head">
         <h3>${device.title} <span class="soft small">${device.label || device.unit}</span></h3>
         <${State} device=${device} />
@@ -46,20 +46,26 @@ function Card({ live, device, onOpen }) {
       ${device.error && html`<p class="reason small">${device.error}</p>`}
       <p class="facts small soft">
         <span>battery ${battery === null ? "–" : `${battery.toFixed(0)} %`}</span>
-        <span>lost ${device.lost}</span>
+        ${device.replay ? html`<span class="file">from ${device.replay}</span>` : html`<span>lost ${device.lost}</span>`}
         ${device.connections > 1 && html`<span>${device.connections} connections</span>`}
       </p>
-      <div class="buttons"><button onClick=${() => onOpen(device.name)}>Traces and details<span class="hidden"> of ${device.title} ${device.unit}</span></button></div>
+      <div class="buttons"><button onClick=${() => onOpen(device.name)}>Traces and details<span class="hidden"> of ${device.title} ${device.unit}${device.replay ? ", a replay" : ""}</span></button></div>
     </li>`;
 }
 
+// A person's heading says so if what is below it was recorded earlier; both may be there.
+function headingOf(device) {
+  const person = device.participant || "No participant set";
+  return device.replay ? `↻ Replay: ${person}` : person;
+}
+
 export function Cards({ live, devices, onOpen }) {
-  const people = [...new Set(devices.map((each) => each.participant))].sort();
-  return people.map((person) => html`
-    <section key=${person}>
-      <h2>${person || "No participant set"}</h2>
+  const headings = [...new Set(devices.map(headingOf))].sort();
+  return headings.map((heading) => html`
+    <section key=${heading}>
+      <h2>${heading}</h2>
       <ul class="cards">
-        ${devices.filter((each) => each.participant === person).map((device) => html`
+        ${devices.filter((each) => headingOf(each) === heading).map((device) => html`
           <${Card} key=${device.name} live=${live} device=${device} onOpen=${onOpen} />`)}
       </ul>
     </section>`);

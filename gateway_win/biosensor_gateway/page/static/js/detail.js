@@ -64,10 +64,10 @@ function Streams({ device }) {
               <th scope="row">${stream.data_name}</th>
               <td class="figure values">${values(stream)}</td>
               <td class="figure">${stream.silent ? "switched off" : rateOf(stream)}</td>
-              <td class="figure">${stream.lost}</td>
+              <td class="figure">${stream.lost ?? "–"}</td>
               <td class="figure">${ageOf(stream)}</td>
               <td><${Copied} text=${stream.lsl_name} /></td>
-              <td><${Copied} text=${stream.topic} /></td>
+              <td>${stream.topic ? html`<${Copied} text=${stream.topic} />` : "–"}</td>
             </tr>`)}
         </tbody>
       </table>
@@ -76,7 +76,7 @@ function Streams({ device }) {
 
 export function values(stream) {
   if (!stream.is_fresh || !stream.values.length) return "–";
-  const isOneUnit = new Set(stream.units).size === 1;
+  const isOneUnit = new Set(stream.units).size === 1 && stream.units[0] !== "boolean";
   const shown = stream.values.slice(0, VALUES).map((value, c) => figure(value, isOneUnit ? "none" : stream.units[c]));
   const more = stream.values.length - shown.length;
   const unit = isOneUnit && stream.units[0] !== "none" ? ` ${stream.units[0]}` : "";
@@ -103,6 +103,11 @@ function Edit({ device, act }) {
     <p class="small soft">Saving makes new streams: their names have participant and label in them. Other devices stream on.</p>`;
 }
 
+// Says of traces that nobody is measured now.
+export function Played({ device }) {
+  return device.replay && html`<p class="notice-line">This is a replay of <span class="file">${device.replay}</span>. It was recorded earlier, and nobody is measured now.</p>`;
+}
+
 export function Detail({ live, device, isVirtual, act, onClose }) {
   const heading = useRef();
   useEffect(() => heading.current.focus(), [device.name]);
@@ -119,6 +124,7 @@ export function Detail({ live, device, isVirtual, act, onClose }) {
         <h2 id="detail" ref=${heading} tabindex="-1">${device.title} ${device.unit}</h2>
         <${State} device=${device} />
       </div>
+      <${Played} device=${device} />
       ${device.error && html`<p class="reason">${device.error}</p>`}
       <div class="buttons">
         <button onClick=${onClose}>Back to all devices</button>
@@ -130,7 +136,7 @@ export function Detail({ live, device, isVirtual, act, onClose }) {
       ${plotted.map((stream) => html`<${Trace} key=${stream.source_id} live=${live} stream=${stream} />`)}
       <h3>Streams</h3>
       <${Streams} device=${device} />
-      <${Clock} clock=${device.clock} />
+      ${!device.replay && html`<${Clock} clock=${device.clock} />`}
       ${act && html`<${Log} device=${device} />`}
       ${act && !isVirtual && html`<h3>Who wears it</h3><${Edit} key=${device.name} device=${device} act=${act} />
         <${Access} sensor=${device.sensor} act=${act} />`}

@@ -10,6 +10,7 @@ function goesOn(status) {
   return [
     status.agent !== "absent" && agent,
     status.recording.is_running && `A recording goes on: ${status.recording.file}`,
+    status.replay.is_running && `A replay goes on, and ends with the page: ${status.replay.file}`,
   ].filter(Boolean);
 }
 

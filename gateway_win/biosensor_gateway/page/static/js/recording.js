@@ -1,26 +1,10 @@
 // The session bar: what is recorded, whether it is complete, and how good it was.
 
 import { html, useState } from "../vendor/preact-htm.js";
+import { useOneAtATime } from "./one_at_a_time.js";
+import { clock } from "./words.js";
 
 const COLOURS = { green: ["●", "good"], amber: ["◐", "warn"], red: ["▲", "bad"] };
-
-function time(seconds) {
-  const whole = Math.floor(seconds);
-  const two = (value) => String(value).padStart(2, "0");
-  return `${Math.floor(whole / 3600)}:${two(Math.floor(whole / 60) % 60)}:${two(whole % 60)}`;
-}
-
-// A button is off while its own request is under way. What the server told may be older than its
-// answer, and a click on a button that is off is lost.
-function useOneAtATime(act) {
-  const [isUnderWay, setUnderWay] = useState(false);
-  const once = async (...request) => {
-    setUnderWay(true);
-    await act(...request);
-    setUnderWay(false);
-  };
-  return [isUnderWay, once];
-}
 
 function Progress({ recording, children }) {
   const isWell = !recording.problems.length;
@@ -30,7 +14,7 @@ function Progress({ recording, children }) {
         <span aria-hidden="true">${isWell ? "●" : "▲"}</span> ${isWell ? "recording, all streams grow" : "recording, but not all is well"}
       </p>
       <p class="facts small">
-        <span class="clock">${time(recording.elapsed_s)}</span>
+        <span class="clock">${clock(recording.elapsed_s)}</span>
         <span>${(recording.bytes / 1e6).toFixed(1)} MB</span>
         <span>${recording.streams} streams</span>
       </p>
@@ -67,8 +51,7 @@ function Verdict({ verdict }) {
     </div>`;
 }
 
-function Begin({ recording, act }) {
-  const [fields, setFields] = useState({ participant: "", session: "S001", task: "Default", folder: "" });
+function Begin({ recording, act, fields, setFields }) {
   const [isLax, setLax] = useState(false);
   const [isUnderWay, once] = useOneAtATime(act);
   const set = (name) => (event) => setFields({ ...fields, [name]: event.target.value });
@@ -90,6 +73,8 @@ function Begin({ recording, act }) {
 }
 
 export function Session({ recording, act }) {
+  // Here, so that the next recording of a person needs no typing.
+  const [fields, setFields] = useState({ participant: "", session: "S001", task: "Default", folder: "" });
   return html`
     <section class="panel" aria-labelledby="session">
       <h2 id="session">Recording</h2>
@@ -97,7 +82,7 @@ export function Session({ recording, act }) {
         ${recording.file && !recording.verdict && html`
           <ul class="problems" role="alert">${recording.problems.map((each) => html`<li>${each}</li>`)}</ul>
           <button onClick=${() => act("POST", "/recording/stop")}>Close and check it</button>`}
-        <${Begin} recording=${recording} act=${act} />`}
+        <${Begin} recording=${recording} act=${act} fields=${fields} setFields=${setFields} />`}
       ${!recording.is_running && recording.verdict && html`<${Verdict} verdict=${recording.verdict} />`}
     </section>`;
 }

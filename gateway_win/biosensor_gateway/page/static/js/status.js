@@ -27,9 +27,14 @@ export function Notices({ status }) {
     ${status.skipped > 0 && html`<p class="panel notice small">This page was too slow for ${status.skipped} samples, and left them out of its traces. Streams and recordings have them.</p>`}`;
 }
 
+// Cards of what is played look like those of sensors, but for the mark.
+function replayed(replay) {
+  return (replay?.devices ?? []).map((each) => ({ ...each, replay: replay.file }));
+}
+
 // Has the server send what is on the screen: the main streams of all devices, or all of the one that is open.
 export function useShown(live, status, open) {
-  const devices = status?.devices ?? [];
+  const devices = [...(status?.devices ?? []), ...replayed(status?.replay)];
   const device = devices.find((each) => each.name === open);
   useEffect(() => {
     if (!live.current || !status) return;

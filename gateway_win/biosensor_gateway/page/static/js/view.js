@@ -6,6 +6,7 @@ import { Detail } from "./detail.js";
 import { Live } from "./live.js";
 import { MarkerList } from "./markers.js";
 import { State as Recording } from "./recording.js";
+import { ReplayNotice } from "./replay.js";
 import { Agent, Notices, useShown } from "./status.js";
 
 function View() {
@@ -25,6 +26,7 @@ function View() {
     </header>
     <main>
       <${Notices} status=${status} />
+      <${ReplayNotice} replay=${status.replay} />
       ${!device && html`
         <div class="pair">
           <section class="panel" aria-labelledby="session"><h2 id="session">Recording</h2><${Recording} recording=${status.recording} /></section>

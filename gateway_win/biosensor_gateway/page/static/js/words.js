@@ -11,7 +11,15 @@ const STATES = {
   stopped: ["■", "bad", "stopped"],
 };
 
+// A time in a recording.
+export function clock(seconds) {
+  const whole = Math.floor(seconds);
+  const two = (value) => String(value).padStart(2, "0");
+  return `${Math.floor(whole / 3600)}:${two(Math.floor(whole / 60) % 60)}:${two(whole % 60)}`;
+}
+
 export function stateOf(device) {
+  if (device.replay) return { sign: "↻", tone: "replayed", word: "replay, not a person" };
   const isOff = device.state === "streaming" && device.worn === false;
   const state = device.paused ? "paused" : isOff ? "not worn" : device.state;
   const [sign, tone, word] = STATES[state] ?? ["?", "bad", state];
@@ -29,6 +37,7 @@ export function personOf(device) {
 
 export function figure(value, unit) {
   if (value === null || value === undefined) return "–";
+  if (unit === "boolean") return value > 0.5 ? "yes" : "no";
   const size = Math.abs(value);
   const digits = size >= 100 ? 0 : size >= 10 ? 1 : size >= 1 ? 2 : 3;
   return `${value.toFixed(digits)}${unit && unit !== "none" ? ` ${unit}` : ""}`;

@@ -56,7 +56,7 @@ function Card({ live, device, visible, onOpen }) {
   const { battery_percent: battery, streams } = device;
   const notes = streams.filter((each) => each.note);
   return html`
-    <li ref=${card} class="card" data-device=${device.title}>
+    <li ref=${card} class="card ${device.replay ? "replay" : ""}" data-device=${device.title}>
       <div class="card-head">
         <h3>${device.title} <span class="soft small">${device.label || device.unit}</span></h3>
         <${Seen} each=${device} />
@@ -72,6 +72,7 @@ function Card({ live, device, visible, onOpen }) {
       ${notes.length > 0 && html`<p class="note small">${notes[0].note}</p>`}
       <p class="facts small soft">
         <span>on ${device.host}</span>
+        ${device.replay && html`<span class="file">replay of ${device.replay}</span>`}
         ${battery !== null && html`<span>battery ${battery.toFixed(0)} %</span>`}
         <span>lost ${lostOf(device)}</span>
         <span>${streams.length === 1 ? "1 stream" : `${streams.length} streams`}</span>

@@ -1,7 +1,7 @@
 // One device of the network: traces, entries, and every stream with its names.
 
 import { html, useEffect, useRef } from "../../vendor/preact-htm.js";
-import { Copied, Trace, values } from "../detail.js";
+import { Copied, Played, Trace, values } from "../detail.js";
 import { ageOf, rateOf } from "../words.js";
 import { Entries, Seen } from "./cards.js";
 import { lostOf } from "./words.js";
@@ -77,6 +77,7 @@ export function SeenDetail({ live, device, firsts, onChoose, onClose }) {
         <h2 id="detail" ref=${heading} tabindex="-1">${device.title} ${device.unit}</h2>
         <${Seen} each=${device} />
       </div>
+      <${Played} device=${device} />
       <p class="facts small soft">
         <span>on ${device.host}</span>${isWorn && html`<span>${isWorn}</span>`}${battery && html`<span>${battery}</span>`}
       </p>

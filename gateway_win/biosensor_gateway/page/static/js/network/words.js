@@ -18,6 +18,7 @@ export function span(seconds) {
 
 export function seenOf(each) {
   const [sign, tone, word] = STATES[each.seen] ?? ["?", "bad", each.seen];
+  if (each.replay && each.seen === "streaming") return { sign: "↻", tone: "replayed", word: "replay, not a person" };
   if (each.seen === "silent") return { sign, tone, word: `silent for ${span(each.silent_s)}` };
   if (each.seen === "gone") return { sign, tone, word: `gone for ${span(each.silent_s)}` };
   if (each.seen === "streaming" && each.worn === false) return { sign: "◐", tone: "warn", word: "not worn" };

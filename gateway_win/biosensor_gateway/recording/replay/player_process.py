@@ -1,0 +1,143 @@
+"""Plays a recording in a process of its own, for a program that shows it.
+
+What to play comes as a line of JSON, and the end of the input ends the replay, however the
+program that started it ends. The output has frames as the agent's feed has them, see
+`biosensor_gateway.agent.feed_frames`: in each ``STATUS`` is the JSON of `Told`.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Generator
+from contextlib import contextmanager
+from io import FileIO
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from biosensor_common.errors import GatewayError
+from biosensor_common.lsl_config import LslOverrides
+from biosensor_gateway.agent.feed import Waiting
+from biosensor_gateway.agent.feed_frames import FrameKind, frame
+from biosensor_gateway.agent.sample_frames import samples_frame
+from biosensor_gateway.recording.replay import words
+from biosensor_gateway.recording.replay.player import Player
+from biosensor_gateway.recording.replay.playing import prepared
+from biosensor_gateway.recording.replay.told import (
+    Phase,
+    ReplayJob,
+    ReplayProgress,
+    Told,
+    played_streams,
+)
+from biosensor_gateway.streaming.outlets import configure_lsl
+
+FLUSH_S = 0.04
+_TOLD_EVERY = 12
+_ALLOWED_BY = "tick 'also beside the real sensors'"
+
+
+def play_for_another() -> int:
+    """Play what the input asks for; return the exit code of this process."""
+    # Unbuffered: a thread that reads from a buffer cannot be left behind at the end.
+    asked = FileIO(sys.stdin.fileno(), closefd=False)
+    job = ReplayJob.model_validate_json(asked.readline())
+    configure_lsl(LslOverrides(job.lsl.session_id, job.lsl.known_peers, job.lsl.port_range))
+    stopping = threading.Event()
+    threading.Thread(target=_read_to_the_end, args=(asked, stopping), daemon=True).start()
+    teller = _Teller(sys.stdout.buffer)
+    try:
+        said = _play(job, stopping, teller)
+    except GatewayError as error:
+        teller.tell(Told(progress=ReplayProgress(phase=Phase.REFUSED, said=[str(error)])))
+        return 1
+    ended = teller.progress.model_copy(update={"phase": Phase.ENDED, "said": said})
+    teller.tell(Told(progress=ended))
+    return 0
+
+
+def _read_to_the_end(asked: FileIO, stopping: threading.Event) -> None:
+    asked.read()
+    stopping.set()
+
+
+def _play(job: ReplayJob, stopping: threading.Event, teller: _Teller) -> list[str]:
+    """Play to the end; return what is to be said of it."""
+    with prepared(job.wanted, _ALLOWED_BY) as player:
+        damaged = list(words.damaged(player.damages))
+        player.watch(teller.put)
+        with teller.following(player, damaged):
+            teller.tell(Told(progress=teller.progress, streams=played_streams(player, job.speed)))
+            player.run(stopping)
+        return [*damaged, *words.ended(player, was_stopped=stopping.is_set())]
+
+
+class _Teller:
+    """Writes frames from a thread of its own: a reader that is slow delays no sample."""
+
+    def __init__(self, output: BinaryIO) -> None:
+        self._output = output
+        self._waiting = Waiting()
+        self._lock = threading.Lock()
+        self.progress = ReplayProgress()
+
+    def put(self, source_id: str, stamps: NDArray[np.float64], values: NDArray[Any]) -> None:
+        """Tell what was sent, soon."""
+        message = samples_frame(source_id, stamps.tolist(), values)
+        with self._lock:
+            self._waiting.put(message, len(stamps))
+
+    def tell(self, told: Told) -> None:
+        """Say how it goes, after what waits; not if nobody listens any more."""
+        with self._lock:
+            self._waiting.put(frame(FrameKind.STATUS, told.model_dump_json().encode()), 0)
+        self._flush()
+
+    @contextmanager
+    def following(self, player: Player, said: list[str]) -> Generator[None]:
+        """Tell of a player while the context lasts."""
+        is_over = threading.Event()
+
+        def note() -> None:
+            now = player.progress()
+            self.progress = ReplayProgress(
+                phase=Phase.PLAYING if now.lap else Phase.WAITING,
+                lap=now.lap,
+                position_s=now.position_s,
+                length_s=now.length_s,
+                sent=now.sent,
+                received=now.received,
+                streams=len(player.streams),
+                said=said,
+            )
+
+        def follow() -> None:
+            count = 0
+            while not is_over.wait(FLUSH_S):
+                count += 1
+                self._flush()
+                if count % _TOLD_EVERY == 0:
+                    note()
+                    self.tell(Told(progress=self.progress))
+
+        note()
+        thread = threading.Thread(target=follow, name="replay-teller", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            is_over.set()
+            thread.join()
+            note()
+
+    def _flush(self) -> None:
+        with self._lock:
+            messages = self._waiting.take()
+        try:
+            self._output.write(messages)
+            self._output.flush()
+        except OSError:
+            # Its reader has died, and the end of the input says so, too.
+            return

@@ -1,0 +1,143 @@
+"""What a process that plays a recording is told, and what it tells whoever started it."""
+
+from __future__ import annotations
+
+from enum import StrEnum, unique
+from pathlib import Path
+
+from pydantic import BaseModel, Field
+
+from biosensor_common.quantities import ChannelFormat, ChannelRole
+from biosensor_gateway.recording.contents.choice import Wish
+from biosensor_gateway.recording.contents.stream import Stream
+from biosensor_gateway.recording.replay.player import Order, Player
+from biosensor_gateway.recording.replay.playing import Wanted
+from biosensor_gateway.settings.models import LslSettings
+
+
+@unique
+class Phase(StrEnum):
+    """How far a replay is."""
+
+    OPENING = "opening"
+    WAITING = "waiting"
+    PLAYING = "playing"
+    ENDED = "ended"
+    REFUSED = "refused"
+
+
+class ReplayJob(BaseModel):
+    """What to play; see `Wanted`, and the options of ``biosensor-gateway replay``.
+
+    Attributes
+    ----------
+    lsl
+        What our settings say of it.
+    """
+
+    file: Path
+    speed: float = 1.0
+    begin: str = ""
+    end: str = ""
+    streams: list[str] = Field(default_factory=list[str])
+    loop: bool = False
+    beside_live: bool = False
+    lsl: LslSettings = LslSettings()
+
+    @property
+    def wanted(self) -> Wanted:
+        """The same, for the player."""
+        return Wanted(
+            self.file,
+            Wish(self.streams, self.begin, self.end),
+            Order(speed=self.speed, loop=self.loop),
+            may_be_beside=self.beside_live,
+        )
+
+
+class PlayedStream(BaseModel):
+    """One stream that is played, as its header says.
+
+    Attributes
+    ----------
+    source_id
+        Under which it is played.
+    sensor, unit, participant, label
+        Of whom it was recorded; of another program's stream its name and computer.
+    channels, units, roles
+        One a channel; of text there are none.
+    nominal_hz
+        At the speed of the replay.
+    """
+
+    source_id: str
+    lsl_name: str
+    data_name: str
+    is_ours: bool
+    sensor: str
+    unit: str
+    participant: str
+    label: str
+    content_type: str
+    channels: list[str]
+    units: list[str]
+    roles: list[ChannelRole | None]
+    nominal_hz: float
+
+
+class ReplayProgress(BaseModel):
+    """Where a replay is; times in seconds of the recording.
+
+    Attributes
+    ----------
+    lap
+        How often it has begun.
+    received, streams
+        How many of its streams somebody receives, and how many there are.
+    said
+        What is to be known of it, one sentence each: what cannot be played, why it was refused,
+        and at the end how it went.
+    """
+
+    phase: Phase = Phase.OPENING
+    lap: int = 0
+    position_s: float = 0.0
+    length_s: float = 0.0
+    sent: int = 0
+    received: int = 0
+    streams: int = 0
+    said: list[str] = Field(default_factory=list[str])
+
+
+class Told(BaseModel):
+    """What the process tells; the streams once, when they are on the network."""
+
+    progress: ReplayProgress
+    streams: list[PlayedStream] | None = None
+
+
+def played_streams(player: Player, speed: float) -> list[PlayedStream]:
+    """Describe the streams that a player offers."""
+    both = zip(player.streams, player.own_ids, strict=True)
+    return [_described(stream, source_id, speed) for stream, source_id in both]
+
+
+def _described(stream: Stream, source_id: str, speed: float) -> PlayedStream:
+    header, meaning = stream.header, stream.meaning
+    identity = header.identity
+    is_text = header.format is ChannelFormat.STRING
+    return PlayedStream(
+        source_id=source_id,
+        lsl_name=header.name,
+        data_name=header.data_name or header.content_type,
+        is_ours=identity is not None,
+        sensor=header.name if identity is None else identity.sensor,
+        unit=header.hostname if identity is None else identity.unit,
+        participant="" if identity is None else identity.participant,
+        label="" if identity is None else identity.label,
+        content_type=header.content_type,
+        channels=[] if is_text else [label or str(n) for n, label in enumerate(header.labels, 1)],
+        units=[] if is_text else [unit or "none" for unit in meaning.units],
+        roles=[] if is_text else list(meaning.roles),
+        nominal_hz=header.rate * speed,
+    )
