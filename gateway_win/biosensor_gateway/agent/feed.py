@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from biosensor_common import naming
 from biosensor_common.errors import TransportError, TransportReason
+from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.feed_frames import FrameKind, dropped_frame, frame
 from biosensor_gateway.agent.sample_frames import samples_frame
 from biosensor_gateway.streaming.sink import DeviceSink
@@ -24,6 +25,9 @@ MAX_READERS = 8
 MAX_WAITING_BYTES = 4_000_000
 """What may wait for one reader; some ten seconds of seven devices."""
 FLUSH_S = 0.04
+_MOST_NOTED = 4096
+"""Samples that wait to be made frames of; so many come only from what is much faster, or when
+nobody reads."""
 
 
 class Feed:
@@ -31,20 +35,29 @@ class Feed:
 
     def __init__(self) -> None:
         self._readers: set[Waiting] = set()
+        self._noted: list[tuple[DeviceIdentity, str, ArrayLike, Sequence[float]]] = []
+        self._noted_samples = 0
+        self._status: Mapping[str, Any] | None = None
 
     def watch(self, sink: DeviceSink) -> None:
         """Send what a device measures from now on."""
 
         def tapped(data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
+            # The next packet waits meanwhile: frames are made later.
             if self._readers:
-                self._send(naming.source_id(sink.identity, data_name), samples, stamps)
+                self._noted.append((sink.identity, data_name, samples, stamps))
+                self._noted_samples += len(stamps)
+                if self._noted_samples > _MOST_NOTED:
+                    self._make_frames()
 
         sink.tap = tapped
 
     def tell(self, status: Mapping[str, Any]) -> None:
         """Send how the agent is."""
+        self._status = status
         if self._readers:
-            message = frame(FrameKind.STATUS, json.dumps(status).encode())
+            self._make_frames()
+            message = _status_frame(status)
             for reader in self._readers:
                 reader.put(message, 0)
 
@@ -60,18 +73,29 @@ class Feed:
             message = f"{MAX_READERS} programs show the agent's data already; close one"
             raise TransportError(TransportReason.BUSY, message)
         reader = Waiting()
+        # Who has just come need not wait for the next one.
+        if self._status is not None:
+            reader.put(_status_frame(self._status), 0)
         self._readers.add(reader)
         try:
             while True:
+                self._make_frames()
                 yield reader.take()
                 await asyncio.sleep(FLUSH_S)
         finally:
             self._readers.discard(reader)
 
-    def _send(self, source_id: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
-        message = samples_frame(source_id, stamps, samples)
-        for reader in self._readers:
-            reader.put(message, len(stamps))
+    def _make_frames(self) -> None:
+        for identity, data_name, samples, stamps in self._noted:
+            message = samples_frame(naming.source_id(identity, data_name), stamps, samples)
+            for reader in self._readers:
+                reader.put(message, len(stamps))
+        self._noted.clear()
+        self._noted_samples = 0
+
+
+def _status_frame(status: Mapping[str, Any]) -> bytes:
+    return frame(FrameKind.STATUS, json.dumps(status).encode())
 
 
 class Waiting:

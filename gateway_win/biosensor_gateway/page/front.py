@@ -14,9 +14,8 @@ from pathlib import Path
 
 from starlette.applications import Starlette
 from starlette.requests import Request
-from starlette.responses import FileResponse
-from starlette.routing import Mount, Route
-from starlette.staticfiles import StaticFiles
+from starlette.responses import Response
+from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 PREFIX = "/api/v1"
@@ -40,12 +39,14 @@ class Front:
     """
 
     def __init__(self, pages: Path, document: str, lifespan: Lifespan) -> None:
-        async def page(_request: Request) -> FileResponse:
-            return FileResponse(pages / document)
-
         # Windows asks its registry, where any program may have said otherwise.
         mimetypes.add_type("text/javascript", ".js")
-        routes = [Route("/", page), Mount("/", StaticFiles(directory=pages))]
+        routes = [_file("/", pages / document)]
+        routes += [
+            _file(f"/{each.relative_to(pages).as_posix()}", each)
+            for each in pages.rglob("*")
+            if each.is_file()
+        ]
         self._files = Starlette(routes=routes, lifespan=lifespan)
         self._live, self._rest = _Later(), _Later()
 
@@ -67,6 +68,20 @@ class Front:
         if scope["type"] == "websocket":
             return self._live
         return self._rest if scope["path"].startswith(f"{PREFIX}/") else self._files
+
+
+def _file(path: str, file: Path) -> Route:
+    """Return how a file is served: from memory, and on the loop.
+
+    A thread that reads a file would wait for the one that imports the rest of the page, several
+    times for each of some thirty files.
+    """
+    content, kind = file.read_bytes(), mimetypes.guess_type(file.name)[0]
+
+    async def answer(_request: Request) -> Response:
+        return Response(content, media_type=kind)
+
+    return Route(path, answer)
 
 
 class _Later:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import importlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,6 +20,11 @@ from biosensor_gateway.agent.status import AgentStatus
 from biosensor_gateway.system import state_file
 
 RETRY_S = 0.25
+_READING = (
+    "pylsl",
+    "biosensor_gateway.agent.sample_frames",
+    "biosensor_gateway.page.bins",
+)
 SILENT_AFTER_S = 4.0
 """The agent tells its status every second; one that does not for so long is stuck."""
 
@@ -49,6 +55,7 @@ class AgentLink:
         self._on_status = on_status
         self._on_samples = on_samples
         self._on_dropped = on_dropped
+        self._can_read = False
 
     async def run(self) -> None:
         """Receive until cancelled."""
@@ -75,6 +82,8 @@ class AgentLink:
                     length, kind = HEAD.unpack(await reader.readexactly(HEAD.size))
                     content = await reader.readexactly(length)
                 self._take(kind, content)
+                if kind == FrameKind.STATUS and not self._can_read:
+                    self._can_read = await asyncio.to_thread(_load_reading)
         finally:
             writer.transport.abort()
 
@@ -82,12 +91,18 @@ class AgentLink:
         if kind == FrameKind.STATUS:
             self._on_status(AgentStatus.model_validate_json(content))
         elif kind == FrameKind.SAMPLES:
-            # It brings numpy, and the status comes before.
-            from biosensor_gateway.agent.sample_frames import read_samples  # noqa: PLC0415
+            from biosensor_gateway.agent.sample_frames import read_samples  # noqa: PLC0415 - numpy
 
             self._on_samples(read_samples(content))
         elif kind == FrameKind.DROPPED:
             self._on_dropped(read_count(content))
+
+
+def _load_reading() -> bool:
+    """Load what samples need, beside the loop: devices are shown meanwhile."""
+    for name in _READING:
+        importlib.import_module(name)
+    return True
 
 
 def _warn(event: str, **facts: object) -> None:

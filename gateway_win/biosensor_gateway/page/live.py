@@ -59,9 +59,10 @@ async def _send(
     socket: WebSocket, source: Source, screen: Screen, more: Callable[[], BaseModel]
 ) -> None:
     """Send pictures; a browser that is slow gets fewer of them, and nothing piles up here."""
-    count, next_s = 0, time.monotonic()
+    count, next_s, told = 0, time.monotonic(), source.turns
     while not source.has_ended:
-        if count % STATUS_EVERY == 0:
+        if count % STATUS_EVERY == 0 or source.turns != told:
+            told = source.turns
             await socket.send_text(more().model_dump_json())
         if screen.is_asked and (picture := screen.picture(source.now())) is not None:
             await socket.send_bytes(picture)

@@ -48,6 +48,7 @@ _OPTIONS: Mapping[str, Any] = {
     "ws_max_size": MAX_MESSAGE,
     "timeout_graceful_shutdown": 2,
 }
+_SWITCH_S = 0.0005
 _REQUESTS = [signal.SIGINT, signal.SIGBREAK if sys.platform == "win32" else signal.SIGTERM]
 
 
@@ -142,6 +143,8 @@ class PageServer:
             running.append(ended)
             self._front.show(service.live)
             begin(service.run())
+            # What follows needs the processor twice as long, and a person looks before a click.
+            await service.shown()
             steering = await asyncio.to_thread(self._load_more, service)
             self._front.complete(steering.app)
             begin(steering.run())
@@ -156,6 +159,8 @@ class PageServer:
             self._server.should_exit = True
 
     def _load(self) -> Service:
+        # Else each step of what is answered meanwhile would wait for so long.
+        sys.setswitchinterval(_SWITCH_S)
         from biosensor_gateway.page.service import Service  # noqa: PLC0415 - takes a second
 
         return Service(self._folder, self._settings, self._end_after_s)

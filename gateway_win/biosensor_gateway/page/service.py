@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import math
 from pathlib import Path
 
@@ -11,6 +13,8 @@ from biosensor_gateway.page.ending import Ending
 from biosensor_gateway.page.link import AgentLink
 from biosensor_gateway.page.live import live
 from biosensor_gateway.page.session import Session
+
+_FIRST_S = 1.5
 
 
 class Service:
@@ -37,6 +41,12 @@ class Service:
         self.session = session = Session(folder, settings)
         self.ending = Ending(session, end_after_s)
         self.live = Router([live(session, session.status)])
+
+    async def shown(self) -> None:
+        """Wait until a browser was told what there is; not long, for there may be none."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_FIRST_S):
+                await self.session.told.wait()
 
     async def run(self) -> None:
         """Follow the agent until cancelled."""

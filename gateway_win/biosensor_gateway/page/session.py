@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -36,6 +37,10 @@ class Session:
     ----------
     has_ended
         Whether the server is about to end; its windows are told so.
+    turns
+        How often an agent has come or gone.
+    told
+        Set once it was described to somebody whether there is an agent, and how it is.
     """
 
     def __init__(self, folder: Path, settings: Path) -> None:
@@ -46,6 +51,8 @@ class Session:
         self.markers = MarkersView()
         self.replay = Replayed(self.traces)
         self.has_ended = False
+        self.turns = 0
+        self.told = asyncio.Event()
         self.share: ShareView | None = None
         self.experiments: ExperimentsView | None = None
         self._viewer = Viewer(self.traces.history)
@@ -56,6 +63,8 @@ class Session:
 
     def take_status(self, status: AgentStatus | None) -> None:
         """Note how the agent is; None if there is none."""
+        if (status is None) is not (self._status is None):
+            self.turns += 1
         self._status = status
 
     def take_dropped(self, count: int) -> None:
@@ -125,6 +134,8 @@ class Session:
     def status(self) -> StatusView:
         """Describe everything."""
         status = self._status
+        if self.agent is not AgentState.STARTING:
+            self.told.set()
         facts = self._settings_facts()
         facts["recording"] = self.recording
         facts["replay"] = self.replay.view(self.now() if self.replay.is_running else 0.0)

@@ -16,10 +16,13 @@ class Source(Protocol):
         What came; the source adds to it.
     has_ended
         Whether somebody has ended the page.
+    turns
+        How often all has changed, so that nobody who looks should wait for the next status.
     """
 
     traces: Traces
     has_ended: bool
+    turns: int
 
     def now(self) -> float:
         """Return the LSL time in seconds."""

@@ -47,6 +47,7 @@ class NetworkSource:
         own = configure_lsl(LslOverrides(lsl.session_id, lsl.known_peers, lsl.port_range))
         self.traces = Traces(KEPT_S)
         self.has_ended = False
+        self.turns = 0
         self._search = _search(lsl, settings, own)
         self._reader: Reader | None = None
 

@@ -15,6 +15,7 @@ import { Share } from "./share.js";
 import { Agent, Notices, useShown } from "./status.js";
 
 const TOLD_MS = 8000;
+const LATE_MS = 400;
 
 function Head({ status, act, onSetup, onReplay, onDoctor }) {
   const isHere = status?.agent === "running";
@@ -73,12 +74,16 @@ function App() {
 
   // Answers with whether it is done; what was refused is told in the server's words.
   const act = async (method, path, content) => {
+    // Just after its start the page's program is still loading what carries it out.
+    const late = setTimeout(() => setTold({ text: "One moment …" }), LATE_MS);
     try {
       setTold({ text: (await ask(method, path, content)).sentence });
       return true;
     } catch (error) {
       setTold({ text: error.message, isProblem: true });
       return false;
+    } finally {
+      clearTimeout(late);
     }
   };
 

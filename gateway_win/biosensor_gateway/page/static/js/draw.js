@@ -5,7 +5,15 @@ import uPlot from "../vendor/uPlot.js";
 // Devices send lumps of up to some seconds: at the right edge, so much may still be to come.
 const LUMP_S = 3;
 
-const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+// Asking for one makes the browser work out the styles of the page; a trace is drawn 20 times a second.
+const DARK = matchMedia("(prefers-color-scheme: dark)");
+const colours = new Map();
+DARK.addEventListener("change", () => colours.clear());
+
+function colour(name) {
+  if (!colours.has(name)) colours.set(name, getComputedStyle(document.documentElement).getPropertyValue(name).trim());
+  return colours.get(name);
+}
 
 // How many pixels may be without a sample before that is a gap.
 function patience(stream, binS) {

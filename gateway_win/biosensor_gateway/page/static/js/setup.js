@@ -40,7 +40,12 @@ export function Setup({ act, onClose, configured }) {
   const [search, setSearch] = useState(null);
   const isRunning = search?.running ?? false;
   const look = async (method) => setSearch(await ask(method, "/search"));
-  const start = () => look("POST").catch(() => look("GET"));
+  const [problem, setProblem] = useState("");
+  const start = async () => {
+    setProblem("");
+    // One that goes on already is shown, too.
+    await look("POST").catch(() => look("GET")).catch((error) => setProblem(error.message));
+  };
   useEffect(() => { start(); }, []);
   // Once more when a device was added, so that it is shown as known.
   useEffect(() => { if (search && !isRunning) look("GET").catch(() => {}); }, [configured]);
@@ -49,7 +54,6 @@ export function Setup({ act, onClose, configured }) {
     const timer = setInterval(() => look("GET").catch(() => {}), LOOK_MS);
     return () => clearInterval(timer);
   }, [isRunning]);
-  if (!search) return null;
   return html`
     <section class="panel" aria-labelledby="setup">
       <div class="card-head">
@@ -59,14 +63,16 @@ export function Setup({ act, onClose, configured }) {
           <button onClick=${onClose}>Close</button>
         </div>
       </div>
+      ${problem && html`<p class="reason" role="alert">${problem}</p>`}
+      ${!search && !problem && html`<p role="status">Beginning to search …</p>`}
       ${isRunning && html`
         <label>Searching by Bluetooth, at serial ports and at the vendors' programs. Put your sensors on, or switch them on.
           <progress max=${search.seconds} value=${search.elapsed_s}></progress>
         </label>`}
-      <ul class="found">${search.found.map((device) => html`<${Found} key=${device.sensor + device.name} device=${device} act=${act} />`)}</ul>
-      ${search.done && !search.found.length && html`<p>No sensor was found. Is it charged, switched on, near, and worn?</p>`}
-      ${search.advice.map((sentence) => html`<p class="small">${sentence}</p>`)}
-      ${search.problems.length > 0 && html`
+      <ul class="found">${(search?.found ?? []).map((device) => html`<${Found} key=${device.sensor + device.name} device=${device} act=${act} />`)}</ul>
+      ${search?.done && !search.found.length && html`<p>No sensor was found. Is it charged, switched on, near, and worn?</p>`}
+      ${(search?.advice ?? []).map((sentence) => html`<p class="small">${sentence}</p>`)}
+      ${search?.problems.length > 0 && html`
         <details><summary>Where it was not possible to look</summary>
           <ul>${search.problems.map((sentence) => html`<li class="small">${sentence}</li>`)}</ul>
         </details>`}
