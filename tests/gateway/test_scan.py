@@ -78,7 +78,7 @@ def test_for_scripts_it_is_json_of_one_form(run: Run) -> None:
     found = sections(run("scan", "--simulate", ",".join(STRAPS), "--seconds", "2", "--json"))
     assert list(found) == [BLUETOOTH, SERIAL, CORTEX, E4_SERVER]
     for section in found.values():
-        assert section.keys() == {"where", "problem", "others", "found"}
+        assert section.keys() == {"where", "problem", "others", "advice", "found"}
         assert section["problem"] is None or not (section["found"] or section["others"])
         for device in section["found"]:
             assert device.keys() == {"sensor", "name", "rssi_dbm", "settings", "toml"}

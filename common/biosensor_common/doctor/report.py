@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import asdict
+from typing import Any
 
 from biosensor_common.doctor.check import Category
 from biosensor_common.doctor.finding import Finding, Level
@@ -24,26 +26,22 @@ _INDENT = " " * 12
 
 def as_json(report: Report) -> str:
     """Return the report as JSON, in ASCII."""
+    return json.dumps(content(report), indent=2)
+
+
+def content(report: Report) -> dict[str, Any]:
+    """Return what a script is told of a report."""
     categories = {check.name: check.category.value for check in report.checks}
-    content = {
+    return {
         "version": FORMAT_VERSION,
         "good": report.is_good,
         "seconds": round(report.seconds, 3),
         "checks": [check.name for check in report.checks],
         "counts": {level.value: count for level, count in _counts(report).items()},
         "findings": [
-            {
-                "check": finding.check,
-                "category": categories[finding.check],
-                "level": finding.level.value,
-                "what": finding.what,
-                "why": finding.why,
-                "fix": finding.fix,
-            }
-            for finding in report.findings
+            asdict(finding) | {"category": categories[finding.check]} for finding in report.findings
         ],
     }
-    return json.dumps(content, indent=2)
 
 
 def as_text(report: Report, encoding: str = "utf-8", width: int | None = None) -> str:

@@ -36,7 +36,7 @@ def test(
         device = device_test.chosen_device(sensor, unit, configured)
         outcome = asyncio.run(device_test.run_device_test(device, seconds))
     if as_json:
-        typer.echo(json.dumps(device_test.as_json(outcome), indent=2))
+        typer.echo(json.dumps(device_test.described(outcome).model_dump(), indent=2))
     else:
         print_outcome(outcome, sensor)
     if outcome.problems:

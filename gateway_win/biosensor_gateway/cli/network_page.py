@@ -29,8 +29,7 @@ def serve_network(settings: Path, show: Callable[[str], None]) -> None:
     TransportError
         The page cannot be served.
     """
-    from biosensor_gateway.page.network.server import NetworkServer  # takes a second
-    from biosensor_gateway.page.network.source import NetworkSource
+    from biosensor_gateway.page.network.server import NetworkServer  # takes a fifth of a second
 
     def ready(address: str) -> None:
         show(address)
@@ -39,7 +38,7 @@ def serve_network(settings: Path, show: Callable[[str], None]) -> None:
     # Inlets come and go with what is looked at, each with threads.
     limit_arenas(os.environ)
     try:
-        NetworkServer(NetworkSource(settings), ready).run()
+        NetworkServer(settings, ready).run()
     except OSError as error:
         message = f"the page cannot be served: {error.strerror or error}"
         raise TransportError(TransportReason.BUSY, message) from error

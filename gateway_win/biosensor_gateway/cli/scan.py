@@ -27,7 +27,8 @@ def scan(
     with chosen_devices(settings, simulate) as configured:
         sections = asyncio.run(search.scan(seconds, configured))
     if as_json:
-        typer.echo(json.dumps(search.as_json(sections), indent=2))
+        told = [each.model_dump() for each in search.described(sections, configured)]
+        typer.echo(json.dumps(told, indent=2))
     else:
         _print_sections(sections)
 

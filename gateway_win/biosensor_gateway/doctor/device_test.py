@@ -6,7 +6,6 @@ import asyncio
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +16,7 @@ from biosensor_common.spec import IRREGULAR, DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.registry import declaration, driver
+from biosensor_gateway.doctor.told import DeviceTestResult, StreamTestResult
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.sink import DeviceSink
 
@@ -233,25 +233,25 @@ def chosen_device(
     return model.model_validate({"sensor": sensor_name, "unit": "trial"})
 
 
-def as_json(outcome: DeviceTest) -> dict[str, Any]:
-    """Describe a test for scripts."""
+def described(outcome: DeviceTest) -> DeviceTestResult:
+    """Describe a test for scripts and for the page."""
     info = outcome.info
-    return {
-        "connected": info is not None,
-        "model": info.model if info else None,
-        "serial_number": info.serial_number if info else None,
-        "firmware_version": info.firmware_version if info else None,
-        "problems": outcome.problems,
-        "streams": {
-            name: {
-                "samples": each.samples,
-                "nominal_hz": each.nominal_hz,
-                "measured_hz": each.measured_hz,
-                "last": [_plain(value) for value in each.last],
-            }
+    return DeviceTestResult(
+        connected=info is not None,
+        model=info.model if info else None,
+        serial_number=info.serial_number if info else None,
+        firmware_version=info.firmware_version if info else None,
+        problems=outcome.problems,
+        streams={
+            name: StreamTestResult(
+                samples=each.samples,
+                nominal_hz=each.nominal_hz,
+                measured_hz=each.measured_hz,
+                last=[_plain(value) for value in each.last],
+            )
             for name, each in outcome.streams.items()
         },
-    }
+    )
 
 
 def _plain(value: float | str) -> float | str | None:

@@ -6,7 +6,6 @@ import asyncio
 import re
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import structlog
 
@@ -14,6 +13,7 @@ from biosensor_common.errors import GatewayError
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import DriverEntry
 from biosensor_gateway.devices.registry import declaration, driver, sensor, sensor_names
+from biosensor_gateway.doctor.told import FoundDevice, SearchedPlace
 from biosensor_gateway.settings.editing import table_lines
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble_scanner import scan as scan_bluetooth
@@ -161,23 +161,37 @@ def advice(section: Section) -> list[str]:
     return advice
 
 
-def as_json(sections: Sequence[Section]) -> list[dict[str, Any]]:
-    """Describe a search for scripts."""
+def described(
+    sections: Sequence[Section], configured: Sequence[DeviceSettings]
+) -> list[SearchedPlace]:
+    """Describe a search for scripts and for the page.
+
+    Parameters
+    ----------
+    sections
+    configured
+        Devices of the settings.
+    """
+    known = {(each.sensor, each.unit) for each in configured}
     return [
-        {
-            "where": section.title,
-            "problem": section.problem or None,
-            "others": list(section.others),
-            "found": [
-                {
-                    "sensor": each.sensor,
-                    "name": each.name,
-                    "rssi_dbm": each.rssi_dbm,
-                    "settings": dict(each.settings),
-                    "toml": toml_lines(each),
-                }
-                for each in section.found
-            ],
-        }
+        SearchedPlace(
+            where=section.title,
+            problem=section.problem or None,
+            others=list(section.others),
+            advice=advice(section),
+            found=[_described(each, known) for each in section.found],
+        )
         for section in sections
     ]
+
+
+def _described(found: Found, known: set[tuple[str, str]]) -> FoundDevice:
+    return FoundDevice(
+        sensor=found.sensor,
+        title=declaration(found.sensor).title,
+        name=found.name,
+        rssi_dbm=found.rssi_dbm,
+        settings=dict(found.settings),
+        toml=toml_lines(found),
+        is_known=(found.sensor, str(found.settings.get("unit"))) in known,
+    )

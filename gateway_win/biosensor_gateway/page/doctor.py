@@ -6,9 +6,9 @@ import asyncio
 from pathlib import Path
 
 from fastapi import APIRouter
-from pydantic import BaseModel, Field
+from pydantic import BaseModel
 
-from biosensor_common.doctor.finding import Finding
+from biosensor_common.doctor.report import content
 from biosensor_common.doctor.runner import Report, run_checks
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.doctor.context import read_context
@@ -37,20 +37,27 @@ class FindingView(BaseModel):
     fix: str
 
 
-class ExaminationView(BaseModel):
-    """What an examination of this computer has found; the worst first.
+class Examination(BaseModel):
+    """What ``doctor --json`` says; see `biosensor_common.doctor.report`.
 
     Attributes
     ----------
-    is_good
+    good
         There are no errors.
     seconds
         How long it took.
+    checks
+        What was to be looked at.
+    counts
+        How many findings there are of each level.
     """
 
-    is_good: bool
+    version: int
+    good: bool
     seconds: float
-    findings: list[FindingView] = Field(default_factory=list[FindingView])
+    checks: list[str]
+    counts: dict[str, int]
+    findings: list[FindingView]
 
 
 class Doctor:
@@ -68,7 +75,7 @@ class Doctor:
         self._settings, self._folder = settings, folder
         self._is_busy = False
 
-    async def examine(self) -> ExaminationView:
+    async def examine(self) -> Examination:
         """Run all checks, which takes up to some seconds.
 
         Raises
@@ -81,7 +88,7 @@ class Doctor:
             raise ConfigError(ConfigReason.IN_USE, message)
         self._is_busy = True
         try:
-            return _view(await asyncio.to_thread(self._run))
+            return Examination.model_validate(content(await asyncio.to_thread(self._run)))
         finally:
             self._is_busy = False
 
@@ -93,29 +100,6 @@ def add_doctor(router: APIRouter, doctor: Doctor) -> None:
     """Add what the page asks a doctor."""
 
     @router.post("/doctor")
-    async def examine() -> ExaminationView:
+    async def examine() -> Examination:
         """Say what is wrong on this computer, and how to mend it."""
         return await doctor.examine()
-
-
-def _view(report: Report) -> ExaminationView:
-    order = ("error", "warning", "note", "ok")
-    categories = {check.name: check.category.value for check in report.checks}
-    worst_first = sorted(report.findings, key=lambda each: order.index(each.level.value))
-    return ExaminationView(
-        is_good=report.is_good,
-        seconds=round(report.seconds, 3),
-        findings=[finding_view(each, categories[each.check]) for each in worst_first],
-    )
-
-
-def finding_view(finding: Finding, category: str) -> FindingView:
-    """Return a finding as the page shows it."""
-    return FindingView(
-        check=finding.check,
-        category=category,
-        level=finding.level.value,
-        what=finding.what,
-        why=finding.why,
-        fix=finding.fix,
-    )

@@ -6,11 +6,11 @@ What the agent says of itself has the models of ``status --json``; here is what 
 from __future__ import annotations
 
 from enum import StrEnum, unique
-from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from biosensor_gateway.agent.status import AgentFacts, DeviceFacts, StreamStatus
+from biosensor_gateway.doctor.told import SearchedPlace
 from biosensor_gateway.page.marker_models import ExperimentsView, MarkersView
 from biosensor_gateway.page.replay_models import ReplayView
 from biosensor_gateway.page.screen_models import ScreenStream
@@ -143,42 +143,13 @@ class StatusView(AgentFacts):
     experiments: ExperimentsView | None = None
 
 
-class FoundView(BaseModel):
-    """A device that a search found.
-
-    Attributes
-    ----------
-    settings
-        What its table in the settings needs.
-    is_known
-        Whether the settings have it already.
-    """
-
-    sensor: str
-    title: str
-    name: str
-    rssi_dbm: int | None
-    settings: dict[str, Any]
-    is_known: bool
-
-
 class SearchView(BaseModel):
-    """How a search goes on.
-
-    Attributes
-    ----------
-    problems
-        Where it was not possible to look, one sentence each.
-    advice
-        How to tell devices apart that are called alike.
-    """
+    """How a search goes on; what it finds is that of ``scan --json``."""
 
     running: bool = False
     seconds: float = 0.0
     elapsed_s: float = 0.0
-    found: list[FoundView] = Field(default_factory=list[FoundView])
-    problems: list[str] = Field(default_factory=list[str])
-    advice: list[str] = Field(default_factory=list[str])
+    places: list[SearchedPlace] = Field(default_factory=list[SearchedPlace])
     done: bool = False
 
 

@@ -9,13 +9,14 @@ from typing import Annotated
 from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
+from biosensor_common.doctor.report import content
 from biosensor_common.doctor.two_sided import report
 from biosensor_common.doctor.two_sided.command import Outcome, check_with
 from biosensor_common.doctor.two_sided.facts import AGENT
 from biosensor_common.doctor.two_sided.remedies import ANSWER_PORT
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.doctor.context import read_context
-from biosensor_gateway.page.doctor import FindingView, finding_view
+from biosensor_gateway.page.doctor import Examination
 
 HostText = Annotated[str, StringConstraints(min_length=1, max_length=253, pattern=r"^[^\s/]+$")]
 CodeText = Annotated[str, StringConstraints(min_length=1, max_length=16)]
@@ -31,25 +32,19 @@ class OtherComputer(BaseModel):
     port: int = Field(ANSWER_PORT, ge=1024, le=65535)
 
 
-class NetworkView(BaseModel):
-    """What both computers have found out.
+class NetworkView(Examination):
+    """What both computers have found out; of the findings, the cause before what follows from it.
 
     Attributes
     ----------
-    is_good
-        There are no errors.
     sides
         A line about each computer; none if there was no conversation.
     rows
         What, from there to here, from here to there; the first one has the headings.
-    findings
-        The cause before what follows from it.
     """
 
-    is_good: bool
     sides: list[str] = Field(default_factory=list[str])
     rows: list[tuple[str, str, str]] = Field(default_factory=list[tuple[str, str, str]])
-    findings: list[FindingView] = Field(default_factory=list[FindingView])
 
 
 class NetworkCheck:
@@ -93,10 +88,8 @@ def add_network_check(router: APIRouter, check: NetworkCheck) -> None:
 def network_view(outcome: Outcome) -> NetworkView:
     """Return an outcome as the page shows it."""
     ends = outcome.ends
-    category = report.CHECK.category.value
     return NetworkView(
-        is_good=outcome.report.is_good,
+        **content(outcome.report),
         sides=[] if ends is None else list(report.sides(*ends)),
         rows=[] if ends is None else list(report.rows(*ends)),
-        findings=[finding_view(each, category) for each in outcome.report.findings],
     )

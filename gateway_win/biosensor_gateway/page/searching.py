@@ -6,11 +6,9 @@ import asyncio
 import time
 from collections.abc import Callable, Sequence
 
-from biosensor_common.errors import ConfigError, ConfigReason, SpecError
-from biosensor_gateway.devices.discovery import Found
-from biosensor_gateway.devices.registry import declaration
+from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.doctor import scan
-from biosensor_gateway.page.models import FoundView, SearchView
+from biosensor_gateway.page.models import SearchView
 from biosensor_gateway.settings.models import DeviceSettings
 
 SECONDS = 6.0
@@ -49,14 +47,11 @@ class Search:
         """Say how far it is."""
         if self._task is None:
             return SearchView(seconds=SECONDS)
-        known = {(each.sensor, each.unit) for each in self._configured()}
         return SearchView(
             running=self._is_running,
             seconds=SECONDS,
             elapsed_s=min(SECONDS, time.monotonic() - self._begun_s),
-            found=[_view(each, known) for part in self._sections for each in part.found],
-            problems=[f"{each.title}: {each.problem}" for each in self._sections if each.problem],
-            advice=[sentence for each in self._sections for sentence in scan.advice(each)],
+            places=scan.described(self._sections, self._configured()),
             done=not self._is_running,
         )
 
@@ -66,18 +61,3 @@ class Search:
 
     async def _run(self) -> None:
         self._sections = await scan.scan(SECONDS, self._configured())
-
-
-def _view(found: Found, known: set[tuple[str, str]]) -> FoundView:
-    try:
-        title = declaration(found.sensor).title
-    except SpecError:
-        title = found.sensor
-    return FoundView(
-        sensor=found.sensor,
-        title=title,
-        name=found.name,
-        rssi_dbm=found.rssi_dbm,
-        settings=dict(found.settings),
-        is_known=(found.sensor, str(found.settings.get("unit"))) in known,
-    )

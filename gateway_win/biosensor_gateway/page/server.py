@@ -13,7 +13,7 @@ import math
 import signal
 import socket
 import sys
-from collections.abc import AsyncGenerator, Callable, Coroutine, Iterable, Mapping
+from collections.abc import AsyncGenerator, Callable, Coroutine, Generator, Iterable, Mapping
 from contextlib import AbstractAsyncContextManager
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -155,21 +155,21 @@ class PageServer:
         except Exception as error:  # noqa: BLE001 - raised again when the server has ended
             self._error = error
         finally:
-            await _cancelled(running)
+            await cancelled(running)
             self._server.should_exit = True
 
     def _load(self) -> Service:
-        # Else each step of what is answered meanwhile would wait for so long.
-        sys.setswitchinterval(_SWITCH_S)
-        from biosensor_gateway.page.service import Service  # noqa: PLC0415 - takes a second
+        with responsive():
+            from biosensor_gateway.page.service import Service  # noqa: PLC0415 - takes a second
 
-        return Service(self._folder, self._settings, self._end_after_s)
+            return Service(self._folder, self._settings, self._end_after_s)
 
     def _load_more(self, service: Service) -> Steering:
         self._open_log()
-        from biosensor_gateway.page.steering import Steering  # noqa: PLC0415 - as above
+        with responsive():
+            from biosensor_gateway.page.steering import Steering  # noqa: PLC0415 - as above
 
-        return Steering(service)
+            return Steering(service)
 
     async def _show(self) -> None:
         try:
@@ -193,7 +193,7 @@ class PageServer:
             try:
                 yield
             finally:
-                await _cancelled([serving])
+                await cancelled([serving])
 
     def _reachable(self, service: Service) -> AbstractAsyncContextManager[None]:
         """Let other programs of the same user ask for a window, or for the end."""
@@ -223,7 +223,19 @@ def guarded(app: ASGIApp, port: int, keys: Keys) -> uvicorn.Server:
     return uvicorn.Server(config)
 
 
-async def _cancelled(tasks: Iterable[asyncio.Task[None]]) -> None:
+@contextlib.contextmanager
+def responsive() -> Generator[None]:
+    """Have a thread that loads give way to the one that serves, ten times as often as usual."""
+    usual_s = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH_S)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(usual_s)
+
+
+async def cancelled(tasks: Iterable[asyncio.Task[None]]) -> None:
+    """Cancel tasks and wait for their end."""
     for task in tasks:
         task.cancel()
     await asyncio.gather(*tasks, return_exceptions=True)

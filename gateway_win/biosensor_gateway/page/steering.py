@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import asyncio
 
-from fastapi import FastAPI
-
 from biosensor_gateway.page.api import add_api
 from biosensor_gateway.page.experiments.server import ExperimentServer
-from biosensor_gateway.page.front import PREFIX
 from biosensor_gateway.page.marking import Marking
 from biosensor_gateway.page.network_answer import NetworkAnswer
+from biosensor_gateway.page.new_app import new_app
 from biosensor_gateway.page.quitting import add_quit
 from biosensor_gateway.page.recorder import Recorder
 from biosensor_gateway.page.replaying import Replaying
@@ -50,14 +48,3 @@ class Steering:
             self._replaying.run(),
             ExperimentServer(self._session).run(),
         )
-
-
-def new_app() -> FastAPI:
-    """Return an application without pages that load scripts of other servers."""
-    return FastAPI(
-        title="Biosensor Gateway",
-        version="1",
-        docs_url=None,
-        redoc_url=None,
-        openapi_url=f"{PREFIX}/openapi.json",
-    )

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from fastapi import APIRouter
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_gateway.devices.registry import driver
-from biosensor_gateway.doctor.device_test import DeviceTest, run_device_test
+from biosensor_gateway.doctor.device_test import described, run_device_test
+from biosensor_gateway.doctor.told import DeviceTestResult
 from biosensor_gateway.settings.models import DeviceSettings
 
 SECONDS = 5.0
@@ -22,38 +23,6 @@ class Candidate(BaseModel):
 
     sensor: str
     settings: dict[str, str | int | float | bool]
-
-
-class TriedStream(BaseModel):
-    """What came of one stream.
-
-    Attributes
-    ----------
-    measured_hz
-        By the samples' own times; None if it cannot be told.
-    nominal_hz
-        Declared; 0 for streams that come when they come.
-    """
-
-    data_name: str
-    samples: int
-    measured_hz: float | None
-    nominal_hz: float
-
-
-class TrialView(BaseModel):
-    """What a device has shown.
-
-    Attributes
-    ----------
-    problems
-        One sentence each; empty if all is well.
-    """
-
-    connected: bool
-    seconds: float = SECONDS
-    problems: list[str] = Field(default_factory=list[str])
-    streams: list[TriedStream] = Field(default_factory=list[TriedStream])
 
 
 class Trial:
@@ -69,7 +38,7 @@ class Trial:
         self._streamed = streamed
         self._is_busy = False
 
-    async def run(self, candidate: Candidate) -> TrialView:
+    async def run(self, candidate: Candidate) -> DeviceTestResult:
         """Connect, listen for `SECONDS`, and judge.
 
         Raises
@@ -90,7 +59,7 @@ class Trial:
             raise ConfigError(ConfigReason.IN_USE, message)
         self._is_busy = True
         try:
-            return _view(await run_device_test(settings, SECONDS))
+            return described(await run_device_test(settings, SECONDS))
         finally:
             self._is_busy = False
 
@@ -99,7 +68,7 @@ def add_trial(router: APIRouter, trial: Trial) -> None:
     """Add how a device is tried."""
 
     @router.post("/devices/test")
-    async def run(candidate: Candidate) -> TrialView:
+    async def run(candidate: Candidate) -> DeviceTestResult:
         """Connect to a device for some seconds; nothing is streamed."""
         return await trial.run(candidate)
 
@@ -114,19 +83,3 @@ def _settings(candidate: Candidate) -> DeviceSettings:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"]) or "the settings"
         raise ConfigError(ConfigReason.WRONG_VALUE, f"{place}: {first['msg']}") from None
-
-
-def _view(outcome: DeviceTest) -> TrialView:
-    return TrialView(
-        connected=outcome.info is not None,
-        problems=outcome.problems,
-        streams=[
-            TriedStream(
-                data_name=name,
-                samples=each.samples,
-                measured_hz=each.measured_hz,
-                nominal_hz=each.nominal_hz,
-            )
-            for name, each in outcome.streams.items()
-        ],
-    )

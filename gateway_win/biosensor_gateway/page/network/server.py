@@ -1,4 +1,8 @@
-"""Runs the server of the network's page, which serves nothing else."""
+"""Runs the server of the network's page, which serves nothing else.
+
+It listens before most of the program is loaded, as `biosensor_gateway.page.server` does; only what
+is wrong in the settings file is found before a browser opens.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +11,19 @@ import contextlib
 import socket
 from collections.abc import AsyncGenerator, Callable
 from importlib.resources import as_file, files
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from fastapi import FastAPI
 from starlette.applications import Starlette
-from starlette.routing import Router
 
-from biosensor_gateway.page.front import PREFIX, Front
+from biosensor_gateway.page.front import Front
 from biosensor_gateway.page.guard import DOOR, Keys
-from biosensor_gateway.page.live import live
-from biosensor_gateway.page.network.models import NetworkView
-from biosensor_gateway.page.network.source import NetworkSource
-from biosensor_gateway.page.server import HOST, guarded
-from biosensor_gateway.page.steering import new_app
+from biosensor_gateway.page.server import HOST, cancelled, guarded, responsive
+
+if TYPE_CHECKING:
+    from starlette.types import ASGIApp
+
+    from biosensor_gateway.page.network.source import NetworkSource
 
 _DOCUMENT = "network.html"
 
@@ -28,23 +33,28 @@ class NetworkServer:
 
     Parameters
     ----------
-    source
+    settings
+        A settings file, of which the LSL section counts; it need not exist.
     on_ready
         Called in a thread with an address that opens the page once, as soon as it can be
         opened.
     """
 
-    def __init__(self, source: NetworkSource, on_ready: Callable[[str], None]) -> None:
-        self._source = source
-        self._on_ready = on_ready
+    def __init__(self, settings: Path, on_ready: Callable[[str], None]) -> None:
+        self._settings, self._on_ready = settings, on_ready
+        self._error: Exception | None = None
 
     def run(self) -> None:
         """Serve until SIGINT or SIGTERM.
 
         Raises
         ------
+        ConfigError
+            The settings are wrong, or LSL's own are.
         OSError
             There is no port on the loopback address.
+        GatewayError
+            Whatever `on_ready` has raised.
         """
         with (
             socket.create_server((HOST, 0)) as listening,
@@ -52,31 +62,61 @@ class NetworkServer:
         ):
             port: int = listening.getsockname()[1]
             keys = Keys(port)
-            address = f"http://{HOST}:{port}{DOOR}?token={keys.new_token()}"
-            front = Front(pages, _DOCUMENT, lambda app: self._serving(app, address))
-            front.show(Router([live(self._source, self._source.status)]))
-            front.complete(self._app())
-            guarded(front, port, keys).run([listening])
+            self._address = f"http://{HOST}:{port}{DOOR}?token={keys.new_token()}"
+            self._front = Front(pages, _DOCUMENT, self._serving)
+            self._server = guarded(self._front, port, keys)
+            self._server.run([listening])
+        if self._error is not None:
+            raise self._error
 
     @contextlib.asynccontextmanager
-    async def _serving(self, _app: Starlette, address: str) -> AsyncGenerator[None]:
-        running = [
-            asyncio.create_task(self._source.run()),
-            asyncio.create_task(asyncio.to_thread(self._on_ready, address)),
-        ]
+    async def _serving(self, _app: Starlette) -> AsyncGenerator[None]:
+        running = asyncio.create_task(self._run())
         try:
             yield
         finally:
-            for task in running:
-                task.cancel()
-            await asyncio.gather(*running, return_exceptions=True)
+            await cancelled([running])
 
-    def _app(self) -> FastAPI:
-        app = new_app()
+    async def _run(self) -> None:
+        """Load the rest and run it until cancelled; an error ends the server."""
+        running: list[asyncio.Task[None]] = []
+        try:
+            await asyncio.to_thread(self._check_settings)
+            shown = asyncio.create_task(asyncio.to_thread(self._on_ready, self._address))
+            running.append(shown)
+            source = await asyncio.to_thread(self._source)
+            self._front.show(_live(source))
+            running.append(asyncio.create_task(source.run()))
+            self._front.complete(await asyncio.to_thread(_api, source))
+            await asyncio.gather(*running)
+        except Exception as error:  # noqa: BLE001 - raised again when the server has ended
+            self._error = error
+        finally:
+            await cancelled(running)
+            self._server.should_exit = True
 
-        @app.get(f"{PREFIX}/streams")
-        async def streams() -> NetworkView:  # pyright: ignore[reportUnusedFunction]
-            """Say which streams this computer sees, and how they are."""
-            return self._source.status()
+    def _check_settings(self) -> None:
+        from biosensor_gateway.page.network.lsl_settings import lsl_settings  # noqa: PLC0415 - slow
 
-        return app
+        lsl_settings(self._settings)
+
+    def _source(self) -> NetworkSource:
+        with responsive():
+            from biosensor_gateway.page.network.source import NetworkSource  # noqa: PLC0415 - as above
+
+            return NetworkSource(self._settings)
+
+
+def _live(source: NetworkSource) -> ASGIApp:
+    from starlette.routing import Router  # noqa: PLC0415 - as above
+
+    from biosensor_gateway.page.live import live  # noqa: PLC0415
+
+    return Router([live(source, source.status)])
+
+
+def _api(source: NetworkSource) -> ASGIApp:
+    with responsive():
+        from biosensor_gateway.page.network.api import network_api  # noqa: PLC0415 - as above
+
+        return network_api(source)

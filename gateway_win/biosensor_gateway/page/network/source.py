@@ -8,15 +8,13 @@ from pathlib import Path
 
 from pylsl import local_clock
 
-from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.lsl_config import LSL_BASE_PORT, LSL_DISCOVERY_PORT, LslOverrides
 from biosensor_gateway.agent.feed_frames import Samples
-from biosensor_gateway.devices.registry import settings_models
+from biosensor_gateway.page.network.lsl_settings import lsl_settings
 from biosensor_gateway.page.network.models import NetworkView
 from biosensor_gateway.page.network.reader import Reader
 from biosensor_gateway.page.traces import Traces
-from biosensor_gateway.settings import file as settings_file
-from biosensor_gateway.settings.models import GatewaySettings, LslSettings
+from biosensor_gateway.settings.models import LslSettings
 from biosensor_gateway.streaming.outlets import configure_lsl
 
 KEPT_S = 15.0
@@ -43,7 +41,7 @@ class NetworkSource:
     """
 
     def __init__(self, settings: Path) -> None:
-        lsl = _lsl_settings(settings)
+        lsl = lsl_settings(settings)
         own = configure_lsl(LslOverrides(lsl.session_id, lsl.known_peers, lsl.port_range))
         self.traces = Traces(KEPT_S)
         self.has_ended = False
@@ -84,15 +82,6 @@ class NetworkSource:
     def _take(self, samples: list[Samples]) -> None:
         for each in samples:
             self.traces.take(each)
-
-
-def _lsl_settings(path: Path) -> LslSettings:
-    try:
-        return settings_file.load_settings(path, settings_models()).lsl
-    except ConfigError as error:
-        if error.reason is not ConfigReason.NOT_FOUND:
-            raise
-        return GatewaySettings().lsl
 
 
 def _search(lsl: LslSettings, settings: Path, own: Path | None) -> list[str]:

@@ -6,8 +6,7 @@ import { Finding } from "./findings.js";
 import { NetworkCheck } from "./network.js";
 
 function sentence(outcome) {
-  const count = (level) => outcome.findings.filter((each) => each.level === level).length;
-  const [errors, warnings] = [count("error"), count("warning")];
+  const { error: errors, warning: warnings } = outcome.counts;
   if (!errors && !warnings) return "Nothing is wrong with this computer.";
   const named = (n, word) => `${n} ${word}${n === 1 ? "" : "s"}`;
   return `${[errors && named(errors, "error"), warnings && named(warnings, "warning")].filter(Boolean).join(" and ")}; what mends each stands below it.`;
@@ -28,7 +27,8 @@ export function Doctor({ onClose }) {
     setRunning(false);
   };
   useEffect(() => { examine(); }, []);
-  const bad = outcome?.findings.filter((each) => each.level !== "ok") ?? [];
+  // The worst first.
+  const bad = ["error", "warning", "note"].flatMap((level) => outcome?.findings.filter((each) => each.level === level) ?? []);
   const good = outcome?.findings.filter((each) => each.level === "ok") ?? [];
   return html`
     <section class="panel" aria-labelledby="doctor">

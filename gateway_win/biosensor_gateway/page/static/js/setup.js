@@ -39,6 +39,9 @@ function Found({ device, act }) {
 export function Setup({ act, onClose, configured }) {
   const [search, setSearch] = useState(null);
   const isRunning = search?.running ?? false;
+  const places = search?.places ?? [];
+  const found = places.flatMap((each) => each.found);
+  const failed = places.filter((each) => each.problem);
   const look = async (method) => setSearch(await ask(method, "/search"));
   const [problem, setProblem] = useState("");
   const start = async () => {
@@ -69,12 +72,12 @@ export function Setup({ act, onClose, configured }) {
         <label>Searching by Bluetooth, at serial ports and at the vendors' programs. Put your sensors on, or switch them on.
           <progress max=${search.seconds} value=${search.elapsed_s}></progress>
         </label>`}
-      <ul class="found">${(search?.found ?? []).map((device) => html`<${Found} key=${device.sensor + device.name} device=${device} act=${act} />`)}</ul>
-      ${search?.done && !search.found.length && html`<p>No sensor was found. Is it charged, switched on, near, and worn?</p>`}
-      ${(search?.advice ?? []).map((sentence) => html`<p class="small">${sentence}</p>`)}
-      ${search?.problems.length > 0 && html`
+      <ul class="found">${found.map((device) => html`<${Found} key=${device.sensor + device.name} device=${device} act=${act} />`)}</ul>
+      ${search?.done && !found.length && html`<p>No sensor was found. Is it charged, switched on, near, and worn?</p>`}
+      ${places.flatMap((each) => each.advice).map((sentence) => html`<p class="small">${sentence}</p>`)}
+      ${failed.length > 0 && html`
         <details><summary>Where it was not possible to look</summary>
-          <ul>${search.problems.map((sentence) => html`<li class="small">${sentence}</li>`)}</ul>
+          <ul>${failed.map((each) => html`<li class="small">${each.where}: ${each.problem}</li>`)}</ul>
         </details>`}
     </section>`;
 }

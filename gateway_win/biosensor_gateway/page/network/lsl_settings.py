@@ -1,0 +1,26 @@
+"""What the settings say of LSL."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.devices.registry import settings_models
+from biosensor_gateway.settings import file as settings_file
+from biosensor_gateway.settings.models import GatewaySettings, LslSettings
+
+
+def lsl_settings(path: Path) -> LslSettings:
+    """Read the LSL section of a settings file; the usual one if there is no file.
+
+    Raises
+    ------
+    ConfigError
+        The file is wrong.
+    """
+    try:
+        return settings_file.load_settings(path, settings_models()).lsl
+    except ConfigError as error:
+        if error.reason is not ConfigReason.NOT_FOUND:
+            raise
+        return GatewaySettings().lsl
