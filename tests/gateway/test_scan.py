@@ -81,7 +81,9 @@ def test_for_scripts_it_is_json_of_one_form(run: Run) -> None:
         assert section.keys() == {"where", "problem", "others", "advice", "found"}
         assert section["problem"] is None or not (section["found"] or section["others"])
         for device in section["found"]:
-            assert device.keys() == {"sensor", "name", "rssi_dbm", "settings", "toml"}
+            assert device.keys() == {
+                *("sensor", "title", "name", "rssi_dbm", "settings", "toml", "is_known")
+            }
             (table,) = tomllib.loads(device["toml"])["device"]
             assert table == {"sensor": device["sensor"], **device["settings"]}
     assert found[BLUETOOTH]["problem"] is None
