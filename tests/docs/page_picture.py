@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 import tempfile
+import time
 import uuid
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -50,7 +51,7 @@ def _take(browser: Browser, address: str, folder: Path) -> None:
     page.get_by_role("button", name="Traces and details of Polar H10").click()
     page.wait_for_timeout(2000)
     page.emulate_media(color_scheme="light")
-    page.screenshot(path=folder / "page-detail.png")
+    page.screenshot(path=folder / "page-detail.png", full_page=True)
     context.close()
 
 
@@ -61,6 +62,30 @@ def _take_network(browser: Browser, address: str, folder: Path) -> None:
     expect(page.locator(".card", has_text="trial")).to_be_visible(timeout=60_000)
     page.wait_for_timeout(1000 * SECONDS)
     page.screenshot(path=folder / "page-lsl.png")
+    context.close()
+
+
+def _record(cli: list[str], recording: Path) -> None:
+    """Record what streams now."""
+    start = ["record", "start", "--here", "--all", "--file", str(recording)]
+    subprocess.run([*cli, *start], check=True)
+    time.sleep(SECONDS)
+    subprocess.run([*cli, "record", "stop"], check=True)
+
+
+def _take_replay(browser: Browser, address: str, recording: Path, folder: Path) -> None:
+    context = browser.new_context(viewport={"width": 1280, "height": 900})
+    page = context.new_page()
+    page.goto(address)
+    page.get_by_role("banner").get_by_role("button", name="Play a recording").click()
+    panel = page.get_by_role("region", name="Play a recording")
+    panel.get_by_label("Recording").select_option("another file …")
+    panel.get_by_label("whole path").fill(str(recording))
+    panel.get_by_role("button", name="Play", exact=True).click(timeout=60_000)
+    expect(page.locator(".card.replay")).to_have_count(7, timeout=60_000)
+    panel.get_by_role("button", name="Close").click()
+    page.wait_for_timeout(1000 * (SECONDS - 3))
+    page.screenshot(path=folder / "page-replay.png")
     context.close()
 
 
@@ -98,6 +123,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as state, sync_playwright() as playwright:
         os.environ["BIOSENSOR_GATEWAY_STATE"] = state
         os.environ["XDG_DOCUMENTS_DIR"] = "/home/lab/Documents"
+        recording = Path(state) / "study.xdf"
         lsl = Path(state) / "lsl_api.cfg"
         lsl.write_text(_LSL.format(uuid.uuid4().hex))
         os.environ["LSLAPICFG"] = str(lsl)
@@ -106,6 +132,9 @@ def main() -> None:
             _take_network(browser, _address(network), folder)
         with _running(page, [*run, "all"]) as agent:
             _take(browser, _address(agent), folder)
+            _record(cli, recording)
+        with _running(page) as player:
+            _take_replay(browser, _address(player), recording, folder)
         browser.close()
 
 
