@@ -149,10 +149,10 @@ class Bench:
         for data_name, (times, values) in self.lab.truth(name).items():
             recent = times >= since_s - NEAR_S
             episode.truth[name, data_name] = Samples(times[recent], values[recent])
-        newest = episode.after[name].status["streams"].values()
-        is_new = max(counters["last_stamp"] for counters in newest) > recovered_s
+        status = episode.after[name].status
+        is_new = max(each["last_stamp"] for each in status["streams"].values()) > recovered_s
         # Some streams may be enabled again when others flow already.
-        return is_new and self._is_well(name) and episode.is_balanced(name)
+        return is_new and _says_well(status) and episode.is_balanced(name)
 
     def _is_noticed(self, episode: Episode, kind: Kind, name: str) -> bool:
         status = self._status(name)
@@ -196,8 +196,7 @@ class Bench:
         return self.agent.status()[name]
 
     def _is_well(self, name: str) -> bool:
-        status = self._status(name)
-        return status["state"] == "streaming" and status["error"] is None
+        return _says_well(self._status(name))
 
     def _streams_since(self, name: str, begin_s: float) -> bool:
         newest = (self.recorder.newest(source(name, each)) for each in steady_streams(name))
@@ -216,6 +215,10 @@ class Bench:
                 for data_name in regular_streams(name):
                     accounts[data_name] = episode.account(name, data_name)._asdict()
             self._table.add(Row(name, kind.value, recovered_s, accounts))
+
+
+def _says_well(status: Mapping[str, Any]) -> bool:
+    return status["state"] == "streaming" and status["error"] is None
 
 
 def _wait(items: Iterable[_ItemT], condition: Callable[[_ItemT], bool]) -> list[_ItemT]:
