@@ -14,6 +14,8 @@ from rosbags.highlevel import AnyReader
 from tests.system.lsl_time import NS_PER_S
 from tests.system.tracks import Times, Track
 
+_OURS = "biosensor_msgs/msg/"
+
 
 @dataclass(frozen=True)
 class RecordedTopic:
@@ -84,10 +86,12 @@ def _values(message: Any, samples: int) -> NDArray[Any]:
 
 
 def read(bag: Path) -> Mapping[str, RecordedTopic]:
-    """Return the topics of a bag on which something came."""
+    """Return the stamped topics of a bag on which something came."""
     topics: dict[str, _Collector] = {}
     with AnyReader([bag]) as reader:
-        for connection, arrival_ns, data in reader.messages():
+        stamped = [each for each in reader.connections if each.msgtype.startswith(_OURS)]
+        # Without any it would give all.
+        for connection, arrival_ns, data in reader.messages(stamped) if stamped else ():
             message = reader.deserialize(data, connection.msgtype)
             topics.setdefault(connection.topic, _Collector()).add(message, arrival_ns)
     return {name: collector.topic() for name, collector in topics.items()}
