@@ -22,7 +22,7 @@ from tests.fuzz.scratch import folder, written
 
 _PACKED = b"\x1f\x8b"
 _MOST_PACKED = 1024
-_FORMATS = ("csv", "csv-long", "edf", "kubios", "ledalab", "bids")
+_FORMATS = ("csv", "csv-long", "edf", "kubios", "ledalab", "bids", "mcap")
 
 
 def check(data: bytes) -> None:
