@@ -51,7 +51,8 @@ def _take(browser: Browser, address: str, folder: Path) -> None:
     page.get_by_role("button", name="Traces and details of Polar H10").click()
     page.wait_for_timeout(2000)
     page.emulate_media(color_scheme="light")
-    page.screenshot(path=folder / "page-detail.png", full_page=True)
+    # Not the whole page: below stands where this computer has its settings.
+    page.locator("main").screenshot(path=folder / "page-detail.png")
     context.close()
 
 

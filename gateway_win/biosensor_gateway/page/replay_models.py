@@ -19,9 +19,12 @@ class ReplayedStreamView(ScreenStream):
     ----------
     nominal_hz
         At the speed of the replay.
+    is_empty
+        Whether the recording has no sample of it.
     """
 
     nominal_hz: float
+    is_empty: bool
 
 
 class ReplayedDeviceView(BaseModel):

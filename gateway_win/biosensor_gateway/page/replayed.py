@@ -140,6 +140,7 @@ class Replayed:
             channels=stream.channels,
             units=stream.units,
             nominal_hz=stream.nominal_hz,
+            is_empty=stream.is_empty,
             measured_hz=meter.rate_hz(now) if is_regular else None,
             age_s=max(0.0, now - newest[0]) if newest else None,
             is_fresh=is_fresh,

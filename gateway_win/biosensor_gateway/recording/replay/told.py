@@ -68,6 +68,8 @@ class PlayedStream(BaseModel):
         One a channel; of text there are none.
     nominal_hz
         At the speed of the replay.
+    is_empty
+        Whether the recording has no sample of it.
     """
 
     source_id: str
@@ -83,6 +85,7 @@ class PlayedStream(BaseModel):
     units: list[str]
     roles: list[ChannelRole | None]
     nominal_hz: float
+    is_empty: bool
 
 
 class ReplayProgress(BaseModel):
@@ -140,4 +143,5 @@ def _described(stream: Stream, source_id: str, speed: float) -> PlayedStream:
         units=[] if is_text else [unit or "none" for unit in meaning.units],
         roles=[] if is_text else list(meaning.roles),
         nominal_hz=header.rate * speed,
+        is_empty=not stream.sample_count,
     )

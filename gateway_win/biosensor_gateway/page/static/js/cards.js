@@ -9,7 +9,7 @@ const SHOWN = 4;
 // What a person looks at first: what was measured on the body, the fastest first.
 export function mainStreams(device) {
   return streamsOf(device)
-    .filter((each) => each.is_signal && each.channels.length && each.units[0] !== "boolean" && !each.silent)
+    .filter((each) => each.is_signal && each.channels.length && each.units[0] !== "boolean" && !each.silent && !each.is_empty)
     .sort((a, b) => b.nominal_hz - a.nominal_hz)
     .slice(0, SHOWN);
 }

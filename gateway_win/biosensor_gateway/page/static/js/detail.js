@@ -117,7 +117,7 @@ export function Detail({ live, device, isVirtual, act, onClose }) {
       act("DELETE", "/devices", which).then((isDone) => isDone && onClose());
     }
   };
-  const plotted = streamsOf(device).filter((each) => each.channels.length && each.content_type !== "Markers" && !each.silent);
+  const plotted = streamsOf(device).filter((each) => each.channels.length && each.content_type !== "Markers" && !each.silent && !each.is_empty);
   return html`
     <section class="panel" aria-labelledby="detail">
       <div class="card-head">

@@ -127,6 +127,9 @@ export class Plot {
       [[], ...stream.channels.map(() => [])],
       element,
     );
+    // One without samples is drawn at no other time.
+    this.repaint = () => this.plot.redraw();
+    DARK.addEventListener("change", this.repaint);
   }
 
   draw() {
@@ -139,6 +142,7 @@ export class Plot {
   }
 
   end() {
+    DARK.removeEventListener("change", this.repaint);
     this.plot.destroy();
   }
 }
