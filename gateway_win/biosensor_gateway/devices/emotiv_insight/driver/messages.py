@@ -168,8 +168,8 @@ def list_of(value: object) -> list[object]:
 
 def number_of(value: object) -> float | None:
     """Return a finite JSON number, None for any other JSON value."""
-    if value.__class__ is float and -math.inf < cast("float", value) < math.inf:
-        return cast("float", value)
+    if type(value) is float and -math.inf < value < math.inf:
+        return value
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     try:

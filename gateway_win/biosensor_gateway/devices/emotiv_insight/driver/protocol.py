@@ -144,8 +144,10 @@ def _labelled(
     numbers: dict[str, float] = {}
     others: dict[str, object] = {}
     for (label, is_number), value in zip(reading.labels, values, strict=True):
-        number = number_of(value)
-        if number is not None:
+        # Most values are these, and a call for each would take longer than all else here.
+        if type(value) is float and -math.inf < value < math.inf:
+            numbers[label] = value
+        elif (number := number_of(value)) is not None:
             numbers[label] = number
         elif is_number:
             numbers[label] = _missing(value)
