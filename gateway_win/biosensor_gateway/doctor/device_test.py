@@ -127,7 +127,7 @@ async def run_device_test(settings: DeviceSettings, seconds: float) -> DeviceTes
             await asyncio.sleep(seconds)
         sink.outcome.problems += [
             *_troubles(supervisor),
-            *_judgement(sink.outcome, settings.sensor),
+            *_judgement(sink.outcome, settings.sensor, sink.silent),
         ]
     finally:
         task.cancel()
@@ -160,12 +160,13 @@ def _troubles(supervisor: Supervisor) -> list[str]:
     return []
 
 
-def _judgement(outcome: DeviceTest, sensor_name: str) -> list[str]:
-    """Say what is wrong with what came."""
+def _judgement(outcome: DeviceTest, sensor_name: str, silent: frozenset[str]) -> list[str]:
+    """Say what is wrong with what came; nothing is expected of streams that are off."""
     if outcome.info is None:
         return []
+    due = {name: each for name, each in outcome.streams.items() if name not in silent}
     return [
-        *(text for name, each in outcome.streams.items() if (text := _judge(name, each))),
+        *(text for name, each in due.items() if (text := _judge(name, each))),
         *(
             f"{label} is 0: the sensor does not seem to be on the body"
             for data_name, column, label in declaration(sensor_name).channels_of(

@@ -149,6 +149,9 @@ class Recording:
         return self._growth[2]
 
     def _why_it_ended(self, ended: float) -> str:
+        """Say why nobody keeps it any more; nothing while who has ended it looks at its file."""
+        if ended and self._folder.is_asked_to_stop():
+            return ""
         if ended:
             # As its service did, or the computer.
             return "the recording was ended from outside; see its verdict: record stop"
