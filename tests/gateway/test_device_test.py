@@ -112,6 +112,17 @@ def test_without_settings_the_only_one_in_range_is_tried(
     assert "connected: Polar Electro Oy H10 A1B2C3D4" in outcome.out
 
 
+def test_what_the_settings_switch_off_is_not_missed(
+    run: Run, configure: Any, world: World, radio: Radio
+) -> None:
+    with SimulatedPolarH10(world, radio) as h10:
+        configure(of(h10) | {"ecg": False})
+        outcome = run("test", "polar_h10", "--seconds", "3", "--json")
+    told = json.loads(outcome.out)
+    assert (told["connected"], told["problems"]) == (True, [])
+    assert told["streams"]["acc"]["samples"] > 0
+
+
 def test_an_absent_serial_device_is_one_line(run: Run, configure: Any, tmp_path: Path) -> None:
     configure({"sensor": "zephyr", "unit": "U1", "port": str(tmp_path / "ttyNONE")})
     (problem,) = problems(run("test", "zephyr"))
