@@ -157,7 +157,7 @@ def _request(topic: str, given: Mapping[str, Any], resolve: Callable[[str], str]
     }
     try:
         full = resolve(topic)
-    except Exception as error:
+    except Exception as error:  # rclpy has no common class for what it refuses
         raise _wrong(f"{TOPICS}: {topic!r} is no name of a topic") from error
     name = value[NAME] or stream_name(full)
     if not _STREAM_NAME.fullmatch(name):
