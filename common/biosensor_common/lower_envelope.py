@@ -6,15 +6,26 @@ Delays are non-negative. If they are exponentially distributed, the most likely
 line is the one under all points with the least sum of distances, which is the
 edge of the lower convex hull that spans the mean abscissa [1]_, [2]_. Here it is
 the median abscissa: the same for steady packets, and a single late packet after a
-pause cannot tilt the line. A few packets determine that edge's slope badly (it may
-exceed the drift of any crystal tenfold), so the slope has a Gaussian prior and the
-line is the maximum a posteriori one: as points gather it becomes the hull edge.
+pause cannot tilt the line.
+
+A few packets determine that edge's slope badly (it may exceed the drift of any
+crystal tenfold). So the slope has a prior, and the line is the mean of all lines
+under the points, each weighted by how likely it is: the estimate with the least
+expected square error [3]_, where the most likely line alone turns from one edge of
+the hull to the next. Delays of neighbouring packets are alike, and rare just above
+their minimum, so that points tell less than as many independent ones: their
+likelihood is raised to a power below 1, as is usual where a model is only nearly
+true [4]_.
 
 .. [1] S. Moon, P. Skelly, D. Towsley, "Estimation and removal of clock skew from
    network delay measurements", IEEE INFOCOM 1999.
 .. [2] L. Zhang, Z. Liu, C. H. Xia, "Clock synchronization algorithms for network
    measurements", IEEE INFOCOM 2002.
-.. [3] B. Epstein, M. Sobel, "Life testing", Journal of the American Statistical
+.. [3] E. J. G. Pitman, "The estimation of the location and scale parameters of a
+   continuous population of any given form", Biometrika 30, 1939.
+.. [4] C. C. Holmes, S. G. Walker, "Assigning a value to a power likelihood in a general
+   Bayesian model", Biometrika 104, 2017.
+.. [5] B. Epstein, M. Sobel, "Life testing", Journal of the American Statistical
    Association 48, 1953: an exponential's mean from the first few of many.
 """
 
@@ -22,17 +33,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
-from statistics import median
+from statistics import fmean, median
 
 BIN_S = 0.5
 WINDOW_BINS = 240
 """Two minutes, or more where packets are rare: after a pause, the bins from before it
 are still the best knowledge of the drift."""
 SLOPE_LIMIT = 250e-6
-SLOPE_PRIOR_SD = 100e-6
+SLOPE_STEP = 10e-6
+SLOPES = tuple(step * SLOPE_STEP for step in range(-40, 41))
+"""What is averaged over: beyond the limit on both sides, or the average would shy away from it."""
+USUAL_SLOPE = 50e-6
+"""Half of all slopes are smaller: it takes two clocks, and each may be off by some tens of ppm."""
+POWER = 1 / 3
+"""Of the likelihood: over a real radio, three half seconds tell as much as one would if delays were
+independent. Above it the line turns too soon, below it large drifts are followed late."""
+NEAR_S = 1.0
+"""Points further above the line say nothing of it, and so must not shift the middle, either."""
 DELAY_FLOOR_S = 1e-3
-"""Smallest mean delay assumed, so that two points never claim to know the slope."""
+"""Added to the mean delay, so that two points never claim to know the slope."""
 DELAY_CEILING_S = 0.1
 """Largest mean delay assumed: a longer one is not a radio's jitter, but packets that are
 held back and come together, of which the last is hardly late."""
@@ -60,7 +79,7 @@ class LowerEnvelope:
     """
 
     def __init__(self, slope: float) -> None:
-        self._prior = slope
+        self._log_prior = [_log_prior(each - slope) for each in SLOPES]
         self._slope = slope
         self._intercept = 0.0
         self._mean_delay = 0.0
@@ -126,25 +145,29 @@ class LowerEnvelope:
         return True
 
     def _fit(self) -> None:
-        """Maximise the posterior: the line's height in the middle, less the prior's price.
+        """Average the lines under all points, each weighted by its posterior.
 
         With u the time from the middle, a line of slope b under all points has the
         height ``h(b) = min(y - b u)`` there. For exponential delays of mean m the
-        log-posterior of n points is ``(n / m) h(b) - (b - prior)**2 / (2 sd**2)``:
-        concave, so its maximum lies where the line rests on one vertex of the hull or
-        on one edge.
+        log-likelihood of n points is ``(n / m) h(b)``, and the least of the delays is
+        expected at m / n, not at 0.
         """
+        near = [x for x, y in zip(self._x, self._y, strict=True) if y - self.at(x) < NEAR_S]
         count = len(self._x)
-        middle = self._x[count // 2]
-        hull = self._hull()
-        stiffness = (self._mean_delay + DELAY_FLOOR_S) / (count * SLOPE_PRIOR_SD**2)
-        slope = _most_likely_slope(hull, middle, self._prior, stiffness)
-        slope = min(max(slope, -SLOPE_LIMIT), SLOPE_LIMIT)
-        heights = sorted(y - slope * (x - middle) for x, y in zip(self._x, self._y, strict=True))
-        self._mean_delay = _mean_delay(heights)
-        # The least of n such delays is expected at mean / n, not at 0.
+        middle = (near or self._x)[len(near) // 2]
+        hull = [(x - middle, y) for x, y in self._hull()]
+        heights = [min(y - slope * u for u, y in hull) for slope in SLOPES]
+        density = POWER * count / (self._mean_delay + DELAY_FLOOR_S)
+        logs = [
+            density * height + log for height, log in zip(heights, self._log_prior, strict=True)
+        ]
+        likeliest = max(logs)
+        weights = [math.exp(log - likeliest) for log in logs]
+        slope = min(max(fmean(SLOPES, weights), -SLOPE_LIMIT), SLOPE_LIMIT)
+        above = sorted(y - slope * (x - middle) for x, y in zip(self._x, self._y, strict=True))
+        self._mean_delay = _mean_delay(above)
         self._slope = slope
-        self._intercept = heights[0] - self._mean_delay / count - slope * middle
+        self._intercept = above[0] - self._mean_delay / count - slope * middle
 
     def _hull(self) -> list[Point]:
         """Return the lower convex hull, left to right (Andrew's monotone chain)."""
@@ -159,36 +182,28 @@ class LowerEnvelope:
         return hull
 
 
+def _log_prior(drift: float) -> float:
+    """Return the logarithm of a Cauchy distribution's density, up to a constant.
+
+    Most crystals are good; one that is not may be off by anything, and must not be pulled back.
+    """
+    return -math.log1p((drift / USUAL_SLOPE) ** 2)
+
+
 def _mean_delay(heights: Sequence[float]) -> float:
     """Estimate the mean of exponential delays from points in rising order.
 
     By the median, because a mean would follow every stall; and by the lowest tenth alone,
-    since what counts is how dense the delays are at their edge [3]_: where packets are
+    since what counts is how dense the delays are at their edge [5]_: where packets are
     held and come together, half of them may be late by seconds, and the others not at
     all. The smaller estimate is taken.
     """
     lowest, count = heights[0], len(heights)
     by_median = (median(heights) - lowest) / math.log(2)
     edge = min(max(EDGE_POINTS, round(EDGE_SHARE * count)), count)
-    if edge == 1:
+    # Two of them say where the line is.
+    if edge <= 2:
         return 0.0
     waited = math.fsum(height - lowest for height in heights[:edge])
-    by_edge = (waited + (count - edge) * (heights[edge - 1] - lowest)) / (edge - 1)
+    by_edge = (waited + (count - edge) * (heights[edge - 1] - lowest)) / (edge - 2)
     return min(by_median, by_edge, DELAY_CEILING_S)
-
-
-def _most_likely_slope(hull: list[Point], middle: float, prior: float, stiffness: float) -> float:
-    """Walk along the hull until the posterior no longer rises with the slope.
-
-    While the line rests on the vertex at x, the posterior has its maximum at
-    ``prior - (x - middle) / stiffness``, if the edges at that vertex let the line
-    reach it.
-    """
-    left_edge = -math.inf
-    for (x, y), (next_x, next_y) in pairwise(hull):
-        right_edge = (next_y - y) / (next_x - x)
-        slope = prior - (x - middle) / stiffness
-        if slope <= right_edge:
-            return max(slope, left_edge)
-        left_edge = right_edge
-    return max(prior - (hull[-1][0] - middle) / stiffness, left_edge)

@@ -11,7 +11,7 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from biosensor_common.device_clock import DeviceClock
 from biosensor_common.spec import DeviceIdentity
@@ -20,10 +20,9 @@ from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
 from biosensor_gateway.devices.zephyr.driver.protocol import ZephyrProtocol
 from biosensor_gateway.devices.zephyr.simulator.recording import RECORDING_150_S, read_timing
 from biosensor_gateway.streaming.sink import DeviceSink
+from tests.rigs.hindsight import Floats, line_in_hindsight
 
 SETTLED_S = 10.0
-
-Floats = NDArray[np.float64]
 
 
 class ObservingSink(DeviceSink):
@@ -55,20 +54,9 @@ def packets() -> Floats:
     return np.array(sink.packets)
 
 
-def _line_in_hindsight(device_s: Floats, arrival_s: Floats) -> Floats:
-    """Return the arrival that each packet would have had with the smallest delay."""
-    middle_s = float(device_s.mean())
-    slopes = np.arange(-250e-6, 250e-6, 1e-6)
-    behind_s = arrival_s - device_s
-    heights_s = np.array([(behind_s - slope * (device_s - middle_s)).min() for slope in slopes])
-    best = int(heights_s.argmax())
-    line_s: Floats = device_s + heights_s[best] + slopes[best] * (device_s - middle_s)
-    return line_s
-
-
 def test_stamps_of_a_real_device_keep_within_milliseconds_of_one_line(packets: Floats) -> None:
     device_s, arrival_s = packets.T
-    line_s = _line_in_hindsight(device_s, arrival_s)
+    line_s = line_in_hindsight(device_s, arrival_s)
     clock = DeviceClock()
     stamps_s: list[float] = []
     for device, arrival in packets.tolist():
@@ -111,6 +99,6 @@ def test_over_a_real_radio_a_clock_that_was_set_back_is_found_within_seconds(
         if clock.observe(device - set_back_s * is_set, arrival) is not None:
             found.append(arrival - set_at_s)
     device_s = packets[-1, 0]
-    line_s = _line_in_hindsight(*packets.T)[-1]
+    line_s = line_in_hindsight(*packets.T)[-1]
     assert [0.0 < after_s < 15.0 for after_s in found] == [True]
     assert abs(clock.to_lsl(device_s - set_back_s) - line_s) < 0.015
