@@ -32,6 +32,7 @@ class Unit(StrEnum):
     MILLIVOLTS = "millivolts"
     NEWTONS = "newtons"
     NONE = "none"
+    PASCALS = "Pa"
     PERCENT = "percent"
     SECONDS = "s"
 
@@ -111,6 +112,7 @@ class ContentType(StrEnum):
     ECG = "ECG"
     EEG = "EEG"
     EEG_BANDPOWER = "EEG-BandPower"
+    EMG = "EMG"
     GSR = "GSR"
     GYROSCOPE = "Gyroscope"
     HR = "HR"
@@ -121,6 +123,7 @@ class ContentType(StrEnum):
     PERFORMANCE_METRICS = "PerformanceMetrics"
     POSTURE = "Posture"
     PPG = "PPG"
+    PRESSURE = "Pressure"
     QUALITY = "Quality"
     RESPIRATION = "Respiration"
     RESPIRATION_RATE = "RespirationRate"

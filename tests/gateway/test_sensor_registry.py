@@ -18,7 +18,7 @@ from biosensor_gateway.devices.registry import (
 
 Install = Callable[[str, dict[str, str]], None]
 
-# The generic one comes last: what it recognises may be another's.
+# The generic ones come last: what they recognise may be another's.
 BUILT_IN = (
     "emotiv_insight",
     "empatica_e4",
@@ -27,6 +27,7 @@ BUILT_IN = (
     "vernier_respiration_belt",
     "zephyr",
     "ble_heart_rate",
+    "shimmer3",
 )
 MODULE = """
 from biosensor_common.spec import SensorSpec

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from structlog.testing import capture_logs
 
-from biosensor_gateway.devices.shimmer3_gsr.driver.channels import Layout
-from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import Measurement, ShimmerEmitter
-from biosensor_gateway.devices.shimmer3_gsr.driver.messages import BatteryReading, Charging, Packet
+from biosensor_gateway.devices.shimmer3.driver.channels import Layout
+from biosensor_gateway.devices.shimmer3.driver.messages import BatteryReading, Charging, Packet
+from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import GsrEmitter, Measurement
 from tests.rigs.emitter_sink import EmitterSink
 
 DIVISOR = 256
@@ -33,8 +33,8 @@ def sink() -> EmitterSink:
 
 
 @pytest.fixture
-def emitter(sink: EmitterSink) -> ShimmerEmitter:
-    made = ShimmerEmitter(sink)
+def emitter(sink: EmitterSink) -> GsrEmitter:
+    made = GsrEmitter(sink)
     made.started(Measurement(Layout([0x12, 0x1C]), DIVISOR, AUTO))
     return made
 
@@ -51,9 +51,7 @@ def read(numbers: Sequence[int], gsr: int = FINGER_RAW, first: int = 0) -> Read:
     return [(packet(number, gsr, first=first), arrival_s) for number in numbers]
 
 
-def test_samples_are_in_units_and_one_chunk_a_read(
-    emitter: ShimmerEmitter, sink: EmitterSink
-) -> None:
+def test_samples_are_in_units_and_one_chunk_a_read(emitter: GsrEmitter, sink: EmitterSink) -> None:
     emitter.take(read(range(5)))
     assert sink.calls == ["observe", "gsr", "ppg", "quality"]
     assert sink.emitted["gsr"] == [[pytest.approx(FINGER_US)]] * 5
@@ -65,7 +63,7 @@ def test_samples_are_in_units_and_one_chunk_a_read(
 
 
 def test_the_order_of_the_channels_is_that_of_the_inquiry(sink: EmitterSink) -> None:
-    emitter = ShimmerEmitter(sink)
+    emitter = GsrEmitter(sink)
     emitter.started(Measurement(Layout([0x1C, 0x03, 0x12]), DIVISOR, AUTO))
     emitter.take([(Packet(0, (FINGER_RAW, 2852, PPG_RAW)), ARRIVAL_S)])
     assert sink.emitted["gsr"] == [[pytest.approx(FINGER_US)]]
@@ -73,7 +71,7 @@ def test_the_order_of_the_channels_is_that_of_the_inquiry(sink: EmitterSink) -> 
 
 
 def test_open_electrodes_are_no_value_and_show_in_quality(
-    emitter: ShimmerEmitter, sink: EmitterSink
+    emitter: GsrEmitter, sink: EmitterSink
 ) -> None:
     emitter.take(read([0]))
     emitter.take(read([1, 2], OPEN_RAW))
@@ -88,7 +86,7 @@ def test_open_electrodes_are_no_value_and_show_in_quality(
 
 
 @pytest.mark.parametrize("raw", [0x0000, 0x02AA, 0x4000, 0x82AA, 0xC000, 0xC2AB])
-def test_no_current_is_never_0(emitter: ShimmerEmitter, sink: EmitterSink, raw: int) -> None:
+def test_no_current_is_never_0(emitter: GsrEmitter, sink: EmitterSink, raw: int) -> None:
     emitter.take(read([0], raw))
     np.testing.assert_array_equal(sink.emitted["gsr"], [[NAN]])
     assert sink.emitted["quality"][0][0] == 0
@@ -96,7 +94,7 @@ def test_no_current_is_never_0(emitter: ShimmerEmitter, sink: EmitterSink, raw: 
 
 @pytest.mark.parametrize("setting", range(4))
 def test_a_fixed_range_goes_before_the_bits(sink: EmitterSink, setting: int) -> None:
-    emitter = ShimmerEmitter(sink)
+    emitter = GsrEmitter(sink)
     emitter.started(Measurement(Layout([0x12, 0x1C]), DIVISOR, setting))
     emitter.take(read([0]))
     low_us, high_us = [(15.87, 125), (4.54, 15.88), (1.47, 4.55), (0.21, 1.48)][setting]
@@ -104,7 +102,7 @@ def test_a_fixed_range_goes_before_the_bits(sink: EmitterSink, setting: int) -> 
     assert sink.emitted["quality"][0][1] == setting
 
 
-def test_quality_is_told_every_ten_seconds(emitter: ShimmerEmitter, sink: EmitterSink) -> None:
+def test_quality_is_told_every_ten_seconds(emitter: GsrEmitter, sink: EmitterSink) -> None:
     for number in range(0, 128 * 31, 8):
         emitter.take(read(range(number, number + 8)))
     assert sink.emitted["quality"] == [[1, 1, 0]] * 4
@@ -117,7 +115,7 @@ def pulse(number: int) -> Packet:
     return packet(number, ppg=ppg)
 
 
-def test_heart_rate_comes_from_the_pulse(emitter: ShimmerEmitter, sink: EmitterSink) -> None:
+def test_heart_rate_comes_from_the_pulse(emitter: GsrEmitter, sink: EmitterSink) -> None:
     for number in range(0, 128 * 30, 8):
         arrival_s = ARRIVAL_S + (number + 8) * PERIOD_S
         emitter.take([(pulse(each), arrival_s) for each in range(number, number + 8)])
@@ -133,26 +131,26 @@ def test_heart_rate_comes_from_the_pulse(emitter: ShimmerEmitter, sink: EmitterS
     assert sink.times["quality"][-1] == pytest.approx(sink.times["hr"][-1] + 2, abs=0.1)
 
 
-def test_missing_packets_are_counted(emitter: ShimmerEmitter, sink: EmitterSink) -> None:
+def test_missing_packets_are_counted(emitter: GsrEmitter, sink: EmitterSink) -> None:
     emitter.take(read([0, 1, 4, 5]))
     emitter.take(read([9]))
     assert sink.losses == {"gsr": 5, "ppg": 5}
     assert sink.times["gsr"] == [number * PERIOD_S for number in (0, 1, 4, 5, 9)]
 
 
-def test_a_repeated_packet_is_emitted_once(emitter: ShimmerEmitter, sink: EmitterSink) -> None:
+def test_a_repeated_packet_is_emitted_once(emitter: GsrEmitter, sink: EmitterSink) -> None:
     emitter.take(read([0, 1]))
     emitter.take([(packet(1), ARRIVAL_S + PERIOD_S)])
     emitter.take(read([2]))
     assert sink.times["gsr"] == [0, PERIOD_S, 2 * PERIOD_S]
 
 
-def again(emitter: ShimmerEmitter) -> None:
+def again(emitter: GsrEmitter) -> None:
     emitter.started(Measurement(Layout([0x12, 0x1C]), DIVISOR, AUTO))
 
 
 def test_after_a_reconnection_time_goes_on_and_nothing_is_lost(
-    emitter: ShimmerEmitter, sink: EmitterSink
+    emitter: GsrEmitter, sink: EmitterSink
 ) -> None:
     emitter.take(read([0]))
     again(emitter)
@@ -162,7 +160,7 @@ def test_after_a_reconnection_time_goes_on_and_nothing_is_lost(
     assert "restart_clock" not in sink.calls
 
 
-def test_a_restarted_counter_restarts_the_clock(emitter: ShimmerEmitter, sink: EmitterSink) -> None:
+def test_a_restarted_counter_restarts_the_clock(emitter: GsrEmitter, sink: EmitterSink) -> None:
     emitter.take(read([60_000]))
     again(emitter)
     emitter.take([(packet(number), ARRIVAL_S + 475 + 0.01 * number) for number in (10, 11)])
@@ -176,7 +174,7 @@ def test_a_restarted_counter_restarts_the_clock(emitter: ShimmerEmitter, sink: E
 
 
 def test_a_device_that_kept_streaming_lost_what_nobody_heard(
-    emitter: ShimmerEmitter, sink: EmitterSink
+    emitter: GsrEmitter, sink: EmitterSink
 ) -> None:
     emitter.take(read([0]))
     emitter.kept_measuring_until(ARRIVAL_S + 2.0)
@@ -191,7 +189,7 @@ def test_a_device_that_kept_streaming_lost_what_nobody_heard(
 
 
 def test_a_device_that_was_switched_off_lost_nothing_that_one_knows_of(
-    emitter: ShimmerEmitter, sink: EmitterSink
+    emitter: GsrEmitter, sink: EmitterSink
 ) -> None:
     emitter.take(read([60_000]))
     emitter.kept_measuring_until(ARRIVAL_S + 471)
@@ -202,14 +200,14 @@ def test_a_device_that_was_switched_off_lost_nothing_that_one_knows_of(
 
 
 def test_a_device_that_streamed_to_somebody_else_lost_nothing(
-    emitter: ShimmerEmitter, sink: EmitterSink
+    emitter: GsrEmitter, sink: EmitterSink
 ) -> None:
     emitter.kept_measuring_until(ARRIVAL_S)
     emitter.take(read([0, 1]))
     assert sink.losses == {}
 
 
-def test_battery_is_stamped_by_arrival(emitter: ShimmerEmitter, sink: EmitterSink) -> None:
+def test_battery_is_stamped_by_arrival(emitter: GsrEmitter, sink: EmitterSink) -> None:
     emitter.battery(BatteryReading(2618, Charging.UNKNOWN), ARRIVAL_S)
     emitter.battery(BatteryReading(3200, Charging.SUSPENDED), ARRIVAL_S + 60)
     assert sink.emitted["bat"] == [[pytest.approx(57.317, abs=1e-3)]]
@@ -217,7 +215,7 @@ def test_battery_is_stamped_by_arrival(emitter: ShimmerEmitter, sink: EmitterSin
 
 
 def test_a_pulse_signal_of_unknown_scale_has_no_value(sink: EmitterSink) -> None:
-    emitter = ShimmerEmitter(sink)
+    emitter = GsrEmitter(sink)
     emitter.started(Measurement(Layout([0x12, 0x1C]), DIVISOR, AUTO, has_ppg_scale=False))
     for number in range(0, 1280, 8):
         emitter.take([(pulse(each), ARRIVAL_S) for each in range(number, number + 8)])

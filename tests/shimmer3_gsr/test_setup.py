@@ -9,11 +9,11 @@ import pytest
 from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_gateway.devices.shimmer3_gsr.driver import commands
-from biosensor_gateway.devices.shimmer3_gsr.driver.conversation import Conversation
-from biosensor_gateway.devices.shimmer3_gsr.driver.crc import CrcMode
-from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import Measurement
-from biosensor_gateway.devices.shimmer3_gsr.driver.messages import (
+from biosensor_gateway.devices.shimmer3.driver import commands
+from biosensor_gateway.devices.shimmer3.driver.conversation import Conversation
+from biosensor_gateway.devices.shimmer3.driver.crc import CrcMode
+from biosensor_gateway.devices.shimmer3.driver.kind import Kind, identify
+from biosensor_gateway.devices.shimmer3.driver.messages import (
     BatteryReading,
     DaughterCard,
     Firmware,
@@ -23,8 +23,9 @@ from biosensor_gateway.devices.shimmer3_gsr.driver.messages import (
     Status,
     StatusFlag,
 )
-from biosensor_gateway.devices.shimmer3_gsr.driver.replies import ReplyForm
-from biosensor_gateway.devices.shimmer3_gsr.driver.setup import Kind, Wanted, identify, set_up
+from biosensor_gateway.devices.shimmer3.driver.replies import ReplyForm
+from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import Measurement
+from biosensor_gateway.devices.shimmer3_gsr.driver.setup import Wanted, set_up
 
 WANTED = Wanted(256, 4)
 RIGHT: dict[str, int] = {"mask": commands.GSR_AND_PPG, "range": 4, "power": 1, "divisor": 256}
@@ -115,7 +116,7 @@ async def test_what_makes_messages_safe_is_switched_on_where_the_firmware_has_it
 @pytest.mark.parametrize(
     ("device", "words"),
     [
-        (Device(hardware=2), "Shimmer hardware 2 is not supported; use a Shimmer3 GSR+"),
+        (Device(hardware=2), "Shimmer hardware 2 is not supported; use a Shimmer3 or Shimmer3R"),
         (Device(kind=FirmwareKind.SD_LOG), "SDLog 1.1.2 is not supported; install LogAndStream"),
         (Device(kind=9), "firmware 9 1.1.2 is not supported; install LogAndStream"),
         (Device((0, 5, 3)), "LogAndStream 0.5.3 is too old; install LogAndStream"),
@@ -145,7 +146,7 @@ async def test_a_shimmer3r_has_longer_answers_and_a_pulse_of_unknown_scale(
 ) -> None:
     device = Device((1, 0, patch), hardware=10)
     await device.identify()
-    assert device.form == ReplyForm(setup_bytes=7, status_bytes=status_bytes)
+    assert device.form == ReplyForm(7, status_bytes, calibration_blocks=6)
     assert not (await device.set_up()).has_ppg_scale
 
 

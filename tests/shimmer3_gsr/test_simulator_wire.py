@@ -14,27 +14,27 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.shimmer3_gsr.simulator import battery
-from biosensor_gateway.devices.shimmer3_gsr.simulator.conversation import Conversation
+from biosensor_gateway.devices.shimmer3.simulator import battery
+from biosensor_gateway.devices.shimmer3.simulator.conversation import Conversation
+from biosensor_gateway.devices.shimmer3.simulator.interpreter import Interpreter
+from biosensor_gateway.devices.shimmer3.simulator.memory import Flash
+from biosensor_gateway.devices.shimmer3.simulator.packets import channels_of, data_packet
+from biosensor_gateway.devices.shimmer3.simulator.streaming import Sampling, samples
+from biosensor_gateway.devices.shimmer3.simulator.wire import (
+    Command,
+    CommandReader,
+    Firmware,
+    Opcode,
+    crc16,
+    sealed,
+)
 from biosensor_gateway.devices.shimmer3_gsr.simulator.gsr import (
     AUTO_RANGE,
     GsrAmplifier,
     conductance_us,
     counts_in,
 )
-from biosensor_gateway.devices.shimmer3_gsr.simulator.inputs import Conditions, ppg_mv
-from biosensor_gateway.devices.shimmer3_gsr.simulator.interpreter import Flash, Interpreter
-from biosensor_gateway.devices.shimmer3_gsr.simulator.streaming import Sampling, samples
-from biosensor_gateway.devices.shimmer3_gsr.simulator.wire import (
-    Command,
-    CommandReader,
-    Firmware,
-    Opcode,
-    channels_of,
-    crc16,
-    data_packet,
-    sealed,
-)
+from biosensor_gateway.devices.shimmer3_gsr.simulator.inputs import Conditions, GsrMeter, ppg_mv
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.system.clock import LSL_CLOCK
@@ -59,12 +59,16 @@ def sampling(crystal: Crystal, jitter_s: float = 0.0) -> Sampling:
     return Sampling(
         channels=(0x12, 0x1C),
         divider=256,
-        gsr_setting=AUTO_RANGE,
-        wearer=Wearer(),
+        meter=GsrMeter(
+            (0x12, 0x1C),
+            AUTO_RANGE,
+            256,
+            Wearer(),
+            lambda: Conditions(worn=True, probe_powered=True, battery_counts=2700),
+        ),
         wearer_born_s=crystal.true_time(0.0),
         crystal=crystal,
         first_tick=0,
-        conditions=lambda: Conditions(worn=True, probe_powered=True, battery_counts=2700),
         rng=np.random.default_rng(0),
         jitter_s=jitter_s,
     )

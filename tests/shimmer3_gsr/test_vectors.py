@@ -9,23 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from biosensor_gateway.devices.shimmer3_gsr.driver import commands
-from biosensor_gateway.devices.shimmer3_gsr.driver.battery import (
+from biosensor_gateway.devices.shimmer3.driver import commands
+from biosensor_gateway.devices.shimmer3.driver.adc import millivolts
+from biosensor_gateway.devices.shimmer3.driver.battery import (
     battery_volts,
     charge_percent,
     percent,
 )
-from biosensor_gateway.devices.shimmer3_gsr.driver.channels import Channel, Layout
-from biosensor_gateway.devices.shimmer3_gsr.driver.commands import TICKS_PER_S
-from biosensor_gateway.devices.shimmer3_gsr.driver.crc import CrcMode, crc16
-from biosensor_gateway.devices.shimmer3_gsr.driver.gsr import (
-    LARGEST_OPEN_ADC,
-    clamped_kohm,
-    conductance_us,
-    gsr_ranges,
-    millivolts,
-)
-from biosensor_gateway.devices.shimmer3_gsr.driver.messages import (
+from biosensor_gateway.devices.shimmer3.driver.channels import Channel, Layout
+from biosensor_gateway.devices.shimmer3.driver.commands import TICKS_PER_S
+from biosensor_gateway.devices.shimmer3.driver.crc import CrcMode, crc16
+from biosensor_gateway.devices.shimmer3.driver.messages import (
     BatteryReading,
     Charging,
     ExpansionPower,
@@ -35,9 +29,15 @@ from biosensor_gateway.devices.shimmer3_gsr.driver.messages import (
     Nack,
     Packet,
 )
-from biosensor_gateway.devices.shimmer3_gsr.driver.protocol import ShimmerProtocol
-from biosensor_gateway.devices.shimmer3_gsr.driver.replies import ReplyForm, decode_reply
-from biosensor_gateway.devices.shimmer3_gsr.driver.timeline import TickTimeline
+from biosensor_gateway.devices.shimmer3.driver.protocol import ShimmerProtocol
+from biosensor_gateway.devices.shimmer3.driver.replies import ReplyForm, decode_reply
+from biosensor_gateway.devices.shimmer3.driver.timeline import TickTimeline
+from biosensor_gateway.devices.shimmer3_gsr.driver.gsr import (
+    LARGEST_OPEN_ADC,
+    clamped_kohm,
+    conductance_us,
+    gsr_ranges,
+)
 
 Vector = dict[str, Any]
 VECTORS: list[Vector] = json.loads(

@@ -8,18 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from biosensor_gateway.devices.shimmer3_gsr.driver.battery import charge_percent
-from biosensor_gateway.devices.shimmer3_gsr.driver.channels import Layout
-from biosensor_gateway.devices.shimmer3_gsr.driver.crc import CrcMode, checksum
-from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import Measurement, ShimmerEmitter
-from biosensor_gateway.devices.shimmer3_gsr.driver.messages import (
+from biosensor_gateway.devices.shimmer3.driver.battery import charge_percent
+from biosensor_gateway.devices.shimmer3.driver.channels import Layout
+from biosensor_gateway.devices.shimmer3.driver.crc import CrcMode, checksum
+from biosensor_gateway.devices.shimmer3.driver.messages import (
     BatteryReading,
     Inquiry,
     Message,
     Packet,
 )
-from biosensor_gateway.devices.shimmer3_gsr.driver.protocol import TICK_MODULUS, ShimmerProtocol
-from biosensor_gateway.devices.shimmer3_gsr.driver.replies import ReplyForm
+from biosensor_gateway.devices.shimmer3.driver.protocol import TICK_MODULUS, ShimmerProtocol
+from biosensor_gateway.devices.shimmer3.driver.replies import ReplyForm
+from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import GsrEmitter, Measurement
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink
 from tests.fuzz.contract import ensure
 from tests.fuzz.streams import same_in_any_split
@@ -85,7 +85,7 @@ def _are_sane(messages: Sequence[Message], layout: Layout | None) -> None:
 
 def _emit(messages: Sequence[Message], layout: Layout, divisor: int) -> None:
     for setting in (4, 0):
-        emitter = ShimmerEmitter(CheckedSink("shimmer3_gsr"))
+        emitter = GsrEmitter(CheckedSink("shimmer3_gsr"))
         emitter.started(Measurement(layout, divisor, setting))
         packets = [message for message in messages if isinstance(message, Packet)]
         period_s = divisor / 32768

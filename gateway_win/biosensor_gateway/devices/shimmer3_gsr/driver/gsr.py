@@ -1,4 +1,4 @@
-"""Skin conductance and pulse signal from what a Shimmer's ADC saw.
+"""Skin conductance from what a Shimmer's ADC saw.
 
 The GSR+ unit puts 0.5 V across the skin and amplifies the current with one of four
 feedback resistors, so the ADC sees 0.5 V * (1 + Rf / Rskin). Constants and limits are
@@ -8,12 +8,11 @@ those of Shimmer's Java and C# APIs.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from biosensor_gateway.devices.shimmer3_gsr.driver.commands import AUTO_RANGE
+from biosensor_gateway.devices.shimmer3.driver.adc import ADC_MAX, ADC_VOLTS, Floats, Ints
+from biosensor_gateway.devices.shimmer3.driver.commands import AUTO_RANGE
 
-ADC_MAX = 4095
-ADC_VOLTS = 3.0
 FEEDBACK_KOHM = (40.2, 287.0, 1000.0, 3300.0)
 LARGEST_OPEN_ADC = 683
 """Of range 3: the amplifier's output for no current at all, rounded up."""
@@ -23,9 +22,6 @@ _RANGE_SHIFT = 14
 _ADC_MASK = 0x0FFF
 _AUTO_LIMITS_KOHM = (8.0, np.inf)
 _FIXED_LIMITS_KOHM = ((8.0, 63.0), (63.0, 220.0), (220.0, 680.0), (680.0, 4700.0))
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def gsr_ranges(raw: ArrayLike, setting: int) -> Ints:
@@ -70,8 +66,3 @@ def clamped_kohm(resistance: ArrayLike, setting: int) -> Floats:
     """Limit resistances [kohm] to what a range setting can measure; NaN stays NaN."""
     limits = _AUTO_LIMITS_KOHM if setting == AUTO_RANGE else _FIXED_LIMITS_KOHM[setting]
     return np.clip(np.asarray(resistance, np.float64), *limits)
-
-
-def millivolts(raw: ArrayLike) -> Floats:
-    """Return ADC values as voltages at the pin [mV]."""
-    return np.asarray(raw, np.float64) * (1000 * ADC_VOLTS / ADC_MAX)

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import isnan, nan
 
 import numpy as np
 
-from biosensor_gateway.devices.shimmer3_gsr.simulator.gsr import GsrAmplifier
+from biosensor_gateway.devices.shimmer3.simulator.streaming import Block
+from biosensor_gateway.devices.shimmer3_gsr.simulator.gsr import (
+    AUTO_RANGE,
+    GsrAmplifier,
+    conductance_us,
+)
 from biosensor_gateway.simulation.wearer import Floats, Wearer
 
 BATTERY, PPG, GSR = 0x03, 0x12, 0x1C
@@ -43,6 +49,57 @@ class Conditions:
     worn: bool
     probe_powered: bool
     battery_counts: int
+
+
+class GsrMeter:
+    """The sensors of a GSR+ unit during one stream.
+
+    Parameters
+    ----------
+    channels
+        Ids in packet order.
+    setting
+        Of the range: 0 to 3 for a fixed resistor, 4 for auto-range.
+    divider
+        Ticks between two samples.
+    wearer
+    conditions
+        Asked once a block.
+    """
+
+    def __init__(
+        self,
+        channels: tuple[int, ...],
+        setting: int,
+        divider: int,
+        wearer: Wearer,
+        conditions: Callable[[], Conditions],
+    ) -> None:
+        self._channels = channels
+        self._setting = setting
+        self._wearer = wearer
+        self._conditions = conditions
+        self._amplifier = GsrAmplifier(setting, divider)
+
+    def measure(self, t: Floats) -> Block:
+        """Return what is measured at these times of the wearer [s]."""
+        rows = read(self._channels, self._wearer, t, self._conditions(), self._amplifier)
+        values: dict[str, Sequence[tuple[float, ...]]] = {}
+        if GSR in self._channels:
+            raw = [row[self._channels.index(GSR)] for row in rows]
+            conductances = [conductance_us(each, self._setting) for each in raw]
+            values["gsr"] = [(each,) for each in conductances]
+            values["quality"] = [
+                (float(not isnan(us)), float(self._range_of(each)), nan)
+                for each, us in zip(raw, conductances, strict=True)
+            ]
+        if PPG in self._channels:
+            at = self._channels.index(PPG)
+            values["ppg"] = [(ppg_mv(row[at]),) for row in rows]
+        return Block(rows, values)
+
+    def _range_of(self, raw: int) -> int:
+        return raw >> 14 if self._setting == AUTO_RANGE else self._setting
 
 
 def read(

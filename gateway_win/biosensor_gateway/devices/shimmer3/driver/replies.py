@@ -9,14 +9,18 @@ import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from biosensor_gateway.devices.shimmer3_gsr.driver.messages import (
+from biosensor_gateway.devices.shimmer3.driver.messages import (
     BatteryReading,
+    Calibration,
     DaughterCard,
+    ExgRegisters,
     ExpansionPower,
     Firmware,
     GsrRange,
     Hardware,
     Inquiry,
+    PressureChip,
+    PressureCoefficients,
     Reply,
     Status,
     StatusFlag,
@@ -29,7 +33,26 @@ _MAX_CARD_BYTES = 16
 
 _INQUIRY, _STATUS, _BATTERY, _CARD = 0x02, 0x71, 0x94, 0x65
 _GSR_RANGE, _HARDWARE, _FIRMWARE, _EXPANSION_POWER = 0x22, 0x25, 0x2F, 0x5F
-_FIXED_SIZES = {_GSR_RANGE: 2, _HARDWARE: 2, _FIRMWARE: 7, _EXPANSION_POWER: 2}
+_EXG_REGISTERS, _CALIBRATION = 0x62, 0x2D
+_BMP180, _BMP280, _PRESSURE = 0x58, 0x9F, 0xA6
+_FIXED_SIZES = {
+    _GSR_RANGE: 2,
+    _HARDWARE: 2,
+    _FIRMWARE: 7,
+    _EXPANSION_POWER: 2,
+    _BMP180: 23,
+    _BMP280: 25,
+}
+BLOCK_BYTES = 21
+"""Of the calibration of one motion sensor."""
+_MAX_EXG_BYTES = 10
+_MAX_PRESSURE_BYTES = 1 + 24
+_MOST_BYTES = {
+    _CARD: _MAX_CARD_BYTES,
+    _EXG_REGISTERS: _MAX_EXG_BYTES,
+    _PRESSURE: _MAX_PRESSURE_BYTES,
+}
+"""Of answers that tell how long they are."""
 _BATTERY_SIZE = 5
 _FIRMWARE_BODY = struct.Struct("<HHBB")
 
@@ -44,10 +67,13 @@ class ReplyForm:
         Configuration bytes of an inquiry: 7 on a Shimmer3R.
     status_bytes
         2 on a Shimmer3R from firmware 1.0.24 on.
+    calibration_blocks
+        Calibrated motion sensors: 6 on a Shimmer3R; 0 while nobody asks for calibrations.
     """
 
     setup_bytes: int = 4
     status_bytes: int = 1
+    calibration_blocks: int = 4
 
 
 def reply_size(buffer: Sequence[int], start: int, form: ReplyForm) -> int | None:
@@ -67,8 +93,10 @@ def reply_size(buffer: Sequence[int], start: int, form: ReplyForm) -> int | None
         return sizes.get(buffer[start + 1], 0) if start + 1 < len(buffer) else None
     if code == _INQUIRY:
         return _counted(buffer, start + 3 + form.setup_bytes, MAX_CHANNELS, 5 + form.setup_bytes)
-    if code == _CARD:
-        return _counted(buffer, start + 1, _MAX_CARD_BYTES, 2)
+    if code == _CALIBRATION:
+        return 1 + form.calibration_blocks * BLOCK_BYTES if form.calibration_blocks else 0
+    if code in _MOST_BYTES:
+        return _counted(buffer, start + 1, _MOST_BYTES[code], 2)
     return 0
 
 
@@ -119,4 +147,9 @@ _DECODERS: dict[int, Callable[[bytes], Reply]] = {
     _FIRMWARE: _firmware,
     _EXPANSION_POWER: lambda data: ExpansionPower(bool(data[1])),
     _CARD: lambda data: DaughterCard(data[2:]),
+    _EXG_REGISTERS: lambda data: ExgRegisters(data[2:]),
+    _CALIBRATION: lambda data: Calibration(data[1:]),
+    _BMP180: lambda data: PressureCoefficients(PressureChip.BMP180, data[1:]),
+    _BMP280: lambda data: PressureCoefficients(PressureChip.BMP280, data[1:]),
+    _PRESSURE: lambda data: PressureCoefficients(data[2] if data[1] else -1, data[3:]),
 }

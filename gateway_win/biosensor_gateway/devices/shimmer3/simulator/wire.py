@@ -6,7 +6,7 @@ so that a mistake in one of them shows as a disagreement.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from enum import IntEnum, unique
 from types import MappingProxyType
 from typing import NamedTuple
@@ -35,11 +35,14 @@ class Opcode(IntEnum):
     GET_GSR_RANGE = 0x23
     GET_SHIMMER_VERSION_OLD = 0x24
     GET_ALL_CALIBRATION = 0x2C
+    GET_BMP180_COEFFICIENTS = 0x59
     GET_FIRMWARE_VERSION = 0x2E
     GET_CHARGE_LED = 0x32
     GET_SHIMMER_VERSION = 0x3F
     SET_EXPANSION_POWER = 0x5E
     GET_EXPANSION_POWER = 0x60
+    SET_EXG_REGISTERS = 0x61
+    GET_EXG_REGISTERS = 0x63
     GET_DAUGHTER_CARD = 0x66
     GET_STATUS = 0x72
     SET_NAME = 0x79
@@ -49,8 +52,10 @@ class Opcode(IntEnum):
     GET_CLOCK = 0x91
     GET_BATTERY = 0x95
     TEST_CONNECTION = 0x96
+    GET_BMP280_COEFFICIENTS = 0xA0
     GET_RADIO_VERSION = 0xA1
     SET_ACK_PREFIX = 0xA3
+    GET_PRESSURE_COEFFICIENTS = 0xA7
 
 
 _ARGUMENTS: Mapping[Opcode, int] = MappingProxyType(
@@ -60,6 +65,7 @@ _ARGUMENTS: Mapping[Opcode, int] = MappingProxyType(
         Opcode.SET_SETUP_BYTES: 4,
         Opcode.SET_GSR_RANGE: 1,
         Opcode.SET_EXPANSION_POWER: 1,
+        Opcode.GET_EXG_REGISTERS: 3,
         Opcode.GET_DAUGHTER_CARD: 2,
         Opcode.SET_CRC: 1,
         Opcode.SET_CLOCK: 8,
@@ -68,6 +74,10 @@ _ARGUMENTS: Mapping[Opcode, int] = MappingProxyType(
 )
 
 
+_LENGTH_AT: Mapping[Opcode, int] = MappingProxyType(
+    {Opcode.SET_NAME: 1, Opcode.SET_EXG_REGISTERS: 3}
+)
+"""Place of the byte that tells how many follow it."""
 _OPCODES = frozenset(int(opcode) for opcode in Opcode)
 
 
@@ -104,6 +114,8 @@ class Firmware(NamedTuple):
             return self.has_crc
         if opcode == Opcode.SET_ACK_PREFIX:
             return self.has_prefix_switch
+        if opcode == Opcode.GET_PRESSURE_COEFFICIENTS:
+            return self >= (0, 16, 6)
         return opcode in _OPCODES
 
 
@@ -141,8 +153,9 @@ class CommandReader:
 
     def _size(self) -> int:
         opcode = Opcode(self._collected[0])
-        if opcode is Opcode.SET_NAME:
-            return 2 + self._collected[1] if len(self._collected) > 1 else 2
+        if opcode in _LENGTH_AT:
+            at = _LENGTH_AT[opcode]
+            return at + 1 + (self._collected[at] if len(self._collected) > at else 0)
         return 1 + _ARGUMENTS.get(opcode, 0)
 
 
@@ -165,76 +178,6 @@ def sealed(message: bytes, crc_bytes: int) -> bytes:
     return message + crc16(message).to_bytes(2, "little")[:crc_bytes] if crc_bytes else message
 
 
-class _Sensor(NamedTuple):
-    mask: int
-    channels: tuple[int, ...]
-
-
-# In the order of the firmware, which is the order within a data packet.
-_SENSORS = (
-    _Sensor(0x000080, (0x00, 0x01, 0x02)),  # low-noise accelerometer
-    _Sensor(0x002000, (0x03,)),  # battery
-    _Sensor(0x000002, (0x0D,)),  # external A7
-    _Sensor(0x000001, (0x0E,)),  # external A6
-    _Sensor(0x000800, (0x0F,)),  # external A15
-    _Sensor(0x000200, (0x11,)),  # internal A12
-    _Sensor(0x008000, (0x27, 0x28)),  # bridge amplifier
-    _Sensor(0x000100, (0x12,)),  # internal A13
-    _Sensor(0x800000, (0x13,)),  # internal A14
-    _Sensor(0x000004, (0x1C,)),  # skin conductance
-    _Sensor(0x000400, (0x10,)),  # internal A1
-    _Sensor(0x000040, (0x0A, 0x0B, 0x0C)),  # gyroscope
-    _Sensor(0x001000, (0x04, 0x05, 0x06)),  # wide-range accelerometer
-    _Sensor(0x000020, (0x07, 0x08, 0x09)),  # magnetometer
-    _Sensor(0x400000, (0x14, 0x15, 0x16)),  # alternative accelerometer
-    _Sensor(0x200000, (0x17, 0x18, 0x19)),  # alternative magnetometer
-    _Sensor(0x040000, (0x1A, 0x1B)),  # temperature and pressure
-    _Sensor(0x000010, (0x1D, 0x1E, 0x1F)),  # ExG 1, 24 bit
-    _Sensor(0x100000, (0x1D, 0x23, 0x24)),  # ExG 1, 16 bit
-    _Sensor(0x000008, (0x20, 0x21, 0x22)),  # ExG 2, 24 bit
-    _Sensor(0x080000, (0x20, 0x25, 0x26)),  # ExG 2, 16 bit
-)
-_BRIDGE, _ANALOG_13_14 = 0x008000, 0x800100
-_GSR, _ANALOG_1 = 0x000004, 0x000400
-_BIG_ENDIAN = frozenset({*range(0x0A, 0x0D), 0x1A, 0x1B, 0x1E, 0x1F, *range(0x21, 0x27)})
-_WIDTHS: Mapping[int, int] = MappingProxyType(
-    {0x1B: 3, 0x1D: 1, 0x1E: 3, 0x1F: 3, 0x20: 1, 0x21: 3, 0x22: 3}
-)
-
-
-def channels_of(mask: int) -> tuple[int, ...]:
-    """Return the channel ids of a sensor mask, in packet order."""
-    if mask & _BRIDGE:
-        mask &= ~_ANALOG_13_14
-    if mask & _GSR:  # both on one input of the converter
-        mask &= ~_ANALOG_1
-    return tuple(
-        channel for sensor in _SENSORS if mask & sensor.mask for channel in sensor.channels
-    )
-
-
-def data_packet(ticks: int, channels: Iterable[int], values: Sequence[int]) -> bytes:
-    """Return a data packet without its check.
-
-    Parameters
-    ----------
-    ticks
-        Of 1/32768 s; the packet holds the low 24 bits.
-    channels, values
-        Ids as of `channels_of` and a count for each, in its width's two's complement.
-    """
-    body = b"".join(
-        _encoded(channel, value) for channel, value in zip(channels, values, strict=True)
-    )
-    return DATA + (ticks % TICKS_MODULUS).to_bytes(3, "little") + body
-
-
 def in_unknown_kind(packet: bytes) -> bytes:
     """Return so many bytes of which none begins a message that any document has."""
     return bytes(byte & 0x3F | 0x40 for byte in packet)
-
-
-def _encoded(channel: int, value: int) -> bytes:
-    width = _WIDTHS.get(channel, 2)
-    order = "big" if channel in _BIG_ENDIAN else "little"
-    return (value % (1 << 8 * width)).to_bytes(width, order)

@@ -7,11 +7,18 @@ the hardware.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Protocol
 
-from biosensor_gateway.devices.shimmer3_gsr.simulator import battery
-from biosensor_gateway.devices.shimmer3_gsr.simulator.wire import (
+from biosensor_gateway.devices.shimmer3.simulator import battery
+from biosensor_gateway.devices.shimmer3.simulator.memory import (
+    BMP180,
+    BMP280,
+    REGISTERS,
+    Flash,
+    Memory,
+)
+from biosensor_gateway.devices.shimmer3.simulator.packets import SHIMMER3R, channels_of
+from biosensor_gateway.devices.shimmer3.simulator.wire import (
     ACK,
     IN_STREAM,
     NACK,
@@ -19,20 +26,17 @@ from biosensor_gateway.devices.shimmer3_gsr.simulator.wire import (
     Command,
     Firmware,
     Opcode,
-    channels_of,
 )
 
 MAX_RATE_HZ = 4096
 _NAME_LENGTH = 12
-_CARD_LENGTH = 2048
 _MOST_CARD_BYTES = 128
 _LOG_AND_STREAM = 3
-_SHIMMER3 = 3
-# Board, revision, special revision; 48 is the unified GSR+ board.
-_GSR_PLUS_CARD = bytes((48, 4, 0)).ljust(_CARD_LENGTH, b"\xff")
-# Low-noise accelerometer: offset 2253, 92 counts per m/s^2, mounting; the other blocks unset.
-_LN_ACCEL = bytes.fromhex("08cd08cd08cd005c005c005c009c009c000000009c")
-_CALIBRATION = _LN_ACCEL.ljust(84, b"\xff")
+_MOST_EXG_BYTES = 10
+_COEFFICIENT_BYTES = {BMP180: 22, BMP280: 24}
+_NONE = b"\x01"
+_SHARED_CLOCK = 0x08
+_EXG_UNIFIED, _FIRST_WITH_SHARED_CLOCK = 47, 4
 _BLOCKED_WHILE_SENSING = frozenset(
     {
         Opcode.SET_SAMPLING_RATE,
@@ -40,50 +44,10 @@ _BLOCKED_WHILE_SENSING = frozenset(
         Opcode.SET_SETUP_BYTES,
         Opcode.SET_GSR_RANGE,
         Opcode.SET_EXPANSION_POWER,
+        Opcode.SET_EXG_REGISTERS,
         Opcode.SET_NAME,
     }
 )
-
-
-@dataclass
-class Flash:
-    """What a Shimmer keeps without power.
-
-    Attributes
-    ----------
-    name
-        Of the unit, at most 12 ASCII characters.
-    sensors
-        Mask of 24 bits.
-    divider
-        Ticks of 1/32768 s between two samples.
-    setup
-        Four bytes of set-up; the last holds the expansion power (bit 0) and the range
-        of the skin conductance (bits 1 to 3).
-    """
-
-    name: str = "Shimmer_4E5F"
-    sensors: int = 0x000080
-    divider: int = 640
-    setup: bytearray = field(default_factory=lambda: bytearray.fromhex("01ff0100"))
-
-    @property
-    def expansion_power(self) -> int:
-        """Whether the probe has power, 0 or 1."""
-        return self.setup[3] & 1
-
-    @expansion_power.setter
-    def expansion_power(self, on: int) -> None:
-        self.setup[3] = self.setup[3] & ~1 | (1 if on else 0)
-
-    @property
-    def gsr_range(self) -> int:
-        """0 to 3 for a fixed resistor, 4 for auto-range."""
-        return self.setup[3] >> 1 & 7
-
-    @gsr_range.setter
-    def gsr_range(self, value: int) -> None:
-        self.setup[3] = self.setup[3] & ~0x0E | min(value, 4) << 1
 
 
 class Hardware(Protocol):
@@ -103,7 +67,7 @@ class Interpreter:
 
     Parameters
     ----------
-    firmware, flash, hardware
+    firmware, flash, hardware, memory
 
     Attributes
     ----------
@@ -115,7 +79,10 @@ class Interpreter:
         Length of the check of every message.
     """
 
-    def __init__(self, firmware: Firmware, flash: Flash, hardware: Hardware) -> None:
+    def __init__(
+        self, firmware: Firmware, flash: Flash, hardware: Hardware, memory: Memory | None = None
+    ) -> None:
+        self._memory = memory or Memory()
         self._firmware = firmware
         self._flash = flash
         self._hardware = hardware
@@ -163,16 +130,21 @@ class Interpreter:
             Opcode.STOP_STREAMING: lambda _: self._stop(),
             Opcode.SET_GSR_RANGE: self._set_gsr_range,
             Opcode.GET_GSR_RANGE: lambda _: bytes((0x22, self._flash.gsr_range)),
-            Opcode.GET_SHIMMER_VERSION_OLD: lambda _: bytes((0x25, _SHIMMER3)),
-            Opcode.GET_ALL_CALIBRATION: lambda _: b"\x2d" + _CALIBRATION,
+            Opcode.GET_SHIMMER_VERSION_OLD: lambda _: self._version_of_hardware(),
+            Opcode.GET_ALL_CALIBRATION: lambda _: b"\x2d" + self._memory.calibration,
+            Opcode.GET_BMP180_COEFFICIENTS: lambda _: b"\x58" + self._coefficients(BMP180),
+            Opcode.GET_BMP280_COEFFICIENTS: lambda _: b"\x9f" + self._coefficients(BMP280),
+            Opcode.GET_PRESSURE_COEFFICIENTS: lambda _: self._pressure(),
+            Opcode.SET_EXG_REGISTERS: self._set_exg,
+            Opcode.GET_EXG_REGISTERS: self._get_exg,
             Opcode.GET_FIRMWARE_VERSION: lambda _: self._version(),
             Opcode.GET_CHARGE_LED: lambda _: bytes(
                 (0x31, battery.led_level(self._hardware.battery_counts()))
             ),
-            Opcode.GET_SHIMMER_VERSION: lambda _: bytes((0x25, _SHIMMER3)),
+            Opcode.GET_SHIMMER_VERSION: lambda _: self._version_of_hardware(),
             Opcode.SET_EXPANSION_POWER: self._set_expansion_power,
             Opcode.GET_EXPANSION_POWER: lambda _: bytes((0x5F, self._flash.expansion_power)),
-            Opcode.GET_DAUGHTER_CARD: _daughter_card,
+            Opcode.GET_DAUGHTER_CARD: self._daughter_card,
             Opcode.GET_STATUS: lambda _: self._status(),
             Opcode.SET_NAME: self._set_name,
             Opcode.GET_NAME: lambda _: _text(0x7A, self._flash.name),
@@ -186,7 +158,7 @@ class Interpreter:
         }
 
     def _inquiry(self) -> bytes:
-        channels = channels_of(self._flash.sensors)
+        channels = channels_of(self._flash.sensors, self._memory.model)
         head = b"\x02" + _u16(self._flash.divider) + self._flash.setup
         return head + bytes((len(channels), 1, *channels))
 
@@ -221,6 +193,34 @@ class Interpreter:
         self._flash.gsr_range = arguments[0]
         return b""
 
+    def _version_of_hardware(self) -> bytes:
+        return bytes((0x25, self._memory.model.hardware))
+
+    def _coefficients(self, chip: int) -> bytes:
+        if chip == self._memory.pressure_chip:
+            return self._memory.pressure_coefficients
+        return _NONE * _COEFFICIENT_BYTES[chip]
+
+    def _pressure(self) -> bytes:
+        data = bytes((self._memory.pressure_chip,)) + self._memory.pressure_coefficients
+        return bytes((0xA6, len(data))) + data
+
+    def _set_exg(self, arguments: bytes) -> bytes:
+        chip, start, length = arguments[:3]
+        if chip < 2 and start < REGISTERS and length <= _MOST_EXG_BYTES:
+            registers = self._flash.exg[chip]
+            registers[start : start + length] = arguments[3:]
+            board, revision, _ = self._memory.card
+            if chip == 0 and board == _EXG_UNIFIED and revision >= _FIRST_WITH_SHARED_CLOCK:
+                registers[1] |= _SHARED_CLOCK
+        return b""
+
+    def _get_exg(self, arguments: bytes) -> bytes:
+        chip, start, length = arguments
+        if chip >= 2 or start >= REGISTERS or length > _MOST_EXG_BYTES:
+            return bytes((0x62, 0))
+        return bytes((0x62, length)) + bytes(self._flash.exg[chip][start : start + length])
+
     def _version(self) -> bytes:
         major, minor, patch = self._firmware
         return b"\x2f" + _u16(_LOG_AND_STREAM) + _u16(major) + bytes((minor, patch))
@@ -238,7 +238,13 @@ class Interpreter:
             (self.card_present, 5),
             (self.led, 7),
         )
-        return IN_STREAM + bytes((0x71, sum(on << bit for on, bit in bits)))
+        # A second byte tells of the USB plug.
+        more = bytes(1) if self._has_two_status_bytes else b""
+        return IN_STREAM + bytes((0x71, sum(on << bit for on, bit in bits))) + more
+
+    @property
+    def _has_two_status_bytes(self) -> bool:
+        return self._memory.model is SHIMMER3R and self._firmware >= (1, 0, 24)
 
     def _set_name(self, arguments: bytes) -> bytes | None:
         if arguments[0] > _NAME_LENGTH:
@@ -264,16 +270,15 @@ class Interpreter:
         charger = battery.charger_byte(counts, docked=self.docked)
         return IN_STREAM + b"\x94" + _u16(counts) + bytes((charger,))
 
+    def _daughter_card(self, arguments: bytes) -> bytes | None:
+        length, offset = arguments
+        if not 0 < length <= _MOST_CARD_BYTES:
+            return None
+        return bytes((0x65, length)) + self._memory.page[offset : offset + length]
+
     def _set_ack_prefix(self, arguments: bytes) -> bytes:
         self._ack_before_push = bool(arguments[0])
         return b""
-
-
-def _daughter_card(arguments: bytes) -> bytes | None:
-    length, offset = arguments
-    if not 0 < length <= _MOST_CARD_BYTES:
-        return None
-    return bytes((0x65, length)) + _GSR_PLUS_CARD[offset : offset + length]
 
 
 def _u16(value: int) -> bytes:

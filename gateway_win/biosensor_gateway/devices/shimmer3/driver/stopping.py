@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import NamedTuple
 
-from biosensor_gateway.devices.shimmer3_gsr.driver.commands import STOP_STREAMING
+from biosensor_gateway.devices.shimmer3.driver.commands import STOP_STREAMING
 from biosensor_gateway.transports.link import ByteLink, Received
 
 LISTEN_S = 0.5

@@ -121,6 +121,37 @@ class ExpansionPower:
 
 
 @dataclass(frozen=True, slots=True)
+class ExgRegisters:
+    """Registers of one of the two ExG chips, from `commands.get_exg_registers`."""
+
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """All calibration blocks of the motion sensors, 21 bytes each; see `calibration`."""
+
+    data: bytes
+
+
+class PressureChip(IntEnum):
+    """Pressure sensors that a Shimmer may have."""
+
+    BMP180 = 0
+    BMP280 = 1
+    BMP390 = 2
+    BMP581 = 3
+
+
+@dataclass(frozen=True, slots=True)
+class PressureCoefficients:
+    """Which pressure sensor it is (see `PressureChip`), and the coefficients in its memory."""
+
+    chip: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
 class Inquiry:
     """How the device is set up.
 
@@ -144,6 +175,11 @@ class Inquiry:
         return bool(self.setup[3] & 1)
 
     @property
+    def pressure_oversampling(self) -> int:
+        """Setting of the pressure sensor, 0 to 3; its highest bits on a Shimmer3R are elsewhere."""
+        return self.setup[3] >> 4 & 3
+
+    @property
     def gsr_range(self) -> int:
         """Setting of the feedback resistor, 4 for automatic."""
         return self.setup[3] >> 1 & 7
@@ -159,6 +195,9 @@ Reply = (
     | DaughterCard
     | GsrRange
     | ExpansionPower
+    | ExgRegisters
+    | Calibration
+    | PressureCoefficients
     | Inquiry
 )
 """What may answer a command; a status also comes unasked."""

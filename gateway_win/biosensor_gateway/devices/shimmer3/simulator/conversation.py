@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-from biosensor_gateway.devices.shimmer3_gsr.simulator.interpreter import Interpreter
-from biosensor_gateway.devices.shimmer3_gsr.simulator.wire import (
+from biosensor_gateway.devices.shimmer3.simulator.interpreter import Interpreter
+from biosensor_gateway.devices.shimmer3.simulator.wire import (
     NACK,
     Command,
     CommandReader,

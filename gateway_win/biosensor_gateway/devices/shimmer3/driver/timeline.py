@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 from biosensor_common.clocks import PacketTimeline
 from biosensor_common.device_clock import LONGEST_DELAY_S
-from biosensor_gateway.devices.shimmer3_gsr.driver.commands import TICKS_PER_S
-from biosensor_gateway.devices.shimmer3_gsr.driver.protocol import TICK_MODULUS
+from biosensor_gateway.devices.shimmer3.driver.commands import TICKS_PER_S
+from biosensor_gateway.devices.shimmer3.driver.protocol import TICK_MODULUS
 
 SURVIVED_AGREE_S = 1.0
 """A counter that a new connection finds this near to where it should be was not restarted.

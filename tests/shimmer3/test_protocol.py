@@ -9,9 +9,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.shimmer3_gsr.driver.channels import Layout
-from biosensor_gateway.devices.shimmer3_gsr.driver.crc import CrcMode, checksum
-from biosensor_gateway.devices.shimmer3_gsr.driver.messages import (
+from biosensor_gateway.devices.shimmer3.driver.channels import Layout
+from biosensor_gateway.devices.shimmer3.driver.crc import CrcMode, checksum
+from biosensor_gateway.devices.shimmer3.driver.messages import (
     Ack,
     BatteryReading,
     DaughterCard,
@@ -24,8 +24,8 @@ from biosensor_gateway.devices.shimmer3_gsr.driver.messages import (
     Status,
     StatusFlag,
 )
-from biosensor_gateway.devices.shimmer3_gsr.driver.protocol import ShimmerProtocol
-from biosensor_gateway.devices.shimmer3_gsr.driver.replies import ReplyForm
+from biosensor_gateway.devices.shimmer3.driver.protocol import ShimmerProtocol
+from biosensor_gateway.devices.shimmer3.driver.replies import ReplyForm
 
 LAYOUT = Layout([0x12, 0x1C])
 MODES = list(CrcMode)

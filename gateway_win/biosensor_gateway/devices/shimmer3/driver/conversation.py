@@ -12,10 +12,10 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
-from biosensor_gateway.devices.shimmer3_gsr.driver import commands
-from biosensor_gateway.devices.shimmer3_gsr.driver.channels import Layout
-from biosensor_gateway.devices.shimmer3_gsr.driver.crc import CrcMode
-from biosensor_gateway.devices.shimmer3_gsr.driver.messages import (
+from biosensor_gateway.devices.shimmer3.driver import commands
+from biosensor_gateway.devices.shimmer3.driver.channels import Layout
+from biosensor_gateway.devices.shimmer3.driver.crc import CrcMode
+from biosensor_gateway.devices.shimmer3.driver.messages import (
     Ack,
     ExpansionPower,
     Firmware,
@@ -25,9 +25,9 @@ from biosensor_gateway.devices.shimmer3_gsr.driver.messages import (
     Reply,
     Stamped,
 )
-from biosensor_gateway.devices.shimmer3_gsr.driver.protocol import ShimmerProtocol
-from biosensor_gateway.devices.shimmer3_gsr.driver.replies import ReplyForm
-from biosensor_gateway.devices.shimmer3_gsr.driver.stopping import stop_streaming
+from biosensor_gateway.devices.shimmer3.driver.protocol import ShimmerProtocol
+from biosensor_gateway.devices.shimmer3.driver.replies import ReplyForm
+from biosensor_gateway.devices.shimmer3.driver.stopping import stop_streaming
 from biosensor_gateway.transports.dialogue import Dialogue
 from biosensor_gateway.transports.link import ByteLink
 

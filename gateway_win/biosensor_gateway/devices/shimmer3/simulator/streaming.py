@@ -1,34 +1,47 @@
-"""A virtual Shimmer3 while it streams: samples on the crystal's beat, sent in order."""
+"""A virtual Shimmer while it streams: samples on the crystal's beat, sent in order."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from math import inf
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from biosensor_gateway.devices.shimmer3_gsr.simulator.gsr import (
-    AUTO_RANGE,
-    GsrAmplifier,
-    conductance_us,
-)
-from biosensor_gateway.devices.shimmer3_gsr.simulator.inputs import (
-    GSR,
-    PPG,
-    Conditions,
-    ppg_mv,
-    read,
-)
-from biosensor_gateway.devices.shimmer3_gsr.simulator.wire import TICKS_PER_S, data_packet
+from biosensor_gateway.devices.shimmer3.simulator.packets import SHIMMER3, Model, data_packet
+from biosensor_gateway.devices.shimmer3.simulator.wire import TICKS_PER_S
 from biosensor_gateway.simulation.crystal import Crystal
-from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.simulation.wearer import Floats
 from biosensor_gateway.system.clock import Clock
 
 _SETTLING_TICKS = round(0.065 * TICKS_PER_S)
 """What is sampled before is not sent."""
 _BLOCK_S = 0.1
+
+
+class Block(NamedTuple):
+    """What is measured in one go.
+
+    Attributes
+    ----------
+    rows
+        For each sample a count for each channel, in packet order.
+    values
+        By data name what they stand for, in the units of the declaration: for each sample
+        a value for each channel of the stream.
+    """
+
+    rows: Sequence[tuple[int, ...]]
+    values: Mapping[str, Sequence[tuple[float, ...]]]
+
+
+class Meter(Protocol):
+    """The sensors of one stream; they remember what they must, such as a range."""
+
+    def measure(self, t: Floats) -> Block:
+        """Return what is measured at these times of the wearer [s]."""
+        ...
 
 
 class Sample(NamedTuple):
@@ -40,19 +53,14 @@ class Sample(NamedTuple):
         When it was measured and when it leaves the radio, on the LSL clock.
     packet
         Its data packet without check.
-    gsr_us, gsr_range
-        What the packet says of the skin conductance [uS], NaN for open electrodes, and
-        with which resistor; None if it says nothing.
-    ppg_mv
-        What it says of the pulse probe [mV].
+    values
+        By data name what the packet says, in the units of the declaration.
     """
 
     measured_s: float
     leaves_s: float
     packet: bytes
-    gsr_us: float | None
-    gsr_range: int | None
-    ppg_mv: float | None
+    values: Mapping[str, tuple[float, ...]]
 
 
 class Sampling(NamedTuple):
@@ -64,46 +72,47 @@ class Sampling(NamedTuple):
         Ids in packet order.
     divider
         Ticks between two samples.
-    gsr_setting
-        0 to 3 for a fixed resistor, 4 for auto-range.
-    wearer, wearer_born_s
-        And the LSL time at which the wearer's time is 0.
+    meter
+        Asked once a block, ten times a second.
+    wearer_born_s
+        LSL time at which the wearer's time is 0.
     crystal, first_tick
         And the count of ticks at its power-on.
-    conditions
-        Asked once a block, ten times a second.
     rng, jitter_s
         Of the radio's delay, uniform from 0 on.
+    model
     """
 
     channels: tuple[int, ...]
     divider: int
-    gsr_setting: int
-    wearer: Wearer
+    meter: Meter
     wearer_born_s: float
     crystal: Crystal
     first_tick: int
-    conditions: Callable[[], Conditions]
     rng: np.random.Generator
     jitter_s: float
+    model: Model = SHIMMER3
 
 
 def samples(sampling: Sampling) -> Iterator[Sample]:
     """Return the samples of a stream that starts now, without end."""
-    amplifier = GsrAmplifier(sampling.gsr_setting, sampling.divider)
     start = int(sampling.crystal.now() * TICKS_PER_S)
     size = max(1, round(_BLOCK_S * TICKS_PER_S / sampling.divider))
     leaves_s = -inf
     for first in _multiples(size):
         ticks = start + sampling.divider * np.arange(first + 1, first + size + 1)
         measured = [sampling.crystal.true_time(tick / TICKS_PER_S) for tick in ticks.tolist()]
-        t = np.array(measured, np.float64) - sampling.wearer_born_s
-        rows = read(sampling.channels, sampling.wearer, t, sampling.conditions(), amplifier)
+        block = sampling.meter.measure(np.array(measured, np.float64) - sampling.wearer_born_s)
         delays = sampling.rng.uniform(0, sampling.jitter_s, size).tolist()
-        for tick, time, row, delay in zip(ticks.tolist(), measured, rows, delays, strict=True):
-            leaves_s = max(leaves_s, time + delay)
+        for at, tick in enumerate(ticks.tolist()):
+            leaves_s = max(leaves_s, measured[at] + delays[at])
             if tick - start >= _SETTLING_TICKS:
-                yield _sample(sampling, tick, time, leaves_s, row)
+                yield Sample(
+                    measured[at],
+                    leaves_s,
+                    _packet(sampling, tick, block.rows[at]),
+                    {name: values[at] for name, values in block.values.items()},
+                )
 
 
 def _multiples(step: int) -> Iterator[int]:
@@ -113,19 +122,8 @@ def _multiples(step: int) -> Iterator[int]:
         count += step
 
 
-def _sample(
-    sampling: Sampling, tick: int, time: float, leaves_s: float, row: tuple[int, ...]
-) -> Sample:
-    by_channel = dict(zip(sampling.channels, row, strict=True))
-    raw, pulse, setting = by_channel.get(GSR), by_channel.get(PPG), sampling.gsr_setting
-    return Sample(
-        time,
-        leaves_s,
-        data_packet(tick + sampling.first_tick, sampling.channels, row),
-        None if raw is None else conductance_us(raw, setting),
-        None if raw is None else raw >> 14 if setting == AUTO_RANGE else setting,
-        None if pulse is None else ppg_mv(pulse),
-    )
+def _packet(sampling: Sampling, tick: int, row: tuple[int, ...]) -> bytes:
+    return data_packet(tick + sampling.first_tick, sampling.channels, row, sampling.model)
 
 
 class Streamer:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from biosensor_gateway.devices.shimmer3_gsr.driver.gsr import ADC_MAX, ADC_VOLTS
-from biosensor_gateway.devices.shimmer3_gsr.driver.messages import BatteryReading
+from biosensor_gateway.devices.shimmer3.driver.adc import ADC_MAX, ADC_VOLTS
+from biosensor_gateway.devices.shimmer3.driver.messages import BatteryReading
+from biosensor_gateway.devices.sink import Sink
 
 _DIVIDER = 1.988
 _CHARGER_CHECKS_ABOVE_VOLTS = 4.5
@@ -35,3 +36,17 @@ def charge_percent(reading: BatteryReading) -> float | None:
     """Return the charge in percent; None while the charger is testing the battery."""
     volts = battery_volts(reading.adc)
     return percent(volts) if volts <= _CHARGER_CHECKS_ABOVE_VOLTS else None
+
+
+def emit_charge(sink: Sink, reading: BatteryReading, arrival_s: float) -> None:
+    """Emit a battery reading as ``bat``; it has no time of its own.
+
+    Parameters
+    ----------
+    sink, reading
+    arrival_s
+        LSL clock when it came.
+    """
+    level = charge_percent(reading)
+    if level is not None:
+        sink.emit_at("bat", [level], [arrival_s])

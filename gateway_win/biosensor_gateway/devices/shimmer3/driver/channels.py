@@ -6,17 +6,27 @@ Widths, signs and byte orders are those of Shimmer's firmware (log-and-stream-co
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from enum import IntEnum
+from itertools import groupby
 from typing import Literal, NamedTuple
 
 
 class Channel(IntEnum):
     """Channels that are read out; others may stand between them in a packet."""
 
+    LN_ACCEL_X, LN_ACCEL_Y, LN_ACCEL_Z = 0x00, 0x01, 0x02
+    WR_ACCEL_X, WR_ACCEL_Y, WR_ACCEL_Z = 0x04, 0x05, 0x06
+    MAG_X, MAG_Y, MAG_Z = 0x07, 0x08, 0x09
+    GYRO_X, GYRO_Y, GYRO_Z = 0x0A, 0x0B, 0x0C
     PPG = 0x12
     """Internal ADC A13, to which the GSR+ unit wires the optical probe."""
+    TEMPERATURE, PRESSURE = 0x1A, 0x1B
     GSR = 0x1C
+    EXG1_STATUS, EXG1_CH1_24, EXG1_CH2_24 = 0x1D, 0x1E, 0x1F
+    EXG2_STATUS, EXG2_CH1_24, EXG2_CH2_24 = 0x20, 0x21, 0x22
+    EXG1_CH1_16, EXG1_CH2_16 = 0x23, 0x24
+    EXG2_CH1_16, EXG2_CH2_16 = 0x25, 0x26
 
 
 class _Field(NamedTuple):
@@ -35,6 +45,7 @@ _U16_BE = _Field(2, "big", signed=False)
 _I16_BE = _Field(2, "big", signed=True)
 _I24_BE = _Field(3, "big", signed=True)
 _U24_BE = _Field(3, "big", signed=False)
+_U24 = _Field(3, "little", signed=False)
 
 _FIELDS: dict[int, _Field] = {
     **dict.fromkeys((0x00, 0x01, 0x02), _I16),  # low-noise accelerometer
@@ -54,6 +65,14 @@ _FIELDS: dict[int, _Field] = {
 }
 
 
+# The older of the two magnetometer chips, and how all of a Shimmer3R's chips speak.
+_OLDER_MAG: dict[int, _Field] = dict.fromkeys((0x07, 0x08, 0x09), _I16_BE)
+_SHIMMER3R: dict[int, _Field] = {
+    **dict.fromkeys((0x0A, 0x0B, 0x0C), _I16),
+    **dict.fromkeys((0x1A, 0x1B), _U24),
+}
+
+
 class Layout:
     """Where each channel's value is within a data packet.
 
@@ -61,6 +80,8 @@ class Layout:
     ----------
     channels
         Ids in the order of an inquiry's answer.
+    is_3r
+        Whether the device is a Shimmer3R, whose chips are others.
 
     Raises
     ------
@@ -68,15 +89,24 @@ class Layout:
         If the width of a channel is not known.
     """
 
-    def __init__(self, channels: Iterable[int]) -> None:
+    def __init__(self, channels: Iterable[int], *, is_3r: bool = False) -> None:
         self.channels = tuple(channels)
         unknown = [channel for channel in self.channels if channel not in _FIELDS]
         if unknown:
             raise ValueError(f"channels of unknown width: {unknown}")
-        self._fields = [_FIELDS[channel] for channel in self.channels]
+        fields = dict(_FIELDS)
+        fields.update(_SHIMMER3R if is_3r else {})
+        fields.update(_OLDER_MAG if self.has_older_mag else {})
+        self._fields = [fields[channel] for channel in self.channels]
         self.size = sum(field.width for field in self._fields)
         """Bytes of all values."""
-        self._struct = _unsigned_words(self._fields)
+        self._runs = list(_runs(self._fields))
+
+    @property
+    def has_older_mag(self) -> bool:
+        """Whether it is an LSM303DLHC, which alone sends its axes as X, Z, Y."""
+        order = [each for each in self.channels if each in _OLDER_MAG]
+        return order == [Channel.MAG_X, Channel.MAG_Z, Channel.MAG_Y]
 
     def index(self, channel: Channel) -> int:
         """Position of a channel's value in what `read` returns."""
@@ -90,16 +120,30 @@ class Layout:
         data
             The packet behind its timestamp, `size` bytes.
         """
-        if self._struct is not None:
-            return self._struct.unpack(data)
         values: list[int] = []
-        start = 0
-        for field in self._fields:
-            values.append(field.read(data[start : start + field.width]))
-            start += field.width
+        for start, run in self._runs:
+            if isinstance(run, _Field):
+                values.append(run.read(data[start : start + run.width]))
+            else:
+                values += run.unpack_from(data, start)
         return tuple(values)
 
 
-def _unsigned_words(fields: Sequence[_Field]) -> struct.Struct | None:
-    """Return a fast reader for the usual packet, which has nothing but ADC values."""
-    return struct.Struct(f"<{len(fields)}H") if set(fields) == {_U16} else None
+def _runs(fields: Sequence[_Field]) -> Iterator[tuple[int, struct.Struct | _Field]]:
+    """Cut a packet into what a fast reader takes at once, and values of three bytes."""
+    start = 0
+    for order, group in groupby(fields, key=lambda field: field.width < 3 and field.order):
+        run = list(group)
+        if order:
+            letters = "".join(_letter(field) for field in run)
+            yield start, struct.Struct(f"{'<' if order == 'little' else '>'}{letters}")
+            start += sum(field.width for field in run)
+        else:
+            for field in run:
+                yield start, field
+                start += field.width
+
+
+def _letter(field: _Field) -> str:
+    letter = "b" if field.width == 1 else "h"
+    return letter if field.signed else letter.upper()

@@ -15,11 +15,11 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
-from biosensor_gateway.devices.shimmer3_gsr.driver import commands, conversation, stopping
-from biosensor_gateway.devices.shimmer3_gsr.driver.channels import Layout
-from biosensor_gateway.devices.shimmer3_gsr.driver.conversation import Conversation
-from biosensor_gateway.devices.shimmer3_gsr.driver.crc import CrcMode, checksum
-from biosensor_gateway.devices.shimmer3_gsr.driver.messages import (
+from biosensor_gateway.devices.shimmer3.driver import commands, conversation, stopping
+from biosensor_gateway.devices.shimmer3.driver.channels import Layout
+from biosensor_gateway.devices.shimmer3.driver.conversation import Conversation
+from biosensor_gateway.devices.shimmer3.driver.crc import CrcMode, checksum
+from biosensor_gateway.devices.shimmer3.driver.messages import (
     Ack,
     ExpansionPower,
     Firmware,

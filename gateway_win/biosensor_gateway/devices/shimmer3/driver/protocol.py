@@ -15,17 +15,18 @@ firmware puts an ACK, which acknowledges nothing: ``FF 8A 71`` is never a bare A
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 
-from biosensor_gateway.devices.shimmer3_gsr.driver.channels import Layout
-from biosensor_gateway.devices.shimmer3_gsr.driver.crc import CrcMode, checksum
-from biosensor_gateway.devices.shimmer3_gsr.driver.messages import (
+from biosensor_gateway.devices.shimmer3.driver.channels import Layout
+from biosensor_gateway.devices.shimmer3.driver.crc import CrcMode, checksum
+from biosensor_gateway.devices.shimmer3.driver.messages import (
     Ack,
     Message,
     Nack,
     Packet,
     Stamped,
 )
-from biosensor_gateway.devices.shimmer3_gsr.driver.replies import (
+from biosensor_gateway.devices.shimmer3.driver.replies import (
     IN_STREAM,
     ReplyForm,
     decode_reply,
@@ -94,6 +95,8 @@ class ShimmerProtocol:
         """
         self._layout, self._divisor = layout, divisor
         self._newest_ticks = None
+        # Without checksums, two damaged bytes would hide as many packets as it is long.
+        self.form = replace(self.form, calibration_blocks=0)
 
     def feed(self, data: bytes, arrival_s: float) -> list[Stamped]:
         """Take the next bytes, in pieces of any size; return the messages that they complete.
