@@ -24,6 +24,8 @@ class Unit(StrEnum):
     FRACTION = "fraction"
     G = "g"
     INDEX = "index"
+    LOCAL_FLUX = "local_flux"
+    """Of the magnetic field at the place where a sensor was calibrated."""
     MICROSIEMENS = "microsiemens"
     MICROTESLA = "uT"
     MICROVOLTS = "microvolts"

@@ -40,7 +40,7 @@ _CLASSES: dict[str, tuple[str, str, frozenset[str], frozenset[str]]] = {
         frozenset(),
     ),
     "shimmer3_gsr": (
-        "shimmer3.driver.protocol",
+        "shimmer.driver.protocol",
         "ShimmerProtocol",
         frozenset({"feed", "settle", "give_up", "expect_data"}),
         frozenset({"crc", "form"}),

@@ -145,6 +145,8 @@ def test_rates_that_only_the_device_knows() -> None:
     assert unknown == {
         ("emotiv_insight", "mot"),
         ("emotiv_insight", "gyro"),
+        *(("shimmer", name) for name in ("ecg", "emg", "acc_low_noise", "acc_wide_range")),
+        *(("shimmer", name) for name in ("gyro", "mag", "pressure", "temp")),
         ("vernier_respiration_belt", "bpm"),
         ("vernier_respiration_belt", "force"),
     }

@@ -116,7 +116,7 @@ FAULTS: dict[str, tuple[str, str, Breaking]] = {
     ),
     "settings": ("biosensor_gateway.settings.toml_lines._Scanner", "_note", instead(any_path)),
     "shimmer3": (
-        f"{DEVICES}.shimmer3.driver.protocol.ShimmerProtocol",
+        f"{DEVICES}.shimmer.driver.protocol.ShimmerProtocol",
         "feed",
         forgets_what_it_holds,
     ),

@@ -27,7 +27,7 @@ BUILT_IN = (
     "vernier_respiration_belt",
     "zephyr",
     "ble_heart_rate",
-    "shimmer3",
+    "shimmer",
 )
 MODULE = """
 from biosensor_common.spec import SensorSpec

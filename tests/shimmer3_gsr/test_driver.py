@@ -17,8 +17,8 @@ from structlog.testing import capture_logs
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.state import State
-from biosensor_gateway.devices.shimmer3.driver import connection as module
-from biosensor_gateway.devices.shimmer3.driver import conversation, stopping
+from biosensor_gateway.devices.shimmer.driver import connection as module
+from biosensor_gateway.devices.shimmer.driver import conversation, stopping
 from biosensor_gateway.devices.shimmer3_gsr.driver.driver import DRIVER, ShimmerSettings
 from biosensor_gateway.devices.shimmer3_gsr.simulator import SimulatedShimmer3
 from biosensor_gateway.simulation.faults import Fault, FaultKind

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from structlog.testing import capture_logs
 
-from biosensor_gateway.devices.shimmer3.driver.channels import Layout
-from biosensor_gateway.devices.shimmer3.driver.messages import BatteryReading, Charging, Packet
+from biosensor_gateway.devices.shimmer.driver.channels import Layout
+from biosensor_gateway.devices.shimmer.driver.messages import BatteryReading, Charging, Packet
 from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import GsrEmitter, Measurement
 from tests.rigs.emitter_sink import EmitterSink
 

@@ -9,11 +9,11 @@ import pytest
 from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_gateway.devices.shimmer3.driver import commands
-from biosensor_gateway.devices.shimmer3.driver.conversation import Conversation
-from biosensor_gateway.devices.shimmer3.driver.crc import CrcMode
-from biosensor_gateway.devices.shimmer3.driver.kind import Kind, identify
-from biosensor_gateway.devices.shimmer3.driver.messages import (
+from biosensor_gateway.devices.shimmer.driver import commands
+from biosensor_gateway.devices.shimmer.driver.conversation import Conversation
+from biosensor_gateway.devices.shimmer.driver.crc import CrcMode
+from biosensor_gateway.devices.shimmer.driver.kind import Kind, identify
+from biosensor_gateway.devices.shimmer.driver.messages import (
     BatteryReading,
     DaughterCard,
     Firmware,
@@ -23,7 +23,7 @@ from biosensor_gateway.devices.shimmer3.driver.messages import (
     Status,
     StatusFlag,
 )
-from biosensor_gateway.devices.shimmer3.driver.replies import ReplyForm
+from biosensor_gateway.devices.shimmer.driver.replies import ReplyForm
 from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import Measurement
 from biosensor_gateway.devices.shimmer3_gsr.driver.setup import Wanted, set_up
 

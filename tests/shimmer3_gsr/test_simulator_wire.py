@@ -14,13 +14,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.shimmer3.simulator import battery
-from biosensor_gateway.devices.shimmer3.simulator.conversation import Conversation
-from biosensor_gateway.devices.shimmer3.simulator.interpreter import Interpreter
-from biosensor_gateway.devices.shimmer3.simulator.memory import Flash
-from biosensor_gateway.devices.shimmer3.simulator.packets import channels_of, data_packet
-from biosensor_gateway.devices.shimmer3.simulator.streaming import Sampling, samples
-from biosensor_gateway.devices.shimmer3.simulator.wire import (
+from biosensor_gateway.devices.shimmer.simulator import battery
+from biosensor_gateway.devices.shimmer.simulator.conversation import Conversation
+from biosensor_gateway.devices.shimmer.simulator.interpreter import Interpreter
+from biosensor_gateway.devices.shimmer.simulator.memory import Flash
+from biosensor_gateway.devices.shimmer.simulator.packets import channels_of, data_packet
+from biosensor_gateway.devices.shimmer.simulator.streaming import Sampling, samples
+from biosensor_gateway.devices.shimmer.simulator.wire import (
     Command,
     CommandReader,
     Firmware,

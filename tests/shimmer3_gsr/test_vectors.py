@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from biosensor_gateway.devices.shimmer3.driver import commands
-from biosensor_gateway.devices.shimmer3.driver.adc import millivolts
-from biosensor_gateway.devices.shimmer3.driver.battery import (
+from biosensor_gateway.devices.shimmer.driver import commands
+from biosensor_gateway.devices.shimmer.driver.adc import millivolts
+from biosensor_gateway.devices.shimmer.driver.battery import (
     battery_volts,
     charge_percent,
     percent,
 )
-from biosensor_gateway.devices.shimmer3.driver.channels import Channel, Layout
-from biosensor_gateway.devices.shimmer3.driver.commands import TICKS_PER_S
-from biosensor_gateway.devices.shimmer3.driver.crc import CrcMode, crc16
-from biosensor_gateway.devices.shimmer3.driver.messages import (
+from biosensor_gateway.devices.shimmer.driver.channels import Channel, Layout
+from biosensor_gateway.devices.shimmer.driver.commands import TICKS_PER_S
+from biosensor_gateway.devices.shimmer.driver.crc import CrcMode, crc16
+from biosensor_gateway.devices.shimmer.driver.messages import (
     BatteryReading,
     Charging,
     ExpansionPower,
@@ -29,9 +29,9 @@ from biosensor_gateway.devices.shimmer3.driver.messages import (
     Nack,
     Packet,
 )
-from biosensor_gateway.devices.shimmer3.driver.protocol import ShimmerProtocol
-from biosensor_gateway.devices.shimmer3.driver.replies import ReplyForm, decode_reply
-from biosensor_gateway.devices.shimmer3.driver.timeline import TickTimeline
+from biosensor_gateway.devices.shimmer.driver.protocol import ShimmerProtocol
+from biosensor_gateway.devices.shimmer.driver.replies import ReplyForm, decode_reply
+from biosensor_gateway.devices.shimmer.driver.timeline import TickTimeline
 from biosensor_gateway.devices.shimmer3_gsr.driver.gsr import (
     LARGEST_OPEN_ADC,
     clamped_kohm,

@@ -8,17 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from biosensor_gateway.devices.shimmer3.driver.battery import charge_percent
-from biosensor_gateway.devices.shimmer3.driver.channels import Layout
-from biosensor_gateway.devices.shimmer3.driver.crc import CrcMode, checksum
-from biosensor_gateway.devices.shimmer3.driver.messages import (
+from biosensor_gateway.devices.shimmer.driver.battery import charge_percent
+from biosensor_gateway.devices.shimmer.driver.channels import Layout
+from biosensor_gateway.devices.shimmer.driver.crc import CrcMode, checksum
+from biosensor_gateway.devices.shimmer.driver.messages import (
     BatteryReading,
     Inquiry,
     Message,
     Packet,
 )
-from biosensor_gateway.devices.shimmer3.driver.protocol import TICK_MODULUS, ShimmerProtocol
-from biosensor_gateway.devices.shimmer3.driver.replies import ReplyForm
+from biosensor_gateway.devices.shimmer.driver.protocol import TICK_MODULUS, ShimmerProtocol
+from biosensor_gateway.devices.shimmer.driver.replies import ReplyForm
 from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import GsrEmitter, Measurement
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink
 from tests.fuzz.contract import ensure

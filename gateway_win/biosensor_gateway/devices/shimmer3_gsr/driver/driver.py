@@ -9,10 +9,10 @@ from typing import Literal
 from pydantic import Field
 
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
-from biosensor_gateway.devices.shimmer3.driver import commands
-from biosensor_gateway.devices.shimmer3.driver.connection import Prepared, ShimmerDriver
-from biosensor_gateway.devices.shimmer3.driver.conversation import Conversation
-from biosensor_gateway.devices.shimmer3.driver.kind import Kind
+from biosensor_gateway.devices.shimmer.driver import commands
+from biosensor_gateway.devices.shimmer.driver.connection import Prepared, ShimmerDriver
+from biosensor_gateway.devices.shimmer.driver.conversation import Conversation
+from biosensor_gateway.devices.shimmer.driver.kind import Kind
 from biosensor_gateway.devices.shimmer3_gsr.declaration import SPEC
 from biosensor_gateway.devices.shimmer3_gsr.driver.discovery import recognise
 from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import WAVEFORMS, GsrEmitter

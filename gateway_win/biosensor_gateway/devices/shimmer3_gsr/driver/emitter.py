@@ -8,12 +8,12 @@ from math import isfinite
 
 import numpy as np
 
-from biosensor_gateway.devices.shimmer3.driver.adc import Floats, millivolts
-from biosensor_gateway.devices.shimmer3.driver.battery import emit_charge
-from biosensor_gateway.devices.shimmer3.driver.channels import Channel, Layout
-from biosensor_gateway.devices.shimmer3.driver.commands import TICKS_PER_S
-from biosensor_gateway.devices.shimmer3.driver.messages import BatteryReading, Packet
-from biosensor_gateway.devices.shimmer3.driver.packets import Batch, PacketTimes
+from biosensor_gateway.devices.shimmer.driver.adc import Floats, millivolts
+from biosensor_gateway.devices.shimmer.driver.battery import emit_charge
+from biosensor_gateway.devices.shimmer.driver.channels import Channel, Layout
+from biosensor_gateway.devices.shimmer.driver.commands import TICKS_PER_S
+from biosensor_gateway.devices.shimmer.driver.messages import BatteryReading, Packet
+from biosensor_gateway.devices.shimmer.driver.packets import Batch, PacketTimes
 from biosensor_gateway.devices.shimmer3_gsr.driver.gsr import conductance_us, gsr_ranges
 from biosensor_gateway.devices.shimmer3_gsr.driver.pulse import PulseDetector
 from biosensor_gateway.devices.sink import Sink

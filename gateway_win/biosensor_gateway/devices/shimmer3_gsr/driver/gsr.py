@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from biosensor_gateway.devices.shimmer3.driver.adc import ADC_MAX, ADC_VOLTS, Floats, Ints
-from biosensor_gateway.devices.shimmer3.driver.commands import AUTO_RANGE
+from biosensor_gateway.devices.shimmer.driver.adc import ADC_MAX, ADC_VOLTS, Floats, Ints
+from biosensor_gateway.devices.shimmer.driver.commands import AUTO_RANGE
 
 FEEDBACK_KOHM = (40.2, 287.0, 1000.0, 3300.0)
 LARGEST_OPEN_ADC = 683

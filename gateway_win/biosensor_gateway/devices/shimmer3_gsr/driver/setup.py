@@ -6,16 +6,16 @@ from typing import NamedTuple
 
 import structlog
 
-from biosensor_gateway.devices.shimmer3.driver import commands
-from biosensor_gateway.devices.shimmer3.driver.channels import Channel
-from biosensor_gateway.devices.shimmer3.driver.conversation import Conversation
-from biosensor_gateway.devices.shimmer3.driver.flash import (
+from biosensor_gateway.devices.shimmer.driver import commands
+from biosensor_gateway.devices.shimmer.driver.channels import Channel
+from biosensor_gateway.devices.shimmer.driver.conversation import Conversation
+from biosensor_gateway.devices.shimmer.driver.flash import (
     ask_for_the_state,
     expansion_board,
     make_right,
 )
-from biosensor_gateway.devices.shimmer3.driver.kind import SHIMMER3, Kind
-from biosensor_gateway.devices.shimmer3.driver.messages import Inquiry
+from biosensor_gateway.devices.shimmer.driver.kind import SHIMMER3, Kind
+from biosensor_gateway.devices.shimmer.driver.messages import Inquiry
 from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import Measurement
 
 GSR_BOARDS = frozenset({14, 48})

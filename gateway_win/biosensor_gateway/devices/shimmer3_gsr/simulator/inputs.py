@@ -8,7 +8,7 @@ from math import isnan, nan
 
 import numpy as np
 
-from biosensor_gateway.devices.shimmer3.simulator.streaming import Block
+from biosensor_gateway.devices.shimmer.simulator.streaming import Block
 from biosensor_gateway.devices.shimmer3_gsr.simulator.gsr import (
     AUTO_RANGE,
     GsrAmplifier,

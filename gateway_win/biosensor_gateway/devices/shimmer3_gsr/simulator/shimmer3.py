@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from types import MappingProxyType
 
-from biosensor_gateway.devices.shimmer3.simulator.device import SimulatedShimmer
-from biosensor_gateway.devices.shimmer3.simulator.memory import Memory
-from biosensor_gateway.devices.shimmer3.simulator.streaming import Meter
+from biosensor_gateway.devices.shimmer.simulator.device import SimulatedShimmer
+from biosensor_gateway.devices.shimmer.simulator.memory import Memory
+from biosensor_gateway.devices.shimmer.simulator.streaming import Meter
 from biosensor_gateway.devices.shimmer3_gsr.simulator.expected import EXPECTED
 from biosensor_gateway.devices.shimmer3_gsr.simulator.inputs import Conditions, GsrMeter
 from biosensor_gateway.simulation.virtual_device import Filled

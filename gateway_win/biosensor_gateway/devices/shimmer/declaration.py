@@ -1,0 +1,36 @@
+"""Shimmer3 and Shimmer3R units: motion, pressure, ECG and EMG."""
+
+from biosensor_common.quantities import ChannelRole, ContentType, Unit
+from biosensor_common.spec import FROM_DEVICE, SensorSpec
+from biosensor_common.table import battery, channels, hardware, raw
+
+_ELECTRODES = ("RA", "LA", "LL", "V1")
+_QUALITY = (
+    *channels(Unit.BOOLEAN, "electrodes", roles=[ChannelRole.CONTACT]),
+    *channels(Unit.BOOLEAN, *_ELECTRODES),
+)
+
+SPEC = SensorSpec(
+    name="shimmer",
+    title="Shimmer3, Shimmer3R",
+    manufacturer="Shimmer",
+    model="Shimmer3",
+    streams=(
+        raw("ecg", ContentType.ECG, channels(Unit.MICROVOLTS, "LL-RA", "LA-RA", "V1"),
+            FROM_DEVICE, chunk="ecg"),
+        raw("emg", ContentType.EMG, channels(Unit.MICROVOLTS, "EMG1", "EMG2"),
+            FROM_DEVICE, chunk="emg"),
+        hardware("acc_low_noise", ContentType.ACCELEROMETER, channels(Unit.G, *"XYZ"),
+            FROM_DEVICE),
+        hardware("acc_wide_range", ContentType.ACCELEROMETER, channels(Unit.G, *"XYZ"),
+            FROM_DEVICE),
+        hardware("gyro", ContentType.GYROSCOPE,
+            channels(Unit.DEGREES_PER_SECOND, *"XYZ"), FROM_DEVICE),
+        hardware("mag", ContentType.MAGNETOMETER, channels(Unit.LOCAL_FLUX, *"XYZ"), FROM_DEVICE),
+        hardware("pressure", ContentType.PRESSURE, channels(Unit.PASCALS, "pressure"),
+            FROM_DEVICE),
+        hardware("temp", ContentType.TEMPERATURE, channels(Unit.CELSIUS, "case"), FROM_DEVICE),
+        battery(),
+        hardware("quality", ContentType.QUALITY, _QUALITY),
+    ),
+)  # fmt: skip

@@ -1,0 +1,98 @@
+"""The commands to a Shimmer and their opcodes.
+
+Commands have neither framing nor checksum. Only harmless opcodes are here.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+from biosensor_gateway.devices.shimmer.driver.crc import CrcMode
+
+TICKS_PER_S = 32768
+"""Frequency of the crystal that all rates are divided from."""
+GSR_AND_PPG = 0x000104
+"""Sensor mask: skin conductance and internal ADC A13."""
+AUTO_RANGE = 4
+
+
+class Opcode(IntEnum):
+    """First byte of a command."""
+
+    INQUIRY = 0x01
+    SET_SAMPLING_RATE = 0x05
+    START_STREAMING = 0x07
+    SET_SENSORS = 0x08
+    STOP_STREAMING = 0x20
+    SET_GSR_RANGE = 0x21
+    GET_GSR_RANGE = 0x23
+    GET_ALL_CALIBRATION = 0x2C
+    GET_FIRMWARE = 0x2E
+    GET_HARDWARE = 0x3F
+    GET_BMP180_COEFFICIENTS = 0x59
+    SET_EXPANSION_POWER = 0x5E
+    GET_EXPANSION_POWER = 0x60
+    SET_EXG_REGISTERS = 0x61
+    GET_EXG_REGISTERS = 0x63
+    GET_DAUGHTER_CARD = 0x66
+    GET_STATUS = 0x72
+    SET_CRC = 0x8B
+    GET_BATTERY = 0x95
+    TEST_CONNECTION = 0x96
+    GET_BMP280_COEFFICIENTS = 0xA0
+    SET_INSTREAM_ACK_PREFIX = 0xA3
+    GET_PRESSURE_COEFFICIENTS = 0xA7
+
+
+INQUIRY = bytes((Opcode.INQUIRY,))
+START_STREAMING = bytes((Opcode.START_STREAMING,))
+STOP_STREAMING = bytes((Opcode.STOP_STREAMING,))
+GET_GSR_RANGE = bytes((Opcode.GET_GSR_RANGE,))
+GET_ALL_CALIBRATION = bytes((Opcode.GET_ALL_CALIBRATION,))
+GET_BMP180_COEFFICIENTS = bytes((Opcode.GET_BMP180_COEFFICIENTS,))
+GET_BMP280_COEFFICIENTS = bytes((Opcode.GET_BMP280_COEFFICIENTS,))
+GET_PRESSURE_COEFFICIENTS = bytes((Opcode.GET_PRESSURE_COEFFICIENTS,))
+GET_FIRMWARE = bytes((Opcode.GET_FIRMWARE,))
+GET_HARDWARE = bytes((Opcode.GET_HARDWARE,))
+GET_EXPANSION_POWER = bytes((Opcode.GET_EXPANSION_POWER,))
+GET_DAUGHTER_CARD = bytes((Opcode.GET_DAUGHTER_CARD, 3, 0))
+GET_STATUS = bytes((Opcode.GET_STATUS,))
+GET_BATTERY = bytes((Opcode.GET_BATTERY,))
+TEST_CONNECTION = bytes((Opcode.TEST_CONNECTION,))
+NO_ACK_BEFORE_STATUS = bytes((Opcode.SET_INSTREAM_ACK_PREFIX, 0))
+POWER_THE_PROBE = bytes((Opcode.SET_EXPANSION_POWER, 1))
+
+
+def set_sensors(mask: int) -> bytes:
+    """Choose what is measured, by a mask of 24 bits."""
+    return bytes((Opcode.SET_SENSORS,)) + mask.to_bytes(3, "little")
+
+
+def set_sampling_rate(divisor: int) -> bytes:
+    """Measure at 32768 Hz / ``divisor``, 1 to 65535."""
+    return bytes((Opcode.SET_SAMPLING_RATE,)) + divisor.to_bytes(2, "little")
+
+
+def set_gsr_range(setting: int) -> bytes:
+    """Fix the feedback resistor, 0 to 3, or let the device choose (`AUTO_RANGE`)."""
+    return bytes((Opcode.SET_GSR_RANGE, setting))
+
+
+def get_exg_registers(chip: int) -> bytes:
+    """Ask for the ten registers of an ExG chip, 0 or 1."""
+    return bytes((Opcode.GET_EXG_REGISTERS, chip, 0, 10))
+
+
+def set_exg_registers(chip: int, registers: bytes) -> bytes:
+    """Set the ten registers of an ExG chip, 0 or 1."""
+    return bytes((Opcode.SET_EXG_REGISTERS, chip, 0, len(registers))) + registers
+
+
+def set_crc(mode: CrcMode) -> bytes:
+    """Ask for checksums; the answer to this command carries one already."""
+    return bytes((Opcode.SET_CRC, mode))
+
+
+def divisor_for(rate_hz: float) -> int:
+    """Return the divisor whose rate comes nearest to ``rate_hz``."""
+    return round(TICKS_PER_S / rate_hz)

@@ -1,0 +1,183 @@
+"""One connection to a Shimmer, whatever it measures: start it, pass on what it sends."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Iterable, Sequence
+from dataclasses import replace
+from typing import NamedTuple, Protocol
+
+import structlog
+
+from biosensor_common.errors import TransportError, TransportReason
+from biosensor_common.spec import DeviceInfo
+from biosensor_gateway.devices.driver import Connected
+from biosensor_gateway.devices.shimmer.driver import commands
+from biosensor_gateway.devices.shimmer.driver.channels import Layout
+from biosensor_gateway.devices.shimmer.driver.conversation import Conversation
+from biosensor_gateway.devices.shimmer.driver.kind import Kind, identify
+from biosensor_gateway.devices.shimmer.driver.messages import (
+    BatteryReading,
+    Hardware,
+    Packet,
+    Stamped,
+    Status,
+    StatusFlag,
+)
+from biosensor_gateway.devices.sink import Sink
+from biosensor_gateway.transports.byte_links import byte_link
+
+BATTERY_PERIOD_S = 60.0
+"""The firmware itself looks once a minute."""
+PATIENCE_S = 2.0
+
+_log = structlog.get_logger("biosensor_gateway.shimmer")
+
+
+class Emitter(Protocol):
+    """What turns packets into samples, over all connections of a device."""
+
+    def kept_measuring_until(self, lsl_s: float) -> None:
+        """Note that the device measured until then and was not heard; see `PacketTimes`."""
+        ...
+
+    def take(self, packets: Iterable[tuple[Packet, float]]) -> None:
+        """Emit the samples of the packets of one read, each with its LSL time of arrival."""
+        ...
+
+    def battery(self, reading: BatteryReading, arrival_s: float) -> None:
+        """Emit a battery reading."""
+        ...
+
+
+class Prepared(NamedTuple):
+    """A device that is ready to be started.
+
+    Attributes
+    ----------
+    layout, divisor
+        Of its data packets, and ticks between two of them.
+    begin
+        Tells the emitter that packets of a new start follow.
+    connected
+        What is known of its streams.
+    """
+
+    layout: Layout
+    divisor: int
+    begin: Callable[[], None]
+    connected: Connected = Connected()
+
+
+class ShimmerDriver:
+    """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`.
+
+    Parameters
+    ----------
+    port
+        What to open, and what messages call the device.
+    sink
+    emitter
+    prepare
+        Sets an identified device up.
+    """
+
+    # Silent streams are noticed long before.
+    silence_limit_s = 10.0
+
+    def __init__(
+        self,
+        port: str,
+        sink: Sink,
+        emitter: Emitter,
+        prepare: Callable[[Conversation, Kind], Awaitable[Prepared]],
+    ) -> None:
+        self._port = port
+        self._talk = Conversation(port, byte_link(port))
+        self._sink = sink
+        self._emitter = emitter
+        self._prepare = prepare
+        self._dropped_bytes = 0
+        self._prepared: Prepared | None = None
+        self._is_docked: bool | None = None
+        self._kind: Kind | None = None
+
+    async def connect(self) -> Connected:
+        """Open the link, set the device up and start it; see the protocol class."""
+        streamed_until_s = await self._talk.open()
+        if streamed_until_s is not None:
+            self._emitter.kept_measuring_until(streamed_until_s)
+        self._kind = await identify(self._talk, self._port)
+        self._prepared = await self._prepare(self._talk, self._kind)
+        await self._start(self._prepared)
+        info = DeviceInfo(firmware_version=str(self._kind.firmware))
+        return replace(self._prepared.connected, info=info, patience_s=PATIENCE_S)
+
+    async def stream(self) -> None:
+        """Emit what came while connecting, then all that comes."""
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._talk.stream(self._hear))
+            tasks.create_task(self._ask_for_the_battery())
+
+    async def enable_again(self, streams: frozenset[str]) -> None:
+        """Start a device again that answers and sends no data; see the protocol class."""
+        del streams
+        assert self._prepared is not None
+        is_there = await self._is_there()
+        if not self._sink.is_waiting:
+            return  # data came before the answer
+        # As far as one knows it went on measuring.
+        self._emitter.kept_measuring_until(self._sink.clock())
+        if not is_there:
+            message = f"{self._port}: the device has fallen silent; it is started anew"
+            raise TransportError(TransportReason.SILENT, message)
+        await self._start(self._prepared)
+
+    async def close(self) -> None:
+        """Stop the device, without waiting for its answer."""
+        self._count_dropped()
+        await self._talk.close()
+
+    async def _start(self, prepared: Prepared) -> None:
+        prepared.begin()
+        await self._talk.start_streaming(prepared.layout, prepared.divisor)
+
+    def _hear(self, found: Sequence[Stamped]) -> None:
+        self._count_dropped()
+        packets: list[tuple[Packet, float]] = []
+        for message, arrival_s in found:
+            match message:
+                case Packet():
+                    packets.append((message, arrival_s))
+                case BatteryReading():
+                    self._emitter.battery(message, arrival_s)
+                case Status():
+                    self._note(message)
+                case _:
+                    pass
+        if packets:
+            self._sink.heard()
+            self._emitter.take(packets)
+
+    def _count_dropped(self) -> None:
+        dropped = self._talk.dropped_bytes
+        self._sink.dropped_bytes += dropped - self._dropped_bytes
+        self._dropped_bytes = dropped
+
+    def _note(self, status: Status) -> None:
+        is_docked = StatusFlag.DOCKED in status.flags
+        if is_docked != self._is_docked:
+            self._is_docked = is_docked
+            _log.info("docked" if is_docked else "not docked", port=self._port)
+
+    async def _is_there(self) -> bool:
+        assert self._kind is not None
+        if self._kind.has_status:
+            return await self._talk.poll(commands.GET_STATUS, Status) is not None
+        return await self._talk.poll(commands.GET_HARDWARE, Hardware) is not None
+
+    async def _ask_for_the_battery(self) -> None:
+        assert self._kind is not None
+        while self._kind.has_status:
+            await asyncio.sleep(BATTERY_PERIOD_S)
+            await self._talk.poll(commands.GET_BATTERY, BatteryReading)

@@ -1,0 +1,107 @@
+"""Turns what a Shimmer measures into samples of the declared streams."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from biosensor_gateway.devices.shimmer.driver.battery import emit_charge
+from biosensor_gateway.devices.shimmer.driver.channels import Layout
+from biosensor_gateway.devices.shimmer.driver.commands import TICKS_PER_S
+from biosensor_gateway.devices.shimmer.driver.exg import electrodes_on
+from biosensor_gateway.devices.shimmer.driver.messages import BatteryReading, Packet
+from biosensor_gateway.devices.shimmer.driver.packets import Batch, PacketTimes
+from biosensor_gateway.devices.shimmer.driver.signals import Signal
+from biosensor_gateway.devices.sink import Sink
+from biosensor_gateway.system.device_log import DeviceLog
+
+QUALITY_PERIOD_S = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """How a device was set up to measure.
+
+    Attributes
+    ----------
+    layout
+        Order of the channels in a packet.
+    divisor
+        The sampling rate is 32768 Hz divided by it.
+    signals
+        What a packet has samples of.
+    status_at
+        Where the status of both ExG chips is; None if they do not tell of electrodes, so that
+        there is no ``quality``.
+    """
+
+    layout: Layout
+    divisor: int
+    signals: tuple[Signal, ...]
+    status_at: tuple[int, int] | None = None
+
+    @property
+    def rate_hz(self) -> float:
+        """Sampling rate."""
+        return TICKS_PER_S / self.divisor
+
+    @property
+    def streams(self) -> tuple[str, ...]:
+        """Data names of what a packet has samples of."""
+        return tuple(signal.data_name for signal in self.signals)
+
+
+@dataclass(slots=True)
+class _Told:
+    """What was last told of the electrodes, and when on the device's clock."""
+
+    quality: tuple[float, ...] | None = field(default=None)
+    time_s: float = 0.0
+
+
+class ShimmerEmitter:
+    """Turns packets into samples; one instance a device, over all its connections."""
+
+    def __init__(self, sink: Sink) -> None:
+        self._sink = sink
+        log = DeviceLog("biosensor_gateway.shimmer", sink.identity)
+        self._packets = PacketTimes(sink, log, self._emit)
+        self._measurement: Measurement | None = None
+        self._told = _Told()
+
+    def started(self, measurement: Measurement) -> None:
+        """Prepare for packets of a new connection."""
+        self._measurement = measurement
+        self._packets.started(measurement.divisor, measurement.streams)
+        self._told = _Told()
+
+    def kept_measuring_until(self, lsl_s: float) -> None:
+        """Note that the device measured until then and was not heard; see `PacketTimes`."""
+        self._packets.kept_measuring_until(lsl_s)
+
+    def take(self, packets: Iterable[tuple[Packet, float]]) -> None:
+        """Emit the samples of the packets of one read, each with its LSL time of arrival."""
+        self._packets.take(packets)
+
+    def battery(self, reading: BatteryReading, arrival_s: float) -> None:
+        """Emit a battery reading, which has no time of its own."""
+        emit_charge(self._sink, reading, arrival_s)
+
+    def _emit(self, batch: Batch) -> None:
+        assert self._measurement is not None
+        raw = np.array(batch.rows, np.float64)
+        for signal in self._measurement.signals:
+            self._sink.emit(signal.data_name, signal.convert(raw[:, signal.at]), batch.times)
+        if self._measurement.status_at is not None:
+            self._emit_quality(batch, self._measurement.status_at)
+
+    def _emit_quality(self, batch: Batch, status_at: tuple[int, int]) -> None:
+        for row, time_s in zip(batch.rows, batch.times, strict=True):
+            on = electrodes_on(row[status_at[0]], row[status_at[1]])
+            quality = (float(all(on)), *on)
+            is_due = time_s - self._told.time_s >= QUALITY_PERIOD_S
+            if quality != self._told.quality or is_due:
+                self._told = _Told(quality, time_s)
+                self._sink.emit("quality", [quality], [time_s])

@@ -1,0 +1,294 @@
+"""Any virtual Shimmer with LogAndStream firmware, on a serial port; its boards are subclasses."""
+
+from __future__ import annotations
+
+import sys
+from abc import abstractmethod
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import numpy as np
+
+from biosensor_gateway.devices.shimmer.simulator import battery
+from biosensor_gateway.devices.shimmer.simulator.conversation import Conversation
+from biosensor_gateway.devices.shimmer.simulator.interpreter import Interpreter
+from biosensor_gateway.devices.shimmer.simulator.memory import Flash, Memory
+from biosensor_gateway.devices.shimmer.simulator.notes import Notes
+from biosensor_gateway.devices.shimmer.simulator.packets import channels_of
+from biosensor_gateway.devices.shimmer.simulator.streaming import (
+    Meter,
+    Sample,
+    Sampling,
+    Streams,
+    samples,
+)
+from biosensor_gateway.devices.shimmer.simulator.wire import (
+    TICKS_PER_S,
+    Firmware,
+    Opcode,
+    in_unknown_kind,
+)
+from biosensor_gateway.simulation.async_serial import AsyncSerialPort, serial_port
+from biosensor_gateway.simulation.crystal import Crystal
+from biosensor_gateway.simulation.effects import Effect, lasting
+from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.virtual_device import VirtualDevice
+from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.simulation.world import World
+
+_TX_QUEUE_BYTES = 256
+_UNREACHABLE = frozenset({FaultKind.DROP, FaultKind.RESTART})
+
+
+class SimulatedShimmer(VirtualDevice):
+    """A unit without its sensors.
+
+    Its `truth` holds what its packets say, and ``bat`` [percent] of each answer about the
+    battery.
+
+    Parameters
+    ----------
+    world
+        Where it lives.
+    name
+        How the radio calls itself; the unit's own name has its last four characters.
+    firmware
+        Version of LogAndStream: 0.11.0, 0.16.11 or 1.1.2 for instance.
+    wearer, seed
+        Who wears it, by default a person from the seed; the seed also makes the
+        radio's delays and garbage.
+    drift_ppm, jitter_s
+        Of the crystal, and the radio's longest delay.
+    kept
+        Limit of `truth`; None = all.
+    battery_percent
+        Charge at power-on.
+    first_tick
+        Count of ticks at the first power-on; the data packets hold its low 24 bits.
+    tcp
+        A TCP server instead of a pseudo-terminal; by default where there is none.
+    """
+
+    memory: ClassVar[Memory]
+    """From the factory."""
+    usual_name: ClassVar[str] = "Shimmer3-4E5F"
+
+    def __init__(
+        self,
+        world: World,
+        *,
+        name: str | None = None,
+        firmware: tuple[int, int, int] = (1, 1, 2),
+        wearer: Wearer | None = None,
+        seed: int = 0,
+        drift_ppm: float = 0.0,
+        jitter_s: float = 0.0,
+        kept: int | None = None,
+        battery_percent: float = 80.0,
+        first_tick: int = 0,
+        tcp: bool = sys.platform == "win32",
+    ) -> None:
+        super().__init__(world, kept)
+        self.name = name or self.usual_name
+        self.wearer = wearer or Wearer(seed)
+        self.firmware = Firmware(*firmware)
+        self._flash = self._new_flash(f"Shimmer_{self.name[-4:]}")
+        self._interpreter = Interpreter(self.firmware, self._flash, self, self.memory)
+        self._conversation = Conversation(
+            self.firmware, self._interpreter, self._write, self._obeyed
+        )
+        self._rng = np.random.default_rng(seed)
+        self._jitter_s = jitter_s
+        self._battery_percent = battery_percent
+        self._first_tick = first_tick
+        self._tcp = tcp
+        self._crystal = Crystal(world.clock, drift_ppm)
+        self._started_s = self.world.clock()
+        self._port: AsyncSerialPort | None = None
+        self._notes = Notes(self.truth)
+        self._streams = Streams(world.clock, self._send, self._notes.kept_back)
+        self._worn = True
+        self._stalled = self._is_unreadable = False
+
+    @property
+    def port(self) -> str:
+        """What a host opens as a serial port; the same over drops."""
+        if self._port is None:
+            raise RuntimeError("the virtual Shimmer is not switched on")
+        return self._port.name
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """The field ``port``."""
+        return {"port": self.port}
+
+    @property
+    def streaming(self) -> bool:
+        """Whether a host has its stream on."""
+        return self._interpreter.sensing
+
+    @property
+    def started_s(self) -> float:
+        """LSL time at which the wearer's time is 0."""
+        return self._started_s
+
+    def dock(self, *, docked: bool = True) -> None:
+        """Put it into its dock, or take it out; it says so by itself."""
+        self.world.call(lambda: self._conversation.dock(docked=docked))
+
+    def ticks(self) -> int:
+        """Ticks of 1/32768 s since power-on."""
+        return int(self._crystal.now() * TICKS_PER_S) + self._first_tick
+
+    def battery_counts(self) -> int:
+        """Read the battery's voltage, in counts of the converter."""
+        return battery.counts_at(self._battery_percent)
+
+    async def _start(self) -> None:
+        self._crystal = Crystal(self.world.clock, self._crystal.drift_ppm)
+        self._started_s = self.world.clock()
+        self._port = serial_port(
+            self._heard, self._link_lost, buffer_bytes=_TX_QUEUE_BYTES, tcp=self._tcp
+        )
+        self._port.open()
+
+    async def _stop(self) -> None:
+        self._link_lost()
+        if self._port is not None:
+            self._port.dispose()
+
+    def _break_link(self) -> None:
+        self._hang_up()
+        self._reopen()
+
+    def _hang_up(self) -> None:
+        self._link_lost()
+        if self._port is not None:
+            self._port.hang_up()
+
+    def _reopen(self) -> None:
+        if self._port is not None and not _UNREACHABLE & self._lasting.keys():
+            self._port.open()
+
+    def _link_lost(self) -> None:
+        self._conversation.link_lost()
+        self._streams.cut()
+
+    def _heard(self, data: bytes) -> None:
+        if not self._stalled:
+            self._conversation.hear(data)
+
+    def _obeyed(self, opcode: Opcode, answered: bool) -> None:
+        if opcode is Opcode.GET_BATTERY and answered:
+            percent = battery.percent_of(self.battery_counts())
+            self.truth.sent("bat", [self.world.clock()], [[percent]])
+        self._follow_sensing()
+
+    def _follow_sensing(self) -> None:
+        if not self._interpreter.sensing:
+            self._streams.stop()
+        elif not self._streams.running:
+            self._streams.start(samples(self._sampling()))
+
+    @abstractmethod
+    def _meter(self, channels: tuple[int, ...]) -> Meter:
+        """Return the sensors behind these channels, for a stream that starts now."""
+
+    def _new_flash(self, name: str) -> Flash:
+        """Return how the unit is set up at first."""
+        return Flash(name)
+
+    def _sampling(self) -> Sampling:
+        channels = channels_of(self._flash.sensors, self.memory.model)
+        return Sampling(
+            channels,
+            self._flash.divider,
+            self._meter(channels),
+            self._started_s,
+            self._crystal,
+            self._first_tick,
+            self._rng,
+            self._jitter_s,
+            self.memory.model,
+        )
+
+    def _send(self, sample: Sample) -> None:
+        if self._is_unreadable:
+            self._conversation.say(in_unknown_kind(sample.packet))
+            self._notes.kept_back(sample)
+        elif self._conversation.say(sample.packet):
+            self._notes.sent(sample)
+        else:
+            self._notes.kept_back(sample)
+
+    def _write(self, data: bytes) -> bool:
+        return self._port is not None and not self._stalled and self._port.write(data)
+
+    def _stall(self) -> None:
+        self._stalled = True
+
+    def _resume(self) -> None:
+        self._stalled = False
+
+    def _babble(self, count: float) -> None:
+        if self._conversation.spoken_to:
+            self._write(self._rng.bytes(int(count)))
+
+    def _refuse(self) -> None:
+        self._conversation.refusing = True
+        self._break_link()
+
+    def _comply(self) -> None:
+        self._conversation.refusing = False
+
+    def _answer_late(self, seconds: float) -> None:
+        self._conversation.answer_delay_s = seconds
+        self._break_link()
+
+    def _answer_in_time(self) -> None:
+        self._conversation.answer_delay_s = 0.0
+
+    def _forget(self, _: float) -> None:
+        self._interpreter.sensing = False
+        self._follow_sensing()
+
+    def _become_unreadable(self) -> None:
+        self._is_unreadable = True
+
+    def _become_readable(self) -> None:
+        self._is_unreadable = False
+
+    def _power_cycle(self) -> None:
+        self._crystal = Crystal(self.world.clock, self._crystal.drift_ppm)
+        self._first_tick = 0
+        self._interpreter.power_on()
+        self._reopen()
+
+    def _discharge(self, percent: float) -> None:
+        self._battery_percent = percent
+
+    def _take_off(self) -> None:
+        self._worn = False
+
+    def _put_on(self) -> None:
+        self._worn = True
+
+    def _drift(self, ppm: float) -> None:
+        self._crystal.set_drift(ppm)
+
+    effects = MappingProxyType(
+        {
+            FaultKind.DROP: lasting(_hang_up, _reopen),
+            FaultKind.RESTART: lasting(_hang_up, _power_cycle),
+            FaultKind.STALL: lasting(_stall, _resume),
+            FaultKind.GARBAGE: Effect(_babble),
+            FaultKind.REFUSE: lasting(_refuse, _comply),
+            FaultKind.LATE: Effect(_answer_late, _answer_in_time),
+            FaultKind.FORGET: Effect(_forget),
+            FaultKind.UNREADABLE: lasting(_become_unreadable, _become_readable),
+            FaultKind.LOW_BATTERY: Effect(_discharge),
+            FaultKind.OFF_BODY: lasting(_take_off, _put_on),
+            FaultKind.DRIFT: Effect(_drift),
+        }
+    )

@@ -1,0 +1,224 @@
+"""A virtual Shimmer while it streams: samples on the crystal's beat, sent in order."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from math import inf
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from biosensor_gateway.devices.shimmer.simulator.packets import SHIMMER3, Model, data_packet
+from biosensor_gateway.devices.shimmer.simulator.wire import TICKS_PER_S
+from biosensor_gateway.simulation.crystal import Crystal
+from biosensor_gateway.simulation.wearer import Floats
+from biosensor_gateway.system.clock import Clock
+
+_SETTLING_TICKS = round(0.065 * TICKS_PER_S)
+"""What is sampled before is not sent."""
+_BLOCK_S = 0.1
+
+
+class Block(NamedTuple):
+    """What is measured in one go.
+
+    Attributes
+    ----------
+    rows
+        For each sample a count for each channel, in packet order.
+    values
+        By data name what they stand for, in the units of the declaration: for each sample
+        a value for each channel of the stream.
+    """
+
+    rows: Sequence[tuple[int, ...]]
+    values: Mapping[str, Sequence[tuple[float, ...]]]
+
+
+class Meter(Protocol):
+    """The sensors of one stream; they remember what they must, such as a range."""
+
+    def measure(self, t: Floats) -> Block:
+        """Return what is measured at these times of the wearer [s]."""
+        ...
+
+
+class Sample(NamedTuple):
+    """One sample of all channels.
+
+    Attributes
+    ----------
+    measured_s, leaves_s
+        When it was measured and when it leaves the radio, on the LSL clock.
+    packet
+        Its data packet without check.
+    values
+        By data name what the packet says, in the units of the declaration.
+    """
+
+    measured_s: float
+    leaves_s: float
+    packet: bytes
+    values: Mapping[str, tuple[float, ...]]
+
+
+class Sampling(NamedTuple):
+    """What a stream is made of.
+
+    Attributes
+    ----------
+    channels
+        Ids in packet order.
+    divider
+        Ticks between two samples.
+    meter
+        Asked once a block, ten times a second.
+    wearer_born_s
+        LSL time at which the wearer's time is 0.
+    crystal, first_tick
+        And the count of ticks at its power-on.
+    rng, jitter_s
+        Of the radio's delay, uniform from 0 on.
+    model
+    """
+
+    channels: tuple[int, ...]
+    divider: int
+    meter: Meter
+    wearer_born_s: float
+    crystal: Crystal
+    first_tick: int
+    rng: np.random.Generator
+    jitter_s: float
+    model: Model = SHIMMER3
+
+
+def samples(sampling: Sampling) -> Iterator[Sample]:
+    """Return the samples of a stream that starts now, without end."""
+    start = int(sampling.crystal.now() * TICKS_PER_S)
+    size = max(1, round(_BLOCK_S * TICKS_PER_S / sampling.divider))
+    leaves_s = -inf
+    for first in _multiples(size):
+        ticks = start + sampling.divider * np.arange(first + 1, first + size + 1)
+        measured = [sampling.crystal.true_time(tick / TICKS_PER_S) for tick in ticks.tolist()]
+        block = sampling.meter.measure(np.array(measured, np.float64) - sampling.wearer_born_s)
+        delays = sampling.rng.uniform(0, sampling.jitter_s, size).tolist()
+        for at, tick in enumerate(ticks.tolist()):
+            leaves_s = max(leaves_s, measured[at] + delays[at])
+            if tick - start >= _SETTLING_TICKS:
+                yield Sample(
+                    measured[at],
+                    leaves_s,
+                    _packet(sampling, tick, block.rows[at]),
+                    {name: values[at] for name, values in block.values.items()},
+                )
+
+
+def _multiples(step: int) -> Iterator[int]:
+    count = 0
+    while True:
+        yield count
+        count += step
+
+
+def _packet(sampling: Sampling, tick: int, row: tuple[int, ...]) -> bytes:
+    return data_packet(tick + sampling.first_tick, sampling.channels, row, sampling.model)
+
+
+class Streamer:
+    """Sends samples when they are due; as long as the device streams, one task.
+
+    Parameters
+    ----------
+    source
+        Samples in order, without end.
+    clock
+        The true time.
+    send, keep_back
+        Take a sample that leaves, and one that was measured and never will.
+    """
+
+    def __init__(
+        self,
+        source: Iterator[Sample],
+        clock: Clock,
+        send: Callable[[Sample], None],
+        keep_back: Callable[[Sample], None],
+    ) -> None:
+        self._source = source
+        self._clock = clock
+        self._send = send
+        self._keep_back = keep_back
+        self._next = next(source)
+        self._stopped_s = inf
+        self._task = asyncio.get_running_loop().create_task(self._run())
+
+    @property
+    def done(self) -> bool:
+        """Whether it was stopped and everything has left."""
+        return self._task.done()
+
+    def stop(self) -> None:
+        """Measure no more; what is on its way still arrives."""
+        self._stopped_s = min(self._stopped_s, self._clock())
+
+    def cut(self) -> None:
+        """End at once; what is on its way is kept back."""
+        self._task.cancel()
+        stopped_s = min(self._stopped_s, self._clock())
+        while not self._task.done() and self._next.measured_s <= stopped_s:
+            self._keep_back(self._next)
+            self._next = next(self._source)
+
+    async def _run(self) -> None:
+        while self._next.measured_s <= self._stopped_s:
+            await asyncio.sleep(max(0.0, self._next.leaves_s - self._clock()))
+            # It may have been stopped in the meantime.
+            if self._next.measured_s <= self._stopped_s:
+                sample, self._next = self._next, next(self._source)
+                self._send(sample)
+
+
+class Streams:
+    """The stream that a device measures, and those before it of which samples still leave.
+
+    Parameters
+    ----------
+    clock, send, keep_back
+        As for `Streamer`.
+    """
+
+    def __init__(
+        self, clock: Clock, send: Callable[[Sample], None], keep_back: Callable[[Sample], None]
+    ) -> None:
+        self._clock = clock
+        self._send = send
+        self._keep_back = keep_back
+        self._streamers: list[Streamer] = []
+        self._running = False
+
+    @property
+    def running(self) -> bool:
+        """Whether it was started, and neither stopped nor cut since."""
+        return self._running
+
+    def start(self, source: Iterator[Sample]) -> None:
+        """Send the samples of a new stream."""
+        self.stop()
+        self._streamers = [streamer for streamer in self._streamers if not streamer.done]
+        self._streamers.append(Streamer(source, self._clock, self._send, self._keep_back))
+        self._running = True
+
+    def stop(self) -> None:
+        """Measure no more; what is on its way still leaves."""
+        for streamer in self._streamers:
+            streamer.stop()
+        self._running = False
+
+    def cut(self) -> None:
+        """End at once; what is on its way is kept back."""
+        for streamer in self._streamers:
+            streamer.cut()
+        self._streamers.clear()
+        self._running = False

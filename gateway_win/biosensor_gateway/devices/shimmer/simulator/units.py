@@ -1,0 +1,200 @@
+"""Virtual Shimmers with several expansion boards.
+
+::
+
+    with World() as world, SimulatedExgUnit(world) as device:
+        serial.serial_for_url(device.port, 115200)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import MappingProxyType
+from typing import ClassVar
+
+from biosensor_gateway.devices.shimmer.simulator import exg
+from biosensor_gateway.devices.shimmer.simulator.air import AirSensor, Bmp180, Bmp280, Bmp581
+from biosensor_gateway.devices.shimmer.simulator.device import SimulatedShimmer
+from biosensor_gateway.devices.shimmer.simulator.expected import EXPECTED, WITHOUT_ELECTRODES
+from biosensor_gateway.devices.shimmer.simulator.memory import Flash, Memory
+from biosensor_gateway.devices.shimmer.simulator.meter import UnitMeter
+from biosensor_gateway.devices.shimmer.simulator.motion import (
+    GRAVITY_MS2,
+    GYRO,
+    LN_ACCEL,
+    MAG,
+    WR_ACCEL,
+    MotionSensor,
+    memory_of,
+)
+from biosensor_gateway.devices.shimmer.simulator.packets import OLDER_SHIMMER3, SHIMMER3R
+from biosensor_gateway.simulation.effects import Effects
+from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.virtual_device import Filled
+
+MOTION_AND_AIR = 0x000080 | 0x001000 | 0x000040 | 0x000020 | 0x040000
+_ONE_USE = Filled(None, "its ExG chips measure an ECG")
+_EMG_INSTEAD = Filled(None, "its ExG chips measure an EMG")
+_NO_EXG = Filled(None, "it has no ExG board")
+_DIVIDER = 256
+_WAVEFORMS = (
+    *("ecg", "emg", "acc_low_noise", "acc_wide_range", "gyro", "mag", "pressure", "temp"),
+)
+_EFFECTS_WITHOUT_ELECTRODES: Effects[SimulatedShimmer] = MappingProxyType(
+    {
+        kind: effect
+        for kind, effect in SimulatedShimmer.effects.items()
+        if kind is not FaultKind.OFF_BODY
+    }
+)
+
+_LN = MotionSensor(
+    *("acc_low_noise", LN_ACCEL, (2066.0, 2041.0, 2051.0), (84.0, 83.0, 82.0)),
+    ((0.01, -1, 0), (-0.99, 0.02, 0), (0, 0.01, -1)),
+    GRAVITY_MS2,
+    (0, 4095),
+)
+_GYRO = MotionSensor(
+    *("gyro", GYRO, (12.0, -31.0, 5.0), (65.5, 65.12, 65.98)),
+    ((0, -1, 0.01), (-1, 0, 0), (0.01, 0, -0.99)),
+    word_scale=100,
+)
+_NEWER_MAG = MotionSensor(
+    *("mag", MAG, (-40.0, 133.0, 77.0), (331.0, 340.0, 327.0)),
+    ((0, -1, 0), (1, 0.02, 0), (0, 0, -1)),
+)
+_NEWER_WR = MotionSensor(
+    *("acc_wide_range", WR_ACCEL, (20.0, -11.0, 64.0), (1669.0, 1674.0, 1680.0)),
+    ((0, -1, 0), (1, 0, 0.01), (0, 0, -1)),
+    GRAVITY_MS2,
+)
+_OLDER_MAG = MotionSensor(
+    *("mag", MAG, (9.0, -70.0, 31.0), (561.0, 570.0, 498.0)),
+    ((-1, 0, 0), (0, 1, 0), (0.02, 0, -1)),
+)
+# It was never calibrated: what its chip's maker says of 2 g.
+_OLDER_WR = MotionSensor(
+    *("acc_wide_range", WR_ACCEL, (0.0, 0.0, 0.0), (1631.0, 1631.0, 1631.0)),
+    ((-1, 0, 0), (0, 1, 0), (0, 0, -1)),
+    GRAVITY_MS2,
+)
+
+
+class _Unit(SimulatedShimmer):
+    """What those with `UnitMeter` share.
+
+    Attributes
+    ----------
+    motion, air
+        Sensors on the main board.
+    registers
+        Of the ExG chips at first.
+    sensors
+        Mask of what is on at first.
+    """
+
+    sensor = "shimmer"
+    rates_hz = MappingProxyType(dict.fromkeys(_WAVEFORMS, 32768 / _DIVIDER))
+    motion: ClassVar[Sequence[MotionSensor]]
+    air: ClassVar[AirSensor]
+    registers: ClassVar[Sequence[bytes]] = (bytes(10), bytes(10))
+    sensors: ClassVar[int]
+    setup: ClassVar[bytes] = bytes.fromhex("019b0900")
+
+    def _new_flash(self, name: str) -> Flash:
+        exg_registers = [bytearray(each) for each in self.registers]
+        return Flash(name, self.sensors, _DIVIDER, bytearray(self.setup), exg_registers)
+
+    def _meter(self, channels: tuple[int, ...]) -> UnitMeter:
+        chips = exg.ExgChips([bytes(each) for each in self._flash.exg])
+        return UnitMeter(channels, self.motion, self.air, chips, self.wearer, lambda: self._worn)
+
+
+class SimulatedExgUnit(_Unit):
+    """An ExG unit with all its sensors on; its electrodes are placed for an ECG.
+
+    Its `truth` holds all streams but ``emg``, in declared units, and ``quality`` at each change.
+    """
+
+    expected = EXPECTED
+    filled = MappingProxyType({"emg": _ONE_USE})
+    motion = (_LN, _GYRO, _NEWER_MAG, _NEWER_WR)
+    air = Bmp280()
+    memory = Memory(
+        card=(47, 3, 0),
+        calibration=memory_of(*motion),
+        pressure_coefficients=air.coefficients,
+    )
+    registers = exg.ECG_WITH_LEAD_OFF
+    sensors = MOTION_AND_AIR | sum(exg.MASKS_24)
+
+
+class SimulatedEmgUnit(SimulatedExgUnit):
+    """An ExG unit whose electrodes are placed for an EMG, which one chip sends with 16 bits."""
+
+    effects = _EFFECTS_WITHOUT_ELECTRODES
+    expected = WITHOUT_ELECTRODES
+    filled = MappingProxyType({"ecg": _EMG_INSTEAD, "quality": _EMG_INSTEAD})
+    usual_name = "Shimmer3-3D2C"
+    registers = exg.EMG
+    sensors = MOTION_AND_AIR | exg.MASKS_16[0]
+
+
+class SimulatedImuUnit(_Unit):
+    """An IMU unit of the older series; its wide-range accelerometer was never calibrated."""
+
+    effects = _EFFECTS_WITHOUT_ELECTRODES
+    expected = WITHOUT_ELECTRODES
+    filled = MappingProxyType(dict.fromkeys(("ecg", "emg", "quality"), _NO_EXG))
+    usual_name = "Shimmer3-6A1F"
+    motion = (_LN, _GYRO, _OLDER_MAG, _OLDER_WR)
+    air = Bmp180()
+    memory = Memory(
+        model=OLDER_SHIMMER3,
+        card=(31, 2, 0),
+        calibration=memory_of(_LN, _GYRO, _OLDER_MAG, None),
+        pressure_chip=0,
+        pressure_coefficients=air.coefficients,
+    )
+    sensors = MOTION_AND_AIR
+    # 2 g, 500 deg/s, 1.3 gauss.
+    setup = bytes.fromhex("519b3900")
+
+
+_LN_OF_3R = MotionSensor(
+    *("acc_low_noise", LN_ACCEL, (14.0, -8.0, 21.0), (1670.0, 1668.0, 1675.0)),
+    ((-1, 0.01, 0), (0, 1, 0), (0, 0, -0.99)),
+    GRAVITY_MS2,
+)
+_GYRO_OF_3R = MotionSensor(
+    *("gyro", GYRO, (3.0, 9.0, -14.0), (57.14, 57.3, 56.9)),
+    ((-1, 0, 0), (0, 1, 0.01), (0, 0, -1)),
+    word_scale=100,
+)
+_WR_OF_3R = MotionSensor(
+    *("acc_wide_range", WR_ACCEL, (-30.0, 12.0, 4.0), (1671.0, 1690.0, 1660.0)),
+    ((0, -1, 0), (-1, 0, 0), (0.01, 0, -1)),
+    GRAVITY_MS2,
+)
+_MAG_OF_3R = MotionSensor(
+    *("mag", MAG, (55.0, -20.0, 8.0), (335.0, 331.0, 342.0)),
+    ((-1, 0, 0), (0, -1, 0), (0, 0.01, -1)),
+)
+
+
+class SimulatedShimmer3R(SimulatedExgUnit):
+    """A Shimmer3R with an ExG board, all its sensors on, for an ECG."""
+
+    usual_name = "Shimmer3R-71B4-BT"
+    motion = (_LN_OF_3R, _GYRO_OF_3R, _MAG_OF_3R, _WR_OF_3R)
+    air = Bmp581()
+    memory = Memory(
+        model=SHIMMER3R,
+        card=(47, 5, 0),
+        # High-g accelerometer and second magnetometer are on no board of this unit.
+        calibration=memory_of(*motion, None, None),
+        pressure_chip=3,
+        pressure_coefficients=air.coefficients,
+    )
+    # 2 g, 500 deg/s.
+    setup = bytes.fromhex("51040200000000")
