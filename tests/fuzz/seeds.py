@@ -60,6 +60,26 @@ def _shimmer3() -> Seeds:
             yield f"{name}_{setup}", bytes((setup,)) + data
     for mode in range(3):
         yield f"packets_{mode}", bytes((mode + 36,)) + _shimmer_packets()
+    yield from _shimmer_family()
+
+
+def _shimmer_family() -> Iterator[tuple[str, bytes]]:
+    """What a device's memory tells, and packets of all its sensors."""
+    for vector in vectors("shimmer/vectors/shimmer.json"):
+        data, name = bytes.fromhex(vector["hex"]), vector["name"]
+        if vector["kind"] == "block":
+            yield f"memory_{name}", bytes((33,)) + b"\xff\x2d" + 6 * data
+        elif vector["kind"] == "registers":
+            yield f"registers_{name}", bytes((27,)) + b"\xff\x62\x0a" + data
+        elif vector["kind"] == "air":
+            said = bytes((0xFF, 0xA6, 1 + len(data), vector["chip"]))
+            yield f"air_{name}", bytes((27,)) + said + data
+    for streams, size in enumerate((43, 24, 38)):
+        packets = (
+            b"\0" + (256 * at).to_bytes(3, "little") + bytes(range(at, at + size))
+            for at in range(12)
+        )
+        yield f"all_sensors_{streams}", bytes((108 + 9 * streams,)) + b"".join(packets)
 
 
 def _shimmer_packets() -> bytes:

@@ -8,28 +8,57 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from biosensor_gateway.devices.shimmer.driver.battery import charge_percent
+from biosensor_gateway.devices.shimmer.driver.calibration import Block, stored
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
 from biosensor_gateway.devices.shimmer.driver.crc import CrcMode, checksum
+from biosensor_gateway.devices.shimmer.driver.emitter import Measurement, ShimmerEmitter
+from biosensor_gateway.devices.shimmer.driver.exg import GAINS, Exg, Use, registers_for
+from biosensor_gateway.devices.shimmer.driver.kind import Kind
+from biosensor_gateway.devices.shimmer.driver.memory import typical_calibrations
 from biosensor_gateway.devices.shimmer.driver.messages import (
     BatteryReading,
+    Calibration,
+    ExgRegisters,
+    Firmware,
     Inquiry,
     Message,
     Packet,
+    PressureChip,
+    PressureCoefficients,
 )
+from biosensor_gateway.devices.shimmer.driver.pressure import compensation
 from biosensor_gateway.devices.shimmer.driver.protocol import TICK_MODULUS, ShimmerProtocol
 from biosensor_gateway.devices.shimmer.driver.replies import ReplyForm
-from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import GsrEmitter, Measurement
+from biosensor_gateway.devices.shimmer.driver.signals import (
+    air_signals,
+    exg_signal,
+    motion_signals,
+    status_places,
+)
+from biosensor_gateway.devices.shimmer3_gsr.driver import emitter as gsr
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink
 from tests.fuzz.contract import ensure
 from tests.fuzz.streams import same_in_any_split
 
-_CHANNELS = ((0x12, 0x1C), (0x03, 0x12, 0x1C), (0x1B, 0x0A, 0x1C, 0x12))
+_OF_GSR = ((0x12, 0x1C), (0x03, 0x12, 0x1C), (0x1B, 0x0A, 0x1C, 0x12))
+_AIR, _EXG_24, _EXG_16 = (0x1A, 0x1B), (*range(0x1D, 0x23),), (0x1D, 0x23, 0x24)
+_OF_FAMILY = (
+    (0, 1, 2, 10, 11, 12, 4, 5, 6, 7, 8, 9, *_AIR, *_EXG_24),
+    (0, 1, 2, 3, 7, 9, 8, *_AIR, *_EXG_16),
+    (7, 8, 9, 10, 11, 12, 0, 1, 2, *_AIR[::-1], *_EXG_24),
+)
 _DIVISORS = (256, 512, 64)
-_FORMS = (ReplyForm(), ReplyForm(setup_bytes=7), ReplyForm(setup_bytes=7, status_bytes=2))
+_FORMS = (
+    ReplyForm(),
+    ReplyForm(setup_bytes=7),
+    ReplyForm(setup_bytes=7, status_bytes=2, calibration_blocks=6),
+)
 _MODES = tuple(CrcMode)
-# An inquiry with all 48 channels, its acknowledgement and checksum, and one byte more.
-_LARGEST = 1 + 12 + 48 + 2 + 1
+# An inquiry with all 48 channels or six calibrations, acknowledgement, checksum, one byte more.
+_LARGEST = 1 + max(12 + 48, 1 + 6 * 21) + 2 + 1
 
 
 def check(data: bytes) -> None:
@@ -37,7 +66,9 @@ def check(data: bytes) -> None:
     setup = data[0] if data else 0
     mode, form = _MODES[setup % 3], _FORMS[setup // 3 % 3]
     streams = setup // 9 % 4
-    layout = Layout(_CHANNELS[streams]) if streams < len(_CHANNELS) else None
+    is_of_family = setup // 108 % 2 == 1
+    chosen = (_OF_FAMILY if is_of_family else _OF_GSR)[streams : streams + 1]
+    layout = next((Layout(each, is_3r=is_of_family and streams == 2) for each in chosen), None)
     divisor = _DIVISORS[setup // 36 % 3]
 
     def read(pieces: Sequence[bytes]) -> tuple[list[Message], int]:
@@ -52,7 +83,9 @@ def check(data: bytes) -> None:
     for each in dict.fromkeys((stream, _with_right_checksums(stream, size, mode))):
         messages, _ = same_in_any_split(each, read)
         _are_sane(messages, layout)
-        if layout is not None:
+        if layout is not None and is_of_family:
+            _emit_all(messages, layout, divisor)
+        elif layout is not None:
             _emit(messages, layout, divisor)
 
 
@@ -78,6 +111,19 @@ def _are_sane(messages: Sequence[Message], layout: Layout | None) -> None:
         elif isinstance(message, Inquiry):
             ensure(0 <= message.gsr_range < 8, "no such range", message)
             ensure(message.expansion_power in (True, False), "neither on nor off", message)
+        elif isinstance(message, Calibration):
+            for block in Block:
+                found = stored(message.data, block)
+                ensure(
+                    found is None or bool(np.isfinite(found.matrix).all()),
+                    "no calibration",
+                    message,
+                )
+        elif isinstance(message, PressureCoefficients):
+            compensation(message, 3)
+        elif isinstance(message, ExgRegisters):
+            registers = message.data.ljust(10, b"\0")
+            ensure(Exg((registers, registers)).gain(0, 1) in GAINS, "no such gain", message)
         elif isinstance(message, BatteryReading):
             level = charge_percent(message)
             ensure(level is None or 0 <= level <= 100, "no such level", message, level)
@@ -85,11 +131,25 @@ def _are_sane(messages: Sequence[Message], layout: Layout | None) -> None:
 
 def _emit(messages: Sequence[Message], layout: Layout, divisor: int) -> None:
     for setting in (4, 0):
-        emitter = GsrEmitter(CheckedSink("shimmer3_gsr"))
-        emitter.started(Measurement(layout, divisor, setting))
+        emitter = gsr.GsrEmitter(CheckedSink("shimmer3_gsr"))
+        emitter.started(gsr.Measurement(layout, divisor, setting))
         packets = [message for message in messages if isinstance(message, Packet)]
         period_s = divisor / 32768
         emitter.take((each, ARRIVAL_S + at * period_s) for at, each in enumerate(packets))
+
+
+def _emit_all(messages: Sequence[Message], layout: Layout, divisor: int) -> None:
+    kind = Kind(3, Firmware(3, (1, 1, 2)))
+    calibrations = typical_calibrations(kind, layout, Inquiry(divisor, bytes(4), ()), None)
+    air = compensation(PressureCoefficients(PressureChip.BMP581, b""), 0)
+    ensure(air is not None, "no compensation")
+    assert air is not None
+    exg = exg_signal(layout, Exg(registers_for(Use.ECG, 4, 128.0, lead_off=True)))
+    signals = (exg, *motion_signals(layout, calibrations), *air_signals(layout, air))
+    emitter = ShimmerEmitter(CheckedSink("shimmer"))
+    emitter.started(Measurement(layout, divisor, signals, status_places(layout)))
+    packets = [message for message in messages if isinstance(message, Packet)]
+    emitter.take((each, ARRIVAL_S + at * divisor / 32768) for at, each in enumerate(packets))
 
 
 def _with_right_checksums(data: bytes, packet_size: int | None, mode: CrcMode) -> bytes:

@@ -96,9 +96,19 @@ async def motion_calibrations(
     without = [name for name, each in found.items() if each is None]
     if without:
         _log.warning("typical values calibrate what was never calibrated", streams=without)
-    typical = _chips(kind, layout, air)
-    ranges = _ranges(kind, present)
-    return [(name, each or typical[name].at(ranges[name])) for name, each in found.items()]
+    typical = typical_calibrations(kind, layout, present, air)
+    return [(name, found[name] or each) for name, each in typical]
+
+
+def typical_calibrations(
+    kind: Kind, layout: Layout, present: Inquiry, air: PressureCoefficients | None
+) -> list[tuple[str, Kinematic]]:
+    """Return what the makers say of the chips of which packets have values, in their ranges.
+
+    Parameters are those of `motion_calibrations`.
+    """
+    chips, ranges = _chips(kind, layout, air), _ranges(kind, present)
+    return [(name, chips[name].at(ranges[name])) for name in motion_on(layout)]
 
 
 async def _memory(talk: Conversation) -> bytes:
