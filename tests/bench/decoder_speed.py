@@ -39,6 +39,12 @@ _CLASSES: dict[str, tuple[str, str, frozenset[str], frozenset[str]]] = {
         frozenset({"subscribed", "decode"}),
         frozenset(),
     ),
+    "shimmer": (
+        "shimmer.driver.protocol",
+        "ShimmerProtocol",
+        frozenset({"feed", "settle", "give_up", "expect_data"}),
+        frozenset({"crc", "form"}),
+    ),
     "shimmer3_gsr": (
         "shimmer.driver.protocol",
         "ShimmerProtocol",

@@ -14,6 +14,7 @@ from structlog.testing import capture_logs
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.devices.shimmer.driver import stopping
+from biosensor_gateway.devices.shimmer.driver.settings import Shimmer3Settings
 from biosensor_gateway.devices.shimmer.simulator import (
     SimulatedEmgUnit,
     SimulatedExgUnit,
@@ -21,6 +22,7 @@ from biosensor_gateway.devices.shimmer.simulator import (
     SimulatedShimmer3R,
 )
 from biosensor_gateway.devices.shimmer.simulator.device import SimulatedShimmer
+from biosensor_gateway.doctor.device_test import run_device_test
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
 from tests.rigs.driver_run import Run, connected, supervised
@@ -140,6 +142,16 @@ async def test_an_exg_that_is_wanted_of_another_board_is_said(world: World) -> N
     with SimulatedImuUnit(world) as device, capture_logs() as logs:
         await streams_of(device, sensors="ecg")
     assert "the expansion board is no ExG board" in {each["event"] for each in logs}
+
+
+async def test_a_test_of_the_device_misses_nothing_that_is_off(world: World) -> None:
+    with SimulatedEmgUnit(world) as device:
+        fields = {"sensor": "shimmer", "unit": "3D2C", "sensors": "emg,gyro", **device.settings}
+        outcome = await run_device_test(Shimmer3Settings.model_validate(fields), 1.0)
+    assert outcome.problems == []
+    assert {name for name, each in outcome.streams.items() if each.samples} == {
+        *("emg", "gyro", "bat"),
+    }
 
 
 async def test_a_device_without_a_sensor_that_is_on_is_refused_with_an_advice(
