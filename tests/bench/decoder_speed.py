@@ -29,6 +29,7 @@ _FUNCTIONS: dict[str, Sequence[tuple[str, str]]] = {
         ("polar_h10.driver.emitter", "parse_frame"),
         ("ble_heart_rate.driver.emitter", "parse_measurement"),
     ],
+    "polar_verity_sense": [("polar_h10.driver.emitter", "parse_frame")],
     "ble_heart_rate": [("ble_heart_rate.driver.emitter", "parse_measurement")],
 }
 _CLASSES: dict[str, tuple[str, str, frozenset[str], frozenset[str]]] = {

@@ -35,11 +35,20 @@ def test_a_strap_without_a_name_is_called_by_its_address() -> None:
     assert found.name == ADDRESS
 
 
-@pytest.mark.parametrize("model", ["H10", "Sense", "Verity Sense", "OH1"])
-def test_what_has_a_driver_of_its_own_is_left_to_it(model: str) -> None:
+@pytest.mark.parametrize(
+    ("model", "sensor"),
+    [
+        ("H10", "polar_h10"),
+        ("Sense", "polar_verity_sense"),
+        ("Verity Sense", "polar_verity_sense"),
+        ("OH1", "polar_verity_sense"),
+        ("360", "polar_verity_sense"),
+    ],
+)
+def test_what_has_a_driver_of_its_own_is_left_to_it(model: str, sensor: str) -> None:
     found = recognised(drivers_by_precedence(), seen(f"Polar {model} A1B2C3D4"))
     assert found is not None
-    assert found.sensor == "polar_h10"
+    assert found.sensor == sensor
     # It may be chosen all the same.
     assert identify(seen(f"Polar {model} A1B2C3D4")) == ADDRESS
 

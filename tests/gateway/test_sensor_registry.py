@@ -23,6 +23,7 @@ BUILT_IN = (
     "emotiv_insight",
     "empatica_e4",
     "polar_h10",
+    "polar_verity_sense",
     "shimmer3_gsr",
     "vernier_respiration_belt",
     "zephyr",

@@ -20,7 +20,7 @@ from biosensor_common.errors import (
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.devices.polar_h10.driver import control as control_module
 from biosensor_gateway.devices.polar_h10.driver.control import ControlPoint
-from biosensor_gateway.devices.polar_h10.driver.driver import PolarH10Driver
+from biosensor_gateway.devices.polar_h10.driver.driver import PolarDriver
 from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
 from biosensor_gateway.devices.polar_h10.driver.measurements import Wanted
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
@@ -31,7 +31,7 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     parse_settings,
 )
 from biosensor_gateway.devices.polar_h10.driver.protocol.frames import DATA
-from biosensor_gateway.devices.polar_h10.driver.session import PolarSession
+from biosensor_gateway.devices.polar_h10.driver.session import Plan, PolarSession
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.clock import LSL_CLOCK
@@ -118,7 +118,7 @@ async def control_of(
     await control.dialogue.close()
 
 
-def driver_of(*links: ScriptedLink) -> PolarH10Driver:
+def driver_of(*links: ScriptedLink) -> PolarDriver:
     emitter = PolarEmitter(
         DeviceSink(DeviceIdentity("polar_h10", "scripted"), declaration("polar_h10"))
     )
@@ -126,9 +126,9 @@ def driver_of(*links: ScriptedLink) -> PolarH10Driver:
     rest = iter(links)
 
     def meet() -> PolarSession:
-        return PolarSession(cast("BleLink", next(rest)), emitter, wanted)
+        return PolarSession(cast("BleLink", next(rest)), emitter, Plan(lambda _: wanted))
 
-    return PolarH10Driver(meet, emitter, frozenset({"acc"}))
+    return PolarDriver(meet, emitter, frozenset({"acc"}))
 
 
 async def test_a_reply_may_come_in_several_packets() -> None:

@@ -15,7 +15,6 @@ from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.polar_h10.declaration import SPEC
 from biosensor_gateway.devices.polar_h10.driver import session as session_module
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
-from biosensor_gateway.devices.polar_h10.simulator.products import VERITY_SENSE
 from biosensor_gateway.devices.polar_h10.simulator.quirks import Firmware, Quirks
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from tests.rigs.driver_run import connected, streaming
@@ -131,19 +130,6 @@ async def test_compressed_acceleration_is_the_same(sensor: MakeSensor) -> None:
         await until(run.sink.has(100, "acc"))
         assert run.sink.lost_count("acc") == 0
     assert_only_gaps(h10, run.sink)
-
-
-async def test_a_verity_sense_delivers_what_it_has(sensor: MakeSensor) -> None:
-    verity = sensor(product=VERITY_SENSE)
-    async with streaming(verity) as run:
-        await until(run.sink.has(100, "acc"))
-        await until(run.sink.has(2, "hr", "ibi", "quality"))
-        assert run.supervisor.connections == 1
-    assert_once_and_in_order(run.sink.rows["acc"], verity.truth.samples("acc").values)
-    assert_once_and_in_order(run.sink.rows["ibi"], verity.truth.samples("ppi").values)
-    assert run.sink.rows["ecg"] == []
-    async with connected(verity) as info:
-        assert info.rates == {"acc": 52}
 
 
 def test_limits() -> None:

@@ -12,7 +12,7 @@ from structlog.testing import capture_logs
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.polar_h10.driver import driver as driver_module
 from biosensor_gateway.devices.polar_h10.driver import session as session_module
-from biosensor_gateway.devices.polar_h10.driver.driver import PolarH10Driver
+from biosensor_gateway.devices.polar_h10.driver.driver import PolarDriver
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
 from biosensor_gateway.devices.polar_h10.simulator.quirks import Quirks
@@ -88,7 +88,7 @@ async def test_a_measurement_that_stops_is_started_again(
 async def test_a_silent_device_is_connected_anew(
     sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert PolarH10Driver.silence_limit_s == 15.0
+    assert PolarDriver.silence_limit_s == 15.0
     monkeypatch.setattr(ble, "REQUEST_LIMIT_S", 0.5)
     monkeypatch.setattr(driver_module, "PATIENCE_S", 1.0)
     h10 = sensor()

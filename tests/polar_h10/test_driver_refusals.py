@@ -10,7 +10,6 @@ from structlog.testing import capture_logs
 
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
-from biosensor_gateway.devices.polar_h10.simulator.products import VERITY_SENSE
 from biosensor_gateway.devices.polar_h10.simulator.quirks import Quirks
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from tests.rigs.bluetooth import ON_BUMBLE
@@ -71,21 +70,6 @@ async def test_what_was_refused_has_the_rate_that_was_asked_for(sensor: MakeSens
         h10.clear(FaultKind.REFUSE)
         await until(run.sink.has(50, "acc"))
         assert run.supervisor.connections == 1
-
-
-async def test_a_rate_that_nobody_could_know_is_declared_before_its_samples_come(
-    sensor: MakeSensor,
-) -> None:
-    verity = sensor(product=VERITY_SENSE)
-    verity.apply(Fault(FaultKind.REFUSE, inf))
-    async with streaming(verity) as run:
-        await run.goes_on(1, "hr")
-        assert "the device refuses acc, ibi (" in str(run.supervisor.last_error)
-        verity.clear(FaultKind.REFUSE)
-        await until(run.sink.has(100, "acc"))
-        await until(run.sink.has(2, "ibi"))
-        assert run.sink.rates == {"acc": 52}
-        await until(lambda: run.supervisor.last_error is None)
 
 
 async def test_what_is_refused_is_told_to_who_connects(sensor: MakeSensor) -> None:

@@ -19,7 +19,7 @@ START_S = START_NS / 1e9
 ARRIVAL_S = 5_000.0
 COUNT = 73
 ECG_PERIOD_NS = 1e9 / 130
-ECG, ACC, PPI = Measurement.ECG, Measurement.ACCELERATION, Measurement.PULSE_INTERVALS
+ECG, ACC = Measurement.ECG, Measurement.ACCELERATION
 
 
 @pytest.fixture
@@ -43,12 +43,6 @@ def ecg(number: int, count: int = COUNT) -> bytes:
 
 def arrival(number: int) -> float:
     return ARRIVAL_S + (number + 1) * COUNT * ECG_PERIOD_NS / 1e9
-
-
-def ppi(stamp_ns: int, *samples: tuple[int, int]) -> bytes:
-    """Return a frame of pairs of interval [ms] and flags."""
-    values = b"".join(struct.pack("<BHHB", 60, ms, 5, flags) for ms, flags in samples)
-    return struct.pack("<BQB", PPI, stamp_ns, 0) + values
 
 
 def test_ecg_stays_microvolts_on_the_device_s_clock(
@@ -171,40 +165,6 @@ def test_what_was_not_started_is_not_emitted(sink: EmitterSink) -> None:
     emitter.frame(ecg(0), ARRIVAL_S)
     emitter.frame(struct.pack("<BQB", Measurement.PPG, START_NS, 0) + bytes(12), ARRIVAL_S)
     assert (sink.emitted, sink.dropped_bytes) == ({}, 0)
-
-
-def test_pulse_intervals_without_stamps_are_placed_by_their_arrival(
-    emitter: PolarEmitter, sink: EmitterSink
-) -> None:
-    emitter.frame(ppi(0, (800, 6), (900, 7), (1000, 4), (700, 0)), ARRIVAL_S)
-    # Those of a moving or lifted sensor are no intervals, but they take their time.
-    assert sink.emitted == {"ibi": [[0.8], [0.7]]}
-    assert sink.lsl_times["ibi"] == pytest.approx([ARRIVAL_S - 2.6, ARRIVAL_S])
-    assert (sink.observed, sink.heard_count) == ([], 1)
-
-
-def test_pulse_intervals_with_stamps_are_placed_on_the_device_s_clock(
-    emitter: PolarEmitter, sink: EmitterSink
-) -> None:
-    emitter.frame(ecg(0), arrival(0))
-    emitter.frame(ppi(START_NS, (800, 6), (700, 6)), ARRIVAL_S)
-    assert sink.device_times["ibi"] == pytest.approx([START_S - 0.7, START_S], abs=1e-6)
-    assert len(sink.observed) == 1
-
-
-def test_stamped_pulse_intervals_do_not_wait_for_the_device_s_clock(
-    emitter: PolarEmitter, sink: EmitterSink
-) -> None:
-    emitter.frame(ecg(0), arrival(0))
-    emitter.reconnected()
-    emitter.frame(ppi(START_NS, (800, 6)), ARRIVAL_S)
-    assert sink.lsl_times["ibi"] == [ARRIVAL_S]
-
-
-def test_intervals_come_once(emitter: PolarEmitter, sink: EmitterSink) -> None:
-    emitter.frame(ppi(0), ARRIVAL_S)
-    emitter.strap.measurement(bytes.fromhex("103c0004"), ARRIVAL_S)
-    assert sink.emitted.keys() == {"hr", "quality"}
 
 
 @given(st.lists(st.tuples(st.sampled_from([0, 1, 2, 3, 9]), st.binary(max_size=60)), max_size=10))

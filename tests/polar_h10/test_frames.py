@@ -17,10 +17,13 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Me
 from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     Acceleration,
     Ecg,
+    Frame,
     Header,
+    MagneticField,
     Ppg,
     PulseIntervals,
     Rejected,
+    Rotation,
     measurement_of,
     parse_frame,
 )
@@ -43,7 +46,7 @@ def lists(samples: tuple[tuple[int, ...], ...]) -> Samples:
     return [list(sample) for sample in samples]
 
 
-def as_in_vectors(frame: Ecg | Acceleration | Ppg | PulseIntervals) -> dict[str, Any]:
+def as_in_vectors(frame: Frame) -> dict[str, Any]:
     match frame:
         case Ecg():
             return {"uv": list(frame.microvolts)}
@@ -52,7 +55,7 @@ def as_in_vectors(frame: Ecg | Acceleration | Ppg | PulseIntervals) -> dict[str,
             # Cut off to whole mg, as Polar's SDK does.
             in_mg = [[int(count * to_mg) for count in sample] for sample in frame.counts]
             return {"mg": in_mg, "raw": lists(frame.counts)}
-        case Ppg():
+        case Ppg() | Rotation() | MagneticField():
             return {"ppg": lists(frame.counts)}
         case PulseIntervals():
             return {
@@ -70,7 +73,7 @@ def as_in_vectors(frame: Ecg | Acceleration | Ppg | PulseIntervals) -> dict[str,
             }
 
 
-def samples_of(frame: Ecg | Acceleration | Ppg | PulseIntervals) -> list[Any]:
+def samples_of(frame: Frame) -> list[Any]:
     return list(as_in_vectors(frame).values())[-1]
 
 
@@ -108,7 +111,7 @@ def test_a_frame_that_is_cut_anywhere_is_dropped_or_ends_with_a_sample(
 
 @pytest.mark.parametrize(
     ("measurement", "frame_type"),
-    [(Measurement.ECG, 1), (Measurement.ECG, 0x80), (Measurement.ACCELERATION, 3), (5, 0x80)],
+    [(Measurement.ECG, 1), (Measurement.ECG, 0x80), (Measurement.ACCELERATION, 3), (5, 0x82)],
 )
 def test_an_unknown_layout_is_told_from_damage(measurement: int, frame_type: int) -> None:
     assert parse_frame(header(measurement, frame_type) + bytes(12), {}) is Rejected.UNKNOWN
@@ -183,8 +186,8 @@ def test_what_was_compressed_comes_back(seed: int, count: int, bits: int) -> Non
 
 
 @given(
-    st.sampled_from([*Measurement, 5, 9]),
-    st.sampled_from([0, 1, 2, 3, 0x80, 0x81, 0xFF]),
+    st.sampled_from([*Measurement, 4, 63]),
+    st.sampled_from([0, 1, 2, 3, 0x80, 0x81, 0x8D, 0xFF]),
     st.binary(max_size=512),
     st.floats(allow_nan=False, allow_infinity=False, width=32),
 )

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from biosensor_gateway.devices.polar_h10.simulator.control_point import ControlPoint
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement, Setting
-from biosensor_gateway.devices.polar_h10.simulator.products import H10, VERITY_SENSE
+from biosensor_gateway.devices.polar_h10.simulator.products import H10
 
 FOLDER = Path(__file__).parent / "vectors"
 VECTORS: dict[str, dict[str, Any]] = {
@@ -20,8 +20,6 @@ VECTORS: dict[str, dict[str, Any]] = {
 }
 START_ECG = "02 00 00 01 82 00 01 01 0e 00"
 START_ACC_H10 = "02 02 02 01 08 00 00 01 c8 00 01 01 10 00"
-START_ACC_VERITY = "02 02 00 01 34 00 01 01 10 00 02 01 08 00 04 01 03"
-START_PPG = "02 01 00 01 37 00 01 01 16 00 04 01 04"
 FULL_MTU = 232
 
 
@@ -49,21 +47,6 @@ def spaced(text: str) -> str:
 )
 def test_an_h10_answers_as_published(command: str, reply: str) -> None:
     assert ask(ControlPoint(H10), command) == spaced(reply)
-
-
-@pytest.mark.parametrize(
-    ("command", "reply"),
-    [
-        ("0102", "F0 01 02 00 00 00 01 34 00 01 01 10 00 02 01 08 00 04 01 03"),
-        (START_ACC_VERITY, "F0 02 02 00 00 05 01 40 DA 7F 39"),
-        (START_PPG, "F0 02 01 00 00"),
-        ("0203", "F0 02 03 00 00"),
-        ("0209", "F0 02 09 00 00"),
-        ("06", "F0 06 00 00 00 00"),
-    ],
-)
-def test_a_verity_sense_answers_as_published(command: str, reply: str) -> None:
-    assert ask(ControlPoint(VERITY_SENSE), command) == spaced(reply)
 
 
 @pytest.mark.parametrize(
@@ -122,22 +105,6 @@ def test_a_wrong_command_is_refused_without_effect(command: str, status: int) ->
     assert point.running == {}
 
 
-def test_channels_have_a_status_of_their_own() -> None:
-    wrong = START_ACC_VERITY[:-2] + "04"
-    assert ask(ControlPoint(VERITY_SENSE), wrong) == "f002020b00"
-
-
-def test_sdk_mode_needs_silence_and_can_be_asked_for() -> None:
-    point = ControlPoint(VERITY_SENSE)
-    ask(point, "0203")
-    assert ask(point, "0209") == "f002090c00"
-    ask(point, "0303")
-    assert ask(point, "0209") == "f002090000"
-    assert ask(point, "06") == "f00600000001"
-    assert ask(point, "0309") == "f003090000"
-    assert ask(point, "06") == "f00600000000"
-
-
 def test_it_knows_what_runs_and_with_which_settings() -> None:
     point = ControlPoint(H10, announces_stops=True)
     ask(point, START_ACC_H10)
@@ -179,9 +146,9 @@ def test_a_long_reply_goes_on_in_further_packets(mtu: int) -> None:
     assert whole.hex() == VECTORS["settings_acc"]["hex"]
 
 
-@given(st.lists(st.binary(max_size=24), max_size=8), st.sampled_from([H10, VERITY_SENSE]))
-def test_whatever_it_hears_it_answers(commands: list[bytes], product: Any) -> None:
-    point = ControlPoint(product)
+@given(st.lists(st.binary(max_size=24), max_size=8))
+def test_whatever_it_hears_it_answers(commands: list[bytes]) -> None:
+    point = ControlPoint(H10)
     for command in commands:
         packets = point.answer(command, FULL_MTU)
         assert packets

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.polar_h10.simulator import frames, products
+from biosensor_gateway.devices.polar_h10.simulator import frames
 from biosensor_gateway.devices.polar_h10.simulator.advertisement import manufacturer_data
 from biosensor_gateway.devices.polar_h10.simulator.delta import block, compress
 from biosensor_gateway.devices.polar_h10.simulator.frames import PulseInterval
@@ -19,7 +19,7 @@ from biosensor_gateway.devices.polar_h10.simulator.pmd import (
     Setting,
     encode_features,
 )
-from biosensor_gateway.devices.polar_h10.simulator.products import H10, VERITY_SENSE
+from biosensor_gateway.devices.polar_h10.simulator.products import H10
 from biosensor_gateway.devices.polar_h10.simulator.waveforms import waveform
 from biosensor_gateway.simulation.wearer import Wearer
 
@@ -219,13 +219,6 @@ def test_without_contact_there_is_no_heart_in_the_ecg() -> None:
     assert np.abs(signal.counts(t, False)).max() < 200
 
 
-def test_what_has_no_samples_at_a_rate_has_no_waveform() -> None:
-    with pytest.raises(ValueError, match="PPI"):
-        waveform(
-            VERITY_SENSE, Measurement.PPI, {Setting.SAMPLE_RATE: 1}, Wearer(), compressed=False
-        )
-
-
 @given(st.integers(0, 2**32 - 1))
 def test_no_damaged_frame_can_be_decoded(seed: int) -> None:
     for frame in frames.damaged(np.random.default_rng(seed), 7):
@@ -249,9 +242,3 @@ def test_a_real_advertisement_is_reproduced() -> None:
     assert data == bytes.fromhex("33003838")
     lost = manufacturer_data(battery_low=False, contact=False, counter=9, bpm=56)
     assert lost[0] == 0b00100100
-
-
-def test_products_name_what_they_measure() -> None:
-    for product in (H10, VERITY_SENSE):
-        assert product.advertised.startswith("Polar ")
-    assert products.VERITY_SENSE.acc_unit_g == pytest.approx(0.000244)

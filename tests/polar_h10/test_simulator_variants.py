@@ -11,9 +11,7 @@ from pylsl import local_clock
 
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
-from biosensor_gateway.devices.polar_h10.simulator.products import VERITY_SENSE
 from biosensor_gateway.devices.polar_h10.simulator.quirks import Firmware, Quirks
-from biosensor_gateway.simulation.wearer import Wearer
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.gatt_host import connection
 from tests.rigs.polar_pmd import (
@@ -29,7 +27,6 @@ from tests.rigs.polar_pmd import (
 from tests.rigs.polling import until
 
 PMD_SERVICE = "fb005c80-02e7-f387-1cad-8acd2d8df0c8"
-SENSE = "Polar Sense A1B2C3D4"
 MakeH10 = Callable[..., SimulatedPolarH10]
 
 pytestmark = ON_BUMBLE
@@ -136,25 +133,3 @@ async def test_a_stop_can_be_announced_besides(make_h10: MakeH10) -> None:
         await host.ask(CONTROL, START_ECG)
         assert await host.ask(CONTROL, "0300") == "f003000000"
         assert (await host.more(CONTROL, 1, 2)) == [b"\1\0"]
-
-
-async def test_a_verity_sense_has_ppg_intervals_and_compressed_acceleration(
-    make_h10: MakeH10,
-) -> None:
-    sense = make_h10(product=VERITY_SENSE, wearer=Wearer(heart_rate_bpm=100.0))
-    async with connection(SENSE) as host:
-        await open_pmd(host)
-        for command in ("0203", "02010001370001011600040104"):
-            assert (await host.ask(CONTROL, command))[6:8] == "00"
-        reply = await host.ask(CONTROL, "0202000134000101100002010800040103")
-        assert reply == "f002020000050140da7f39"
-        await until(lambda: all(frames_of(host, kind) for kind in (1, 2, 3)))
-        ppg, acc, ppi = (frames_of(host, kind)[0] for kind in (1, 2, 3))
-    assert (ppg.layout, acc.layout, ppi.layout, ppi.stamp_ns) == (0x80, 0x80, 0, 0)
-    reference = [int.from_bytes(ppg.body[at : at + 3], "little", signed=True) for at in (0, 3, 6)]
-    assert sense.truth.samples("ppg").values[0, :3].tolist() == reference
-    counts = np.frombuffer(acc.body[:6], "<i2")
-    np.testing.assert_allclose(sense.truth.samples("acc").values[0], counts * 0.000244)
-    lengths = [int.from_bytes(ppi.body[at + 1 : at + 3], "little") / 1000 for at in (0, 6)]
-    assert sense.truth.samples("ppi").values[:2, 0].tolist() == lengths
-    assert ppi.body[5] & 0b111 == 0b110

@@ -11,9 +11,11 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Me
 from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     Acceleration,
     Ecg,
+    MagneticField,
     Ppg,
     PulseIntervals,
     Rejected,
+    Rotation,
     parse_frame,
 )
 from biosensor_gateway.devices.polar_h10.driver.protocol.timeline import FrameTimeline
@@ -49,7 +51,7 @@ def _check_frame(piece: bytes, timeline: FrameTimeline, arrival_s: float) -> Non
             count = len(frame.microvolts)
             fits = all(-_ECG_LIMIT <= value < _ECG_LIMIT for value in frame.microvolts)
             ensure(fits, "an ECG sample does not fit into 24 bits", frame)
-        case Acceleration() | Ppg():
+        case Acceleration() | Ppg() | Rotation() | MagneticField():
             count = len(frame.counts)
         case PulseIntervals():
             count = len(frame.intervals)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
     HeartRateMeasurement,
@@ -20,11 +20,23 @@ NO_INTERVAL_LIMIT_S = 5.0
 """A heart that beats makes an interval within this time."""
 
 
+def _contact_alone(in_contact: bool) -> Sequence[float]:
+    return [float(in_contact)]
+
+
 class StrapEmitter:
     """Turns characteristic values into samples; one instance a device, over all connections.
 
     Nothing of a strap is stamped by the device: times are those of arrival, and
     beats are placed before it by their intervals.
+
+    Parameters
+    ----------
+    sink
+    quality
+        Makes a sample of ``quality`` of whether the skin is felt.
+    trusts_contact
+        A heart rate is not expected while the skin is not felt.
 
     Attributes
     ----------
@@ -33,8 +45,16 @@ class StrapEmitter:
         measurement are passed over.
     """
 
-    def __init__(self, sink: Sink) -> None:
+    def __init__(
+        self,
+        sink: Sink,
+        *,
+        quality: Callable[[bool], Sequence[float]] = _contact_alone,
+        trusts_contact: bool = True,
+    ) -> None:
         self._sink = sink
+        self._quality = quality
+        self._trusts_contact = trusts_contact
         self._beats = StoredBeats()
         self._sends_intervals = False
         self._interval_seen_s: float | None = None
@@ -63,10 +83,10 @@ class StrapEmitter:
             self._sink.emit_at("hr", [measured.bpm], [arrival_s])
         self._intervals(measured, arrival_s)
         in_contact = self._in_contact(measured, arrival_s)
-        if not in_contact:
+        if not in_contact and self._trusts_contact:
             # Some stop measuring while nobody wears them.
             self._sink.excuse("hr")
-        self._sink.emit_at("quality", [[float(in_contact)]], [arrival_s])
+        self._sink.emit_at("quality", [self._quality(in_contact)], [arrival_s])
 
     def battery(self, data: bytes, arrival_s: float) -> None:
         """Emit ``bat`` from a Battery Level."""

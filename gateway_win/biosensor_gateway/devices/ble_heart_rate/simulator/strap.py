@@ -74,6 +74,8 @@ class Strap:
         Its heart rate measurement.
     is_unreadable
         Whether what it measures comes in a form that nobody knows.
+    pulse_every_s
+        Its heart rate comes so often; 0 = not at all.
     on_power_on, on_power_off, on_second
         Called when it has been switched on, before it is switched off, and after
         every measurement.
@@ -101,6 +103,7 @@ class Strap:
         self.rng = np.random.default_rng(seed)
         self.worn = True
         self.is_unreadable = False
+        self.pulse_every_s = 1
         self.battery_percent = _BATTERY_PERCENT
         self.on_power_on: list[Callable[[], None]] = []
         self.on_power_off: list[Callable[[], None]] = []
@@ -233,15 +236,19 @@ class Strap:
     async def _measure(self) -> None:
         for second in count(1):
             measured_s = await self.crystal.reach(second)
-            value = encode(self.pulse.measure(measured_s, worn=self.worn))
-            is_readable = not self.is_unreadable
-            characteristic = self.heart_rate.measurement
-            expected = self.peripheral.subscribed(characteristic)
-            sent = await self.send(characteristic, value if is_readable else value[:1])
-            sent = sent and is_readable
-            if sent or expected:
-                self.pulse.note(self.truth, measured_s, sent=sent)
+            if self.pulse_every_s and second % self.pulse_every_s == 0:
+                await self._send_pulse(measured_s)
             _call(self.on_second)
+
+    async def _send_pulse(self, measured_s: float) -> None:
+        value = encode(self.pulse.measure(measured_s, worn=self.worn))
+        is_readable = not self.is_unreadable
+        characteristic = self.heart_rate.measurement
+        expected = self.peripheral.subscribed(characteristic)
+        sent = await self.send(characteristic, value if is_readable else value[:1])
+        sent = sent and is_readable
+        if sent or expected:
+            self.pulse.note(self.truth, measured_s, sent=sent)
 
     async def _send_garbage(self, packets: int) -> None:
         for value in damaged(packets):

@@ -1,8 +1,8 @@
-"""The conversation with a Polar H10, Verity Sense or OH1."""
+"""The conversation with a Polar H10, and with others that have its PMD service."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
 import structlog
@@ -23,7 +23,7 @@ from biosensor_gateway.devices.polar_h10.driver.discovery import identify, recog
 from biosensor_gateway.devices.polar_h10.driver.emitter import DATA_NAMES, PolarEmitter
 from biosensor_gateway.devices.polar_h10.driver.measurements import Wanted
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement, Setting
-from biosensor_gateway.devices.polar_h10.driver.session import PolarSession
+from biosensor_gateway.devices.polar_h10.driver.session import Plan, PolarSession
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink
@@ -31,28 +31,29 @@ from biosensor_gateway.transports.ble_choice import Choice
 
 ECG_RATE_HZ = 130
 PATIENCE_S = 5.0
+FULL_FRAME = 110
+"""Samples of three axes that differ by little, at most, with the MTU of Polar's devices."""
 _ADVICE = "put it on with wet electrodes, and close the apps that use it"
 
 _log = structlog.get_logger("biosensor_gateway.polar_h10")
 
 
 class PolarH10Settings(DeviceSettings):
-    """Settings of one H10, Verity Sense or OH1."""
+    """Settings of one H10."""
 
     device: str = Field(
         default="",
         max_length=64,
-        description="Bluetooth address of the sensor, as scan shows it, or the id printed on it (8 "
+        description="Bluetooth address of the strap, as scan shows it, or the id printed on it (8 "
         "characters); empty takes the only one in range.",
         examples=["A1B2C3D4"],
     )
-    ecg: bool = Field(default=True, description="Whether the H10 sends its ECG.")
-    acc: bool = Field(default=True, description="Whether the sensor sends its acceleration.")
+    ecg: bool = Field(default=True, description="Whether the strap sends its ECG.")
+    acc: bool = Field(default=True, description="Whether the strap sends its acceleration.")
     acc_rate_hz: Literal[25, 50, 100, 200] = Field(
         default=50,
-        description="Samples of acceleration per second; the next lower rate is taken where the "
-        "sensor does not offer it. More than 50 together with the ECG is too much for some "
-        "Bluetooth adapters.",
+        description="Samples of acceleration per second. More than 50 together with the ECG is too "
+        "much for some Bluetooth adapters.",
     )
     acc_range_g: Literal[2, 4, 8] = Field(
         default=8, description="Largest acceleration that can be measured, in g."
@@ -63,7 +64,7 @@ class PolarH10Settings(DeviceSettings):
     )
 
 
-class PolarH10Driver:
+class PolarDriver:
     """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`.
 
     Parameters
@@ -73,16 +74,23 @@ class PolarH10Driver:
     emitter
     silent
         Data names of the streams that the settings switch off.
+    fallback_rates
+        By data name the rates in Hz of streams that this device may lack, for their headers.
     """
 
-    # A heart rate comes every second, every 5 s from an optical sensor.
+    # A heart rate comes every second, every 5 s from an optical sensor that looks for intervals.
     silence_limit_s = 15.0
 
     def __init__(
-        self, meet: Callable[[], PolarSession], emitter: PolarEmitter, silent: frozenset[str]
+        self,
+        meet: Callable[[], PolarSession],
+        emitter: PolarEmitter,
+        silent: frozenset[str],
+        fallback_rates: Mapping[str, float] | None = None,
     ) -> None:
         self._meet = meet
         self._silent = silent
+        self._fallback_rates = fallback_rates or {}
         self._session = meet()
         self._emitter = emitter
 
@@ -119,15 +127,19 @@ class PolarH10Driver:
 
     def _connected(self, info: DeviceInfo) -> Connected:
         denied = self._session.denied
-        refused = frozenset(DATA_NAMES.values()) - self._session.running - denied.keys()
+        names = frozenset(self._emitter.data_names.values())
+        refused = names - self._session.running - denied.keys()
+        rates = self._session.rates
+        # A frame of a slow measurement takes its time to fill.
+        patience_s = max([PATIENCE_S, *(2 * FULL_FRAME / rate for rate in rates.values())])
         return Connected(
             info,
-            self._session.rates,
+            {**self._fallback_rates, **rates},
             self._silent,
             refused=refused,
             denied=denied,
             due=self._session.due,
-            patience_s=PATIENCE_S,
+            patience_s=patience_s,
         )
 
 
@@ -154,18 +166,19 @@ def _wanted(settings: PolarH10Settings) -> Sequence[Wanted]:
     return [*([ecg] if settings.ecg else []), *([acceleration] if settings.acc else [])]
 
 
-def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], PolarH10Driver]:
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], PolarDriver]:
     """Share emitter and choice of the device between all connections."""
     own = own_settings(PolarH10Settings, settings)
     emitter = PolarEmitter(sink)
     choice = Choice(identify, "Polar H10", own.device, _ADVICE)
     wanted = _wanted(own)
+    plan = Plan(lambda _: wanted)
     silent = frozenset(DATA_NAMES.values()) - {DATA_NAMES[each.measurement] for each in wanted}
 
     def meet() -> PolarSession:
-        return PolarSession(BleLink(choice, sink.clock, pair_first=own.pair), emitter, wanted)
+        return PolarSession(BleLink(choice, sink.clock, pair_first=own.pair), emitter, plan)
 
-    return lambda: PolarH10Driver(meet, emitter, silent)
+    return lambda: PolarDriver(meet, emitter, silent)
 
 
 DRIVER = DriverEntry(PolarH10Settings, _make, recognise=recognise)

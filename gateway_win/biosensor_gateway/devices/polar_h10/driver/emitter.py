@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 
-from biosensor_gateway.devices.ble_heart_rate.driver.beats import walk_back
 from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
-from biosensor_gateway.devices.ble_heart_rate.driver.stored_beats import (
-    Beat,
-    PlacedBeat,
-    StoredBeats,
-)
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement
 from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
-    Acceleration,
-    Ecg,
-    Header,
-    Ppg,
     PulseIntervals,
+    RegularFrame,
     Rejected,
     measurement_of,
     parse_frame,
@@ -26,8 +17,11 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.timeline import FrameTi
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog
 
-DATA_NAMES = {Measurement.ECG: "ecg", Measurement.ACCELERATION: "acc"}
-"""Regular streams of the declaration by measurement."""
+DATA_NAMES: Mapping[Measurement, str] = {
+    Measurement.ECG: "ecg",
+    Measurement.ACCELERATION: "acc",
+}
+"""Streams of the strap by measurement."""
 RECKONINGS_AGREE_S = 1.0
 """How exactly a device that stayed on agrees with the host on the length of a pause."""
 _NS = 1e9
@@ -37,37 +31,58 @@ _MEASUREMENTS = frozenset(Measurement)
 class PolarEmitter:
     """Turns frames into samples; one instance a device, over all its connections.
 
+    Parameters
+    ----------
+    sink
+    data_names
+        By measurement, the streams of the declaration; frames of others are passed over.
+    strap
+        Takes what the device has in common with every heart-rate strap; one by default.
+    doubted
+        Measurements whose rate firmware is known to say wrong.
+
     Attributes
     ----------
-    strap
-        What the device has in common with every heart-rate strap.
+    data_names, strap
     log
         Also for what is to be said once, and not at every connection.
+    clock_runs
+        Whether a stamp of this connection was told to the device's clock.
+    on_intervals
+        Takes intervals between pulse waves, and when they arrived.
     """
 
-    def __init__(self, sink: Sink) -> None:
-        self.strap = StrapEmitter(sink)
-        self.log = DeviceLog("biosensor_gateway.polar_h10", sink.identity)
+    def __init__(
+        self,
+        sink: Sink,
+        data_names: Mapping[Measurement, str] = DATA_NAMES,
+        *,
+        strap: StrapEmitter | None = None,
+        doubted: frozenset[Measurement] = frozenset(),
+    ) -> None:
+        self.data_names = data_names
+        self.strap = strap or StrapEmitter(sink)
+        self.log = DeviceLog(f"biosensor_gateway.{sink.identity.sensor}", sink.identity)
+        self.clock_runs = False
+        self.on_intervals: Callable[[PulseIntervals, float], None] | None = None
         self._sink = sink
+        self._doubted = doubted
         self._running: set[int] = set()
         self._rates: dict[Measurement, float] = {}
         self._factors: dict[int, float] = {}
         self._timelines: dict[tuple[int, int], FrameTimeline] = {}
-        self._beats = StoredBeats()
-        self._clock_runs = False
         self._last: tuple[float, float] | None = None
 
     @property
     def rates(self) -> Mapping[str, float]:
         """Nominal rate in Hz of every stream that was ever started, by data name."""
-        return {DATA_NAMES[measurement]: rate for measurement, rate in self._rates.items()}
+        return {self.data_names[measurement]: rate for measurement, rate in self._rates.items()}
 
     def reconnected(self) -> None:
         """Prepare for a new connection of the same device."""
         self.strap.reconnected()
         self._running.clear()
-        self._emit_beats(self._beats.restart())
-        self._clock_runs = False
+        self.clock_runs = False
 
     def started(self, measurement: Measurement, rate_hz: float | None, factor: float) -> None:
         """Prepare for the first frame of a measurement that has just been started.
@@ -82,7 +97,7 @@ class PolarEmitter:
         """
         self._running.add(measurement)
         self._factors[measurement] = factor
-        if rate_hz is None:
+        if rate_hz is None or measurement not in self.data_names:
             return
         self._rates[measurement] = rate_hz
         for (owner, _), timeline in self._timelines.items():
@@ -108,39 +123,37 @@ class PolarEmitter:
         """
         frame = parse_frame(data, self._factors)
         match frame:
-            case Ecg(header, microvolts):
-                self._regular(header, [[value] for value in microvolts], arrival_s)
-            case Acceleration(header, counts, g_per_count):
-                in_g = [[count * g_per_count for count in sample] for sample in counts]
-                self._regular(header, in_g, arrival_s)
-            case PulseIntervals():
-                self._pulse_intervals(frame, arrival_s)
-            case Ppg():
-                # The declaration has no stream for it.
-                return
             case Rejected():
                 self._sink.dropped_bytes += len(data)
                 start = data[:10].hex()
                 self.log.warn_once("data frames are dropped", cause=frame.value, start=start)
                 return
+            case PulseIntervals():
+                if self.on_intervals is not None:
+                    self.on_intervals(frame, arrival_s)
+            case _:
+                self._regular(frame, arrival_s)
         self._sink.heard()
 
-    def _regular(self, header: Header, samples: list[list[float]], arrival_s: float) -> None:
+    def _regular(self, frame: RegularFrame, arrival_s: float) -> None:
+        header, samples = frame.header, frame.samples
         measurement = Measurement(header.measurement)
         if not samples or measurement not in self._rates:
             return
         stamp_s = header.timestamp_ns / _NS
-        if not self._clock_runs and self._counts_anew(stamp_s, arrival_s):
+        if not self.clock_runs and self._counts_anew(stamp_s, arrival_s):
             self.log.info("the device was switched off and counts anew")
             self._timelines.clear()
             self._sink.restart_clock()
-        self._clock_runs, self._last = True, (stamp_s, arrival_s)
+        self.clock_runs, self._last = True, (stamp_s, arrival_s)
         key = (header.measurement, header.frame_type)
         timeline = self._timelines.get(key)
         if timeline is None:
-            timeline = self._timelines[key] = FrameTimeline(self._rates[measurement])
+            timeline = self._timelines[key] = FrameTimeline(
+                self._rates[measurement], is_doubted=measurement in self._doubted
+            )
         placed = timeline.place(header.timestamp_ns, len(samples), arrival_s)
-        name = DATA_NAMES[measurement]
+        name = self.data_names[measurement]
         if placed.steps_back:
             self.log.warn_once("the device's clock did not advance between two frames", data=name)
         if placed.lost:
@@ -156,24 +169,3 @@ class PolarEmitter:
         last_stamp_s, last_arrival_s = self._last
         pause_s = arrival_s - last_arrival_s
         return abs(stamp_s - last_stamp_s - pause_s) > RECKONINGS_AGREE_S + pause_s / 1000
-
-    def _pulse_intervals(self, frame: PulseIntervals, arrival_s: float) -> None:
-        self.strap.has_better_intervals = True
-        beats = [
-            Beat(each.interval_ms / 1000, each.is_valid and each.interval_ms > 0)
-            for each in frame.intervals
-        ]
-        stamp_ns = frame.header.timestamp_ns
-        if not (stamp_ns > 0 and self._clock_runs):
-            self._emit_beats(self._beats.place(beats, arrival_s))
-            return
-        # These frames are seconds late, and so never told to the device's clock.
-        times = walk_back(stamp_ns / _NS, [beat.interval_s for beat in beats])
-        for beat, time_s in zip(beats, times, strict=True):
-            if beat.is_valid:
-                self._sink.emit("ibi", [beat.interval_s], [time_s])
-
-    def _emit_beats(self, placed: Sequence[PlacedBeat]) -> None:
-        for beat, time_s in placed:
-            if beat.is_valid:
-                self._sink.emit_at("ibi", [beat.interval_s], [time_s])

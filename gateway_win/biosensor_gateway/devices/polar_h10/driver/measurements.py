@@ -40,10 +40,13 @@ class Wanted:
     settings
         Preferred value of each setting, the sample rate at least; empty for a
         measurement without settings.
+    true_rates
+        By the sample rate that the firmware says, the one at which it really sends.
     """
 
     measurement: Measurement
     settings: Mapping[Setting, int] = field(default_factory=dict[Setting, int])
+    true_rates: Mapping[int, int] = field(default_factory=dict[int, int])
 
 
 @dataclass(slots=True)
@@ -54,7 +57,9 @@ class _Running:
     @property
     def rate_hz(self) -> int | None:
         """None where samples come when they happen."""
-        return self.settings.get(Setting.SAMPLE_RATE, self.wanted.settings.get(Setting.SAMPLE_RATE))
+        asked = self.wanted.settings.get(Setting.SAMPLE_RATE)
+        said = self.settings.get(Setting.SAMPLE_RATE, asked)
+        return None if said is None else self.wanted.true_rates.get(said, said)
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,13 +131,18 @@ class Measurements:
     async def restart(self, measurements: Collection[int]) -> None:
         """Stop measurements from which nothing comes, and start them.
 
+        Where nothing comes of any that has a rate, those without one are started anew, too: of
+        these nobody can tell whether the device forgot them.
+
         Raises
         ------
         TransportError
             ``LOST``.
         """
+        regular = {key for key, each in self._running.items() if each.rate_hz is not None}
+        forgot_all = bool(regular) and regular <= set(measurements)
         for measurement, each in list(self._running.items()):
-            if measurement in measurements:
+            if forgot_all or measurement in measurements:
                 await self._restart(each)
 
     async def stop(self) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 
 import structlog
 
@@ -19,11 +20,10 @@ from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.ble_heart_rate.driver.protocol import HEART_RATE_MEASUREMENT
 from biosensor_gateway.devices.ble_heart_rate.driver.strap import DUE, Strap
 from biosensor_gateway.devices.polar_h10.driver.control import ControlPoint
-from biosensor_gateway.devices.polar_h10.driver.emitter import DATA_NAMES, PolarEmitter
+from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
 from biosensor_gateway.devices.polar_h10.driver.measurements import Measurements, Wanted
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
     CONTROL_POINT,
-    Measurement,
     Stopped,
     parse_indication,
 )
@@ -37,8 +37,33 @@ ASK_AGAIN_FIRST_S = 1.0
 ASK_AGAIN_CAP_S = 30.0
 """What the device refuses is asked for again, less and less often."""
 
-_STREAMS = {**DATA_NAMES, Measurement.PULSE_INTERVALS: "ibi"}
 _log = structlog.get_logger("biosensor_gateway.polar_h10")
+
+
+async def _as_it_is(_control: ControlPoint, _offered: frozenset[int]) -> None:
+    """Take the device in the mode that it is in."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is asked of a device at each connection.
+
+    Attributes
+    ----------
+    wanted
+        Measurements to run if the device offers them, given what it says of itself.
+    prepare
+        Called before they are started, with what the device offers.
+    farewell
+        Commands at the end, when the measurements are stopped.
+    has_heart_rate
+        Whether its heart rate comes in this mode.
+    """
+
+    wanted: Callable[[DeviceInfo], Sequence[Wanted]]
+    prepare: Callable[[ControlPoint, frozenset[int]], Awaitable[None]] = _as_it_is
+    farewell: Sequence[bytes] = ()
+    has_heart_rate: bool = True
 
 
 class PolarSession:
@@ -48,14 +73,13 @@ class PolarSession:
     ----------
     link
     emitter
-    wanted
-        Measurements to run if the device offers them.
+    plan
     """
 
-    def __init__(self, link: BleLink, emitter: PolarEmitter, wanted: Sequence[Wanted]) -> None:
+    def __init__(self, link: BleLink, emitter: PolarEmitter, plan: Plan) -> None:
         self._link = link
         self._emitter = emitter
-        self._wanted = wanted
+        self._plan = plan
         self._strap = Strap(link, emitter.strap)
         self._control = ControlPoint(link, self._receive)
         self._measurements = Measurements(self._control, emitter)
@@ -81,7 +105,7 @@ class PolarSession:
         self._emitter.reconnected()
         info = await self._strap.start()
         if self._link.has(CONTROL_POINT):
-            await self._start_measurements()
+            await self._start_measurements(info)
         elif self._link.has(HEART_RATE_MEASUREMENT):
             self._emitter.log.warn_once(
                 "heart rate and intervals only: the firmware has no PMD service; "
@@ -125,20 +149,22 @@ class PolarSession:
 
     @property
     def running(self) -> frozenset[str]:
-        """Data names of the measurements that were started and come at a rate."""
-        return frozenset(name for each, name in DATA_NAMES.items() if self._measurements.runs(each))
+        """Data names of the measurements that were started."""
+        names = self._emitter.data_names
+        return frozenset(name for each, name in names.items() if self._measurements.runs(each))
 
     @property
     def denied(self) -> Mapping[str, str]:
         """By data name, why the device refuses to measure."""
         refusals = self._measurements.refusals
-        return {_STREAMS[each]: refusal.why for each, refusal in refusals.items()}
+        names = self._emitter.data_names
+        return {names[each]: refusal.why for each, refusal in refusals.items()}
 
     @property
     def rates(self) -> Mapping[str, float]:
         """Nominal rates in Hz by data name, of what runs and of what was refused."""
         refused = {
-            DATA_NAMES[each]: refusal.rate_hz
+            self._emitter.data_names[each]: refusal.rate_hz
             for each, refusal in self._measurements.refusals.items()
             if refusal.rate_hz is not None
         }
@@ -147,7 +173,8 @@ class PolarSession:
     @property
     def due(self) -> Mapping[str, float]:
         """Longest absences of what comes all the time without a rate."""
-        return DUE if self._link.has(HEART_RATE_MEASUREMENT) else {}
+        has_it = self._plan.has_heart_rate and self._link.has(HEART_RATE_MEASUREMENT)
+        return DUE if has_it else {}
 
     async def enable_again(self, streams: frozenset[str]) -> None:
         """Start anew what is behind streams that are silent.
@@ -159,8 +186,9 @@ class PolarSession:
         AttError
             The device refuses to send its heart rate.
         """
-        names = {name: measurement for measurement, name in DATA_NAMES.items()}
-        await self._measurements.restart({names[each] for each in streams & names.keys()})
+        names = {name: measurement for measurement, name in self._emitter.data_names.items()}
+        silent = {names[each] for each in streams & names.keys()}
+        await self._measurements.restart(silent)
         if not streams <= names.keys():
             await self._strap.subscribe_again()
 
@@ -172,24 +200,24 @@ class PolarSession:
         with suppress(GatewayError, TimeoutError):
             async with asyncio.timeout(GOODBYE_LIMIT_S):
                 await self._measurements.stop()
+                for command in self._plan.farewell:
+                    await self._control.send(command)
                 await self._strap.stop()
                 await self._control.close()
         await self._control.dialogue.close()
         await self._link.close()
 
-    async def _start_measurements(self) -> None:
+    async def _start_measurements(self, info: DeviceInfo) -> None:
         offered = await self._control.open()
-        missing = [each.measurement for each in self._wanted if each.measurement not in offered]
+        await self._plan.prepare(self._control, offered)
+        wanted = self._plan.wanted(info)
+        missing = [each.measurement for each in wanted if each.measurement not in offered]
         if missing:
             names = [measurement.name.lower() for measurement in missing]
             self._emitter.log.warn_once(
                 "the device cannot measure all that is wanted", missing=names
             )
-        wanted = [each for each in self._wanted if each.measurement in offered]
-        if Measurement.PULSE_INTERVALS in offered:
-            # Optical sensors have no intervals in their heart rate measurement.
-            wanted.append(Wanted(Measurement.PULSE_INTERVALS))
-        await self._measurements.start(wanted)
+        await self._measurements.start([each for each in wanted if each.measurement in offered])
 
     async def _ask_again(self) -> None:
         promised, delay_s = self.rates, ASK_AGAIN_FIRST_S

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from biosensor_gateway.devices.polar_h10.simulator.pmd import (
     ATT_HEADER_BYTES,
     Measurement,
+    Offered,
     OpCode,
     Setting,
     Status,
@@ -79,6 +80,11 @@ class ControlPoint:
         self._short_errors = short_errors
         self._announces_stops = announces_stops
 
+    @property
+    def in_sdk_mode(self) -> bool:
+        """Whether the wider range of settings is on, and its own evaluation off."""
+        return Measurement.SDK_MODE in self.running
+
     def answer(self, command: bytes, mtu: int) -> tuple[bytes, ...]:
         """Obey or refuse one command that came over a link with this ATT MTU.
 
@@ -104,7 +110,7 @@ class ControlPoint:
             raise _Refusal(Status.INVALID_STATE)
         match head[1]:
             case OpCode.GET_SETTINGS:
-                return _reply(head, self._settings(body), mtu)
+                return _reply(head, self._settings(body, sdk_mode=self.in_sdk_mode), mtu)
             case OpCode.START:
                 return self._start(head, body, mtu)
             case OpCode.STOP:
@@ -112,20 +118,23 @@ class ControlPoint:
             case OpCode.GET_STATUS:
                 states = (one | _ONLINE * (one in self.running) for one in self._product.settings)
                 return _reply(head, bytes(states), mtu)
-            case OpCode.GET_SDK_STATUS if self._product.has_sdk_mode:
-                return _reply(head, bytes((Measurement.SDK_MODE in self.running,)), mtu)
+            case OpCode.GET_SDK_SETTINGS if self._product.sdk_settings:
+                return _reply(head, self._settings(body, sdk_mode=True), mtu)
+            case OpCode.GET_SDK_STATUS if self._product.sdk_settings:
+                return _reply(head, bytes((self.in_sdk_mode,)), mtu)
             case OpCode.GET_SDK_SETTINGS | OpCode.GET_SDK_STATUS:
                 raise _Refusal(Status.NOT_SUPPORTED)
             case _:
                 raise _Refusal(Status.INVALID_OP_CODE)
 
-    def _settings(self, body: bytes) -> bytes:
+    def _settings(self, body: bytes, *, sdk_mode: bool) -> bytes:
         measurement = self._measurement(body)
         if len(body) != 1:
             raise _Refusal(Status.INVALID_LENGTH)
-        if measurement not in self._product.settings:
+        offered = self._product.offered(sdk_mode=sdk_mode)
+        if measurement not in offered:
             raise _Refusal(Status.NOT_SUPPORTED)
-        return encode_settings(self._product.settings[measurement])
+        return encode_settings(offered[measurement])
 
     def _start(self, head: bytes, body: bytes, mtu: int) -> tuple[bytes, ...]:
         measurement = self._measurement(body)
@@ -133,11 +142,14 @@ class ControlPoint:
             raise _Refusal(Status.ALREADY_IN_STATE)
         if measurement is Measurement.SDK_MODE and self.running:
             raise _Refusal(Status.INVALID_STATE)
+        offered = self._product.offered(sdk_mode=self.in_sdk_mode).get(measurement)
+        if offered is None and measurement is not Measurement.SDK_MODE:
+            raise _Refusal(Status.NOT_SUPPORTED)
         if mtu < self._minimum_mtu:
             raise _Refusal(Status.INVALID_MTU)
-        self.running[measurement] = self._choice(measurement, body[1:])
-        parameters = self._product.start_parameters.get(measurement, b"")
-        return _reply(head, parameters, mtu)
+        chosen = _choice(offered or {}, body[1:])
+        self.running[measurement] = chosen
+        return _reply(head, self._product.start_reply(measurement, chosen), mtu)
 
     def _stop(self, head: bytes, body: bytes, mtu: int) -> tuple[bytes, ...]:
         measurement = self._measurement(body)
@@ -145,6 +157,8 @@ class ControlPoint:
             raise _Refusal(Status.INVALID_LENGTH)
         if measurement not in self.running:
             raise _Refusal(Status.ALREADY_IN_STATE)
+        if measurement is Measurement.SDK_MODE and len(self.running) > 1:
+            raise _Refusal(Status.INVALID_STATE)
         announcement = self.stop((measurement,))
         reply = _reply(head, b"", mtu)
         return (*reply, announcement) if self._announces_stops else reply
@@ -160,24 +174,25 @@ class ControlPoint:
             raise _Refusal(Status.NOT_SUPPORTED)
         return measurement
 
-    def _choice(self, measurement: Measurement, data: bytes) -> dict[Setting, int]:
-        try:
-            chosen = decode_choice(data)
-        except EOFError:
-            raise _Refusal(Status.INVALID_LENGTH) from None
-        except ValueError:
-            raise _Refusal(Status.INVALID_PARAMETER) from None
-        offered = self._product.settings.get(measurement, {})
-        if chosen.keys() != offered.keys():
-            raise _Refusal(Status.INVALID_PARAMETER)
-        for setting, value in chosen.items():
-            if value not in offered[setting]:
-                raise _Refusal(_INVALID.get(setting, Status.INVALID_PARAMETER))
-        return chosen
+
+def _choice(offered: Offered, data: bytes) -> dict[Setting, int]:
+    try:
+        chosen = decode_choice(data)
+    except EOFError:
+        raise _Refusal(Status.INVALID_LENGTH) from None
+    except ValueError:
+        raise _Refusal(Status.INVALID_PARAMETER) from None
+    if chosen.keys() != offered.keys():
+        raise _Refusal(Status.INVALID_PARAMETER)
+    for setting, value in chosen.items():
+        if value not in offered[setting]:
+            raise _Refusal(_INVALID.get(setting, Status.INVALID_PARAMETER))
+    return chosen
 
 
 def _first_choice(product: Product, measurement: Measurement) -> dict[Setting, int]:
-    return {setting: values[0] for setting, values in product.settings[measurement].items()}
+    offered = product.settings.get(measurement, {})
+    return {setting: values[0] for setting, values in offered.items()}
 
 
 def _reply(head: bytes, parameters: bytes, mtu: int) -> tuple[bytes, ...]:

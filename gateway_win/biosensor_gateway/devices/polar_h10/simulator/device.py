@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import inf
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
 from bumble.att import Attribute
 from bumble.core import UUID
@@ -39,10 +39,18 @@ _FILE_TRANSFER_UUIDS = (
 )
 
 
-class SimulatedPolarH10(VirtualDevice):
-    """A strap with a PMD service.
+class Usual(NamedTuple):
+    """A product, its Bluetooth address, and the id that is printed on it."""
 
-    Its measurements carry R-R intervals and nothing about skin contact: without
+    product: Product
+    address: str
+    device_id: str
+
+
+class SimulatedPolarH10(VirtualDevice):
+    """A strap with a PMD service, or another product that has one.
+
+    An H10's measurements carry R-R intervals and nothing about skin contact: without
     contact the rate is 0, there are no intervals, and the ECG is noise.
 
     Parameters
@@ -50,11 +58,10 @@ class SimulatedPolarH10(VirtualDevice):
     world, radio
         Where it lives, and the air that it is heard on.
     address
-        Bluetooth address.
+        Bluetooth address; that of `usual` by default, as the next two.
     device_id
         Eight hexadecimal digits, as printed on the module.
     product
-        `products.H10` or another one.
     quirks
         Firmware and circumstances.
     wearer
@@ -75,6 +82,8 @@ class SimulatedPolarH10(VirtualDevice):
     """
 
     sensor = "polar_h10"
+    usual: ClassVar[Usual] = Usual(H10, "A0:9E:1A:A1:B2:C3", "A1B2C3D4")
+    """What it is if nothing else is said."""
     expected = EXPECTED
     on_air = True
 
@@ -83,9 +92,9 @@ class SimulatedPolarH10(VirtualDevice):
         world: World,
         radio: Radio,
         *,
-        address: str = "A0:9E:1A:A1:B2:C3",
-        device_id: str = "A1B2C3D4",
-        product: Product = H10,
+        address: str = "",
+        device_id: str = "",
+        product: Product | None = None,
         quirks: Quirks | None = None,
         wearer: Wearer | None = None,
         seed: int = 0,
@@ -97,12 +106,13 @@ class SimulatedPolarH10(VirtualDevice):
     ) -> None:
         super().__init__(world, kept)
         quirks = quirks or Quirks()
-        self._device_id = device_id
+        product = product or self.usual.product
+        device_id = self._device_id = device_id or self.usual.device_id
         self._payloads = 0
         self._shown_bpm = 0
         name = f"{product.advertised} {device_id}"
         self._strap = Strap(
-            _peripheral(radio, address, name, rssi_dbm, quirks),
+            _peripheral(radio, address or self.usual.address, name, rssi_dbm, quirks),
             self.truth,
             identity=_identity(product, device_id),
             rssi_dbm=rssi_dbm,
@@ -111,7 +121,7 @@ class SimulatedPolarH10(VirtualDevice):
             seed=seed,
             drift_ppm=drift_ppm,
             jitter_s=jitter_s,
-            tells_contact=False,
+            tells_contact=product.tells_contact,
             sends_rr=product.sends_rr,
             off_body_drop_s=off_body_drop_s,
         )

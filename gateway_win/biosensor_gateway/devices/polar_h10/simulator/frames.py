@@ -18,6 +18,8 @@ ACC_8_BIT, ACC_16_BIT, ACC_24_BIT = 0, 1, 2
 """Formats of acceleration: so many bits an axis [mg]."""
 ACC_COMPRESSED_COUNTS, ACC_COMPRESSED_MG = 0x80, 0x81
 """Compressed 16 bits: in counts to be scaled, in mg."""
+PPG_OF_THREE_LEDS, PPG_OF_TWO_DIODES = 0x80, 0x8D
+"""Compressed light: three LEDs and the ambient light, or one LED seen by two diodes."""
 _UNKNOWN_FORMAT = 0x3F
 
 
@@ -61,9 +63,26 @@ def acceleration(timestamp_ns: int, counts: Integers, frame_format: int = ACC_16
     return head + little_endian(counts, frame_format + 1)
 
 
-def ppg(timestamp_ns: int, counts: Integers) -> bytes:
-    """Photoplethysmogram of three LEDs and ambient light, compressed, 22 bits, shape (n, 4)."""
-    return header(Measurement.PPG, timestamp_ns, _COMPRESSED) + compress(counts, 22)
+def ppg(timestamp_ns: int, counts: Integers, frame_format: int = PPG_OF_THREE_LEDS) -> bytes:
+    """Photoplethysmogram in one of the formats above, shape (n, 4) or (n, 2).
+
+    Behind the values of two diodes stand bits of status, here of a sensor that has none set.
+    """
+    head = header(Measurement.PPG, timestamp_ns, frame_format)
+    if frame_format == PPG_OF_TWO_DIODES:
+        status = np.zeros((len(counts), 1), np.int64)
+        return head + compress(np.hstack((counts, status)), 24)
+    return head + compress(counts, 22)
+
+
+def angular_velocity(timestamp_ns: int, counts: Integers) -> bytes:
+    """Angular velocity, compressed, 16 bits, shape (n, 3)."""
+    return header(Measurement.GYRO, timestamp_ns, _COMPRESSED) + compress(counts, 16)
+
+
+def magnetic_field(timestamp_ns: int, counts: Integers) -> bytes:
+    """Magnetic flux density, compressed, 16 bits, shape (n, 3)."""
+    return header(Measurement.MAGNETOMETER, timestamp_ns, _COMPRESSED) + compress(counts, 16)
 
 
 def pulse_intervals(timestamp_ns: int, intervals: Sequence[PulseInterval]) -> bytes:

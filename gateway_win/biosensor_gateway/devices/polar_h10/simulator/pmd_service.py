@@ -24,6 +24,7 @@ from biosensor_gateway.devices.polar_h10.simulator.waveforms import waveform
 
 _Permissions = Attribute.Permissions
 _Properties = Characteristic.Properties
+_PULSE_WITH_INTERVALS_S = 5
 
 
 class PmdService:
@@ -123,15 +124,17 @@ class PmdService:
             self._begin_streams()
 
     def _begin_streams(self) -> None:
+        self._choose_pace()
         for measurement in self._control.running.keys() - self._streams.keys():
             if measurement in self._product.settings:
                 stream = self._stream(measurement)
                 self._streams[measurement] = stream, self._strap.run(stream.run())
 
     def _stream(self, measurement: Measurement) -> MeasurementStream:
-        begin_s = self._strap.crystal.now() + self._quirks.first_sample_s
+        now_s = self._strap.crystal.now()
         if measurement is Measurement.PPI:
-            return IntervalStream(self._strap, self._data, begin_s)
+            first_s = now_s + self._quirks.first_intervals_s
+            return IntervalStream(self._strap, self._data, first_s)
         signal = waveform(
             self._product,
             measurement,
@@ -139,10 +142,22 @@ class PmdService:
             self._strap.wearer,
             compressed=self._quirks.compressed_acceleration,
         )
-        rate_hz = signal.rate_hz * (1 + self._quirks.sampling_deviation)
+        in_sdk_mode = self._control.in_sdk_mode
+        true_hz = self._product.true_rate_hz(measurement, signal.rate_hz, sdk_mode=in_sdk_mode)
+        rate_hz = true_hz * (1 + self._quirks.sampling_deviation)
+        begin_s = now_s + self._quirks.first_sample_s
         return WaveformStream(self._strap, self._data, signal, rate_hz, begin_s)
 
+    def _choose_pace(self) -> None:
+        """Send heart rates as the measurements that run let the device do."""
+        if self._control.in_sdk_mode:
+            self._strap.pulse_every_s = 0
+        else:
+            runs_slowly = Measurement.PPI in self._control.running
+            self._strap.pulse_every_s = _PULSE_WITH_INTERVALS_S if runs_slowly else 1
+
     def _end_streams(self) -> None:
+        self._choose_pace()
         for measurement in self._streams.keys() - self._control.running.keys():
             stream, task = self._streams.pop(measurement)
             task.cancel()

@@ -1,13 +1,13 @@
-"""The Polar products that can be simulated."""
+"""What distinguishes one Polar product from another, and the H10."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from biosensor_gateway.devices.polar_h10.simulator.frames import (
     ACC_16_BIT,
-    ACC_COMPRESSED_COUNTS,
+    PPG_OF_THREE_LEDS,
 )
 from biosensor_gateway.devices.polar_h10.simulator.pmd import (
     Measurement,
@@ -16,8 +16,7 @@ from biosensor_gateway.devices.polar_h10.simulator.pmd import (
     encode_factor,
 )
 
-_CHEST, _OTHER_LOCATION = 1, 0
-_VERITY_G_PER_COUNT = 0.000244
+_CHEST = 1
 
 
 @dataclass(frozen=True)
@@ -37,14 +36,23 @@ class Product:
     settings
         What can be measured, with the settings on offer in the order of the reply.
     start_parameters
-        What the reply to a start carries behind its status.
+        What the reply to a start carries behind its status, where that is no unit.
     acc_format
         Format byte of acceleration frames.
-    acc_unit_g
-        What one count of acceleration is [g].
+    units
+        What one count is [g, deg/s or gauss], of measurements with a single range.
+    units_per_range
+        The same for each unit of the range that was chosen, which the reply to a start names.
+    ppg_format
+        Format byte of photoplethysmograms.
     minimum_mtu
         Nothing is started over a link with a smaller ATT MTU.
-    has_sdk_mode
+    sdk_settings
+        What can be measured in the SDK mode; empty = it has no such mode.
+    true_rates
+        By measurement and the rate that it says, the one at which it really sends.
+    tells_contact
+        Whether heart rate measurements tell of skin contact.
     """
 
     advertised: str
@@ -55,15 +63,44 @@ class Product:
     settings: Mapping[Measurement, Offered]
     start_parameters: Mapping[Measurement, bytes]
     acc_format: int
-    acc_unit_g: float
+    units: Mapping[Measurement, float] = field(default_factory=dict[Measurement, float])
+    units_per_range: Mapping[Measurement, float] = field(default_factory=dict[Measurement, float])
+    ppg_format: int = PPG_OF_THREE_LEDS
     minimum_mtu: int = 0
-    has_sdk_mode: bool = False
+    sdk_settings: Mapping[Measurement, Offered] = field(default_factory=dict[Measurement, Offered])
+    true_rates: Mapping[Measurement, Mapping[int, int]] = field(
+        default_factory=dict[Measurement, Mapping[int, int]]
+    )
+    tells_contact: bool = False
 
     @property
     def features(self) -> frozenset[Measurement]:
         """What the feature bits say."""
-        sdk_mode = {Measurement.SDK_MODE} if self.has_sdk_mode else set[Measurement]()
+        sdk_mode = {Measurement.SDK_MODE} if self.sdk_settings else set[Measurement]()
         return frozenset(self.settings) | sdk_mode
+
+    def offered(self, *, sdk_mode: bool) -> Mapping[Measurement, Offered]:
+        """Return what can be measured in a mode, with the settings on offer."""
+        return self.sdk_settings if sdk_mode else self.settings
+
+    def unit(self, measurement: Measurement, chosen: Mapping[Setting, int]) -> float:
+        """Return what one count is."""
+        per_range = self.units_per_range.get(measurement)
+        if per_range is None:
+            return self.units.get(measurement, 1.0)
+        return per_range * chosen[Setting.RANGE]
+
+    def start_reply(self, measurement: Measurement, chosen: Mapping[Setting, int]) -> bytes:
+        """Return what the reply to a start carries behind its status."""
+        if measurement in self.units_per_range:
+            return encode_factor(self.unit(measurement, chosen))
+        return self.start_parameters.get(measurement, b"")
+
+    def true_rate_hz(self, measurement: Measurement, said: int, *, sdk_mode: bool) -> int:
+        """Return the rate at which it sends when it was asked for one that it says."""
+        if sdk_mode:
+            return said
+        return self.true_rates.get(measurement, {}).get(said, said)
 
 
 H10 = Product(
@@ -83,34 +120,5 @@ H10 = Product(
     # One reserved byte, which is no setting, as a real H10 sends it.
     start_parameters={Measurement.ACC: b"\1"},
     acc_format=ACC_16_BIT,
-    acc_unit_g=1e-3,
+    units={Measurement.ACC: 1e-3},
 )
-
-VERITY_SENSE = Product(
-    advertised="Polar Sense",
-    model="Verity Sense",
-    firmware="2.1.0",
-    body_location=_OTHER_LOCATION,
-    sends_rr=False,
-    settings={
-        Measurement.PPG: {
-            Setting.SAMPLE_RATE: (55,),
-            Setting.RESOLUTION: (22,),
-            Setting.CHANNELS: (4,),
-        },
-        Measurement.ACC: {
-            Setting.SAMPLE_RATE: (52,),
-            Setting.RESOLUTION: (16,),
-            Setting.RANGE: (8,),
-            Setting.CHANNELS: (3,),
-        },
-        Measurement.PPI: {},
-    },
-    start_parameters={Measurement.ACC: encode_factor(_VERITY_G_PER_COUNT)},
-    acc_format=ACC_COMPRESSED_COUNTS,
-    acc_unit_g=_VERITY_G_PER_COUNT,
-    # A reference sample of four channels fills a smaller packet.
-    minimum_mtu=64,
-    has_sdk_mode=True,
-)
-"""Without the gyroscope and the magnetometer of the real one."""

@@ -48,6 +48,8 @@ class Quirks:
         nominal; the data sheet allows 0.02.
     first_sample_s
         From a start to its first sample.
+    first_intervals_s
+        From a start to the first intervals between pulse waves; 25 s by the vendor's documents.
     """
 
     firmware: Firmware = Firmware.CURRENT
@@ -61,3 +63,4 @@ class Quirks:
     compressed_acceleration: bool = False
     sampling_deviation: float = 0.0
     first_sample_s: float = 0.0
+    first_intervals_s: float = 25.0

@@ -104,7 +104,7 @@ class WaveformStream:
 
 
 class IntervalStream:
-    """Pulse-to-pulse intervals, every five seconds, without a time.
+    """Pulse-to-pulse intervals with their errors, every five seconds, without a time.
 
     Parameters
     ----------
@@ -112,22 +112,22 @@ class IntervalStream:
         Who measures.
     data
         The characteristic that carries the frames.
-    begin_s
-        Device time from which beats count [s since power-on].
+    first_s
+        Device time of the first ones [s since power-on].
     """
 
-    def __init__(self, strap: Strap, data: Characteristic[bytes], begin_s: float) -> None:
+    def __init__(self, strap: Strap, data: Characteristic[bytes], first_s: float) -> None:
         self._strap = strap
         self._data = data
-        self._begin_s = begin_s
+        self._next_s = first_s
         now_s = strap.crystal.clock()
         self._detector = BeatDetector(strap.wearer, strap.crystal, strap.origin_s, now_s)
 
     async def run(self) -> None:
         """Measure and send for ever."""
         while True:
-            self._begin_s += _INTERVAL_PERIOD_S
-            await self._send(await self._strap.crystal.reach(self._begin_s))
+            await self._send(await self._strap.crystal.reach(self._next_s))
+            self._next_s += _INTERVAL_PERIOD_S
 
     def end(self) -> None:
         """Intervals since the last frame were not evaluated yet: nothing is missing."""
@@ -147,7 +147,7 @@ class IntervalStream:
             ]
             if await _send(self._strap, self._data, frames.pulse_intervals(0, entries)):
                 times = [one.time for one in intervals[part]]
-                values = [(length / 1000,) for length in lengths_ms[part]]
+                values = [(each / 1000, _INTERVAL_ERROR_MS / 1000) for each in lengths_ms[part]]
                 self._strap.truth.sent("ppi", times, values)
 
 

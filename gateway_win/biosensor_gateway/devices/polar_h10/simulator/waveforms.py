@@ -21,6 +21,11 @@ _INT16_LIMIT = 0x7FFF
 _PPG_LEVELS = np.array([-520_000.0, -485_000.0, -477_000.0, -640_000.0])
 _PPG_PULSE = np.array([9_000.0, 7_000.0, 8_000.0, 0.0])
 _PPG_NOISE = 60.0
+# Of the limb: how it turns at rest, and the field of the earth in it.
+_TURNS_DEG_S = 2.0
+_FIELD_GAUSS = np.array([0.21, -0.06, 0.43])
+_FIELD_NOISE_GAUSS = 0.004
+_MICROTESLA_PER_GAUSS = 100.0
 _COMPRESSION = 2
 """A compressed sample takes at most half of its raw size, as a rule."""
 
@@ -91,10 +96,22 @@ def waveform(
         case Measurement.ECG:
             return Waveform("ecg", rate, 3, 1.0, partial(_ecg, wearer), frames.ecg)
         case Measurement.PPG:
+            channels = 2 if product.ppg_format == frames.PPG_OF_TWO_DIODES else 4
             size = 12 // _COMPRESSION
-            return Waveform("ppg", rate, size, 1.0, partial(_ppg, wearer), frames.ppg)
+            frame = partial(frames.ppg, frame_format=product.ppg_format)
+            return Waveform("ppg", rate, size, 1.0, partial(_ppg, wearer, channels), frame)
+        case Measurement.GYRO:
+            unit = product.unit(measurement, settings)
+            counts = partial(_rotation, wearer, unit)
+            return Waveform("gyro", rate, 6 // _COMPRESSION, unit, counts, frames.angular_velocity)
+        case Measurement.MAGNETOMETER:
+            unit = product.unit(measurement, settings)
+            in_microtesla = unit * _MICROTESLA_PER_GAUSS
+            counts = partial(_field, wearer, unit)
+            size = 6 // _COMPRESSION
+            return Waveform("mag", rate, size, in_microtesla, counts, frames.magnetic_field)
         case Measurement.ACC:
-            unit_g = product.acc_unit_g
+            unit_g = product.unit(measurement, settings)
             limit = min(_INT16_LIMIT, round(settings[Setting.RANGE] / unit_g))
             raw = product.acc_format == frames.ACC_16_BIT and not compressed
             layout = frames.ACC_COMPRESSED_MG if compressed else product.acc_format
@@ -115,10 +132,20 @@ def _acceleration(wearer: Wearer, unit: float, limit: int, t: Floats, _worn: boo
     return _round(wearer.acceleration_g(t) / unit, limit)
 
 
-def _ppg(wearer: Wearer, t: Floats, worn: bool) -> Integers:
-    pulse = wearer.pulse(t)[:, np.newaxis] * _PPG_PULSE * worn
+def _ppg(wearer: Wearer, channels: int, t: Floats, worn: bool) -> Integers:
+    pulse = wearer.pulse(t)[:, np.newaxis] * _PPG_PULSE[:channels] * worn
     noise = wearer.noise(t, _PPG_NOISE, "photodiode")[:, np.newaxis]
-    return _round(_PPG_LEVELS + pulse + noise, 1 << 21)
+    return _round(_PPG_LEVELS[:channels] + pulse + noise, 1 << 21)
+
+
+def _rotation(wearer: Wearer, unit: float, t: Floats, _worn: bool) -> Integers:
+    turns = [wearer.noise(t, _TURNS_DEG_S, f"turn {axis}") for axis in "xyz"]
+    return _round(np.stack(turns, axis=1) / unit, _INT16_LIMIT)
+
+
+def _field(wearer: Wearer, unit: float, t: Floats, _worn: bool) -> Integers:
+    noise = [wearer.noise(t, _FIELD_NOISE_GAUSS, f"field {axis}") for axis in "xyz"]
+    return _round((_FIELD_GAUSS + np.stack(noise, axis=1)) / unit, _INT16_LIMIT)
 
 
 def _round(values: Floats, limit: int) -> Integers:

@@ -24,6 +24,10 @@ class Measurement(IntEnum):
     PPG = 1
     ACCELERATION = 2
     PULSE_INTERVALS = 3
+    GYROSCOPE = 5
+    MAGNETOMETER = 6
+    SDK_MODE = 9
+    """No measurement: it is started and stopped as if it were one."""
 
 
 class Operation(IntEnum):

@@ -6,6 +6,7 @@ import struct
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum, unique
+from math import nan
 
 from biosensor_gateway.devices.polar_h10.driver.protocol.compression import Sample, expand
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement
@@ -16,6 +17,8 @@ _HEADER = struct.Struct("<BQB")
 _MEASUREMENT_MASK = 0x3F
 _COMPRESSED = 0x80
 _G_PER_MILLI_G = 0.001
+_MICROTESLA_PER_GAUSS = 100.0
+_PPG_CHANNELS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +52,11 @@ class Ecg:
     header: Header
     microvolts: tuple[int, ...]
 
+    @property
+    def samples(self) -> list[list[float]]:
+        """One channel [uV]."""
+        return [[value] for value in self.microvolts]
+
 
 @dataclass(frozen=True, slots=True)
 class Acceleration:
@@ -62,13 +70,51 @@ class Acceleration:
     counts: tuple[Sample, ...]
     g_per_count: float
 
+    @property
+    def samples(self) -> list[list[float]]:
+        """Three channels [g]."""
+        return _scaled(self.counts, self.g_per_count)
+
 
 @dataclass(frozen=True, slots=True)
-class Ppg:
-    """Photoplethysmogram: three photodiodes and the ambient light [counts]."""
+class Rotation:
+    """Angular velocity, x y z [counts]."""
 
     header: Header
     counts: tuple[Sample, ...]
+    degrees_per_s_per_count: float
+
+    @property
+    def samples(self) -> list[list[float]]:
+        """Three channels [deg/s]."""
+        return _scaled(self.counts, self.degrees_per_s_per_count)
+
+
+@dataclass(frozen=True, slots=True)
+class MagneticField:
+    """Magnetic flux density, x y z [counts]."""
+
+    header: Header
+    counts: tuple[Sample, ...]
+    gauss_per_count: float
+
+    @property
+    def samples(self) -> list[list[float]]:
+        """Three channels [uT]."""
+        return _scaled(self.counts, self.gauss_per_count * _MICROTESLA_PER_GAUSS)
+
+
+@dataclass(frozen=True, slots=True)
+class Ppg:
+    """Photoplethysmogram [counts]: three LEDs and the ambient light, or two LEDs alone."""
+
+    header: Header
+    counts: tuple[Sample, ...]
+
+    @property
+    def samples(self) -> list[list[float]]:
+        """Four channels [counts]; NaN of those that the device does not have."""
+        return [[*each, *(nan,) * (_PPG_CHANNELS - len(each))] for each in self.counts]
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +152,9 @@ class PulseIntervals:
     intervals: tuple[PulseInterval, ...]
 
 
-Frame = Ecg | Acceleration | Ppg | PulseIntervals
+RegularFrame = Ecg | Acceleration | Rotation | MagneticField | Ppg
+"""Frames of samples at a constant rate."""
+Frame = RegularFrame | PulseIntervals
 _Layout = Callable[[Header, bytes, float], Frame | None]
 
 
@@ -133,7 +181,7 @@ def parse_frame(data: bytes, factors: Mapping[int, float]) -> Frame | Rejected:
     data
     factors
         By measurement, what the device named when it was started: physical units
-        (g for acceleration) a count of compressed frames; 1 where it named none.
+        (g, deg/s or gauss) a count of compressed frames; 1 where it named none.
     """
     if len(data) < _HEADER.size:
         return Rejected.DAMAGED
@@ -178,8 +226,33 @@ def _ppg(header: Header, data: bytes, factor: float) -> Frame | None:
 def _compressed_ppg(header: Header, data: bytes, factor: float) -> Frame | None:
     del factor
     # 22-bit values in three bytes each.
-    samples = expand(data, 4, 24)
+    samples = expand(data, _PPG_CHANNELS, 24)
     return None if samples is None else Ppg(header, tuple(samples))
+
+
+def _compressed_ppg_of_two_leds(header: Header, data: bytes, factor: float) -> Frame | None:
+    del factor
+    # Behind the values of the photodiodes stand bits of status.
+    samples = expand(data, 3, 24)
+    return None if samples is None else Ppg(header, tuple(each[:2] for each in samples))
+
+
+def _rotation(header: Header, data: bytes, factor: float) -> Frame | None:
+    samples = expand(data, 3, 16)
+    return None if samples is None else Rotation(header, tuple(samples), factor)
+
+
+def _magnetic_field(header: Header, data: bytes, factor: float) -> Frame | None:
+    samples = expand(data, 3, 16)
+    return None if samples is None else MagneticField(header, tuple(samples), factor)
+
+
+def _magnetic_field_with_status(header: Header, data: bytes, factor: float) -> Frame | None:
+    # Counts of a thousandth gauss, and how well the sensor has calibrated itself.
+    samples = expand(data, 4, 16)
+    if samples is None:
+        return None
+    return MagneticField(header, tuple(each[:3] for each in samples), factor / 1000)
 
 
 _PULSE_INTERVAL = struct.Struct("<BHHB")
@@ -196,6 +269,10 @@ def _each_interval(data: bytes) -> Iterator[PulseInterval]:
     for bpm, interval_ms, error_ms, flags in _PULSE_INTERVAL.iter_unpack(data):
         contact = bool(flags >> 1 & 1) if flags >> 2 & 1 else None
         yield PulseInterval(bpm, interval_ms, error_ms, bool(flags & 1), contact)
+
+
+def _scaled(counts: tuple[Sample, ...], unit: float) -> list[list[float]]:
+    return [[count * unit for count in sample] for sample in counts]
 
 
 def _integers(data: bytes, width: int, channels: int) -> tuple[Sample, ...] | None:
@@ -218,5 +295,9 @@ _LAYOUTS: dict[tuple[int, int], _Layout] = {
     (Measurement.ACCELERATION, 0x81): _compressed_acceleration(_G_PER_MILLI_G),
     (Measurement.PPG, 0x00): _ppg,
     (Measurement.PPG, 0x80): _compressed_ppg,
+    (Measurement.PPG, 0x8D): _compressed_ppg_of_two_leds,
     (Measurement.PULSE_INTERVALS, 0x00): _pulse_intervals,
+    (Measurement.GYROSCOPE, 0x80): _rotation,
+    (Measurement.MAGNETOMETER, 0x80): _magnetic_field,
+    (Measurement.MAGNETOMETER, 0x81): _magnetic_field_with_status,
 }

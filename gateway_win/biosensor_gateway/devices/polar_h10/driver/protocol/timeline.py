@@ -9,6 +9,8 @@ from biosensor_common.device_clock import LONGEST_DELAY_S
 _NS = 1_000_000_000
 RATE_TOLERANCE = 0.1
 """Nominal rates hold to 2 % only; what is lost is lost in whole frames."""
+LEARNING_STEPS = 3
+"""So many frames in a row that agree on another rate than the device said are right."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,15 +43,25 @@ class FrameTimeline:
     ----------
     nominal_hz
         Sampling rate that the device was asked for.
+    is_doubted
+        Firmware is known that sends at another rate than it says: what the first frames seem
+        to miss is not counted before they agree on the rate.
     """
 
-    def __init__(self, nominal_hz: float) -> None:
+    def __init__(self, nominal_hz: float, *, is_doubted: bool = False) -> None:
         self._nominal_hz = nominal_hz
+        self._is_doubted = is_doubted
+        self._another = _AnotherRate()
         self._nominal_ns = _NS / nominal_hz
         self._measured_ns = 0
         self._measured_samples = 0
         self._previous_ns: int | None = None
         self._last: tuple[int, float] | None = None
+
+    @property
+    def rate_hz(self) -> float:
+        """Sampling rate by the device's clock, as far as it was measured."""
+        return _NS / self._period_ns
 
     def restart(self, nominal_hz: float) -> None:
         """Begin anew, as when the measurement was stopped and started."""
@@ -77,11 +89,14 @@ class FrameTimeline:
             self._measured_ns += span_ns
             self._measured_samples += count
             times = [previous_ns + span_ns * (index + 1) // count for index in range(count)]
-            lost = 0
+            lost = self._another.refute()
         else:
             period_ns = self._period_ns
             times = [timestamp_ns - round(age * period_ns) for age in reversed(range(count))]
             lost = self._missing(timestamp_ns, count, arrival_s)
+            if self._may_learn and previous_ns is not None and not steps_back:
+                self._learn(timestamp_ns - previous_ns, count, lost)
+                lost = 0
         self._last = (timestamp_ns, arrival_s)
         return Placed(times, lost, steps_back)
 
@@ -90,6 +105,16 @@ class FrameTimeline:
         if not self._measured_samples:
             return self._nominal_ns
         return self._measured_ns / self._measured_samples
+
+    @property
+    def _may_learn(self) -> bool:
+        return self._is_doubted and not self._measured_samples
+
+    def _learn(self, span_ns: int, count: int, lost: int) -> None:
+        """Note a frame that does not follow at the nominal rate."""
+        if self._another.add(span_ns / count, lost) >= LEARNING_STEPS:
+            self._measured_ns, self._measured_samples = span_ns, count
+            self._another = _AnotherRate()
 
     def _follows(self, span_ns: int, count: int) -> bool:
         difference = span_ns / self._period_ns - count
@@ -103,3 +128,25 @@ class FrameTimeline:
         if abs(span_ns / _NS - (arrival_s - last_arrival_s)) > LONGEST_DELAY_S:
             return 0
         return max(0, round(span_ns / self._period_ns) - count)
+
+
+class _AnotherRate:
+    """Frames in a row that agree on a rate which is not the nominal one."""
+
+    def __init__(self) -> None:
+        self._period_ns = 0.0
+        self._steps = 0
+        self._lost = 0
+
+    def add(self, period_ns: float, lost: int) -> int:
+        """Note the distance of samples; return how many frames agree on it so far."""
+        if abs(period_ns - self._period_ns) > RATE_TOLERANCE * abs(self._period_ns):
+            self._period_ns, self._steps = period_ns, 0
+        self._steps += 1
+        self._lost += lost
+        return self._steps
+
+    def refute(self) -> int:
+        """Return what was lost after all: the nominal rate is right."""
+        lost, self._lost, self._steps, self._period_ns = self._lost, 0, 0, 0.0
+        return lost

@@ -1,0 +1,31 @@
+"""Polar Verity Sense, OH1 and 360: optical heart-rate sensors for the arm or the temple."""
+
+from biosensor_common.quantities import MAGNETIC_FIELD, ContentType, MessageType, Unit
+from biosensor_common.spec import FROM_DEVICE, SensorSpec
+from biosensor_common.table import channels, hardware, raw
+from biosensor_gateway.devices.ble_heart_rate import declaration as ble_heart_rate
+
+_STRAP = ble_heart_rate.SPEC
+_PPG = channels(Unit.COUNTS, "LED1", "LED2", "LED3", "ambient")
+# The vendor calls its own contact bit very unreliable: nothing may act on it, so it has no role.
+_QUALITY = channels(Unit.BOOLEAN, "skin_contact", "moving")
+
+SPEC = SensorSpec(
+    name="polar_verity_sense",
+    title="Polar Verity Sense, OH1, 360",
+    manufacturer="Polar Electro",
+    model="Verity Sense",
+    streams=(
+        _STRAP.stream("hr"),
+        raw("ppi", ContentType.RR, channels(Unit.SECONDS, "PPI", "error")),
+        raw("ppg", ContentType.PPG, _PPG, FROM_DEVICE, chunk="ppg"),
+        hardware("acc", ContentType.ACCELEROMETER, channels(Unit.G, *"XYZ"), FROM_DEVICE),
+        hardware("gyro", ContentType.MOCAP, channels("deg/s", *"XYZ"), FROM_DEVICE),
+        hardware("mag", ContentType.MOCAP,
+                 channels(Unit.MICROTESLA, *"XYZ", roles=MAGNETIC_FIELD), FROM_DEVICE),
+        _STRAP.stream("bat"),
+        _STRAP.stream("rssi"),
+        hardware("quality", ContentType.QUALITY, _QUALITY,
+                 message_type=MessageType.FLOAT32_MULTI_ARRAY),
+    ),
+)  # fmt: skip
