@@ -7,8 +7,17 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from biosensor_gateway.simulation.expected import Gap
-from tests.faults.expectations import CELLS, Kind, gap_of, regular_streams, source, tolerance
-from tests.faults.matching import Places, UnknownSampleError, match, missing, unread
+from tests.faults.expectations import (
+    CELLS,
+    AgentFault,
+    Kind,
+    device_of,
+    gap_of,
+    regular_streams,
+    source,
+    tolerance,
+)
+from tests.faults.matching import NEAR_S, Places, UnknownSampleError, match, missing, unread
 from tests.faults.recorder import Recorded
 from tests.rigs.lab_client import Samples
 
@@ -92,7 +101,12 @@ class Episode:
 
     def matched(self, name: str, data_name: str) -> Places:
         """Place of each received sample of one stream in the truth."""
-        return match(self.received[name, data_name], self.truth[name, data_name])
+        near_s = NEAR_S
+        if data_name in device_of(name).expected.unstamped_s:
+            # It has the time at which it was read, and nobody reads while the agent sleeps.
+            woke_s = self.end_s.get((AgentFault.ASLEEP, name), self.begin_s)
+            near_s += woke_s - self.begin_s
+        return match(self.received[name, data_name], self.truth[name, data_name], near_s)
 
     def account(self, name: str, data_name: str) -> Account:
         """Balance one stream."""

@@ -21,8 +21,8 @@ class UnknownSampleError(AssertionError):
     """A sample was never sent, or came twice, or out of order."""
 
 
-def match(received: Recorded, truth: Samples) -> Places:
-    """Place of each received sample in the truth, ever increasing.
+def match(received: Recorded, truth: Samples, near_s: float = NEAR_S) -> Places:
+    """Place of each received sample in the truth, ever increasing, with a stamp that is near.
 
     Raises
     ------
@@ -34,7 +34,8 @@ def match(received: Recorded, truth: Samples) -> Places:
     position = place = 0
     while position < len(got):
         head = got[position : position + _LOOK_AHEAD]
-        place += _best(head, sent[place:], truth.times[place:] - received.times[position])
+        apart_s = truth.times[place:] - received.times[position]
+        place += _best(head, sent[place:], apart_s, near_s)
         length = _common(got[position:], sent[place:])
         if not length:
             what = f"{got[position].tolist()} at {received.times[position]:.3f}"
@@ -59,9 +60,9 @@ def unread(places: Places) -> int:
     return int(places[-1] - places[0] + 1 - len(places)) if len(places) else 0
 
 
-def _best(head: _Values, sent: _Values, apart_s: Floats) -> int:
+def _best(head: _Values, sent: _Values, apart_s: Floats, near_s: float) -> int:
     """The place nearest in time among those where most of *head* fits; 0 if there is none."""
-    near = np.flatnonzero(np.abs(apart_s) < NEAR_S)
+    near = np.flatnonzero(np.abs(apart_s) < near_s)
     # Most of them begin otherwise already, which is seen at one look.
     begin = near[_same(sent[near], head[:1])].tolist()
     fitting = (

@@ -31,6 +31,14 @@ KEY = "device"
 DRIFT_PPM = 120.0
 H10 = "Polar H10 A1B2C3D4"
 BELT = "GDX-RB 0K2002Z5"
+SENSE = "Polar Sense 5E45E001"
+OF_THREE_AXES = {"RESOLUTION": [16], "CHANNELS": [3]}
+SENSE_SETTINGS = {
+    "PPG": {"SAMPLE_RATE": [55], "RESOLUTION": [22], "CHANNELS": [4]},
+    "ACC": {"SAMPLE_RATE": [52], "RANGE": [8], **OF_THREE_AXES},
+    "GYRO": {"SAMPLE_RATE": [52], "RANGE": [2000], **OF_THREE_AXES},
+    "MAG": {"SAMPLE_RATE": [10, 20, 50, 100], "RANGE": [50], **OF_THREE_AXES},
+}
 H10_SETTINGS = {
     "ECG": {"SAMPLE_RATE": [130], "RESOLUTION": [14]},
     "ACC": {"SAMPLE_RATE": [25, 50, 100, 200], "RESOLUTION": [16], "RANGE": [2, 4, 8]},
@@ -132,6 +140,43 @@ def test_polar_python_reads_the_polar_h10(tmp_path: Path) -> None:
         assert_stamps(read[name], truth[name])
         # A clock that nobody has set starts there.
         assert datetime.fromtimestamp(read[name]["stamps_ns"][0] / 1e9, UTC).year == 2019
+
+
+def test_polar_python_reads_the_verity_sense(tmp_path: Path) -> None:
+    with laboratory(tmp_path, "polar_verity_sense") as lab:
+        with peer(lab, "polar_python_reads_light.py", SENSE) as process:
+            read = result(process)
+        truth = lab.truth(KEY)
+    assert set(read["measurements"]) == {"PPI", *SENSE_SETTINGS}
+    assert read["settings"] == SENSE_SETTINGS
+    assert_read(np.array(read["ppi"]) / 1000, truth["ppi"].values)
+    assert_read(read["ppg"]["samples"], truth["ppg"].values)
+    # In mg cut off to whole ones, in deg/s and in gauss; the factor came as a float of 32 bits.
+    for name, unit in (("acc", 1000.0), ("gyro", 1.0), ("mag", 0.01)):
+        values = np.array(read[name]["samples"])
+        np.testing.assert_allclose(
+            values, truth[name].values[: len(values)] * unit, rtol=1e-6, atol=float(name == "acc")
+        )
+    for name in ("ppg", "acc", "gyro", "mag"):
+        assert_stamps(read[name], truth[name])
+
+
+def test_bleakheart_reads_the_verity_sense_in_its_sdk_mode(tmp_path: Path) -> None:
+    with laboratory(tmp_path, "polar_verity_sense") as lab:
+        with peer(lab, "bleakheart_reads_light.py", SENSE) as process:
+            read = result(process)
+        truth = lab.truth(KEY)
+    assert set(read["measurements"]) == {"PPI", *SENSE_SETTINGS}
+    fine = {"error_code": 0, "error_msg": "SUCCESS"}
+    assert read["settings"] == {kind: fine | offered for kind, offered in SENSE_SETTINGS.items()}
+    assert read["sdk_settings"]["SAMPLE_RATE"] == [28, 44, 55, 135, 176]
+    assert read["codes"] == [0, 0, 0, 0]
+    assert_read(known(read["hr"]), truth["hr"].values)
+    # It reads bits of a difference from the wrong end, but for 8 of them; what a frame begins
+    # with and how many samples it holds is right.
+    first = np.concatenate(([0], np.cumsum(read["sizes"])[:-1]))
+    np.testing.assert_array_equal(read["references"], truth["ppg"].values[first])
+    assert_stamps(read, truth["ppg"])
 
 
 def test_godirect_drives_the_respiration_belt(tmp_path: Path) -> None:

@@ -104,6 +104,11 @@ class PolarEmitter:
             if owner == measurement:
                 timeline.restart(rate_hz)
 
+    def agreed(self, measurement: Measurement) -> None:
+        """Note that the device measures what it refused, and that may be long in coming."""
+        if measurement in self.data_names:
+            self._sink.heard(self.data_names[measurement])
+
     def is_foreign(self, data: bytes) -> bool:
         """Whether a frame is of a measurement that we have not started on this connection.
 

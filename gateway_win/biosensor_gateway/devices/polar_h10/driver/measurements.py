@@ -187,7 +187,8 @@ class Measurements:
         (factor,) = parse_settings(reply.parameters).get(Setting.FACTOR, (1.0,))[:1] or (1.0,)
         self._emitter.started(each.wanted.measurement, each.rate_hz, factor)
         self._running[each.wanted.measurement] = each
-        self.refusals.pop(each.wanted.measurement, None)
+        if self.refusals.pop(each.wanted.measurement, None) is not None and each.rate_hz is None:
+            self._emitter.agreed(each.wanted.measurement)
 
     def _note_refused(self, each: _Running, reply: Reply) -> None:
         advice = _ADVICE.get(reply.status, "take it off for a minute")
