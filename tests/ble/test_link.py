@@ -20,6 +20,7 @@ from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.transports import ble
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_errors import AttError
+from biosensor_gateway.transports.ble_pairing import Pairing
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.polling import until
 from tests.rigs.probe import COMPANY, EVENT, FLOW, NOTE, REFUSAL, SECRET, SERIAL, Probe
@@ -147,7 +148,7 @@ async def test_a_device_may_have_to_be_paired(rig: str, radio: Radio, pair_first
     probe = Probe(radio, "A0:9E:1A:00:00:01", "Probe 1")
     probe.peripheral.demand_pairing = True
     probe.power_on()
-    link = BleLink(choice("1"), pair_first=pair_first)
+    link = BleLink(choice("1"), pairing=Pairing("yes" if pair_first else "auto"))
     await link.open()
     if not pair_first:
         error = await refusal(link.read(SECRET))

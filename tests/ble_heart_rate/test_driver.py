@@ -59,7 +59,7 @@ async def test_the_device_says_who_it_is(strap: SimulatedHeartRateStrap) -> None
     assert (info.serial_number, info.firmware_version) == ("0001", "1.0")
 
 
-async def test_a_strap_that_demands_pairing_is_paired_where_the_settings_say_so(
+async def test_a_strap_that_demands_pairing_is_paired_unless_the_settings_forbid_it(
     strap: SimulatedHeartRateStrap, radio: Radio
 ) -> None:
     del strap
@@ -67,12 +67,13 @@ async def test_a_strap_that_demands_pairing_is_paired_where_the_settings_say_so(
     with SimulatedHeartRateStrap(
         radio.world, radio, address=address, name="Shy Strap", demands_pairing=True
     ) as shy:
-        async with streaming(shy, device=address) as run:
+        async with streaming(shy, device=address, pair="no") as run:
             await until(lambda: run.supervisor.last_error)
-            assert "answers only when paired; set pair = true" in str(run.supervisor.last_error)
-        async with streaming(shy, device=address, pair=True) as run:
-            await until(run.sink.has(2, "hr"))
-            assert run.states == [State.CONNECTING, State.STREAMING]
+            assert "the device refuses the request" in str(run.supervisor.last_error)
+        for pair in ("auto", "yes"):
+            async with streaming(shy, device=address, pair=pair) as run:
+                await until(run.sink.has(2, "hr"))
+                assert run.states == [State.CONNECTING, State.STREAMING]
 
 
 async def test_without_a_device_in_the_settings_the_only_one_is_taken(

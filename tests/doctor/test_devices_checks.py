@@ -28,6 +28,7 @@ from biosensor_gateway.doctor.context import Context
 from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.world import World
+from biosensor_gateway.transports import ble_pairing
 from tests.doctor.conftest import E4, POLAR, ZEPHYR, above_ok, only
 
 if TYPE_CHECKING:
@@ -72,6 +73,19 @@ def test_bluetooth_that_is_on(
     with virtual_bluetooth(radio), SimulatedPolarH10(world, radio):
         (found,) = examine(configured(POLAR), "bluetooth")
     assert (found.level, "1 device was heard" in found.what) == (Level.OK, True)
+
+
+def test_on_windows_it_says_what_was_not_seen_with_a_real_device(
+    examine: Examine, configured: Configured, world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bluetooth, "LISTEN_S", 1.5)
+    monkeypatch.setattr(ble_pairing, "PLATFORM", "win32")
+    radio = Radio(world)
+    with virtual_bluetooth(radio), SimulatedPolarH10(world, radio):
+        on_air, unseen = examine(configured(POLAR), "bluetooth")
+        assert len(examine(configured(""), "bluetooth")) == 1
+    assert (on_air.level, unseen.level) == (Level.OK, Level.OK)
+    assert unseen.what == bluetooth.UNSEEN_ON_WINDOWS
 
 
 def test_silence_where_a_device_is_needed_is_a_note(

@@ -37,6 +37,7 @@ from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.clock import LSL_CLOCK
 from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.ble_errors import AttError
+from biosensor_gateway.transports.ble_pairing import Pairing
 from biosensor_gateway.transports.nearby import Advertisement
 
 ASK = get_settings(Measurement.ACCELERATION)
@@ -128,7 +129,7 @@ def driver_of(*links: ScriptedLink) -> PolarDriver:
     def meet() -> PolarSession:
         return PolarSession(cast("BleLink", next(rest)), emitter, Plan(lambda _: wanted))
 
-    return PolarDriver(meet, emitter, frozenset({"acc"}))
+    return PolarDriver(meet, Pairing(), emitter, frozenset({"acc"}))
 
 
 async def test_a_reply_may_come_in_several_packets() -> None:

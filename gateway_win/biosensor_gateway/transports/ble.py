@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 from weakref import WeakKeyDictionary
 
 from bleak import BleakClient
+from bleak.args.winrt import WinRTClientArgs
 from bleak.backends.characteristic import BleakGATTCharacteristic
 from bleak.exc import BleakError
 from bleak.uuids import normalize_uuid_str
@@ -22,6 +23,7 @@ from biosensor_common.errors import ProtocolError, ProtocolReason, TransportErro
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_errors import AttError, att_code, connect_error, is_forgotten
+from biosensor_gateway.transports.ble_pairing import Pairing
 from biosensor_gateway.transports.ble_scanner import Sighting, forget
 from biosensor_gateway.transports.deadlines import in_background, within
 from biosensor_gateway.transports.nearby import Advertisement
@@ -73,16 +75,17 @@ class BleLink:
         Which device; shared by all connections of a driver.
     clock
         Tells when something arrives.
-    pair_first
-        Pair before connecting, for devices that hide their services until then.
+    pairing
+        Whether and when to pair; shared by all connections of a driver, too.
     """
 
     def __init__(
-        self, choice: Choice, clock: Clock = LSL_CLOCK, *, pair_first: bool = False
+        self, choice: Choice, clock: Clock = LSL_CLOCK, *, pairing: Pairing | None = None
     ) -> None:
         self.clock = clock
         self._choice = choice
-        self._pair_first = pair_first
+        self._pairing = pairing or Pairing()
+        self._connected_s = 0.0
         self._client: BleakClient | None = None
         self._connected = False
         self._characteristics: dict[str, BleakGATTCharacteristic] = {}
@@ -175,6 +178,7 @@ class BleLink:
             The device refuses.
         """
         await self._request(_pair, PAIR_LIMIT_S, TransportReason.DENIED)
+        self._pairing.note_paired()
 
     async def next(self) -> Notification:
         """Wait for the next notification.
@@ -207,18 +211,24 @@ class BleLink:
                 sighting.device,
                 disconnected_callback=self._disconnected,
                 timeout=CONNECT_LIMIT_S,
-                pair=self._pair_first,
+                pair=self._pairing.comes_first,
+                winrt=WinRTClientArgs()
+                if self._pairing.uses_known_services
+                else WinRTClientArgs(use_cached_services=False),
             )
             self._client = client
             self._attempt = in_background(client.connect())
             try:
                 await within(CONNECT_LIMIT_S, self._attempt)
+                if self._pairing.comes_first:
+                    self._pairing.note_paired()
                 self._begin(client)
             except Exception as error:  # turned into ours: backends raise what their system does
                 self._client = None
                 await self._hang_up(client)
                 if is_forgotten(error):
                     raise
+                self._pairing.note_drop(0.0)
                 raise connect_error(self.what, error) from error
 
     def _begin(self, client: BleakClient) -> None:
@@ -227,7 +237,7 @@ class BleLink:
         for service in client.services:
             for each in service.characteristics:
                 self._characteristics.setdefault(each.uuid.lower(), each)
-        self._connected = client.is_connected
+        self._connected, self._connected_s = client.is_connected, self.clock()
         if not self._connected:
             raise BleakError("lost at once")
 
@@ -278,6 +288,7 @@ class BleLink:
     def _disconnected(self, client: BleakClient) -> None:
         # Also called for attempts that fail, which bleak may repeat by itself.
         if self._connected and client is self._client:
+            self._pairing.note_drop(self.clock() - self._connected_s)
             self._end()
 
     def _end(self) -> None:
@@ -287,7 +298,7 @@ class BleLink:
 
     async def _hang_up(self, client: BleakClient) -> None:
         # Left to itself after a while: some calls never return when the service has died.
-        ending = in_background(_disconnect(client, self._attempt))
+        ending = in_background(_disconnect(client, self._attempt, self._pairing))
         await asyncio.wait({ending}, timeout=CLOSE_LIMIT_S)
 
 
@@ -297,8 +308,15 @@ async def _pair(client: BleakClient) -> None:
         await client.pair()
 
 
-async def _disconnect(client: BleakClient, attempt: asyncio.Task[None] | None) -> None:
+async def _disconnect(
+    client: BleakClient, attempt: asyncio.Task[None] | None, pairing: Pairing
+) -> None:
     if attempt is not None:
         # An attempt that was cancelled tidies up behind itself first.
         await asyncio.wait({attempt})
+    if pairing.ends_with_connection:
+        # Whatever comes of it, the connection has to end.
+        with suppress(BleakError, NotImplementedError, OSError):
+            await client.unpair()
+        pairing.note_unpaired()
     await client.disconnect()

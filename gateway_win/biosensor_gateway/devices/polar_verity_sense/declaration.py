@@ -20,7 +20,7 @@ SPEC = SensorSpec(
         raw("ppi", ContentType.RR, channels(Unit.SECONDS, "PPI", "error")),
         raw("ppg", ContentType.PPG, _PPG, FROM_DEVICE, chunk="ppg"),
         hardware("acc", ContentType.ACCELEROMETER, channels(Unit.G, *"XYZ"), FROM_DEVICE),
-        hardware("gyro", ContentType.MOCAP, channels("deg/s", *"XYZ"), FROM_DEVICE),
+        hardware("gyro", ContentType.MOCAP, channels(Unit.DEGREES_PER_SECOND, *"XYZ"), FROM_DEVICE),
         hardware("mag", ContentType.MOCAP,
                  channels(Unit.MICROTESLA, *"XYZ", roles=MAGNETIC_FIELD), FROM_DEVICE),
         _STRAP.stream("bat"),

@@ -6,9 +6,16 @@ import asyncio
 from collections.abc import Callable
 from contextlib import suppress
 
+import structlog
 from pydantic import Field
 
-from biosensor_common.errors import GatewayError, ProtocolError, ProtocolReason
+from biosensor_common.errors import (
+    CredentialError,
+    CredentialReason,
+    GatewayError,
+    ProtocolError,
+    ProtocolReason,
+)
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.ble_heart_rate.driver.discovery import (
     identify,
@@ -23,10 +30,13 @@ from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
-from biosensor_gateway.transports.ble_errors import UNLIKELY_ERROR, AttError
+from biosensor_gateway.transports.ble_errors import AttError
+from biosensor_gateway.transports.ble_pairing import PAIR_DESCRIPTION, Pairing, PairSetting
 from biosensor_gateway.transports.nearby import Advertisement
 
 GOODBYE_LIMIT_S = 0.4
+_log = structlog.get_logger("biosensor_gateway.ble_heart_rate")
+_PAIR = "remove it in the system's Bluetooth settings, then start anew"
 _ADVICE = "put it on with wet electrodes, and end its connection to phones and watches"
 
 
@@ -40,9 +50,7 @@ class HeartRateStrapSettings(DeviceSettings):
         "strap may have, too; empty takes the only one in range that no other table uses.",
         examples=["C0:FF:EE:12:34:56"],
     )
-    pair: bool = Field(
-        default=False, description="Pair before connecting, for straps that demand it."
-    )
+    pair: PairSetting = Field(default="auto", description=PAIR_DESCRIPTION)
 
 
 class HeartRateStrapDriver:
@@ -51,8 +59,9 @@ class HeartRateStrapDriver:
     # A few stop while they are not worn.
     silence_limit_s = 15.0
 
-    def __init__(self, link: BleLink, emitter: StrapEmitter) -> None:
+    def __init__(self, link: BleLink, emitter: StrapEmitter, pairing: Pairing) -> None:
         self._link = link
+        self._pairing = pairing
         self._emitter = emitter
         self._strap = Strap(link, emitter)
         self._seen: tuple[Advertisement, float] | None = None
@@ -91,10 +100,18 @@ class HeartRateStrapDriver:
         try:
             return await self._strap.start()
         except AttError as error:
-            if not error.wants_pairing and error.code != UNLIKELY_ERROR:
+            if not self._pairing.helps(error, is_unanswered=True):
                 raise
-            message = f"{self._link.what} answers only when paired; set pair = true for it"
-            raise ProtocolError(ProtocolReason.REFUSED, message) from error
+            _log.info("pairing, because the strap does not answer unpaired", cause=str(error))
+            self._pairing.note_demand()
+        await self._link.pair()
+        try:
+            return await self._strap.start()
+        except AttError as error:
+            message = (
+                f"{self._link.what} answers only when paired, and pairing does not help: {_PAIR}"
+            )
+            raise CredentialError(CredentialReason.REJECTED, message) from error
 
     async def _read_forever(self) -> None:
         while True:
@@ -107,7 +124,12 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], HeartRateStrapDr
     emitter = StrapEmitter(sink)
     kind = identify_any if own.device else identify
     choice = Choice(kind, "heart-rate strap", own.device, _ADVICE, is_generic=True)
-    return lambda: HeartRateStrapDriver(BleLink(choice, sink.clock, pair_first=own.pair), emitter)
+    pairing = Pairing(own.pair)
+
+    def make() -> HeartRateStrapDriver:
+        return HeartRateStrapDriver(BleLink(choice, sink.clock, pairing=pairing), emitter, pairing)
+
+    return make
 
 
 DRIVER = DriverEntry(HeartRateStrapSettings, _make, recognise=recognise)

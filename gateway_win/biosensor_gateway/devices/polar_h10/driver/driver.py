@@ -28,6 +28,7 @@ from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
+from biosensor_gateway.transports.ble_pairing import PAIR_DESCRIPTION, Pairing, PairSetting
 
 ECG_RATE_HZ = 130
 PATIENCE_S = 5.0
@@ -58,10 +59,7 @@ class PolarH10Settings(DeviceSettings):
     acc_range_g: Literal[2, 4, 8] = Field(
         default=8, description="Largest acceleration that can be measured, in g."
     )
-    pair: bool = Field(
-        default=False,
-        description="Pair before connecting; without it the sensor is paired when it demands it.",
-    )
+    pair: PairSetting = Field(default="auto", description=PAIR_DESCRIPTION)
 
 
 class PolarDriver:
@@ -71,6 +69,7 @@ class PolarDriver:
     ----------
     meet
         Makes the session; a second time where the device demands to be paired.
+    pairing
     emitter
     silent
         Data names of the streams that the settings switch off.
@@ -84,11 +83,13 @@ class PolarDriver:
     def __init__(
         self,
         meet: Callable[[], PolarSession],
+        pairing: Pairing,
         emitter: PolarEmitter,
         silent: frozenset[str],
         fallback_rates: Mapping[str, float] | None = None,
     ) -> None:
         self._meet = meet
+        self._pairing = pairing
         self._silent = silent
         self._fallback_rates = fallback_rates or {}
         self._session = meet()
@@ -99,18 +100,19 @@ class PolarDriver:
         try:
             info = await self._session.open()
         except GatewayError as error:
-            if not self._session.wants_pairing(error):
+            if not self._helps(error):
                 raise
             _log.info("pairing, because the device does not answer unpaired", cause=str(error))
         else:
             return self._connected(info)
         # The attempt may have cost the connection, and BlueZ has tried to pair by itself.
         await self._session.close()
+        self._pairing.note_demand()
         self._session = self._meet()
         try:
-            info = await self._session.open(pair=True)
+            info = await self._session.open(pair=not self._pairing.comes_first)
         except GatewayError as error:
-            raise _pairing_failure(error, self._session) from error
+            raise _pairing_failure(error, still_demands=self._helps(error)) from error
         return self._connected(info)
 
     async def stream(self) -> None:
@@ -124,6 +126,9 @@ class PolarDriver:
     async def enable_again(self, streams: frozenset[str]) -> None:
         """Start silent measurements anew, and subscribe to the heart rate once more."""
         await self._session.enable_again(streams)
+
+    def _helps(self, error: GatewayError) -> bool:
+        return self._pairing.helps(error, is_unanswered=self._session.is_unanswered)
 
     def _connected(self, info: DeviceInfo) -> Connected:
         denied = self._session.denied
@@ -143,10 +148,10 @@ class PolarDriver:
         )
 
 
-def _pairing_failure(error: GatewayError, session: PolarSession) -> GatewayError:
+def _pairing_failure(error: GatewayError, *, still_demands: bool) -> GatewayError:
     """Return what to raise when even a paired connection fails."""
     denied = isinstance(error, TransportError) and error.reason is TransportReason.DENIED
-    if not denied and not session.wants_pairing(error):
+    if not denied and not still_demands:
         return error
     message = (
         f"{error}; pairing does not help: remove the sensor in the system's Bluetooth settings, "
@@ -175,10 +180,12 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], PolarDriver]:
     plan = Plan(lambda _: wanted)
     silent = frozenset(DATA_NAMES.values()) - {DATA_NAMES[each.measurement] for each in wanted}
 
-    def meet() -> PolarSession:
-        return PolarSession(BleLink(choice, sink.clock, pair_first=own.pair), emitter, plan)
+    pairing = Pairing(own.pair)
 
-    return lambda: PolarDriver(meet, emitter, silent)
+    def meet() -> PolarSession:
+        return PolarSession(BleLink(choice, sink.clock, pairing=pairing), emitter, plan)
+
+    return lambda: PolarDriver(meet, pairing, emitter, silent)
 
 
 DRIVER = DriverEntry(PolarH10Settings, _make, recognise=recognise)

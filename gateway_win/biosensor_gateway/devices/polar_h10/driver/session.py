@@ -29,7 +29,6 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import (
 )
 from biosensor_gateway.devices.polar_h10.driver.protocol.frames import DATA
 from biosensor_gateway.transports.ble import BleLink, Notification
-from biosensor_gateway.transports.ble_errors import UNLIKELY_ERROR, AttError
 from biosensor_gateway.transports.nearby import Advertisement
 
 GOODBYE_LIMIT_S = 0.45
@@ -117,19 +116,10 @@ class PolarSession:
             raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
         return info
 
-    def wants_pairing(self, error: GatewayError) -> bool:
-        """Whether pairing may help against what went wrong in `open`.
-
-        BlueZ may keep the device's answer to itself: then the subscription to the control
-        point or the first command fails with another error, or nothing comes of it.
-        """
-        if isinstance(error, AttError):
-            return error.wants_pairing or (error.code == UNLIKELY_ERROR and self._control.knocking)
-        return (
-            isinstance(error, TransportError)
-            and error.reason is TransportReason.SILENT
-            and self._control.knocking
-        )
+    @property
+    def is_unanswered(self) -> bool:
+        """Whether it subscribed to the control point or sent a command, and none came through."""
+        return self._control.knocking
 
     async def stream(self) -> None:
         """Emit what came while connecting, then all that comes.

@@ -19,6 +19,7 @@ from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
+from biosensor_gateway.transports.ble_pairing import Pairing
 
 _ADVICE = "switch it on to its heart-rate mode, and close the apps that use it"
 
@@ -71,10 +72,12 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], PolarDriver]:
         has_heart_rate=not own.sdk_mode,
     )
 
-    def meet() -> PolarSession:
-        return PolarSession(BleLink(choice, sink.clock, pair_first=own.pair), emitter, plan)
+    pairing = Pairing(own.pair)
 
-    return lambda: PolarDriver(meet, emitter, off_by(own), _asked_rates(own))
+    def meet() -> PolarSession:
+        return PolarSession(BleLink(choice, sink.clock, pairing=pairing), emitter, plan)
+
+    return lambda: PolarDriver(meet, pairing, emitter, off_by(own), _asked_rates(own))
 
 
 DRIVER = DriverEntry(PolarVeritySenseSettings, _make, recognise=recognise)

@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.transports.ble_pairing import PAIR_DESCRIPTION, PairSetting
 
 
 class PolarVeritySenseSettings(DeviceSettings):
@@ -70,7 +71,4 @@ class PolarVeritySenseSettings(DeviceSettings):
     mag_rate_hz: Literal[10, 20, 50, 100] = Field(
         default=50, description="Samples of the magnetic field per second."
     )
-    pair: bool = Field(
-        default=False,
-        description="Pair before connecting; without it the sensor is paired when it demands it.",
-    )
+    pair: PairSetting = Field(default="auto", description=PAIR_DESCRIPTION)
