@@ -26,6 +26,7 @@ NAMES = (
     "empatica_e4",
     "lsl_config",
     "lsl_header",
+    "movesense",
     "naming",
     "polar_control",
     "polar_frames",

@@ -164,6 +164,7 @@ def seeds() -> dict[str, Seeds]:
         "ble_heart_rate": _heart_rate(),
         "emotiv_cortex": _cortex(),
         "empatica_e4": _e4(),
+        "movesense": _counted(_hex(vectors("movesense/vectors/movesense_gsp.json"))),
         "polar_control": _counted(control),
         "polar_frames": _counted(frames),
         "shimmer3": _shimmer3(),

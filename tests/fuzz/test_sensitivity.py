@@ -107,6 +107,11 @@ FAULTS: dict[str, tuple[str, str, Breaking]] = {
     "empatica_e4": (f"{DEVICES}.empatica_e4.driver.protocol", "_number", instead(any_number)),
     "lsl_config": ("biosensor_gateway.recording.lsl_api_cfg.LslFile", "adapt", always(None)),
     "lsl_header": ("biosensor_common.lsl_header", "read_channels", always(NO_CHANNELS)),
+    "movesense": (
+        f"{DEVICES}.movesense.driver.timeline.PacketSeries",
+        "_missing",
+        always(-1),
+    ),
     "naming": ("biosensor_common.naming", "_escape", instead(any_text)),
     "polar_control": ("tests.fuzz.targets.polar_control", "choose", instead(any_setting)),
     "polar_frames": (

@@ -22,6 +22,7 @@ Install = Callable[[str, dict[str, str]], None]
 BUILT_IN = (
     "emotiv_insight",
     "empatica_e4",
+    "movesense",
     "polar_h10",
     "polar_verity_sense",
     "shimmer3_gsr",

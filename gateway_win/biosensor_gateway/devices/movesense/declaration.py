@@ -1,0 +1,30 @@
+"""Movesense Medical, Active and Flash: ECG, movement and heart rate on a chest strap."""
+
+from biosensor_common.quantities import ACCELERATION, MAGNETIC_FIELD, ContentType, Unit
+from biosensor_common.spec import SensorSpec
+from biosensor_common.table import channels, hardware, raw
+from biosensor_gateway.devices.ble_heart_rate import declaration as ble_heart_rate
+
+_STRAP = ble_heart_rate.SPEC
+
+SPEC = SensorSpec(
+    name="movesense",
+    title="Movesense",
+    manufacturer="Movesense",
+    model="",
+    streams=(
+        _STRAP.stream("hr"),
+        _STRAP.stream("ibi"),
+        raw("ecg", ContentType.ECG, channels(Unit.MICROVOLTS, "ECG"), 200, chunk="ecg"),
+        hardware("acc", ContentType.ACCELEROMETER, channels(Unit.G, *"XYZ", roles=ACCELERATION),
+            52),
+        hardware("gyro", ContentType.GYROSCOPE, channels(Unit.DEGREES_PER_SECOND, *"XYZ"), 52),
+        hardware("mag", ContentType.MAGNETOMETER,
+            channels(Unit.MICROTESLA, *"XYZ", roles=MAGNETIC_FIELD), 52),
+        # Of the device itself, which the skin warms.
+        hardware("temp", ContentType.TEMPERATURE, channels(Unit.CELSIUS, "device")),
+        _STRAP.stream("bat"),
+        _STRAP.stream("rssi"),
+        _STRAP.stream("quality"),
+    ),
+)  # fmt: skip

@@ -1,0 +1,176 @@
+"""Turns what a device measures into samples of the declared streams."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+
+from biosensor_gateway.devices.ble_heart_rate.driver.emitter import (
+    NO_INTERVAL_LIMIT_S,
+    StrapEmitter,
+)
+from biosensor_gateway.devices.ble_heart_rate.driver.stored_beats import (
+    Beat,
+    PlacedBeat,
+    StoredBeats,
+)
+from biosensor_gateway.devices.movesense.driver.assembly import Packet
+from biosensor_gateway.devices.movesense.driver.measurements import (
+    HEART_RATE,
+    TEMPERATURE,
+    Measurement,
+)
+from biosensor_gateway.devices.movesense.driver.payloads import (
+    Block,
+    in_g,
+    parse_ecg,
+    parse_heart_rate,
+    parse_temperature,
+    parse_vectors,
+)
+from biosensor_gateway.devices.movesense.driver.timeline import PacketSeries, StampClock
+from biosensor_gateway.devices.sink import Sink
+from biosensor_gateway.system.device_log import DeviceLog
+
+RECKONINGS_AGREE_S = 1.0
+"""How exactly a device that stayed on agrees with the host on the length of a pause."""
+QUALITY_PERIOD_S = 1.0
+
+
+class MovesenseEmitter:
+    """Turns packets into samples; one instance a device, over all its connections.
+
+    Attributes
+    ----------
+    strap
+        What the device has in common with every heart-rate strap: battery, signal strength.
+    log
+        Also for what is to be said once, and not at every connection.
+    wanted
+        Data names; what else shares a packet with one of them is not emitted.
+    """
+
+    def __init__(self, sink: Sink, wanted: Collection[str]) -> None:
+        self.strap = StrapEmitter(sink)
+        self.log = DeviceLog("biosensor_gateway.movesense", sink.identity)
+        self.wanted = wanted
+        self._sink = sink
+        self._clock = StampClock()
+        self._series: dict[str, PacketSeries] = {}
+        self._beats = StoredBeats()
+        self._clock_runs = False
+        self._last: tuple[float, float] | None = None
+        self._beat_s: float | None = None
+        self._quality_s = -math.inf
+
+    def reconnected(self) -> None:
+        """Prepare for a new connection of the same device."""
+        self.strap.reconnected()
+        self._emit_beats(self._beats.restart())
+        self._clock_runs = False
+        self._beat_s = None
+
+    def started(self, measurement: Measurement) -> None:
+        """Prepare for the first packet of a measurement that is about to be started."""
+        if measurement.rate_hz is not None:
+            series = self._series.setdefault(measurement.path, PacketSeries(measurement.rate_hz))
+            series.restart()
+
+    def take(self, measurement: Measurement, packet: Packet) -> None:
+        """Emit what a packet holds; one that makes no sense is counted and dropped."""
+        if measurement is HEART_RATE:
+            is_readable = self._heart_rate(packet)
+        elif measurement is TEMPERATURE:
+            is_readable = self._temperature(packet)
+        else:
+            is_readable = self._block(measurement, packet)
+        if not is_readable:
+            self._sink.dropped_bytes += len(packet.payload)
+            start = packet.payload[:10].hex()
+            self.log.warn_once("packets are dropped", path=measurement.path, start=start)
+            return
+        self._sink.heard()
+        self._quality(packet.arrival_s)
+
+    def _block(self, measurement: Measurement, packet: Packet) -> bool:
+        is_ecg = "ecg" in measurement.streams
+        block = (
+            parse_ecg(packet.payload, measurement.sample_bytes)
+            if is_ecg
+            else parse_vectors(packet.payload, len(measurement.streams))
+        )
+        if block is not None:
+            self._regular(measurement, block, packet.arrival_s)
+        return block is not None
+
+    def _regular(self, measurement: Measurement, block: Block, arrival_s: float) -> None:
+        stamp_s = self._device_s(block.stamp_ms, arrival_s)
+        count = block.samples.shape[1]
+        placed = self._series[measurement.path].place(stamp_s, count)
+        self._sink.observe(placed.times_s[-1], arrival_s, measurement.path)
+        if placed.lost:
+            self.log.warning(
+                "samples were lost", data=measurement.streams, count=placed.lost, estimated=True
+            )
+        for name, samples in zip(measurement.streams, block.samples, strict=True):
+            if name in self.wanted:
+                self._sink.lost(name, placed.lost)
+                values = in_g(samples) if name == "acc" else samples
+                self._sink.emit(name, values, placed.times_s)
+
+    def _heart_rate(self, packet: Packet) -> bool:
+        measured = parse_heart_rate(packet.payload)
+        if measured is None:
+            return False
+        if measured.bpm:
+            self._sink.emit_at("hr", [measured.bpm], [packet.arrival_s])
+        beats = [Beat(interval_ms / 1000) for interval_ms in measured.intervals_ms if interval_ms]
+        if beats:
+            self._beat_s = packet.arrival_s
+        self._emit_beats(self._beats.place(beats, packet.arrival_s))
+        return True
+
+    def _temperature(self, packet: Packet) -> bool:
+        measured = parse_temperature(packet.payload)
+        if measured is None:
+            return False
+        stamp_ms, celsius = measured
+        stamp_s = self._device_s(stamp_ms, packet.arrival_s)
+        self._sink.observe(stamp_s, packet.arrival_s, TEMPERATURE.path)
+        self._sink.emit_value("temp", celsius, stamp_s)
+        return True
+
+    def _device_s(self, stamp_ms: int, arrival_s: float) -> float:
+        """Read a stamp; the first one of a connection tells whether the clock went on."""
+        stamp_s = self._clock.read(stamp_ms)
+        if not self._clock_runs and self._counts_anew(stamp_s, arrival_s):
+            self.log.info("the device was switched off and counts anew")
+            self._series = {path: each.anew() for path, each in self._series.items()}
+            self._clock.forget()
+            stamp_s = self._clock.read(stamp_ms)
+            self._sink.restart_clock()
+        self._clock_runs, self._last = True, (stamp_s, arrival_s)
+        return stamp_s
+
+    def _counts_anew(self, stamp_s: float, arrival_s: float) -> bool:
+        """Whether the device's clock did not go on since the last connection."""
+        if self._last is None:
+            return False
+        last_stamp_s, last_arrival_s = self._last
+        pause_s = arrival_s - last_arrival_s
+        return (
+            stamp_s < last_stamp_s
+            or abs(stamp_s - last_stamp_s - pause_s) > RECKONINGS_AGREE_S + pause_s / 1000
+        )
+
+    def _quality(self, now_s: float) -> None:
+        """Tell about once a second whether a beat was seen lately: the device itself does not."""
+        if now_s - self._quality_s < QUALITY_PERIOD_S:
+            return
+        self._quality_s = now_s
+        in_contact = self._beat_s is not None and now_s - self._beat_s <= NO_INTERVAL_LIMIT_S
+        self._sink.emit_at("quality", [[float(in_contact)]], [now_s])
+
+    def _emit_beats(self, placed: list[PlacedBeat]) -> None:
+        for beat, time_s in placed:
+            self._sink.emit_at("ibi", [beat.interval_s], [time_s])

@@ -1,0 +1,166 @@
+"""One connection to a device: what is asked of it, and where its packets go."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+
+from biosensor_common.errors import GatewayError, ProtocolError, ProtocolReason
+from biosensor_common.spec import DeviceInfo
+from biosensor_gateway.devices.ble_heart_rate.driver.strap import Strap
+from biosensor_gateway.devices.movesense.driver.assembly import Assembler
+from biosensor_gateway.devices.movesense.driver.conversation import RESTART_ADVICE, Conversation
+from biosensor_gateway.devices.movesense.driver.emitter import MovesenseEmitter
+from biosensor_gateway.devices.movesense.driver.measurements import Measurement
+from biosensor_gateway.devices.movesense.driver.protocol import (
+    DATA,
+    OUT_OF_SLOTS,
+    TOO_MANY_REQUESTS,
+    Greeting,
+    Kind,
+    parse_message,
+)
+from biosensor_gateway.devices.sink import Sink
+from biosensor_gateway.transports.ble import BleLink, Notification
+from biosensor_gateway.transports.nearby import Advertisement
+
+GOODBYE_LIMIT_S = 0.45
+_ADVICE = {
+    TOO_MANY_REQUESTS: RESTART_ADVICE,
+    OUT_OF_SLOTS: "it has no room for more measurements; switch one off in the settings",
+}
+_OTHER_ADVICE = "choose another rate, or switch it off in the settings"
+
+
+class MovesenseSession:
+    """Everything that lasts as long as one link.
+
+    Parameters
+    ----------
+    link
+    emitter
+    sink
+        Its ``dropped_bytes`` are counted here.
+    wanted
+        Measurements to run.
+
+    Attributes
+    ----------
+    denied
+        By data name, why the device does not measure.
+    """
+
+    def __init__(
+        self, link: BleLink, emitter: MovesenseEmitter, sink: Sink, wanted: Sequence[Measurement]
+    ) -> None:
+        self.denied: Mapping[str, str] = {}
+        self._link = link
+        self._emitter = emitter
+        self._sink = sink
+        self._wanted = {each.reference: each for each in wanted}
+        self._assemblers: dict[int, Assembler] = {}
+        self._strap = Strap(link, emitter.strap)
+        self._conversation = Conversation(link)
+        self._seen: tuple[Advertisement, float] | None = None
+
+    async def open(self) -> DeviceInfo:
+        """Connect, start everything, and return what the device says of itself.
+
+        Raises
+        ------
+        TransportError, ProtocolError
+            The device cannot be used now.
+        """
+        self._seen = await self._link.open(), self._link.clock()
+        self._emitter.reconnected()
+        greeting = await self._conversation.begin()
+        refusals = {each: await self._start(each) for each in self._wanted.values()}
+        refusals = {each: status for each, status in refusals.items() if status}
+        if refusals and len(refusals) == len(self._wanted):
+            (_, status), *_ = refusals.items()
+            why = _ADVICE.get(status, _OTHER_ADVICE)
+            message = f"{self._link.what} refuses to measure ({status}); {why}"
+            raise ProtocolError(ProtocolReason.REFUSED, message)
+        self.denied = {
+            name: f"{each.path} is refused ({status}): {_ADVICE.get(status, _OTHER_ADVICE)}"
+            for each, status in refusals.items()
+            for name in each.streams
+            if name in self._emitter.wanted
+        }
+        return _device_info(greeting)
+
+    async def stream(self) -> None:
+        """Emit what came while connecting, then all that comes.
+
+        Raises
+        ------
+        TransportError
+            ``LOST`` or ``SILENT``.
+        """
+        if self._seen is not None:
+            advertisement, seen_s = self._seen
+            self._emitter.strap.signal_strength(advertisement.rssi_dbm, seen_s)
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._strap.watch_battery())
+            tasks.create_task(self._conversation.stream(self._take))
+
+    async def enable_again(self, streams: frozenset[str]) -> None:
+        """Start anew what is behind silent streams, and what comes too rarely to be missed.
+
+        Raises
+        ------
+        TransportError
+            ``LOST`` or ``SILENT``.
+        ProtocolError
+            ``NO_REPLY``.
+        """
+        for each in self._wanted.values():
+            if each.rate_hz is None or not streams.isdisjoint(each.streams):
+                await self._conversation.unsubscribe(each)
+                await self._start(each)
+
+    async def close(self) -> None:
+        """Stop everything, for a moment, and disconnect; never raises."""
+        with suppress(GatewayError, TimeoutError):
+            async with asyncio.timeout(GOODBYE_LIMIT_S):
+                for each in self._wanted.values():
+                    await self._conversation.unsubscribe(each)
+                await self._link.unsubscribe(DATA)
+        await self._conversation.close()
+        await self._link.close()
+
+    async def _start(self, measurement: Measurement) -> int:
+        """Subscribe; return the status of a refusal, 0 if there is none."""
+        self._emitter.started(measurement)
+        self._assemblers[measurement.reference] = Assembler(
+            measurement.full_bytes, measurement.sample_bytes
+        )
+        return await self._conversation.subscribe(measurement)
+
+    def _take(self, found: Sequence[Notification]) -> None:
+        for notification in found:
+            if notification.uuid == DATA:
+                self._take_message(notification)
+            else:
+                self._strap.take(notification)
+
+    def _take_message(self, notification: Notification) -> None:
+        message = parse_message(notification.data)
+        if message is not None and message.kind is Kind.ANSWER:
+            self._sink.heard()
+            return
+        measurement = None if message is None else self._wanted.get(message.reference)
+        if message is None or measurement is None:
+            self._sink.dropped_bytes += len(notification.data)
+            return
+        assembler = self._assemblers[message.reference]
+        before = assembler.dropped_bytes
+        for packet in assembler.take(message, notification.arrival):
+            self._emitter.take(measurement, packet)
+        self._sink.dropped_bytes += assembler.dropped_bytes - before
+
+
+def _device_info(greeting: Greeting) -> DeviceInfo:
+    firmware = f"{greeting.app} {greeting.app_version}".strip()
+    return DeviceInfo("", greeting.product, greeting.serial_number, firmware)

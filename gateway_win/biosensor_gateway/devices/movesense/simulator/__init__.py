@@ -1,0 +1,5 @@
+"""Virtual Movesense sensors."""
+
+from biosensor_gateway.devices.movesense.simulator.device import SimulatedMovesense
+
+__all__ = ["SimulatedMovesense"]

@@ -1,0 +1,192 @@
+"""The driver streams from virtual Movesense sensors: all of it, once, at the right time."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from structlog.testing import capture_logs
+
+from biosensor_common.errors import ProtocolError, ProtocolReason
+from biosensor_gateway.agent.state import State
+from biosensor_gateway.devices.movesense.declaration import SPEC
+from biosensor_gateway.devices.movesense.driver.protocol import COMMAND
+from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.transports.ble import BleLink
+from tests.rigs.bluetooth import ON_BUMBLE
+from tests.rigs.driver_run import connected, streaming
+from tests.rigs.polling import until
+from tests.rigs.truth import assert_once_and_in_order
+
+if TYPE_CHECKING:
+    from tests.movesense.conftest import MakeSensor
+
+
+async def test_every_stream_fills_with_what_the_sensor_sent(sensor: MakeSensor) -> None:
+    movesense = sensor(rssi_dbm=-49)
+    async with streaming(movesense, mag=True) as run:
+        await until(run.sink.has(3, "hr", "ibi", "temp", "quality"))
+        await until(run.sink.has(400, "ecg"))
+        await until(run.sink.has(100, "acc", "gyro", "mag"))
+        assert run.states == [State.CONNECTING, State.STREAMING]
+        # The truth may be ahead by what is under way.
+        lost = [run.sink.lost_count(stream.data_name) for stream in SPEC.streams]
+    for name in ("hr", "ibi", "ecg", "acc", "gyro", "mag", "temp"):
+        places = assert_once_and_in_order(run.sink.rows[name], movesense.truth.samples(name).values)
+        assert places == list(range(len(places))), name
+    assert run.sink.rows["bat"] == [[87]]
+    assert run.sink.rows["rssi"] == [[-49]]
+    assert run.sink.values("quality")[-1] == 1
+    assert set(lost) == {0}
+    assert run.sink.dropped_bytes == 0
+
+
+@ON_BUMBLE
+async def test_samples_are_stamped_when_they_were_measured(sensor: MakeSensor) -> None:
+    movesense = sensor(deviation=-0.03, drift_ppm=100, jitter_s=0.1)
+    async with streaming(movesense) as run:
+        await until(run.sink.has(3000, "ecg"))
+    for name in ("ecg", "acc", "gyro"):
+        stamps = np.array(run.sink.times[name])
+        errors = stamps - movesense.truth.samples(name).times[: len(stamps)]
+        settled = errors[len(errors) // 2 :]
+        assert np.abs(settled).max() < 0.02, name
+        assert all(a < b for a, b in pairwise(stamps))
+        assert np.sqrt(np.mean(np.square(np.diff(settled)))) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("fields", "count"),
+    [
+        ({"ecg_rate_hz": 512, "imu_rate_hz": 208, "mag": True}, 500),
+        ({"ecg_rate_hz": 125, "imu_rate_hz": 13, "gyro": False}, 30),
+        ({"ecg_in_millivolts": True, "acc": False}, 100),
+        ({"acc": False, "mag": True}, 100),
+        ({"gyro": False, "mag": True}, 100),
+    ],
+    ids=["fastest", "slowest", "millivolts", "without acceleration", "without rotation"],
+)
+@ON_BUMBLE
+async def test_rates_and_streams_are_those_of_the_settings(
+    sensor: MakeSensor, fields: dict[str, bool | int], count: int
+) -> None:
+    movesense = sensor()
+    wanted = [name for name in ("acc", "gyro", "mag") if fields.get(name, name != "mag")]
+    async with streaming(movesense, **fields) as run:
+        await until(run.sink.has(count, "ecg", *wanted))
+        assert run.sink.rates["ecg"] == fields.get("ecg_rate_hz", 200)
+        assert run.sink.rates["acc"] == fields.get("imu_rate_hz", 52)
+    for name in ("ecg", *wanted):
+        places = assert_once_and_in_order(run.sink.rows[name], movesense.truth.samples(name).values)
+        assert places == list(range(len(places))), name
+    for name in {"acc", "gyro", "mag"} - set(wanted):
+        assert not run.sink.rows[name]
+    assert run.sink.dropped_bytes == 0
+
+
+@pytest.mark.parametrize("max_mtu", [23, 65, 161, 247])
+@ON_BUMBLE
+async def test_packets_of_any_number_of_parts_are_put_together(
+    sensor: MakeSensor, max_mtu: int
+) -> None:
+    movesense = sensor(max_mtu=max_mtu)
+    async with streaming(movesense, mag=True, imu_rate_hz=104) as run:
+        await until(run.sink.has(200, "acc", "ecg"))
+        assert {run.sink.lost_count(stream.data_name) for stream in SPEC.streams} == {0}
+    for name in ("ecg", "acc", "mag"):
+        places = assert_once_and_in_order(run.sink.rows[name], movesense.truth.samples(name).values)
+        assert places == list(range(len(places)))
+
+
+async def test_it_is_known_by_what_it_says_of_itself(sensor: MakeSensor) -> None:
+    async with connected(sensor()) as info:
+        assert (info.info.model, info.info.serial_number) == ("Movesense HR2", "174630000192")
+        assert info.info.firmware_version == "gatt_sensordata_app 1.2.0"
+        assert info.silent == {"mag"}
+        assert not info.denied
+
+
+@ON_BUMBLE
+async def test_firmware_that_answers_no_subscription_is_read_all_the_same(
+    sensor: MakeSensor,
+) -> None:
+    movesense = sensor(is_old=True)
+    async with streaming(movesense) as run:
+        await until(run.sink.has(2, "hr", "ibi", "temp"))
+        await until(run.sink.has(100, "ecg", "acc"))
+        assert run.states == [State.CONNECTING, State.STREAMING]
+        assert run.sink.info.serial_number == ""
+
+
+@ON_BUMBLE
+async def test_a_path_that_is_refused_is_said_and_the_others_come(
+    sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("biosensor_gateway.devices.movesense.simulator.wire.ECG_RATES", (125,))
+    movesense = sensor()
+    async with streaming(movesense) as run:
+        await until(run.sink.has(50, "acc", "gyro"))
+    assert not run.sink.rows["ecg"]
+    async with connected(movesense) as info:
+        assert set(info.denied) == {"ecg"}
+        assert "/Meas/ECG/200 is refused (404): choose another rate" in info.denied["ecg"]
+
+
+@ON_BUMBLE
+async def test_who_refuses_everything_is_tried_again_and_says_so(sensor: MakeSensor) -> None:
+    movesense = sensor()
+    movesense.apply(Fault(FaultKind.REFUSE, 3600.0))
+    with pytest.raises(ProtocolError) as caught:
+        async with connected(movesense):
+            pass
+    assert caught.value.reason is ProtocolReason.REFUSED
+    assert "refuses to talk (403)" in str(caught.value)
+
+
+@ON_BUMBLE
+async def test_firmware_without_the_protocol_is_said(
+    sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    has = BleLink.has
+    monkeypatch.setattr(BleLink, "has", lambda link, uuid: uuid != COMMAND and has(link, uuid))
+    with pytest.raises(ProtocolError, match=r"update its firmware to 2\.3") as caught:
+        async with connected(sensor()):
+            pass
+    assert caught.value.reason is ProtocolReason.UNSUPPORTED
+
+
+@ON_BUMBLE
+async def test_a_sensor_that_was_restarted_counts_anew_and_nothing_is_lost_for_it(
+    sensor: MakeSensor,
+) -> None:
+    movesense = sensor()
+    with capture_logs() as logs:
+        async with streaming(movesense) as run:
+            await until(run.sink.has(1000, "ecg"))
+            movesense.apply(Fault(FaultKind.RESTART, 2.0))
+            await until(lambda: run.supervisor.connections == 2)
+            await run.goes_on(200, "ecg")
+            assert run.sink.lost_count("ecg") <= 16
+    assert "the device was switched off and counts anew" in {entry["event"] for entry in logs}
+    assert np.all(np.diff(run.sink.times["ecg"]) > 0)
+
+
+@ON_BUMBLE
+async def test_what_a_gap_cost_is_counted_when_the_sensor_stayed_on(sensor: MakeSensor) -> None:
+    movesense = sensor()
+    async with streaming(movesense) as run:
+        await until(run.sink.has(1000, "ecg"))
+        movesense.apply(Fault(FaultKind.DROP, 3.0))
+        await until(lambda: run.supervisor.connections == 2)
+        await run.goes_on(200, "ecg")
+        times = np.array(run.sink.times["ecg"])
+        gap_s = float(np.diff(times).max())
+        assert run.sink.lost_count("ecg") == pytest.approx(200 * gap_s - 1, abs=2)
+
+
+@ON_BUMBLE
+async def test_pairing_is_done_where_the_settings_ask(sensor: MakeSensor) -> None:
+    async with streaming(sensor(demands_pairing=True), pair=True) as run:
+        await until(run.sink.has(50, "ecg"))

@@ -1,0 +1,100 @@
+"""The virtual sensor on the virtual radio, heard through plain bleak."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tests.rigs.bluetooth import ON_BUMBLE
+from tests.rigs.gatt_host import GattHost, advertised, connection
+from tests.rigs.polling import until
+
+if TYPE_CHECKING:
+    from tests.movesense.conftest import MakeSensor
+
+pytestmark = ON_BUMBLE
+
+NAME = "Movesense 174630000192"
+COMMAND = "34800001-7185-4d5d-b431-630e7050e8f0"
+DATA = "34800002-7185-4d5d-b431-630e7050e8f0"
+
+
+async def tell(host: GattHost, *command: bytes) -> None:
+    await host.client.write_gatt_char(COMMAND, b"".join(command), response=True)
+
+
+async def packets(host: GattHost, reference: int, count: int, *, part: int = 2) -> list[bytes]:
+    """Wait for so many notifications of a subscription."""
+    head = bytes([part, reference])
+
+    def found() -> list[bytes]:
+        return [each for each in host.all(DATA) if each.startswith(head)]
+
+    await until(lambda: len(found()) >= count)
+    return found()[:count]
+
+
+async def test_it_is_advertised_with_its_serial_number(sensor: MakeSensor) -> None:
+    movesense = sensor()
+    device, data = await advertised(NAME)
+    assert device.address == "0C:8C:DC:10:F7:D3"
+    assert {uuid[4:8] for uuid in data.service_uuids} == {"180d", "fdf3"}
+    assert movesense.settings == {"device": "174630000192"}
+
+
+async def test_its_packets_are_as_long_as_those_of_a_real_one(sensor: MakeSensor) -> None:
+    sensor()
+    async with connection(NAME) as host:
+        await host.subscribe(DATA)
+        await tell(host, b"\x01\x64/Meas/ECG/200")
+        await tell(host, b"\x01\x65/Meas/IMU9/52\0")
+        await tell(host, b"\x01\x66/Meas/HR")
+        await tell(host, b"\x01\x67/Meas/Temp")
+        lengths = [len((await packets(host, ref, 2))[1]) - 2 for ref in (100, 101, 102, 103)]
+        assert lengths == [68, 148, 6, 8]
+        answers = [each for each in host.all(DATA) if each[0] == 1]
+        assert answers == [bytes([1, ref]) + struct.pack("<H", 200) for ref in range(100, 104)]
+
+
+async def test_it_has_room_for_four_subscriptions(sensor: MakeSensor) -> None:
+    sensor(is_old=True)
+    async with connection(NAME) as host:
+        await host.subscribe(DATA)
+        for reference, path in enumerate((b"Acc/13", b"Gyro/13", b"Magn/13", b"Temp", b"HR"), 1):
+            await tell(host, bytes([1, reference]), b"/Meas/", path)
+        await until(lambda: bytes([1, 5, 0x01, 0xFB]) in host.all(DATA))
+
+
+async def test_samples_are_the_truth_and_stamped_at_the_first(sensor: MakeSensor) -> None:
+    movesense = sensor(deviation=0.0)
+    async with connection(NAME) as host:
+        await host.subscribe(DATA)
+        await tell(host, b"\x01\x63/Meas/IMU6/104")
+        firsts = await packets(host, 99, 3)
+        others = await packets(host, 99, 3, part=3)
+    whole = [first[2:] + other[2:] for first, other in zip(firsts, others, strict=True)]
+    stamps = [struct.unpack_from("<I", each)[0] for each in whole]
+    assert np.diff(stamps).tolist() == [77, 77]
+    values = np.array([np.frombuffer(each[4:], "<f4").reshape(2, 8, 3) for each in whole])
+    for column, (name, unit) in enumerate((("acc", 9.80665), ("gyro", 1.0))):
+        sent = values[:, column].reshape(-1, 3) / unit
+        truth = movesense.truth.samples(name)
+        np.testing.assert_allclose(truth.values[: len(sent)], sent, rtol=1e-6)
+    times = movesense.truth.samples("acc").times
+    np.testing.assert_allclose(np.diff(times[:24:8]), np.diff(stamps) / 1000, atol=1e-3)
+
+
+async def test_it_is_silent_after_it_was_told_to_be(sensor: MakeSensor) -> None:
+    sensor()
+    async with connection(NAME) as host:
+        await host.subscribe(DATA)
+        await tell(host, b"\x01\x63/Meas/Acc/208")
+        await packets(host, 99, 2)
+        await tell(host, b"\x02\x63")
+        await until(lambda: bytes([1, 99]) + struct.pack("<H", 200) in host.all(DATA)[2:])
+        count = len(host.all(DATA))
+        await tell(host, b"\x00\x07")
+        await until(lambda: len(host.all(DATA)) > count)
+        assert host.all(DATA)[count].startswith(b"\x01\x07\x01174630000192\0")

@@ -1,0 +1,84 @@
+"""Samples on the device's clock: evenly spaced whatever stamps say, and what is missing counted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from biosensor_gateway.devices.movesense.driver.timeline import PacketSeries, StampClock
+
+
+def stamp(index: int, rate_hz: float) -> float:
+    """As a device writes it: in whole milliseconds."""
+    return round(1000 * index / rate_hz) / 1000
+
+
+@pytest.mark.parametrize(
+    ("nominal_hz", "deviation", "count"),
+    [(200, 0.0, 16), (512, -0.001, 16), (52, 0.02, 4), (104, -0.05, 8), (13, 0.05, 1)],
+)
+def test_samples_are_as_even_as_they_were_measured(
+    nominal_hz: int, deviation: float, count: int
+) -> None:
+    rate_hz = nominal_hz * (1 + deviation)
+    series = PacketSeries(nominal_hz)
+    times: list[float] = []
+    for first in range(0, int(20 * rate_hz), count):
+        placed = series.place(stamp(first, rate_hz), count)
+        assert placed.lost == 0
+        times += placed.times_s
+    errors = np.array(times) - np.arange(len(times)) / rate_hz
+    settled = errors[len(errors) // 4 :]
+    assert np.abs(settled).max() < 1e-3
+    assert np.sqrt(np.mean(np.diff(settled) ** 2)) < 0.2e-3
+
+
+@given(st.integers(1, 200), st.sampled_from([(200, 16), (52, 4), (13, 1)]))
+def test_lost_packets_are_counted_exactly(missing: int, kind: tuple[int, int]) -> None:
+    nominal_hz, count = kind
+    rate_hz = nominal_hz * 1.02
+    series = PacketSeries(nominal_hz)
+    for number in range(50):
+        series.place(stamp(number * count, rate_hz), count)
+    placed = series.place(stamp((50 + missing) * count, rate_hz), count)
+    # Of long gaps, what the rate is known to; it has been followed for some seconds.
+    assert placed.lost == pytest.approx(missing * count, rel=0.005, abs=0)
+    assert placed.lost % count == 0
+
+
+def test_a_new_series_begins_at_its_stamp_and_bridges_the_gap() -> None:
+    series = PacketSeries(200)
+    for number in range(20):
+        series.place(stamp(number * 16, 200), 16)
+    series.restart()
+    placed = series.place(20 * 16 / 200 + 1.0004, 16)
+    assert placed.times_s[0] == 20 * 16 / 200 + 1.0004
+    assert placed.lost == 200
+    assert PacketSeries(200).place(1e6, 16).lost == 0
+
+
+def test_stamps_that_step_back_are_followed() -> None:
+    series = PacketSeries(200)
+    series.place(1000.0, 16)
+    placed = series.place(10.0, 16)
+    assert (placed.times_s[0], placed.lost) == (10.0, 0)
+    assert series.place(10.08, 16).times_s[0] == pytest.approx(10.08)
+
+
+def test_a_series_that_is_made_anew_knows_nothing() -> None:
+    series = PacketSeries(200)
+    series.place(1000.0, 16)
+    assert series.anew().place(2000.0, 16).lost == 0
+
+
+def test_stamps_roll_over_after_seven_weeks() -> None:
+    clock = StampClock()
+    assert clock.read(2**32 - 10) == pytest.approx((2**32 - 10) / 1000)
+    # Of another measurement, a little older.
+    assert clock.read(2**32 - 30) == pytest.approx((2**32 - 30) / 1000)
+    assert clock.read(70) == pytest.approx((2**32 + 70) / 1000)
+    assert clock.read(2**32 - 5) == pytest.approx((2**32 - 5) / 1000)
+    clock.forget()
+    assert clock.read(70) == pytest.approx(0.07)
