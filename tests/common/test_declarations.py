@@ -147,6 +147,10 @@ def test_rates_that_only_the_device_knows() -> None:
         ("emotiv_insight", "gyro"),
         *(("shimmer", name) for name in ("ecg", "emg", "acc_low_noise", "acc_wide_range")),
         *(("shimmer", name) for name in ("gyro", "mag", "pressure", "temp")),
+        ("polar_verity_sense", "ppg"),
+        ("polar_verity_sense", "acc"),
+        ("polar_verity_sense", "gyro"),
+        ("polar_verity_sense", "mag"),
         ("vernier_respiration_belt", "bpm"),
         ("vernier_respiration_belt", "force"),
     }

@@ -36,7 +36,6 @@ from biosensor_gateway.transports.nearby import Advertisement
 
 GOODBYE_LIMIT_S = 0.4
 _log = structlog.get_logger("biosensor_gateway.ble_heart_rate")
-_PAIR = "remove it in the system's Bluetooth settings, then start anew"
 _ADVICE = "put it on with wet electrodes, and end its connection to phones and watches"
 
 
@@ -109,7 +108,8 @@ class HeartRateStrapDriver:
             return await self._strap.start()
         except AttError as error:
             message = (
-                f"{self._link.what} answers only when paired, and pairing does not help: {_PAIR}"
+                f"{self._link.what} answers only when paired, and pairing does not help: remove it "
+                "in the system's Bluetooth settings, then start anew"
             )
             raise CredentialError(CredentialReason.REJECTED, message) from error
 
