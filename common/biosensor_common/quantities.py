@@ -26,6 +26,7 @@ class Unit(StrEnum):
     INDEX = "index"
     LOCAL_FLUX = "local_flux"
     """Of the magnetic field at the place where a sensor was calibrated."""
+    METRES_PER_SECOND = "m/s"
     MICROSIEMENS = "microsiemens"
     MICROTESLA = "uT"
     MICROVOLTS = "microvolts"
@@ -36,7 +37,9 @@ class Unit(StrEnum):
     NONE = "none"
     PASCALS = "Pa"
     PERCENT = "percent"
+    REVOLUTIONS_PER_MINUTE = "rpm"
     SECONDS = "s"
+    WATTS = "W"
 
 
 @unique
@@ -122,6 +125,7 @@ class ContentType(StrEnum):
     MAGNETOMETER = "Magnetometer"
     MARKERS = "Markers"
     MOCAP = "MoCap"
+    OXIMETRY = "Oximetry"
     PERFORMANCE_METRICS = "PerformanceMetrics"
     POSTURE = "Posture"
     PPG = "PPG"

@@ -20,6 +20,7 @@ RAISED = "raised: "
 NAMES = (
     "bags",
     "ble_heart_rate",
+    "bluetooth_health",
     "control_request",
     "counters",
     "emotiv_cortex",

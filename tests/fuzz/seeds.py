@@ -162,6 +162,9 @@ def seeds() -> dict[str, Seeds]:
     frames, control = _polar()
     return {
         "ble_heart_rate": _heart_rate(),
+        "bluetooth_health": _counted(
+            _hex(vectors("bluetooth_health/vectors/bluetooth_health.json"))
+        ),
         "emotiv_cortex": _cortex(),
         "empatica_e4": _e4(),
         "movesense": _counted(_hex(vectors("movesense/vectors/movesense_gsp.json"))),

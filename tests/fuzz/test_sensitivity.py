@@ -93,6 +93,11 @@ FAULTS: dict[str, tuple[str, str, Breaking]] = {
         "parse_battery_level",
         instead(any_byte),
     ),
+    "bluetooth_health": (
+        f"{DEVICES}.bluetooth_health.driver.services",
+        "_celsius",
+        always([0.0, 0.0]),
+    ),
     "control_request": (
         "biosensor_gateway.agent.control_server.ControlServer",
         "_is_token",

@@ -29,6 +29,7 @@ BUILT_IN = (
     "vernier_respiration_belt",
     "zephyr",
     "ble_heart_rate",
+    "bluetooth_health",
     "shimmer",
 )
 MODULE = """

@@ -150,7 +150,11 @@ async def test_firmware_without_the_protocol_is_said(
     sensor: MakeSensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     has = BleLink.has
-    monkeypatch.setattr(BleLink, "has", lambda link, uuid: uuid != COMMAND and has(link, uuid))
+
+    def without_commands(link: BleLink, uuid: str) -> bool:
+        return uuid != COMMAND and has(link, uuid)
+
+    monkeypatch.setattr(BleLink, "has", without_commands)
     with pytest.raises(ProtocolError, match=r"update its firmware to 2\.3") as caught:
         async with connected(sensor()):
             pass

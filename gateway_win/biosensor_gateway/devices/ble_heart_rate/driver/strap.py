@@ -51,15 +51,19 @@ class Strap:
         AttError
             The device refuses to send its heart rate.
         """
-        info = DeviceInfo(
+        info = await self.identify()
+        if self._link.has(HEART_RATE_MEASUREMENT):
+            await self._link.subscribe(HEART_RATE_MEASUREMENT)
+        return info
+
+    async def identify(self) -> DeviceInfo:
+        """Return what the device says of itself; raises TransportError as :meth:`start` does."""
+        return DeviceInfo(
             manufacturer=await self._text(MANUFACTURER_NAME),
             model=await self._text(MODEL_NUMBER),
             serial_number=await self._text(SERIAL_NUMBER),
             firmware_version=await self._text(FIRMWARE_REVISION),
         )
-        if self._link.has(HEART_RATE_MEASUREMENT):
-            await self._link.subscribe(HEART_RATE_MEASUREMENT)
-        return info
 
     def take(self, notification: Notification) -> None:
         """Emit what a notification holds; one that is not the strap's is passed over."""

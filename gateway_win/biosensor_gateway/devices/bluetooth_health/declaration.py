@@ -1,0 +1,36 @@
+"""Any pulse oximeter, thermometer, bicycle or foot pod with a standard Bluetooth service."""
+
+from biosensor_common.quantities import ContentType, Unit
+from biosensor_common.spec import SensorSpec
+from biosensor_common.table import channels, raw
+from biosensor_gateway.devices.ble_heart_rate import declaration as ble_heart_rate
+
+_STRAP = ble_heart_rate.SPEC
+_OXIMETRY = (
+    *channels(Unit.PERCENT, "SpO2"),
+    *channels(Unit.BEATS_PER_MINUTE, "pulse"),
+    # Pulse amplitude index.
+    *channels(Unit.PERCENT, "PAI"),
+)
+_MOVING = (
+    *channels(Unit.METRES_PER_SECOND, "speed"),
+    *channels(Unit.REVOLUTIONS_PER_MINUTE, "cadence"),
+)
+
+SPEC = SensorSpec(
+    name="bluetooth_health",
+    title="Bluetooth health or sports device",
+    # Who made it is known once it is connected.
+    manufacturer="",
+    model="",
+    streams=(
+        raw("spo2", ContentType.OXIMETRY, _OXIMETRY),
+        raw("temp", ContentType.TEMPERATURE, channels(Unit.CELSIUS, "body")),
+        raw("running", ContentType.ACTIVITY, _MOVING),
+        raw("cycling", ContentType.ACTIVITY, _MOVING),
+        raw("power", ContentType.ACTIVITY, channels(Unit.WATTS, "power")),
+        _STRAP.stream("bat"),
+        _STRAP.stream("rssi"),
+        _STRAP.stream("quality"),
+    ),
+)  # fmt: skip

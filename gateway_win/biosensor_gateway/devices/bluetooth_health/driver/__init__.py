@@ -1,0 +1,1 @@
+"""Leads the conversation with the device, and turns what it sends into samples."""

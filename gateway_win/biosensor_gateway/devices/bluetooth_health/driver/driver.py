@@ -1,0 +1,151 @@
+"""The conversation with any device that has one of the services."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+
+from pydantic import Field
+
+from biosensor_common.errors import GatewayError, ProtocolError, ProtocolReason
+from biosensor_gateway.devices.ble_heart_rate.driver.strap import Strap
+from biosensor_gateway.devices.bluetooth_health.driver.emitter import HealthEmitter
+from biosensor_gateway.devices.bluetooth_health.driver.services import ROWS
+from biosensor_gateway.devices.discovery import Found
+from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
+from biosensor_gateway.devices.sink import Sink
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.transports.ble import BleLink
+from biosensor_gateway.transports.ble_choice import Choice
+from biosensor_gateway.transports.ble_errors import UNLIKELY_ERROR, AttError
+from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+
+GOODBYE_LIMIT_S = 0.4
+KIND = "health device"
+_ADVICE = "switch it on or put it on, and end its connection to phones"
+
+
+class HealthDeviceSettings(DeviceSettings):
+    """Settings of one health or sports device."""
+
+    device: str = Field(
+        default="",
+        max_length=64,
+        description="Bluetooth address of the device, as scan shows it, or its name; empty takes "
+        "the only one in range that no other table uses.",
+        examples=["C0:FF:EE:12:34:56"],
+    )
+    wheel_mm: int = Field(
+        default=2105,
+        ge=100,
+        le=5000,
+        description="Circumference of the wheel in millimetres, for the speed of a bicycle.",
+    )
+    pair: bool = Field(
+        default=False, description="Pair before connecting, for devices that demand it."
+    )
+
+
+class HealthDeviceDriver:
+    """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
+
+    # Some say nothing until somebody measures; a link that is lost is noticed by itself.
+    silence_limit_s = 3600.0
+
+    def __init__(self, link: BleLink, emitter: HealthEmitter) -> None:
+        self._link = link
+        self._emitter = emitter
+        self._strap = Strap(link, emitter.strap)
+        self._seen: tuple[Advertisement, float] | None = None
+
+    async def connect(self) -> Connected:
+        """Connect and subscribe; see the protocol class."""
+        self._seen = await self._link.open(), self._link.clock()
+        self._emitter.reconnected()
+        rows = [row for row in ROWS if self._link.has(row.characteristic)]
+        if not rows:
+            message = f"{self._link.what} has none of the services; choose another `device`"
+            raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
+        info = await self._strap.identify()
+        try:
+            for row in rows:
+                await self._link.subscribe(row.characteristic)
+        except AttError as error:
+            if not error.wants_pairing and error.code != UNLIKELY_ERROR:
+                raise
+            message = f"{self._link.what} answers only when paired; set pair = true for it"
+            raise ProtocolError(ProtocolReason.REFUSED, message) from error
+        refused = frozenset(row.stream for row in ROWS) - {row.stream for row in rows}
+        due = {row.stream: row.due_s for row in rows if row.due_s}
+        return Connected(info, refused=refused, due=due)
+
+    async def enable_again(self, streams: frozenset[str]) -> None:
+        """Subscribe once more to everything: what comes rarely may be missing, too."""
+        del streams
+        for row in ROWS:
+            if self._link.has(row.characteristic):
+                await self._link.unsubscribe(row.characteristic)
+                await self._link.subscribe(row.characteristic)
+
+    async def stream(self) -> None:
+        """Emit what the device sends, which the link has kept so far."""
+        if self._seen is not None:
+            advertisement, seen_s = self._seen
+            self._emitter.strap.signal_strength(advertisement.rssi_dbm, seen_s)
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._strap.watch_battery())
+            tasks.create_task(self._read_forever())
+
+    async def close(self) -> None:
+        """Unsubscribe, for a moment, and disconnect."""
+        with suppress(GatewayError, TimeoutError):
+            async with asyncio.timeout(GOODBYE_LIMIT_S):
+                for row in ROWS:
+                    if self._link.has(row.characteristic):
+                        await self._link.unsubscribe(row.characteristic)
+        await self._link.close()
+
+    async def _read_forever(self) -> None:
+        rows = {row.characteristic: row for row in ROWS}
+        while True:
+            notification = await self._link.next()
+            row = rows.get(notification.uuid)
+            if row is None:
+                self._strap.take(notification)
+            else:
+                self._emitter.take(row, notification.data, notification.arrival)
+
+
+def identify(seen: Advertisement) -> str | None:
+    """Return the address of a device that advertises one of the services, else None."""
+    return None if _title(seen) is None else seen.address
+
+
+def recognise(seen: Advertisement | SerialPort) -> Found | None:
+    """Tell whether this is such a device; one that another driver knows is left to that one."""
+    if not isinstance(seen, Advertisement) or identify(seen) is None:
+        return None
+    settings = {"unit": seen.address, "device": seen.address}
+    return Found("bluetooth_health", seen.name or seen.address, settings, seen.rssi_dbm)
+
+
+def _title(seen: Advertisement) -> str | None:
+    titles = (row.title for row in ROWS if row.service in seen.service_uuids)
+    return next(titles, None)
+
+
+def _any(seen: Advertisement) -> str:
+    return seen.address
+
+
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], HealthDeviceDriver]:
+    """Share emitter and choice of the device between all connections."""
+    own = own_settings(HealthDeviceSettings, settings)
+    emitter = HealthEmitter(sink, own.wheel_mm / 1000)
+    kind = _any if own.device else identify
+    choice = Choice(kind, KIND, own.device, _ADVICE, is_generic=True)
+    return lambda: HealthDeviceDriver(BleLink(choice, sink.clock, pair_first=own.pair), emitter)
+
+
+DRIVER = DriverEntry(HealthDeviceSettings, _make, recognise=recognise)

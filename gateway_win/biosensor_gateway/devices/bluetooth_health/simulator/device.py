@@ -1,0 +1,189 @@
+"""A virtual device with all the services: an oximeter on a finger, and a bicycle."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import count
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+from bumble.att import Attribute
+from bumble.core import UUID
+from bumble.gatt import Characteristic, Service
+
+from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
+from biosensor_gateway.devices.ble_heart_rate.simulator.strap import STRAP_EFFECTS, Strap
+from biosensor_gateway.devices.bluetooth_health.simulator import wire
+from biosensor_gateway.devices.bluetooth_health.simulator.expected import EXPECTED
+from biosensor_gateway.simulation.effects import Effect, on_part
+from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.peripheral import Peripheral
+from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.virtual_device import VirtualDevice
+from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.simulation.world import World
+
+_NOTIFY, _INDICATE = Characteristic.Properties.NOTIFY, Characteristic.Properties.INDICATE
+_ADVERTISED = ("1822", "1809", "1814", "1816", "1818")
+_SERVICES = {
+    "spo2": (0x1822, 0x2A5F, _NOTIFY),
+    "temp": (0x1809, 0x2A1C, _INDICATE),
+    "running": (0x1814, 0x2A53, _NOTIFY),
+    "cycling": (0x1816, 0x2A5B, _NOTIFY),
+    "power": (0x1818, 0x2A63, _NOTIFY),
+}
+_WHEEL_HZ, _CRANK_HZ = 2.0, 1.25
+
+
+class _Value(NamedTuple):
+    """What is sent, and the sample that it holds; None of what has none, or none of its own."""
+
+    data_name: str
+    data: bytes
+    sample: tuple[float, ...] | None
+
+
+class SimulatedHealthDevice(VirtualDevice):
+    """A device with all the services, which sends each of them once a second.
+
+    Parameters
+    ----------
+    world, radio
+        Where it lives, and the air that it is heard on.
+    address, name
+        As advertised.
+    wearer
+        Who wears it; somebody made from ``seed`` by default.
+    seed
+        Of radio delays.
+    drift_ppm
+        Of its crystal.
+    jitter_s
+        Packets leave up to so much late.
+    rssi_dbm
+        How strongly it is heard.
+    kept
+        Limit of the truth; None = all.
+    """
+
+    sensor = "bluetooth_health"
+    expected = EXPECTED
+    on_air = True
+
+    def __init__(
+        self,
+        world: World,
+        radio: Radio,
+        *,
+        address: str = "C8:26:00:00:00:01",
+        name: str = "Health Device 0001",
+        wearer: Wearer | None = None,
+        seed: int = 0,
+        drift_ppm: float = 0.0,
+        jitter_s: float = 0.0,
+        rssi_dbm: int = -63,
+        kept: int | None = None,
+    ) -> None:
+        super().__init__(world, kept)
+        self._address = address
+        self._strap = Strap(
+            Peripheral(radio, address, name, service_uuids=_ADVERTISED, rssi_dbm=rssi_dbm),
+            self.truth,
+            identity=Identity("Virtual Health", "Health Device", "0001", firmware="1.0"),
+            rssi_dbm=rssi_dbm,
+            wearer=wearer,
+            seed=seed,
+            drift_ppm=drift_ppm,
+            jitter_s=jitter_s,
+        )
+        # It is no strap.
+        self._strap.services.remove(self._strap.heart_rate.service)
+        self._characteristics = {name: self._add(*each) for name, each in _SERVICES.items()}
+        self._strap.on_power_on.append(self._begin)
+
+    @classmethod
+    def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
+        """Give each an address of its own, too."""
+        own = {"address": f"C8:26:00:00:01:{number:02X}", "name": f"Health Device {number + 1:04}"}
+        return {**super().worn_by(wearer, number), **own}
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """Fields that lead a driver to it."""
+        return {"device": self._address}
+
+    async def _start(self) -> None:
+        await self._strap.start()
+
+    async def _stop(self) -> None:
+        await self._strap.stop()
+
+    def _add(
+        self, service: int, number: int, properties: Characteristic.Properties
+    ) -> Characteristic[bytes]:
+        characteristic = Characteristic[bytes](
+            UUID.from_16_bits(number), properties, Attribute.Permissions.READABLE, b""
+        )
+        self._strap.services.append(Service(UUID.from_16_bits(service), [characteristic]))
+        return characteristic
+
+    def _begin(self) -> None:
+        self._strap.run(self._measure())
+
+    async def _measure(self) -> None:
+        for second in count(1):
+            measured_s = await self._strap.crystal.reach(second)
+            for value in self._values(second, measured_s):
+                # Each waits for the radio by itself.
+                self._strap.run(self._send(value, measured_s))
+
+    def _values(self, second: int, measured_s: float) -> Iterator[_Value]:
+        wearer = self._strap.wearer
+        t = np.array([measured_s - self._strap.origin_s])
+        spo2 = round(97.0 + float(wearer.noise(t, 0.4, "spo2")[0]), 1)
+        pulse, amplitude = round(float(wearer.heart_rate(t)[0]), 1), 3.4
+        celsius = round(float(wearer.skin_temperature_c(t)[0]) + 4.0, 2)
+        speed = round(256 * (2.8 + float(wearer.noise(t, 0.1, "speed")[0]))) / 256
+        watts = round(180 + float(wearer.noise(t, 20.0, "power")[0]))
+        worn = self._strap.worn
+        sample = (spo2, pulse, amplitude) if worn else None
+        yield _Value("spo2", wire.oximeter(spo2, pulse, amplitude, worn=worn), sample)
+        yield _Value("temp", wire.thermometer(celsius), (celsius,))
+        yield _Value("running", wire.foot_pod(speed, 164), (speed, 164.0))
+        wheel, crank = int(second * _WHEEL_HZ), int(second * _CRANK_HZ)
+        turns = wire.bicycle(wheel, wheel / _WHEEL_HZ, crank, crank / _CRANK_HZ)
+        yield _Value("cycling", turns, None)
+        yield _Value("power", wire.power_meter(watts), (float(watts),))
+
+    async def _send(self, value: _Value, measured_s: float) -> None:
+        characteristic = self._characteristics[value.data_name]
+        expected = self._strap.peripheral.subscribed(characteristic)
+        is_readable = not self._strap.is_unreadable
+        data = value.data if is_readable else value.data[:2]
+        sent = await self._strap.send(characteristic, data) and is_readable
+        if value.sample is not None and sent:
+            self.truth.sent(value.data_name, [measured_s], [value.sample])
+        elif value.sample is not None and expected:
+            self.truth.unsent(value.data_name, 1)
+
+    def _babble(self, packets: float) -> None:
+        self._strap.run(self._send_garbage(round(packets)))
+
+    async def _send_garbage(self, packets: int) -> None:
+        names = list(self._characteristics)
+        for number in range(packets):
+            characteristic = self._characteristics[names[number % len(names)]]
+            await self._strap.peripheral.notify(characteristic, b"\x1f")
+
+    def _forget(self, _: float) -> None:
+        for characteristic in self._characteristics.values():
+            self._strap.peripheral.forget_subscription(characteristic)
+
+    effects = MappingProxyType(
+        {
+            **on_part("_strap", STRAP_EFFECTS),
+            FaultKind.GARBAGE: Effect(_babble),
+            FaultKind.FORGET: Effect(_forget),
+        }
+    )

@@ -1,0 +1,86 @@
+"""Values of characteristics, against vectors and against any bytes."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from biosensor_gateway.devices.bluetooth_health.declaration import SPEC
+from biosensor_gateway.devices.bluetooth_health.driver.layouts import long_float, sfloat
+from biosensor_gateway.devices.bluetooth_health.driver.revolutions import Revolutions
+from biosensor_gateway.devices.bluetooth_health.driver.services import ROWS
+
+VECTORS: list[dict[str, Any]] = json.loads(
+    (Path(__file__).parent / "vectors/bluetooth_health.json").read_text(encoding="utf-8")
+)
+BY_STREAM = {row.stream: row for row in ROWS}
+
+
+def of_kind(kind: str) -> pytest.MarkDecorator:
+    found = [vector for vector in VECTORS if vector["kind"] == kind]
+    return pytest.mark.parametrize("vector", found, ids=[vector["name"] for vector in found])
+
+
+@of_kind("value")
+def test_a_value_makes_the_sample_that_it_means(vector: dict[str, Any]) -> None:
+    row = BY_STREAM[vector["stream"]]
+    found = row.parse(bytes.fromhex(vector["hex"]))
+    if vector["expected"] == "cut":
+        assert found is None
+        return
+    assert found is not None
+    is_off = row.contact is not None and row.contact(found) is False
+    sample = None if is_off else row.sample(2.1)(found, 0.0)
+    expected = vector["expected"]
+    if expected is None:
+        assert sample is None
+    else:
+        wanted = [math.nan if each is None else each for each in expected]
+        assert sample == pytest.approx(wanted, nan_ok=True)
+
+
+@of_kind("sfloat")
+def test_decimal_numbers_of_16_bits(vector: dict[str, Any]) -> None:
+    number = sfloat(bytes.fromhex(vector["hex"]))
+    expected = math.nan if vector["expected"] is None else vector["expected"]
+    assert number == pytest.approx(expected, nan_ok=True)
+
+
+@given(st.integers(-2045, 2045), st.integers(-8, 7))
+def test_any_decimal_number_is_read_as_it_was_written(mantissa: int, exponent: int) -> None:
+    short = (mantissa & 0xFFF | (exponent & 0xF) << 12).to_bytes(2, "little")
+    long = (mantissa & 0xFFFFFF | (exponent & 0xFF) << 24).to_bytes(4, "little")
+    assert sfloat(short) == long_float(long) == pytest.approx(mantissa * 10.0**exponent)
+
+
+@given(st.binary(max_size=40), st.sampled_from(ROWS))
+def test_any_bytes_make_a_sample_of_the_declaration_or_none(data: bytes, row: Any) -> None:
+    found = row.parse(data)
+    if found is None:
+        return
+    sample = row.sample(2.1)(found, 0.0)
+    assert sample is None or len(sample) == len(SPEC.stream(row.stream).channels)
+    if row.contact is not None:
+        assert row.contact(found) in (True, False)
+
+
+def test_every_row_has_a_stream_and_a_service_of_its_own() -> None:
+    assert set(BY_STREAM) <= {stream.data_name for stream in SPEC.streams}
+    for part in ("stream", "service", "characteristic"):
+        assert len({getattr(row, part) for row in ROWS}) == len(ROWS)
+
+
+def test_turns_are_rates_over_roll_overs_and_standstill() -> None:
+    wheel = Revolutions(16, 1024)
+    assert math.isnan(wheel.rate(65535, 65024, 0.0))
+    # Two turns in a second.
+    assert wheel.rate(1, 512, 1.0) == pytest.approx(2.0)
+    assert math.isnan(wheel.rate(1, 512, 2.0))
+    assert wheel.rate(1, 512, 4.5) == 0.0
+    assert math.isnan(wheel.rate(None, None, 5.0))
