@@ -19,6 +19,7 @@ from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_errors import UNLIKELY_ERROR, AttError
+from biosensor_gateway.transports.ble_pairing import Pairing
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 GOODBYE_LIMIT_S = 0.4
@@ -144,8 +145,9 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], HealthDeviceDriv
     own = own_settings(HealthDeviceSettings, settings)
     emitter = HealthEmitter(sink, own.wheel_mm / 1000)
     kind = _any if own.device else identify
+    pairing = Pairing("yes" if own.pair else "no")
     choice = Choice(kind, KIND, own.device, _ADVICE, is_generic=True)
-    return lambda: HealthDeviceDriver(BleLink(choice, sink.clock, pair_first=own.pair), emitter)
+    return lambda: HealthDeviceDriver(BleLink(choice, sink.clock, pairing=pairing), emitter)
 
 
 DRIVER = DriverEntry(HealthDeviceSettings, _make, recognise=recognise)

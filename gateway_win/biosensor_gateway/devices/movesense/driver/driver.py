@@ -28,6 +28,7 @@ from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
+from biosensor_gateway.transports.ble_pairing import Pairing
 
 _REGULAR = frozenset({"ecg", *MOVEMENT})
 
@@ -131,10 +132,11 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], MovesenseDriver]
     choice = Choice(identify, KIND, own.device, ADVICE)
     measurements = _measurements(own)
     rates = {"ecg": float(own.ecg_rate_hz)}
+    pairing = Pairing("yes" if own.pair else "no")
     rates |= dict.fromkeys(MOVEMENT, float(own.imu_rate_hz))
 
     def make() -> MovesenseDriver:
-        link = BleLink(choice, sink.clock, pair_first=own.pair)
+        link = BleLink(choice, sink.clock, pairing=pairing)
         session = MovesenseSession(link, emitter, sink, measurements)
         return MovesenseDriver(session, own.wanted, rates)
 
