@@ -124,6 +124,8 @@ class ContentType(StrEnum):
     HRV = "HRV"
     MAGNETOMETER = "Magnetometer"
     MARKERS = "Markers"
+    MISC = "Misc"
+    """What a user's own device measures and no other type names."""
     MOCAP = "MoCap"
     OXIMETRY = "Oximetry"
     PERFORMANCE_METRICS = "PerformanceMetrics"

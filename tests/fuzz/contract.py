@@ -25,6 +25,7 @@ NAMES = (
     "counters",
     "emotiv_cortex",
     "empatica_e4",
+    "line_sensor",
     "lsl_config",
     "lsl_header",
     "movesense",

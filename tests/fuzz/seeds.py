@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import binascii
 import json
 import struct
 from collections.abc import Iterable, Iterator
@@ -157,6 +158,23 @@ def _cortex() -> Seeds:
     yield "all", "\n".join(lines).encode("utf-8", "replace")[:_MAX_BYTES]
 
 
+def _line_sensor() -> Seeds:
+    """The first byte is what `line_sensor` makes of it: which settings the lines are for."""
+    csv = [b"1,1000,0.1,-2,3e1,4.5", b"2,2000,,nan,ovf,4.5", b"n,t,x,y,z,gsr", b"3;3000;1;2;3;4"]
+    said = [b'{"n":1,"t":9,"acc":{"x":1,"y":2,"z":3},"gsr":4}', b'{"n":2,"t":10}', b"[1,2,3,4,5,6]"]
+    values = struct.pack("<IIffff", 1, 1000, 1.0, 2.0, 3.0, 4.0)
+    record = b"\xaa\x55" + values + struct.pack("<H", binascii.crc_hqx(values, 0xFFFF))
+    yield "csv", b"\0" + b"\r\n".join([*csv, b"# comment", b""])
+    yield "csv_turns", b"\0" + b"4294967295,4294967290,1,1,1,1\n0,4,1,1,1,1\n"
+    yield "csv_long", b"\0" + b"9" * 5000 + b"\n" + csv[0] + b"\n"
+    yield "semicolons", b"\1" + csv[3] + b"\n4;1,5;1,5;2;3;4\n"
+    yield "json", b"\2" + b"\n".join([*said, b""])
+    yield "json_nested", b"\2" + b"[" * 4000 + b"\n"
+    yield "json_number", b"\2" + b"[" + b"9" * 4000 + b",1,1,1,1,1]\n"
+    yield "struct", b"\3" + record + b"\xaa" + record
+    yield "struct_cut", b"\3" + record[:9] + record
+
+
 def seeds() -> dict[str, Seeds]:
     """Return the seeds of each target, with their names."""
     frames, control = _polar()
@@ -167,6 +185,7 @@ def seeds() -> dict[str, Seeds]:
         ),
         "emotiv_cortex": _cortex(),
         "empatica_e4": _e4(),
+        "line_sensor": _line_sensor(),
         "movesense": _counted(_hex(vectors("movesense/vectors/movesense_gsp.json"))),
         "polar_control": _counted(control),
         "polar_frames": _counted(frames),

@@ -65,6 +65,10 @@ def any_number(word: str) -> float:
     return float(word.replace(",", "."))
 
 
+def any_column_number(_reader: object, word: str) -> float:
+    return float(word)
+
+
 def any_columns(columns: Sequence[object], values: Sequence[object]) -> object:
     return zip(columns, values, strict=True)
 
@@ -110,6 +114,11 @@ FAULTS: dict[str, tuple[str, str, Breaking]] = {
         instead(any_columns),
     ),
     "empatica_e4": (f"{DEVICES}.empatica_e4.driver.protocol", "_number", instead(any_number)),
+    "line_sensor": (
+        f"{DEVICES}.line_sensor.driver.protocol.csv.CsvReader",
+        "_number",
+        instead(any_column_number),
+    ),
     "lsl_config": ("biosensor_gateway.recording.lsl_api_cfg.LslFile", "adapt", always(None)),
     "lsl_header": ("biosensor_common.lsl_header", "read_channels", always(NO_CHANNELS)),
     "movesense": (

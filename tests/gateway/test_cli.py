@@ -164,6 +164,7 @@ ALL = [
     "vernier_respiration_belt",
     "zephyr",
     "ble_heart_rate",
+    "line_sensor",
 ]
 
 

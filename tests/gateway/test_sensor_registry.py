@@ -30,6 +30,7 @@ BUILT_IN = (
     "zephyr",
     "ble_heart_rate",
     "bluetooth_health",
+    "line_sensor",
     "shimmer",
 )
 MODULE = """

@@ -98,13 +98,20 @@ def test_clocks(terminal: io.StringIO) -> None:
 @pytest.mark.parametrize("name", declaration_names())
 def test_device_test(terminal: io.StringIO, name: str) -> None:
     streams = {
-        each.data_name: StreamTest(123456, 1.0, 700.0, (-1.23456e-5,) * len(each.channels), 256)
+        each.data_name: StreamTest(
+            123456,
+            1.0,
+            700.0,
+            (-1.23456e-5,) * len(each.channels),
+            256,
+            tuple(channel.unit for channel in each.channels),
+        )
         for each in declaration(name).streams
     }
     info = DeviceInfo(manufacturer="Manufacturer of it", model="Model 12", serial_number=UNIT)
     outcome = DeviceTest(info, streams, [REASON])
     with redirect_stdout(terminal):
-        device_test.print_outcome(outcome, name)
+        device_test.print_outcome(outcome)
     words = fits(terminal.getvalue()).split()
     assert set(streams) <= set(words)
     assert UNIT in words

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from math import isfinite
 
 from biosensor_common import naming
 from biosensor_common.device_clock import ClockState
-from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.pauses.selection import device_name
-from biosensor_gateway.agent.status import ClockStatus, DeviceStatus, StreamStatus
+from biosensor_gateway.agent.status import ClockStatus, DeclaredStream, DeviceStatus, StreamStatus
 from biosensor_gateway.agent.supervisor import Supervisor
-from biosensor_gateway.devices.registry import declaration, driver
+from biosensor_gateway.devices.registry import declared, driver
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.events.announcer import Announcer
 from biosensor_gateway.streaming.events.device import DeviceEvents, follow
@@ -28,22 +28,28 @@ class Device:
         Connects it, again and again.
     sink
         Its clock, outlets and counters.
+
+    Parameters
+    ----------
+    own
+        What its settings declare; empty where its sensor's declaration says it all.
     """
 
-    def __init__(self, supervisor: Supervisor, sink: DeviceSink) -> None:
+    def __init__(
+        self, supervisor: Supervisor, sink: DeviceSink, own: Sequence[DeclaredStream] = ()
+    ) -> None:
         self.supervisor = supervisor
         self.sink = sink
+        self._own = list(own)
         self._events: DeviceEvents | None = None
 
     @classmethod
     def from_settings(cls, settings: DeviceSettings, clock: Clock = LSL_CLOCK) -> Device:
         """Make what a table of the settings asks for."""
-        identity = DeviceIdentity(
-            settings.sensor, settings.unit, settings.participant, settings.label
-        )
-        sink = DeviceSink(identity, declaration(settings.sensor), clock)
-        make_driver = driver(settings.sensor).make(settings, sink)
-        return cls(Supervisor(make_driver, sink), sink)
+        entry, spec = driver(settings.sensor), declared(settings)
+        sink = DeviceSink(settings.identity, spec, clock)
+        own = () if entry.declare is None else tuple(map(DeclaredStream.of, spec.streams))
+        return cls(Supervisor(entry.make(settings, sink), sink), sink, own)
 
     @property
     def name(self) -> str:
@@ -80,6 +86,7 @@ class Device:
             battery_percent=sink.charge.percent,
             clock=_clock_status(sink.clock_state),
             streams=_stream_status(sink),
+            declared=self._own,
         )
 
 

@@ -19,8 +19,9 @@ from biosensor_common.errors import ConfigError
 from biosensor_common.quantities import ContentType
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import status_file
+from biosensor_gateway.agent.declared_streams import declared_streams
 from biosensor_gateway.agent.state import State
-from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.agent.status import DeclaredStream
 
 FRESH_S = 5.0
 """Samples of a belt after a loss, and values of an E4, come in lumps of seconds."""
@@ -163,16 +164,17 @@ def steady_streams(device: Mapping[str, Any], excluded: frozenset[str]) -> tuple
     open_streams: Mapping[str, Mapping[str, Any]] = device["streams"]
     steady: list[str] = []
     quality: list[str] = []
-    for stream in declaration(identity.sensor).streams:
+    own = [DeclaredStream.model_validate(each) for each in device.get("declared", ())]
+    for stream in declared_streams(identity.sensor, own):
         source = naming.source_id(identity, stream.data_name)
         if source in excluded or stream.data_name in excluded:
             continue
         # What the device told at its connection counts: some have a stream only in name.
         told = open_streams.get(source, {})
-        rate = 0 if told.get("silent") else told.get("nominal_hz", stream.rate)
-        if rate != 0 and not stream.message_type.is_text:
+        rate = 0 if told.get("silent") else told.get("nominal_hz", stream.nominal_hz)
+        if rate != 0 and not stream.is_text:
             steady.append(source)
-        elif stream.content_type is ContentType.QUALITY:
+        elif stream.content_type == ContentType.QUALITY:
             quality.append(source)
     return tuple(steady or quality)
 

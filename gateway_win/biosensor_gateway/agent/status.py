@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from pydantic import BaseModel, Field
 
+from biosensor_common.spec import FromDevice, StreamSpec
+
 
 class ClockStatus(BaseModel):
     """How a device's clock is mapped to the LSL clock; see `biosensor_common.device_clock`.
@@ -61,6 +63,39 @@ class StreamStatus(BaseModel):
     silent: bool
 
 
+class DeclaredStream(BaseModel):
+    """A stream as it is declared, for who knows the agent by its status alone.
+
+    Attributes
+    ----------
+    nominal_hz
+        0 for streams that come when they come, None where the device says it.
+    is_text
+        Whether its samples are strings.
+    labels, units
+        Of its channels.
+    """
+
+    data_name: str
+    content_type: str
+    nominal_hz: float | None
+    is_text: bool
+    labels: list[str]
+    units: list[str]
+
+    @classmethod
+    def of(cls, stream: StreamSpec) -> DeclaredStream:
+        """Describe a stream of a declaration."""
+        return cls(
+            data_name=stream.data_name,
+            content_type=stream.content_type.value,
+            nominal_hz=None if isinstance(stream.rate, FromDevice) else stream.rate,
+            is_text=stream.message_type.is_text,
+            labels=list(stream.labels),
+            units=[str(channel.unit) for channel in stream.channels],
+        )
+
+
 class DeviceFacts(BaseModel):
     """One device, without its streams.
 
@@ -107,9 +142,12 @@ class DeviceStatus(DeviceFacts):
     ----------
     streams
         By source_id.
+    declared
+        What the device's settings declare; empty where its sensor's declaration says it all.
     """
 
     streams: dict[str, StreamStatus]
+    declared: list[DeclaredStream] = Field(default_factory=list[DeclaredStream])
 
 
 class AgentFacts(BaseModel):

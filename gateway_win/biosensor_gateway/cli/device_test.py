@@ -15,7 +15,6 @@ from biosensor_common.quantities import Unit
 from biosensor_gateway.cli.chosen_devices import chosen_devices
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
 from biosensor_gateway.cli.screen import console, say
-from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.doctor import device_test
 from biosensor_gateway.doctor.device_test import DeviceTest
 from biosensor_gateway.settings.models import LogSettings
@@ -38,25 +37,25 @@ def test(
     if as_json:
         typer.echo(json.dumps(device_test.described(outcome).model_dump(), indent=2))
     else:
-        print_outcome(outcome, sensor)
+        print_outcome(outcome)
     if outcome.problems:
         raise typer.Exit(1)
 
 
-def print_outcome(outcome: DeviceTest, sensor: str) -> None:
-    """Say what a test of a device of this sensor has shown."""
+def print_outcome(outcome: DeviceTest) -> None:
+    """Say what the test of a device has shown."""
     info = outcome.info
     if info is not None:
         details = (info.manufacturer, info.model, info.serial_number, info.firmware_version)
         say(f"connected: {' '.join(each for each in details if each) or 'no details'}")
-        console().print(_table(outcome, sensor))
+        console().print(_table(outcome))
     for problem in outcome.problems:
         say(f"! {problem}")
     if not outcome.problems:
         typer.echo("no problem found")
 
 
-def _table(outcome: DeviceTest, sensor: str) -> Table:
+def _table(outcome: DeviceTest) -> Table:
     table = Table(box=None)
     table.add_column("stream", no_wrap=True)
     for heading in ("samples", "Hz", "nominal Hz"):
@@ -65,8 +64,7 @@ def _table(outcome: DeviceTest, sensor: str) -> Table:
     for name, noted in outcome.streams.items():
         rate = "" if noted.measured_hz is None else f"{noted.measured_hz:.1f}"
         nominal = f"{noted.nominal_hz:g}" if noted.nominal_hz else "irregular"
-        channels = declaration(sensor).stream(name).channels
-        units = ["" if each.unit == Unit.NONE else each.unit for each in channels]
+        units = ["" if each == Unit.NONE else each for each in noted.units]
         last = escape(_short(noted.last, units))
         table.add_row(name, str(noted.samples), rate, nominal, last)
     return table

@@ -177,5 +177,5 @@ def _passes(device: DeviceSettings) -> bool:
     typer.echo()
     say(f"{_title(device)}: connecting, then listening for {TEST_S:g} seconds ...")
     outcome = asyncio.run(run_device_test(device, TEST_S))
-    print_outcome(outcome, device.sensor)
+    print_outcome(outcome)
     return not outcome.problems

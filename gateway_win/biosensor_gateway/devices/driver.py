@@ -6,7 +6,7 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar, runtime_checkable
 
-from biosensor_common.spec import DeviceInfo
+from biosensor_common.spec import DeviceInfo, SensorSpec
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
@@ -133,6 +133,9 @@ class DriverEntry(NamedTuple):
     unlicensed
         Asks the vendor's service what the user's licence does not cover, a clause each; None
         where nothing needs a licence. Raises a GatewayError if there is no answer.
+    declare
+        Says what one device emits where that is for its settings to say; the declaration's name
+        is the settings' `sensor_name`. None where the sensor's declaration holds for every device.
     """
 
     settings: type[DeviceSettings]
@@ -141,6 +144,7 @@ class DriverEntry(NamedTuple):
     find: Callable[[Sequence[DeviceSettings]], Awaitable[Sequence[Found]]] | None = None
     secrets: tuple[SecretName, ...] = ()
     unlicensed: Callable[[DeviceSettings], Awaitable[Sequence[str]]] | None = None
+    declare: Callable[[DeviceSettings], SensorSpec] | None = None
 
 
 def own_settings(model: type[_Settings], settings: DeviceSettings) -> _Settings:

@@ -88,6 +88,18 @@ def declaration(name: str) -> SensorSpec:
     return GATEWAY if name == GATEWAY.name else sensor(name).spec
 
 
+def declared(settings: DeviceSettings) -> SensorSpec:
+    """Return what a device emits: what its sensor declares, or the device's own settings.
+
+    Raises
+    ------
+    SpecError
+        As for :func:`driver`.
+    """
+    declare = driver(settings.sensor).declare
+    return declaration(settings.sensor) if declare is None else declare(settings)
+
+
 def driver(name: str) -> DriverEntry:
     """Import the driver of a sensor.
 

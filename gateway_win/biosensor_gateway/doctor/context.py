@@ -13,7 +13,7 @@ from biosensor_common.errors import ConfigError, SpecError
 from biosensor_common.lsl_config import LslOverrides
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.single_instance import is_held
-from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.devices.registry import declared
 from biosensor_gateway.doctor.guide import GUIDE
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings, LslSettings
 
@@ -93,7 +93,7 @@ def read_context(
 
 def _streams(device: DeviceSettings) -> int:
     try:
-        return len(declaration(device.sensor).streams)
+        return len(declared(device).streams)
     except SpecError:
         return 0
 

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.quantities import ChannelRole
-from biosensor_common.spec import IRREGULAR, DeviceIdentity, DeviceInfo
+from biosensor_common.spec import IRREGULAR, DeviceInfo, SensorSpec
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.agent.supervisor import Supervisor
-from biosensor_gateway.devices.registry import declaration, driver
+from biosensor_gateway.devices.registry import declared, driver
 from biosensor_gateway.doctor.told import DeviceTestResult, StreamTestResult
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.sink import DeviceSink
@@ -38,6 +38,8 @@ class StreamTest:
         Newest values, or text.
     nominal_hz
         0 for an irregular stream.
+    units
+        Of the channels; empty before the device is connected.
     """
 
     samples: int = 0
@@ -45,6 +47,7 @@ class StreamTest:
     last_s: float = 0.0
     last: tuple[float | str, ...] = ()
     nominal_hz: float = 0.0
+    units: tuple[str, ...] = ()
 
     @property
     def measured_hz(self) -> float | None:
@@ -75,8 +78,8 @@ class DeviceTest:
 class _TestSink(DeviceSink):
     """Notes samples instead of streaming them: an agent may run at the same time."""
 
-    def __init__(self, identity: DeviceIdentity) -> None:
-        super().__init__(identity, declaration(identity.sensor))
+    def __init__(self, settings: DeviceSettings) -> None:
+        super().__init__(settings.identity, declared(settings))
         self.outcome = DeviceTest()
 
     def open(self, info: DeviceInfo, rates: Mapping[str, float]) -> None:
@@ -85,6 +88,7 @@ class _TestSink(DeviceSink):
             rate = rates.get(stream.data_name, stream.rate)
             noted = self.outcome.streams.setdefault(stream.data_name, StreamTest())
             noted.nominal_hz = rate if isinstance(rate, float | int) else IRREGULAR
+            noted.units = tuple(channel.unit for channel in stream.channels)
 
     def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
         rows = np.atleast_1d(np.asarray(samples, np.float64))
@@ -117,8 +121,7 @@ async def run_device_test(settings: DeviceSettings, seconds: float) -> DeviceTes
 
     The device is given `CONNECT_TIMEOUT_S` to connect. Nothing is streamed.
     """
-    identity = DeviceIdentity(settings.sensor, settings.unit, settings.participant, settings.label)
-    sink = _TestSink(identity)
+    sink = _TestSink(settings)
     supervisor = Supervisor(driver(settings.sensor).make(settings, sink), sink)
     task = asyncio.create_task(supervisor.run())
     try:
@@ -127,7 +130,7 @@ async def run_device_test(settings: DeviceSettings, seconds: float) -> DeviceTes
             await asyncio.sleep(seconds)
         sink.outcome.problems += [
             *_troubles(supervisor),
-            *_judgement(sink.outcome, settings.sensor, sink.silent),
+            *_judgement(sink.outcome, sink.spec, sink.silent),
         ]
     finally:
         task.cancel()
@@ -160,7 +163,7 @@ def _troubles(supervisor: Supervisor) -> list[str]:
     return []
 
 
-def _judgement(outcome: DeviceTest, sensor_name: str, silent: frozenset[str]) -> list[str]:
+def _judgement(outcome: DeviceTest, spec: SensorSpec, silent: frozenset[str]) -> list[str]:
     """Say what is wrong with what came; nothing is expected of streams that are off."""
     if outcome.info is None:
         return []
@@ -169,9 +172,7 @@ def _judgement(outcome: DeviceTest, sensor_name: str, silent: frozenset[str]) ->
         *(text for name, each in due.items() if (text := _judge(name, each))),
         *(
             f"{label} is 0: the sensor does not seem to be on the body"
-            for data_name, column, label in declaration(sensor_name).channels_of(
-                ChannelRole.CONTACT
-            )
+            for data_name, column, label in spec.channels_of(ChannelRole.CONTACT)
             if (last := outcome.streams[data_name].last) and last[column] == 0
         ),
     ]

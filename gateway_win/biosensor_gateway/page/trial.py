@@ -51,7 +51,7 @@ class Trial:
             No sensor is called so.
         """
         settings = _settings(candidate)
-        if (settings.sensor, settings.unit) in self._streamed():
+        if (settings.sensor_name, settings.unit) in self._streamed():
             message = "the agent has this device; its card shows what it sends"
             raise TransportError(TransportReason.BUSY, message)
         if self._is_busy:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from biosensor_common import naming
 from biosensor_common.errors import SpecError
 from biosensor_common.quantities import TYPES_OF_DEVICE
-from biosensor_common.spec import DeviceIdentity, StreamSpec
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.agent.declared_streams import declared_streams
 from biosensor_gateway.agent.pauses.selection import device_name
 from biosensor_gateway.agent.rate_meter import STALE_AFTER_S, RateMeter
-from biosensor_gateway.agent.status import AgentStatus, DeviceStatus, StreamStatus
+from biosensor_gateway.agent.status import AgentStatus, DeclaredStream, DeviceStatus, StreamStatus
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.page.history import History
 from biosensor_gateway.page.models import DeviceView, StreamView
@@ -33,21 +34,21 @@ class Viewer:
     def devices(self, status: AgentStatus) -> list[DeviceView]:
         """Describe the devices of an agent."""
         now = status.lsl_time or 0.0
-        identities = [_identity(each) for each in status.devices]
-        topics = _topics(identities)
+        declared = [(_identity(each), _declared(each)) for each in status.devices]
+        topics = _topics(declared)
         return [
-            self._device(identity, device, topics, now)
-            for identity, device in zip(identities, status.devices, strict=True)
+            self._device(*of_device, device, topics, now)
+            for of_device, device in zip(declared, status.devices, strict=True)
         ]
 
     def _device(
         self,
         identity: DeviceIdentity,
+        declared: Mapping[str, DeclaredStream],
         device: DeviceStatus,
         topics: Mapping[str, str],
         now: float,
     ) -> DeviceView:
-        declared = _declared(identity)
         streams = {
             source: self._stream(identity, declared[source], source, each, topics[source], now)
             for source, each in device.streams.items()
@@ -64,7 +65,7 @@ class Viewer:
     def _stream(
         self,
         identity: DeviceIdentity,
-        spec: StreamSpec,
+        stream: DeclaredStream,
         source: str,
         counted: StreamStatus,
         topic: str,
@@ -79,42 +80,45 @@ class Viewer:
         return StreamView(
             **dict(counted),
             source_id=source,
-            data_name=spec.data_name,
-            lsl_name=naming.lsl_name(identity, spec.data_name),
+            data_name=stream.data_name,
+            lsl_name=naming.lsl_name(identity, stream.data_name),
             topic=topic,
-            content_type=spec.content_type.value,
-            channels=[each.label for each in spec.channels],
-            units=[str(each.unit) for each in spec.channels],
+            content_type=stream.content_type,
+            channels=stream.labels,
+            units=stream.units,
             measured_hz=meter.rate_hz(now) if is_regular else None,
             age_s=max(0.0, now - newest[0]) if newest else None,
             is_fresh=is_fresh,
-            is_signal=spec.content_type not in TYPES_OF_DEVICE,
+            is_signal=stream.content_type not in TYPES_OF_DEVICE,
             values=newest[1] if newest and is_fresh else [],
         )
 
 
 def _facts(device: DeviceStatus) -> dict[str, Any]:
-    return {name: value for name, value in device if name != "streams"}
+    return {name: value for name, value in device if name not in ("streams", "declared")}
 
 
 def _identity(device: DeviceStatus) -> DeviceIdentity:
     return DeviceIdentity(device.sensor, device.unit, device.participant, device.label)
 
 
-def _topics(identities: list[DeviceIdentity]) -> dict[str, str]:
+def _topics(
+    devices: Iterable[tuple[DeviceIdentity, Mapping[str, DeclaredStream]]],
+) -> dict[str, str]:
     streams = {
-        source: (identity, spec.data_name)
-        for identity in identities
-        for source, spec in _declared(identity).items()
+        source: (identity, stream.data_name)
+        for identity, declared in devices
+        for source, stream in declared.items()
     }
     return {key: f"/{name.name}" for key, name in naming.resolve_topics(streams).items()}
 
 
-def _declared(identity: DeviceIdentity) -> dict[str, StreamSpec]:
+def _declared(device: DeviceStatus) -> dict[str, DeclaredStream]:
     try:
-        streams = declaration(identity.sensor).streams
+        streams = declared_streams(device.sensor, device.declared)
     except SpecError:
         return {}
+    identity = _identity(device)
     return {naming.source_id(identity, each.data_name): each for each in streams}
 
 

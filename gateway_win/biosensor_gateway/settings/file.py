@@ -147,7 +147,7 @@ class _Devices:
                 first = seen.setdefault(identity, index)
                 if first != index:
                     text = (
-                        f"a second {device.sensor} with {key}; "
+                        f"a second {device.sensor_name} with {key}; "
                         "change it, or set enabled = false in one of them"
                     )
                     other = (_DEVICE, first)
@@ -158,7 +158,8 @@ def _identities(device: DeviceSettings) -> Iterator[tuple[tuple[str, ...], str]]
     """Yield what no two enabled devices may share, with its name for a person."""
     if not device.enabled:
         return
-    yield ("unit", device.sensor, device.unit), f"unit {device.unit!r}"
+    name = device.sensor_name
+    yield ("unit", name, device.unit), f"unit {device.unit!r}"
     if device.participant or device.label:
         names = f"participant {device.participant!r} and label {device.label!r}"
-        yield ("person", device.sensor, device.participant, device.label), names
+        yield ("person", name, device.participant, device.label), names

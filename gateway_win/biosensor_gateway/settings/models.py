@@ -19,6 +19,7 @@ from pydantic_settings import (
 )
 
 from biosensor_common.lsl_config import DEFAULT_PORT_RANGE
+from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.settings.web_markers import WebMarkerSettings
 
 OVERRIDE_PREFIX = "BIOSENSOR_GATEWAY_"
@@ -189,6 +190,16 @@ class DeviceSettings(BaseModel):
     enabled: bool = Field(
         default=True, description="Whether the agent connects to the device at all."
     )
+
+    @property
+    def sensor_name(self) -> str:
+        """What streams and topics call the sensor; its kind, unless the table gives it a name."""
+        return self.sensor
+
+    @property
+    def identity(self) -> DeviceIdentity:
+        """Which device it is, for streams, topics and logs."""
+        return DeviceIdentity(self.sensor_name, self.unit, self.participant, self.label)
 
 
 class _SectionOverrides(EnvSettingsSource):

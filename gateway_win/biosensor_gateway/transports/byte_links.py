@@ -8,14 +8,14 @@ from urllib.parse import urlsplit
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.transports.link import ByteLink
 from biosensor_gateway.transports.rfcomm import RfcommLink
-from biosensor_gateway.transports.serial_port import SerialLink
+from biosensor_gateway.transports.serial_port import USUAL_BAUD_RATE, SerialLink
 from biosensor_gateway.transports.tcp_link import TcpLink
 
 _MAC = re.compile(r"[0-9A-Fa-f]{2}(?::[0-9A-Fa-f]{2}){5}")
 _SOCKET = "socket://"
 
 
-def byte_link(port: str) -> ByteLink:
+def byte_link(port: str, baud_rate: int = USUAL_BAUD_RATE) -> ByteLink:
     """Return the closed link that a text means.
 
     Parameters
@@ -24,6 +24,8 @@ def byte_link(port: str) -> ByteLink:
         ``socket://host:port`` for TCP (an IPv6 address in square brackets), a MAC
         address ``AA:BB:CC:DD:EE:FF`` for Bluetooth Classic; anything else is the
         name of a serial port.
+    baud_rate
+        Of a serial port; Bluetooth ones and those of USB alone take any.
 
     Raises
     ------
@@ -34,7 +36,7 @@ def byte_link(port: str) -> ByteLink:
         return _tcp_link(port)
     if _MAC.fullmatch(port):
         return RfcommLink(port.upper())
-    return SerialLink(port)
+    return SerialLink(port, baud_rate)
 
 
 def _tcp_link(port: str) -> TcpLink:

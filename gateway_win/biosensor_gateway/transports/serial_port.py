@@ -19,6 +19,7 @@ from biosensor_gateway.transports.link import Received
 from biosensor_gateway.transports.threads import in_daemon_thread
 from biosensor_gateway.transports.traffic import Traffic
 
+USUAL_BAUD_RATE = 115200
 OPEN_TIMEOUT_S = 20.0
 # On Windows a write to a vanished Bluetooth port would wait for ever.
 WRITE_TIMEOUT_S = 2.0
@@ -51,7 +52,7 @@ _OPEN_REASONS: dict[int | None, tuple[TransportReason, str]] = {
 class SerialLink:
     """A serial port as a :class:`~biosensor_gateway.transports.link.ByteLink`."""
 
-    def __init__(self, port: str, baudrate: int = 115200) -> None:
+    def __init__(self, port: str, baudrate: int = USUAL_BAUD_RATE) -> None:
         self._name = port
         self._baudrate = baudrate
         self._port: serial.Serial | None = None

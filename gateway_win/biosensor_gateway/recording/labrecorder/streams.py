@@ -15,7 +15,9 @@ from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.lsl_config import LslOverrides
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.agent.declared_streams import declared_streams
+from biosensor_gateway.agent.status import DeclaredStream
+from biosensor_gateway.devices.registry import declared
 from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.streaming.gateway import GATEWAY
 from biosensor_gateway.streaming.outlets import configure_lsl
@@ -96,7 +98,8 @@ def expected_devices(settings: GatewaySettings, state: Path) -> tuple[ExpectedDe
         enabled = [device for device in settings.devices if device.enabled]
         return tuple(
             _expected(
-                DeviceIdentity(each.sensor, each.unit, each.participant, each.label),
+                each.identity,
+                [stream.data_name for stream in declared(each).streams],
                 "no agent is running here",
             )
             for each in enabled
@@ -107,14 +110,15 @@ def expected_devices(settings: GatewaySettings, state: Path) -> tuple[ExpectedDe
 def _of_status(device: Mapping[str, Any]) -> ExpectedDevice:
     names = (device["sensor"], device["unit"], device["participant"], device["label"])
     why = " - ".join(part for part in (device["state"], device["error"]) if part)
-    return _expected(DeviceIdentity(*names), why)
+    own = [DeclaredStream.model_validate(each) for each in device.get("declared", ())]
+    data_names = [each.data_name for each in declared_streams(device["sensor"], own)]
+    return _expected(DeviceIdentity(*names), data_names, why)
 
 
-def _expected(identity: DeviceIdentity, why: str) -> ExpectedDevice:
+def _expected(identity: DeviceIdentity, data_names: Iterable[str], why: str) -> ExpectedDevice:
     parts = (identity.participant, identity.sensor, identity.label)
     title = " ".join(part for part in parts if part) + f" ({identity.unit})"
-    streams = declaration(identity.sensor).streams
-    ids = frozenset(naming.source_id(identity, stream.data_name) for stream in streams)
+    ids = frozenset(naming.source_id(identity, each) for each in data_names)
     return ExpectedDevice(title, why, ids)
 
 

@@ -6,8 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from biosensor_common.naming import lsl_name, source_id
-from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.devices.registry import declared
 from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.settings.models import DeviceSettings
 
@@ -51,11 +50,11 @@ def by_devices(devices: Iterable[DeviceSettings]) -> tuple[ExpectedStream, ...]:
     expected: list[ExpectedStream] = []
     for device in devices:
         if device.enabled:
-            identity = DeviceIdentity(device.sensor, device.unit, device.participant, device.label)
+            identity = device.identity
             expected += [
                 ExpectedStream(
                     lsl_name(identity, stream.data_name), source_id(identity, stream.data_name)
                 )
-                for stream in declaration(device.sensor).streams
+                for stream in declared(device).streams
             ]
     return tuple(expected)

@@ -1,0 +1,178 @@
+"""Listens to one line sensor, and says what of its lines does not fit the settings."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+
+from biosensor_common.errors import (
+    ProtocolError,
+    ProtocolReason,
+    TransportError,
+    TransportReason,
+)
+from biosensor_common.spec import SensorSpec
+from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
+from biosensor_gateway.devices.line_sensor.driver.emitter import LineEmitter
+from biosensor_gateway.devices.line_sensor.driver.links import line_link
+from biosensor_gateway.devices.line_sensor.driver.protocol.csv import CsvReader
+from biosensor_gateway.devices.line_sensor.driver.protocol.frames import (
+    FrameProtocol,
+    checked_format,
+)
+from biosensor_gateway.devices.line_sensor.driver.protocol.json_lines import JsonReader
+from biosensor_gateway.devices.line_sensor.driver.protocol.lines import LineProtocol
+from biosensor_gateway.devices.line_sensor.driver.protocol.rows import (
+    BadLine,
+    Flaw,
+    Row,
+    RowProtocol,
+)
+from biosensor_gateway.devices.line_sensor.driver.settings import LineSettings
+from biosensor_gateway.devices.sink import Sink
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.system.device_log import DeviceLog, Once
+
+FIRST_LINE_LIMIT_S = 6.0
+"""An Arduino that is reset by opening its port begins after two."""
+MOST_BAD = 100
+"""A board says less than that while it starts."""
+_SOME_LINES = 3.0
+
+
+class LineDriver:
+    """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
+
+    def __init__(self, settings: LineSettings, sink: Sink, emitter: LineEmitter) -> None:
+        self._settings = settings
+        self._where = _where(settings)
+        self._sink = sink
+        self._emitter = emitter
+        self._link = line_link(settings)
+        self._protocol = row_protocol(settings)
+        self._log = DeviceLog("biosensor_gateway.line_sensor", sink.identity)
+        self._is_new = Once()
+        self._early: list[tuple[list[Row], float]] = []
+        self._came_bytes = 0
+        rate_hz = settings.rate_hz
+        self._wait_s = max(FIRST_LINE_LIMIT_S, _SOME_LINES / rate_hz if rate_hz else 0.0)
+        # What comes when it comes may stay away.
+        self.silence_limit_s = max(10.0, 20.0 / rate_hz) if rate_hz else math.inf
+
+    async def connect(self) -> Connected:
+        """Open the link; where lines come at a rate, wait for one that fits the settings."""
+        await self._link.open()
+        if self._settings.start_command:
+            await self._link.send(self._settings.start_command)
+        bad: list[BadLine] = []
+        try:
+            async with asyncio.timeout(self._wait_s):
+                while not self._early and len(bad) < MOST_BAD:
+                    bad += await self._first()
+        except TimeoutError:
+            pass
+        if not self._early and (bad or self._settings.rate_hz):
+            raise self._unfit(bad)
+        return Connected()
+
+    async def stream(self) -> None:
+        """Emit what came while connecting, then all that comes."""
+        self._emitter.connected()
+        for rows, arrival_s in self._early:
+            self._emitter.take(rows, arrival_s)
+        self._early = []
+        while True:
+            rows, bad, arrival_s = await self._read()
+            self._emitter.take(rows, arrival_s)
+            for each in bad:
+                self._say(each)
+
+    async def close(self) -> None:
+        """Close the link."""
+        await self._link.close()
+
+    async def _first(self) -> list[BadLine]:
+        rows, bad, arrival_s = await self._read()
+        if rows:
+            self._early.append((rows, arrival_s))
+        return bad
+
+    async def _read(self) -> tuple[list[Row], list[BadLine], float]:
+        data, arrival_s = await self._link.read()
+        self._came_bytes += len(data)
+        protocol = self._protocol
+        found = protocol.feed_whole(data) if self._link.in_messages else protocol.feed(data)
+        bad = [each for each in found if isinstance(each, BadLine)]
+        self._sink.dropped_bytes += sum(each.size for each in bad)
+        return [each for each in found if not isinstance(each, BadLine)], bad, arrival_s
+
+    def _say(self, bad: BadLine) -> None:
+        """Say each kind of flaw once; the counter of dropped bytes tells the rest."""
+        if self._is_new(bad.flaw):
+            self._log.warning("a line is left out", cause=bad.flaw.value, line=_line(bad))
+
+    def _unfit(self, bad: Sequence[BadLine]) -> TransportError | ProtocolError:
+        """Say why there is no line to begin with."""
+        if bad:
+            flaw = Counter(each.flaw for each in bad).most_common(1)[0][0]
+            worst = [each for each in bad if each.flaw is flaw][-1]
+            advice = ""
+            if flaw is Flaw.NOT_TEXT and self._settings.port is not None:
+                advice = f"; is baud_rate = {self._settings.baud_rate} what the device has?"
+            message = f"{self._where}: {_line(worst)}{advice}"
+            return ProtocolError(ProtocolReason.UNSUPPORTED, message)
+        if self._came_bytes:
+            message = (
+                f"{self._where}: {self._came_bytes} bytes came without the end of a line; look at "
+                "baud_rate and format, and whether the device ends its lines"
+            )
+            return ProtocolError(ProtocolReason.UNSUPPORTED, message)
+        advice = "does the device send, and to here?"
+        message = f"{self._where}: nothing came for {self._wait_s:.0f} s; {advice}"
+        return TransportError(TransportReason.ABSENT, message)
+
+
+def row_protocol(settings: LineSettings) -> RowProtocol:
+    """Return what reads the bytes of a device with these settings."""
+    columns = settings.parsed_columns
+    positions = (settings.position(each) for each in settings.apart)
+    needed = [each for each in positions if each is not None]
+    if settings.format == "struct":
+        start = bytes.fromhex(settings.frame_start)
+        return FrameProtocol(checked_format(settings.struct_format), start, settings.checksum)
+    reader = (
+        JsonReader(columns, needed)
+        if settings.format == "json"
+        else CsvReader([each.label for each in columns], settings.separator, needed)
+    )
+    return LineProtocol(reader, skips_first=settings.port is not None)
+
+
+def _line(bad: BadLine) -> str:
+    """Say what is wrong with a line, with the line."""
+    shown = bad.raw.decode("ascii") if bad.raw.isascii() else bad.raw.hex(" ")
+    if bad.flaw in (Flaw.NO_FRAME, Flaw.CHECKSUM):
+        shown = bad.raw.hex(" ")
+    return f"the line {shown!a} {bad.why}"
+
+
+def _where(settings: LineSettings) -> str:
+    if settings.udp_port is not None:
+        return f"UDP port {settings.udp_port}"
+    return settings.url or settings.port or ""
+
+
+def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], LineDriver]:
+    """Share one emitter between all connections: it follows the count across them."""
+    own = own_settings(LineSettings, settings)
+    emitter = LineEmitter(own, sink)
+    return lambda: LineDriver(own, sink, emitter)
+
+
+def _declare(settings: DeviceSettings) -> SensorSpec:
+    return own_settings(LineSettings, settings).spec
+
+
+DRIVER = DriverEntry(LineSettings, _make, declare=_declare)

@@ -1,0 +1,206 @@
+"""Stamps the values of lines and passes them on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import isnan
+
+from biosensor_gateway.devices.line_sensor.columns import streams_of
+from biosensor_gateway.devices.line_sensor.driver.protocol.frames import (
+    checked_format,
+    turns_over_at,
+)
+from biosensor_gateway.devices.line_sensor.driver.protocol.rows import Row
+from biosensor_gateway.devices.line_sensor.driver.settings import TICKS_S, LineSettings
+from biosensor_gateway.devices.line_sensor.driver.timeline import (
+    MOST_LOST,
+    REORDERED,
+    REORDERED_S,
+    SLACK_S,
+    USUAL_TURN,
+    Order,
+    Place,
+    Unwrapped,
+)
+from biosensor_gateway.devices.sink import Sink
+from biosensor_gateway.system.device_log import DeviceLog
+
+_KEPT_LINES = 1.5
+_FASTER = 1.5
+"""A device may send so many times the lines that its settings say."""
+
+
+@dataclass(slots=True)
+class _Batch:
+    """Rows that came together, and their device times if there are any."""
+
+    rows: list[Row] = field(default_factory=list[Row])
+    device_s: list[float] = field(default_factory=list[float])
+
+
+class LineEmitter:
+    """Passes on what one device sends, over all its connections.
+
+    The stamps are, the best first: the device's time; its count by the rate; the arrival.
+
+    Parameters
+    ----------
+    settings, sink
+        Of the device.
+    """
+
+    def __init__(self, settings: LineSettings, sink: Sink) -> None:
+        self._sink = sink
+        self._log = DeviceLog("biosensor_gateway.line_sensor", sink.identity)
+        self._rate_hz = settings.rate_hz
+        self._streams = streams_of(settings.parsed_columns, settings.apart)
+        self._irregular = set(self._streams) if not settings.rate_hz else set(settings.irregular)
+        self._counted = [name for name in self._streams if name not in settings.irregular]
+        self._at_count = settings.position(settings.sequence_column)
+        self._at_time = settings.position(settings.time_column)
+        self._is_stamped = self._at_time is not None or (
+            self._at_count is not None and self._rate_hz > 0
+        )
+        self._overtakes = settings.udp_port is not None
+        self._count = Unwrapped(_count_turn(settings), REORDERED if self._overtakes else 0)
+        self._tick_s, time_turn = _clock_of(settings)
+        self._time = Unwrapped(time_turn, REORDERED_S / self._tick_s, may_repeat=True)
+        self._arrival_s: float | None = None
+        self._is_first = True
+
+    def connected(self) -> None:
+        """Take what comes next as the first lines of a new connection."""
+        self._is_first = True
+
+    def take(self, rows: Sequence[Row], arrival_s: float) -> None:
+        """Emit rows that came together, and count those that are missing between them."""
+        batch = _Batch()
+        for row in rows:
+            if self._is_placed(row):
+                self._place(row, arrival_s, batch)
+                self._arrival_s = arrival_s
+        self._emit(batch, arrival_s)
+
+    def _is_placed(self, row: Row) -> bool:
+        """Whether a row has its count and its time, which a struct may say as NaN."""
+        needed = [each for each in (self._at_count, self._at_time) if each is not None]
+        return not any(isnan(row[each]) for each in needed)
+
+    def _place(self, row: Row, arrival_s: float, batch: _Batch) -> None:
+        gap_s = 0.0 if self._arrival_s is None else max(0.0, arrival_s - self._arrival_s)
+        count = self._placed(self._count, row, self._at_count, self._most(gap_s))
+        if count is not None and count.order is Order.LATE:
+            self._leave_out()
+            return
+        if count is not None and count.order is Order.RESTART and self._is_behind(row):
+            self._time.begin_anew()
+        elif self._is_first and self._was_off(row, gap_s):
+            self._time.begin_anew()
+            self._count.begin_anew()
+            count = self._placed(self._count, row, self._at_count, 0.0)
+        self._is_first = False
+        time = self._placed(self._time, row, self._at_time, (gap_s + SLACK_S) / self._tick_s)
+        if time is not None and time.order is Order.LATE and count is None and self._overtakes:
+            self._leave_out()
+            return
+        anew = [each for each in (count, time) if each is not None and each.order is Order.RESTART]
+        if anew:
+            self._begin_anew(batch, arrival_s, is_clock=(time or count) in anew)
+        elif count is not None and count.step > 1:
+            for name in self._counted:
+                self._sink.lost(name, round(count.step) - 1)
+        batch.rows.append(row)
+        batch.device_s.append(self._device_s(count, time))
+
+    def _is_behind(self, row: Row) -> bool:
+        return self._at_time is not None and self._time.step_to(row[self._at_time]) < 0
+
+    def _was_off(self, row: Row, gap_s: float) -> bool:
+        """Whether the first line of a new connection shows that the device was switched off.
+
+        It has measured for less time than went by, and did not keep what it measured meanwhile.
+        """
+        if self._at_time is None or self._arrival_s is None:
+            return False
+        step_s = self._time.step_to(row[self._at_time]) * self._tick_s
+        is_next = self._rate_hz > 0 and 0 <= step_s < _KEPT_LINES / self._rate_hz
+        return 0 <= step_s < gap_s - REORDERED_S / 2 and not is_next
+
+    def _device_s(self, count: Place | None, time: Place | None) -> float:
+        if time is not None:
+            return time.value * self._tick_s
+        return count.value / self._rate_hz if count is not None and self._rate_hz else 0.0
+
+    def _leave_out(self) -> None:
+        self._log.warn_once("lines came twice or out of order; they are left out")
+
+    def _begin_anew(self, batch: _Batch, arrival_s: float, *, is_clock: bool) -> None:
+        """Send what came before the device was restarted, and forget where it was."""
+        self._log.warning(
+            "the device counts anew; if it was not restarted, set sequence_turns_over_at or "
+            "time_turns_over_at to where it turns over"
+        )
+        self._emit(batch, arrival_s)
+        batch.rows, batch.device_s = [], []
+        if is_clock and self._is_stamped:
+            self._sink.restart_clock()
+
+    @staticmethod
+    def _placed(follower: Unwrapped, row: Row, position: int | None, most: float) -> Place | None:
+        return None if position is None else follower.place(row[position], most)
+
+    def _most(self, gap_s: float) -> float:
+        """Return by how much the count can have grown."""
+        if not self._rate_hz:
+            return MOST_LOST
+        return 1 + _FASTER * self._rate_hz * (gap_s + SLACK_S)
+
+    def _emit(self, batch: _Batch, arrival_s: float) -> None:
+        if not batch.rows:
+            return
+        self._sink.heard()
+        if self._is_stamped:
+            self._sink.observe(max(batch.device_s), arrival_s)
+        times = batch.device_s if self._is_stamped else self._by_arrival(batch, arrival_s)
+        emit = self._sink.emit if self._is_stamped else self._sink.emit_at
+        for name, positions in self._streams.items():
+            samples = [[row[each] for each in positions] for row in batch.rows]
+            if name not in self._irregular:
+                emit(name, samples, times)
+                continue
+            kept = [
+                (sample, time)
+                for sample, time in zip(samples, times, strict=True)
+                if not all(map(isnan, sample))
+            ]
+            if kept:
+                emit(name, [sample for sample, _ in kept], [time for _, time in kept])
+
+    def _by_arrival(self, batch: _Batch, arrival_s: float) -> list[float]:
+        """Return times that end with the arrival, by the rate if there is one."""
+        step_s = 1 / self._rate_hz if self._rate_hz else 0.0
+        last = len(batch.rows) - 1
+        return [arrival_s - (last - number) * step_s for number in range(last + 1)]
+
+
+def _count_turn(settings: LineSettings) -> int:
+    return settings.sequence_turns_over_at or _struct_turn(settings, settings.sequence_column)
+
+
+def _clock_of(settings: LineSettings) -> tuple[float, int]:
+    """Return the seconds of a tick, and at which tick the clock turns over."""
+    position = settings.position(settings.time_column)
+    if position is None:
+        return 1.0, 0
+    unit = settings.parsed_columns[position].unit
+    turns = unit in ("us", "ms")
+    usual = _struct_turn(settings, settings.time_column) if turns else 0
+    return TICKS_S[unit], settings.time_turns_over_at or usual
+
+
+def _struct_turn(settings: LineSettings, label: str) -> int:
+    position = settings.position(label)
+    if settings.format != "struct" or position is None:
+        return USUAL_TURN
+    return turns_over_at(checked_format(settings.struct_format), position)

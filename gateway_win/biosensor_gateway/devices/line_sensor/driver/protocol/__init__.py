@@ -1,0 +1,1 @@
+"""Bytes in, one row of numbers for each line or record out."""

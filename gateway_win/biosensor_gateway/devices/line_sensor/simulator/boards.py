@@ -1,0 +1,260 @@
+"""Virtual boards with an accelerometer and electrodes for skin conductance."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import numpy as np
+
+from biosensor_gateway.devices.line_sensor.declaration import (
+    EXAMPLE_COLUMNS,
+    EXAMPLE_COUNTS,
+    EXAMPLE_RATE_HZ,
+    EXAMPLE_TELLS_TIME,
+    NAME,
+)
+from biosensor_gateway.devices.line_sensor.simulator.ways import Serial, Udp, Way, WebSocket
+from biosensor_gateway.devices.line_sensor.simulator.wire import (
+    RECORD_FORMAT,
+    Measured,
+    csv_line,
+    json_line,
+    record,
+)
+from biosensor_gateway.simulation.crystal import Crystal
+from biosensor_gateway.simulation.effects import Effect, lasting
+from biosensor_gateway.simulation.expected import Expected, Gap, LossTolerance
+from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.virtual_device import VirtualDevice
+from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.simulation.world import World
+
+_DIGITS = 4
+_NO_COMMANDS = "it takes no command and sends all the time"
+_NO_STATE = "its lines say nothing of it"
+
+
+class SimulatedLineSensor(VirtualDevice):
+    """Lines of values between commas on a serial port, 100 a second.
+
+    Parameters
+    ----------
+    world
+        Where it lives.
+    wearer
+        Who wears it; somebody made from ``seed`` by default.
+    seed
+        Of delays and garbage.
+    drift_ppm, jitter_s
+        Of the crystal, and the link's longest delay; lines keep their order.
+    kept
+        Limit of `truth`; None = all.
+    """
+
+    sensor = NAME
+    expected = Expected(
+        gaps={FaultKind.RESTART: Gap.STOPPED},
+        loss_tolerance=LossTolerance(over_break=1),
+        impossible={
+            FaultKind.REFUSE: _NO_COMMANDS,
+            FaultKind.LATE: _NO_COMMANDS,
+            FaultKind.FORGET: _NO_COMMANDS,
+            FaultKind.LOW_BATTERY: _NO_STATE,
+            FaultKind.OFF_BODY: _NO_STATE,
+        },
+    )
+    format_settings: ClassVar[Mapping[str, Any]] = MappingProxyType({"format": "csv"})
+
+    def __init__(
+        self,
+        world: World,
+        *,
+        wearer: Wearer | None = None,
+        seed: int = 0,
+        drift_ppm: float = 0.0,
+        jitter_s: float = 0.0,
+        kept: int | None = None,
+    ) -> None:
+        super().__init__(world, kept)
+        self._wearer = wearer or Wearer(seed)
+        self._rng = np.random.default_rng(seed)
+        self._crystal = Crystal(world.clock, drift_ppm)
+        self._jitter_s = jitter_s
+        self._way: Way | None = None
+        self._measuring: asyncio.Task[None] | None = None
+        self._opening: asyncio.Task[None] | None = None
+        self._is_stalled, self._is_otherwise = False, False
+
+    @staticmethod
+    def _make_way() -> Way:
+        return Serial()
+
+    @staticmethod
+    def _written(measured: Measured) -> bytes:
+        return csv_line(measured)
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """Where it is, and what its lines are."""
+        assert self._way is not None
+        return {
+            **self._way.settings,
+            **self.format_settings,
+            "columns": list(EXAMPLE_COLUMNS),
+            "sequence_column": EXAMPLE_COUNTS,
+            "time_column": EXAMPLE_TELLS_TIME,
+            "rate_hz": EXAMPLE_RATE_HZ,
+        }
+
+    async def _start(self) -> None:
+        self._way = self._make_way()
+        await self._way.open()
+        self._switch_on()
+
+    async def _stop(self) -> None:
+        self._switch_off()
+        if self._opening is not None:
+            self._opening.cancel()
+        if self._way is not None:
+            self._way.dispose()
+
+    def _switch_on(self) -> None:
+        self._crystal = Crystal(self.world.clock, self._crystal.drift_ppm)
+        self._measuring = asyncio.create_task(self._measure())
+
+    def _switch_off(self) -> None:
+        if self._measuring is not None:
+            self._measuring.cancel()
+
+    async def _measure(self) -> None:
+        """Look at the sensors at each tick of the crystal; what is delayed delays what follows."""
+        count, due_s = 0, 0.0
+        while True:
+            device_s = count / EXAMPLE_RATE_HZ
+            time_s = await self._crystal.reach(device_s)
+            due_s = max(due_s, time_s + self._jitter_s * self._rng.random())
+            left_s = due_s - self.world.clock()
+            if left_s > 0:
+                await asyncio.sleep(left_s)
+            self._send(self._look(count, device_s, time_s), time_s)
+            count += 1
+
+    def _look(self, count: int, device_s: float, time_s: float) -> Measured:
+        times = np.array([time_s], np.float64)
+        acc = self._wearer.acceleration_g(times)[0].round(_DIGITS)
+        gsr = self._wearer.skin_conductance_us(times)[0].round(_DIGITS)
+        x, y, z = (float(each) for each in acc)
+        return Measured(count, round(device_s * 1e6), (x, y, z), float(gsr))
+
+    def _send(self, measured: Measured, time_s: float) -> None:
+        data = self._written(measured)
+        if self._is_otherwise:
+            # As a sketch of another version writes it.
+            data = bytes(each ^ 0x15 if each > ord(" ") else each for each in data)
+        taken = not self._is_stalled and self._way is not None and self._way.write(data)
+        if taken and not self._is_otherwise:
+            self.truth.sent("acc", [time_s], [measured.acc_g])
+            self.truth.sent("gsr", [time_s], [[measured.gsr_us]])
+        elif not taken:
+            self.truth.unsent("acc", 1)
+            self.truth.unsent("gsr", 1)
+
+    def _hang_up(self) -> None:
+        if self._way is not None:
+            self._way.hang_up()
+
+    def _reopen(self) -> None:
+        if self._way is not None:
+            self._opening = asyncio.create_task(self._way.open())
+
+    def _go_down(self) -> None:
+        self._switch_off()
+        self._hang_up()
+
+    def _come_up(self) -> None:
+        self._reopen()
+        self._switch_on()
+
+    def _stall(self) -> None:
+        self._is_stalled = True
+
+    def _resume(self) -> None:
+        self._is_stalled = False
+
+    def _babble(self, count: float) -> None:
+        """Log as an ESP32 does among its data, with bytes of a wrong baud rate in it."""
+        noise = bytes(0x80 | each for each in self._rng.bytes(int(count)))
+        if self._way is not None:
+            self._way.write(b"E (4711) wifi:" + noise + b"\r\n")
+
+    def _write_otherwise(self) -> None:
+        self._is_otherwise = True
+
+    def _write_as_ever(self) -> None:
+        self._is_otherwise = False
+
+    def _drift(self, ppm: float) -> None:
+        self._crystal.set_drift(ppm)
+
+    effects = MappingProxyType(
+        {
+            FaultKind.DROP: lasting(_hang_up, _reopen),
+            FaultKind.STALL: lasting(_stall, _resume),
+            FaultKind.GARBAGE: Effect(_babble),
+            FaultKind.UNREADABLE: lasting(_write_otherwise, _write_as_ever),
+            FaultKind.RESTART: lasting(_go_down, _come_up),
+            FaultKind.DRIFT: Effect(_drift),
+        }
+    )
+
+
+class UdpLineSensor(SimulatedLineSensor):
+    """JSON in datagrams."""
+
+    format_settings = MappingProxyType({"format": "json"})
+
+    @staticmethod
+    def _make_way() -> Way:
+        return Udp()
+
+    @staticmethod
+    def _written(measured: Measured) -> bytes:
+        return json_line(measured)
+
+
+class WebSocketLineSensor(SimulatedLineSensor):
+    """JSON in messages of a WebSocket."""
+
+    format_settings = MappingProxyType({"format": "json"})
+
+    @staticmethod
+    def _make_way() -> Way:
+        return WebSocket()
+
+    @staticmethod
+    def _written(measured: Measured) -> bytes:
+        return json_line(measured)
+
+
+class StructLineSensor(SimulatedLineSensor):
+    """Records of bytes over TCP."""
+
+    format_settings = MappingProxyType(
+        {
+            "format": "struct",
+            "struct_format": RECORD_FORMAT,
+            "frame_start": "aa55",
+            "checksum": "crc16",
+        }
+    )
+
+    @staticmethod
+    def _make_way() -> Way:
+        return Serial(tcp=True)
+
+    @staticmethod
+    def _written(measured: Measured) -> bytes:
+        return record(measured)

@@ -1,0 +1,189 @@
+"""Virtual boards under the supervisor, by each way; and what is said of lines that do not fit."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager, closing
+from typing import Any
+
+import numpy as np
+import pytest
+from structlog.testing import capture_logs
+
+from biosensor_common.errors import GatewayError
+from biosensor_gateway.devices.line_sensor.driver import driver as driver_module
+from biosensor_gateway.devices.line_sensor.driver.driver import DRIVER
+from biosensor_gateway.devices.line_sensor.simulator import (
+    SimulatedLineSensor,
+    StructLineSensor,
+    UdpLineSensor,
+    WebSocketLineSensor,
+)
+from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.world import World
+from tests.line_sensor.conftest import line_settings
+from tests.rigs.driver_run import NotedSink, connected, streaming
+from tests.rigs.polling import until
+from tests.rigs.truth import assert_once_and_in_order
+
+BOARDS = [SimulatedLineSensor, UdpLineSensor, WebSocketLineSensor, StructLineSensor]
+
+
+@pytest.mark.parametrize("board", BOARDS)
+async def test_what_is_measured_arrives_once_and_in_order(
+    world: World, board: type[SimulatedLineSensor]
+) -> None:
+    with board(world, seed=3, jitter_s=0.02, drift_ppm=100) as device:
+        async with streaming(device) as run:
+            await until(run.sink.has(100, "acc", "gsr"))
+        for name in ("acc", "gsr"):
+            truth = device.truth.samples(name).values
+            places = assert_once_and_in_order(run.sink.rows[name], truth)
+            assert set(np.diff(places)) == {1}
+        assert run.sink.dropped_bytes == 0
+        assert run.lost == {}
+
+
+@pytest.mark.parametrize("board", [WebSocketLineSensor, StructLineSensor])
+async def test_a_board_that_goes_and_comes_is_connected_again(
+    world: World, board: type[SimulatedLineSensor]
+) -> None:
+    with board(world) as device:
+        async with streaming(device) as run:
+            await until(run.sink.has(10, "acc"))
+            device.apply(Fault(FaultKind.DROP, 0.5))
+            await until(lambda: run.supervisor.connections == 2)
+            await run.goes_on(10, "acc")
+        assert run.lost["acc"] == run.lost["gsr"] > 0
+
+
+@asynccontextmanager
+async def board_that_says(said: bytes) -> AsyncGenerator[str]:
+    """Serve the same lines for ever."""
+
+    is_over = asyncio.Event()
+
+    async def tell(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with closing(writer):
+            while not (writer.is_closing() or is_over.is_set()):
+                writer.write(said)
+                await asyncio.sleep(0.01)
+
+    server = await asyncio.start_server(tell, "127.0.0.1", 0)
+    try:
+        yield f"socket://127.0.0.1:{server.sockets[0].getsockname()[1]}"
+    finally:
+        is_over.set()
+        server.close()
+        await server.wait_closed()
+
+
+async def refusal(settings: dict[str, Any]) -> str:
+    own = line_settings(**settings)
+    made = DRIVER.make(own, NotedSink("line_sensor"))()
+    try:
+        with pytest.raises(GatewayError) as caught:
+            await made.connect()
+    finally:
+        await made.close()
+    (sentence,) = str(caught.value).splitlines()
+    return sentence
+
+
+@pytest.mark.parametrize(
+    ("said", "fields", "words"),
+    [
+        (b"1;2\n", {}, "the line '1;2' has 1 value between commas, and columns names 2; it has as"),
+        (b"1,2,3\n", {}, "the line '1,2,3' has 3 values between commas, and columns names 2"),
+        (b"1,a\n", {}, "the line '1,a' has 'a' in column y, no number"),
+        (b"\x80\xfe\x90\n", {}, "is no text; is baud_rate = 115200 what the device has?"),
+        (b'{"a":1}\n', {"format": "json"}, "has no key x, y; its keys are 'a'"),
+        (b"12", {}, "bytes came without the end of a line"),
+        (b"", {}, "nothing came for"),
+    ],
+)
+async def test_lines_that_do_not_fit_are_told_with_one_of_them(
+    said: bytes, fields: dict[str, Any], words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(driver_module, "FIRST_LINE_LIMIT_S", 0.5)
+    monkeypatch.setattr(driver_module, "MOST_BAD", 5)
+    async with board_that_says(said) as port:
+        sentence = await refusal({"port": port, "rate_hz": 100.0, **fields})
+    assert sentence.startswith(f"{port}: ")
+    assert words in sentence
+
+
+async def test_a_bad_line_is_counted_said_once_and_harms_no_other(world: World) -> None:
+    with capture_logs() as logs, SimulatedLineSensor(world) as device:
+        async with streaming(device) as run:
+            await until(run.sink.has(5, "acc"))
+            for _ in range(3):
+                device.apply(Fault(FaultKind.GARBAGE, 20.0))
+                await run.goes_on(5, "acc")
+            dropped = run.sink.dropped_bytes
+    assert dropped == 3 * len(b"E (4711) wifi:" + bytes(20) + b"\r\n")
+    told = [each["line"] for each in logs if each["event"] == "a line is left out"]
+    assert len(told) == 1
+    assert "is no text" in told[0]
+    assert run.lost == {}
+
+
+async def test_a_udp_port_that_somebody_has_is_said(world: World) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("", 0))
+        number = taken.getsockname()[1]
+        sentence = await refusal({"udp_port": number})
+    assert sentence == (
+        f"UDP port {number}: another program, or another device, has it; choose another number "
+        "for both"
+    )
+
+
+async def test_an_empty_datagram_is_no_end(world: World) -> None:
+    with UdpLineSensor(world) as device:
+        async with streaming(device) as run:
+            await until(run.sink.has(5, "acc"))
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+                other.sendto(b"", ("127.0.0.1", device.settings["udp_port"]))
+            await run.goes_on(5, "acc")
+            assert run.supervisor.connections == 1
+
+
+async def test_lines_that_come_when_they_come_are_not_waited_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(driver_module, "FIRST_LINE_LIMIT_S", 0.1)
+    async with board_that_says(b"") as port:
+        made = DRIVER.make(line_settings(port=port), NotedSink("line_sensor"))()
+        await made.connect()
+        assert made.silence_limit_s == float("inf")
+        await made.close()
+
+
+async def test_a_device_that_waits_for_a_command_gets_it() -> None:
+    heard = asyncio.get_running_loop().create_future()
+
+    async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with closing(writer):
+            heard.set_result(await reader.readline())
+            writer.write(b"0,0\n1,2\n")
+            await reader.read()
+
+    server = await asyncio.start_server(answer, "127.0.0.1", 0)
+    port = f"socket://127.0.0.1:{server.sockets[0].getsockname()[1]}"
+    settings = line_settings(port=port, rate_hz=1.0, start_command="go\n")
+    made = DRIVER.make(settings, NotedSink("line_sensor"))()
+    await made.connect()
+    assert await heard == b"go\n"
+    await made.close()
+    server.close()
+    await server.wait_closed()
+
+
+async def test_connecting_again_finds_the_port_free(world: World) -> None:
+    with UdpLineSensor(world) as device:
+        for _ in range(2):
+            async with connected(device):
+                pass
