@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from biosensor_common.spec import DeviceIdentity
+from biosensor_common.spec import DeviceIdentity, SensorSpec
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.sink import DeviceSink
 
@@ -35,8 +35,8 @@ class EmitterSink(DeviceSink):
         How often something valid without a sample was told of.
     """
 
-    def __init__(self, sensor: str) -> None:
-        super().__init__(DeviceIdentity(sensor, "noted"), declaration(sensor))
+    def __init__(self, sensor: str, spec: SensorSpec | None = None) -> None:
+        super().__init__(DeviceIdentity(sensor, "noted"), spec or declaration(sensor))
         self.emitted: dict[str, list[list[float]]] = {}
         self.times: dict[str, list[float]] = {}
         self.device_times: dict[str, list[float]] = {}
