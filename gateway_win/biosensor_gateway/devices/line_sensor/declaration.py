@@ -5,18 +5,26 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from types import MappingProxyType
+from typing import NamedTuple
 
-from biosensor_common.quantities import ContentType
+from biosensor_common.quantities import ContentType, Unit
 from biosensor_common.spec import IRREGULAR, ChannelSpec, SensorSpec, StreamSpec
 from biosensor_common.table import raw
-from biosensor_gateway.devices.line_sensor.columns import Column, column, streams_of, unit_of
 
 NAME = "line_sensor"
 EXAMPLE_COLUMNS = ("n", "t [us]", "acc/x [g]", "acc/y [g]", "acc/z [g]", "gsr/gsr [microsiemens]")
 EXAMPLE_COUNTS, EXAMPLE_TELLS_TIME = "n", "t"
 EXAMPLE_RATE_HZ = 100.0
+
+USUAL_STREAM = "data"
+SKIPPED = "-"
+
+_COLUMN = re.compile(
+    r"(?:(?P<stream>[^/\[\]]*)/)?(?P<label>[^/\[\]]+?)[ ]*(?:\[(?P<unit>[^\[\]]+)\])?"
+)
 
 _CONTENT: Mapping[str, ContentType] = MappingProxyType(
     {
@@ -34,6 +42,73 @@ _CONTENT: Mapping[str, ContentType] = MappingProxyType(
     }
 )
 """LSL's content type by data name; what is not here is `ContentType.MISC`."""
+
+
+_UNITS: Mapping[str, Unit] = MappingProxyType({each.value: each for each in Unit})
+
+
+class Column(NamedTuple):
+    """One column of each line.
+
+    Attributes
+    ----------
+    stream
+        Data name of the stream that it is a channel of.
+    label
+        Of the channel; `SKIPPED` for a column that nobody needs.
+    unit
+        Empty where the settings say none.
+    """
+
+    stream: str
+    label: str
+    unit: str
+
+    @property
+    def is_skipped(self) -> bool:
+        """Whether its values go nowhere."""
+        return self.label == SKIPPED
+
+
+def column(text: str) -> Column:
+    """Read ``stream/label [unit]``; stream and unit may be missing.
+
+    Raises
+    ------
+    ValueError
+        It is not of that form; the sentence says so.
+    """
+    found = _COLUMN.fullmatch(text.strip())
+    if found is None:
+        raise ValueError("should be LABEL [UNIT] or STREAM/LABEL [UNIT]")
+    stream = found["stream"]
+    return Column(
+        USUAL_STREAM if stream is None else stream.strip(), found["label"], found["unit"] or ""
+    )
+
+
+def streams_of(columns: Iterable[Column], apart: Iterable[str]) -> dict[str, list[int]]:
+    """Return the positions of each stream's channels by data name, in their order.
+
+    Parameters
+    ----------
+    columns
+        Of a line.
+    apart
+        Labels of columns that count or tell the time.
+    """
+    without = {SKIPPED, *apart}
+    streams: dict[str, list[int]] = {}
+    for position, each in enumerate(columns):
+        if each.label not in without:
+            streams.setdefault(each.stream, []).append(position)
+    return streams
+
+
+def unit_of(each: Column) -> str:
+    """Return the unit of a channel, one of the closed set if it is there."""
+    unit = each.unit or Unit.NONE
+    return _UNITS.get(unit, unit)
 
 
 def line_sensor_spec(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import isnan
 
-from biosensor_gateway.devices.line_sensor.columns import streams_of
+from biosensor_gateway.devices.line_sensor.declaration import streams_of
 from biosensor_gateway.devices.line_sensor.driver.protocol.frames import (
     checked_format,
     turns_over_at,

@@ -11,10 +11,11 @@ from biosensor_common.errors import SpecError
 from biosensor_common.naming import AGENT, NODE
 from biosensor_common.spec import SensorSpec, is_data_name
 from biosensor_gateway.devices import registry
-from biosensor_gateway.devices.line_sensor.columns import Column, column
 from biosensor_gateway.devices.line_sensor.declaration import (
     EXAMPLE_COLUMNS,
     NAME,
+    Column,
+    column,
     line_sensor_spec,
 )
 from biosensor_gateway.devices.line_sensor.driver.protocol.frames import (

@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 from math import isnan, nan
 from types import MappingProxyType
 
-from biosensor_gateway.devices.line_sensor.columns import SKIPPED
+from biosensor_gateway.devices.line_sensor.declaration import SKIPPED
 from biosensor_gateway.devices.line_sensor.driver.protocol.rows import Flaw, Row, Wrong
 
 SEPARATORS = MappingProxyType({"comma": ",", "semicolon": ";", "tab": "\t", "space": " "})

@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 from math import isfinite, nan
 from typing import cast
 
-from biosensor_gateway.devices.line_sensor.columns import Column
+from biosensor_gateway.devices.line_sensor.declaration import Column
 from biosensor_gateway.devices.line_sensor.driver.protocol.rows import Flaw, Row, Wrong
 
 _SHOWN = 5
