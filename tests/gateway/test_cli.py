@@ -159,12 +159,15 @@ def test_a_virtual_device_that_does_not_exist_is_named(run: Run, name: str) -> N
 ALL = [
     "emotiv_insight",
     "empatica_e4",
+    "movesense",
     "polar_h10",
+    "polar_verity_sense",
     "shimmer3_gsr",
     "vernier_respiration_belt",
     "zephyr",
     "ble_heart_rate",
     "line_sensor",
+    "shimmer",
 ]
 
 
