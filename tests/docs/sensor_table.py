@@ -6,7 +6,12 @@ from collections.abc import Iterator
 
 from biosensor_common.quantities import ContentType
 from biosensor_common.spec import FromDevice, SensorSpec, StreamSpec
-from biosensor_gateway.devices.registry import declaration, declaration_names, sensor_names
+from biosensor_gateway.devices.registry import (
+    declaration,
+    declaration_names,
+    driver,
+    sensor_names,
+)
 
 CONTRACT, OURS = "●", "○"
 # More channels than this are shown by the first and the last.
@@ -60,7 +65,14 @@ def _rank(spec: SensorSpec) -> int:
     return 2 if spec.name == "gateway" else int(spec.name not in sensor_names())
 
 
+def _is_an_example(spec: SensorSpec) -> bool:
+    """Whether the settings of each device declare what it has, and this is one of them."""
+    return _rank(spec) == 0 and driver(spec.name).declare is not None
+
+
 def _signals(spec: SensorSpec) -> str:
+    if _is_an_example(spec):
+        return "what its settings declare"
     signals = [stream for stream in spec.streams if stream.content_type not in _HOUSEKEEPING]
     # Continuous ones first: who looks for a sensor looks for these.
     signals.sort(key=lambda stream: not stream.is_regular)
@@ -75,6 +87,8 @@ def _signal(stream: StreamSpec) -> str:
 
 def _section(spec: SensorSpec) -> str:
     source = ("driver", "no driver", "the agent itself")[_rank(spec)]
+    if _is_an_example(spec):
+        source += "; its settings declare the streams, here those of the example"
     rows = [_cells(spec, stream) for stream in spec.streams]
     return f"## {spec.title}\n\n`{spec.name}` ({source})\n\n{table(_COLUMNS, rows)}"
 
