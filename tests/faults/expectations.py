@@ -111,9 +111,15 @@ def tolerance(kind: Kind, name: str, data_name: str) -> int:
     return once * STARTS_OF_UNREADABLE if kind is FaultKind.UNREADABLE else once
 
 
+def never_streams(name: str) -> frozenset[str]:
+    """Data names of what a virtual device has only in name, as some models do."""
+    filled = device_of(name).filled.items()
+    return frozenset(each for each, how in filled if how.after_s is None)
+
+
 def numeric_streams(name: str) -> tuple[str, ...]:
     """Data names of all streams of numbers that a virtual device ever sends."""
-    never = {each for each, filled in device_of(name).filled.items() if filled.after_s is None}
+    never = never_streams(name)
     streams = (each for each in declaration(name).streams if not each.message_type.is_text)
     return tuple(each.data_name for each in streams if each.data_name not in never)
 

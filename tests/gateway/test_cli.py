@@ -166,6 +166,7 @@ ALL = [
     "vernier_respiration_belt",
     "zephyr",
     "ble_heart_rate",
+    "bluetooth_health",
     "line_sensor",
     "shimmer",
 ]

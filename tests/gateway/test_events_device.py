@@ -302,10 +302,16 @@ def test_channels_that_tell_wear_are_those_of_the_declarations() -> None:
         "empatica_e4": "worn",
         "emotiv_insight": "",
         "shimmer3_gsr": "electrodes",
+        "shimmer": "electrodes",
         "polar_h10": "contact",
+        # What it says of contact is not to be believed.
+        "polar_verity_sense": "",
+        "movesense": "contact",
         "vernier_respiration_belt": "",
         "zephyr": "worn",
         "ble_heart_rate": "contact",
+        "bluetooth_health": "contact",
+        "line_sensor": "",
         "gateway": "",
     }
 

@@ -13,7 +13,7 @@ import pytest
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.devices.discovery import Found
-from biosensor_gateway.devices.registry import settings_models
+from biosensor_gateway.devices.registry import sensor_names, settings_models
 from biosensor_gateway.settings.editing import add_device
 from biosensor_gateway.settings.file import load_settings
 from tests.rigs.terminal import Terminal, at_terminal
@@ -83,9 +83,9 @@ def test_whoever_has_no_sensor_gets_virtual_ones_and_no_settings(tmp_path: Path)
     with at_terminal([*_plain(), "run"], environment(tmp_path)) as terminal:
         answer(terminal, MENU, "2")
         answer(terminal, "Enter for all:", "0")
-        answer(terminal, "Enter for all:", "8")
+        answer(terminal, "Enter for all:", str(len(sensor_names()) + 1))
         shown = terminal.until(lambda seen: seen.endswith("Enter for all:"))
-        (number,) = re.findall(r"^ +(\d) +Polar H10$", shown, re.MULTILINE)
+        (number,) = re.findall(r"^ +(\d+) +Polar H10$", shown, re.MULTILINE)
         answer(terminal, "Enter for all:", number)
         terminal.until(STREAMING.search)
         terminal.type("\x03")

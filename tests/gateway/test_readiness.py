@@ -75,8 +75,11 @@ def missing(outcome: Readiness) -> list[tuple[str, tuple[str, ...], str]]:
 
 @pytest.mark.parametrize("name", expectations.SENSORS)
 def test_waited_for_is_what_the_fault_suite_knows_to_be_steady(name: str) -> None:
-    absent: dict[str, Any] = {"emotiv_insight-1-gyro": {"pushed": 0, "nominal_hz": 0.0}}
-    described = device(name, streams=absent if name == "emotiv_insight" else {})
+    never = expectations.never_streams(name)
+    absent: dict[str, Any] = {
+        f"{name}-1-{each}": {"pushed": 0, "nominal_hz": 0.0} for each in never
+    }
+    described = device(name, streams=absent)
     expected = [f"{name}-1-{data}" for data in expectations.steady_streams(name)]
     assert list(steady_streams(described, frozenset())) == expected
 

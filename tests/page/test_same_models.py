@@ -62,6 +62,9 @@ def steady(told: Entries, model: Entries) -> Entries:
     """Return the entries that another one has, too, without those that change by themselves."""
     kept: Entries = {}
     for name, here in model.items():
+        if name == "declared":
+            # The API says it with each stream.
+            continue
         there = told[name]
         if isinstance(here, dict):
             there = steady(there, cast("Entries", here))

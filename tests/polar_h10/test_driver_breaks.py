@@ -91,6 +91,7 @@ async def test_a_silent_device_is_connected_anew(
     assert PolarDriver.silence_limit_s == 15.0
     monkeypatch.setattr(ble, "REQUEST_LIMIT_S", 0.5)
     monkeypatch.setattr(driver_module, "PATIENCE_S", 1.0)
+    monkeypatch.setattr(driver_module, "FULL_FRAME", 20)
     h10 = sensor()
     async with streaming(h10) as run:
         await until(run.sink.has(73, "ecg"))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.devices.registry import declaration, declaration_names
+from biosensor_gateway.demo.virtual_devices import simulated_settings
+from biosensor_gateway.devices.registry import declaration, sensor_names
 from biosensor_gateway.recording.xdf.expectation import by_devices, by_name
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.settings.models import DeviceSettings
@@ -68,5 +69,7 @@ def test_a_stream_of_a_sensor_may_be_empty() -> None:
 
 
 def test_all_sensors_can_be_expected() -> None:
-    names = [name for name in declaration_names() if name != "gateway"]
-    assert len(by_devices(DeviceSettings(sensor=name, unit="1") for name in names)) >= len(names)
+    with simulated_settings(["all"]) as settings:
+        expected = {device.sensor: by_devices([device]) for device in settings.devices}
+    assert set(expected) == set(sensor_names())
+    assert all(expected.values())

@@ -84,18 +84,20 @@ class FrameTimeline:
         """
         previous_ns, self._previous_ns = self._previous_ns, timestamp_ns
         steps_back = previous_ns is not None and timestamp_ns <= previous_ns
-        if previous_ns is not None and self._follows(timestamp_ns - previous_ns, count):
-            span_ns = timestamp_ns - previous_ns
+        span_ns = 0 if previous_ns is None else timestamp_ns - previous_ns
+        period_ns = self._period_ns
+        difference = span_ns / period_ns - count
+        follows = abs(difference) <= 0.5 + RATE_TOLERANCE * count
+        if previous_ns is not None and follows:
             self._measured_ns += span_ns
             self._measured_samples += count
             times = [previous_ns + span_ns * (index + 1) // count for index in range(count)]
-            lost = self._another.refute()
+            lost = self._another.refute() if self._is_doubted else 0
         else:
-            period_ns = self._period_ns
             times = [timestamp_ns - round(age * period_ns) for age in reversed(range(count))]
             lost = self._missing(timestamp_ns, count, arrival_s)
             if self._may_learn and previous_ns is not None and not steps_back:
-                self._learn(timestamp_ns - previous_ns, count, lost)
+                self._learn(span_ns, count, lost)
                 lost = 0
         self._last = (timestamp_ns, arrival_s)
         return Placed(times, lost, steps_back)
@@ -115,10 +117,6 @@ class FrameTimeline:
         if self._another.add(span_ns / count, lost) >= LEARNING_STEPS:
             self._measured_ns, self._measured_samples = span_ns, count
             self._another = _AnotherRate()
-
-    def _follows(self, span_ns: int, count: int) -> bool:
-        difference = span_ns / self._period_ns - count
-        return abs(difference) <= 0.5 + RATE_TOLERANCE * count
 
     def _missing(self, timestamp_ns: int, count: int, arrival_s: float) -> int:
         if self._last is None:
