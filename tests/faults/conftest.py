@@ -14,6 +14,7 @@ from tests.faults.expectations import SENSORS, numeric_streams, source
 from tests.faults.recorder import Recorder
 from tests.faults.table import LEGEND, NAME, FaultTable
 from tests.rigs.lab_client import LabProcess, settings_toml
+from tests.rigs.priority import before_others
 
 JITTER_S = 0.01
 
@@ -86,6 +87,8 @@ def bench(
             AgentProcess(folder, *options, environment=lab.environment) as agent,
             Recorder(channels) as recorder,
         ):
+            # The faults are the devices'; the computer has none.
+            before_others(agent.pid)
             running = Bench(lab, agent, recorder, pytestconfig.stash[_TABLE])
             running.wait_for_streams()
             yield running

@@ -19,6 +19,7 @@ from biosensor_gateway.demo.virtual_devices import make
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from tests.rigs.bluez.scene import BluezScene
+from tests.rigs.priority import before_others
 
 
 class Lab:
@@ -72,6 +73,7 @@ class Lab:
 
 
 def main() -> None:
+    before_others()
     with ExitStack() as stack:
         lab = Lab(json.loads(sys.argv[1]), stack)
         print(json.dumps(lab.describe()), flush=True)

@@ -19,11 +19,12 @@ from collections import deque
 from contextlib import suppress
 from typing import NamedTuple
 
+from tests.rigs.priority import before_others
+
 _TUNSETIFF, _IFF_TUN, _IFF_NO_PI = 0x400454CA, 0x0001, 0x1000
 _LARGEST_PACKET = 65_536
 # So many packets are fetched of one device before the other's turn.
 _BATCH = 64
-_PRIORITY = -10
 
 
 class Way(NamedTuple):
@@ -71,8 +72,7 @@ def relay(ways: tuple[Way, Way]) -> None:
 
 
 def main() -> None:
-    # A wire does not wait until the computers at its ends have time.
-    os.setpriority(os.PRIO_PROCESS, 0, _PRIORITY)
+    before_others()
     a, b = (opened(name) for name in sys.argv[1:3])
     there_s, back_s = map(float, sys.argv[3:5])
     print("ready", flush=True)
