@@ -57,7 +57,8 @@ class SimulatedLineSensor(VirtualDevice):
     sensor = NAME
     expected = Expected(
         gaps={FaultKind.RESTART: Gap.STOPPED},
-        loss_tolerance=LossTolerance(over_break=1),
+        # A board that was restarted counts anew, so what was on its way is not counted.
+        loss_tolerance=LossTolerance(over_break=1, over_restart={"acc": 25}),
         impossible={
             FaultKind.REFUSE: _NO_COMMANDS,
             FaultKind.LATE: _NO_COMMANDS,
