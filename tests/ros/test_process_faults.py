@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 
 PROCESSES = 3
 RATE_HZ = 100.0
+SAID_OF_HUNG = (
+    r"(?P<end>process 2 of 3 said nothing for 1\d s and was ended), and was started again \d+ s ago"
+)
 
 Start = Callable[..., "RunningNode"]
 
@@ -173,24 +177,49 @@ def test_killed_or_ended_the_node_leaves_no_process(start: Start, number: signal
     assert "Traceback" not in node.log
 
 
-def test_a_process_that_stands_still_is_told_and_does_not_hold_the_others(
-    ros: Ros, start: Start
-) -> None:
+def test_a_process_that_stands_still_is_told_and_may_go_on(ros: Ros, start: Start) -> None:
     node = start(PROCESSES, *arguments())
     ros.until(lambda: ros.status("process 2") is not None, "a report")
     ros.until(lambda: status(ros, "process 2")["streams"] != "", "it has reported")
     held = int(status(ros, "process 2")["pid"])
     os.kill(held, signal.SIGSTOP)
     ros.until(lambda: "has said nothing for" in status(ros, "process 2").message, "it is told")
-    name = for_process(0, "free")
-    outlet = pylsl.StreamOutlet(info(name))
-    ros.attached(f"/biosensors/{name}/EEG")
     os.kill(held, signal.SIGCONT)
     ros.until(lambda: status(ros, "process 2").level == DiagnosticStatus.OK, "it goes on")
+    assert status(ros, "process 2")["restarts"] == "0"
     os.kill(held, signal.SIGSTOP)
     assert node.signal(signal.SIGINT) == 0
     wait_for_end_of([held])
-    del outlet
+
+
+def test_a_process_that_hangs_is_replaced_and_does_not_hold_the_others(
+    ros: Ros, start: Start, flow: Callable[..., Flow]
+) -> None:
+    node = start(PROCESSES, *arguments())
+    names = [for_process(index, "hung") for index in range(PROCESSES)]
+    topics = [f"/biosensors/{name}/EEG" for name in names]
+    outlets = [pylsl.StreamOutlet(info(name)) for name in names]
+    heard = [ros.listen(Float32MultiArray, topic) for topic in topics]
+    ros.attached(*topics, readers=1)
+    flows = [flow(outlet, RATE_HZ) for outlet in outlets]
+    ros.until(lambda: all(heard), "samples of all")
+    ros.until(lambda: status(ros, "process 2")["streams"] == "1", "it has reported")
+    hung = int(status(ros, "process 2")["pid"])
+    os.kill(hung, signal.SIGSTOP)
+    ros.until(lambda: not is_alive(hung), "it is ended")
+    heard[2].clear()
+    ros.until(lambda: len(heard[2]) > 0, "its stream is back")
+    ros.until(lambda: status(ros, "process 2").level == DiagnosticStatus.WARN, "that is told")
+    said = re.fullmatch(SAID_OF_HUNG, status(ros, "process 2").message)
+    assert said, status(ros, "process 2").message
+    assert status(ros, "process 2")["restarts"] == "1"
+    assert int(status(ros, "process 2")["pid"]) != hung
+    assert said[0] in status(ros, "node").message
+    ros.until(lambda: node.count("[WARN]", f"{said['end']}; its streams are not") == 1, "the log")
+    pushed = [each.stop() for each in flows]
+    for index in (0, 1):
+        ros.until(lambda index=index: len(heard[index]) == pushed[index], "the others lost none")
+    assert node.signal(signal.SIGTERM) == 0
 
 
 @pytest.mark.parametrize("value", ["17", "two"])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+import time
+from pathlib import Path
 
 import pylsl
 import pytest
@@ -84,6 +86,37 @@ def test_a_process_that_cannot_be_started_is_told_and_tried_again(
     wait_until(child.look, "the second try")
     assert child.facts().restarts == 1
     assert len(said) == 2
+    child.close()
+    child.wait(0.0)
+
+
+def test_only_time_in_which_the_first_process_runs_is_silence(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    program = tmp_path / "says_nothing"
+    program.write_text("#!/bin/sh\nexec sleep 60\n")
+    program.chmod(0o700)
+    monkeypatch.setattr(sys, "executable", str(program))
+    now_s = time.monotonic()
+    monkeypatch.setattr("lsl_to_ros.processes.child.monotonic", lambda: now_s)
+    said: list[str] = []
+    child = Child(Share(1, 2), _setup, lambda: None, said.append)
+    pid = child.facts().pid
+    # The computer stood still, and the other process with it.
+    now_s += 1000.0
+    assert not child.look()
+    assert child.facts().trouble == ""
+    for _ in range(300):
+        now_s += 0.1
+        assert not child.look()
+    assert child.facts().trouble == "process 1 of 2 has said nothing for 30 s"
+    assert child.facts().pid == pid
+    for _ in range(21):
+        now_s += 0.48
+        child.look()
+    wait_until(lambda: child.look() or said, "its end")
+    (sentence,) = said
+    assert sentence.startswith("process 1 of 2 said nothing for 40 s and was ended; ")
     child.close()
     child.wait(0.0)
 

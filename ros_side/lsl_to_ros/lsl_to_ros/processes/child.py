@@ -31,12 +31,16 @@ RAN_WELL_S = 60.0
 SETTLED_S = 10.0
 # It reports once a second, and first has to start.
 SILENT_AFTER_S, STARTS_WITHIN_S = 5.0, 20.0
+# By then it hangs: a process that is only starved of the processor says something in between.
+HUNG_AFTER_S, HUNG_AT_START_S = 10.0, 40.0
+# More than this between two looks is time in which the first process did not run, either.
+LONGEST_LOOK_S = 0.5
 # What it has may have to be published first.
 ENDS_WITHIN_S = 4.0
 
 
 class Child:
-    """Keeps one further process running.
+    """Keeps one further process running: starts it again if it has died, or ends it if it hangs.
 
     Parameters
     ----------
@@ -45,7 +49,7 @@ class Child:
     wake
         Called by a thread when it has said something or has ended.
     warn
-        Called with a sentence when it has died.
+        Called with a sentence when it has died, or was ended because it hangs.
 
     Attributes
     ----------
@@ -68,10 +72,12 @@ class Child:
         self._part: Part | None = None
         self._claims: Mapping[str, Claim] = {}
         self._claims_before: Mapping[str, Claim] = {}
-        self._begun_s = self._heard_s = self._due_s = 0.0
+        self._begun_s = self._due_s = 0.0
+        self._has_reported = False
+        self._silent_s = self._looked_s = 0.0
         self._pause_s = FIRST_PAUSE_S
         self._restarts = 0
-        self._end = ""
+        self._end = self._why_killed = ""
         self.start()
 
     @property
@@ -90,11 +96,13 @@ class Child:
 
     def take_part(self, part: Part) -> None:
         """Take in its report."""
-        self._part, self._heard_s = part, monotonic()
+        self._part = part
+        self._has_reported, self._silent_s = True, 0.0
 
     def start(self) -> None:
         """Start it, or try again later if the system has no process or descriptor left."""
-        self._begun_s = self._heard_s = monotonic()
+        self._begun_s = self._looked_s = monotonic()
+        self._has_reported, self._silent_s, self._why_killed = False, 0.0, ""
         try:
             self._start(self._setup(self.share))
         except OSError as error:
@@ -122,10 +130,17 @@ class Child:
         return [] if self._link is None else list(self._link.received())
 
     def look(self) -> bool:
-        """See whether it runs, start it again when it is time; return whether either happened."""
+        """See whether it runs, start it again when it is time; return whether either happened.
+
+        One that hangs is killed, and its end is seen by a later look.
+        """
+        now = monotonic()
+        self._silent_s += min(now - self._looked_s, LONGEST_LOOK_S)
+        self._looked_s = now
         if self._process is not None:
+            self._kill_if_hung(self._process)
             return self._see_end(self._process)
-        if monotonic() < self._due_s:
+        if now < self._due_s:
             return False
         self._restarts += 1
         self.start()
@@ -146,14 +161,13 @@ class Child:
 
     def _missing(self) -> str:
         """Say why it does not do its work; empty if it does, or starts for the first time."""
-        now = monotonic()
         if self._process is None:
-            return f"{self._end}; it is started again in {max(0.0, self._due_s - now):.0f} s"
-        has_reported = self._heard_s > self._begun_s
-        silent_s = now - self._heard_s
-        if silent_s > (SILENT_AFTER_S if has_reported else STARTS_WITHIN_S):
-            return f"{name_of(self.share)} has said nothing for {silent_s:.0f} s"
-        return f"{self._end}; it is being started again" if self._end and not has_reported else ""
+            left_s = max(0.0, self._due_s - monotonic())
+            return f"{self._end}; it is started again in {left_s:.0f} s"
+        if self._silent_s > (SILENT_AFTER_S if self._has_reported else STARTS_WITHIN_S):
+            return f"{name_of(self.share)} has said nothing for {self._silent_s:.0f} s"
+        is_starting_again = self._end and not self._has_reported
+        return f"{self._end}; it is being started again" if is_starting_again else ""
 
     def _recovered(self) -> str:
         """Say that it was started again; empty if it was not lately."""
@@ -177,6 +191,12 @@ class Child:
             process.kill()
             process.wait()
 
+    def _kill_if_hung(self, process: subprocess.Popen[bytes]) -> None:
+        limit_s = HUNG_AFTER_S if self._has_reported else HUNG_AT_START_S
+        if self._silent_s > limit_s and not self._why_killed:
+            self._why_killed = f"said nothing for {self._silent_s:.0f} s and was ended"
+            process.kill()
+
     def _see_end(self, process: subprocess.Popen[bytes]) -> bool:
         code = process.poll()
         if code is None:
@@ -187,7 +207,7 @@ class Child:
         self.close()
         self._process = self._link = None
         how = f"was ended by signal {-code}" if code < 0 else f"ended with exit code {code}"
-        self._failed(how)
+        self._failed(self._why_killed or how)
         return True
 
     def _failed(self, how: str) -> None:
