@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 import sys
 import tempfile
 import time
@@ -44,7 +45,7 @@ _FIRST = Comeback("at first", "first")
 def measure(effort: Effort) -> Measurement:
     """Kill and restart each, the node and the outlet."""
     sys.stderr.write("  the node\n")
-    times = {"lsl_to_ros": _node(effort.restarts)}
+    times = {"lsl_to_ros": _node(effort.node_restarts)}
     sys.stderr.write("  an outlet\n")
     times |= _outlet(effort.restarts)
     figures = [_figure(title, each) for title, each in times.items()]
@@ -53,7 +54,8 @@ def measure(effort: Effort) -> Measurement:
 
 def _figure(title: str, times_s: list[float]) -> Figure:
     # The slowest one counts: a robot waits each time.
-    note = f"worst of {len(times_s)}" if len(times_s) > 1 else ""
+    middle = f"worst of {len(times_s)}, median {statistics.median(times_s):.2f} s"
+    note = middle if len(times_s) > 1 else ""
     return Figure(title, max(times_s), "s", _FLOWS_S, note)
 
 
