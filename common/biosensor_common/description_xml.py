@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from typing import Protocol, Self
 from xml.etree.ElementTree import Element
+
+# What XML 1.0 cannot hold (https://www.w3.org/TR/xml/#charsets): LSL would write it all the same,
+# and no program could read the header, nor pyxdf the recording.
+_NO_XML = re.compile("[^\t\n\r\\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 class XmlNode(Protocol):
@@ -19,9 +24,13 @@ class XmlNode(Protocol):
 
 
 def append_children(parent: XmlNode, element: Element) -> None:
-    """Append all that is in an element; texts beside elements, and attributes, are left out."""
+    """Append all that is in an element; texts beside elements, and attributes, are left out.
+
+    What XML has no character for, as most control characters, becomes U+FFFD.
+    """
     for child in element:
         if len(child):
             append_children(parent.append_child(child.tag), child)
         else:
-            parent.append_child_value(child.tag, child.text or "")
+            text = _NO_XML.sub("\N{REPLACEMENT CHARACTER}", child.text or "")
+            parent.append_child_value(child.tag, text)

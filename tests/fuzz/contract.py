@@ -32,6 +32,7 @@ NAMES = (
     "naming",
     "polar_control",
     "polar_frames",
+    "ros_to_lsl",
     "settings",
     "shimmer3",
     "status",

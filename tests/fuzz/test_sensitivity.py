@@ -6,6 +6,7 @@ import importlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +74,14 @@ def any_columns(columns: Sequence[object], values: Sequence[object]) -> object:
     return zip(columns, values, strict=True)
 
 
+def any_names(fields: Sequence[Any], message: Any) -> object:
+    """The names of a message, also where two are alike."""
+    for field in fields:
+        if field.path == "name":
+            return attrgetter("name"), list(message.name)
+    return None
+
+
 def any_setting(offered: object, wanted: Mapping[object, int]) -> object:
     return dict(wanted)
 
@@ -133,6 +142,7 @@ FAULTS: dict[str, tuple[str, str, Breaking]] = {
         "_follows",
         always(True),
     ),
+    "ros_to_lsl": ("lsl_to_ros.ros_to_lsl.layout", "_names_in", instead(any_names)),
     "settings": ("biosensor_gateway.settings.toml_lines._Scanner", "_note", instead(any_path)),
     "shimmer3": (
         f"{DEVICES}.shimmer.driver.protocol.ShimmerProtocol",

@@ -14,6 +14,7 @@ from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, Stream
 from biosensor_gateway.devices.registry import declaration, settings_models
 from biosensor_gateway.settings.template import template
 from tests.fuzz.bag_seeds import bags
+from tests.fuzz.ros_seeds import asked_and_sent
 from tests.xdf import xdf_file
 
 Seeds = Iterator[tuple[str, bytes]]
@@ -232,6 +233,7 @@ def seeds() -> dict[str, Seeds]:
         "lsl_config": _lsl_configs(),
         "lsl_header": _headers(),
         "naming": _names(),
+        "ros_to_lsl": asked_and_sent(),
         "settings": _settings(),
         "status": _status(),
         "bags": bags(),

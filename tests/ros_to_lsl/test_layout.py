@@ -27,6 +27,8 @@ Odometry = message_class("nav_msgs/msg/Odometry")
 BatteryState = message_class("sensor_msgs/msg/BatteryState")
 Imu = message_class("sensor_msgs/msg/Imu")
 JointState = message_class("sensor_msgs/msg/JointState")
+MultiDOFJointState = message_class("sensor_msgs/msg/MultiDOFJointState")
+Wrench = message_class("geometry_msgs/msg/Wrench")
 LaserScan = message_class("sensor_msgs/msg/LaserScan")
 Bool = message_class("std_msgs/msg/Bool")
 Header = message_class("std_msgs/msg/Header")
@@ -154,6 +156,20 @@ def test_times_are_seconds() -> None:
     times = [each for each in layout.channels if each.label.endswith("time_from_start")]
     assert [each.unit for each in times] == ["s"]
     assert list(layout.read(message)) == [0.5, 2.5]
+
+
+def test_names_label_messages_and_the_field_still_finds_them() -> None:
+    joints = MultiDOFJointState(joint_names=["a", "b"], wrench=[Wrench(), Wrench()])
+    layout = layout_of(joints, "wrench")
+    assert layout.labels[:2] == ("a.wrench.force.x", "a.wrench.force.y")
+    assert [each.path for each in layout.channels][6] == "wrench[1].force.x"
+    assert len(layout.labels) == 12
+
+
+def test_points_of_a_trajectory_are_no_joints() -> None:
+    points = [JointTrajectoryPoint(positions=[0.5, 1.5])] * 2
+    layout = layout_of(JointTrajectory(joint_names=["a", "b"], points=points), "points")
+    assert layout.labels[0] == "points[0].positions[0]"
 
 
 def test_truth_and_bytes_are_numbers() -> None:

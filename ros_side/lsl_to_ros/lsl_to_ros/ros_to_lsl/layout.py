@@ -8,14 +8,14 @@ tells the length. Where a message has a list of names beside its sequences, as t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from operator import attrgetter, itemgetter
 from typing import Any, NamedTuple, Protocol
 
 from biosensor_common.errors import SpecError, SpecReason
 from biosensor_common.lsl_header import MAX_CHANNELS
+from lsl_to_ros.ros_to_lsl.channels import Channel, channel_of
 from lsl_to_ros.ros_to_lsl.fields import NAMES, Field, FieldKind, RosMessage
-from lsl_to_ros.ros_to_lsl.quantities import NOTHING_KNOWN, channel_type
 
 _EXACT_UP_TO = 2.0**53
 
@@ -24,25 +24,11 @@ class LayoutChangedError(Exception):
     """A message has other sequences than the one that the layout was made from."""
 
 
-class Channel(NamedTuple):
-    """One number of a message.
+class _Before(NamedTuple):
+    """What stands before a field that is inside of another one."""
 
-    Attributes
-    ----------
-    path
-        Where it stands: ``position[0]``.
-    label
-        The same, with the element's name where it has one: ``panda_joint1.position``.
-    values
-        Names of its values, if the type enumerates them.
-    """
-
-    path: str
-    label: str
-    unit: str
-    kind: str
-    values: Mapping[int, str]
-    is_wide: bool = False
+    path: str = ""
+    label: str = ""
 
 
 class _Part(Protocol):
@@ -153,7 +139,7 @@ class Layout:
         wanted: Sequence[str] = (),
     ) -> None:
         found: list[Channel] = []
-        self._parts = _read_parts(fields, message, "", found)
+        self._parts = _read_parts(fields, message, _Before(), found)
         places = [place for place, each in enumerate(found) if _is_wanted(each, wanted)]
         _check(fields, found, places, wanted)
         self.channels = tuple(found[place] for place in places)
@@ -193,7 +179,7 @@ class Layout:
 def _read_parts(
     fields: Sequence[Field],
     message: RosMessage,
-    before: str,
+    before: _Before,
     found: list[Channel],
 ) -> list[_Part]:
     parts: list[_Part] = []
@@ -205,7 +191,7 @@ def _read_parts(
         if each.kind is FieldKind.TEXT:
             continue
         if not each.is_array:
-            found.append(_channel(each, before + each.path, before + each.path))
+            found.append(channel_of(each, before.path + each.path, before.label + each.path))
             scalars.append(each)
             continue
         if scalars:
@@ -218,23 +204,28 @@ def _read_parts(
 def _array_part(
     field: Field,
     message: RosMessage,
-    before: str,
+    before: _Before,
     found: list[Channel],
     names: Sequence[str],
 ) -> _Part:
     elements = attrgetter(field.path)(message)
-    path, has_names = before + field.path, len(names) == len(elements)
+    path, label = before.path + field.path, before.label + field.path
+    # What has sequences of its own is no single joint, but a point of all of them.
+    is_one_each = not any(inside.is_array for inside in field.elements)
+    has_names = is_one_each and len(names) == len(elements)
+    group = label.removesuffix(field.name)
+    begin = len(found)
+    inside: list[list[_Part]] = []
+    for place, element in enumerate(elements):
+        at = f"{path}[{place}]"
+        named = f"{group}{names[place]}.{field.name}" if has_names else f"{label}[{place}]"
+        if field.kind is FieldKind.MESSAGE:
+            deeper = _Before(f"{at}.", f"{named}.")
+            inside.append(_read_parts(field.elements, element, deeper, found))
+        else:
+            found.append(channel_of(field, at, named))
     if field.kind is FieldKind.MESSAGE:
-        begin = len(found)
-        inside: list[list[_Part]] = []
-        for place, element in enumerate(elements):
-            named = f"{names[place]}.{field.path}" if has_names else f"{path}[{place}]"
-            inside.append(_read_parts(field.elements, element, f"{named}.", found))
         return _Messages(field, inside, len(found) - begin)
-    group = path.removesuffix(field.name)
-    for place in range(len(elements)):
-        label = f"{group}{names[place]}.{field.name}" if has_names else f"{path}[{place}]"
-        found.append(_channel(field, f"{path}[{place}]", label))
     return _Numbers(field, len(elements))
 
 
@@ -249,12 +240,6 @@ def _names_in(
             is_one_each = all(names) and len(set(names)) == len(names)
             return (get, names) if names and is_one_each else None
     return None
-
-
-def _channel(field: Field, path: str, label: str) -> Channel:
-    measured = field.measured
-    kind = NOTHING_KNOWN.kind if measured is NOTHING_KNOWN else channel_type(measured, field.name)
-    return Channel(path, label, measured.unit, kind, field.values, field.is_wide)
 
 
 def _is_wanted(channel: Channel, wanted: Sequence[str]) -> bool:

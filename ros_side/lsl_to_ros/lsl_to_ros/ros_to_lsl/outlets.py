@@ -24,7 +24,7 @@ import pylsl
 from biosensor_common import naming
 from biosensor_common.description_xml import append_children
 from biosensor_common.quantities import ChannelFormat, ContentType
-from lsl_to_ros.ros_to_lsl.layout import Channel
+from lsl_to_ros.ros_to_lsl.channels import Channel
 from lsl_to_ros.ros_to_lsl.publisher_clock import ClockState
 from lsl_to_ros.ros_to_lsl.stamping import StampSource
 
@@ -60,30 +60,37 @@ class Origin:
     clock_edge_s: float | None = None
 
 
+def sample_info(
+    name: str, origin: Origin, channels: Sequence[Channel], rate: float
+) -> pylsl.StreamInfo:
+    """Return LSL's description of a stream of numbers, as they stand in a layout."""
+    shape = sha256("\n".join(each.label for each in channels).encode()).hexdigest()[:8]
+    info = pylsl.StreamInfo(
+        name,
+        _content_type(origin, channels),
+        len(channels),
+        rate,
+        ChannelFormat.DOUBLE64.value,
+        f"{_source_id(name)}-{shape}",
+    )
+    description = Element("desc")
+    above = SubElement(description, "channels")
+    for each in channels:
+        node = SubElement(above, "channel")
+        _fill(node, label=each.label, unit=each.unit, type=each.kind)
+        values = SubElement(node, "values") if each.values else node
+        for number, text in each.values.items():
+            _fill(SubElement(values, "value"), number=str(number), name=text)
+    _describe(description, origin, can_drop_samples=rate > 0)
+    append_children(info.desc(), description)
+    return info
+
+
 class SampleOutlet:
     """An outlet of numbers, as they stand in a layout."""
 
     def __init__(self, name: str, origin: Origin, channels: Sequence[Channel], rate: float) -> None:
-        shape = sha256("\n".join(each.label for each in channels).encode()).hexdigest()[:8]
-        info = pylsl.StreamInfo(
-            name,
-            _content_type(origin, channels),
-            len(channels),
-            rate,
-            ChannelFormat.DOUBLE64.value,
-            f"{_source_id(name)}-{shape}",
-        )
-        description = Element("desc")
-        above = SubElement(description, "channels")
-        for each in channels:
-            node = SubElement(above, "channel")
-            _fill(node, label=each.label, unit=each.unit, type=each.kind)
-            values = SubElement(node, "values") if each.values else node
-            for number, text in each.values.items():
-                _fill(SubElement(values, "value"), number=str(number), name=text)
-        _describe(description, origin, can_drop_samples=rate > 0)
-        append_children(info.desc(), description)
-        self._outlet = pylsl.StreamOutlet(info)
+        self._outlet = pylsl.StreamOutlet(sample_info(name, origin, channels, rate))
         self.pushed = 0
 
     def push(self, values: Sequence[float], stamp: float) -> None:

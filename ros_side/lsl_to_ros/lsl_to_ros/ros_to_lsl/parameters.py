@@ -78,6 +78,27 @@ def read_requests(node: Node, resolve: Callable[[str], str]) -> Requests:
         ``UNKNOWN_KEY`` or ``WRONG_VALUE``, with a sentence for the user.
     """
     given = {name: each.value for name, each in node.get_parameters_by_prefix("").items()}
+    requests = requests_of(given, resolve)
+    values = {name: _value(given, name, option) for name, option in NODE_OPTIONS.items()}
+    of_topics = {
+        f"{topic}.{name}": _value(given, f"{topic}.{name}", option)
+        for topic in _topics(values[TOPICS])
+        for name, option in TOPIC_OPTIONS.items()
+    }
+    _declare(node, values | of_topics)
+    return requests
+
+
+def requests_of(given: Mapping[str, Any], resolve: Callable[[str], str]) -> Requests:
+    """Return what parameters ask for; raises what :func:`read_requests` raises.
+
+    Parameters
+    ----------
+    given
+        By name, with ROS's values.
+    resolve
+        Full name of a topic.
+    """
     topics = _topics(_value(given, TOPICS, NODE_OPTIONS[TOPICS]))
     for name in given:
         _check_known(name, topics)
@@ -91,12 +112,6 @@ def read_requests(node: Node, resolve: Callable[[str], str]) -> Requests:
             " set all_small:=true"
         )
         raise ConfigError(ConfigReason.NOT_FOUND, message)
-    of_topics = {
-        f"{topic}.{name}": _value(given, f"{topic}.{name}", option)
-        for topic in topics
-        for name, option in TOPIC_OPTIONS.items()
-    }
-    _declare(node, values | of_topics)
     return Requests(requests, values[ALL_SMALL], by_arrival=values[STAMPS] == ARRIVAL)
 
 
