@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
@@ -22,30 +22,21 @@ from biosensor_gateway.demo.virtual_devices import one_of_each
 from tests.faults.scenarios.length import is_long
 from tests.rigs.lab_client import LabProcess, settings_toml
 from tests.rigs.lab_recorder import LabRecorder
+from tests.rigs.recorded_robot import (
+    UNWRITTEN_S,
+    Stream,
+    description,
+    greatest_errors_s,
+    labels,
+)
 from tests.rigs.robot import JOINTS, PARTS
 
 RECORD_S = 60.0 if is_long() else 15.0
 STAMP_LIMIT_S = 0.001
-# LabRecorder does not write what comes in its last half second.
-UNWRITTEN_S = 1.0
 ROBOT = ("joint_states", "odom", "wrench", "robot-event", "trial")
 MARKER = "trial 1 begins"
 
-Stream = dict[str, Any]
 _load_xdf: Callable[..., tuple[list[Stream], Stream]] = cast("Any", pyxdf).load_xdf
-
-
-def _desc(stream: Stream, group: str) -> Stream:
-    return stream["info"]["desc"][0][group][0]
-
-
-def _labels(stream: Stream) -> list[str]:
-    return [each["label"][0] for each in _desc(stream, "channels")["channel"]]
-
-
-def _column(stream: Stream, label: str) -> list[int]:
-    """Return what a channel counts."""
-    return np.asarray(stream["time_series"])[:, _labels(stream).index(label)].astype(int).tolist()
 
 
 def _texts(stream: Stream) -> list[str]:
@@ -107,24 +98,20 @@ def test_a_robot_stands_beside_the_sensors_in_one_recording(
     by_name = {each["info"]["name"][0]: each for each in streams}
     (events,) = (by_name[name] for name in by_name if name.startswith(f"{NODE}-"))
     offset_s = _wall_clock_offset_s(events)
-    columns = {
-        "/joint_states": ("joint_states", "panda_joint1.position"),
-        "/odom": ("odom", "pose.pose.position.x"),
-        "/wrench": ("wrench", "wrench.force.z"),
-    }
-    for topic, (name, label) in columns.items():
-        numbers = _column(by_name[name], label)
-        _check(topic, numbers, by_name[name], published[topic], offset_s, begun_ns, ended_ns)
+    span = begun_ns, ended_ns - round(UNWRITTEN_S * NS_PER_S)
+    worst_s = greatest_errors_s(by_name, published, span, offset_s)
+    print({topic: f"{error_s * 1e6:.0f} us" for topic, error_s in worst_s.items()})
+    assert max(worst_s.values()) < STAMP_LIMIT_S, worst_s
     steps = [int(text.split()[1]) for text in _texts(by_name["robot-event"]) if "step" in text]
     assert len(steps) >= RECORD_S
     assert np.diff(steps).tolist() == [1] * (len(steps) - 1)
 
     joints = by_name["joint_states"]
     measures = ("position", "velocity")
-    assert _labels(joints) == [f"{joint}.{each}" for each in measures for joint in JOINTS]
-    assert _desc(joints, "ros")["stamp_source"] == ["header"]
-    assert _desc(joints, "ros")["clock"] == ["synchronised"]
-    assert _desc(by_name["odom"], "ros")["child_frame_id"] == ["base_link"]
+    assert labels(joints) == [f"{joint}.{each}" for each in measures for joint in JOINTS]
+    assert description(joints, "ros")["stamp_source"] == ["header"]
+    assert description(joints, "ros")["clock"] == ["synchronised"]
+    assert description(by_name["odom"], "ros")["child_frame_id"] == ["base_link"]
 
     at_s = by_name["trial"]["time_stamps"][_texts(by_name["trial"]).index(MARKER)]
     assert at_s + offset_s == pytest.approx(marked_ns / 1e9, abs=0.01)
@@ -141,25 +128,3 @@ def _wall_clock_offset_s(events: Stream) -> float:
     """Return wall clock less LSL clock, as the node's own events tell it."""
     pairs = [read_clock_pair(json.loads(text)) for text in _texts(events)]
     return next(pair.unix_ns / 1e9 - pair.lsl_s for pair in pairs if pair is not None)
-
-
-def _check(
-    topic: str,
-    numbers: list[int],
-    stream: Mapping[str, Any],
-    published: list[int],
-    offset_s: float,
-    begun_ns: int,
-    ended_ns: int,
-) -> None:
-    """Every message of the recording's time is there, once, with the time of its publication."""
-    written_ns = ended_ns - round(UNWRITTEN_S * NS_PER_S)
-    first = next(place for place, at_ns in enumerate(published) if at_ns > begun_ns)
-    last = next(place for place, at_ns in enumerate(published) if at_ns > written_ns)
-    assert numbers == list(range(numbers[0], numbers[-1] + 1)), topic
-    assert numbers[0] <= first, topic
-    assert numbers[-1] >= last, topic
-    stamps_s = np.array([published[number] for number in numbers]) / 1e9
-    errors_s = np.asarray(stream["time_stamps"]) + offset_s - stamps_s
-    print(f"{topic}: {len(numbers)}, stamps {np.abs(errors_s).max() * 1e6:.0f} us off at most")
-    assert np.abs(errors_s).max() < STAMP_LIMIT_S, topic
