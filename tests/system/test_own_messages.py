@@ -1,0 +1,113 @@
+"""Messages of a package that somebody has built, which ``ros_to_lsl`` knows by their type alone."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pylsl
+import pytest
+
+from tests.system.programs import Program
+from tests.system.toolchain import ROOT, Toolchain
+from tests.system.workspace import Workspace
+
+pytestmark = pytest.mark.system
+
+DEADLINE_S = 60.0
+COUNT = 50
+STAMP_LIMIT_S = 0.01
+PUBLISHER = """
+import itertools, time, rclpy
+from builtin_interfaces.msg import Duration
+from lab_msgs.msg import Finger, Grip
+rclpy.init()
+node = rclpy.create_node("gripper")
+publisher = node.create_publisher(Grip, "/grip", 100)
+for n in itertools.count():
+    grip = Grip(state=Grip.STATE_CLOSED if n % 20 > 9 else Grip.STATE_OPEN, count=n, object="cup")
+    grip.header.stamp.sec, grip.header.stamp.nanosec = divmod(time.time_ns(), 10**9)
+    grip.header.frame_id = "palm"
+    grip.force, grip.fingers = [n + 0.5, -1.0], [Finger(angle=0.25), Finger(touches=True)]
+    grip.held = Duration(sec=grip.header.stamp.sec, nanosec=grip.header.stamp.nanosec)
+    publisher.publish(grip)
+    time.sleep(0.01)
+"""
+LABELS = [
+    "state",
+    "force[0]",
+    "force[1]",
+    "fingers[0].angle",
+    "fingers[0].touches",
+    "fingers[1].angle",
+    "fingers[1].touches",
+    "held",
+    "count",
+]
+
+
+@pytest.fixture(scope="module")
+def environment(
+    toolchain: Toolchain, workspace: Workspace, tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, str]:
+    """Variables of a shell in which both workspaces were sourced: ours, then that of the lab."""
+    lab = tmp_path_factory.mktemp("lab-workspace")
+    shutil.copytree(ROOT / "tests" / "system" / "lab_msgs", lab / "src" / "lab_msgs")
+    toolchain.build(lab)
+    overlay = '. "$0" && exec env -0'
+    setup = str(lab / "install" / "local_setup.bash")
+    listing = toolchain.run(lab, *workspace.command("bash", "-c", overlay, setup))
+    return dict(entry.split("=", 1) for entry in listing.rstrip("\0").split("\0"))
+
+
+def test_a_message_type_of_the_lab_is_sent_by_its_type(
+    workspace: Workspace, environment: dict[str, str], start: Callable[..., Program]
+) -> None:
+    program = str(workspace.install / "lsl_to_ros" / "lib" / "lsl_to_ros" / "ros_to_lsl")
+    node = start("node", [program, "--ros-args", "-p", "topics:=[/grip]"], env=environment)
+    start("publisher", [workspace.python, "-c", PUBLISHER], env=environment)
+
+    numbers = _open("grip", node)
+    channels = numbers.info().desc().child("channels").first_child()
+    labels: list[str] = []
+    while not channels.empty():
+        labels.append(channels.child_value("label"))
+        channels = channels.next_sibling()
+    assert labels == LABELS
+    ros = numbers.info().desc().child("ros")
+    told = {name: ros.child_value(name) for name in ("type", "frame_id", "stamp_source")}
+    assert told == {"type": "lab_msgs/msg/Grip", "frame_id": "palm", "stamp_source": "header"}
+    assert ros.child_value("type_hash").startswith("RIHS01_")
+
+    offset_s = time.time() - pylsl.local_clock()
+    rows = _pull(numbers, COUNT, node)
+    first = round(rows[0][0][-1])
+    for n, (row, stamp) in enumerate(rows, start=first):
+        *before, held_s, count = row
+        assert (before, count) == ([n % 20 > 9, n + 0.5, -1.0, 0.25, 0, 0, 1], n), node.output
+        assert stamp + offset_s == pytest.approx(held_s, abs=STAMP_LIMIT_S)
+    texts = _pull(_open("grip__text", node), 3, node)
+    states = [json.loads(text)["state"] for (text,), _ in texts if text.startswith("{")]
+    assert set(states) <= {"OPEN", "CLOSED"}
+    assert states
+
+
+def _open(name: str, node: Program) -> pylsl.StreamInlet:
+    found = pylsl.resolve_byprop("name", name, 1, DEADLINE_S)
+    assert found, node.output
+    return pylsl.StreamInlet(found[0])
+
+
+def _pull(
+    inlet: pylsl.StreamInlet, count: int, node: Program
+) -> list[tuple[list[float] | list[str], float]]:
+    """Wait for so many samples, with their stamps."""
+    rows: list[tuple[list[float] | list[str], float]] = []
+    while len(rows) < count:
+        sample, stamp = inlet.pull_sample(DEADLINE_S)
+        assert sample is not None, node.output
+        rows.append((sample, stamp))
+    return rows
