@@ -51,6 +51,8 @@ class RecordedRun:
 
     Attributes
     ----------
+    bag, xdf
+        The two files.
     topics, streams
         By the name of the stamped topic: what the bag has, and what LabRecorder has.
     pushed
@@ -60,6 +62,7 @@ class RecordedRun:
     """
 
     bag: Path
+    xdf: Path
     topics: Mapping[str, RecordedTopic]
     streams: Mapping[str, RecordedStream]
     pushed: Mapping[str, Track]
@@ -122,6 +125,7 @@ def record(folder: Path, workspace: Workspace) -> RecordedRun:
     dropped = [source for source in sources if source.spec in NOT_IN_XDF]
     return RecordedRun(
         bag,
+        xdf,
         topics=bag_reader.read(bag),
         streams=lab_recorder.read(xdf, offset_ns),
         pushed={source.spec.topic: source.track(offset_ns) for source in dropped},

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from tests.system import lsl_sources, recorded_run
+from tests.bags import made
+from tests.system import bag_reader, lsl_sources, recorded_run
 from tests.system.lsl_time import NS_PER_S
 from tests.system.recorded_run import RecordedRun
 from tests.system.tracks import Errors, Track, place_of, time_errors, with_columns
@@ -133,6 +135,30 @@ def test_the_comparison_covers_every_kind_of_value(run: RecordedRun) -> None:
     assert others <= pairs.keys() | run.pushed.keys()
     channels = {xdf.values.shape[1] for xdf in pairs.values()}
     assert {1, 3, 8, 25} <= channels
+
+
+def test_the_xdf_file_made_a_bag_is_what_was_recorded_live(
+    run: RecordedRun, tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
+    made.to_bag(run.xdf, tmp_path / "converted")
+    converted = bag_reader.read(tmp_path / "converted")
+    filled = {topic for topic, stream in run.streams.items() if len(stream.track)}
+    assert converted.keys() == filled
+    errors: dict[str, Errors] = {}
+    for topic in filled:
+        made_of_it, live = converted[topic], run.topics[topic]
+        assert len(made_of_it.track) == len(run.streams[topic].track), topic
+        start = place_of(made_of_it.track, live.track)
+        assert start is not None, f"{topic}: values, order or number of samples differ"
+        errors[topic] = time_errors(live.track.part(start, len(made_of_it.track)), made_of_it.track)
+        told, published = (
+            (each.track.labels, each.track.units, each.frame_ids) for each in (made_of_it, live)
+        )
+        assert told == published, topic
+    worst_us = max(each.worst for each in errors.values()) / 1e3
+    record_property("worst difference of a time in us", f"{worst_us:.1f}")
+    too_large = {topic: each for topic, each in errors.items() if each.worst > _limit_ns(run)}
+    assert not too_large
 
 
 def test_integers_of_64_bits_are_exact(run: RecordedRun) -> None:
