@@ -32,5 +32,9 @@ def append_children(parent: XmlNode, element: Element) -> None:
         if len(child):
             append_children(parent.append_child(child.tag), child)
         else:
-            text = _NO_XML.sub("\N{REPLACEMENT CHARACTER}", child.text or "")
-            parent.append_child_value(child.tag, text)
+            parent.append_child_value(child.tag, xml_text(child.text or ""))
+
+
+def xml_text(text: str) -> str:
+    """Return a text with U+FFFD for what XML has no character for."""
+    return _NO_XML.sub("\N{REPLACEMENT CHARACTER}", text)

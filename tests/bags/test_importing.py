@@ -105,7 +105,7 @@ def test_times_and_nested_messages_are_flattened(tmp_path: Path) -> None:
     import_bag(tmp_path / "a", tmp_path / "a.xdf")
     with open_contents(tmp_path / "a.xdf") as contents:
         (stream,) = contents.streams
-        labels = stream.header.labels
+        labels, units = stream.header.labels, stream.meaning.units
         (samples,) = stream.blocks()
     assert labels[:4] == (
         "poses[0].position.x",
@@ -114,9 +114,27 @@ def test_times_and_nested_messages_are_flattened(tmp_path: Path) -> None:
         "poses[0].orientation.x",
     )
     assert labels[-1] == "poses[1].orientation.w"
+    assert units == ("m", "m", "m", "none", "none", "none", "none") * 2
     assert np.asarray(samples.values)[0, -7:].tolist() == [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]
     # A stamp of zero is none.
     assert samples.times[0] == pytest.approx(BEGIN_NS / 1e9)
+
+
+def test_points_of_a_trajectory_are_no_joints(tmp_path: Path) -> None:
+    duration = TYPES["builtin_interfaces/msg/Duration"](2, 500_000_000)
+    empty = np.empty(0)
+    point = TYPES["trajectory_msgs/msg/JointTrajectoryPoint"](
+        np.array([0.5, 1.5]), empty, empty, empty, duration
+    )
+    kind = "trajectory_msgs/msg/JointTrajectory"
+    path = TYPES[kind](_header(0), ["a", "b"], [point, point])
+    made.write_bag(tmp_path / "a", [("/path", kind, BEGIN_NS, path)])
+    import_bag(tmp_path / "a", tmp_path / "a.xdf")
+    with open_contents(tmp_path / "a.xdf") as contents:
+        (stream,) = contents.streams
+    last = ("points[1].positions[0]", "points[1].positions[1]", "points[1].time_from_start")
+    assert stream.header.labels[3:] == last
+    assert stream.meaning.units[3:] == ("", "", "s")
 
 
 def _live(topic: str, count: int) -> list[tuple[str, str, int, Any]]:

@@ -6,6 +6,7 @@ import json
 import re
 from datetime import UTC, datetime
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
@@ -64,6 +65,21 @@ def test_every_sample_comes_on_the_recorders_clock(path: Path) -> None:
     ]
     assert np.concatenate([each.times for each in blocks])[0] == pytest.approx(107.0)
     assert np.concatenate([np.asarray(each.values) for each in blocks])[-1].tolist() == [78, 79]
+
+
+def test_units_are_kept_of_a_header_that_is_not_believed_to_be_ours(path: Path) -> None:
+    desc = description("zephyr", "ecg")
+    block = desc.find("biosensor")
+    assert block is not None
+    block[0].text = "99"
+    channel = ET.SubElement(ET.SubElement(desc, "channels"), "channel")
+    ET.SubElement(channel, "unit").text = "millivolts"
+    header = made.stream_header(1, "a", rate=250.0, desc=desc)
+    path.write_bytes(made.xdf(header + made.samples(1, "float32", [[0.5]], [100.0])))
+    with open_contents(path) as contents:
+        (stream,) = contents.streams
+        assert stream.header.refused
+        assert stream.meaning.units == ("millivolts",)
 
 
 def test_stamps_that_were_left_out_are_the_same_when_read_alone(path: Path) -> None:

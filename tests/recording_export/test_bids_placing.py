@@ -26,6 +26,7 @@ def _header(rate: float, *, drops: bool = True) -> RecordedHeader:
         rate=rate,
         created_at=0.0,
         labels=("1",),
+        units=("",),
         can_drop_samples=drops,
         identity=None,
         data_name="",

@@ -54,7 +54,7 @@ def greatest_errors_s(
     for topic, (name, label) in _COUNTED.items():
         stream, sent = streams[name], published[topic]
         column = labels(stream).index(label)
-        numbers = np.asarray(stream["time_series"])[:, column].astype(int).tolist()
+        numbers: list[int] = np.asarray(stream["time_series"])[:, column].astype(int).tolist()
         first, last = (next(n for n, at in enumerate(sent) if at > end) for end in span)
         assert numbers == list(range(numbers[0], numbers[-1] + 1)), topic
         assert numbers[0] <= first, topic

@@ -15,8 +15,7 @@ from typing import Any, cast
 from xml.etree import ElementTree as ET
 
 from rclpy.expand_topic_name import expand_topic_name
-from rclpy.serialization import deserialize_message
-from rclpy.type_support import check_for_type_support
+from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from biosensor_common.errors import ConfigError, SpecError
@@ -49,7 +48,7 @@ TYPES = (
 CLASSES = tuple(message_class(name) for name in TYPES)
 for _each in CLASSES:
     # What it imports warns, and warnings are finds later.
-    check_for_type_support(_each)
+    serialize_message(_each())
 # More make LSL's description slow, and are no other shape.
 _MOST_DESCRIBED = 64
 _LONGEST_INTEGER = 2**63
@@ -77,7 +76,7 @@ def _requests(line: bytes) -> Requests | None:
         given = json.loads(line.decode())
     except (ValueError, RecursionError):
         return None
-    if not isinstance(given, dict) or not _is_of_ros(given):
+    if not isinstance(given, dict) or not _is_of_ros(cast("object", given)):
         return None
     try:
         requests = requests_of(cast("dict[str, Any]", given), _resolve)
@@ -124,7 +123,7 @@ def _message(piece: bytes) -> Any:
 
 
 def _numbers(message: Any, wanted: Sequence[str], layouts: dict[type[Any], Layout]) -> None:
-    kind = type(message)
+    kind: type[Any] = message.__class__
     fields = fields_of(kind)
     try:
         before = layouts.get(kind)
@@ -161,7 +160,7 @@ def _is_from(message: Any, path: str, value: float) -> None:
 
 
 def _described(message: Any, layout: Layout) -> None:
-    frames = {"frame_id": message.header.frame_id} if has_header(type(message)) else {}
+    frames = {"frame_id": message.header.frame_id} if has_header(message.__class__) else {}
     origin = Origin("/a", "a/msg/B", frames=frames)
     info = sample_info("a", origin, layout.channels, 0.0)
     root = ET.fromstring(info.as_xml())
@@ -173,7 +172,7 @@ def _described(message: Any, layout: Layout) -> None:
 
 
 def _texts(message: Any, wanted: Sequence[str]) -> None:
-    kind = type(message)
+    kind: type[Any] = message.__class__
     json.loads(as_json(message))
     for make in (marker_of(kind, "/topic"), _text_reader(fields_of(kind), wanted)):
         if make is not None:

@@ -10,6 +10,7 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 from biosensor_common import naming
+from biosensor_common.description_xml import xml_text
 from biosensor_common.lsl_header import MAX_CHANNELS
 from biosensor_common.quantities import Category, ChannelFormat, MessageType
 from biosensor_common.spec import DeviceIdentity, is_data_name
@@ -17,8 +18,6 @@ from biosensor_gateway.recording.bag.errors import MessageError
 
 LATCHED = re.compile(r"durability:\s*(?:transient_local|1)\b")
 STAMPED = "_stamped"
-# What XML 1.0 has no way to write.
-_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 _FORMATS = {
     MessageType.FLOAT32: ChannelFormat.FLOAT32,
@@ -94,22 +93,29 @@ def header_xml(facts: Facts, origin: Origin) -> str:
 
 def _fill(parent: ET.Element, **fields: str) -> None:
     for name, text in fields.items():
-        ET.SubElement(parent, name).text = _NOT_XML.sub("\N{REPLACEMENT CHARACTER}", text)
+        ET.SubElement(parent, name).text = xml_text(text)
 
 
 def facts_of_topic(
-    topic: str, type_name: str, labels: Sequence[str], form: ChannelFormat, shapes_before: int
+    topic: str,
+    type_name: str,
+    channels: Sequence[tuple[str, str]],
+    form: ChannelFormat,
+    shapes_before: int,
 ) -> Facts:
     """Return what is known of a topic of any node: its name and the fields of its type.
 
     Parameters
     ----------
+    channels
+        Label and unit of each.
     shapes_before
         Streams of this topic whose messages had another shape.
     """
     name = topic.strip("/")
     source_id = f"{topic}-{shapes_before + 1}" if shapes_before else topic
-    return Facts(name, type_name, source_id, "", 0.0, form, tuple(labels))
+    labels, units = (tuple(each) for each in zip(*channels, strict=True))
+    return Facts(name, type_name, source_id, "", 0.0, form, labels, units)
 
 
 def facts_of_ours(

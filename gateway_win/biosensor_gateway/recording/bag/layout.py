@@ -1,7 +1,8 @@
 """Lays the numbers of any message out as channels, by its definition.
 
 Sequences take their shape at the first message. Where a message names the elements of its
-sequences, as ``JointState`` its joints, the names are in the labels.
+sequences, as ``JointState`` its joints, the names are in the labels. Units are those of REP 103,
+where the type says what it measures.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 
 from biosensor_common.lsl_header import MAX_CHANNELS
+from biosensor_common.ros_quantities import NOTHING_KNOWN, TIME, Quantity, quantity
 from biosensor_gateway.recording.bag.errors import UnsuitableError
 from biosensor_gateway.recording.bag.types import MessageType
 
@@ -39,11 +41,11 @@ class Layout(NamedTuple):
 
     Attributes
     ----------
-    labels
-        One a channel: ``linear_acceleration.x``, ``panda_joint1.position``.
+    channels
+        Label and unit of each: ``linear_acceleration.x``, ``panda_joint1.position``.
     """
 
-    labels: tuple[str, ...]
+    channels: tuple[tuple[str, str], ...]
     reads: tuple[Read, ...]
 
     def read(self, message: Any) -> list[float]:  # noqa: ANN401 - of any type
@@ -61,19 +63,19 @@ class Layout(NamedTuple):
 
 
 def layout_of(kind: MessageType, message: Any) -> Layout:  # noqa: ANN401 - of any type
-    """Return the layout of messages like one of them; without labels if there are no numbers.
+    """Return the layout of messages like one of them; without channels if there are no numbers.
 
     Raises
     ------
     UnsuitableError
         If it holds bytes without a limit, such as an image, or more numbers than a stream can.
     """
-    labels: list[str] = []
-    reads = tuple(_walk(kind, kind.name, message, "", "", labels))
-    if len(labels) > MAX_CHANNELS:
-        text = f"its {len(labels)} numbers are more than the {MAX_CHANNELS} channels of a stream"
+    found: list[tuple[str, str]] = []
+    reads = tuple(_walk(kind, kind.name, message, _Place(), found))
+    if len(found) > MAX_CHANNELS:
+        text = f"its {len(found)} numbers are more than the {MAX_CHANNELS} channels of a stream"
         raise UnsuitableError(text)
-    return Layout(tuple(labels), reads)
+    return Layout(tuple(found), reads)
 
 
 def has_header(kind: MessageType) -> bool:
@@ -81,44 +83,64 @@ def has_header(kind: MessageType) -> bool:
     return ("header", (Nodetype.NAME, HEADER)) in kind.fields(kind.name)
 
 
+class _Place(NamedTuple):
+    """Where a message is in the outermost one, what that is called, and what it measures."""
+
+    path: str = ""
+    label: str = ""
+    measured: Quantity = NOTHING_KNOWN
+
+
 def _walk(
     kind: MessageType,
     type_name: str,
     message: Any,  # noqa: ANN401 - of any type
-    path: str,
-    label: str,
-    labels: list[str],
+    place: _Place,
+    found: list[tuple[str, str]],
 ) -> Iterator[Read]:
-    """Give what reads the fields of a message that is at `path` of the outermost one."""
+    """Give what reads the fields of a message."""
     names = _names_in(kind, type_name, message)
     if names:
-        yield _same_names(f"{path}{names[0]}", names[1])
+        yield _same_names(f"{place.path}{names[0]}", names[1])
     for field, (node, what) in kind.fields(type_name):
         value = getattr(message, field)
-        here, called = f"{path}{field}", f"{label}{field}"
+        here, called = f"{place.path}{field}", f"{place.label}{field}"
+        measured = quantity(type_name, field) or place.measured
         if node is Nodetype.NAME:
-            if what == HEADER and not path:
+            if what == HEADER and not place.path:
                 continue
             if what in _TIMES:
-                labels.append(called)
+                found.append((called, TIME.unit))
                 yield _time(here)
             else:
-                yield from _walk(kind, what, value, f"{here}.", f"{called}.", labels)
+                inside = _Place(f"{here}.", f"{called}.", measured)
+                yield from _walk(kind, what, value, inside, found)
         elif node is Nodetype.BASE:
             if what[0] not in _TEXTS and field != _NO_FIELD:
-                labels.append(called)
+                found.append((called, measured.unit))
                 yield _number(here)
         else:
-            told = names[1] if names and len(names[1]) == len(value) else ()
-            yield from _array(kind, (node, what), value, here, _Named(label, field, told), labels)
+            is_named = names and len(names[1]) == len(value) and _is_one_each(kind, what[0])
+            told = names[1] if names and is_named else ()
+            named = _Named(place.label, field, told, measured)
+            yield from _array(kind, (node, what), value, here, named, found)
+
+
+def _is_one_each(kind: MessageType, element: tuple[Nodetype, Any]) -> bool:
+    """Whether the elements of an array have no sequences: those are points of all joints."""
+    node, what = element
+    if node is Nodetype.NAME:
+        return all(_is_one_each(kind, inside) for _, inside in kind.fields(what))
+    return node is Nodetype.BASE
 
 
 class _Named(NamedTuple):
-    """What to call the elements of an array."""
+    """What to call the elements of an array, and what they measure."""
 
     group: str
     field: str
     names: Sequence[str]
+    measured: Quantity
 
     def label(self, place: int) -> str:
         if self.names:
@@ -132,7 +154,7 @@ def _array(
     value: Any,  # noqa: ANN401 - of any type
     path: str,
     named: _Named,
-    labels: list[str],
+    found: list[tuple[str, str]],
 ) -> Iterator[Read]:
     node, ((inner, what), bound) = description
     if inner is Nodetype.BASE:
@@ -140,19 +162,20 @@ def _array(
             return
         if node is Nodetype.SEQUENCE and not bound and what[0] in _BYTES:
             raise UnsuitableError(f"its field {path} holds bytes, not numbers")
-        labels.extend(named.label(place) for place in range(len(value)))
+        found.extend((named.label(place), named.measured.unit) for place in range(len(value)))
         yield _numbers(path, len(value))
         return
-    before = len(labels)
+    before = len(found)
     elements: list[tuple[Read, ...]] = []
     for place, element in enumerate(value):
         called = named.label(place)
         if what in _TIMES:
-            labels.append(called)
+            found.append((called, TIME.unit))
             elements.append((_time(""),))
         else:
-            elements.append(tuple(_walk(kind, what, element, "", f"{called}.", labels)))
-    yield _messages(path, elements, len(labels) - before)
+            inside = _Place("", f"{called}.", named.measured)
+            elements.append(tuple(_walk(kind, what, element, inside, found)))
+    yield _messages(path, elements, len(found) - before)
 
 
 def _names_in(

@@ -150,7 +150,7 @@ class AnyTopic:
         self._topic, self._kind = topic, MessageType(topic)
         self._has_header = has_header(self._kind)
         self._new_stream, self._to_lsl = new_stream, to_lsl
-        self._writers: dict[tuple[str, ...], StreamWriter] = {}
+        self._writers: dict[tuple[tuple[str, str], ...], StreamWriter] = {}
         self._layout: Layout | None = None
         self._writer: StreamWriter | None = None
 
@@ -180,20 +180,20 @@ class AnyTopic:
 
     def _lay_out(self, message: Any) -> Layout:  # noqa: ANN401 - of its type
         self._layout = layout = layout_of(self._kind, message)
-        is_text = not layout.labels
+        is_text = not layout.channels
         if is_text and not isinstance(getattr(message, "data", None), str):
             raise UnsuitableError(f"{self._topic.type_name} has no numbers")
-        self._writer = self._writers.get(layout.labels)
+        self._writer = self._writers.get(layout.channels)
         if self._writer is None:
             form = ChannelFormat.STRING if is_text else ChannelFormat.DOUBLE64
-            labels = ("text",) if is_text else layout.labels
+            channels = (("text", ""),) if is_text else layout.channels
             facts = facts_of_topic(
-                self._topic.name, self._topic.type_name, labels, form, len(self._writers)
+                self._topic.name, self._topic.type_name, channels, form, len(self._writers)
             )
             source = "header" if self._stamp_ns(message) else "log"
             origin = Origin(self._topic.name, self._topic.type_name, source)
-            self._writer = self._new_stream(header_xml(facts, origin), form, len(labels))
-            self._writers[layout.labels] = self._writer
+            self._writer = self._new_stream(header_xml(facts, origin), form, len(channels))
+            self._writers[layout.channels] = self._writer
         return layout
 
     def _stamp_ns(self, message: Any) -> int:  # noqa: ANN401 - of its type

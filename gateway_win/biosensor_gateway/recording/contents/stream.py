@@ -150,4 +150,4 @@ def _meaning(header: RecordedHeader) -> StreamHeader:
             rate=header.rate,
             format=header.format,
         )
-        return foreign_header(core, header.labels, replay=header.replay)
+        return foreign_header(core, header.labels, header.units, header.replay)

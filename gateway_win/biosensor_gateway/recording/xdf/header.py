@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from biosensor_common.clock_pair import KEY, ClockPair, read_clock_pair
 from biosensor_common.errors import SpecError
+from biosensor_common.header_channels import read_channels
 from biosensor_common.lsl_header import MAX_CHANNELS, read_header
 from biosensor_common.naming import AGENT, NODE
 from biosensor_common.quantities import ChannelFormat, waits_for_receivers
@@ -33,6 +34,8 @@ class RecordedHeader:
         LSL time at which the outlet was made, on its host's clock; NaN if unknown.
     labels
         One a channel; a number where the header gives none.
+    units
+        One a channel; empty text where the header gives none.
     can_drop_samples
         Whether the header says that samples may be missing, so that loaders
         keep every stamp as it is.
@@ -58,6 +61,7 @@ class RecordedHeader:
     rate: float
     created_at: float
     labels: tuple[str, ...]
+    units: tuple[str, ...]
     can_drop_samples: bool
     identity: DeviceIdentity | None
     data_name: str
@@ -148,6 +152,7 @@ def parse_stream_header(content: bytes) -> RecordedHeader:
         rate=rate,
         created_at=_number(root, "created_at"),
         labels=_labels(root, int(channel_count)),
+        units=read_channels(root, int(channel_count)).units,
         can_drop_samples=drops.strip().lower() == "true",
         identity=ours.identity if ours else None,
         data_name=ours.data_name if ours else "",

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from biosensor_common.ros_quantities import NOTHING_KNOWN, channel_type
 from lsl_to_ros.ros_to_lsl.fields import Field
-from lsl_to_ros.ros_to_lsl.quantities import NOTHING_KNOWN, channel_type
 
 
 class Channel(NamedTuple):

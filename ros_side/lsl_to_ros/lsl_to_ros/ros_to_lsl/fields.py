@@ -20,7 +20,7 @@ from rosidl_parser.definition import (
 )
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from lsl_to_ros.ros_to_lsl.quantities import NOTHING_KNOWN, TIME, Quantity, quantity
+from biosensor_common.ros_quantities import NOTHING_KNOWN, TIME, Quantity, quantity
 
 RosMessage: TypeAlias = Any
 """A message of whatever type."""
