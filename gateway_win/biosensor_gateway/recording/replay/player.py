@@ -220,7 +220,7 @@ class Player:
         # The number tells tracks apart that are due at the same time.
         due = [(each.due_s, number) for number, each in enumerate(tracks)]
         heapq.heapify(due)
-        while due[0][0] < math.inf and not stopping.is_set():
+        while due and due[0][0] < math.inf and not stopping.is_set():
             until_s = timeline.recorded(pylsl.local_clock())
             self._position_s = min(max(until_s, self.begin_s), self.end_s)
             while due[0][0] <= until_s and not stopping.is_set():
