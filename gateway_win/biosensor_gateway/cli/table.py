@@ -96,6 +96,11 @@ COMMANDS = (
         "replay:replay",
         "Play a recording as LSL streams, with the headers, gaps and times that were recorded.",
     ),
+    _command(
+        "features",
+        "features:features",
+        "Send beats, skin responses, breaths and more of raw streams as streams, until Ctrl-C.",
+    ),
     _command("xdf", "xdf:app", "Recordings of LabRecorder (XDF files)."),
     _command("bag", "bag:app", "Bags of ROS (MCAP or SQLite); no ROS is needed."),
     _hidden("installation", "installation:app", "Used by the Windows installer."),

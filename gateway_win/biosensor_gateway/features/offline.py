@@ -1,0 +1,179 @@
+"""Computes features of a recording, by the same classes as live."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from biosensor_gateway.features.choosing import choose
+from biosensor_gateway.features.errors import FeatureError, FeatureReason
+from biosensor_gateway.features.headers import is_feature, stream_info
+from biosensor_gateway.features.outputs import Feature
+from biosensor_gateway.features.runs import Event
+from biosensor_gateway.features.sources import Source, judge
+from biosensor_gateway.recording.contents.opening import open_contents
+from biosensor_gateway.recording.contents.stream import Samples, Stream
+from biosensor_gateway.recording.xdf import writing
+from biosensor_gateway.system.new_file import new_file
+
+SUFFIXES = (".xdf", ".csv")
+
+
+@dataclass(frozen=True, slots=True)
+class Computed:
+    """What became of a recording.
+
+    Attributes
+    ----------
+    counts
+        Samples of each stream of a feature, by its LSL name.
+    refused
+        Why nothing was computed of a stream that looked as if it could be; sentences.
+    """
+
+    written: Path
+    counts: dict[str, int]
+    refused: tuple[str, ...]
+
+
+def compute(path: Path, target: Path) -> Computed:
+    """Compute all features of a recording, and write them.
+
+    Parameters
+    ----------
+    target
+        A new XDF file, whose streams have the clocks of what they are derived from, or a CSV
+        file with a row for each value, on the recorder's clock.
+
+    Raises
+    ------
+    FeatureError
+        ``NOTHING``, ``EXISTS`` or ``UNWRITABLE``.
+    RecordingError
+        If the recording cannot be read.
+    """
+    with open_contents(path) as contents:
+        pairs, refused = _sources(contents.streams)
+        if not pairs:
+            told = "; ".join(refused) or "it has no stream of a type that features are of"
+            raise FeatureError(FeatureReason.NOTHING, f"no feature of {path}: {told}")
+        try:
+            with new_file(target, like=path) as file:
+                write = _write_csv if target.suffix == ".csv" else _write_xdf
+                counts = write(file, pairs, contents.begun)
+        except FileExistsError as error:
+            message = f"{target} exists and is not overwritten; give another name with --output"
+            raise FeatureError(FeatureReason.EXISTS, message) from error
+        except OSError as error:
+            message = f"cannot write {target}: {error.strerror or error}"
+            raise FeatureError(FeatureReason.UNWRITABLE, message) from error
+        return Computed(target, counts, tuple(refused))
+
+
+_Pairs = Sequence[tuple[Stream, Source]]
+
+
+def _sources(streams: Sequence[Stream]) -> tuple[_Pairs, list[str]]:
+    found: list[Source] = []
+    refused: list[str] = []
+    by_header = {id(stream.meaning): stream for stream in streams}
+    for stream in streams:
+        if is_feature(stream.header.xml):
+            continue
+        try:
+            source = judge(stream.header.name, stream.header.source_id, stream.meaning)
+        except FeatureError as error:
+            refused.append(str(error))
+            continue
+        if source is not None:
+            found.append(source)
+    return [(by_header[id(each.header)], each) for each in choose(found, set())], refused
+
+
+def _computed(stream: Stream, source: Source) -> Iterator[tuple[Samples, list[Event]]]:
+    computer = source.new_computer()
+    for samples in stream.blocks():
+        yield samples, computer.take(samples.stamps, samples.values)
+
+
+class _Written:
+    """A stream of a feature in an XDF file, and what its footer tells."""
+
+    def __init__(self, number: int, stream: Stream, feature: Feature) -> None:
+        self.number, self._feature = number, feature
+        self.first = self.last = 0.0
+        self.sample_count = 0
+        self.clock_offsets = stream.clock_offsets
+
+    def chunk(self, events: Sequence[Event]) -> bytes:
+        own = [each for each in events if each.feature == self._feature.name]
+        if not own:
+            return b""
+        stamps = np.array([each.stamp for each in own])
+        values: NDArray[np.float32] = np.array([each.values for each in own], np.float32)
+        self.first = self.first if self.sample_count else float(stamps[0])
+        self.last, self.sample_count = float(stamps[-1]), self.sample_count + len(own)
+        return writing.samples(self.number, self._feature.stream.format, stamps, values)
+
+
+def _write_xdf(file: BinaryIO, pairs: _Pairs, begun: str) -> dict[str, int]:
+    writing.begin(file, begun, ())
+    counts: dict[str, int] = {}
+    number = 0
+    for stream, source in pairs:
+        written: list[_Written] = []
+        names: list[str] = []
+        for feature in source.features:
+            number += 1
+            info = stream_info(source, feature)
+            names.append(info.name())
+            file.write(writing.stream_header(number, info.as_xml()))
+            written.append(_Written(number, stream, feature))
+            for taken_at, offset in stream.clock_offsets:
+                file.write(writing.clock_offset(number, taken_at, offset))
+        for _, events in _computed(stream, source):
+            file.writelines(each.chunk(events) for each in written)
+        for name, each in zip(names, written, strict=True):
+            file.write(writing.boundary() + writing.footer(each.number, each))
+            counts[name] = each.sample_count
+    return counts
+
+
+def _write_csv(file: BinaryIO, pairs: _Pairs, _begun: str) -> dict[str, int]:
+    text = io.TextIOWrapper(file, "utf-8", newline="", write_through=True)
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["time_s", "stream", "channel", "unit", "value"])
+    counts: dict[str, int] = {}
+    for stream, source in pairs:
+        known = {each.name: each for each in source.features}
+        names = {name: stream_info(source, each).name() for name, each in known.items()}
+        counts |= dict.fromkeys(names.values(), 0)
+        for samples, events in _computed(stream, source):
+            to_recorder = _clock(stream, samples)
+            for event in events:
+                name = names[event.feature]
+                counts[name] += 1
+                time_s = repr(to_recorder(event.stamp))
+                channels = known[event.feature].stream.channels
+                for channel, value in zip(channels, event.values, strict=True):
+                    number = "" if np.isnan(value) else str(np.float32(value))
+                    rows.writerow([time_s, name, channel.label, channel.unit, number])
+    text.detach()
+    return counts
+
+
+def _clock(stream: Stream, samples: Samples) -> Callable[[float], float]:
+    """Return what brings a stamp of about these samples' time onto the recorder's clock."""
+    if not stream.clock.is_known:
+        return lambda stamp: stamp
+    shift = float(samples.times[-1] - samples.stamps[-1])
+    if stream.clock.restarts:
+        return lambda stamp: stamp + shift
+    return lambda stamp: float(stream.clock.to_recorder(np.array([stamp]))[0])

@@ -1,0 +1,158 @@
+"""Declares the streams of features: names, channels, units, and what they are computed by."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from biosensor_common.quantities import ContentType, Unit
+from biosensor_common.spec import ChannelSpec, StreamSpec
+from biosensor_common.table import channels, hardware, raw
+from biosensor_gateway.features import thresholds as at
+from biosensor_gateway.features.quality import REASONS
+
+VERSION = "1"
+"""Of all algorithms here; another one where a value may differ for the same samples."""
+
+_HRV = tuple(
+    channel
+    for window_s in at.HRV_WINDOWS_S
+    for channel in (
+        ChannelSpec(f"RMSSD_{window_s:.0f}s", Unit.MILLISECONDS),
+        ChannelSpec(f"SDNN_{window_s:.0f}s", Unit.MILLISECONDS),
+        ChannelSpec(f"pNN50_{window_s:.0f}s", Unit.PERCENT),
+        ChannelSpec(f"valid_{window_s:.0f}s", Unit.FRACTION),
+    )
+)
+_BEATS = (*channels(Unit.SECONDS, "interval"), *channels(Unit.BOOLEAN, "artefact"))
+_SCR = (
+    *channels(Unit.MICROSIEMENS, "amplitude"),
+    *channels(Unit.SECONDS, "rise_time"),
+    *channels(Unit.MICROSIEMENS, "onset_level"),
+)
+_SQI = (*channels(Unit.FRACTION, "quality"), *channels(Unit.BOOLEAN, *REASONS))
+
+
+@dataclass(frozen=True, slots=True)
+class Feature:
+    """One stream of a feature.
+
+    Attributes
+    ----------
+    name
+        As events have it.
+    stream
+        Its declaration.
+    algorithm
+        By which it is computed.
+    window_s
+        How far back its values look, in s; 0 where that is a single beat, breath or response.
+    delay_s
+        How long after the time of what it describes it is decided, usually, in s.
+    """
+
+    name: str
+    stream: StreamSpec
+    algorithm: str
+    window_s: float
+    delay_s: float
+
+
+def _heart(algorithm: str, delay_s: float) -> tuple[Feature, ...]:
+    return (
+        Feature("beats", raw("beats", ContentType.RR, _BEATS), algorithm, 0, delay_s),
+        Feature(
+            "hr_live",
+            raw("hr_live", ContentType.HR, channels(Unit.BEATS_PER_MINUTE, "HR")),
+            f"{algorithm}; mean of the valid intervals",
+            at.HR_WINDOW_S,
+            delay_s,
+        ),
+        Feature(
+            "hrv_live",
+            raw("hrv_live", ContentType.HRV, _HRV),
+            f"{algorithm}; Task Force 1996, artefacts by Malik 1989",
+            max(at.HRV_WINDOWS_S),
+            delay_s,
+        ),
+    )
+
+
+def _sqi(content_type: str, data_name: str, algorithm: str) -> Feature:
+    stream = hardware(f"{data_name}_sqi", ContentType.QUALITY, _SQI)
+    return Feature("sqi", stream, algorithm, at.QUALITY_WINDOW_S[content_type], 0)
+
+
+def _skin() -> tuple[Feature, ...]:
+    level = raw("scl", ContentType.GSR, channels(Unit.MICROSIEMENS, "SCL"))
+    return (
+        Feature("scl", level, "running median", at.SCL_WINDOW_S, 0),
+        Feature(
+            "scr",
+            raw("scr", ContentType.GSR, _SCR),
+            "trough to peak, Boucsein 2012",
+            0,
+            1,
+        ),
+    )
+
+
+def _breathing(unit: str) -> tuple[Feature, ...]:
+    kind, algorithm = ContentType.RESPIRATION, "zero crossings with hysteresis"
+    breaths = raw("breaths", kind, channels(Unit.SECONDS, "interval"))
+    depth = raw("breath_depth", kind, channels(unit, "depth"))
+    rate = raw("br_live", ContentType.RESPIRATION_RATE, channels(Unit.BREATHS_PER_MINUTE, "rate"))
+    return (
+        Feature("breaths", breaths, algorithm, 0, 2),
+        Feature("breath_depth", depth, algorithm, 0, 2),
+        Feature("br_live", rate, algorithm, at.BR_WINDOW_S, 2),
+    )
+
+
+def _activity() -> tuple[Feature, ...]:
+    stream = raw("activity_live", ContentType.ACTIVITY, channels(Unit.G, "MAD"))
+    return (Feature("activity_live", stream, "Vaha-Ypya 2015", at.ACTIVITY_EPOCH_S, 0),)
+
+
+def features_of(content_type: str, data_name: str, unit: str) -> tuple[Feature, ...]:
+    """Return what is computed of a stream; nothing of a type that none are of.
+
+    Parameters
+    ----------
+    data_name
+        Of the stream, a lower-case ROS name; its quality is called after it.
+    unit
+        Of its values, as it says.
+    """
+    of_type: Mapping[str, tuple[Feature, ...]] = {
+        ContentType.ECG: _heart("Hamilton 2002 on 8 to 20 Hz", 0.3),
+        ContentType.PPG: _heart("Elgendi 2013", 0.6),
+        ContentType.RR: _heart("intervals of the device", 0),
+        ContentType.GSR: _skin(),
+        ContentType.RESPIRATION: _breathing(unit),
+        ContentType.ACCELEROMETER: _activity(),
+    }
+    judged = {
+        ContentType.ECG: "Li 2008",
+        ContentType.PPG: "Elgendi 2016",
+        ContentType.GSR: "Kleckner 2018",
+        ContentType.RESPIRATION: "power within 0.05 to 0.8 Hz",
+    }
+    if content_type not in of_type:
+        return ()
+    features = of_type[ContentType(content_type)]
+    if content_type in judged:
+        algorithm = judged[ContentType(content_type)]
+        features = (*features, _sqi(content_type, data_name, algorithm))
+    return features
+
+
+TYPES = (
+    ContentType.ECG,
+    ContentType.PPG,
+    ContentType.RR,
+    ContentType.GSR,
+    ContentType.RESPIRATION,
+    ContentType.ACCELEROMETER,
+)
+"""Types of streams that features are computed of, the best source of beats first."""

@@ -1,0 +1,77 @@
+"""Finds pulses in a photoplethysmogram by two moving averages, as in Elgendi 2013.
+
+References are in :mod:`.thresholds`. The filter is causal, so the apex is looked for in the signal
+as it was measured, around where the filtered one had its own.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from biosensor_gateway.features import thresholds as at
+from biosensor_gateway.features.filters import Biquad, Decimator, MovingMean
+from biosensor_gateway.features.runs import Array
+
+# How far the filter's group delay moves an apex, at most.
+_APEX_S = 0.12
+
+
+class Pulses:
+    """Gives the stamp of the apex of each pulse.
+
+    Parameters
+    ----------
+    rate
+        Nominal, in Hz.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._decimator = Decimator(rate, at.PULSE_RATE_HZ)
+        slow = self._decimator.rate
+        self._high_pass = Biquad(at.PULSE_BAND_HZ[0], slow, is_high_pass=True)
+        self._low_pass = Biquad(at.PULSE_BAND_HZ[1], slow, is_high_pass=False)
+        peak, beat = (2 * round(s * slow / 2) + 1 for s in (at.PULSE_PEAK_S, at.PULSE_BEAT_S))
+        self._peak_mean, self._beat_mean = MovingMean(peak), MovingMean(beat)
+        self._offset = MovingMean(round(at.PULSE_MEAN_S * slow))
+        # The longer mean is centred, so everything else waits for it.
+        self._wait = (beat - peak) // 2
+        self._late = (beat - 1) // 2
+        self._least = peak
+        self._peaks: deque[float] = deque(maxlen=self._wait + 1)
+        self._around = round(_APEX_S * slow)
+        self._kept: deque[tuple[float, float, float]] = deque(maxlen=round(3 * slow))
+        self._refractory_s = at.REFRACTORY_S
+        self._length = 0
+        self._last = float("-inf")
+
+    def take(self, stamps: Array, values: Array) -> list[float]:
+        """Return the stamps of the pulses that are decided by now; both of shape (n,)."""
+        found = (self._sample(*each) for each in self._decimator.take(stamps, values))
+        return [stamp for stamp in found if stamp is not None]
+
+    def _sample(self, stamp: float, value: float) -> float | None:
+        filtered = self._low_pass.take(self._high_pass.take(value))
+        clipped = filtered * filtered if filtered > 0 else 0.0
+        self._kept.append((stamp, value, filtered))
+        self._peaks.append(self._peak_mean.take(clipped))
+        beat = self._beat_mean.take(clipped)
+        limit = beat + at.PULSE_OFFSET * self._offset.take(clipped)
+        if self._peaks[0] > limit and len(self._kept) > self._late + self._around:
+            self._length += 1
+            return None
+        length, self._length = self._length, 0
+        return self._apex(length) if length >= self._least else None
+
+    def _apex(self, length: int) -> float | None:
+        kept = list(self._kept)
+        end = len(kept) - 1 - self._late
+        begin = max(0, end - length)
+        top = max(range(begin, end), key=lambda place: kept[place][2], default=None)
+        if top is None:
+            return None
+        around = range(max(0, top - self._around), min(len(kept), top + self._around // 2 + 1))
+        stamp = kept[max(around, key=lambda place: kept[place][1])][0]
+        if stamp - self._last < self._refractory_s:
+            return None
+        self._last = stamp
+        return stamp

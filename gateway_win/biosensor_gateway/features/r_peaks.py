@@ -1,0 +1,194 @@
+"""Finds R peaks in an ECG.
+
+The energy of the band in which QRS complexes are [2]_ is compared with thresholds that follow the
+signal, by the rules of Hamilton's detector [1]_: references are in :mod:`.thresholds`. The apex is
+then looked for in the signal as it was measured.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from statistics import median
+from typing import NamedTuple
+
+import numpy as np
+
+from biosensor_gateway.features import thresholds as at
+from biosensor_gateway.features.filters import Fir, band_pass
+from biosensor_gateway.features.runs import Array, Hops
+
+
+class _Peak(NamedTuple):
+    place: int
+    energy: float
+    apex: int
+    stamp: float
+    slope: float
+
+
+class RPeaks:
+    """Gives the stamp of the apex of each QRS complex, at a fixed delay.
+
+    Parameters
+    ----------
+    rate
+        Nominal, in Hz.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._rate = rate
+        self._hop = max(1, round(at.HOP_S * rate))
+        self._hops = Hops(self._hop)
+        taps = band_pass(*at.ECG_BAND_HZ, at.ECG_FILTER_S, rate)
+        width = 2 * round(at.QRS_S * rate / 2) + 1
+        self._filter = Fir(taps)
+        self._mean = Fir(np.full(width, 1 / width))
+        self._late = (len(taps) - 1) // 2 + (width - 1) // 2
+        self._near = max(1, round(at.QRS_NEIGHBOUR_S * rate))
+        self._around = max(1, round(at.APEX_S * rate))
+        self._keep = 2 * self._near + self._late + self._around + self._hop + 2
+        self._signal = self._energy = self._stamps = np.empty(0)
+        self._count = 0
+        self._rule = _Hamilton(rate)
+        self._polarity = 0.0
+
+    def take(self, stamps: Array, values: Array) -> list[float]:
+        """Return the stamps of the beats that are decided by now.
+
+        Parameters
+        ----------
+        stamps, values : ndarray of float64, shape (n,)
+        """
+        return [
+            stamp
+            for times, piece in self._hops.take(stamps, values)
+            for stamp in self._piece(times, piece)
+        ]
+
+    def _piece(self, stamps: Array, values: Array) -> list[float]:
+        energy = self._mean.take(np.square(self._filter.take(values)))
+        self._stamps = np.concatenate([self._stamps, stamps])[-self._keep :]
+        self._signal = np.concatenate([self._signal, values])[-self._keep :]
+        self._energy = np.concatenate([self._energy, energy])[-self._keep :]
+        self._count += self._hop
+        beats: list[float] = []
+        for place in self._candidates():
+            beats += self._rule.take(self._peak(place))
+        return beats + self._rule.pass_time(self._count - self._near)
+
+    def _candidates(self) -> list[int]:
+        """Return where, in what is kept, the energy is the largest around."""
+        size = len(self._energy)
+        begin, end = size - self._hop - self._near, size - self._near
+        if begin < self._near + self._late + self._around + 1:
+            return []
+        here = self._energy[begin - 1 : end + 1]
+        middle = here[1:-1]
+        tops = np.flatnonzero((middle > here[:-2]) & (middle >= here[2:])) + begin
+        return [
+            top
+            for top in tops.tolist()
+            if self._energy[top] >= self._energy[top - self._near : top + self._near + 1].max()
+        ]
+
+    def _peak(self, top: int) -> _Peak:
+        middle = top - self._late
+        begin = middle - self._around
+        around = self._signal[begin : middle + self._around + 1]
+        level = float(np.median(around))
+        up, down = float(around.max()) - level, level - float(around.min())
+        # Which side complexes go to holds for a while; else the apex would jump between them.
+        self._polarity += 0.2 * ((up - down) / (up + down or 1.0) - self._polarity)
+        is_up = self._polarity > -0.1
+        apex = begin + int(around.argmax() if is_up else around.argmin())
+        slope = float(np.abs(np.diff(around)).max(initial=0.0))
+        start = self._count - len(self._signal)
+        stamp = float(self._stamps[apex])
+        return _Peak(start + top, float(self._energy[top]), start + apex, stamp, slope)
+
+
+class _Hamilton:
+    """Decides which peaks of the energy are beats."""
+
+    def __init__(self, rate: float) -> None:
+        self._rate = rate
+        self._learns_until = round(at.LEARNING_S * rate)
+        self._begin_anew(0)
+        self._last: _Peak | None = None
+        self._intervals: deque[float] = deque(maxlen=at.PEAKS_KEPT)
+
+    def _begin_anew(self, place: int) -> None:
+        self._learnt: list[_Peak] | None = []
+        self._learns_from = place
+        self._beats: deque[float] = deque(maxlen=at.PEAKS_KEPT)
+        self._noise: deque[float] = deque([0.0], maxlen=at.PEAKS_KEPT)
+        self._passed_over: list[_Peak] = []
+
+    def take(self, peak: _Peak) -> list[float]:
+        """Take a peak in; return the stamps of beats."""
+        if self._learnt is not None:
+            self._learnt.append(peak)
+            return []
+        return self._judge(peak)
+
+    def pass_time(self, place: int) -> list[float]:
+        """Take note that every peak before that place has been given; return beats."""
+        if self._learnt is not None:
+            return self._learn(place)
+        beats = self._search_back(place)
+        since = self._learns_from if self._last is None else self._last.place
+        if place - max(since, self._learns_from) > at.LOST_S * self._rate:
+            self._begin_anew(place)
+        return beats
+
+    def _learn(self, place: int) -> list[float]:
+        if place - self._learns_from < self._learns_until or not self._learnt:
+            return []
+        second = round(self._rate)
+        largest: dict[int, float] = {}
+        for peak in self._learnt:
+            number = (peak.place - self._learns_from) // second
+            largest[number] = max(largest.get(number, 0.0), peak.energy)
+        self._beats.extend(largest.values())
+        peaks, self._learnt = self._learnt, None
+        self._learns_from = place
+        return [stamp for peak in peaks for stamp in self._judge(peak)]
+
+    @property
+    def _threshold(self) -> float:
+        noise, beat = median(self._noise), median(self._beats)
+        return noise + at.DETECTION_THRESHOLD * (beat - noise)
+
+    def _judge(self, peak: _Peak) -> list[float]:
+        last = self._last
+        since_s = np.inf if last is None else (peak.apex - last.apex) / self._rate
+        if since_s < at.REFRACTORY_S:
+            return []
+        is_t_wave = (
+            last is not None and since_s < at.T_WAVE_S and peak.slope < at.T_WAVE_SHARE * last.slope
+        )
+        if peak.energy > self._threshold and not is_t_wave:
+            return self._accept(peak)
+        self._noise.append(peak.energy)
+        if since_s >= at.T_WAVE_S:
+            self._passed_over.append(peak)
+        return []
+
+    def _search_back(self, place: int) -> list[float]:
+        if self._last is None or len(self._intervals) < 2 or not self._passed_over:
+            return []
+        usual = median(self._intervals)
+        if place - self._last.place < at.SEARCH_BACK_INTERVALS * usual:
+            return []
+        best = max(self._passed_over, key=lambda peak: peak.energy)
+        if best.energy < at.SEARCH_BACK_SHARE * self._threshold:
+            return []
+        return self._accept(best)
+
+    def _accept(self, peak: _Peak) -> list[float]:
+        if self._last is not None:
+            self._intervals.append(peak.place - self._last.place)
+        self._last = peak
+        self._beats.append(peak.energy)
+        self._passed_over = [each for each in self._passed_over if each.place > peak.place]
+        return [peak.stamp]

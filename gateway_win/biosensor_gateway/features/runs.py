@@ -1,0 +1,123 @@
+"""Cuts a stream into runs without a gap, and runs into pieces that depend on nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from biosensor_gateway.features import thresholds as at
+
+Array = NDArray[np.float64]
+
+
+class Event(NamedTuple):
+    """One sample of a feature.
+
+    Attributes
+    ----------
+    feature
+        Its name.
+    stamp
+        LSL time of what it describes, on the clock of the source.
+    values
+        One a channel of the feature; NaN for what has no value.
+    """
+
+    feature: str
+    stamp: float
+    values: tuple[float, ...]
+
+
+class Stage(Protocol):
+    """Makes events of the samples of one run; it is dropped at the run's end."""
+
+    def take(self, stamps: Array, values: Array) -> list[Event]:
+        """Take neighbouring samples in.
+
+        Parameters
+        ----------
+        stamps : ndarray of float64, shape (n,)
+            Ascending.
+        values : ndarray of float64, shape (n, n_channels)
+            Finite.
+        """
+        ...
+
+
+class Runs:
+    """Gives each run of a stream a stage of its own, so that nothing is bridged.
+
+    A run ends where a value is no number (or as large as none can be), a stamp does not follow the
+    one before it, or, in a regular stream, is further away than neighbours are. Samples of the
+    first two kinds are left out. What a stage had not decided by then is not decided.
+
+    Parameters
+    ----------
+    make
+        Returns a new stage.
+    rate
+        Nominal, in Hz; 0 for an irregular stream, which has no gaps.
+    foreign
+        Whether stamps are another program's and may jitter.
+    """
+
+    def __init__(self, make: Callable[[], Stage], rate: float, *, foreign: bool = False) -> None:
+        self._make = make
+        jitter = at.FOREIGN_JITTER_S if foreign else 0.0
+        self._longest_step = max(at.GAP_PERIODS / rate, jitter) if rate > 0 else np.inf
+        self._stage: Stage | None = None
+        self._last = -np.inf
+
+    def take(self, stamps: Array, values: Array) -> list[Event]:
+        """Take samples in, cut anyhow; shapes (n,) and (n, n_channels)."""
+        events: list[Event] = []
+        if not len(stamps):
+            return events
+        latest = np.fmax.accumulate(np.concatenate([[self._last], stamps]))[:-1]
+        with np.errstate(invalid="ignore"):
+            is_value = (np.abs(values) <= at.LARGEST_VALUE).all(axis=1)
+            is_good = is_value & np.isfinite(stamps) & (stamps > latest)
+            begins = is_good & (stamps - latest > self._longest_step)
+        cuts = np.flatnonzero(begins | (is_good != np.roll(is_good, 1)))
+        bounds = sorted({0, *cuts.tolist(), len(stamps)})
+        for begin, end in pairwise(bounds):
+            if begins[begin] or not is_good[begin]:
+                self._stage = None
+            if is_good[begin]:
+                self._stage = self._stage or self._make()
+                events += self._stage.take(stamps[begin:end], values[begin:end])
+        self._last = float(np.fmax(latest[-1], stamps[-1]))
+        return events
+
+
+class Hops:
+    """Cuts a run into pieces of one length, counted from its begin.
+
+    Each piece then goes through the same operations on arrays of the same shape, whatever blocks
+    it arrived in: results are equal to the last bit.
+    """
+
+    def __init__(self, length: int) -> None:
+        self._length = length
+        self._pending: list[tuple[Array, Array]] = []
+        self._count = 0
+
+    def take(self, stamps: Array, values: Array) -> Iterator[tuple[Array, Array]]:
+        """Give the pieces that are complete by now."""
+        self._pending.append((stamps, values))
+        self._count += len(stamps)
+        if self._count < self._length:
+            return
+        all_stamps = np.concatenate([each for each, _ in self._pending])
+        all_values = np.concatenate([each for _, each in self._pending])
+        done = self._count - self._count % self._length
+        self._pending = [(all_stamps[done:], all_values[done:])]
+        self._count -= done
+        for begin in range(0, done, self._length):
+            end = begin + self._length
+            # Copies begin at a like address, so that sums are made in a like order.
+            yield all_stamps[begin:end].copy(), all_values[begin:end].copy()

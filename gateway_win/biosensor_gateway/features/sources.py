@@ -1,0 +1,146 @@
+"""Judges by its header what can be computed of a stream."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from biosensor_common.quantities import ChannelFormat, ContentType
+from biosensor_common.spec import DeviceIdentity
+from biosensor_common.stream_header import StreamHeader
+from biosensor_gateway.features import thresholds as at
+from biosensor_gateway.features.chains import new_runs
+from biosensor_gateway.features.errors import FeatureError, FeatureReason
+from biosensor_gateway.features.outputs import TYPES, Feature, features_of
+from biosensor_gateway.features.runs import Array, Event
+
+_SCALES: dict[str, dict[str, float]] = {
+    ContentType.GSR: {"microsiemens": 1, "us": 1, "µs": 1, "μs": 1, "usiemens": 1},
+    ContentType.RR: {"s": 1, "seconds": 1, "ms": 1e-3, "milliseconds": 1e-3},
+    ContentType.ACCELEROMETER: {
+        "g": 1,
+        "mg": 1e-3,
+        "m/s^2": 1 / at.STANDARD_GRAVITY,
+        "m/s2": 1 / at.STANDARD_GRAVITY,
+    },
+}
+"""By type: what a unit, in lower case, is multiplied by. Of other types only ratios matter."""
+
+_AXES = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A stream that features are computed of.
+
+    Attributes
+    ----------
+    name, source_id
+        Of the stream.
+    identity
+        Of the device; lower-case ROS names also of another program's stream.
+    features
+        What is computed of it.
+    columns
+        How many of its channels are taken, from the first on.
+    scale
+        By which its values are multiplied.
+    """
+
+    name: str
+    source_id: str
+    header: StreamHeader
+    identity: DeviceIdentity
+    features: tuple[Feature, ...]
+    columns: int
+    scale: float
+
+    def new_computer(self) -> Computer:
+        """Return what computes its features, from its first sample on."""
+        return Computer(self)
+
+
+class Computer:
+    """Computes the features of one source, whatever blocks its samples come in."""
+
+    def __init__(self, source: Source) -> None:
+        header = source.header
+        self._columns, self._scale = source.columns, source.scale
+        self._wanted = {each.name for each in source.features}
+        self._runs = new_runs(header.content_type, header.rate, foreign=header.foreign)
+
+    def take(self, stamps: Array, values: object) -> list[Event]:
+        """Take samples in, of shapes (n,) and (n, n_channels), in the source's unit."""
+        numbers = np.asarray(values, dtype=np.float64).reshape(len(stamps), -1)
+        events = self._runs.take(stamps, numbers[:, : self._columns] * self._scale)
+        return [each for each in events if each.feature in self._wanted]
+
+
+def judge(name: str, source_id: str, header: StreamHeader) -> Source | None:
+    """Return what can be computed of a stream; None if it is of no type that concerns us.
+
+    Raises
+    ------
+    FeatureError
+        ``UNIT``, ``RATE`` or ``FORMAT``, if it is of such a type and nothing can be computed.
+    """
+    kind = header.content_type
+    if kind not in TYPES:
+        return None
+    columns = _AXES if kind == ContentType.ACCELEROMETER else 1
+    if header.format is ChannelFormat.STRING or len(header.labels) < columns:
+        message = f"stream {name!r} has no {columns} channels of numbers, as {kind} needs"
+        raise FeatureError(FeatureReason.FORMAT, message)
+    _require_rate(name, header)
+    scale = _scale(name, header, columns)
+    data_name = _ros_name(header.data_name)
+    features = features_of(kind, data_name, header.units[0])
+    return Source(name, source_id, header, _identity(header), features, columns, scale)
+
+
+def _require_rate(name: str, header: StreamHeader) -> None:
+    if header.content_type == ContentType.RR:
+        return
+    low, high = at.RATES_HZ[header.content_type]
+    if not low <= header.rate <= high:
+        rate = f"{header.rate:g} Hz" if header.rate else "no nominal rate"
+        message = (
+            f"stream {name!r} has {rate}; features of {header.content_type} need {low:g} to "
+            f"{high:g} Hz in its header"
+        )
+        raise FeatureError(FeatureReason.RATE, message)
+
+
+def _scale(name: str, header: StreamHeader, columns: int) -> float:
+    units = {unit.strip() for unit in header.units[:columns]}
+    unit = units.pop()
+    if units or not unit:
+        what = "several units" if units else "no unit"
+        message = f"stream {name!r} has {what}; say in its header what its values are in"
+        raise FeatureError(FeatureReason.UNIT, message)
+    known = _SCALES.get(header.content_type)
+    if known is None:
+        return 1.0
+    scale = known.get(unit.lower())
+    if scale is None:
+        message = (
+            f"stream {name!r} is in {unit!r}; features of {header.content_type} need one of "
+            f"{', '.join(known)}"
+        )
+        raise FeatureError(FeatureReason.UNIT, message)
+    return scale
+
+
+def _identity(header: StreamHeader) -> DeviceIdentity:
+    if not header.foreign:
+        return header.identity
+    return DeviceIdentity(_ros_name(header.identity.sensor), header.identity.unit)
+
+
+def _ros_name(text: str) -> str:
+    """Return a lower-case ROS name that a person recognises; others of that name have a unit."""
+    words = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")
+    name = words if words[:1].isalpha() else f"x{words}"
+    return f"{name}_x" if name.endswith(("_chunk", "_stamped")) else name

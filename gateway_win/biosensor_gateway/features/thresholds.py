@@ -1,0 +1,135 @@
+"""All limits of the detectors, each with where it comes from.
+
+Where a line names nobody, the value is a choice of this program, and the measurements in
+``docs/features.md`` were made with it.
+
+References
+----------
+.. [1] P. S. Hamilton, "Open source ECG analysis", Computers in Cardiology 29 (2002) 101-104.
+.. [2] M. Elgendi, "Fast QRS detection with an optimized knowledge-based method", PLoS ONE 8
+   (2013) e73557.
+.. [3] M. Elgendi et al., "Systolic peak detection in acceleration photoplethysmograms measured
+   from emergency responders in tropical conditions", PLoS ONE 8 (2013) e76585.
+.. [4] M. Malik et al., "Heart rate variability in relation to prognosis after myocardial
+   infarction: selection of optimal processing techniques", European Heart Journal 10 (1989)
+   1060-1074.
+.. [5] Task Force of the ESC and NASPE, "Heart rate variability", Circulation 93 (1996) 1043-1065.
+.. [6] W. Boucsein et al., "Publication recommendations for electrodermal measurements",
+   Psychophysiology 49 (2012) 1017-1034.
+.. [7] I. R. Kleckner et al., "Simple, transparent, and flexible automated quality assessment
+   procedures for ambulatory electrodermal activity data", IEEE Transactions on Biomedical
+   Engineering 65 (2018) 1460-1467.
+.. [8] Q. Li et al., "Robust heart rate estimation from multiple asynchronous noisy sources using
+   signal quality indices and a Kalman filter", Physiological Measurement 29 (2008) 15-32.
+.. [9] M. Elgendi, "Optimal signal quality index for photoplethysmogram signals", Bioengineering
+   3 (2016) 21.
+.. [10] H. Vaha-Ypya et al., "A universal, accurate intensity-based classification of different
+   physical activities using raw data of accelerometer", Clinical Physiology and Functional
+   Imaging 35 (2015) 64-70.
+.. [11] D. Khodadad et al., "Optimized breath detection algorithm in electrical impedance
+   tomography", Physiological Measurement 39 (2018) 094001.
+"""
+
+HOP_S = 0.1
+"""ECG is computed in steps of this length, counted from the begin of a run."""
+GAP_PERIODS, FOREIGN_JITTER_S = 1.5, 0.1
+"""As in the node and in ``xdf check``: two samples further apart are not neighbours."""
+
+LARGEST_VALUE = 1e12
+"""No unit of a body's signal has larger ones, and their squares are still numbers."""
+
+ECG_BAND_HZ = (8.0, 20.0)
+"""[2]_: what QRS complexes have and T waves and muscles have not."""
+ECG_FILTER_S = 0.2
+QRS_S = 0.097
+"""[2]_: W1, how long a QRS complex lasts."""
+QRS_NEIGHBOUR_S = 0.1
+"""Half of the refractory time: the largest peak within it stands for all others."""
+REFRACTORY_S = 0.2
+"""[1]_: no beat follows another within it."""
+T_WAVE_S, T_WAVE_SHARE = 0.36, 0.5
+"""[1]_: what follows within this time and has less than this share of the slope is a T wave."""
+DETECTION_THRESHOLD = 0.3125
+"""[1]_: between the median of noise peaks (0) and that of QRS peaks (1)."""
+SEARCH_BACK_INTERVALS, SEARCH_BACK_SHARE = 1.5, 0.5
+"""[1]_: after so many usual intervals, a peak above this share of the threshold is a beat."""
+PEAKS_KEPT = 8
+"""[1]_: of which medians are taken."""
+LEARNING_S = 3.0
+"""[1]_ learns from 8 s; the largest peaks of each second, as there."""
+LOST_S = 4.0
+"""Without a beat for so long, learning begins anew: electrodes may have been changed."""
+APEX_S = 0.08
+"""How far from the middle of its energy the apex of a QRS complex may be."""
+
+PULSE_BAND_HZ = (0.5, 8.0)
+PULSE_PEAK_S, PULSE_BEAT_S = 0.111, 0.667
+"""[3]_: the two moving averages."""
+PULSE_OFFSET = 0.02
+"""[3]_: beta, of the mean of the squared signal."""
+PULSE_MEAN_S = 3.0
+"""How long that mean looks back."""
+PULSE_RATE_HZ = 100.0
+"""What is faster is averaged to between this and twice as much."""
+
+INTERVAL_S = (0.3, 2.0)
+"""[5]_: 30 to 200 beats a minute."""
+INTERVAL_CHANGE = 0.2
+"""[4]_: an interval that differs more from the one before it is none between normal beats."""
+NN50_S = 0.05
+"""[5]_."""
+HR_WINDOW_S, HR_LEAST = 10.0, 3
+HRV_WINDOWS_S = (30.0, 60.0, 300.0)
+HRV_LEAST_SHARE = 0.8
+"""With fewer valid intervals in a window there is no value."""
+
+EDA_RATE_HZ = 8.0
+SCL_WINDOW_S, SCL_EVERY_S = 8.0, 1.0
+"""The tonic level is the median of the window."""
+SCR_SMOOTHING_S = 0.5
+SCR_LEAST_MICROSIEMENS = 0.02
+"""[6]_: 0.01 to 0.05 uS are usual."""
+SCR_RISE_S = (0.25, 10.0)
+"""[6]_: 1 to 3 s are typical; what overlaps takes longer, and a jump is none."""
+
+BREATH_RATE_HZ = 10.0
+BREATH_BAND_HZ = (0.05, 0.8)
+BREATH_HYSTERESIS, BREATH_SPREAD_S = 0.1, 15.0
+"""After [11]_: what crosses zero by less than this share of the spread is no breath."""
+BREATH_INTERVAL_S = (1.0, 20.0)
+BR_WINDOW_S, BR_LEAST = 30.0, 2
+
+ACTIVITY_EPOCH_S = 5.0
+"""[10]_: mean amplitude deviation of epochs."""
+STANDARD_GRAVITY = 9.80665
+
+QUALITY_WINDOW_S = {"ECG": 10.0, "PPG": 10.0, "GSR": 5.0, "Respiration": 30.0}
+FLAT_SHARE, CLIPPED_SHARE = 0.5, 0.05
+"""Of samples that are like the one before, and of those at a limit in runs."""
+ECG_KURTOSIS = (3.0, 5.0)
+"""[8]_: noise has 3, a good ECG more than 5."""
+ECG_QRS_SHARE = (0.3, 0.5)
+"""[8]_: power of 5 to 15 Hz to that of 5 to 40 Hz; good from 0.5 on."""
+ECG_BASELINE_SHARE = (0.3, 0.7)
+"""[8]_: power of 1 to 40 Hz to that of all up to 40 Hz."""
+ECG_HUM_SHARE = (0.5, 0.8)
+"""Power of 1 to 40 Hz to that of everything above 1 Hz."""
+PPG_BAND_SHARE = (0.6, 0.9)
+"""Power of 0.5 to 8 Hz to that of everything."""
+PPG_SKEWNESS = (-1.0, 0.0)
+"""[9]_: a good pulse is skewed to the right."""
+EDA_RANGE_MICROSIEMENS = (0.05, 60.0)
+"""[7]_."""
+EDA_SLOPE_MICROSIEMENS_PER_S = 10.0
+"""[7]_."""
+BREATH_BAND_SHARE = (0.4, 0.8)
+"""Power of 0.05 to 0.8 Hz to that of everything but the mean."""
+
+RATES_HZ = {
+    "ECG": (80.0, 2000.0),
+    "PPG": (20.0, 2000.0),
+    "GSR": (4.0, 2000.0),
+    "Respiration": (4.0, 2000.0),
+    "Accelerometer": (4.0, 2000.0),
+}
+"""Below it, what is to be found is not in the signal."""
