@@ -1,0 +1,1 @@
+"""Features: pure classes in any cutting, headers that are wrong, and recordings."""

@@ -1,0 +1,97 @@
+"""Signals with known events, made of formulas and seeds, and stamps for them."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from biosensor_gateway.features.chains import new_runs
+from biosensor_gateway.features.runs import Event
+
+Array = NDArray[np.float64]
+
+# Centre, width and height of P, Q, R, S and T around the R peak, in s and mV.
+_WAVES = (
+    (-0.18, 0.025, 0.12),
+    (-0.03, 0.009, -0.1),
+    (0.0, 0.01, 1.0),
+    (0.03, 0.009, -0.2),
+    (0.26, 0.04, 0.3),
+)
+
+
+def beat_times(seconds: float, seed: int = 1, mean_s: float = 0.8) -> Array:
+    """Times of beats that breathe: 12 a minute, by 6 %."""
+    draw = np.random.default_rng(seed)
+    times = [0.5]
+    while times[-1] < seconds:
+        swing = 0.06 * np.sin(2 * np.pi * 0.2 * times[-1]) + 0.01 * draw.standard_normal()
+        times.append(times[-1] + mean_s * (1 + swing))
+    return np.array(times[:-1])
+
+
+def ecg(rate: float, seconds: float, seed: int = 1) -> tuple[Array, Array]:
+    """Return an ECG in mV with a little noise, and the times of its R peaks."""
+    t = np.arange(round(seconds * rate)) / rate
+    beats = beat_times(seconds, seed)
+    signal = 0.01 * np.random.default_rng(seed).standard_normal(len(t))
+    for beat in beats:
+        near = slice(*np.searchsorted(t, [beat - 0.4, beat + 0.6]).tolist())
+        for centre, width, height in _WAVES:
+            signal[near] += height * np.exp(-0.5 * ((t[near] - beat - centre) / width) ** 2)
+    return signal, beats
+
+
+def pulse(rate: float, seconds: float) -> tuple[Array, Array]:
+    """Return pulses of a finger, and the times of their tops."""
+    t = np.arange(round(seconds * rate)) / rate
+    beats = beat_times(seconds)
+    signal = 0.1 * np.sin(2 * np.pi * 0.1 * t)
+    for beat in beats:
+        near = slice(*np.searchsorted(t, [beat - 0.5, beat + 1.0]).tolist())
+        width = np.where(t[near] < beat, 0.08, 0.16)
+        signal[near] += np.exp(-0.5 * ((t[near] - beat) / width) ** 2)
+    return signal, beats
+
+
+def skin(rate: float, seconds: float) -> tuple[Array, Array]:
+    """Return skin conductance in uS with a response every 15 s, and the times of its peaks."""
+    t = np.arange(round(seconds * rate)) / rate
+    onsets = np.arange(12.0, seconds - 6, 15.0)
+    signal = 5.0 - 0.002 * t
+    for onset in onsets:
+        s = np.maximum(0.0, t - onset)
+        signal += 0.5 * (np.exp(-s / 4) - np.exp(-s / 0.75)) / 0.58
+    # Where the difference of two exponentials is the largest.
+    return signal, onsets + np.log(4 / 0.75) * 4 * 0.75 / (4 - 0.75)
+
+
+def breath(rate: float, seconds: float, per_minute: float = 15.0) -> Array:
+    """Return the force of a belt in N."""
+    t = np.arange(round(seconds * rate)) / rate
+    return 20.0 + 3.0 * np.sin(2 * np.pi * per_minute / 60 * t) + 0.01 * t
+
+
+def events_of(
+    kind: str, values: Array, rate: float, cuts: list[int] | None = None, begin_s: float = 100.0
+) -> list[Event]:
+    """Return what is computed of a signal that comes in these blocks; else in one."""
+    runs = new_runs(kind, rate, foreign=False)
+    columns = values.reshape(len(values), -1)
+    stamps = begin_s + np.arange(len(values)) / rate
+    bounds = [0, *sorted({min(cut, len(values)) for cut in cuts or []}), len(values)]
+    return [
+        event
+        for begin, end in pairwise(bounds)
+        for event in runs.take(stamps[begin:end], columns[begin:end])
+    ]
+
+
+def stamps_of(events: list[Event], feature: str, begin_s: float = 100.0) -> Array:
+    return np.array([each.stamp - begin_s for each in events if each.feature == feature])
+
+
+def values_of(events: list[Event], feature: str) -> Array:
+    return np.array([each.values for each in events if each.feature == feature])

@@ -1,0 +1,113 @@
+"""Features of a recording, to XDF and CSV, by the command."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+import pyxdf
+from typer import Typer
+from typer.testing import CliRunner
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.cli.features import features
+from biosensor_gateway.cli.featuring import compute_recording
+from tests.features import signals
+from tests.xdf import xdf_file as made
+
+_COMMAND = Typer()
+_COMMAND.command()(features)
+
+BEGIN_S, OFFSET_S = 5000.0, 12.5
+
+
+def _described(unit: str) -> ET.Element:
+    desc = ET.Element("desc")
+    channel = ET.SubElement(ET.SubElement(desc, "channels"), "channel")
+    ET.SubElement(channel, "label").text = "x"
+    if unit:
+        ET.SubElement(channel, "unit").text = unit
+    return desc
+
+
+def _stream(number: int, kind: str, values: signals.Array, rate: float, unit: str) -> bytes:
+    stamps = (BEGIN_S + np.arange(len(values)) / rate).tolist()
+    rows = values[:, np.newaxis].tolist()
+    parts = [
+        made.stream_header(number, f"amp {kind}", kind=kind, rate=rate, desc=_described(unit)),
+        made.offsets(number, np.array(stamps[::500]), OFFSET_S),
+    ]
+    parts += [
+        made.samples(number, "float32", rows[at : at + 97], stamps[at : at + 97])
+        for at in range(0, len(rows), 97)
+    ]
+    return b"".join(parts)
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    path = tmp_path / "study.xdf"
+    ecg, skin = signals.ecg(130, 40)[0], signals.skin(8, 40)[0]
+    path.write_bytes(
+        made.xdf(_stream(1, "ECG", ecg, 130, "mV"), _stream(2, "GSR", skin, 8, ""))
+        + _stream(3, "Respiration", signals.breath(20, 60), 20, "N")
+    )
+    return path
+
+
+def test_a_recording_gives_what_comes_live_to_the_last_bit(recording: Path) -> None:
+    result = CliRunner().invoke(_COMMAND, [str(recording), "--json"])
+    assert result.exit_code == 0, result.output
+    told = json.loads(result.output)
+    assert len(told["refused"]) == 1
+    assert "'amp GSR' has no unit" in told["refused"][0]
+    streams, _ = pyxdf.load_xdf(
+        told["written"], synchronize_clocks=False, dejitter_timestamps=False
+    )
+    assert {each["info"]["name"][0]: len(each["time_stamps"]) for each in streams} == told[
+        "streams"
+    ]
+    (beats,) = [each for each in streams if each["info"]["name"][0].endswith("-beats")]
+    ecg = signals.ecg(130, 40)[0].astype(np.float32).astype(np.float64)
+    live = signals.events_of("ECG", ecg, 130, list(range(0, 6000, 11)), BEGIN_S)
+    assert beats["time_stamps"].tolist() == [e.stamp for e in live if e.feature == "beats"]
+    expected = signals.values_of(live, "beats").astype(np.float32)
+    assert np.array_equal(beats["time_series"], expected, equal_nan=True)
+    assert float(beats["footer"]["info"]["clock_offsets"][0]["offset"][0]["value"][0]) == OFFSET_S
+
+
+def test_a_table_has_the_same_on_the_recorders_clock(recording: Path, tmp_path: Path) -> None:
+    table = tmp_path / "features.csv"
+    result = CliRunner().invoke(_COMMAND, [str(recording), "--output", str(table)])
+    assert result.exit_code == 0, result.output
+    with table.open(newline="") as file:
+        rows = [each for each in csv.DictReader(file) if each["stream"].endswith("-beats")]
+    intervals = [each for each in rows if each["channel"] == "interval"]
+    ecg = signals.ecg(130, 40)[0].astype(np.float32).astype(np.float64)
+    live = signals.events_of("ECG", ecg, 130, begin_s=BEGIN_S)
+    times = [float(each["time_s"]) for each in intervals]
+    stamps = np.array([e.stamp for e in live if e.feature == "beats"])
+    assert times == pytest.approx(stamps + OFFSET_S, abs=1e-6)
+    assert intervals[0]["value"] == ""
+    told = np.array([float(each["value"]) for each in intervals[1:]], np.float32)
+    assert np.array_equal(told, signals.values_of(live, "beats")[1:, 0].astype(np.float32))
+
+
+def test_features_of_features_are_not_computed_and_nothing_is_overwritten(
+    recording: Path, tmp_path: Path
+) -> None:
+    computed = tmp_path / "features.xdf"
+    compute_recording(recording, computed, print_json=False)
+    for file, target, reason in (
+        (computed, tmp_path / "other.xdf", ConfigReason.WRONG_VALUE),
+        (recording, computed, ConfigReason.EXISTS),
+        (recording, tmp_path / "table.txt", ConfigReason.WRONG_VALUE),
+        (tmp_path / "nowhere.xdf", tmp_path / "other.xdf", ConfigReason.UNREADABLE),
+    ):
+        with pytest.raises(ConfigError) as caught:
+            compute_recording(file, target, print_json=False)
+        assert caught.value.reason is reason

@@ -1,0 +1,128 @@
+"""What a header must say, and what is told of one that does not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from biosensor_common.errors import SpecError
+from biosensor_common.lsl_header import read_header
+from biosensor_common.quantities import ChannelFormat
+from biosensor_common.replay import Replay
+from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
+from biosensor_gateway.features.choosing import Taken, choose
+from biosensor_gateway.features.errors import FeatureError, FeatureReason
+from biosensor_gateway.features.headers import is_feature, stream_info
+from biosensor_gateway.features.outputs import TYPES
+from biosensor_gateway.features.sources import Source, judge
+
+
+def _header(
+    kind: str,
+    unit: str = "microvolts",
+    rate: float = 130.0,
+    name: str = "ECG Amp 1",
+    form: ChannelFormat = ChannelFormat.FLOAT32,
+    channels: int = 1,
+) -> StreamHeader:
+    core = CoreFields(name, kind, f"{name}-id", "host", channels, rate, form)
+    return foreign_header(core, ("x",) * channels, (unit,) * channels)
+
+
+def _judged(header: StreamHeader) -> Source:
+    name = header.identity.sensor
+    source = judge(name, f"{name}-id", header)
+    assert source is not None
+    return source
+
+
+@pytest.mark.parametrize(
+    ("header", "reason"),
+    [
+        (_header("ECG", ""), FeatureReason.UNIT),
+        (_header("GSR", "kohm"), FeatureReason.UNIT),
+        (_header("RR", "bpm", 0), FeatureReason.UNIT),
+        (_header("Accelerometer", "deg", channels=3), FeatureReason.UNIT),
+        (_header("ECG", rate=0), FeatureReason.RATE),
+        (_header("ECG", rate=50), FeatureReason.RATE),
+        (_header("GSR", "uS", 3.9), FeatureReason.RATE),
+        (_header("ECG", form=ChannelFormat.STRING), FeatureReason.FORMAT),
+        (_header("Accelerometer", "g", channels=2), FeatureReason.FORMAT),
+    ],
+)
+def test_a_wrong_or_missing_unit_rate_or_channel_is_one_sentence(
+    header: StreamHeader, reason: FeatureReason
+) -> None:
+    with pytest.raises(FeatureError) as caught:
+        judge("ECG Amp 1", "", header)
+    assert caught.value.reason is reason
+    assert "'ECG Amp 1'" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_type_that_nothing_is_computed_of_is_passed_over() -> None:
+    assert judge("EEG", "", _header("EEG")) is None
+
+
+def test_units_that_differ_between_axes_are_refused() -> None:
+    header = replace(_header("Accelerometer", channels=3), units=("g", "g", "m/s^2"))
+    with pytest.raises(FeatureError) as caught:
+        judge("acc", "", header)
+    assert caught.value.reason is FeatureReason.UNIT
+
+
+@given(st.text(max_size=40), st.sampled_from(TYPES))
+def test_whatever_a_foreign_stream_is_called_the_node_reads_what_comes_out(
+    name: str, kind: str
+) -> None:
+    text = "".join(each for each in name if each.isprintable()) or "amp"
+    units = {"GSR": "uS", "RR": "s", "Accelerometer": "g"}
+    header = _header(kind, units.get(kind, "mV"), name=text, channels=3)
+    source = _judged(header)
+    for feature in source.features:
+        info = stream_info(source, feature)
+        try:
+            read = read_header(info.as_xml())
+        except SpecError as error:
+            pytest.fail(f"{text!r}: {error}")
+        assert not read.foreign
+        assert read.data_name == feature.stream.data_name
+        assert read.units == tuple(str(each.unit) for each in feature.stream.channels)
+        assert is_feature(info.as_xml())
+
+
+def test_the_header_tells_origin_algorithm_version_window_and_delay() -> None:
+    source = _judged(_header("ECG"))
+    xml = stream_info(source, source.features[1]).as_xml()
+    assert "<derived_from>ECG Amp 1</derived_from>" in xml
+    assert "<algorithm>Hamilton 2002" in xml
+    assert "<version>1</version>" in xml
+    assert "<window_s>10.0</window_s>" in xml
+    assert "<delay_s>0.3</delay_s>" in xml
+
+
+def test_what_comes_of_a_replay_says_so() -> None:
+    header = replace(_header("ECG"), replay=Replay("study.xdf", "ECG Amp 1-id", 130.0, 1.0, 5.0))
+    source = judge("ECG Amp 1", "replay:0123:ECG Amp 1-id", header)
+    assert source is not None
+    info = stream_info(source, source.features[0])
+    assert info.source_id().startswith("replay:0123:")
+    read = read_header(info.as_xml())
+    assert read.replay is not None
+    assert read.replay.file == "study.xdf"
+
+
+def test_beats_of_a_device_come_from_its_best_stream_in_any_order() -> None:
+    sources = [
+        _judged(_header(kind, unit, name="watch"))
+        for kind, unit in (("RR", "s"), ("PPG", "a.u."), ("ECG", "mV"))
+    ]
+    for order in (sources, sources[::-1]):
+        taken: Taken = set()
+        chosen = choose(order, taken)
+        assert [each.header.content_type for each in chosen] == ["ECG", "PPG"]
+        assert [each.name for each in chosen[1].features] == ["sqi"]
+        assert choose(order, taken) == []

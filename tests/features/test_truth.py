@@ -1,0 +1,116 @@
+"""What is found in signals whose truth is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from biosensor_gateway.features.heart import Heart, is_artefact, variability
+from biosensor_gateway.features.quality import JUDGES
+from tests.features import signals
+from tests.features.signals import Array
+
+
+def _missed(found: Array, truth: Array, within_s: float) -> int:
+    return sum(np.abs(found - each).min(initial=np.inf) > within_s for each in truth)
+
+
+@pytest.mark.parametrize("rate", [80, 130, 250, 512, 2000])
+def test_each_r_peak_is_found_at_its_own_sample(rate: float) -> None:
+    signal, beats = signals.ecg(rate, 60)
+    found = signals.stamps_of(signals.events_of("ECG", signal, rate), "beats")
+    decided = beats[beats < 59]
+    assert _missed(found, decided, 1.01 / rate + 0.002) <= 1  # the one at the begin
+    assert _missed(decided, found[found < 59], 0.05) == 0
+
+
+@pytest.mark.parametrize("factor", [-1.0, 1e-3, 1e6])
+def test_neither_polarity_nor_unit_matters_for_beats(factor: float) -> None:
+    signal, _ = signals.ecg(250, 30)
+    plain = signals.stamps_of(signals.events_of("ECG", signal, 250), "beats")
+    other = signals.stamps_of(signals.events_of("ECG", signal * factor, 250), "beats")
+    # An upside-down one is looked at for some beats before it is known which side is up.
+    assert np.abs(plain[4:] - other[4:]).max() < 0.005
+
+
+@pytest.mark.parametrize("rate", [25, 64, 128, 2000])
+def test_each_pulse_is_found(rate: float) -> None:
+    signal, beats = signals.pulse(rate, 60)
+    found = signals.stamps_of(signals.events_of("PPG", signal, rate), "beats")
+    assert _missed(found, beats[(beats > 2) & (beats < 58)], 0.05) == 0
+    assert _missed(beats, found, 0.1) == 0
+
+
+@pytest.mark.parametrize("rate", [4, 15, 128, 2000])
+def test_each_response_is_found_with_its_height(rate: float) -> None:
+    signal, peaks = signals.skin(rate, 120)
+    events = signals.events_of("GSR", signal, rate)
+    found = signals.stamps_of(events, "scr")
+    assert len(found) == len(peaks)
+    assert np.abs(found - peaks).max() < 0.5
+    amplitude, rise_s, _ = signals.values_of(events, "scr").T
+    assert amplitude == pytest.approx(0.5, rel=0.1)
+    assert rise_s == pytest.approx(peaks[0] - 12.0, abs=0.6)
+    level = signals.values_of(events, "scl")[:, 0]
+    assert np.abs(level - 5).max() < 0.6
+
+
+@pytest.mark.parametrize("rate", [4, 17.857, 2000])
+@pytest.mark.parametrize("per_minute", [8, 15, 30])
+def test_breathing_has_rate_and_depth(rate: float, per_minute: float) -> None:
+    events = signals.events_of("Respiration", signals.breath(rate, 90, per_minute), rate)
+    assert signals.values_of(events, "br_live")[-1, 0] == pytest.approx(per_minute, abs=0.5)
+    assert signals.values_of(events, "breath_depth")[2:, 0] == pytest.approx(6.0, rel=0.1)
+
+
+def test_activity_is_the_mean_deviation_of_the_length() -> None:
+    still = np.tile([0.0, 0.6, 0.8], (500, 1))
+    moved = still * (1 + 0.3 * np.sign(np.sin(np.arange(500) * 2 * np.pi / 10 + 0.1)))[:, None]
+    assert signals.values_of(signals.events_of("Accelerometer", still, 50), "activity_live")[
+        :, 0
+    ] == pytest.approx([0, 0], abs=1e-12)
+    assert signals.values_of(signals.events_of("Accelerometer", moved, 50), "activity_live")[
+        :, 0
+    ] == pytest.approx([0.3, 0.3])
+
+
+def test_variability_is_as_defined_and_no_difference_is_taken_across_an_artefact() -> None:
+    intervals = np.array([0.80, 0.85, 0.90, 1.80, 0.80, 0.86])
+    valid = np.array([True, True, True, False, True, True])
+    rmssd, sdnn, pnn50 = variability(intervals, valid)
+    assert rmssd == pytest.approx(np.sqrt((50**2 + 50**2 + 60**2) / 3))
+    assert sdnn == pytest.approx(np.std([800, 850, 900, 800, 860], ddof=1))
+    assert pnn50 == pytest.approx(100 / 3)
+
+
+def test_a_missed_beat_is_an_artefact_and_leaves_rate_and_variability_alone() -> None:
+    heart = Heart()
+    times = [t for t in np.arange(0.0, 60.0, 0.8) if abs(t - 40.0) > 0.1]
+    events = [event for each in times for event in heart.beat(each)]
+    flags = signals.values_of(events, "beats")[:, 1]
+    assert flags.sum() == 2  # Malik: also the first normal one after it
+    assert signals.values_of(events, "hr_live") == pytest.approx(75.0)
+    last = signals.values_of(events, "hrv_live")[-1]
+    assert last[0] == pytest.approx(0, abs=1e-6)
+    assert 0.9 < last[3] < 1
+    assert is_artefact(0.29, 0.29)
+    assert not is_artefact(0.9, float("nan"))
+
+
+@pytest.mark.parametrize("rate", [130.0, 512.0])
+def test_quality_tells_a_clean_ecg_from_a_corrupted_one(rate: float) -> None:
+    signal, _ = signals.ecg(rate, 60)
+    draw = np.random.default_rng(5)
+    length = round(10 * rate)
+    judge = JUDGES["ECG"]
+    noise = 0.5 * draw.standard_normal(len(signal))
+    hum = 2 * np.sin(2 * np.pi * 50 * np.arange(len(signal)) / rate)
+    for begin in range(0, len(signal) - length + 1, length):
+        window = slice(begin, begin + length)
+        assert judge(signal[window], rate)[0] > 0.9
+        for bad, reason in ((noise, "noisy"), (hum, "noisy")):
+            quality, reasons = judge((signal + bad)[window], rate)
+            assert quality < 0.5
+            assert reason in reasons
+    assert judge(np.clip(signal[:length], -0.02, 0.02), rate)[1][0] == "clipped"
+    assert judge(np.full(length, 3.0), rate)[1][0] == "flat"
