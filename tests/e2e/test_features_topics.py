@@ -20,8 +20,11 @@ LEAST_BEATS = 12
 
 
 def _by_data(path: Path) -> dict[str, Any]:
-    streams, _ = pyxdf.load_xdf(path, synchronize_clocks=False, dejitter_timestamps=False)
-    return {each["info"]["source_id"][0].rpartition("-")[2]: each for each in streams}
+    reader: Any = pyxdf
+    loaded: tuple[Any, Any] = reader.load_xdf(
+        path, synchronize_clocks=False, dejitter_timestamps=False
+    )
+    return {each["info"]["source_id"][0].rpartition("-")[2]: each for each in loaded[0]}
 
 
 def test_a_virtual_strap_gives_beats_in_ros_and_the_same_from_its_recording(

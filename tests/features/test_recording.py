@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -34,12 +35,20 @@ def _described(unit: str) -> ET.Element:
     return desc
 
 
+def _loaded(path: str) -> list[Any]:
+    reader: Any = pyxdf
+    loaded: tuple[Any, Any] = reader.load_xdf(
+        path, synchronize_clocks=False, dejitter_timestamps=False
+    )
+    return list(loaded[0])
+
+
 def _stream(number: int, kind: str, values: signals.Array, rate: float, unit: str) -> bytes:
-    stamps = (BEGIN_S + np.arange(len(values)) / rate).tolist()
+    stamps: list[float] = (BEGIN_S + np.arange(len(values)) / rate).tolist()
     rows = values[:, np.newaxis].tolist()
     parts = [
         made.stream_header(number, f"amp {kind}", kind=kind, rate=rate, desc=_described(unit)),
-        made.offsets(number, np.array(stamps[::500]), OFFSET_S),
+        made.offsets(number, stamps[::500], OFFSET_S),
     ]
     parts += [
         made.samples(number, "float32", rows[at : at + 97], stamps[at : at + 97])
@@ -65,9 +74,7 @@ def test_a_recording_gives_what_comes_live_to_the_last_bit(recording: Path) -> N
     told = json.loads(result.output)
     assert len(told["refused"]) == 1
     assert "'amp GSR' has no unit" in told["refused"][0]
-    streams, _ = pyxdf.load_xdf(
-        told["written"], synchronize_clocks=False, dejitter_timestamps=False
-    )
+    streams = _loaded(told["written"])
     assert {each["info"]["name"][0]: len(each["time_stamps"]) for each in streams} == told[
         "streams"
     ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -81,6 +83,12 @@ def test_variability_is_as_defined_and_no_difference_is_taken_across_an_artefact
     assert rmssd == pytest.approx(np.sqrt((50**2 + 50**2 + 60**2) / 3))
     assert sdnn == pytest.approx(np.std([800, 850, 900, 800, 860], ddof=1))
     assert pnn50 == pytest.approx(100 / 3)
+
+
+def test_a_published_report_comes_out_to_its_printed_digits() -> None:
+    intervals = np.loadtxt(Path(__file__).parent / "vectors" / "pyhrv_nni_ms.txt") / 1000
+    found = variability(intervals, np.ones(len(intervals), dtype=np.bool_))
+    assert [f"{each:.3f}" for each in found] == ["60.523", "85.357", "28.571"]
 
 
 def test_a_missed_beat_is_an_artefact_and_leaves_rate_and_variability_alone() -> None:

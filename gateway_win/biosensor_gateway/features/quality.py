@@ -53,7 +53,10 @@ def _held(values: Array) -> dict[str, bool]:
 def _moment(values: Array, order: int) -> float:
     centred = values - values.mean()
     spread = float(np.sqrt(np.square(centred).mean()))
-    return float(np.mean((centred / spread) ** order)) if spread > 0 else 0.0
+    if spread <= 0:
+        return 0.0
+    scaled: Array = centred / spread
+    return float(np.power(scaled, order).mean())
 
 
 def _judged(scores: Mapping[str, float], held: Mapping[str, bool]) -> Judged:

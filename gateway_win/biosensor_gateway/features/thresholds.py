@@ -104,7 +104,7 @@ ACTIVITY_EPOCH_S = 5.0
 STANDARD_GRAVITY = 9.80665
 
 QUALITY_WINDOW_S = {"ECG": 10.0, "PPG": 10.0, "GSR": 5.0, "Respiration": 30.0}
-FLAT_SHARE, CLIPPED_SHARE = 0.5, 0.05
+FLAT_SHARE, CLIPPED_SHARE = 0.5, 0.01
 """Of samples that are like the one before, and of those at a limit in runs."""
 ECG_KURTOSIS = (3.0, 5.0)
 """[8]_: noise has 3, a good ECG more than 5."""
