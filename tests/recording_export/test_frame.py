@@ -58,6 +58,17 @@ def test_a_format_is_written_beside_the_recording(
     assert outcome.damages == ()
 
 
+def test_a_format_without_anything_for_it_keeps_no_other_from_being_written(
+    exported: Exporting, tmp_path: Path
+) -> None:
+    outcome = exported(WHOLE, "csv", "kubios", "edf")
+    assert [each.format for each in outcome.written] == ["csv", "edf"]
+    ((name, why),) = [(each.format, each.why) for each in outcome.without]
+    assert name == "kubios"
+    assert "nothing was written for Kubios" in why
+    assert _names(tmp_path) == sorted(["study.xdf", "study_csv", "study_edf"])
+
+
 def test_several_formats_go_into_a_folder(exported: Exporting, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     outcome = exported(WHOLE, "csv", "csv-long", output=tmp_path / "out")

@@ -57,7 +57,7 @@ def export_recording(
     ] = None,
     print_json: JsonOption = False,
 ) -> None:
-    """Write a recording as others load it; exit code 1 if some of it cannot be read.
+    """Write a recording as others load it; exit code 1 if not all of it could be written.
 
     Times are as recorded, with the clock offsets applied, and never made
     regular. What can be read of a damaged recording is exported. No file
@@ -75,7 +75,7 @@ def export_recording(
     else:
         for sentence in printing.sentences(outcome):
             say(sentence)
-    if outcome.damages:
+    if outcome.damages or outcome.without:
         raise typer.Exit(1)
 
 

@@ -65,6 +65,20 @@ class Written:
 
 
 @dataclass(frozen=True, slots=True)
+class NothingForIt:
+    """A format for which the recording has nothing.
+
+    Attributes
+    ----------
+    why
+        A sentence for the person.
+    """
+
+    format: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
 class Outcome:
     """What became of a recording.
 
@@ -76,6 +90,8 @@ class Outcome:
         What could not be read of the recording.
     clock_notes
         What is to be said of the times.
+    without
+        Formats that were asked for, and not written.
     """
 
     path: Path
@@ -83,18 +99,22 @@ class Outcome:
     written: tuple[Written, ...]
     damages: tuple[Damage, ...]
     clock_notes: tuple[str, ...]
+    without: tuple[NothingForIt, ...] = ()
 
 
 def export(path: Path, task: Task, watch: Watch) -> Outcome:
     """Write a recording in each of the formats.
+
+    One for which the recording has nothing, as Kubios without a heart, does not keep the others
+    from being written.
 
     Raises
     ------
     ConfigError
         If something is in the way of a target, or what is wanted is not in the recording.
     RecordingError
-        If the recording cannot be read, holds no sample of what is wanted, or a target cannot
-        be written. What was complete by then stays.
+        If the recording cannot be read, holds no sample of what is wanted or nothing for any
+        of the formats, or a target cannot be written. What was complete by then stays.
     """
     with open_contents(path) as contents:
         chosen = choose(contents, task.wish)
@@ -105,16 +125,14 @@ def export(path: Path, task: Task, watch: Watch) -> Outcome:
         targets = _targets(path, task.output, order.name, exporters)
         _require_space(chosen, targets)
         with _no_search_for_cycles():
-            written = tuple(
-                _write(chosen, order, name, exporters[name], targets[name], watch)
-                for name in exporters
-            )
+            written, without = _write_all(chosen, order, exporters, targets, watch)
         return Outcome(
             path,
             tuple((s.header.name, s.header.source_id, s.sample_count) for s in chosen.streams),
             written,
             contents.damages,
             tuple(_clock_notes(chosen, task.clock)),
+            without,
         )
 
 
@@ -212,6 +230,26 @@ def _require_space(chosen: Chosen, targets: dict[str, Path]) -> None:
             f"{needed / 1e6:.0f} MB; make room on it, or give another place with --output"
         )
         raise RecordingError(RecordingReason.UNWRITABLE, message)
+
+
+def _write_all(
+    chosen: Chosen,
+    order: Order,
+    exporters: dict[str, Exporter],
+    targets: dict[str, Path],
+    watch: Watch,
+) -> tuple[tuple[Written, ...], tuple[NothingForIt, ...]]:
+    written: list[Written] = []
+    without: list[NothingForIt] = []
+    for name, exporter in exporters.items():
+        try:
+            written.append(_write(chosen, order, name, exporter, targets[name], watch))
+        except RecordingError as error:
+            is_last_hope = not written and len(without) == len(exporters) - 1
+            if error.reason is not RecordingReason.EMPTY or is_last_hope:
+                raise
+            without.append(NothingForIt(name, str(error)))
+    return tuple(written), tuple(without)
 
 
 def _write(

@@ -32,12 +32,13 @@ def as_json(outcome: Outcome) -> str:
             }
             for each in outcome.written
         ],
+        "without": [asdict(each) for each in outcome.without],
     }
     return json.dumps(finite(content), indent=2, allow_nan=False)
 
 
 def sentences(outcome: Outcome) -> Iterator[str]:
-    """Say what is wrong with the recording, and what was written."""
+    """Say what is wrong with the recording, what was written, and what was not."""
     for damage in outcome.damages[:_MOST_DAMAGES]:
         yield f"{outcome.path}: {_damage_text(damage)}"
     more = len(outcome.damages) - _MOST_DAMAGES
@@ -48,6 +49,8 @@ def sentences(outcome: Outcome) -> Iterator[str]:
         for note in each.notes:
             yield f"{each.format}: {printable(note)}"
         yield f"wrote {each.path} ({_size_text(each.size)})"
+    for each in outcome.without:
+        yield f"{each.format}: {printable(each.why)}"
 
 
 def _damage_text(damage: Damage) -> str:
