@@ -6,6 +6,7 @@ import importlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from math import inf
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -138,9 +139,9 @@ FAULTS: dict[str, tuple[str, str, Breaking]] = {
     "naming": ("biosensor_common.naming", "_escape", instead(any_text)),
     "polar_control": ("tests.fuzz.targets.polar_control", "choose", instead(any_setting)),
     "polar_frames": (
-        f"{DEVICES}.polar_h10.driver.protocol.timeline.FrameTimeline",
-        "_follows",
-        always(True),
+        f"{DEVICES}.polar_h10.driver.protocol.timeline",
+        "RATE_TOLERANCE",
+        lambda _: inf,
     ),
     "ros_to_lsl": ("lsl_to_ros.ros_to_lsl.layout", "_names_in", instead(any_names)),
     "settings": ("biosensor_gateway.settings.toml_lines._Scanner", "_note", instead(any_path)),
