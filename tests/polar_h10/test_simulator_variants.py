@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from bleak.exc import BleakGATTProtocolError
-from pylsl import local_clock
 
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
 from biosensor_gateway.devices.polar_h10.simulator.quirks import Firmware, Quirks
+from biosensor_gateway.simulation.radio import Radio
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.gatt_host import connection
 from tests.rigs.polar_pmd import (
@@ -73,11 +73,11 @@ async def test_compressed_acceleration_is_smaller_and_the_truth(make_h10: MakeH1
     )
 
 
-async def test_the_true_rate_is_in_the_stamps(make_h10: MakeH10) -> None:
+async def test_the_true_rate_is_in_the_stamps(make_h10: MakeH10, radio: Radio) -> None:
     h10 = make_h10(Quirks(sampling_deviation=0.015, first_sample_s=0.5))
     async with connection(NAME) as host:
         await open_pmd(host)
-        asked_s = local_clock()
+        asked_s = radio.world.clock()
         await host.ask(CONTROL, START_ECG)
         await until(lambda: len(frames_of(host, 0)) >= 3)
         stamps = [frame.stamp_ns for frame in frames_of(host, 0)]

@@ -77,7 +77,9 @@ def test_the_graph_has_one_node_with_services_and_one_diagnostics(ros: Ros) -> N
         "_lsl_to_ros_1",
         "_lsl_to_ros_2",
     }
-    assert "/lsl_to_ros/set_parameters" in ros.services("lsl_to_ros")
+    # Topics may be discovered before services.
+    service = "/lsl_to_ros/set_parameters"
+    ros.until(lambda: service in ros.services("lsl_to_ros"), "the services are known")
     assert not ros.services("_lsl_to_ros_1")
     for topic in ("/diagnostics", "/lsl_to_ros/streams"):
         (publisher,) = ros.publishers(topic)
