@@ -37,7 +37,8 @@ PERIOD_S = 0.5
 CUT_S, HEALED_S = 5.0, 8.0
 DEADLINE_S = 60.0
 # Irregular at one sensor and raw at another; and a raw one that only some headsets have.
-_KEPT_HERE = {("zephyr", "st"), ("emotiv_insight", "gyro")}
+_RAW_ELSEWHERE = {"st", "temp"}
+_KEPT_HERE = {("emotiv_insight", "gyro")}
 _LISTS = ("diagnostics", "lsl_to_ros/streams")
 
 
@@ -54,6 +55,7 @@ def keys() -> tuple[set[str], set[str]]:
         for stream in declaration(sensor).streams:
             # The belt's two streams have a rate by a setting; one of them is a signal.
             is_low = not stream.rate or stream.data_name in {"bpm", "counters"}
+            is_low = is_low and stream.data_name not in _RAW_ELSEWHERE
             is_low = is_low and (sensor, stream.data_name) not in _KEPT_HERE
             topic = naming.topic(identity, stream.data_name)
             (crossing if is_low else staying).update({key(topic), key(f"{topic}_stamped")})

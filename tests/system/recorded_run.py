@@ -109,7 +109,8 @@ def record(folder: Path, workspace: Workspace) -> RecordedRun:
         # The tests' own interpreter has rosbags, and the messages come from the workspace.
         listening = (sys.executable, "-m", "tests.system.bag_recorder", str(bag), str(package))
         recorder = programs.start("recorder", *listening)
-        running = (sys.executable, "-m", "biosensor_gateway.cli", "run", "--simulate", "all")
+        agent_program = (sys.executable, "-m", "biosensor_gateway.cli", "run")
+        running = (*agent_program, "--simulate", ",".join(SENSORS))
         agent = programs.start("agent", *running, is_ros=False)
         sources = stack.enter_context(lsl_sources.running())
         _wait_for_topics(recorder, {*in_xdf(), *(spec.topic for spec in NOT_IN_XDF)}, node)

@@ -1,6 +1,6 @@
 """A bag and an XDF file of the same run hold the same samples with the same times.
 
-The agent runs a virtual device of every kind, other programs send in every format, the
+The agent runs virtual devices of seven kinds, other programs send in every format, the
 node is the one that colcon has installed, and the real LabRecorder records beside a
 recorder of the stamped topics.
 """

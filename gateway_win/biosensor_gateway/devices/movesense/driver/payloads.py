@@ -77,8 +77,11 @@ def parse_vectors(payload: bytes, streams: int) -> Block | None:
     body = payload[STAMP_BYTES:]
     if not body or len(body) % (VECTOR_BYTES * streams):
         return None
-    vectors = np.frombuffer(body, "<f4").astype(np.float64).reshape(streams, -1, 3)
-    return Block(_stamp(payload), vectors) if np.isfinite(vectors).all() else None
+    numbers = np.frombuffer(body, "<f4")
+    # Some that are no numbers cannot even be turned into float64 without a warning.
+    if not np.isfinite(numbers).all():
+        return None
+    return Block(_stamp(payload), numbers.astype(np.float64).reshape(streams, -1, 3))
 
 
 def parse_heart_rate(payload: bytes) -> HeartRate | None:
