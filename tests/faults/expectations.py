@@ -89,11 +89,6 @@ def without_contact(name: str) -> tuple[str, ...]:
     return device_of(name).expected.without_contact
 
 
-def waiting_s(name: str, data_name: str) -> float:
-    """How long values may lie in a device that was taken off, before it sends them unstamped."""
-    return device_of(name).expected.waiting_s.get(data_name, 0.0)
-
-
 def is_by_agent(name: str, data_name: str) -> bool:
     """Whether the agent computes a stream, or decides when to send: no truth of the wire."""
     return data_name in device_of(name).expected.by_agent

@@ -26,7 +26,6 @@ from tests.faults.expectations import (
     numeric_streams,
     regular_streams,
     unit_of,
-    waiting_s,
     without_contact,
 )
 
@@ -111,8 +110,7 @@ def test_without_contact_there_is_no_value(bench: Bench, name: str) -> None:
     off_s = float(said.times[said.values[:, contact.channel] == contact.off][0])
     for data_name in without_contact(name):
         received = episode.received[name, data_name]
-        from_s = off_s + SETTLED_S + waiting_s(name, data_name)
-        values = received.since(from_s).until(episode.end_s[FaultKind.OFF_BODY, name])
+        values = received.since(off_s + SETTLED_S).until(episode.end_s[FaultKind.OFF_BODY, name])
         assert np.isnan(values.values).all(), data_name
         assert bool(len(values.times)) == (data_name in regular_streams(name)), data_name
         assert (received.values != 0).all(), data_name

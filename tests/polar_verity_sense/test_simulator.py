@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import inf
 
 import numpy as np
 import pytest
@@ -20,6 +21,8 @@ from biosensor_gateway.devices.polar_verity_sense.simulator.products import (
     POLAR_360,
     VERITY_SENSE,
 )
+from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.wearer import Wearer
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.gatt_host import connection
@@ -131,3 +134,22 @@ async def test_light_intervals_and_compressed_acceleration_are_the_truth(
     lengths = [int.from_bytes(ppi.body[at + 1 : at + 3], "little") / 1000 for at in (0, 6)]
     assert sense.truth.samples("ppi").values[:2, 0].tolist() == lengths
     assert ppi.body[5] & 0b111 == 0b110
+
+
+@ON_BUMBLE
+async def test_no_interval_is_from_before_it_was_put_on(sensor: MakeSensor, radio: Radio) -> None:
+    sense = sensor()
+    async with connection(NAME) as host:
+        await open_pmd(host)
+        await host.ask(CONTROL, "0203")
+        await until(lambda: len(frames_of(host, 3)) >= 1)
+        sense.apply(Fault(FaultKind.OFF_BODY, inf))
+        off_s = radio.world.clock()
+        # In the midst of the time that the frame after the next one is about.
+        await until(lambda: radio.world.clock() >= off_s + 8.0)
+        sense.clear(FaultKind.OFF_BODY)
+        on_s = radio.world.clock()
+        await until(lambda: len(frames_of(host, 3)) >= 2)
+    times = sense.truth.samples("ppi").times
+    assert not ((times > off_s) & (times < on_s)).any()
+    assert (times > on_s).any()

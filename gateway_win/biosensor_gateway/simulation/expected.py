@@ -80,9 +80,6 @@ class Expected:
     unstamped_s
         By data name what the device does not stamp, and how uncertain its time is in seconds,
         besides the delay of the link.
-    waiting_s
-        By data name of such streams how long the last values may lie in the device before they
-        are sent, when it is taken off, in seconds.
     gaps
         By fault, where the device does not measure all the time that it is not connected.
     loss_tolerance
@@ -95,7 +92,6 @@ class Expected:
     without_contact: tuple[str, ...] = ()
     by_agent: frozenset[str] = frozenset()
     unstamped_s: Mapping[str, float] = field(default_factory=dict[str, float])
-    waiting_s: Mapping[str, float] = field(default_factory=dict[str, float])
     gaps: Mapping[FaultKind, Gap] = field(default_factory=dict[FaultKind, Gap])
     loss_tolerance: LossTolerance = LossTolerance()
     impossible: Mapping[FaultKind, str] = field(default_factory=dict[FaultKind, str])

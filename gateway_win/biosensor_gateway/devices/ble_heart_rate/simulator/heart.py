@@ -75,6 +75,11 @@ class BeatDetector:
         self._recent.extend(interval.rr for interval in intervals)
         return intervals
 
+    def begin_at(self, time_s: float) -> None:
+        """Look for no beat before an LSL time, as that at which the device was put on."""
+        if time_s > self._searched_s:
+            self.lose(time_s)
+
     def lose(self, until_s: float) -> None:
         """Skip to ``until_s`` without skin contact; the next interval needs two new beats."""
         self._searched_s = until_s

@@ -70,6 +70,8 @@ class Strap:
         LSL time at which the wearer's time is 0: when it was first switched on.
     worn, battery_percent
         As they are now.
+    put_on_s
+        LSL time at which it was last put on; -inf if it was never taken off.
     pulse
         Its heart rate measurement.
     is_unreadable
@@ -102,6 +104,7 @@ class Strap:
         self.wearer = wearer or Wearer(seed)
         self.rng = np.random.default_rng(seed)
         self.worn = True
+        self.put_on_s = -inf
         self.is_unreadable = False
         self.pulse_every_s = 1
         self.battery_percent = _BATTERY_PERCENT
@@ -188,7 +191,7 @@ class Strap:
 
     def put_on(self) -> None:
         """Be put on again, which switches it on."""
-        self.worn = True
+        self.worn, self.put_on_s = True, self.crystal.clock()
         if self._leaving is not None:
             self._leaving.cancel()
         self._power.release(FaultKind.OFF_BODY)

@@ -136,6 +136,7 @@ class IntervalStream:
         if not self._strap.worn:
             self._detector.lose(until_s)
             return
+        self._detector.begin_at(self._strap.put_on_s)
         intervals = self._detector.search(until_s)
         lengths_ms = [round(1000 * one.rr / RR_TICKS_PER_S) for one in intervals]
         per_frame = (_room(self._strap) - frames.HEADER_BYTES) // _INTERVAL_BYTES

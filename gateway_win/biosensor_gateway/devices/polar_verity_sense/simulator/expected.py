@@ -12,6 +12,4 @@ EXPECTED = replace(
     without_contact=("hr", "ppi"),
     # Of a batch of intervals, the last was over at some time in the second before it was sent.
     unstamped_s={"hr": 0.0, "ppi": 0.8},
-    # Intervals are sent every 5 s, also the last ones before it was taken off.
-    waiting_s={"ppi": 5.0},
 )
