@@ -9,15 +9,15 @@ from typing import Any
 from biosensor_gateway.devices.ble_heart_rate.simulator.expected import EXPECTED
 from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
 from biosensor_gateway.devices.ble_heart_rate.simulator.strap import STRAP_EFFECTS, Strap
+from biosensor_gateway.devices.ble_heart_rate.simulator.strap_device import StrapDevice
 from biosensor_gateway.simulation.effects import on_part
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
 
-class SimulatedHeartRateStrap(VirtualDevice):
+class SimulatedHeartRateStrap(StrapDevice):
     """Heart Rate, Battery and Device Information services, and nothing else.
 
     Its measurements tell whether the strap touches the skin and carry R-R intervals.
@@ -92,9 +92,3 @@ class SimulatedHeartRateStrap(VirtualDevice):
     def settings(self) -> Mapping[str, Any]:
         """Fields that lead a driver to it."""
         return {"device": self._address}
-
-    async def _start(self) -> None:
-        await self._strap.start()
-
-    async def _stop(self) -> None:
-        await self._strap.stop()

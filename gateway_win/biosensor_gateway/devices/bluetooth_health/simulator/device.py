@@ -14,13 +14,13 @@ from bumble.gatt import Characteristic, Service
 
 from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
 from biosensor_gateway.devices.ble_heart_rate.simulator.strap import STRAP_EFFECTS, Strap
+from biosensor_gateway.devices.ble_heart_rate.simulator.strap_device import StrapDevice
 from biosensor_gateway.devices.bluetooth_health.simulator import wire
 from biosensor_gateway.devices.bluetooth_health.simulator.expected import EXPECTED
 from biosensor_gateway.simulation.effects import Effect, on_part
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
@@ -44,7 +44,7 @@ class _Value(NamedTuple):
     sample: tuple[float, ...] | None
 
 
-class SimulatedHealthDevice(VirtualDevice):
+class SimulatedHealthDevice(StrapDevice):
     """A device with all the services, which sends each of them once a second.
 
     Parameters
@@ -112,12 +112,6 @@ class SimulatedHealthDevice(VirtualDevice):
     def settings(self) -> Mapping[str, Any]:
         """Fields that lead a driver to it."""
         return {"device": self._address}
-
-    async def _start(self) -> None:
-        await self._strap.start()
-
-    async def _stop(self) -> None:
-        await self._strap.stop()
 
     def _add(
         self, service: int, number: int, properties: Characteristic.Properties

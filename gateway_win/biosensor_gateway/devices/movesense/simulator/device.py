@@ -8,6 +8,7 @@ from typing import Any
 
 from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
 from biosensor_gateway.devices.ble_heart_rate.simulator.strap import STRAP_EFFECTS, Strap
+from biosensor_gateway.devices.ble_heart_rate.simulator.strap_device import StrapDevice
 from biosensor_gateway.devices.movesense.simulator.expected import EXPECTED
 from biosensor_gateway.devices.movesense.simulator.service import SensorDataService
 from biosensor_gateway.devices.movesense.simulator.wire import FULL_MTU
@@ -15,7 +16,7 @@ from biosensor_gateway.simulation.effects import Effect, lasting, on_part
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
+from biosensor_gateway.simulation.virtual_device import Filled
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
@@ -23,7 +24,7 @@ from biosensor_gateway.simulation.world import World
 _ADVERTISED = ("180d", "fdf3")
 
 
-class SimulatedMovesense(VirtualDevice):
+class SimulatedMovesense(StrapDevice):
     """A sensor with the services of a strap and the GATT SensorData Protocol.
 
     Parameters
@@ -113,12 +114,6 @@ class SimulatedMovesense(VirtualDevice):
     def settings(self) -> Mapping[str, Any]:
         """Fields that lead a driver to it."""
         return {"device": self._serial}
-
-    async def _start(self) -> None:
-        await self._strap.start()
-
-    async def _stop(self) -> None:
-        await self._strap.stop()
 
     def _babble(self, packets: float) -> None:
         self._service.babble(packets)

@@ -13,6 +13,7 @@ from bumble.gatt import Characteristic, Service
 
 from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
 from biosensor_gateway.devices.ble_heart_rate.simulator.strap import STRAP_EFFECTS, Strap
+from biosensor_gateway.devices.ble_heart_rate.simulator.strap_device import StrapDevice
 from biosensor_gateway.devices.polar_h10.simulator.advertisement import (
     POLAR_COMPANY_ID,
     SERVICE_UUIDS,
@@ -27,7 +28,6 @@ from biosensor_gateway.simulation.effects import Effect, lasting, on_part
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
-from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
@@ -47,7 +47,7 @@ class Usual(NamedTuple):
     device_id: str
 
 
-class SimulatedPolarH10(VirtualDevice):
+class SimulatedPolarH10(StrapDevice):
     """A strap with a PMD service, or another product that has one.
 
     An H10's measurements carry R-R intervals and nothing about skin contact: without
@@ -152,12 +152,6 @@ class SimulatedPolarH10(VirtualDevice):
     def forget_heart_rate(self) -> None:
         """Have the device take it that nobody has subscribed to its heart rate."""
         self.world.call(self._strap.forget)
-
-    async def _start(self) -> None:
-        await self._strap.start()
-
-    async def _stop(self) -> None:
-        await self._strap.stop()
 
     def _babble(self, packets: float) -> None:
         self._strap.babble(packets)
