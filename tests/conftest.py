@@ -41,6 +41,8 @@ os.environ["ROS_DOMAIN_ID"] = str(_slot)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 # Jazzy's messages do not check their fields otherwise.
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
+# Who looks for devices of the Wi-Fi asks the whole network otherwise.
+os.environ["BIOSENSOR_GATEWAY_BROADCAST"] = "127.0.0.1"
 os.environ["BIOSENSOR_GATEWAY_STATE"] = str(_folder / "state")
 os.environ["BIOSENSOR_GATEWAY_SETTINGS"] = str(_folder / "settings.toml")
 

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from hashlib import sha256
 from typing import TypeVar
 
+from biosensor_common.known_senders import known_stream
 from biosensor_common.spec import DeviceIdentity
 
 # What stays: letters, digits, and an underscore between two of them that does
@@ -189,10 +190,14 @@ def foreign_identity(
 ) -> tuple[DeviceIdentity, str]:
     """Return identity and data name of a stream that another program offers.
 
-    The stream's name stands for the sensor, its type (``data`` if empty) for the
-    data, its source id (the host if empty) for the unit. All keep their case and
-    characters; :func:`topic` makes ROS names of them.
+    Those of a :mod:`known program <.known_senders>` have good ones. Else the stream's name
+    stands for the sensor, its type (``data`` if empty) for the data, its source id (the host if
+    empty) for the unit. All keep their case and characters; :func:`topic` makes ROS names of
+    them.
     """
+    known = known_stream(name, content_type, source_id, hostname)
+    if known is not None:
+        return known[1], known[0].data_name
     return DeviceIdentity(sensor=name, unit=source_id or hostname), content_type or "data"
 
 

@@ -35,6 +35,7 @@ class Unit(StrEnum):
     MILLIVOLTS = "millivolts"
     NEWTONS = "newtons"
     NONE = "none"
+    OHMS = "ohm"
     PASCALS = "Pa"
     PERCENT = "percent"
     REVOLUTIONS_PER_MINUTE = "rpm"

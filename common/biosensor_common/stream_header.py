@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from biosensor_common import naming
+from biosensor_common.known_senders import known_stream
 from biosensor_common.quantities import Category, ChannelFormat, ChannelRole, MessageType
 from biosensor_common.replay import Replay
 from biosensor_common.spec import DeviceIdentity
@@ -85,20 +86,25 @@ def foreign_header(
 ) -> StreamHeader:
     """Map a stream that is not ours: sensor from its name, data name from its type.
 
-    No precision is lost: the array type follows the channel format.
+    What a :mod:`known program <.known_senders>` sends has good names, and labels and units
+    where it says none. No precision is lost: the array type follows the channel format.
     """
     blank = ("",) * core.channel_count
-    identity, data_name = naming.foreign_identity(
-        core.name, core.content_type, core.source_id, core.hostname
-    )
+    labels, units = labels or blank, units or blank
+    said = core.name, core.content_type, core.source_id, core.hostname
+    identity, data_name = naming.foreign_identity(*said)
+    known = known_stream(*said)
+    if known is not None:
+        labels = known[0].labelled(labels)
+        units = known[0].with_units(labels, units)
     has_chunks = core.rate > 0 and core.format is not ChannelFormat.STRING
     return StreamHeader(
         identity=identity,
         data_name=data_name,
         category=Category.RAW,
         content_type=core.content_type,
-        labels=labels or blank,
-        units=units or blank,
+        labels=labels,
+        units=units,
         roles=(None,) * core.channel_count,
         rate=core.rate,
         format=core.format,

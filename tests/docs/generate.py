@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.docs import fault_picture, sensor_table
+from tests.docs import catalogue, fault_picture, sender_table, sensor_table
 
 ROOT = Path(__file__).parents[2]
 DECISIONS = ROOT / "docs" / "decisions"
@@ -23,6 +23,7 @@ DECISIONS = ROOT / "docs" / "decisions"
 class Part:
     """What stands between ``<!-- NAME:begin -->`` and ``<!-- NAME:end -->`` of a document.
 
+    In YAML, ``# NAME:begin`` and ``# NAME:end``.
     Without a name it is the whole file.
 
     Attributes
@@ -54,6 +55,11 @@ def _decision(path: Path) -> tuple[str, str]:
 PARTS = (
     Part("README.md", "sensors", sensor_table.sensors),
     Part("docs/topics.md", "topics", sensor_table.topics),
+    Part("docs/ros-reference.md", "senders", sender_table.senders),
+    Part("docs/sensors/README.md", "pages", catalogue.pages),
+    Part("docs/sensors/README.md", "verified", catalogue.verified),
+    Part("docs/sensors/catalogue.md", "catalogue", catalogue.catalogue),
+    Part("mkdocs.yml", "sensors", catalogue.navigation),
     Part("docs/decisions/README.md", "decisions", decisions),
     Part("docs/pictures/faults.svg", "", fault_picture.picture),
 )
@@ -69,7 +75,8 @@ def updated(text: str, part: Part) -> str:
     """
     if not part.name:
         return part.make()
-    begin, end = f"<!-- {part.name}:begin -->", f"<!-- {part.name}:end -->"
+    mark = "      # {}" if part.document.endswith(".yml") else "<!-- {} -->"
+    begin, end = mark.format(f"{part.name}:begin"), mark.format(f"{part.name}:end")
     between = re.compile(f"(?<={re.escape(begin)}\n).*?(?={re.escape(end)})", re.DOTALL)
     if text.count(begin) != 1 or text.count(end) != 1 or not between.search(text):
         raise ValueError(f"the lines {begin} and {end} must be there once each, in this order")

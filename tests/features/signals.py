@@ -74,6 +74,33 @@ def breath(rate: float, seconds: float, per_minute: float = 15.0) -> Array:
     return 20.0 + 3.0 * np.sin(2 * np.pi * per_minute / 60 * t) + 0.01 * t
 
 
+def breaths(
+    rate: float, seconds: float, per_minute: float, *, coughs: bool, seed: int = 0
+) -> tuple[Array, Array]:
+    """Return breaths of varying length and depth, some of them sighs, and their tops.
+
+    The level wanders, the heart beats in it, and somebody coughs or moves once a minute if told.
+    """
+    draw = np.random.default_rng(seed)
+    bounds = [0.0]
+    while bounds[-1] < seconds:
+        bounds.append(bounds[-1] + 60 / per_minute * np.exp(0.15 * draw.standard_normal()))
+    t = np.arange(round(seconds * rate)) / rate
+    signal = 0.5 * np.sin(2 * np.pi * 0.01 * t) + 0.05 * np.sin(2 * np.pi * 1.1 * t)
+    signal += 0.02 * draw.standard_normal(len(t))
+    for begin, end in pairwise(bounds):
+        depth = np.exp(0.3 * draw.standard_normal()) * (3 if draw.random() < 0.03 else 1)
+        here = (t >= begin) & (t < end)
+        part = (t[here] - begin) / (end - begin)
+        rises = (1 - np.cos(np.pi * part / 0.4)) / 2
+        falls = (1 + np.cos(np.pi * np.minimum(1, (part - 0.4) / 0.5))) / 2
+        signal[here] += depth * np.where(part < 0.4, rises, falls)
+    for moment in draw.uniform(0, seconds, round(seconds / 60) if coughs else 0):
+        signal += draw.choice([-3, 3]) * np.exp(-(((t - moment) / 0.4) ** 2))
+    begins, ends = np.array(bounds[:-1]), np.array(bounds[1:])
+    return signal, begins + 0.4 * (ends - begins)
+
+
 def events_of(
     kind: str, values: Array, rate: float, cuts: list[int] | None = None, begin_s: float = 100.0
 ) -> list[Event]:

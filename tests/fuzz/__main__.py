@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from tests.fuzz.campaign import Outcome, run
-from tests.fuzz.contract import CORPUS, NAMES
+from tests.fuzz.contract import NAMES
 from tests.fuzz.engine import has_atheris
 
 FINDS = Path("build/fuzz")
@@ -18,7 +18,7 @@ def _arguments() -> argparse.Namespace:
     arguments = argparse.ArgumentParser(prog="tests.fuzz", description=__doc__)
     arguments.add_argument("targets", metavar="TARGET", nargs="*", help=f"of {', '.join(NAMES)}")
     arguments.add_argument("--seconds", type=float, default=DEFAULT_SECONDS, help="for all, in all")
-    arguments.add_argument("--corpus", type=Path, default=CORPUS, help="what to begin with")
+    arguments.add_argument("--corpus", type=Path, help="what to begin with")
     arguments.add_argument("--finds", type=Path, default=FINDS, help="where finds and logs go")
     arguments.add_argument("--blind", action="store_true", help="hypothesis instead of atheris")
     given = arguments.parse_args()

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tests.fuzz.blind import RUNNING
-from tests.fuzz.contract import CORPUS, RAISED, inputs
+from tests.fuzz.contract import RAISED, corpus_of, inputs
 
 FINDS = ("crash-", "timeout-", "oom-", "leak-")
 """What the names of finds begin with."""
@@ -59,7 +59,7 @@ def run(
     seconds: float,
     folder: Path,
     *,
-    corpus: Path = CORPUS,
+    corpus: Path | None = None,
     blind: bool = False,
 ) -> Iterator[Outcome]:
     """Fuzz each target for its share of the time that is left; start-up counts.
@@ -69,15 +69,14 @@ def run(
     folder
         Where finds, logs and grown corpora go, a folder for each target.
     corpus
-        Where the inputs to begin with are, a folder for each target.
+        Where the inputs to begin with are, a folder for each target; None for its own.
     blind
         Use hypothesis even where atheris runs.
     """
     end = time.time() + seconds
     for place, name in enumerate(names):
         share = max(0.0, end - time.time()) / (len(names) - place)
-        # Of a target that is named as a module, the last part counts.
-        known = corpus / name.rpartition(".")[2]
+        known = corpus_of(name) if corpus is None else corpus / name.rpartition(".")[2]
         yield _try(name, share, folder / name, known, blind=blind)
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NamedTuple, NoReturn, cast
 
 import structlog
@@ -17,31 +18,14 @@ CORPUS = Path(__file__).parent / "corpus"
 DICTIONARY = Path(__file__).parent / "tokens.dict"
 RAISED = "raised: "
 """What begins the line that says why an input is a find."""
-NAMES = (
-    "bags",
-    "ble_heart_rate",
-    "bluetooth_health",
-    "control_request",
-    "counters",
-    "emotiv_cortex",
-    "empatica_e4",
-    "line_sensor",
-    "lsl_config",
-    "lsl_header",
-    "movesense",
-    "naming",
-    "polar_control",
-    "polar_frames",
-    "ros_to_lsl",
-    "settings",
-    "shimmer3",
-    "status",
-    "vernier",
-    "xdf",
-    "xdf_export",
-    "zephyr",
+_TESTS = Path(__file__).parents[1]
+_OWN = "fuzz_"
+SENSORS = {path.stem.removeprefix(_OWN): path for path in sorted(_TESTS.glob(f"*/{_OWN}*.py"))}
+"""Targets of sensors: modules ``fuzz_NAME`` in the folders of their tests, and ``corpus/NAME``."""
+NAMES = tuple(
+    sorted({path.stem for path in Path(__file__).parent.glob("targets/[a-z]*.py")} | SENSORS.keys())
 )
-"""Every target: a module of `tests.fuzz.targets`, and a folder of the corpus."""
+"""Every target: a module of `tests.fuzz.targets` and a folder of the corpus, or a sensor's."""
 
 
 class BrokenContractError(AssertionError):
@@ -78,8 +62,21 @@ def load(name: str) -> Target:
     ImportError
         If there is no such module.
     """
-    module = import_module(name if "." in name else f"tests.fuzz.targets.{name}")
-    return Target(name, cast("Callable[[bytes], None]", module.check))
+    return Target(name, cast("Callable[[bytes], None]", module_of(name).check))
+
+
+def module_of(name: str) -> ModuleType:
+    """Import what `load` does, and return it."""
+    if name in SENSORS:
+        return import_module(f"tests.{SENSORS[name].parent.name}.{SENSORS[name].stem}")
+    return import_module(name if "." in name else f"tests.fuzz.targets.{name}")
+
+
+def corpus_of(name: str) -> Path:
+    """Return where the inputs of a target are; of one that is named as a module, the last part."""
+    if name in SENSORS:
+        return SENSORS[name].parent / "corpus" / name
+    return CORPUS / name.rpartition(".")[2]
 
 
 def inputs(folder: Path) -> list[Path]:

@@ -17,7 +17,7 @@ from types import FrameType
 from typing import Any
 
 from tests.fuzz.__main__ import FINDS
-from tests.fuzz.contract import CORPUS, NAMES, Target, inputs, load, strictly
+from tests.fuzz.contract import NAMES, Target, corpus_of, inputs, load, strictly
 from tests.fuzz.engine import GROWN, GUIDES
 from tests.fuzz.seeds import write_seeds
 
@@ -91,7 +91,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         write_seeds(Path(folder))
         for name in given.targets or NAMES:
-            corpus = CORPUS / name
+            corpus = corpus_of(name)
             corpus.mkdir(parents=True, exist_ok=True)
             grown = given.finds / name / GROWN
             before, after = _grow(name, corpus, Path(folder, name), grown)

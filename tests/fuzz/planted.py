@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from biosensor_gateway.devices.empatica_e4.driver import protocol
-from tests.fuzz.targets import empatica_e4
+from tests.empatica_e4 import fuzz_empatica_e4 as empatica_e4
 
 HARMLESS = b"E4_Bvp 1680442024,64479 21,54169\r\nE4_Acc 1680442024,5 -1 2 63\r\n"
 """An input that does not show it."""

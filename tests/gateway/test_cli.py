@@ -20,6 +20,7 @@ from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.single_instance import single_instance
 from biosensor_gateway.demo import virtual_devices as simulate
 from biosensor_gateway.devices.polar_h10.driver.driver import PolarH10Settings
+from biosensor_gateway.devices.registry import sensor, sensor_names
 
 if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome
@@ -156,20 +157,7 @@ def test_a_virtual_device_that_does_not_exist_is_named(run: Run, name: str) -> N
     assert "zephyr:recording" in sentence
 
 
-ALL = [
-    "emotiv_insight",
-    "empatica_e4",
-    "movesense",
-    "polar_h10",
-    "polar_verity_sense",
-    "shimmer3_gsr",
-    "vernier_respiration_belt",
-    "zephyr",
-    "ble_heart_rate",
-    "bluetooth_health",
-    "line_sensor",
-    "shimmer",
-]
+ALL = [name for name in sensor_names() if sensor(name).virtual]
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from biosensor_common.naming import source_id
-from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected, Driver
@@ -28,6 +28,11 @@ from tests.rigs.polling import until
 class NotedSink(DeviceSink):
     """Notes what drivers emit on its way into LSL.
 
+    Parameters
+    ----------
+    spec
+        What the device emits, where that is not what its sensor declares.
+
     Attributes
     ----------
     rows, times
@@ -38,9 +43,11 @@ class NotedSink(DeviceSink):
         Of the newest connection.
     """
 
-    def __init__(self, sensor: str, clock: Clock = LSL_CLOCK) -> None:
-        super().__init__(DeviceIdentity(sensor, uuid.uuid4().hex), declaration(sensor), clock)
-        self._spec = declaration(sensor)
+    def __init__(
+        self, sensor: str, clock: Clock = LSL_CLOCK, spec: SensorSpec | None = None
+    ) -> None:
+        self._spec = spec or declaration(sensor)
+        super().__init__(DeviceIdentity(sensor, uuid.uuid4().hex), self._spec, clock)
         names = [stream.data_name for stream in self._spec.streams]
         self.rows: dict[str, list[list[float]]] = {name: [] for name in names}
         self.times: dict[str, list[float]] = {name: [] for name in names}
@@ -111,10 +118,13 @@ class Run:
     """
 
     def __init__(self, device: VirtualDevice, /, **fields: Any) -> None:
-        self.sink = NotedSink(device.sensor, device.world.clock)
+        sink = NotedSink(device.sensor, device.world.clock)
+        self._begin(sink, driver_maker(device, sink, **fields))
+
+    def _begin(self, sink: NotedSink, make: Callable[[], Driver]) -> None:
+        self.sink = sink
         self.states: list[State] = []
-        make = driver_maker(device, self.sink, **fields)
-        self.supervisor = Supervisor(make, self.sink, self.states.append)
+        self.supervisor = Supervisor(make, sink, self.states.append)
 
     @property
     def lost(self) -> dict[str, int]:

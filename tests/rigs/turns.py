@@ -10,13 +10,15 @@ from collections.abc import Iterable, Sequence
 from itertools import cycle
 from math import ceil
 
+from biosensor_common.spec import FromDevice
 from biosensor_gateway.devices.registry import declaration
 
 MOST = 8
+_UNKNOWN_HZ = 50.0
 
 
 def turns(names: Sequence[str], most: int = MOST) -> tuple[tuple[str, ...], ...]:
-    """Divide sensors into as few turns as there can be, all with about as many streams.
+    """Divide sensors into as few turns as there can be, all with about as much to do.
 
     Parameters
     ----------
@@ -32,7 +34,7 @@ def turns(names: Sequence[str], most: int = MOST) -> tuple[tuple[str, ...], ...]
     """
     count = ceil(len(names) / most)
     dealt = _there_and_back(count, len(names))
-    turn_of = dict(zip(sorted(names, key=_streams, reverse=True), dealt, strict=True))
+    turn_of = dict(zip(sorted(names, key=_load, reverse=True), dealt, strict=True))
     return tuple(tuple(name for name in names if turn_of[name] == turn) for turn in range(count))
 
 
@@ -48,5 +50,8 @@ def _there_and_back(count: int, length: int) -> list[int]:
     return [place for way, _ in zip(ways, range(length), strict=False) for place in way][:length]
 
 
-def _streams(name: str) -> int:
-    return len(declaration(name).streams)
+def _load(name: str) -> tuple[float, int]:
+    """Samples a second, as far as the declaration says; then streams."""
+    streams = declaration(name).streams
+    rates = [_UNKNOWN_HZ if isinstance(each.rate, FromDevice) else each.rate for each in streams]
+    return sum(rates), len(streams)

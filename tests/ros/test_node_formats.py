@@ -285,3 +285,13 @@ def test_streams_that_claim_one_topic_in_several_types_do_no_harm(
     ros.until(lambda: bool(heard), "a sample of another stream")
     assert node.is_running
     del claims
+
+
+def test_a_known_programs_stream_has_the_name_of_its_sensor(ros: Ros) -> None:
+    info = pylsl.StreamInfo("lab phone_Neon Gaze", "Gaze", 2, 200.0, "float32", "of the phone")
+    topic = "/biosensors/pupil_neon/gaze"
+    raw, outlet = ros.listen(Float32MultiArray, topic), pylsl.StreamOutlet(info)
+    ros.attached(topic, readers=1)
+    outlet.push_sample([800.5, 600.25])
+    ros.until(lambda: bool(raw), "a gaze")
+    assert list(raw[0].data) == [800.5, 600.25]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from pathlib import Path
 
 import pylsl
@@ -97,7 +96,8 @@ def test_only_time_in_which_the_first_process_runs_is_silence(
     program.write_text("#!/bin/sh\nexec sleep 60\n")
     program.chmod(0o700)
     monkeypatch.setattr(sys, "executable", str(program))
-    now_s = time.monotonic()
+    # Not the time since this computer started: tenths of a second add up differently on each.
+    now_s = 1000.0
     monkeypatch.setattr("lsl_to_ros.processes.child.monotonic", lambda: now_s)
     said: list[str] = []
     child = Child(Share(1, 2), _setup, lambda: None, said.append)

@@ -48,6 +48,7 @@ FIRST_SENSORS = {sensor_name for sensor_name, _ in EXPECTED}
 # Of all others, by what a stream is called and its first channel's unit.
 EXPECTED_OF_OTHERS: dict[tuple[str, Unit], dict[str, type[Any]]] = {
     ("bat", Unit.PERCENT): {"bat_state": BatteryState},
+    ("st", Unit.CELSIUS): {"st_temperature": Temperature},
     ("temp", Unit.CELSIUS): {"temp_temperature": Temperature},
     ("mag", Unit.MICROTESLA): {"mag_mag": MagneticField},
 }

@@ -102,6 +102,9 @@ class Budget:
             for part in (ORDINARY, SYSTEM)
             for name, limit in content.get(part, {}).items()
         }
+        # A sensor says in its folder what it emits; who adds one need not touch this file.
+        for sensor in path.parent.glob("*/streams.json"):
+            seconds.setdefault(Folder(sensor.parent.name, ORDINARY), float(content["sensor"]))
         return cls(seconds, content.get("longest", ()), content.get("heavy", ()))
 
     @property

@@ -20,6 +20,8 @@ KEEP_RECORDING = "keep-recording"
 """Not for people: this process is then the keeper of a recording."""
 PLAY_RECORDING = "play-recording"
 """Likewise: it plays one, for the page."""
+SEND_FEATURES = "send-features"
+"""Likewise: it sends features beside an agent."""
 
 
 def main() -> None:
@@ -41,6 +43,10 @@ def _run() -> None:
         from biosensor_gateway.recording.replay.player_process import play_for_another  # only then
 
         sys.exit(play_for_another())
+    if sys.argv[1:2] == [SEND_FEATURES]:
+        from biosensor_gateway.features.beside import send_for_another  # only then
+
+        sys.exit(send_for_another())
     if sys.argv[1:2] == ["run"]:
         if KEEP_ALIVE in sys.argv:
             from biosensor_gateway.system.keep_alive import keep_alive  # only then

@@ -30,6 +30,12 @@ def run(
     page: Annotated[
         bool, typer.Option("--page", help="Open the page, too; it needs no questions here.")
     ] = False,
+    features: Annotated[
+        bool,
+        typer.Option(
+            "--features", help="Send live features, too: heart rate, skin responses, breaths."
+        ),
+    ] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every detail.")] = False,
     _keep_alive: Annotated[
         bool, typer.Option(KEEP_ALIVE, help="Start the agent again whenever it dies.")
@@ -53,4 +59,4 @@ def run(
         open_page_beside(settings)
     from biosensor_gateway.cli.streaming import stream  # takes a second
 
-    stream(settings, simulate, fault or (), ask=ask, verbose=verbose)
+    stream(settings, simulate, fault or (), ask=ask, features=features, verbose=verbose)

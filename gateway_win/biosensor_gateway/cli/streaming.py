@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import Iterable, Mapping
-from contextlib import AbstractContextManager, AsyncExitStack, ExitStack
+from contextlib import AbstractContextManager, AsyncExitStack, ExitStack, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from biosensor_gateway.agent.control_server import ControlServer
 from biosensor_gateway.agent.marking import MARKERS
 from biosensor_gateway.agent.reloading import ReadSettings
 from biosensor_gateway.agent.single_instance import single_instance
+from biosensor_gateway.cli.features_beside import FeaturesBeside
 from biosensor_gateway.cli.live_table import LiveTable, sensor_title
 from biosensor_gateway.cli.questions import can_ask
 from biosensor_gateway.cli.start_log import StartLog
@@ -34,7 +35,13 @@ _log = structlog.get_logger("biosensor_gateway.cli")
 
 
 def stream(
-    settings: Path | None, simulate: str, faults: Iterable[str], *, ask: bool | None, verbose: bool
+    settings: Path | None,
+    simulate: str,
+    faults: Iterable[str],
+    *,
+    ask: bool | None,
+    features: bool,
+    verbose: bool,
 ) -> None:
     """Stream until the agent is told to end.
 
@@ -46,6 +53,8 @@ def stream(
         Virtual devices instead, and what befalls them; see `simulated_settings`.
     ask
         Lead a person at the terminal first; None to do so if the settings name no device.
+    features
+        Send live features of what is on the network.
     verbose
         Log every detail.
 
@@ -63,7 +72,7 @@ def stream(
             simulate = _guided(settings or settings_path())
         read = None if simulate else _reader(settings)
         loaded = read() if read else stack.enter_context(_virtual_devices(simulate, faults))
-        _run_agent(loaded, read, log, unguarded, verbose=verbose)
+        _run_agent(loaded, read, log, unguarded, features=features, verbose=verbose)
 
 
 def _is_guide_wanted(settings: Path | None, simulate: str) -> bool:
@@ -110,6 +119,7 @@ def _run_agent(
     log: StartLog,
     unguarded: ConfigError | None,
     *,
+    features: bool,
     verbose: bool,
 ) -> None:
     folder = state_folder()
@@ -123,7 +133,8 @@ def _run_agent(
         if panel is not None:
             agent.on_status = LiveTable(panel, colours=shows_colours()).report
         controlled = partial(_run_controlled, agent, folder)
-        asyncio.run(until_signalled(agent.run if unguarded else controlled))
+        with FeaturesBeside(loaded.lsl) if features else nullcontext():
+            asyncio.run(until_signalled(agent.run if unguarded else controlled))
         if panel is not None:
             panel.close("Ended. Nothing is streamed any more.")
 

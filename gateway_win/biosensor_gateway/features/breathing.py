@@ -1,13 +1,17 @@
-"""Finds breaths in the movement of chest or belly."""
+"""Finds breaths in the movement of chest or belly.
+
+References are in :mod:`.thresholds`.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from statistics import fmean, median
 from typing import NamedTuple
 
 from biosensor_gateway.features import thresholds as at
-from biosensor_gateway.features.filters import Biquad, Decimator, MovingMean
+from biosensor_gateway.features.filters import Biquad, Decimator
 from biosensor_gateway.features.runs import Array, Event
 
 
@@ -19,8 +23,8 @@ class _Point(NamedTuple):
 class Breathing:
     """Gives `breaths`, `br_live` and `breath_depth` at each end of breathing in.
 
-    The band-passed signal has to go through zero by some of its spread, up and down; the top in
-    between is the end of breathing in.
+    The smoothed signal has turned where it has come back by a share of how far it usually moves:
+    what is less belongs to the same breath, whatever the level is. Tops are ends of breathing in.
 
     Parameters
     ----------
@@ -30,60 +34,91 @@ class Breathing:
 
     def __init__(self, rate: float) -> None:
         self._decimator = Decimator(rate, at.BREATH_RATE_HZ)
-        slow = self._decimator.rate
-        low_hz, high_hz = at.BREATH_BAND_HZ
-        self._high_pass = Biquad(low_hz, slow, is_high_pass=True)
-        self._low_pass = Biquad(high_hz, slow, is_high_pass=False)
-        self._power = MovingMean(round(at.BREATH_SPREAD_S * slow))
-        self._kept: deque[_Point] = deque(maxlen=round(at.BREATH_INTERVAL_S[1] * slow))
-        self._since = self._up_since = 0
+        cut_hz = at.BREATH_BAND_HZ[1]
+        self._smooth = Biquad(cut_hz, self._decimator.rate, is_high_pass=False)
+        # How late a Butterworth filter of second order is for what is slow.
+        self._late_s = math.sqrt(2) / (2 * math.pi * cut_hz)
+        self._usual = _Usual(round(at.BREATH_BLOCK_S * self._decimator.rate))
+        self._low = self._high = _Point(math.nan, math.nan)
         self._is_up = False
-        self._intervals: deque[_Point] = deque()
         self._last = math.nan
+        self._intervals: deque[_Point] = deque()
 
     def take(self, stamps: Array, values: Array) -> list[Event]:
         """Take samples of one run in; both of shape (n,)."""
         return [
             event
             for stamp, value in self._decimator.take(stamps, values)
-            for event in self._sample(stamp, value)
+            for event in self._sample(_Point(stamp - self._late_s, self._smooth.take(value)))
         ]
 
-    def _sample(self, stamp: float, value: float) -> list[Event]:
-        filtered = self._low_pass.take(self._high_pass.take(value))
-        limit = at.BREATH_HYSTERESIS * math.sqrt(max(0.0, self._power.take(filtered * filtered)))
-        self._kept.append(_Point(stamp, value))
-        self._since += 1
-        self._up_since += 1
-        if self._is_up and filtered < -limit:
-            self._is_up = False
-            return self._breath()
-        if not self._is_up and filtered > limit:
-            self._is_up, self._up_since = True, 0
+    def _sample(self, here: _Point) -> list[Event]:
+        limit = at.BREATH_HYSTERESIS * self._usual.take(here.value)
+        if limit <= 0:
+            # Nothing is known yet, or nothing moves.
+            self._low = self._high = here
+            return []
+        if self._is_up:
+            self._high = max(self._high, here, key=_value)
+            if self._high.value - here.value >= limit:
+                self._is_up, top = False, self._high
+                depth, self._low = top.value - self._low.value, here
+                return self._breath(top.stamp, depth)
+        else:
+            self._low = min(self._low, here, key=_value)
+            if here.value - self._low.value >= limit:
+                self._is_up, self._high = True, here
         return []
 
-    def _breath(self) -> list[Event]:
-        """Look for top and bottom since the breath before."""
-        recent = list(self._kept)[-self._since :]
-        top = max(recent[-self._up_since - 1 :], key=lambda each: each.value)
-        before = [each.value for each in recent if each.stamp < top.stamp]
-        depth = top.value - min(before, default=top.value)
-        self._since = sum(each.stamp > top.stamp for each in recent)
-        interval_s, self._last = top.stamp - self._last, top.stamp
+    def _breath(self, stamp: float, depth: float) -> list[Event]:
+        interval_s, self._last = stamp - self._last, stamp
         low, high = at.BREATH_INTERVAL_S
         if not low <= interval_s <= high:
             # The first, or one after a pause: there is no interval between neighbours.
             self._intervals.clear()
             return []
-        self._intervals.append(_Point(top.stamp, interval_s))
-        while self._intervals[0].stamp <= top.stamp - at.BR_WINDOW_S:
+        self._intervals.append(_Point(stamp, interval_s))
+        while self._intervals[0].stamp <= stamp - at.BR_WINDOW_S:
             self._intervals.popleft()
-        events = [
-            Event("breaths", top.stamp, (interval_s,)),
-            Event("breath_depth", top.stamp, (depth,)),
-        ]
+        events = [Event("breaths", stamp, (interval_s,)), Event("breath_depth", stamp, (depth,))]
         if len(self._intervals) >= at.BR_LEAST:
-            total_s = math.fsum(each.value for each in self._intervals)
-            rate = 60 * len(self._intervals) / total_s
-            events.append(Event("br_live", top.stamp, (rate,)))
+            events.append(Event("br_live", stamp, (self._rate(),)))
         return events
+
+    def _rate(self) -> float:
+        """Return breaths a minute, of the intervals that are like their median.
+
+        A breath that was missed makes one interval of two, and a cough makes two of one.
+        """
+        intervals = [each.value for each in self._intervals]
+        middle = median(intervals)
+        alike = [s for s in intervals if middle / at.BR_ALIKE <= s <= middle * at.BR_ALIKE]
+        # Of an even number none need be like the median, which lies between two of them.
+        return 60 / fmean(alike or intervals)
+
+
+def _value(point: _Point) -> float:
+    return point.value
+
+
+class _Usual:
+    """Tells how far a signal usually moves: the median of what it spans in blocks of time.
+
+    One cough or change of posture does not matter to it, unlike to the signal's spread.
+    """
+
+    def __init__(self, length: int) -> None:
+        self._length = length
+        self._block: list[float] = []
+        self._spans: deque[float] = deque(maxlen=at.BREATH_BLOCKS)
+        self._median = 0.0
+
+    def take(self, value: float) -> float:
+        """Return it with this value; 0 before two blocks are full."""
+        self._block.append(value)
+        if len(self._block) == self._length:
+            self._spans.append(max(self._block) - min(self._block))
+            self._block.clear()
+            if len(self._spans) > 1:
+                self._median = median(self._spans)
+        return self._median

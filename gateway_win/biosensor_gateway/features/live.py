@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import socket
 import threading
+from collections import deque
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Protocol
 
 import numpy as np
@@ -25,7 +27,11 @@ LOOK_EVERY = 25
 SETTLED_S = 3.0
 """Streams of one device appear together; what comes later gets what is left to compute."""
 _DESCRIPTION_S = 3.0
-_CLOCK_S = 1.0
+_CLOCK_S, _CLOCK_EVERY_S = 1.0, 5.0
+_ASKING = 4
+"""Threads that wait for other computers, so that reading does not."""
+_MOST_HELD = 4096
+"""Runs of events that wait for the first correction of their stamps."""
 _BUFFER_S = 360
 _MOST_SAMPLES = 8192
 
@@ -59,35 +65,53 @@ class Sender:
                 outlet.push_chunk(values, [each.stamp + correction_s for each in own])
 
 
+class _Correction:
+    """What brings the stamps of one stream to the clock of this computer; asked in a thread."""
+
+    def __init__(self, inlet: pylsl.StreamInlet, asking: ThreadPoolExecutor) -> None:
+        self._inlet, self._asking = inlet, asking
+        self._asked: Future[float] | None = None
+        self._next_s = 0.0
+        self._last_s: float | None = None
+
+    def seconds(self, now_s: float) -> float | None:
+        """Return the last one that is known, None before the first; never waits."""
+        if self._asked is None and now_s >= self._next_s:
+            self._asked = self._asking.submit(self._inlet.time_correction, _CLOCK_S)
+            self._next_s = now_s + _CLOCK_EVERY_S
+        if self._asked is not None and self._asked.done():
+            # Where there is no answer the last one holds meanwhile: clocks drift slowly.
+            if self._asked.exception() is None:
+                self._last_s = self._asked.result()
+            self._asked = None
+        return self._last_s
+
+
 class _Stage:
     """One source: its inlet, what computes, and what sends."""
 
-    def __init__(self, source: Source, info: pylsl.StreamInfo) -> None:
+    def __init__(self, source: Source, info: pylsl.StreamInfo, asking: ThreadPoolExecutor) -> None:
         self._inlet = pylsl.StreamInlet(info, max_buflen=_BUFFER_S, recover=bool(source.source_id))
         # On one computer stamps stay as they are, to the last bit.
-        self._is_here = info.hostname() == socket.gethostname()
+        is_here = info.hostname() == socket.gethostname()
+        self._correction = None if is_here else _Correction(self._inlet, asking)
         self._computer = source.new_computer()
         self._sender = Sender(source)
-        self._correction_s = 0.0
+        self._held: deque[Sequence[Event]] = deque(maxlen=_MOST_HELD)
 
-    def read(self) -> None:
+    def read(self, now_s: float) -> None:
         """Take in what has come, and send what can be told by now."""
         pulled: tuple[Any, Any] = self._inlet.pull_chunk(0.0, _MOST_SAMPLES)
         samples, stamps = pulled
-        if not stamps:
-            return
-        events = self._computer.take(np.array(stamps, np.float64), np.array(samples, np.float64))
-        if events:
-            self._sender.send(events, self._correction())
-
-    def _correction(self) -> float:
-        if not self._is_here:
-            try:
-                self._correction_s = self._inlet.time_correction(_CLOCK_S)
-            except (TimeoutError, RuntimeError):
-                # The last one known holds meanwhile: clocks drift slowly.
-                return self._correction_s
-        return self._correction_s
+        if stamps:
+            events = self._computer.take(
+                np.array(stamps, np.float64), np.array(samples, np.float64)
+            )
+            if events:
+                self._held.append(events)
+        seconds = 0.0 if self._correction is None else self._correction.seconds(now_s)
+        while self._held and seconds is not None:
+            self._sender.send(self._held.popleft(), seconds)
 
     def close(self) -> None:
         """Close the inlet."""
@@ -100,7 +124,10 @@ class _Seen:
 
 
 class Live:
-    """Computes features of all streams on the network, until stopped; one thread does it all.
+    """Computes features of all streams on the network, until stopped.
+
+    One thread reads, computes and sends. What has to wait for another computer, a description or
+    a clock, is asked in others: a sender that hangs holds up no stream but its own.
 
     Parameters
     ----------
@@ -116,6 +143,8 @@ class Live:
         self._waiting: list[_Seen] = []
         self._taken: Taken = set()
         self._stages: list[_Stage] = []
+        self._asking = ThreadPoolExecutor(_ASKING, thread_name_prefix="asking")
+        self._described: list[tuple[pylsl.StreamInfo, Future[str]]] = []
 
     def run(self, stopping: threading.Event) -> None:
         """Read and send until it is set."""
@@ -125,26 +154,32 @@ class Live:
         try:
             while not stopping.wait(READ_S):
                 if count % LOOK_EVERY == 0:
-                    self._look(resolver.results())
+                    self.look(resolver.results())
                 count += 1
+                now_s = self._clock()
                 for stage in self._stages:
-                    stage.read()
+                    stage.read(now_s)
         finally:
+            self._asking.shutdown(wait=False, cancel_futures=True)
             for stage in self._stages:
                 stage.close()
 
-    def _look(self, infos: Sequence[pylsl.StreamInfo]) -> None:
+    def look(self, infos: Sequence[pylsl.StreamInfo]) -> None:
+        """Take note of what is on the network, and begin with what is described by now."""
         for info in infos:
             key = info.source_id() or info.uid()
             if key not in self._known:
                 self._known.add(key)
-                self._judge(info)
+                self._described.append((info, self._asking.submit(_description, info)))
+        told = [each for each in self._described if each[1].done()]
+        self._described = [each for each in self._described if not each[1].done()]
+        for info, description in told:
+            self._judge(info, description)
         self._begin()
 
-    def _judge(self, info: pylsl.StreamInfo) -> None:
+    def _judge(self, info: pylsl.StreamInfo, description: Future[str]) -> None:
         try:
-            inlet = pylsl.StreamInlet(info, recover=False)
-            xml = inlet.info(_DESCRIPTION_S).as_xml()
+            xml = description.result()
         except (TimeoutError, RuntimeError):
             # It may have ended; if not, the next look finds it again.
             self._known.discard(info.source_id() or info.uid())
@@ -167,5 +202,10 @@ class Live:
         self._waiting = [each for each in self._waiting if each.source.identity in young]
         infos = {id(each.source.header): each.info for each in ready}
         for source in choose((each.source for each in ready), self._taken):
-            self._stages.append(_Stage(source, infos[id(source.header)]))
+            self._stages.append(_Stage(source, infos[id(source.header)], self._asking))
             self._told.found(source)
+
+
+def _description(info: pylsl.StreamInfo) -> str:
+    """Return what the sender of a stream says of it; raises what liblsl does."""
+    return pylsl.StreamInlet(info, recover=False).info(_DESCRIPTION_S).as_xml()

@@ -11,7 +11,7 @@ from biosensor_common.table import channels, hardware, raw
 from biosensor_gateway.features import thresholds as at
 from biosensor_gateway.features.quality import REASONS
 
-VERSION = "1"
+VERSION = "2"
 """Of all algorithms here; another one where a value may differ for the same samples."""
 
 _HRV = tuple(
@@ -92,13 +92,20 @@ def _skin() -> tuple[Feature, ...]:
             raw("scr", ContentType.GSR, _SCR),
             "trough to peak, Boucsein 2012",
             0,
-            1,
+            0.5,
+        ),
+        Feature(
+            "scr_prominent",
+            raw("scr_prominent", ContentType.GSR, _SCR),
+            "as scr, of a tenth of the largest, Makowski 2021",
+            at.SCR_LARGEST_S,
+            1.2,
         ),
     )
 
 
 def _breathing(unit: str) -> tuple[Feature, ...]:
-    kind, algorithm = ContentType.RESPIRATION, "zero crossings with hysteresis"
+    kind, algorithm = ContentType.RESPIRATION, "turning points, Khodadad 2018"
     breaths = raw("breaths", kind, channels(Unit.SECONDS, "interval"))
     depth = raw("breath_depth", kind, channels(unit, "depth"))
     rate = raw("br_live", ContentType.RESPIRATION_RATE, channels(Unit.BREATHS_PER_MINUTE, "rate"))
@@ -126,7 +133,7 @@ def features_of(content_type: str, data_name: str, unit: str) -> tuple[Feature, 
     """
     of_type: Mapping[str, tuple[Feature, ...]] = {
         ContentType.ECG: _heart("Hamilton 2002 on 8 to 20 Hz", 0.3),
-        ContentType.PPG: _heart("Elgendi 2013", 0.6),
+        ContentType.PPG: _heart("Elgendi 2013", 0.35),
         ContentType.RR: _heart("intervals of the device", 0),
         ContentType.GSR: _skin(),
         ContentType.RESPIRATION: _breathing(unit),

@@ -33,9 +33,9 @@ class Pulses:
         peak, beat = (2 * round(s * slow / 2) + 1 for s in (at.PULSE_PEAK_S, at.PULSE_BEAT_S))
         self._peak_mean, self._beat_mean = MovingMean(peak), MovingMean(beat)
         self._offset = MovingMean(round(at.PULSE_MEAN_S * slow))
-        # The longer mean is centred, so everything else waits for it.
-        self._wait = (beat - peak) // 2
-        self._late = (beat - 1) // 2
+        # Centred, the longer mean would look ahead by 0.28 s; less will do for an upstroke.
+        self._wait = min((beat - peak) // 2, round(at.PULSE_AHEAD_S * slow))
+        self._late = self._wait + (peak - 1) // 2
         self._least = peak
         self._peaks: deque[float] = deque(maxlen=self._wait + 1)
         self._around = round(_APEX_S * slow)

@@ -11,6 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_gateway.features import thresholds as at
+from biosensor_gateway.features.likeness import (
+    averaged,
+    ecg_likeness,
+    ppg_likeness,
+    unevenness,
+)
 from biosensor_gateway.features.runs import Array, Event, Hops
 
 REASONS = ("flat", "clipped", "noisy", "baseline", "out_of_range")
@@ -24,6 +30,10 @@ def _scaled(value: float, limits: tuple[float, float]) -> float:
     """Return 0 up to the lower limit, 1 from the upper one on."""
     low, high = limits
     return min(1.0, max(0.0, (value - low) / (high - low)))
+
+
+def _even(values: Array, rate: float, limits: tuple[float, float], block_s: float = 1) -> float:
+    return 1 - _scaled(unevenness(values, rate, block_s), limits)
 
 
 def _power(values: Array, rate: float) -> Callable[[float, float], float]:
@@ -67,42 +77,59 @@ def _judged(scores: Mapping[str, float], held: Mapping[str, bool]) -> Judged:
 
 
 def ecg(values: Array, rate: float) -> Judged:
-    """Judge an ECG by kurtosis, power of QRS complexes, and baseline: Li 2008."""
+    """Judge an ECG by how like its beats are, Orphanidou 2015, by kurtosis and power, Li 2008.
+
+    One second that is much wilder than the others, as of an electrode pop, is noise, too.
+    """
     power = _power(values, rate)
     usual = power(1, 40)
     noisy = min(
         _scaled(_moment(values, 4), at.ECG_KURTOSIS),
         _scaled(_share(power(5, 15), power(5, 40)), at.ECG_QRS_SHARE),
         _scaled(_share(usual, power(1, rate)), at.ECG_HUM_SHARE),
+        _scaled(ecg_likeness(values, rate), at.ECG_LIKENESS),
+        _even(values, rate, at.ECG_UNEVENNESS),
     )
     baseline = _scaled(_share(usual, power(0, 40)), at.ECG_BASELINE_SHARE)
     return _judged({"noisy": noisy, "baseline": baseline}, _held(values))
 
 
 def ppg(values: Array, rate: float) -> Judged:
-    """Judge a pulse by its skewness, Elgendi 2016, and by power outside of its band."""
+    """Judge a pulse by how like its beats are, Orphanidou 2015, and skewness, Elgendi 2016.
+
+    Besides, by power outside of its band, and a second that is much wilder than the others.
+    """
     power = _power(values, rate)
     inside = power(*at.PULSE_BAND_HZ)
     noisy = _scaled(_share(inside, power(at.PULSE_BAND_HZ[0], rate)), at.PPG_BAND_SHARE)
     shape = _scaled(_moment(values, 3), at.PPG_SKEWNESS)
-    return _judged({"noisy": min(noisy, shape)}, _held(values))
+    like = _scaled(ppg_likeness(values, rate), at.PPG_LIKENESS)
+    even = _even(values, rate, at.PPG_UNEVENNESS)
+    return _judged({"noisy": min(noisy, shape, like, even)}, _held(values))
 
 
 def gsr(values: Array, rate: float) -> Judged:
-    """Return the share of samples of skin conductance, in microsiemens, that can be: Kleckner."""
+    """Return the share of samples of skin conductance, in microsiemens, that can be: Kleckner.
+
+    Slopes are those of means of neighbours, since noise of single samples is steeper the faster
+    they are taken.
+    """
+    slow, slow_hz = averaged(values, rate, at.EDA_RATE_HZ)
     low, high = at.EDA_RANGE_MICROSIEMENS
-    is_out = (values < low) | (values > high)
-    jumps = np.abs(np.diff(values, prepend=values[0])) * rate > at.EDA_SLOPE_MICROSIEMENS_PER_S
+    is_out = (slow < low) | (slow > high)
+    jumps = np.abs(np.diff(slow, prepend=slow[0])) * slow_hz > at.EDA_SLOPE_MICROSIEMENS_PER_S
     good = {"out_of_range": 1 - float(is_out.mean()), "noisy": 1 - float(jumps.mean())}
     quality, reasons = _judged(good, {})
     return min(quality, 1 - float((is_out | jumps).mean())), reasons
 
 
 def respiration(values: Array, rate: float) -> Judged:
-    """Judge breathing by the share of power in its band."""
+    """Judge breathing by the share of power in its band, and by how alike breaths are in depth."""
     power = _power(values, rate)
     share = _share(power(*at.BREATH_BAND_HZ), power(0, rate))
-    return _judged({"noisy": _scaled(share, at.BREATH_BAND_SHARE)}, _held(values))
+    inside = _scaled(share, at.BREATH_BAND_SHARE)
+    even = _even(values, rate, at.BREATH_UNEVENNESS, at.BREATH_BLOCK_S)
+    return _judged({"noisy": min(inside, even)}, _held(values))
 
 
 JUDGES: Mapping[str, Callable[[Array, float], Judged]] = {

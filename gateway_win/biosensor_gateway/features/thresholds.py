@@ -28,6 +28,11 @@ References
    Imaging 35 (2015) 64-70.
 .. [11] D. Khodadad et al., "Optimized breath detection algorithm in electrical impedance
    tomography", Physiological Measurement 39 (2018) 094001.
+.. [12] D. Makowski et al., "NeuroKit2: a Python toolbox for neurophysiological signal processing",
+   Behavior Research Methods 53 (2021) 1689-1696.
+.. [13] C. Orphanidou et al., "Signal-quality indices for the electrocardiogram and
+   photoplethysmogram: derivation and applications to wireless monitoring", IEEE Journal of
+   Biomedical and Health Informatics 19 (2015) 832-838.
 """
 
 HOP_S = 0.1
@@ -65,6 +70,8 @@ APEX_S = 0.08
 PULSE_BAND_HZ = (0.5, 8.0)
 PULSE_PEAK_S, PULSE_BEAT_S = 0.111, 0.667
 """[3]_: the two moving averages."""
+PULSE_AHEAD_S = 0.15
+"""How far the longer mean looks ahead; by 0.28 s in [3]_, where it is centred."""
 PULSE_OFFSET = 0.02
 """[3]_: beta, of the mean of the squared signal."""
 PULSE_MEAN_S = 3.0
@@ -89,15 +96,24 @@ SCL_WINDOW_S, SCL_EVERY_S = 8.0, 1.0
 SCR_SMOOTHING_S = 0.5
 SCR_LEAST_MICROSIEMENS = 0.02
 """[6]_: 0.01 to 0.05 uS are usual."""
+SCR_PROMINENT_SHARE, SCR_LARGEST_S = 0.1, 300.0
+"""[12]_: of the largest response of a recording; here of the second largest of five minutes."""
+SCR_STEEP_S = 3.0
+"""[6]_: a response rises for 1 to 3 s, so that what rises before is its level."""
 SCR_RISE_S = (0.25, 10.0)
 """[6]_: 1 to 3 s are typical; what overlaps takes longer, and a jump is none."""
 
 BREATH_RATE_HZ = 10.0
 BREATH_BAND_HZ = (0.05, 0.8)
-BREATH_HYSTERESIS, BREATH_SPREAD_S = 0.1, 15.0
-"""After [11]_: what crosses zero by less than this share of the spread is no breath."""
+BREATH_HYSTERESIS = 0.3
+"""[11]_, as in [12]_: turning points that are closer than this share of the usual are none."""
+BREATH_BLOCK_S, BREATH_BLOCKS = 3.0, 7
+"""How long the signal is looked at to say how far it moves, and of how many of these the median is
+taken."""
 BREATH_INTERVAL_S = (1.0, 20.0)
 BR_WINDOW_S, BR_LEAST = 30.0, 2
+BR_ALIKE = 1.6
+"""By this factor an interval may differ from their median; a breath missed makes it 2."""
 
 ACTIVITY_EPOCH_S = 5.0
 """[10]_: mean amplitude deviation of epochs."""
@@ -118,6 +134,18 @@ PPG_BAND_SHARE = (0.6, 0.9)
 """Power of 0.5 to 8 Hz to that of everything."""
 PPG_SKEWNESS = (-1.0, 0.0)
 """[9]_: a good pulse is skewed to the right."""
+ECG_LIKENESS, PPG_LIKENESS = (0.5, 0.82), (0.76, 0.96)
+"""[13]_: the mean correlation of beats with their template; good from 0.66 and 0.86 on, which are
+in the middle here."""
+ECG_TEMPLATE_S, PPG_TEMPLATE_S = (0.25, 0.35), (0.35, 0.35)
+"""What is compared: so long before and after the top."""
+TEMPLATE_RATE_HZ = 125.0
+TEMPLATE_APART_S, TEMPLATE_SHARE, TEMPLATE_LEAST = 0.25, 0.25, 3
+"""How far tops are apart, of which share of the usual height they are, how many there must be."""
+ECG_UNEVENNESS, PPG_UNEVENNESS = (1.2, 1.6), (2.0, 4.0)
+"""What the wildest second of a window spans, of what the usual one does: electrode pops."""
+BREATH_UNEVENNESS = (3.0, 6.0)
+"""The same of `BREATH_BLOCK_S`; a sigh is three times as deep as a breath."""
 EDA_RANGE_MICROSIEMENS = (0.05, 60.0)
 """[7]_."""
 EDA_SLOPE_MICROSIEMENS_PER_S = 10.0

@@ -121,6 +121,42 @@ class TcpPort:
         return bound
 
 
+class KeptPort:
+    """The number of a port of loopback that nobody else gets while the server on it is shut.
+
+    For servers of others, which bind it themselves: the system hands a free port to whoever
+    connects next.
+    """
+
+    def __init__(self) -> None:
+        self._number = 0
+        self._place: socket.socket | None = None
+
+    @property
+    def number(self) -> int:
+        """The same over all openings; 0 before `take`."""
+        return self._number
+
+    def take(self) -> int:
+        """Keep a port from now on, and return its number."""
+        if self._place is None:
+            self._place = socket.socket()
+            if sys.platform != "win32":
+                # The server, which does so too, may have it as well: this one never listens.
+                self._place.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._place.bind((LOOPBACK, self._number))
+            self._number = int(self._place.getsockname()[1])
+            if sys.platform == "win32":  # there the server could not have it
+                self._place.close()
+        return self._number
+
+    def give_back(self) -> None:
+        """Keep it no longer."""
+        if self._place is not None:
+            self._place.close()
+            self._place = None
+
+
 def break_off(transport: asyncio.Transport) -> None:
     """End a connection with an RST, as a process does that is killed."""
     connection = transport.get_extra_info("socket")

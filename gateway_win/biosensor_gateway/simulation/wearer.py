@@ -9,7 +9,7 @@ wearer's world began; every function takes and returns arrays.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from math import pi
 
 import numpy as np
@@ -125,7 +125,7 @@ class Wearer:
 
     def eeg_uv(self, t: Floats, electrode: str) -> Floats:
         """Scalp potential: an alpha rhythm that waxes and wanes, and broadband noise [uV]."""
-        (phase,) = self._rng(electrode).uniform(0, 2 * pi, 1)
+        phase = _phase(self.seed, electrode)
         alpha = 12.0 * (1 + 0.5 * np.sin(2 * pi * t / 7.0 + phase))
         rhythm = alpha * np.sin(2 * pi * 10.0 * t + phase)
         return rhythm + self.noise(t, 6.0, electrode)
@@ -136,9 +136,7 @@ class Wearer:
         A sum of tones between 0.5 and 45 Hz whose frequencies and phases come from
         the seed and ``name``.
         """
-        rng = self._rng(name)
-        frequencies = rng.uniform(0.5, 45.0, _NOISE_TONES)
-        phases = rng.uniform(0, 2 * pi, _NOISE_TONES)
+        frequencies, phases = _tones(self.seed, name)
         tones = np.sin(2 * pi * t[:, np.newaxis] * frequencies + phases)
         return rms * np.sqrt(2 / _NOISE_TONES) * tones.sum(axis=1)
 
@@ -148,12 +146,27 @@ class Wearer:
 
     @cached_property
     def _response_onsets(self) -> Floats:
-        steps = self._rng("responses").uniform(12.0, 20.0, 64)
+        steps = _rng(self.seed, "responses").uniform(12.0, 20.0, 64)
         onsets = np.cumsum(steps)
         return onsets[onsets < _RESPONSE_CYCLE_S - 30.0]
 
-    def _rng(self, name: str) -> np.random.Generator:
-        return np.random.default_rng((self.seed, *name.encode("ascii")))
+
+def _rng(seed: int, name: str) -> np.random.Generator:
+    return np.random.default_rng((seed, *name.encode("ascii")))
+
+
+# Asked for with each packet of each device, and always the same.
+@lru_cache(maxsize=1024)
+def _tones(seed: int, name: str) -> tuple[Floats, Floats]:
+    """Return frequencies [Hz] and phases [rad] of a noise."""
+    rng = _rng(seed, name)
+    return rng.uniform(0.5, 45.0, _NOISE_TONES), rng.uniform(0, 2 * pi, _NOISE_TONES)
+
+
+@lru_cache(maxsize=1024)
+def _phase(seed: int, name: str) -> float:
+    (phase,) = _rng(seed, name).uniform(0, 2 * pi, 1)
+    return float(phase)
 
 
 def someone(number: int) -> Wearer:

@@ -43,6 +43,21 @@ def restart_facts(environment: Mapping[str, str]) -> dict[str, int | str]:
     return {"restarts": int(count), "last_end": environment.get(LAST_END, "")}
 
 
+def next_delay_s(last_s: float | None, lived_s: float) -> float:
+    """Return how long to wait before a program that has died is started again.
+
+    Parameters
+    ----------
+    last_s
+        How long it was the last time; None if it dies for the first time.
+    lived_s
+        How long the program lived.
+    """
+    if last_s is None or lived_s >= STABLE_AFTER_S:
+        return 0.0
+    return min(max(1.0, 2 * last_s), LONGEST_DELAY_S)
+
+
 def keep_alive(arguments: Sequence[str]) -> int:
     """Keep this program running with other arguments; see :class:`KeepAlive`."""
     console = relay.console(relay.STDERR, "console")
@@ -111,18 +126,16 @@ class KeepAlive:
             code = self._run_once({RESTARTS: str(restarts), LAST_END: last_end})
             if code in {_AS_IT_SHOULD, _WRONG_SETTINGS} or self._is_asked_to_end:
                 return code
-            last_end = _described(code)
+            last_end = ending_in_words(code)
         return _AS_IT_SHOULD
 
     def _delays(self) -> Iterator[float]:
         """Yield how long to wait before each start; the first time, not at all."""
         yield 0.0
-        delay_s = 0.0
+        delay_s: float | None = None
         while True:
-            if self._lived_s >= STABLE_AFTER_S:
-                delay_s = 0.0
+            delay_s = next_delay_s(delay_s, self._lived_s)
             yield delay_s
-            delay_s = min(max(1.0, 2 * delay_s), LONGEST_DELAY_S)
 
     def _wait(self, seconds: float, last_end: str) -> None:
         """Let time pass before the next start, unless somebody asks for the end."""
@@ -202,7 +215,8 @@ def _ask_to_end(process: subprocess.Popen[bytes]) -> None:
         process.terminate()
 
 
-def _described(code: int) -> str:
+def ending_in_words(code: int) -> str:
+    """Say how a process ended, by its exit code."""
     if code >= 0:
         return f"exit code {code}"
     try:

@@ -16,6 +16,7 @@ from pylsl import local_clock
 
 from biosensor_common.errors import TransportError
 from biosensor_gateway.transports.link import Received
+from biosensor_gateway.transports.receiving import Receiver
 from biosensor_gateway.transports.threads import in_daemon_thread
 from biosensor_gateway.transports.traffic import Traffic
 
@@ -24,8 +25,6 @@ WRITE_TIMEOUT_S = 2.0
 CLOSE_TIMEOUT_S = 1.0
 FAREWELL_S = 0.5
 """How long a closing link waits for the other side to hang up, too."""
-
-_READ_SIZE = 65536
 
 
 class SocketLink:
@@ -108,8 +107,9 @@ class SocketLink:
         self._socket.close()
 
     def _read_forever(self, connected: socket.socket) -> None:
+        receiver = Receiver(connected)
         try:
-            while data := self._receive(connected):
+            while data := self._receive(receiver):
                 if not self._traffic.closing:
                     self._traffic.deliver(data, local_clock())
             self._traffic.lost()
@@ -117,10 +117,10 @@ class SocketLink:
             self._traffic.lost(error)
 
     @staticmethod
-    def _receive(connected: socket.socket) -> bytes:
+    def _receive(receiver: Receiver) -> bytes:
         while True:
             with contextlib.suppress(TimeoutError):
-                return connected.recv(_READ_SIZE)
+                return receiver.read()
 
     def _write_forever(self, connected: socket.socket) -> None:
         try:

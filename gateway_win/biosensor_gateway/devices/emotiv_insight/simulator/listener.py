@@ -16,7 +16,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request
 from websockets.protocol import State
 
-from biosensor_gateway.simulation.tcp_port import LOOPBACK, break_off
+from biosensor_gateway.simulation.tcp_port import LOOPBACK, KeptPort, break_off
 
 _CLOSE_TIMEOUT_S = 1.0
 # What TLS has not handed on to the socket; it hands on all, until the socket has enough.
@@ -104,7 +104,7 @@ class Listener:
         self._tls = tls
         self._hear = hear
         self._gone = gone
-        self._port = 0
+        self._port = KeptPort()
         self._is_open = False
         self._server: Server | None = None
         self._awake = asyncio.Event()
@@ -114,12 +114,11 @@ class Listener:
     @property
     def port(self) -> int:
         """TCP port, the same over all openings; 0 before the first."""
-        return self._port
+        return self._port.number
 
     def open(self) -> None:
         """Accept connections from now on."""
-        listening = socket.create_server((LOOPBACK, self._port))
-        self._port = listening.getsockname()[1]
+        listening = socket.create_server((LOOPBACK, self._port.take()))
         self._is_open = True
         self._spawn(self._serve_on(listening))
 
@@ -167,6 +166,7 @@ class Listener:
         await asyncio.gather(*self._tasks)
         if server is not None:
             await server.wait_closed()
+        self._port.give_back()
 
     async def _serve_on(self, listening: socket.socket) -> None:
         server = await serve(

@@ -11,11 +11,11 @@ from pylsl import local_clock
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.transports.link import Received
+from biosensor_gateway.transports.receiving import Receiver
 from biosensor_gateway.transports.threads import in_daemon_thread
 from biosensor_gateway.transports.traffic import Traffic
 
 _LOOK_S = 0.2
-_LARGEST = 65536
 _BUFFER_BYTES = 1 << 20
 """What the system keeps for an agent that does not run."""
 
@@ -82,9 +82,10 @@ class UdpLink:
         return TransportError(TransportReason.UNAVAILABLE, message)
 
     def _read_forever(self, listening: socket.socket) -> None:
+        receiver = Receiver(listening)
         while not self._traffic.closing:
             try:
-                data = listening.recv(_LARGEST)
+                data = receiver.read()
             except (TimeoutError, ConnectionResetError):
                 # Windows tells so that something which was sent elsewhere did not arrive.
                 continue

@@ -12,7 +12,7 @@ from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.protocol import State
 
 from biosensor_gateway.simulation.async_serial import serial_port
-from biosensor_gateway.simulation.tcp_port import LOOPBACK, break_off
+from biosensor_gateway.simulation.tcp_port import LOOPBACK, KeptPort, break_off
 
 _BUFFER_BYTES = 4096
 _WEB_SOCKET_ROOM_BYTES = 1 << 15
@@ -116,7 +116,7 @@ class WebSocket:
     """A WebSocket server, a message for each line."""
 
     def __init__(self) -> None:
-        self._number = 0
+        self._port = KeptPort()
         self._server: Server | None = None
         self._listeners: set[ServerConnection] = set()
         self._is_wanted = False
@@ -124,19 +124,18 @@ class WebSocket:
     @property
     def settings(self) -> Mapping[str, Any]:
         """The field ``url``."""
-        return {"url": f"ws://{LOOPBACK}:{self._number}/"}
+        return {"url": f"ws://{LOOPBACK}:{self._port.number}/"}
 
     async def open(self) -> None:
         """Accept connections."""
         self._is_wanted = True
         server = await serve(
-            self._serve, LOOPBACK, self._number, compression=None, close_timeout=1.0
+            self._serve, LOOPBACK, self._port.take(), compression=None, close_timeout=1.0
         )
         if not self._is_wanted:
             server.close()
             return
         self._server = server
-        self._number = int(next(iter(server.sockets)).getsockname()[1])
 
     async def _serve(self, connection: ServerConnection) -> None:
         self._listeners.add(connection)
@@ -169,3 +168,4 @@ class WebSocket:
     def dispose(self) -> None:
         """Hang up."""
         self.hang_up()
+        self._port.give_back()

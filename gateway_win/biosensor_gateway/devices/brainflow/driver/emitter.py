@@ -1,0 +1,132 @@
+"""Stamps what the presets of a board send, and passes it on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from biosensor_common.device_clock import DeviceClock
+from biosensor_gateway.devices.brainflow.declaration import BoardStream, Description
+from biosensor_gateway.devices.brainflow.driver.frames import Rows
+from biosensor_gateway.devices.brainflow.driver.timeline import SampleCount
+from biosensor_gateway.devices.sink import Sink
+from biosensor_gateway.system.device_log import DeviceLog
+
+_OLDEST_S = 10.0
+"""BrainFlow is asked 50 times a second; a stamp that is older was made before the clock was set."""
+_WATCHED_S = 10.0
+_RATE_ERROR = 0.05
+
+
+class _Stamps(Protocol):
+    """Takes a preset's device times, and sends its samples by them."""
+
+    def observe(self, device_s: float, arrival_s: float, /) -> None: ...
+
+    def emit(
+        self, data_name: str, samples: NDArray[np.float64], times: Sequence[float], /
+    ) -> None: ...
+
+
+class _OwnClock:
+    """The clock of a preset that is not the board's first: it counts at a rate of its own."""
+
+    def __init__(self, sink: Sink) -> None:
+        self._sink, self._clock = sink, DeviceClock()
+
+    def observe(self, device_s: float, arrival_s: float) -> None:
+        self._clock.observe(device_s, arrival_s)
+
+    def emit(self, data_name: str, samples: NDArray[np.float64], times: Sequence[float]) -> None:
+        self._sink.emit_at(data_name, samples, self._clock.all_to_lsl(times))
+
+
+class PresetEmitter:
+    """Passes on one preset for one connection.
+
+    Parameters
+    ----------
+    streams
+        Those of the preset.
+    description
+        Where its packet number and time stamp are.
+    turns_over_at
+        Of its packet number; see `SampleCount`.
+    stamps
+        The sink itself for the first preset, so that its clock is the device's.
+    """
+
+    def __init__(
+        self,
+        streams: Sequence[BoardStream],
+        description: Description,
+        rate_hz: float,
+        turns_over_at: int,
+        sink: Sink,
+        stamps: _Stamps,
+    ) -> None:
+        self._streams, self._rate_hz = streams, rate_hz
+        self._stamp_row: int = description["timestamp_channel"]
+        self._number_row: int = description["package_num_channel"]
+        self._rows: int = description["num_rows"]
+        self._count = SampleCount(turns_over_at)
+        self._sink, self._stamps = sink, stamps
+        self._states: dict[str, tuple[float, ...]] = {}
+        self._begin: tuple[float, int] | None = None
+        self._log = DeviceLog("biosensor_gateway.brainflow", sink.identity)
+
+    def take(self, rows: Rows, arrival_s: float) -> None:
+        """Emit what came together; *arrival_s* is the LSL time when it was handed on."""
+        values = rows.values
+        if values.shape[0] != self._rows or not values.shape[1]:
+            return
+        places, lost = self._count.place(values[self._number_row])
+        age_s = rows.now_s - float(values[self._stamp_row, -1])
+        measured_s = arrival_s - age_s if 0 <= age_s < _OLDEST_S else arrival_s
+        times = (places / self._rate_hz).tolist()
+        self._stamps.observe(times[-1], measured_s)
+        self._sink.heard()
+        for stream in self._streams:
+            samples = values[list(stream.rows)].T
+            if stream.is_state:
+                self._emit_changes(stream, samples, times)
+                continue
+            if lost:
+                self._sink.lost(stream.spec.data_name, lost)
+            self._stamps.emit(stream.spec.data_name, samples, times)
+        self._watch_rate(measured_s, int(places[-1]))
+
+    def _emit_changes(
+        self, stream: BoardStream, samples: NDArray[np.float64], times: Sequence[float]
+    ) -> None:
+        name = stream.spec.data_name
+        for sample, time_s in zip(samples, times, strict=True):
+            value = tuple(sample.tolist())
+            if value != self._states.get(name):
+                self._states[name] = value
+                self._stamps.emit(name, sample[np.newaxis], [time_s])
+
+    def _watch_rate(self, measured_s: float, place: int) -> None:
+        """Say once that a board sends at another rate than was declared."""
+        if self._begin is None:
+            self._begin = measured_s, place
+        elapsed_s = measured_s - self._begin[0]
+        if elapsed_s < _WATCHED_S:
+            return
+        rate = (place - self._begin[1]) / elapsed_s
+        self._begin = measured_s, place
+        if abs(rate / self._rate_hz - 1) > _RATE_ERROR:
+            self._log.warn_once(
+                "the board sends at another rate than declared, so its stamps are wrong; set "
+                "rate_hz",
+                declared_hz=self._rate_hz,
+                measured_hz=round(rate, 1),
+            )
+
+
+def own_clock(sink: Sink) -> _Stamps:
+    """Return the stamps of a preset that has no clock yet."""
+    return _OwnClock(sink)

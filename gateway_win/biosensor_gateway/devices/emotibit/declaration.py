@@ -1,0 +1,47 @@
+"""EmotiBit: skin conductance, pulse at three wavelengths, temperature and motion.
+
+Rates are those of the stock firmware; units and ranges are what it computes from its sensors.
+Source: EmotiBit_FeatherWing (`EmotiBit.cpp`) and *Working with EmotiBit data* (MIT licence).
+"""
+
+from biosensor_common.quantities import (
+    ACCELERATION,
+    MAGNETIC_FIELD,
+    ContentType,
+    Unit,
+)
+from biosensor_common.spec import FROM_DEVICE, SensorSpec
+from biosensor_common.table import battery, channels, hardware, raw
+
+MOTION_HZ = 25.0
+PULSE_HZ = 25.0
+CONDUCTANCE_HZ = 15.0
+TEMPERATURE_HZ = 7.5
+
+_TOO_MUCH = channels(Unit.COUNTS, "clipped", "overflowed")
+
+SPEC = SensorSpec(
+    name="emotibit",
+    title="EmotiBit",
+    manufacturer="EmotiBit",
+    model="EmotiBit",
+    streams=(
+        raw("eda", ContentType.GSR, channels(Unit.MICROSIEMENS, "EDA"), CONDUCTANCE_HZ,
+            chunk="eda"),
+        # There is a firmware that measures it at 100 Hz.
+        raw("ppg", ContentType.PPG, channels(Unit.COUNTS, "infrared", "red", "green"),
+            FROM_DEVICE, chunk="ppg"),
+        raw("st", ContentType.TEMPERATURE, channels(Unit.CELSIUS, "skin"), TEMPERATURE_HZ),
+        raw("hr", ContentType.HR, channels(Unit.BEATS_PER_MINUTE, "HR")),
+        raw("ibi", ContentType.RR, channels(Unit.SECONDS, "IBI")),
+        hardware("acc", ContentType.ACCELEROMETER,
+                 channels(Unit.G, *"XYZ", roles=ACCELERATION), MOTION_HZ),
+        hardware("gyro", ContentType.GYROSCOPE,
+                 channels(Unit.DEGREES_PER_SECOND, *"XYZ"), MOTION_HZ),
+        hardware("mag", ContentType.MAGNETOMETER,
+                 channels(Unit.MICROTESLA, *"XYZ", roles=MAGNETIC_FIELD), MOTION_HZ),
+        battery(),
+        # Samples that were beyond a sensor's range, and that its buffer had no room for.
+        hardware("quality", ContentType.QUALITY, _TOO_MUCH),
+    ),
+)  # fmt: skip

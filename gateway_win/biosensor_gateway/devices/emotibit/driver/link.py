@@ -1,0 +1,227 @@
+"""Control (TCP) and data (UDP) of one EmotiBit.
+
+To the one that is wanted the host names two ports of its own: the EmotiBit connects to the first
+one by TCP and sends its data to the second one. It goes on as long as it gets a ping every ten
+seconds. Source: EmotiBit_FeatherWing, ``EmotiBitWiFi`` (MIT licence).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from contextlib import suppress
+from typing import NamedTuple
+
+from biosensor_common.errors import (
+    ProtocolError,
+    ProtocolReason,
+    TransportError,
+    TransportReason,
+)
+from biosensor_gateway.devices.emotibit.driver.advertising import (
+    ADVERTISING_PORT,
+    Advertising,
+    Nearby,
+)
+from biosensor_gateway.devices.emotibit.driver.datagrams import Address, Datagrams
+from biosensor_gateway.devices.emotibit.driver.packets import Read, Tag, read, write
+from biosensor_gateway.transports.link import Received
+
+CONNECT_LIMIT_S = 5.0
+PING_EVERY_S = 1.0
+_DATA_PORT, _CONTROL_PORT = "DP", "CP"
+_RECEIVE_BUFFER_BYTES = 1 << 20
+_QUIET_S = 0.05
+"""When no more data came for so long, there is nothing left from before the end."""
+
+
+class Arrived(NamedTuple):
+    """A datagram of data.
+
+    Attributes
+    ----------
+    found
+        What it holds.
+    arrival_s
+        LSL clock.
+    address
+        Where it came from, to which answers go.
+    """
+
+    found: Read
+    arrival_s: float
+    address: Address
+
+
+class _Control(asyncio.Protocol):
+    """The channel of control, on which the device has nothing to say: its end is waited for."""
+
+    def __init__(self, link: Link) -> None:
+        self._link: Link | None = link
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        if self._link is not None and not self._link.take_control(transport):
+            self._link = None
+            transport.close()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._link is not None:
+            self._link.lose_control()
+
+
+class Link:
+    """Control and data of one EmotiBit, for one connection.
+
+    Parameters
+    ----------
+    name
+        What errors call the device.
+    host
+        Its address: nobody else is listened to.
+    """
+
+    def __init__(self, name: str, host: str) -> None:
+        self.name = name
+        self._host = host
+        self._server: asyncio.Server | None = None
+        self._control: asyncio.Transport | None = None
+        self._is_controlled = asyncio.Event()
+        self._data: asyncio.DatagramTransport | None = None
+        self._arrived: asyncio.Queue[Arrived | TransportError] = asyncio.Queue()
+        self._number = 0
+        self._datagrams = 0
+
+    async def open(self) -> None:
+        """Listen on two ports.
+
+        Raises
+        ------
+        TransportError
+            ``UNAVAILABLE``.
+        """
+        loop = asyncio.get_running_loop()
+        try:
+            here = _address_towards(self._host)
+            self._server = await loop.create_server(lambda: _Control(self), here, 0)
+            self._data, _ = await loop.create_datagram_endpoint(
+                lambda: Datagrams(self._take), (here, 0)
+            )
+        except OSError as error:
+            message = f"{self.name}: no port for its data on this computer ({error})"
+            raise TransportError(TransportReason.UNAVAILABLE, message) from error
+        receiving: socket.socket = self._data.get_extra_info("socket")
+        receiving.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+
+    @property
+    def payload(self) -> tuple[str, ...]:
+        """What tells the device where to connect."""
+        assert self._server is not None
+        control = self._server.sockets[0].getsockname()[1]
+        return (_CONTROL_PORT, str(control), *self.data_payload)
+
+    @property
+    def data_payload(self) -> tuple[str, ...]:
+        """What tells the device that it is its own host who asks."""
+        assert self._data is not None
+        return (_DATA_PORT, str(self._data.get_extra_info("sockname")[1]))
+
+    async def controlled(self, limit_s: float) -> bool:
+        """Wait until the device has connected; return whether it has in time."""
+        with suppress(TimeoutError):
+            await asyncio.wait_for(self._is_controlled.wait(), limit_s)
+        return self._is_controlled.is_set()
+
+    def control(self, tag: Tag) -> None:
+        """Send a command."""
+        if self._control is not None and not self._control.is_closing():
+            self._control.write(write(tag, self._number))
+            self._number += 1
+
+    def answer(self, tag: Tag, payload: tuple[str, ...], to: Address) -> None:
+        """Send a packet to where data came from."""
+        if self._data is not None:
+            self._data.sendto(write(tag, self._number, payload), to)
+            self._number += 1
+
+    async def read(self) -> Arrived:
+        """Wait for the next datagram.
+
+        Raises
+        ------
+        TransportError
+            ``LOST`` when the device has ended the connection.
+        """
+        item = await self._arrived.get()
+        if isinstance(item, TransportError):
+            self._arrived.put_nowait(item)
+            raise item
+        return item
+
+    async def close(self) -> None:
+        """Let the device go, and close; never raises."""
+        self.control(Tag.DISCONNECT)
+        if self._server is not None:
+            self._server.close()
+        if self._control is not None:
+            self._control.close()
+        if self._data is not None:
+            self._data.close()
+
+    def take_control(self, control: asyncio.Transport) -> bool:
+        """Take a connection that was made; return False for one that is not the device's."""
+        host = control.get_extra_info("peername")[0]
+        if self._control is not None or host != self._host:
+            return False
+        self._control = control
+        self._is_controlled.set()
+        return True
+
+    def lose_control(self) -> None:
+        """Tell that the device has ended the connection, once what it sent before that is read.
+
+        There may be seconds of it, where this computer slept.
+        """
+        self._end_when_quiet(-1)
+
+    def _end_when_quiet(self, before: int) -> None:
+        if self._datagrams != before:
+            loop = asyncio.get_running_loop()
+            loop.call_later(_QUIET_S, self._end_when_quiet, self._datagrams)
+            return
+        message = f"{self.name}: the link was cut; is it on, charged and in the Wi-Fi?"
+        self._arrived.put_nowait(TransportError(TransportReason.LOST, message))
+
+    def _take(self, received: Received, address: Address) -> None:
+        if address[0] == self._host:
+            self._datagrams += 1
+            found = read(received.data)
+            self._arrived.put_nowait(Arrived(found, received.arrival, address))
+
+
+def _address_towards(host: str) -> str:
+    """Return this computer's address in the network of a host; nothing is sent."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.connect((host, ADVERTISING_PORT))
+        address: str = probe.getsockname()[0]
+        return address
+
+
+async def connect(advertising: Advertising, link: Link, nearby: Nearby) -> None:
+    """Have the EmotiBit connect to a link.
+
+    Raises
+    ------
+    TransportError, ProtocolError
+        ``BUSY`` if another host uses it; ``NO_REPLY``.
+    """
+    advertising.tell(Tag.CONNECT, *link.payload, to=nearby.address)
+    if await link.controlled(CONNECT_LIMIT_S):
+        return
+    if nearby.in_use:
+        message = f"{link.name} refuses: another program or computer uses it; end that one"
+        raise TransportError(TransportReason.BUSY, message)
+    message = (
+        f"{link.name}: it answers and does not connect; does a firewall of this computer refuse it?"
+    )
+    raise ProtocolError(ProtocolReason.NO_REPLY, message)

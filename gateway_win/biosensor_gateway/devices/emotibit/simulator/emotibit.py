@@ -1,0 +1,300 @@
+"""A virtual EmotiBit in the Wi-Fi of this computer.
+
+::
+
+    with World() as world, SimulatedEmotiBit(world) as device:
+        print(device.settings)
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from biosensor_gateway.devices.emotibit.simulator import wire
+from biosensor_gateway.devices.emotibit.simulator.expected import EXPECTED
+from biosensor_gateway.devices.emotibit.simulator.host import Host
+from biosensor_gateway.devices.emotibit.simulator.rounds import ROUND_S, Round, Rounds
+from biosensor_gateway.devices.emotibit.simulator.sending import OnItsWay, Sending
+from biosensor_gateway.devices.emotibit.simulator.wifi import Wifi
+from biosensor_gateway.simulation.crystal import Crystal
+from biosensor_gateway.simulation.effects import Effect, lasting
+from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.tcp_port import LOOPBACK
+from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
+from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.simulation.world import World
+
+_FORGOTTEN_S = 10.0
+"""A host that does not ask for so long is gone."""
+_UNREACHABLE = frozenset({FaultKind.DROP, FaultKind.RESTART})
+
+
+class SimulatedEmotiBit(VirtualDevice):
+    """The device.
+
+    Its `truth` holds what was sent to a host that was connected, with the times at which the
+    sensors measured it.
+
+    Parameters
+    ----------
+    world
+        Where it lives.
+    device
+        Its id.
+    host, port
+        Address and UDP port on which hosts ask for it; 0 takes a free one. A real one has 3131.
+    ppg_hz
+        Of its firmware.
+    wearer, seed
+        Who wears it, by default a person from the seed; the seed also makes delays and garbage.
+    drift_ppm, jitter_s
+        Of its processor's clock, and the Wi-Fi's longest delay.
+    kept
+        Limit of `truth`; None = all.
+    battery_percent
+        Charge at power-on.
+    """
+
+    sensor = "emotibit"
+    expected = EXPECTED
+    rates_hz = MappingProxyType({"ppg": 25.0})
+    filled = MappingProxyType(
+        {
+            "quality": Filled(None, "nothing is clipped"),
+            "st": Filled(1, "the driver looks first which thermometers there are"),
+        }
+    )
+
+    def __init__(
+        self,
+        world: World,
+        *,
+        device: str = "MD-V5-0000123",
+        host: str = LOOPBACK,
+        port: int = 0,
+        ppg_hz: float = 25.0,
+        wearer: Wearer | None = None,
+        seed: int = 0,
+        drift_ppm: float = 0.0,
+        jitter_s: float = 0.0,
+        kept: int | None = None,
+        battery_percent: float = 80.0,
+    ) -> None:
+        super().__init__(world, kept)
+        self.device = device
+        self._ppg_hz = ppg_hz
+        self._wearer = wearer or Wearer(seed)
+        self._rng = np.random.default_rng(seed)
+        self._battery_percent = battery_percent
+        self._battery_told: object = None
+        self._crystal = Crystal(world.clock, drift_ppm)
+        self._worn_since_s = world.clock()
+        self._rounds = self._switched_on()
+        self._wifi = Wifi(self._asked, host, port)
+        self._host: Host | None = None
+        self._running: asyncio.Task[None] | None = None
+        self._sending = Sending(world.clock, self._rng, jitter_s, self._put_out)
+        self._answer_delay_s = 0.0
+        self._stalled = self._refuses = self._sleeps = self._is_unreadable = False
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """The fields ``host`` and ``port``."""
+        return {"host": self._wifi.host, "port": self._wifi.port}
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether a host has it."""
+        return self._host is not None
+
+    def lose(self, count: int) -> None:
+        """Send the next datagrams into nowhere."""
+        self.world.call(lambda: setattr(self._wifi, "to_lose", count))
+
+    async def _start(self) -> None:
+        self._crystal = Crystal(self.world.clock, self._crystal.drift_ppm)
+        self._worn_since_s = self.world.clock()
+        self._rounds = self._switched_on()
+        await self._wifi.open()
+        self._running = asyncio.create_task(self._run())
+
+    async def _stop(self) -> None:
+        if self._running is not None:
+            self._running.cancel()
+        self._leave()
+        self._wifi.close()
+
+    def _switched_on(self) -> Rounds:
+        return Rounds(self._crystal, self._wearer, self._worn_since_s, self._ppg_hz)
+
+    async def _run(self) -> None:
+        due_s = ROUND_S
+        while True:
+            await self._crystal.reach(due_s)
+            if self._host is not None and self.world.clock() - self._host.pinged_s > _FORGOTTEN_S:
+                self._leave()
+            made = self._rounds.next(due_s, self._battery_percent)
+            self._send(made)
+            due_s += ROUND_S
+
+    def _send(self, made: Round) -> None:
+        if self._host is None or self._sleeps:
+            return
+        place = 0
+        for packets in wire.datagrams(made.packets):
+            inside = range(place, place + len(packets))
+            samples = [made.samples[each] for each in inside if each in made.samples]
+            self._sending.send(self._host, b"".join(packets), samples)
+            place += len(packets)
+
+    def _put_out(self, on_its_way: OnItsWay) -> None:
+        host, datagram, samples = on_its_way
+        if self._stalled or host is not self._host:
+            return
+        if self._is_unreadable:
+            host.send(datagram.replace(b",", b";"))
+            return
+        is_sent = self._wifi.is_let_through() and host.send(datagram)
+        for data_name, times, values in samples:
+            if data_name == "bat" and is_sent:
+                # It is told again and again; what there is to know is the change.
+                is_known, self._battery_told = values == self._battery_told, values
+                if is_known:
+                    continue
+            if is_sent:
+                self.truth.sent(data_name, times, values)
+            else:
+                self.truth.unsent(data_name, len(times))
+
+    def _asked(self, message: wire.Message, address: tuple[str, int]) -> None:
+        if not self._stalled:
+            self.world.loop.call_later(self._answer_delay_s, self._answer, message, address)
+
+    def _answer(self, message: wire.Message, address: tuple[str, int]) -> None:
+        match message.tag:
+            case wire.HELLO:
+                port = self._host.data_port if self._host is not None else -1
+                # Who refuses is somebody else's.
+                port = 3132 if self._refuses else port
+                self._tell(wire.HERE, ["DP", str(port), "DI", self.device], address)
+            case wire.CONNECT if self._host is None and not self._refuses:
+                control, data = message.behind("CP"), message.behind("DP")
+                if control is not None and data is not None:
+                    self._host = Host(
+                        self._wifi.host, address[0], control, data, self._obey, self._leave
+                    )
+                    self._host.pinged_s = self.world.clock()
+                    self._host.connect(lambda: self._tell_pong(address))
+            case wire.PING if self._host is not None:
+                if message.behind("DP") == self._host.data_port:
+                    self._host.pinged_s = self.world.clock()
+                    self._tell_pong(address)
+            case _:
+                return
+
+    def _tell_pong(self, address: tuple[str, int]) -> None:
+        if self._host is not None:
+            self._tell(wire.PONG, ["DP", str(self._host.data_port)], address)
+
+    def _tell(self, tag: str, payload: list[str], address: tuple[str, int]) -> None:
+        if not self._stalled:
+            self._wifi.tell(int(self._crystal.now() * 1000), tag, payload, address)
+
+    def _obey(self, message: wire.Message) -> None:
+        """Do what a host says on the control channel, or write down what it says of the time."""
+        if self._stalled:
+            return
+        match message.tag:
+            case wire.DISCONNECT:
+                self._leave()
+            case wire.NORMAL_POWER:
+                self._sleeps = False
+            case mode if mode in wire.QUIET:
+                self._sleeps = True
+            case wire.TIME_LOCAL | wire.TIME_UTC | wire.ACKNOWLEDGED:
+                if self._host is not None:
+                    noted = self._rounds.note(message.tag, list(message.payload))
+                    self._sending.send(self._host, noted, ())
+            case _:
+                return
+
+    def _leave(self) -> None:
+        self._sending.forget()
+        if self._host is not None:
+            self._host.close()
+            self._host = None
+
+    def _vanish(self) -> None:
+        self._leave()
+        self._wifi.is_there = False
+
+    def _return(self) -> None:
+        self._wifi.is_there = not _UNREACHABLE & self._lasting.keys()
+
+    def _power_cycle(self) -> None:
+        self._crystal = Crystal(self.world.clock, self._crystal.drift_ppm)
+        self._rounds = self._switched_on()
+        self._sleeps = False
+        if self._running is not None:
+            self._running.cancel()
+        self._running = asyncio.create_task(self._run())
+        self._return()
+
+    def _stall(self) -> None:
+        self._stalled = True
+
+    def _resume(self) -> None:
+        self._stalled = False
+
+    def _babble(self, count: float) -> None:
+        if self._host is not None:
+            self._host.send(self._rng.bytes(int(count)))
+
+    def _refuse(self) -> None:
+        self._refuses = True
+        self._leave()
+
+    def _comply(self) -> None:
+        self._refuses = False
+
+    def _answer_late(self, seconds: float) -> None:
+        self._answer_delay_s = seconds
+        self._leave()
+
+    def _answer_in_time(self) -> None:
+        self._answer_delay_s = 0.0
+
+    def _forget(self, _: float) -> None:
+        self._sleeps = True
+
+    def _become_unreadable(self) -> None:
+        self._is_unreadable = True
+
+    def _become_readable(self) -> None:
+        self._is_unreadable = False
+
+    def _discharge(self, percent: float) -> None:
+        self._battery_percent = percent
+
+    def _drift(self, ppm: float) -> None:
+        self._crystal.set_drift(ppm)
+
+    effects = MappingProxyType(
+        {
+            FaultKind.DROP: lasting(_vanish, _return),
+            FaultKind.RESTART: lasting(_vanish, _power_cycle),
+            FaultKind.STALL: lasting(_stall, _resume),
+            FaultKind.GARBAGE: Effect(_babble),
+            FaultKind.REFUSE: lasting(_refuse, _comply),
+            FaultKind.LATE: Effect(_answer_late, _answer_in_time),
+            FaultKind.FORGET: Effect(_forget),
+            FaultKind.UNREADABLE: lasting(_become_unreadable, _become_readable),
+            FaultKind.LOW_BATTERY: Effect(_discharge),
+            FaultKind.DRIFT: Effect(_drift),
+        }
+    )

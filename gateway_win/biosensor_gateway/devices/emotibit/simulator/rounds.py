@@ -1,0 +1,125 @@
+"""What an EmotiBit measures between two rounds of sending, as packets and as truth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from biosensor_gateway.devices.emotibit.simulator import wire
+from biosensor_gateway.devices.emotibit.simulator.sensors import Part, Reading, Sampler, parts
+from biosensor_gateway.simulation.crystal import Crystal
+from biosensor_gateway.simulation.wearer import Wearer
+
+ROUND_S = 0.1
+"""How often it sends what there is."""
+SYNC_EVERY_ROUNDS = 51
+BATTERY_EVERY_ROUNDS = 10
+_DIGITS = {"eda": 6, "ppg": 0, "st": 3, "acc": 4, "gyro": 3, "mag": 2}
+
+
+class Measured(NamedTuple):
+    """Samples of one sensor, for the truth."""
+
+    data_name: str
+    times: list[float]
+    values: list[list[float]]
+
+
+class Round(NamedTuple):
+    """What is sent together; samples belong to packets with their place in `packets`."""
+
+    packets: list[bytes]
+    samples: dict[int, Measured]
+
+
+class Rounds:
+    """The rounds of one EmotiBit since it was switched on.
+
+    Parameters
+    ----------
+    crystal
+        Its processor's clock.
+    wearer
+    worn_since_s
+        LSL time at which the wearer's time is 0.
+    ppg_hz
+        Of its firmware.
+    """
+
+    def __init__(
+        self, crystal: Crystal, wearer: Wearer, worn_since_s: float, ppg_hz: float
+    ) -> None:
+        self._crystal = crystal
+        self._wearer = wearer
+        self._worn_since_s = worn_since_s
+        self._samplers = [Sampler(part) for part in parts(ppg_hz)]
+        self._before_s = 0.0
+        self._last_beat_s = worn_since_s
+        self._count = 0
+        self._number = 0
+
+    def next(self, now_s: float, battery_percent: float) -> Round:
+        """Return the round that ends now, in device seconds; numbers go on with it."""
+        packets: list[bytes] = []
+        samples: dict[int, Measured] = {}
+        for sampler in self._samplers:
+            reading = Reading()
+            sampler.read(self._before_s, now_s, reading)
+            if reading.times_s:
+                measured, texts = self._measured(sampler.part, reading)
+                channels = zip(sampler.part.tags, texts, strict=True)
+                for place, (tag, channel) in enumerate(channels):
+                    # The pulse's channels are stamped one after another.
+                    late_ms = place // 2 if sampler.part.data_name == "ppg" else 0
+                    packets.append(self._packet(reading.stamp_ms + late_ms, tag, channel))
+                samples[len(packets) - 1] = measured
+        now_ms = int(now_s * 1000)
+        beats = self._beats(now_s, samples, len(packets))
+        packets += [self._packet(now_ms, *each) for each in beats]
+        if self._count % BATTERY_EVERY_ROUNDS == 0:
+            samples[len(packets)] = Measured(
+                "bat", [self._crystal.true_time(now_s)], [[battery_percent]]
+            )
+            packets.append(self._packet(now_ms, "B%", [f"{battery_percent:.0f}"]))
+        if self._count % SYNC_EVERY_ROUNDS == SYNC_EVERY_ROUNDS - 1:
+            packets.append(self._packet(now_ms, wire.REQUEST, [wire.TIME_LOCAL, wire.TIME_UTC]))
+        self._before_s = now_s
+        self._count += 1
+        return Round(packets, samples)
+
+    def note(self, tag: str, payload: list[str]) -> bytes:
+        """Write down what a host said, as it does for the file on its card."""
+        return self._packet(int(self._crystal.now() * 1000), tag, payload)
+
+    def _measured(self, part: Part, reading: Reading) -> tuple[Measured, list[list[str]]]:
+        times = [self._crystal.true_time(each) for each in reading.times_s]
+        since = np.array(times, np.float64) - self._worn_since_s
+        values = part.measure(self._wearer, since)
+        digits = _DIGITS[part.data_name]
+        texts = [[f"{value:.{digits}f}" for value in channel] for channel in values.T]
+        sent = [[float(text) for text in row] for row in zip(*texts, strict=True)]
+        return Measured(part.data_name, times, sent), texts
+
+    def _beats(
+        self, now_s: float, samples: dict[int, Measured], at: int
+    ) -> Iterator[tuple[str, list[str]]]:
+        """Heart rate and interval at each beat that its firmware has found."""
+        now = self._crystal.true_time(now_s) - self._worn_since_s
+        beats = self._wearer.beats_between(self._last_beat_s - self._worn_since_s, now)
+        self._last_beat_s = now + self._worn_since_s
+        for beat in beats[-1:]:
+            interval_s = float(self._wearer.rr_before(np.array([beat], np.float64))[0])
+            told = (
+                ("ibi", "BI", f"{1000 * interval_s:.1f}", 1e-3),
+                ("hr", "HR", f"{60 / interval_s:.0f}", 1.0),
+            )
+            for place, (data_name, tag, text, unit) in enumerate(told, at):
+                times = [now + self._worn_since_s]
+                samples[place] = Measured(data_name, times, [[float(text) * unit]])
+                yield tag, [text]
+
+    def _packet(self, time_ms: int, tag: str, payload: list[str]) -> bytes:
+        self._number += 1
+        return wire.packet(time_ms, self._number - 1, tag, payload)

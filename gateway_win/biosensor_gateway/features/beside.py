@@ -1,0 +1,55 @@
+"""Sends features in a process of its own that ends with the agent, however that ends.
+
+The settings of LSL come as a line of JSON, and the end of the input ends it. Each line of its
+output is a sentence for the agent's log.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+from io import FileIO
+
+from biosensor_common.lsl_config import LslOverrides
+from biosensor_gateway.features.live import Live
+from biosensor_gateway.features.sources import Source
+from biosensor_gateway.settings.models import LslSettings
+from biosensor_gateway.streaming.outlets import configure_lsl
+
+
+def send_for_another() -> int:
+    """Compute and send until the input ends; return the exit code of this process."""
+    # Unbuffered: a thread that reads from a buffer cannot be left behind at the end.
+    asked = FileIO(sys.stdin.fileno(), closefd=False)
+    line = asked.readline()
+    if not line:
+        return 0
+    lsl = LslSettings.model_validate_json(line)
+    configure_lsl(LslOverrides(lsl.session_id, lsl.known_peers, lsl.port_range))
+    stopping = threading.Event()
+
+    def read_to_the_end() -> None:
+        asked.read()
+        stopping.set()
+
+    threading.Thread(target=read_to_the_end, daemon=True).start()
+    Live(_Telling()).run(stopping)
+    return 0
+
+
+class _Telling:
+    def found(self, source: Source) -> None:
+        names = ", ".join(each.stream.data_name for each in source.features)
+        _tell(f"of {source.name}: {names}")
+
+    def refused(self, sentence: str) -> None:
+        _tell(sentence)
+
+
+def _tell(sentence: str) -> None:
+    line = " ".join(sentence.split())
+    # Who reads may have died, and the end of the input says so, too.
+    with contextlib.suppress(OSError):
+        sys.stdout.buffer.write(f"{line}\n".encode(errors="replace"))
+        sys.stdout.buffer.flush()

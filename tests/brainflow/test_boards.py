@@ -1,0 +1,185 @@
+"""Boards of an unmodified BrainFlow, in a process of its own, under the supervisor."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from structlog.testing import capture_logs
+
+from biosensor_common.errors import GatewayError, ProtocolError, TransportError
+from biosensor_gateway.devices.brainflow.declaration import board_spec, board_streams
+from biosensor_gateway.devices.brainflow.driver import link as link_module
+from biosensor_gateway.devices.brainflow.driver.driver import DRIVER
+from tests.brainflow.conftest import ENVIRONMENT, BoardRun, board_settings
+from tests.rigs.driver_run import NotedSink, supervised
+from tests.rigs.polling import until
+
+RATE_HZ = 250.0
+DESCRIBE_ALL = """
+import json, warnings
+warnings.simplefilter("ignore")
+from brainflow.board_shim import BoardIds, BoardShim
+found = {}
+for board in BoardIds:
+    try:
+        presets = BoardShim.get_board_presets(board.value)
+        found[board.name] = {each: BoardShim.get_board_descr(board.value, each) for each in presets}
+    except Exception:
+        pass
+print(json.dumps(found))
+"""
+
+
+async def test_the_synthetic_board_streams_what_it_describes_without_a_gap() -> None:
+    async with supervised(BoardRun()) as run:
+        await until(run.sink.has(1000, "eeg", "acc_aux"))
+    sink = run.sink
+    assert sink.spec.stream("eeg").labels[:3] == ("Fz", "C3", "Cz")
+    assert sink.spec.stream("acc").labels == ("X", "Y", "Z")
+    assert {name for name in sink.rows if sink.rows[name]} >= {"eeg", "gsr", "ppg", "temp", "bat"}
+    assert run.lost == {}
+    for name in ("eeg", "acc_aux"):
+        spacing_s = np.diff(sink.times[name][250:])
+        assert abs(np.median(spacing_s) - 1 / RATE_HZ) < 1e-4
+        assert np.sqrt(np.mean((spacing_s - np.median(spacing_s)) ** 2)) < 1e-3
+    assert sink.times["eeg"] == sink.times["gsr"]
+
+
+async def test_electrodes_are_on_what_the_settings_say() -> None:
+    async with supervised(BoardRun(electrodes="ecg")) as run:
+        await until(run.sink.has(10, "ecg"))
+    assert "eeg" not in run.sink.rows
+    assert run.sink.spec.stream("ecg").labels[0] == "ECG1"
+
+
+async def test_a_recording_of_brainflow_is_played_value_by_value(tmp_path: Path) -> None:
+    rows, count = 24, 300
+    values = np.zeros((rows, count))
+    values[0] = np.arange(count) % 256
+    values[1:9] = np.round(np.random.default_rng(3).normal(0, 100, (8, count)), 3)
+    values[22] = 1.7e9 + np.arange(count) / RATE_HZ
+    file = tmp_path / "recording.csv"
+    np.savetxt(file, values.T, fmt="%.6f", delimiter="\t")
+    fields = {"board": "PLAYBACK_FILE_BOARD", "master_board": "CYTON_BOARD", "file": str(file)}
+    async with supervised(BoardRun(**fields, name="played")) as run:
+        await until(run.sink.has(count - 60, "eeg"))
+    played = run.sink.array("eeg")
+    sent = values[1:9].T.astype(np.float32)
+    np.testing.assert_allclose(played, sent[: len(played)], rtol=0, atol=1e-3)
+
+
+async def test_a_process_that_is_killed_or_hangs_is_replaced(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    started: list[subprocess.Popen[bytes]] = []
+    real = link_module.start
+
+    def noted(*arguments: object) -> subprocess.Popen[bytes]:
+        started.append(real(*arguments))  # type: ignore[arg-type]
+        return started[-1]
+
+    monkeypatch.setattr(link_module, "start", noted)
+    async with supervised(BoardRun()) as run:
+        for number, act in enumerate((signal.SIGKILL, signal.SIGSTOP), start=1):
+            await until(lambda number=number: run.supervisor.connections == number)
+            await run.goes_on(50, "eeg")
+            os.kill(started[-1].pid, act)
+        await until(lambda: run.supervisor.connections == 3)
+        await run.goes_on(50, "eeg")
+    assert [process.poll() is not None for process in started] == [True] * 3
+
+
+async def test_no_process_outlives_an_agent_that_is_killed(tmp_path: Path) -> None:
+    noted = tmp_path / "pid"
+    program = (
+        "import os, sys, time\n"
+        "from tests.brainflow.conftest import board_settings\n"
+        "from biosensor_gateway.devices.brainflow.driver.process import order, start\n"
+        "settings = board_settings()\n"
+        "process = start(settings, 'stream')\n"
+        "process.stdin.write(order(settings, (0,)))\n"
+        "process.stdin.flush()\n"
+        "process.stdout.read(100)\n"
+        f"open({str(noted)!r}, 'w').write(str(process.pid))\n"
+        "os.kill(os.getpid(), 9)\n"
+    )
+    root = Path(__file__).parents[2]
+    agent = await asyncio.create_subprocess_exec(
+        root / ".venv" / "bin" / "python", "-c", program, cwd=root
+    )
+    await agent.wait()
+    await until(lambda: _has_ended(Path("/proc", noted.read_text(), "stat")))
+
+
+def _has_ended(process: Path) -> bool:
+    try:
+        state = process.read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return True
+    # Who inherits it may be slow to take note.
+    return state == "Z"
+
+
+class TestOneSentenceSays:
+    async def _refused(self, **fields: str) -> GatewayError:
+        settings = board_settings(**fields)
+        assert DRIVER.declare is not None
+        sink = NotedSink(settings.sensor_name, spec=DRIVER.declare(settings))
+        driver = DRIVER.make(settings, sink)()
+        try:
+            with pytest.raises((TransportError, ProtocolError)) as caught:
+                await driver.connect()
+        finally:
+            await driver.close()
+        assert "\n" not in str(caught.value)
+        return caught.value
+
+    async def test_that_a_python_has_no_brainflow(self) -> None:
+        own = ENVIRONMENT.parent / ".venv" / "bin" / "python"
+        said = str(await self._refused(python=str(own)))
+        assert "pip install biosensor-gateway[brainflow]" in said
+
+    async def test_that_there_is_no_such_python(self) -> None:
+        assert "is python right?" in str(await self._refused(python="/nowhere/python"))
+
+    async def test_that_a_python_has_no_full_path(self) -> None:
+        assert "not a full path" in str(await self._refused(python="python3"))
+
+    async def test_that_there_is_no_such_board(self) -> None:
+        assert "there is no board CYTOM_BOARD" in str(await self._refused(board="CYTOM_BOARD"))
+
+    async def test_that_brainflow_does_not_get_the_board(self) -> None:
+        said = str(await self._refused(board="CYTON_BOARD", serial_port="/dev/nothing"))
+        assert said.startswith("BrainFlow does not get CYTON_BOARD: UNABLE_TO_OPEN_PORT_ERROR")
+
+    async def test_that_the_rate_is_another(self) -> None:
+        with capture_logs() as logs:
+            async with supervised(BoardRun(rate_hz=100.0)) as run:
+                await until(lambda: any(each.get("declared_hz") for each in logs))
+                assert run.supervisor.connections == 1
+        said = next(each for each in logs if each.get("declared_hz"))
+        assert said["measured_hz"] == pytest.approx(RATE_HZ, rel=0.05)
+
+
+def test_every_board_of_brainflow_is_declared() -> None:
+    board_settings()
+    python = ENVIRONMENT / "bin" / "python"
+    output = subprocess.run(
+        [python, "-c", DESCRIBE_ALL], check=True, capture_output=True, text=True, timeout=60
+    ).stdout
+    found = json.loads(output[output.index("{") :])
+    assert len(found) > 50
+    for board, presets in found.items():
+        described = {int(preset): text for preset, text in presets.items() if "num_rows" in text}
+        streams = board_streams(described)
+        spec = board_spec(board_settings(board=board).sensor_name, board, streams)
+        assert len({stream.data_name for stream in spec.streams}) == len(spec.streams)
+        for stream in streams:
+            assert max(stream.rows) < described[stream.preset]["num_rows"]

@@ -1,0 +1,143 @@
+"""Channels side by side on the device's clock: even, complete, and what is missing counted."""
+
+from __future__ import annotations
+
+from math import ceil, isnan
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from biosensor_gateway.devices.emotibit.driver.oscillator import Oscillator
+from biosensor_gateway.devices.emotibit.driver.rows import SensorRows
+
+READ_HZ = 75
+ROUND_S = 0.1
+
+
+class Sensor:
+    """One of three channels that samples by an oscillator of its own, and is read by another."""
+
+    def __init__(self, rate_hz: float, ppm: float) -> None:
+        self.period_s = 1 / (rate_hz * (1 + ppm * 1e-6))
+        late_s = 0.5 / READ_HZ if ppm else 0.0
+        self.rows = SensorRows(rate_hz, 3, Oscillator(rate_hz, late_s))
+        self.sent = 0
+        self.times: list[float] = []
+        self.values: list[list[float]] = []
+        self.lost = 0
+
+    def send(
+        self, until_s: float, *, gap: bool = False, channels: tuple[int, ...] = (0, 1, 2)
+    ) -> None:
+        """Send what was read until a time, as one packet a channel."""
+        look_s = ceil(until_s * READ_HZ - 1) / READ_HZ
+        last = int(look_s / self.period_s + 1e-9)
+        numbers = range(self.sent + 1, last + 1)
+        if not numbers:
+            return
+        # It was read at the first look after the last sample.
+        read_s = ceil(last * self.period_s * READ_HZ - 1e-9) / READ_HZ
+        for channel in channels:
+            stamp_s = int(read_s * 1000 + channel / 2) / 1000
+            self.rows.add(channel, [10 * each + channel for each in numbers], stamp_s, gap=gap)
+        self.sent = last
+        self.take()
+
+    def skip(self, until_s: float) -> None:
+        """Measure, and send nothing."""
+        self.sent = int(ceil(until_s * READ_HZ - 1) / READ_HZ / self.period_s + 1e-9)
+
+    def take(self) -> None:
+        """Take what is ready."""
+        ready = self.rows.ready()
+        self.times += ready.times_s
+        self.values += ready.values
+        self.lost += ready.lost
+
+    @property
+    def errors_s(self) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        """How far each time is from that of measuring."""
+        first = np.array([row[0] for row in self.values]) / 10
+        return np.array(self.times) - first * self.period_s
+
+
+KINDS = pytest.mark.parametrize(
+    ("rate_hz", "ppm"), [(15, 0), (25, 900), (25, -1200), (100, 900), (7.5, 0)]
+)
+
+
+@KINDS
+def test_samples_are_as_even_as_they_were_measured(rate_hz: float, ppm: float) -> None:
+    sensor = Sensor(rate_hz, ppm)
+    for round_number in range(1, 401):
+        sensor.send(round_number * ROUND_S)
+    numbers = [round(row[0] / 10) for row in sensor.values]
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert sensor.values == [[10 * n, 10 * n + 1, 10 * n + 2] for n in numbers]
+    assert sensor.lost == 0
+    settled = sensor.errors_s[len(numbers) // 2 :]
+    assert np.abs(settled).max() < 0.008
+    assert np.sqrt(np.mean(np.diff(settled) ** 2)) < 0.5e-3
+    assert np.all(np.diff(sensor.times) > 0)
+
+
+@pytest.mark.parametrize(("rate_hz", "ppm"), [(15, 0), (25, 900), (25, -1200), (7.5, 0)])
+@given(missing_s=st.floats(0.2, 60), begin_s=st.floats(20, 25))
+def test_what_a_hole_cost_is_counted_by_the_rate_of_the_sensor(
+    rate_hz: float, ppm: float, missing_s: float, begin_s: float
+) -> None:
+    sensor = Sensor(rate_hz, ppm)
+    rounds = round(begin_s / ROUND_S)
+    for round_number in range(1, rounds + 1):
+        sensor.send(round_number * ROUND_S)
+    sent = sensor.sent
+    sensor.skip(rounds * ROUND_S + missing_s)
+    skipped = sensor.sent - sent
+    silent = sensor.sent
+    sensor.rows.break_off()
+    begin = len(sensor.times)
+    for round_number in range(1, 30):
+        sensor.send(
+            rounds * ROUND_S + missing_s + round_number * ROUND_S, gap=sensor.sent == silent
+        )
+    assert sensor.lost == pytest.approx(skipped, abs=1)
+    assert np.abs(sensor.errors_s[begin:]).max() < 0.02
+    assert np.all(np.diff(sensor.times) > 0)
+
+
+def test_a_channel_that_was_lost_is_no_value_in_whole_rows() -> None:
+    sensor = Sensor(25, 0)
+    for round_number in range(1, 31):
+        channels = (0, 2) if round_number == 10 else (0, 1, 2)
+        sensor.send(round_number * ROUND_S, channels=channels)
+    without = [isnan(row[1]) for row in sensor.values]
+    assert 2 <= sum(without) <= 3
+    assert not any(isnan(row[0]) or isnan(row[2]) for row in sensor.values)
+    assert sensor.lost == 0
+
+
+def test_a_channel_that_comes_late_still_finds_its_rows() -> None:
+    sensor = Sensor(25, 0)
+    sensor.send(0.2)
+    sensor.rows.add(2, [1002, 1012], 0.301, gap=False)
+    sensor.rows.add(0, [1000, 1010], 0.300, gap=True)
+    sensor.rows.add(1, [1001, 1011], 0.300, gap=False)
+    sensor.take()
+    assert sensor.values[-2:] == [[1000, 1001, 1002], [1010, 1011, 1012]]
+    assert sensor.lost == 0
+
+
+def test_what_is_incomplete_at_the_end_of_a_connection_is_lost() -> None:
+    sensor = Sensor(25, 0)
+    for round_number in range(1, 11):
+        sensor.send(round_number * ROUND_S)
+    before = len(sensor.values)
+    sensor.send(1.1, channels=(0,))
+    assert len(sensor.values) == before
+    unfinished = sensor.sent - before
+    sensor.rows.break_off()
+    sensor.send(1.2, gap=True)
+    assert not np.isnan(sensor.values).any()
+    assert sensor.lost == unfinished > 0
