@@ -172,8 +172,9 @@ class Bench:
                 return bool((self._values(name, data_name, channel, episode.begin_s) == off).any())
             case FaultKind.DRIFT:
                 clock = status["clock"]
-                # The seconds of a fast device are too short.
-                return clock is None or clock["drift_ppm"] < -VALUES[kind] / 2
+                # The seconds of a fast device are too short. The line follows two minutes, of
+                # which at the deadline the most recent part only is of the new rate.
+                return clock is None or clock["drift_ppm"] < -VALUES[kind] / 4
             case AgentFault.ASLEEP | FaultKind.UNREADABLE:
                 return self._is_well(name) == (kind is AgentFault.ASLEEP)
             case _:

@@ -58,7 +58,7 @@ class SimulatedLineSensor(VirtualDevice):
     expected = Expected(
         gaps={FaultKind.RESTART: Gap.STOPPED},
         # A board that was restarted counts anew, so what was on its way is not counted.
-        loss_tolerance=LossTolerance(over_break=1, over_restart={"acc": 25}),
+        loss_tolerance=LossTolerance(over_break=1, over_restart={"acc": 25, "gsr": 25}),
         impossible={
             FaultKind.REFUSE: _NO_COMMANDS,
             FaultKind.LATE: _NO_COMMANDS,
