@@ -8,7 +8,7 @@ recorder of the stamped topics.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -27,8 +27,9 @@ pytestmark = pytest.mark.system
 
 SHORTEST_S = 12.0
 TIME_LIMIT_NS = 200_000
-# Of a single sample, however busy the computer is.
+# Of a single measurement of a clock, however busy the computer is.
 WORST_LIMIT_NS = 1_000_000
+APART_SHARE = 0.1
 # Noise of LabRecorder's measurements between two programs on one computer.
 CLOCK_OFFSET_LIMIT_S = 0.002
 # Only headsets with older firmware fill it.
@@ -85,21 +86,24 @@ def test_every_sample_of_the_bag_is_in_the_xdf_file_once(run: RecordedRun) -> No
             assert not ((arrivals >= begin) & (arrivals <= end)).any(), topic
 
 
-def _limit_ns(run: RecordedRun) -> float:
-    """Return by how much a time may differ.
+def _check(errors: Mapping[str, Errors]) -> None:
+    """Assert that times differ by no more than clocks are measured badly.
 
-    A busy computer measures clocks badly, the node no worse than LabRecorder, whose
-    offsets between two programs on one computer should all be zero.
+    Node and LabRecorder each measure a sender by some probes, and where a busy computer lets
+    all of one measurement wait, a whole topic is off by half of that. So the limit holds for
+    nearly all topics, and none is beyond the one for a single measurement.
     """
-    offsets_s = np.abs(np.concatenate([each.clock_offsets for each in run.streams.values()]))
-    noise_ns = 2 * float(np.percentile(offsets_s, 99)) * NS_PER_S
-    return min(max(TIME_LIMIT_NS, noise_ns), WORST_LIMIT_NS)
+    apart = {topic: each for topic, each in errors.items() if each.worst > TIME_LIMIT_NS}
+    too_far = {topic: each for topic, each in apart.items() if each.worst > WORST_LIMIT_NS}
+    assert not too_far, f"more than {WORST_LIMIT_NS / 1e3:.0f} us: {too_far}"
+    few = APART_SHARE * len(errors)
+    assert len(apart) <= few, f"more than {TIME_LIMIT_NS / 1e3:.0f} us: {apart}"
+    assert np.mean([each.rms for each in errors.values()]) <= TIME_LIMIT_NS
 
 
 def test_times_are_the_same(
     run: RecordedRun, record_property: Callable[[str, object], None]
 ) -> None:
-    limit = _limit_ns(run)
     errors: dict[str, Errors] = {}
     for topic, xdf, bag in _pairs(run):
         start = place_of(xdf, bag)
@@ -109,9 +113,7 @@ def test_times_are_the_same(
         report = f"{len(xdf)} samples, worst {worst:.1f} us, RMS {rms:.1f} us"
         record_property(topic, report)
         print(f"{topic}: {report}")
-    too_large = {topic: each for topic, each in errors.items() if each.worst > limit}
-    assert not too_large, f"more than {limit / 1e3:.0f} us: {too_large}"
-    assert np.mean([each.rms for each in errors.values()]) <= TIME_LIMIT_NS
+    _check(errors)
 
 
 def test_the_clocks_are_one(run: RecordedRun) -> None:
@@ -157,8 +159,7 @@ def test_the_xdf_file_made_a_bag_is_what_was_recorded_live(
         assert told == published, topic
     worst_us = max(each.worst for each in errors.values()) / 1e3
     record_property("worst difference of a time in us", f"{worst_us:.1f}")
-    too_large = {topic: each for topic, each in errors.items() if each.worst > _limit_ns(run)}
-    assert not too_large
+    _check(errors)
 
 
 def test_integers_of_64_bits_are_exact(run: RecordedRun) -> None:
@@ -171,7 +172,7 @@ def test_integers_of_64_bits_are_exact(run: RecordedRun) -> None:
         assert start is not None, topic
         during = np.flatnonzero((pushed.times_ns >= begin) & (pushed.times_ns <= end))
         assert start <= during[0] and during[-1] < start + len(bag)
-        assert time_errors(pushed.part(start, len(bag)), bag).worst <= _limit_ns(run)
+        assert time_errors(pushed.part(start, len(bag)), bag).worst <= WORST_LIMIT_NS
 
 
 def test_numbers_go_up_by_one(run: RecordedRun) -> None:
