@@ -29,7 +29,7 @@ SHORTEST_S = 12.0
 TIME_LIMIT_NS = 200_000
 # Of a single measurement of a clock, however busy the computer is.
 WORST_LIMIT_NS = 1_000_000
-APART_SHARE = 0.1
+APART_SHARE = 0.05
 # Noise of LabRecorder's measurements between two programs on one computer.
 CLOCK_OFFSET_LIMIT_S = 0.002
 # Only headsets with older firmware fill it.
@@ -86,18 +86,28 @@ def test_every_sample_of_the_bag_is_in_the_xdf_file_once(run: RecordedRun) -> No
             assert not ((arrivals >= begin) & (arrivals <= end)).any(), topic
 
 
-def _check(errors: Mapping[str, Errors]) -> None:
+def _limit_ns(run: RecordedRun) -> float:
+    """Return by how much a time may differ.
+
+    A busy computer measures clocks badly, the node no worse than LabRecorder, whose
+    offsets between two programs on one computer should all be zero.
+    """
+    offsets_s = np.abs(np.concatenate([each.clock_offsets for each in run.streams.values()]))
+    noise_ns = 2 * float(np.percentile(offsets_s, 99)) * NS_PER_S
+    return min(max(TIME_LIMIT_NS, noise_ns), WORST_LIMIT_NS)
+
+
+def _check(run: RecordedRun, errors: Mapping[str, Errors]) -> None:
     """Assert that times differ by no more than clocks are measured badly.
 
-    Node and LabRecorder each measure a sender by some probes, and where a busy computer lets
-    all of one measurement wait, a whole topic is off by half of that. So the limit holds for
-    nearly all topics, and none is beyond the one for a single measurement.
+    Where all probes of one of the node's measurements had to wait, a whole topic is off, and
+    LabRecorder's offsets need not show it. So the limit holds for nearly all topics.
     """
-    apart = {topic: each for topic, each in errors.items() if each.worst > TIME_LIMIT_NS}
+    limit = _limit_ns(run)
+    apart = {topic: each for topic, each in errors.items() if each.worst > limit}
     too_far = {topic: each for topic, each in apart.items() if each.worst > WORST_LIMIT_NS}
     assert not too_far, f"more than {WORST_LIMIT_NS / 1e3:.0f} us: {too_far}"
-    few = APART_SHARE * len(errors)
-    assert len(apart) <= few, f"more than {TIME_LIMIT_NS / 1e3:.0f} us: {apart}"
+    assert len(apart) <= APART_SHARE * len(errors), f"more than {limit / 1e3:.0f} us: {apart}"
     assert np.mean([each.rms for each in errors.values()]) <= TIME_LIMIT_NS
 
 
@@ -113,7 +123,7 @@ def test_times_are_the_same(
         report = f"{len(xdf)} samples, worst {worst:.1f} us, RMS {rms:.1f} us"
         record_property(topic, report)
         print(f"{topic}: {report}")
-    _check(errors)
+    _check(run, errors)
 
 
 def test_the_clocks_are_one(run: RecordedRun) -> None:
@@ -159,7 +169,7 @@ def test_the_xdf_file_made_a_bag_is_what_was_recorded_live(
         assert told == published, topic
     worst_us = max(each.worst for each in errors.values()) / 1e3
     record_property("worst difference of a time in us", f"{worst_us:.1f}")
-    _check(errors)
+    _check(run, errors)
 
 
 def test_integers_of_64_bits_are_exact(run: RecordedRun) -> None:
