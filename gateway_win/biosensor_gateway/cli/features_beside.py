@@ -13,7 +13,7 @@ import structlog
 from biosensor_gateway.cli import SEND_FEATURES
 from biosensor_gateway.settings.models import LslSettings
 from biosensor_gateway.system.keep_alive import ending_in_words, next_delay_s
-from biosensor_gateway.system.own_command import NO_WINDOW, own_command
+from biosensor_gateway.system.own_command import close_input, start_for
 
 _log = structlog.get_logger("biosensor_gateway.cli")
 
@@ -49,7 +49,7 @@ class FeaturesBeside:
         with self._lock:
             self._stopping.set()
             if self._process is not None:
-                _close_input(self._process)
+                close_input(self._process)
         self._thread.join(END_S)
         if self._process is not None and self._thread.is_alive():
             self._process.kill()
@@ -79,7 +79,7 @@ class FeaturesBeside:
         _log_lines(process.stdout)
         code = process.wait()
         with self._lock:
-            _close_input(process)
+            close_input(process)
             self._process = None
         return ending_in_words(code)
 
@@ -87,21 +87,13 @@ class FeaturesBeside:
         with self._lock:
             if self._stopping.is_set():
                 return None
-            process = subprocess.Popen(  # noqa: S603 - our own program
-                own_command([SEND_FEATURES]),
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                creationflags=NO_WINDOW,
-                # Ctrl-C at the agent's terminal is meant for the agent.
-                start_new_session=True,
-                bufsize=0,
-            )
+            process = start_for([SEND_FEATURES])
             self._process = process
             assert process.stdin is not None
             # If it has died already, its exit code says so.
             with contextlib.suppress(OSError):
                 process.stdin.write(f"{self._lsl.model_dump_json()}\n".encode())
+                process.stdin.flush()
             return process
 
 
@@ -109,9 +101,3 @@ def _log_lines(output: IO[bytes]) -> None:
     with output:
         for line in output:
             _log.info(f"live features {line.decode(errors='replace').strip()}")
-
-
-def _close_input(process: subprocess.Popen[bytes]) -> None:
-    if process.stdin is not None:
-        with contextlib.suppress(OSError):
-            process.stdin.close()

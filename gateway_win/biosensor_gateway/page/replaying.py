@@ -18,7 +18,7 @@ from biosensor_gateway.page.replay_models import NewReplay
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.recording.replay.errors import ReplayError, ReplayReason
 from biosensor_gateway.recording.replay.told import Phase, ReplayJob, ReplayProgress, Told
-from biosensor_gateway.system.own_command import NO_WINDOW, own_command
+from biosensor_gateway.system.own_command import close_input, start_for
 
 PLAYER = "play-recording"
 """First argument of the command line that is a player."""
@@ -73,7 +73,7 @@ class Replaying:
         self._over.clear()
         self._session.replay.begin(file.name, wanted.speed, loop=wanted.loop)
         try:
-            self._process = _started()
+            self._process = start_for([PLAYER])
         except OSError as error:
             self._session.replay.end()
             message = f"the recording cannot be played: {error.strerror or error}"
@@ -105,9 +105,8 @@ class Replaying:
         return Outcome(sentence="The replay has ended.")
 
     def _close_input(self) -> None:
-        if self._process is not None and self._process.stdin is not None:
-            with contextlib.suppress(OSError):
-                self._process.stdin.close()
+        if self._process is not None:
+            close_input(self._process)
 
     def _listen(self, process: subprocess.Popen[bytes], job: ReplayJob) -> None:
         loop = asyncio.get_running_loop()
@@ -169,18 +168,6 @@ def whole_path(text: str) -> Path:
         message = f"{text!r} is not a whole path of a recording; begin with the drive or with /"
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     return path
-
-
-def _started() -> subprocess.Popen[bytes]:
-    return subprocess.Popen(  # noqa: S603 - our own program
-        own_command([PLAYER]),
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        creationflags=NO_WINDOW,
-        # Ctrl-C at the page's terminal is meant for the page, which ends it.
-        start_new_session=True,
-    )
 
 
 def _read_frame(output: IO[bytes]) -> tuple[int, bytes]:

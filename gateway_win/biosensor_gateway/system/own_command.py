@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 _PROGRAM = "biosensor-gateway.exe"
@@ -44,3 +45,31 @@ def start_beside(arguments: Sequence[str]) -> None:
         # Ctrl-C at this one's terminal is meant for this one.
         start_new_session=True,
     )
+
+
+def start_for(arguments: Sequence[str]) -> subprocess.Popen[bytes]:
+    """Run this program with arguments and pipes to and from it, for as long as this one runs.
+
+    What it runs ends when its input ends, which the system sees to if this one is killed.
+
+    Raises
+    ------
+    OSError
+        The system cannot start it.
+    """
+    return subprocess.Popen(  # noqa: S603 - our own program
+        own_command(arguments),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        creationflags=NO_WINDOW,
+        # Ctrl-C at this one's terminal is meant for this one, which ends the other.
+        start_new_session=True,
+    )
+
+
+def close_input(process: subprocess.Popen[bytes]) -> None:
+    """Ask what :func:`start_for` has started to end; nothing if it has ended."""
+    if process.stdin is not None:
+        with suppress(OSError):
+            process.stdin.close()
