@@ -10,8 +10,9 @@ import numpy as np
 import pylsl
 import pytest
 
-from lsl_to_ros.lsl.inlets import BATCH_SAMPLES, InletState
+from lsl_to_ros.lsl.inlets import InletState
 from lsl_to_ros.lsl.liblsl import samples_available
+from lsl_to_ros.lsl.reading import BATCH_SAMPLES
 from tests.rigs.lsl_streams import (
     DEADLINE_S,
     Collector,

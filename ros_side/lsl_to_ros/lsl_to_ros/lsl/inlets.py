@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from enum import Enum, unique
-from typing import Protocol
 
 import pylsl
 from pylsl import util
@@ -17,19 +15,14 @@ from biosensor_common.errors import SpecError
 from biosensor_common.lsl_header import read_header
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.stream_header import StreamHeader, foreign_header
-from lsl_to_ros.lsl.blocks import Block, joined
 from lsl_to_ros.lsl.buffering import buffer_length
-from lsl_to_ros.lsl.liblsl import clock_inlet, matches_query, samples_available
-from lsl_to_ros.lsl.pulls import decoded, pull, pull_one
+from lsl_to_ros.lsl.corrections import Corrections
+from lsl_to_ros.lsl.delivery import Delivery, Receiver
+from lsl_to_ros.lsl.liblsl import clock_inlet, matches_query
+from lsl_to_ros.lsl.reading import Reading
 
 OPEN_TIMEOUT_S = 10.0
-CORRECTIONS_KEPT = 10
-# How long a blocked pull keeps its thread from noticing that it should end.
-PULL_TIMEOUT_S = 0.2
 LAST_ENTRY_S = 0.1
-# A receiver that is full is looked at again after so long.
-ROOM_S = 0.01
-BATCH_SAMPLES = 1024
 # What ros_to_lsl sends is in ROS already; what is replayed from a recording of it is not.
 FROM_ROS = "desc/ros and not(desc/replay)"
 
@@ -51,30 +44,7 @@ class InletState(Enum):
     REFUSED = "refused"
 
 
-class Receiver(Protocol):
-    """Who gets an inlet's samples; its methods are never called at the same time."""
-
-    @property
-    def wants_each_sample(self) -> bool:
-        """Whether samples are wanted at once rather than in batches."""
-        ...
-
-    @property
-    def is_full(self) -> bool:
-        """Whether it still has so much to do that samples should stay in LSL's buffer."""
-        ...
-
-    def receive(self, block: Block) -> None:
-        """Take samples with their stamps on the sender's LSL clock."""
-        ...
-
-    def clock_known(self) -> None:
-        """Take note that the sender's clock has been measured."""
-        ...
-
-    def end(self, undelivered: int) -> None:
-        """Take note that no further sample comes, and how many LSL dropped at the end."""
-        ...
+_ENDED = frozenset({InletState.ENDING, InletState.LOST, InletState.FAILED})
 
 
 class Inlet:
@@ -103,11 +73,6 @@ class Inlet:
         Whether this process publishes it; else it only serves the node itself.
     is_from_ros
         Whether ``ros_to_lsl`` makes it of a topic.
-    heard_s
-        Monotonic time at which something came last, 0 before.
-    correction
-        Seconds to add to a stamp for this machine's LSL clock; None before the
-        first measurement.
     """
 
     def __init__(self, info: pylsl.StreamInfo, warn: Callable[[str], None]) -> None:
@@ -116,23 +81,17 @@ class Inlet:
         self.state = InletState.OPENING
         self.header: StreamHeader | None = None
         self.core = read_core(info)
-        self.correction: float | None = None
         self.is_served = True
         self.is_from_ros = False
-        self.heard_s = 0.0
-        self._corrections: deque[float] = deque(maxlen=CORRECTIONS_KEPT)
+        self._corrections = Corrections()
+        self._delivery = Delivery()
         self._full_info: pylsl.StreamInfo | None = None
         self._warn = warn
         self._is_stopped = threading.Event()
-        # Held by whoever pulls, so that samples stay in order.
+        # Held by whoever reads, so that samples stay in order.
         self._pulling = threading.Lock()
-        self._delivery = threading.Lock()
-        self._receiver: Receiver | None = None
-        self._lsl: pylsl.StreamInlet | None = None
-        thread = threading.Thread(
-            target=self._open, args=(info,), daemon=True, name=f"open {info.name()}"
-        )
-        thread.start()
+        self._reading: Reading | None = None
+        threading.Thread(target=self._open, daemon=True, name=f"open {info.name()}").start()
 
     @property
     def source_id(self) -> str:
@@ -145,21 +104,29 @@ class Inlet:
         return self.state is InletState.READY
 
     @property
+    def correction(self) -> float | None:
+        """Seconds to add to a stamp for this machine's LSL clock; None while it is not known."""
+        return self._corrections.newest
+
+    @property
     def correction_spread(self) -> float:
         """Largest minus smallest of the last ten clock corrections, in seconds."""
-        recent = list(self._corrections)
-        return max(recent) - min(recent) if recent else 0.0
+        return self._corrections.spread
+
+    @property
+    def heard_s(self) -> float:
+        """Monotonic time at which something came last, 0 before."""
+        return self._delivery.heard_s
 
     @property
     def is_delivering(self) -> bool:
         """Whether it has a receiver."""
-        return self._receiver is not None
+        return self._delivery.has_receiver
 
     @property
     def wants_each_sample(self) -> bool:
         """Whether its receiver wants samples at once."""
-        receiver = self._receiver
-        return receiver is not None and receiver.wants_each_sample
+        return self._delivery.wants_each_sample
 
     def continues_as(self, info: pylsl.StreamInfo) -> bool:
         """Whether *info* announces this stream, come back.
@@ -183,12 +150,7 @@ class Inlet:
 
         After the return the previous receiver gets nothing more.
         """
-        with self._delivery:
-            if self._receiver is not None:
-                self._receiver.end(0)
-            self._receiver = receiver
-            if self.correction is not None:
-                receiver.clock_known()
+        self._delivery.begin(receiver, is_clock_known=self.correction is not None)
 
     def drain(self) -> None:
         """Deliver what has come, without waiting, and find out whether the stream is lost.
@@ -199,25 +161,24 @@ class Inlet:
 
     def peek(self) -> None:
         """Deliver what has come, as :meth:`drain`, but at next to no cost if nothing has."""
-        lsl = self._lsl
-        if lsl is not None and samples_available(lsl):
+        reading = self._reading
+        if reading is not None and reading.waiting:
             self._without_waiting(self._drain)
 
     def follow(self, is_to_go_on: Callable[[], bool]) -> None:
         """Deliver each sample as it comes, for as long as that is wanted."""
         with self._pulling:
-            self._guarded(lambda lsl: self._follow(lsl, is_to_go_on))
-
-    @property
-    def has_samples(self) -> bool:
-        """Whether samples have come that nobody has taken yet."""
-        return self.waiting > 0
+            self._guarded(
+                lambda reading: reading.follow(
+                    lambda: not self._is_stopped.is_set() and is_to_go_on()
+                )
+            )
 
     @property
     def waiting(self) -> int:
         """Samples that have come and that nobody has taken yet."""
-        lsl = self._lsl
-        return 0 if lsl is None or self.state is not InletState.READY else samples_available(lsl)
+        reading = self._reading
+        return 0 if reading is None or self.state is not InletState.READY else reading.waiting
 
     def give_up(self, since_s: float) -> bool:
         """End the delivery, unless something was delivered after that monotonic time.
@@ -227,13 +188,7 @@ class Inlet:
         bool
             Whether it has ended: the receiver gets nothing more.
         """
-        with self._delivery:
-            if self.heard_s > since_s:
-                return False
-            if self._receiver is not None:
-                self._receiver.end(0)
-            self._receiver = None
-            return True
+        return self._delivery.end_unless_heard(since_s)
 
     def stop(self) -> threading.Thread:
         """End the inlet after what has come; the receiver gets nothing more.
@@ -243,9 +198,9 @@ class Inlet:
         Thread
             What closes it, which waits for a reader and for liblsl's own threads.
         """
-        self._without_waiting(lambda lsl: self._drain(lsl, to_the_end=True))
+        self._without_waiting(lambda reading: reading.drain(lambda: not self._is_stopped.is_set()))
         self._is_stopped.set()
-        self._end_delivery(0)
+        self._delivery.end()
         thread = threading.Thread(target=self._close, daemon=True, name="close an inlet")
         thread.start()
         return thread
@@ -262,28 +217,25 @@ class Inlet:
 
     def take_correction(self, correction: float) -> None:
         """Take in a measurement of the sender's clock."""
-        is_first = self.correction is None
-        self._corrections.append(correction)
-        self.correction = correction
-        if is_first:
-            with self._delivery:
-                if self._receiver is not None:
-                    self._receiver.clock_known()
+        if self._corrections.add(correction):
+            self._delivery.clock_known()
 
-    def _open(self, info: pylsl.StreamInfo) -> None:
+    def _open(self) -> None:
+        length = buffer_length(self.core.rate)
         try:
             # Recovery is ours: liblsl would reattach to a stream of another shape, or to none.
-            lsl = pylsl.StreamInlet(
-                info, max_buflen=buffer_length(self.core.rate), recover=False, as_numpy=True
-            )
+            lsl = pylsl.StreamInlet(self.info, max_buflen=length, recover=False, as_numpy=True)
         except RuntimeError as error:
             self._warn(f"{self.core}: it is ignored, for LSL cannot open it ({error})")
             self.state = InletState.REFUSED
             return
-        self._lsl = None if self._is_stopped.is_set() else lsl
-        self._guarded(self._read_descriptions)
+        if not self._is_stopped.is_set():
+            is_text = self.core.format is ChannelFormat.STRING
+            self._reading = Reading(lsl, self._delivery, is_text=is_text)
+            self._guarded(self._read_descriptions)
 
-    def _read_descriptions(self, lsl: pylsl.StreamInlet) -> None:
+    def _read_descriptions(self, reading: Reading) -> None:
+        lsl = reading.lsl
         lsl.open_stream(OPEN_TIMEOUT_S)
         self._full_info = lsl.info(OPEN_TIMEOUT_S)
         self.is_from_ros = matches_query(self._full_info, FROM_ROS)
@@ -299,23 +251,26 @@ class Inlet:
             self._warn(f"{self.core}: {said}; it is published as an unknown one")
             return foreign_header(self.core)
 
-    def _guarded(self, work: Callable[[pylsl.StreamInlet], None]) -> None:
+    def _guarded(self, work: Callable[[Reading], None]) -> None:
         """Do something with liblsl's inlet; the state says how it ended."""
-        lsl = self._lsl
-        if lsl is None or self.state in (InletState.ENDING, InletState.LOST, InletState.FAILED):
+        reading = self._reading
+        if reading is None or self.state in _ENDED:
             return
         try:
-            work(lsl)
+            work(reading)
         except (util.LostError, util.TimeoutError):
             self.state = InletState.ENDING
             count = threading.Thread(
-                target=self._count_undelivered, args=(lsl,), daemon=True, name="count what is lost"
+                target=self._count_undelivered,
+                args=(reading.lsl,),
+                daemon=True,
+                name="count what is lost",
             )
             count.start()
         except Exception as error:  # noqa: BLE001 - else the stream would end unsaid
             if not self._is_stopped.is_set():
                 self._warn(f"{self.core}: reading it failed, it is opened anew ({error!r})")
-            self._end_delivery(lsl.flush())
+            self._delivery.end(reading.lsl.flush())
             self.state = InletState.FAILED
 
     def _count_undelivered(self, lsl: pylsl.StreamInlet) -> None:
@@ -323,62 +278,22 @@ class Inlet:
         # liblsl puts it there after it has called the stream lost, on a busy machine some time
         # after. Nothing tells when it is there, and other streams must not wait for it.
         time.sleep(LAST_ENTRY_S)
-        self._end_delivery(max(0, lsl.flush() - 1))
+        self._delivery.end(max(0, lsl.flush() - 1))
         self.state = InletState.LOST
 
-    def _without_waiting(self, work: Callable[[pylsl.StreamInlet], None]) -> None:
-        if self._receiver is not None and self._pulling.acquire(blocking=False):
+    def _without_waiting(self, work: Callable[[Reading], None]) -> None:
+        if self._delivery.has_receiver and self._pulling.acquire(blocking=False):
             try:
                 self._guarded(work)
             finally:
                 self._pulling.release()
 
-    @property
-    def _has_room(self) -> bool:
-        receiver = self._receiver
-        return receiver is None or not receiver.is_full
+    def _drain(self, reading: Reading) -> None:
+        reading.drain(self._is_to_be_read)
 
-    def _drain(self, lsl: pylsl.StreamInlet, *, to_the_end: bool = False) -> None:
-        while not self._is_stopped.is_set() and (self._has_room or to_the_end):
-            # At least one is asked for, because only a pull finds out about a loss.
-            wanted = min(max(samples_available(lsl), 1), BATCH_SAMPLES)
-            block = pull_one(lsl, 0.0) if wanted == 1 else pull(lsl, wanted)
-            if block is not None:
-                self._deliver(block)
-            if wanted < BATCH_SAMPLES:
-                return
-
-    def _follow(self, lsl: pylsl.StreamInlet, is_to_go_on: Callable[[], bool]) -> None:
-        while not self._is_stopped.is_set() and is_to_go_on():
-            if not self._has_room:
-                time.sleep(ROOM_S)
-                continue
-            block = pull_one(lsl, PULL_TIMEOUT_S)
-            if block is None:
-                continue
-            waiting = min(samples_available(lsl), BATCH_SAMPLES)
-            try:
-                # What came in one packet belongs into one message where there is such.
-                block = joined(block, pull(lsl, waiting)) if waiting else block
-            finally:
-                # The pull may find out that the stream is lost.
-                self._deliver(block)
-
-    def _deliver(self, block: Block) -> None:
-        self.heard_s = time.monotonic()
-        if self.core.format is ChannelFormat.STRING:
-            block = Block(decoded(block.samples), block.stamps)
-        # The receiver's publishers may be destroyed as soon as it is replaced.
-        with self._delivery:
-            if self._receiver is not None:
-                self._receiver.receive(block)
-
-    def _end_delivery(self, undelivered: int) -> None:
-        with self._delivery:
-            if self._receiver is not None:
-                self._receiver.end(undelivered)
-            self._receiver = None
+    def _is_to_be_read(self) -> bool:
+        return not self._is_stopped.is_set() and self._delivery.has_room
 
     def _close(self) -> None:
         with self._pulling:
-            self._lsl = None
+            self._reading = None

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import ctypes
 import re
+from typing import Any, Self
 
+import numpy as np
 import pylsl
+from numpy.typing import NDArray
+from pylsl import util
 from pylsl.lib import lib
 
 _QUOTED = re.compile(r"'[^']*'|\"[^\"]*\"")
@@ -16,6 +20,22 @@ _quick = ctypes.PyDLL(None, handle=lib._handle)  # noqa: SLF001 - the way that c
 _quick.lsl_local_clock.restype = ctypes.c_double
 _quick.lsl_samples_available.restype = ctypes.c_uint32
 _quick.lsl_samples_available.argtypes = (ctypes.c_void_p,)
+# int64 is left to pylsl: which of C's types it is depends on the system.
+_PULLS = {
+    np.dtype(kind): getattr(_quick, f"lsl_pull_chunk_{letter}")
+    for kind, letter in {"f4": "f", "f8": "d", "i4": "i", "i2": "s", "i1": "c"}.items()
+}
+for _pull in _PULLS.values():
+    _pull.restype = ctypes.c_ulong
+    _pull.argtypes = (
+        ctypes.c_void_p,
+        ctypes.c_void_p,
+        ctypes.c_void_p,
+        ctypes.c_ulong,
+        ctypes.c_ulong,
+        ctypes.c_double,
+        ctypes.c_void_p,
+    )
 
 
 def local_clock() -> float:
@@ -26,6 +46,49 @@ def local_clock() -> float:
 def samples_available(inlet: pylsl.StreamInlet) -> int:
     """Count the samples that an inlet holds; 0 also for one whose stream is lost."""
     return _quick.lsl_samples_available(inlet.obj)
+
+
+class WaitingNumbers:
+    """Takes numbers that have come out of one inlet, without waiting.
+
+    Parameters
+    ----------
+    most
+        Samples that are ever asked for at once.
+
+    Attributes
+    ----------
+    samples, stamps
+        What was taken last stands at their beginning; shape [most, channels] and [most].
+    """
+
+    def __init__(self, inlet: pylsl.StreamInlet, dtype: np.dtype[Any], most: int) -> None:
+        self.samples: NDArray[Any] = np.empty((most, inlet.channel_count), dtype)
+        self.stamps: NDArray[np.float64] = np.empty(most)
+        self._error = ctypes.c_int()
+        self._channels = inlet.channel_count
+        self._pull = _PULLS[dtype]
+        self._where = inlet.obj, self.samples.ctypes.data, self.stamps.ctypes.data
+        self._error_at = ctypes.addressof(self._error)
+
+    @classmethod
+    def of(cls, inlet: pylsl.StreamInlet, most: int) -> Self | None:
+        """Return that of an inlet; None if its samples are texts, or numbers of another kind."""
+        if inlet.np_dtype is None or np.dtype(inlet.np_dtype) not in _PULLS:
+            return None
+        return cls(inlet, np.dtype(inlet.np_dtype), most)
+
+    def take(self, count: int) -> int:
+        """Take at most *count* samples; return how many there were.
+
+        Raises
+        ------
+        LostError
+            The stream has ended.
+        """
+        values = self._pull(*self._where, count * self._channels, count, 0.0, self._error_at)
+        util.handle_error(self._error)
+        return values // self._channels
 
 
 def clock_inlet(info: pylsl.StreamInfo) -> pylsl.StreamInlet:

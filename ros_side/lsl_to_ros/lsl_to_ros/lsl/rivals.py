@@ -42,7 +42,7 @@ class _Rival:
     @property
     def has_won(self) -> bool:
         """Whether it has had samples for a while."""
-        if self.filled_s is None and self.inlet.has_samples:
+        if self.filled_s is None and self.inlet.waiting:
             self.filled_s = monotonic()
         return self.filled_s is not None and monotonic() - self.filled_s > GRACE_S
 
