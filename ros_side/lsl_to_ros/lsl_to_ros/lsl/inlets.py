@@ -44,7 +44,7 @@ class InletState(Enum):
     REFUSED = "refused"
 
 
-_ENDED = frozenset({InletState.ENDING, InletState.LOST, InletState.FAILED})
+_ENDED = InletState.ENDING, InletState.LOST, InletState.FAILED
 
 
 class Inlet:

@@ -93,6 +93,9 @@ class Bridge:
         self._keeps_newest = header.rate == 0 and not header.message_type.is_text
         self._gaps = GapFinder(header.rate, foreign=header.foreign)
         self._held: deque[Run] = deque(maxlen=HELD_RUNS)
+        # Asked for with each block of samples.
+        self._publishers = outputs.publishers
+        self._of_samples = [writer.publisher for writer in outputs.of_samples]
 
     @property
     def last_stamp(self) -> float:
@@ -102,31 +105,29 @@ class Bridge:
     @property
     def readers(self) -> int:
         """Subscribers of all its topics."""
-        return sum(publisher.readers for publisher in self.outputs.publishers)
+        return sum(publisher.readers for publisher in self._publishers)
 
     @property
     def waiting(self) -> int:
         """Messages of its topics that are paced and have not gone out yet."""
-        return sum(publisher.lane.waiting for publisher in self.outputs.publishers)
+        return sum(publisher.lane.waiting for publisher in self._publishers)
 
     @property
     def oldest_waiting_s(self) -> float:
         """For how many seconds the oldest of them has waited."""
-        return max((publisher.lane.age_s for publisher in self.outputs.publishers), default=0.0)
+        return max((publisher.lane.age_s for publisher in self._publishers), default=0.0)
 
     @property
     def wants_each_sample(self) -> bool:
         """Whether somebody reads single samples; else they can be drained in batches."""
         if self._listen is not None:
             return True
-        return self.settings.raw and any(
-            writer.publisher.readers for writer in self.outputs.of_samples
-        )
+        return self.settings.raw and any(publisher.readers for publisher in self._of_samples)
 
     @property
     def is_full(self) -> bool:
         """Whether so much waits to be published that LSL should keep the rest."""
-        return any(publisher.lane.is_full for publisher in self.outputs.publishers)
+        return any(publisher.lane.is_full for publisher in self._publishers)
 
     def receive(self, block: Block) -> None:
         """Publish samples and the chunks that they fill."""

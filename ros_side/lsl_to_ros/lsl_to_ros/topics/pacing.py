@@ -102,6 +102,7 @@ class Lane:
         self._is_taken = is_taken
         # The rate of another program's stream may be any number.
         self._rate = min(rate, MOST_RATE_HZ)
+        self._most_waiting = max(MOST_WAITING, self._rate)
         self._piece = piece
         self._pacer = pacer
         # Held while something is published, so that messages go out in the order of sending.
@@ -131,7 +132,7 @@ class Lane:
     @property
     def is_full(self) -> bool:
         """Whether its stream should be read no further; what is sent all the same waits, too."""
-        return len(self._messages) >= max(MOST_WAITING, self._rate)
+        return len(self._messages) >= self._most_waiting
 
     def send(self, messages: Iterable[Any]) -> None:
         """Publish messages in their order, those now whose turn it is.
