@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-BUFFER_S = 360
+# For as long may the node stand still. liblsl reserves 16 bytes a sample at once, on both sides:
+# its own default, 360 s, is 1.5 MB for 256 Hz.
+BUFFER_S = 120
 # What other programs announce may be anything, and liblsl would reserve memory for it.
 BUFFER_SAMPLES = 4_000_000
 
