@@ -95,4 +95,4 @@ def _install(folder: Path, *options: str | Path) -> None:
 
 
 def _call(*command: str | Path) -> None:
-    subprocess.run([str(each) for each in command], check=True)  # noqa: S603 - the build's own tools
+    subprocess.run([str(each) for each in command], check=True)

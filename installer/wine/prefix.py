@@ -72,7 +72,7 @@ class Prefix:
     ) -> subprocess.CompletedProcess[str]:
         """Run a program to its end, whatever comes of it; its stderr is in its stdout."""
         # Windows Pythons die under Wine when stdout is a file, so there are pipes here.
-        return subprocess.run(  # noqa: S603 - programs of the build
+        return subprocess.run(
             self._line("wine", *command),
             env=self.variables,
             stdin=subprocess.DEVNULL,
@@ -86,7 +86,7 @@ class Prefix:
 
     def start(self, *command: str | Path) -> subprocess.Popen[bytes]:
         """Start a program with pipes; the caller reads them and ends it."""
-        return subprocess.Popen(  # noqa: S603 - programs of the tests
+        return subprocess.Popen(
             self._line("wine", *command),
             env=self.variables,
             stdin=subprocess.PIPE,
@@ -105,7 +105,7 @@ class Prefix:
 
     def _server(self, option: str) -> None:
         line = self._line("wineserver", option)
-        subprocess.run(line, env=self.variables, check=False, timeout=120)  # noqa: S603
+        subprocess.run(line, env=self.variables, check=False, timeout=120)
 
     def _line(self, *words: str | Path) -> list[str]:
         return [*self.before, *map(str, words)]

@@ -46,7 +46,7 @@ class Probe:
     def __init__(
         self, role: str, limit_s: float, *, command: Sequence[str] = (), **request: object
     ) -> None:
-        self.process = subprocess.Popen(  # noqa: S603 - this program itself
+        self.process = subprocess.Popen(
             command or probe_command(),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,

@@ -26,7 +26,7 @@ def _ended(*command: str) -> subprocess.CompletedProcess[str] | None:
     if path is None:
         return None
     try:
-        return subprocess.run(  # noqa: S603 - fixed commands of the system
+        return subprocess.run(
             [path, *command[1:]],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,

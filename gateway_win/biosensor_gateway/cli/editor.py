@@ -50,7 +50,7 @@ if sys.platform == "win32":
             # No program is known for the file's ending.
             notepad = str(windows_folder(system=False) / "notepad.exe")
             try:
-                subprocess.Popen([notepad, path])  # noqa: S603 - no shell
+                subprocess.Popen([notepad, path])
             except OSError as error:
                 raise _failed(notepad, path, error.strerror or str(error)) from error
 
@@ -68,7 +68,7 @@ def _run(command: Sequence[str], path: Path) -> None:
     if program is None:
         raise _failed(name, path, "no folder of PATH has it")
     try:
-        code = subprocess.run([program, *options, path], check=False).returncode  # noqa: S603 - the user's own
+        code = subprocess.run([program, *options, path], check=False).returncode
     except OSError as error:
         raise _failed(name, path, error.strerror or str(error)) from error
     if code:

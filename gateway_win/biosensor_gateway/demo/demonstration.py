@@ -60,7 +60,7 @@ def run(seconds: float | None) -> int:
         options = ["--expect", str(expected)]
         if seconds is not None:
             options += ["--seconds", str(seconds)]
-        table = subprocess.Popen(  # noqa: S603 - our own program
+        table = subprocess.Popen(
             [sys.executable, "-P", "-m", "lsl_to_ros.live_table", *options],
             env=_environment(folder),
         )
@@ -77,7 +77,7 @@ def _servers() -> dict[str, Sequence[str]]:
 @contextmanager
 def _process(name: str, command: Sequence[str], folder: Path) -> Generator[subprocess.Popen[bytes]]:
     with (folder / f"{name}.log").open("wb") as log:
-        process = subprocess.Popen(  # noqa: S603 - our own programs
+        process = subprocess.Popen(
             [sys.executable, "-P", "-m", *command],
             stdin=subprocess.DEVNULL,
             stdout=log,

@@ -91,7 +91,7 @@ class AgentLink:
         if kind == FrameKind.STATUS:
             self._on_status(AgentStatus.model_validate_json(content))
         elif kind == FrameKind.SAMPLES:
-            from biosensor_gateway.agent.sample_frames import read_samples  # noqa: PLC0415 - numpy
+            from biosensor_gateway.agent.sample_frames import read_samples
 
             self._on_samples(read_samples(content))
         elif kind == FrameKind.DROPPED:
@@ -107,6 +107,6 @@ def _load_reading() -> bool:
 
 def _warn(event: str, **facts: object) -> None:
     # It takes a fifth of a second, and the page shows devices before.
-    import structlog  # noqa: PLC0415
+    import structlog
 
     structlog.get_logger("biosensor_gateway.page").warning(event, **facts)

@@ -160,14 +160,14 @@ class PageServer:
 
     def _load(self) -> Service:
         with responsive():
-            from biosensor_gateway.page.service import Service  # noqa: PLC0415 - takes a second
+            from biosensor_gateway.page.service import Service
 
             return Service(self._folder, self._settings, self._end_after_s)
 
     def _load_more(self, service: Service) -> Steering:
         self._open_log()
         with responsive():
-            from biosensor_gateway.page.steering import Steering  # noqa: PLC0415 - as above
+            from biosensor_gateway.page.steering import Steering
 
             return Steering(service)
 
@@ -185,7 +185,7 @@ class PageServer:
             yield
             return
         # Its certificate takes a fifth of the time of a start.
-        from biosensor_gateway.page.sharing import Sharing  # noqa: PLC0415
+        from biosensor_gateway.page.sharing import Sharing
 
         with Sharing(session, self._pages, _OPTIONS).opened(self._share_port) as serve:
             self.share = session.share
@@ -197,7 +197,7 @@ class PageServer:
 
     def _reachable(self, service: Service) -> AbstractAsyncContextManager[None]:
         """Let other programs of the same user ask for a window, or for the end."""
-        from biosensor_gateway.page.reachable import reachable  # noqa: PLC0415 - as above
+        from biosensor_gateway.page.reachable import reachable
 
         async def new_window(_arguments: Mapping[str, Any]) -> dict[str, Any]:
             return {

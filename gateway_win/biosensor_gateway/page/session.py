@@ -79,7 +79,7 @@ class Session:
     def now() -> float:
         """Return the LSL time in seconds."""
         # It brings numpy, and there is something to show before.
-        from pylsl import local_clock  # noqa: PLC0415
+        from pylsl import local_clock
 
         return local_clock()
 

@@ -49,7 +49,7 @@ def _started(command: list[str]) -> bool:
     """Whether a browser has begun, or handed the address to one that runs."""
     try:
         # Neither Ctrl-C here nor the end of this program is meant for it.
-        process = subprocess.Popen(  # noqa: S603 - found by its full path
+        process = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,

@@ -165,9 +165,7 @@ class KeepAlive:
         process = standby.take_turn(environment) if standby is not None else None
         if process is not None:
             return process
-        return subprocess.Popen(  # noqa: S603 - our own program
-            self._command, env={**os.environ, **environment}
-        )
+        return subprocess.Popen(self._command, env={**os.environ, **environment})
 
     def _code_of(self, process: subprocess.Popen[bytes]) -> int:
         """Wait for the end of the program, which gets a standby after a while."""

@@ -35,7 +35,7 @@ def start_beside(arguments: Sequence[str]) -> None:
     OSError
         The system cannot start it.
     """
-    subprocess.Popen(  # noqa: S603 - our own program
+    subprocess.Popen(
         own_command(arguments),
         # Nothing that this one has open may be held open by it.
         stdin=subprocess.DEVNULL,
@@ -57,7 +57,7 @@ def start_for(arguments: Sequence[str]) -> subprocess.Popen[bytes]:
     OSError
         The system cannot start it.
     """
-    return subprocess.Popen(  # noqa: S603 - our own program
+    return subprocess.Popen(
         own_command(arguments),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,

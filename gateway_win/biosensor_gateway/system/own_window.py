@@ -17,7 +17,7 @@ def is_own_window() -> bool:
     """
     if sys.platform != "win32":
         return False
-    import ctypes  # noqa: PLC0415 - each command would wait for it
+    import ctypes
 
     processes = (ctypes.c_uint32 * 2)()
     # It counts all processes on the console, also those that do not fit into the array.

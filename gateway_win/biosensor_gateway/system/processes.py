@@ -5,7 +5,7 @@ from __future__ import annotations
 
 def lives(process: object) -> bool:
     """Whether a process of that number lives; if that cannot be known, it does."""
-    import psutil  # noqa: PLC0415 - only commands ask
+    import psutil
 
     try:
         return psutil.Process(int(str(process))).status() != psutil.STATUS_ZOMBIE

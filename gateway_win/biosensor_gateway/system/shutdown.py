@@ -53,7 +53,7 @@ async def until_signalled(main_task: Callable[[], Coroutine[Any, Any, None]]) ->
 
     with _signals_call(stop, stop_from_any_thread, deaf_afterwards=task.cancelling):
         if sys.platform == "win32":
-            from biosensor_gateway.system import windows_shutdown as windows_ending  # noqa: PLC0415 - exists there only
+            from biosensor_gateway.system import windows_shutdown as windows_ending
 
             windows_ending.watch(stop_from_any_thread)
         with contextlib.suppress(asyncio.CancelledError):

@@ -31,7 +31,7 @@ class Standby:
     """
 
     def __init__(self, command: Sequence[str]) -> None:
-        self._process = subprocess.Popen(  # noqa: S603 - our own program
+        self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, bufsize=0, env={**os.environ, STANDBY: "1"}
         )
 

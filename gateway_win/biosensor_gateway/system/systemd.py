@@ -113,7 +113,7 @@ def _systemctl() -> str:
 def _problem(systemctl: str, *arguments: str) -> str | None:
     """Call systemctl; return what it complains of, None if it did what it should."""
     try:
-        done = subprocess.run(  # noqa: S603 - from the system's folders
+        done = subprocess.run(
             [systemctl, "--user", *arguments],
             stdin=subprocess.DEVNULL,
             capture_output=True,

@@ -45,7 +45,7 @@ else:
 def main() -> int:
     """Open the page, wait until its program has ended, and return its exit code."""
     try:
-        process = subprocess.Popen(  # noqa: S603 - our own program
+        process = subprocess.Popen(
             own_command(PAGE),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,

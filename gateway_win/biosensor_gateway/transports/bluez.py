@@ -91,8 +91,8 @@ async def _call(path: str, interface: str, member: str, signature: str) -> list[
     """Return what BlueZ answers, nothing if it does not or answers something else."""
     if sys.platform != "linux":
         return []
-    from dbus_fast import BusType, DBusError, Message  # noqa: PLC0415 - on Linux only
-    from dbus_fast.aio import MessageBus  # noqa: PLC0415
+    from dbus_fast import BusType, DBusError, Message
+    from dbus_fast.aio import MessageBus
 
     call = Message(destination=_SERVICE, path=path, interface=interface, member=member)
     try:

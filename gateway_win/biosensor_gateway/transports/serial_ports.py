@@ -65,7 +65,7 @@ async def _bluez_names() -> dict[str, str]:
 
 def _windows_ports() -> list[SerialPort]:
     try:
-        from serial.tools.list_ports import comports  # noqa: PLC0415 - fails to import under Wine
+        from serial.tools.list_ports import comports
     except (ImportError, AttributeError):
         return [SerialPort(port) for port in _windows_registry_ports()]
     ports: list[SerialPort] = []
@@ -86,7 +86,7 @@ def _with_colons(address: str) -> str:
 def _windows_name(address: str) -> str:
     if sys.platform != "win32":
         return ""
-    import winreg  # noqa: PLC0415 - Windows only
+    import winreg
 
     path = rf"SYSTEM\CurrentControlSet\Services\BTHPORT\Parameters\Devices\{address.lower()}"
     try:
@@ -100,7 +100,7 @@ def _windows_name(address: str) -> str:
 def _windows_registry_ports() -> list[str]:
     if sys.platform != "win32":
         return []
-    import winreg  # noqa: PLC0415 - Windows only
+    import winreg
 
     ports: list[str] = []
     try:

@@ -6,7 +6,7 @@ Several nodes share the streams of a lab, each under a name of its own:
 ``node_name:=lsl_eeg stream_predicate:="type='EEG'"``
 """
 
-from typing import List  # noqa: UP035 - launch knows a list type only by typing.List
+from typing import List
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
@@ -31,7 +31,7 @@ PARAMETER_TYPES = {
     "stream_predicate": str,
     "processes": int,
     "session_id": str,
-    "known_peers": List[str],  # noqa: UP006 - as above
+    "known_peers": List[str],
 }
 
 

@@ -6,7 +6,7 @@ What belongs to one topic alone, such as its fields, is in a parameter file:
 ``params_file:=ros_to_lsl.yaml``
 """
 
-from typing import List  # noqa: UP035 - launch knows a list type only by typing.List
+from typing import List
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
@@ -27,11 +27,11 @@ ARGUMENTS = {
 }
 # Without these types, YAML rules would make a number of a session named 42.
 PARAMETER_TYPES = {
-    "topics": List[str],  # noqa: UP006 - as above
+    "topics": List[str],
     "all_small": bool,
     "stamps": str,
     "session_id": str,
-    "known_peers": List[str],  # noqa: UP006 - as above
+    "known_peers": List[str],
 }
 
 

@@ -96,27 +96,27 @@ class NetworkServer:
             self._server.should_exit = True
 
     def _check_settings(self) -> None:
-        from biosensor_gateway.page.network.lsl_settings import lsl_settings  # noqa: PLC0415 - slow
+        from biosensor_gateway.page.network.lsl_settings import lsl_settings
 
         lsl_settings(self._settings)
 
     def _source(self) -> NetworkSource:
         with responsive():
-            from biosensor_gateway.page.network.source import NetworkSource  # noqa: PLC0415 - as above
+            from biosensor_gateway.page.network.source import NetworkSource
 
             return NetworkSource(self._settings)
 
 
 def _live(source: NetworkSource) -> ASGIApp:
-    from starlette.routing import Router  # noqa: PLC0415 - as above
+    from starlette.routing import Router
 
-    from biosensor_gateway.page.live import live  # noqa: PLC0415
+    from biosensor_gateway.page.live import live
 
     return Router([live(source, source.status)])
 
 
 def _api(source: NetworkSource) -> ASGIApp:
     with responsive():
-        from biosensor_gateway.page.network.api import network_api  # noqa: PLC0415 - as above
+        from biosensor_gateway.page.network.api import network_api
 
         return network_api(source)

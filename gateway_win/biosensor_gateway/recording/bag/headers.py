@@ -122,7 +122,7 @@ def facts_of_ours(
     topic: str,
     frame_id: str,
     raw_type: str,
-    message: Any,  # noqa: ANN401 - of its type
+    message: Any,
     *,
     is_latched: bool,
 ) -> Facts:

@@ -48,7 +48,7 @@ class Layout(NamedTuple):
     channels: tuple[tuple[str, str], ...]
     reads: tuple[Read, ...]
 
-    def read(self, message: Any) -> list[float]:  # noqa: ANN401 - of any type
+    def read(self, message: Any) -> list[float]:
         """Return the numbers, one a channel; NaN for those of a sequence that is empty.
 
         Raises
@@ -62,7 +62,7 @@ class Layout(NamedTuple):
         return values
 
 
-def layout_of(kind: MessageType, message: Any) -> Layout:  # noqa: ANN401 - of any type
+def layout_of(kind: MessageType, message: Any) -> Layout:
     """Return the layout of messages like one of them; without channels if there are no numbers.
 
     Raises
@@ -94,7 +94,7 @@ class _Place(NamedTuple):
 def _walk(
     kind: MessageType,
     type_name: str,
-    message: Any,  # noqa: ANN401 - of any type
+    message: Any,
     place: _Place,
     found: list[tuple[str, str]],
 ) -> Iterator[Read]:
@@ -151,7 +151,7 @@ class _Named(NamedTuple):
 def _array(
     kind: MessageType,
     description: tuple[Nodetype, Any],
-    value: Any,  # noqa: ANN401 - of any type
+    value: Any,
     path: str,
     named: _Named,
     found: list[tuple[str, str]],
@@ -181,7 +181,7 @@ def _array(
 def _names_in(
     kind: MessageType,
     type_name: str,
-    message: Any,  # noqa: ANN401 - of any type
+    message: Any,
 ) -> tuple[str, list[str]] | None:
     """Return the field by which a message names the elements of its sequences, and the names."""
     for field, (node, what) in kind.fields(type_name):
@@ -197,7 +197,7 @@ def _names_in(
 def _same_names(path: str, names: list[str]) -> Read:
     get = attrgetter(path)
 
-    def read(message: Any, values: list[float]) -> None:  # noqa: ANN401
+    def read(message: Any, values: list[float]) -> None:
         del values
         got = list(get(message))
         if got and got != names:
@@ -214,7 +214,7 @@ def _number(path: str) -> Read:
 def _time(path: str) -> Read:
     get: Callable[[Any], Any] = attrgetter(path) if path else lambda message: message
 
-    def read(message: Any, values: list[float]) -> None:  # noqa: ANN401
+    def read(message: Any, values: list[float]) -> None:
         time = get(message)
         values.append(time.sec + time.nanosec * 1e-9)
 
@@ -224,7 +224,7 @@ def _time(path: str) -> Read:
 def _numbers(path: str, length: int) -> Read:
     get = attrgetter(path)
 
-    def read(message: Any, values: list[float]) -> None:  # noqa: ANN401
+    def read(message: Any, values: list[float]) -> None:
         got = get(message)
         if len(got) == length:
             values.extend(np.asarray(got, np.float64).tolist())
@@ -239,7 +239,7 @@ def _numbers(path: str, length: int) -> Read:
 def _messages(path: str, elements: Sequence[Sequence[Read]], width: int) -> Read:
     get = attrgetter(path)
 
-    def read(message: Any, values: list[float]) -> None:  # noqa: ANN401
+    def read(message: Any, values: list[float]) -> None:
         got = get(message)
         if not len(got):
             values.extend([math.nan] * width)

@@ -119,7 +119,7 @@ class StampedTopic:
         times = self._to_lsl(begin_ns + read.offsets_ns)
         writer.add(times, values.reshape(-1, self._columns))
 
-    def _begin_live(self, message: Any) -> StreamWriter:  # noqa: ANN401 - of its type
+    def _begin_live(self, message: Any) -> StreamWriter:
         is_latched = LATCHED.search(self._topic.qos) is not None
         facts = self._facts or facts_of_ours(
             self._topic.name,
@@ -169,7 +169,7 @@ class AnyTopic:
         assert self._writer is not None
         self._writer.add(self._to_lsl(np.array([stamp_ns])), samples)
 
-    def _values(self, message: Any) -> list[float]:  # noqa: ANN401 - of its type
+    def _values(self, message: Any) -> list[float]:
         """Return the numbers of a message, and have the stream that fits them."""
         layout = self._layout or self._lay_out(message)
         try:
@@ -178,7 +178,7 @@ class AnyTopic:
             # As with an outlet, another shape is another stream.
             return self._lay_out(message).read(message)
 
-    def _lay_out(self, message: Any) -> Layout:  # noqa: ANN401 - of its type
+    def _lay_out(self, message: Any) -> Layout:
         self._layout = layout = layout_of(self._kind, message)
         is_text = not layout.channels
         if is_text and not isinstance(getattr(message, "data", None), str):
@@ -196,7 +196,7 @@ class AnyTopic:
             self._writers[layout.channels] = self._writer
         return layout
 
-    def _stamp_ns(self, message: Any) -> int:  # noqa: ANN401 - of its type
+    def _stamp_ns(self, message: Any) -> int:
         if not self._has_header:
             return 0
         stamp = message.header.stamp

@@ -95,7 +95,7 @@ class MessageType:
                 text = f"its bag defines {name} without the field {field}, or as another type"
                 raise MessageError(text)
 
-    def read(self, content: bytes) -> Any:  # noqa: ANN401 - of any type
+    def read(self, content: bytes) -> Any:
         """Return a message as an object.
 
         Raises

@@ -40,7 +40,7 @@ def unpack_lz4(packed: bytes, most: int) -> bytes:
         raise MessageError("it cannot be unpacked") from error
 
 
-def _zstd() -> Any:  # noqa: ANN401 - a module
+def _zstd() -> Any:
     try:
         return import_module("compression.zstd")
     except ImportError:

@@ -39,7 +39,7 @@ def launch(state: Path) -> None:
     """
     folder = RecorderFolder(state)
     with folder.keeper_log.open("wb") as log:
-        process = subprocess.Popen(  # noqa: S603 - our own program
+        process = subprocess.Popen(
             own_command([KEEPER, str(state)]),
             cwd=folder.path,
             stdin=subprocess.DEVNULL,
@@ -95,7 +95,7 @@ class _Keeper:
         for number in _requests():
             signal.signal(number, signal.SIG_IGN)
         with self._folder.said.open("wb") as said:
-            process = subprocess.Popen(  # noqa: S603 - no shell, and the full path
+            process = subprocess.Popen(
                 command,
                 stdin=subprocess.PIPE,
                 stdout=said,

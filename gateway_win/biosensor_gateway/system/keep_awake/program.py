@@ -37,7 +37,7 @@ class ProgramInhibitor:
     def begin(self) -> None:
         """Start the program; raises ``OSError`` if it cannot be."""
         self._answered = not self._echoes
-        self._process = process = subprocess.Popen(  # noqa: S603 - of the system
+        self._process = process = subprocess.Popen(
             self._command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,

@@ -218,7 +218,7 @@ class Child:
 
 
 def _popen(descriptor: int, name: str) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(  # noqa: S603 - this program again
+    return subprocess.Popen(
         [
             *(sys.executable, "-P", "-m", "lsl_to_ros.node", FURTHER, str(descriptor)),
             *for_further(sys.argv[1:], name),

@@ -31,7 +31,7 @@ def start(settings: BrainFlowSettings, command: str) -> subprocess.Popen[bytes]:
     """
     program = [str(_python(settings)), "-I", str(files(_OUTSIDE) / "board.py"), command]
     try:
-        process = subprocess.Popen(  # noqa: S603 - no shell, and a full path
+        process = subprocess.Popen(
             program,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
