@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -47,6 +48,7 @@ class ContactWatch:
             return
         values = np.asarray(samples, np.float64).reshape(len(stamps), -1)[:, self._index]
         for value, stamp in zip(values.tolist(), stamps, strict=True):
-            if value == value and bool(value) != self.is_on:  # noqa: PLR0124 - NaN is unknown
+            # NaN is unknown.
+            if not math.isnan(value) and bool(value) != self.is_on:
                 self.is_on = bool(value)
                 yield self.is_on, stamp

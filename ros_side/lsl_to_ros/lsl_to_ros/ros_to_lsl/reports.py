@@ -11,6 +11,7 @@ Levels of a topic:
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -105,4 +106,4 @@ def _stamped_by(bridge: Bridge) -> str:
 
 
 def _clock(state: str, edge_s: float) -> str:
-    return state if edge_s != edge_s else f"{state}, {edge_s:.6f} s"  # noqa: PLR0124 - NaN
+    return state if math.isnan(edge_s) else f"{state}, {edge_s:.6f} s"
