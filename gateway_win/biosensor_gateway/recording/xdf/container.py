@@ -21,6 +21,7 @@ from biosensor_common.errors import GatewayError
 from biosensor_gateway.recording.xdf.framing import (
     MAGIC,
     STREAM_ID_BYTES,
+    Frame,
     FrameError,
     Tag,
     find_frames,
@@ -261,20 +262,15 @@ class _Reader:
 
     def _read_one(self, position: int, *, is_found: bool = False) -> _Broken | int:
         """Read the chunk at `position`; return where it ends, or what is wrong."""
-        file, size = self._file, self._size
+        file = self._file
         try:
             frame = read_frame(file, position)
         except FrameError as error:
             return _Broken(str(error))
-        length = frame.end - position
-        if frame.end > size:
+        if frame.end > self._size:
             return _Broken(f"{frame.title} is cut off")
         try:
-            if not frame.is_known:
-                raise ChunkError("its tag is unknown")  # noqa: TRY301 - one way out for damage
-            is_doubtful = length > _UNDOUBTED_BYTES and not is_frame(file, frame.end, size)
-            if length > MAX_CHUNK_BYTES or is_doubtful:
-                raise ChunkError("it is too large to be true")  # noqa: TRY301
+            self._require_likely(frame, position)
             file.seek(frame.content_start)
             content = file.read(frame.end - frame.content_start)
             damages = len(self.damages)
@@ -282,6 +278,15 @@ class _Reader:
         except ChunkError as error:
             return _Broken(f"{frame.title}: {error}", frame.end)
         return frame.end
+
+    def _require_likely(self, frame: Frame, position: int) -> None:
+        """Refuse a chunk that is none, before its content is read."""
+        if not frame.is_known:
+            raise ChunkError("its tag is unknown")
+        length = frame.end - position
+        is_doubtful = length > _UNDOUBTED_BYTES and not is_frame(self._file, frame.end, self._size)
+        if length > MAX_CHUNK_BYTES or is_doubtful:
+            raise ChunkError("it is too large to be true")
 
 
 def _damage(start: int, end: int, size: int, what: str) -> Damage:
