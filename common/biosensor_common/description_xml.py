@@ -1,10 +1,12 @@
-"""Puts a description into the XML of an LSL stream."""
+"""Puts a description into the XML of an LSL stream, and reads the XML of one."""
 
 from __future__ import annotations
 
 import re
 from typing import Protocol, Self
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, ParseError, fromstring
+
+from biosensor_common.errors import SpecError, SpecReason
 
 # What XML 1.0 cannot hold (https://www.w3.org/TR/xml/#charsets): LSL would write it all the same,
 # and no program could read the header, nor pyxdf the recording.
@@ -38,3 +40,24 @@ def append_children(parent: XmlNode, element: Element) -> None:
 def xml_text(text: str) -> str:
     """Return a text with U+FFFD for what XML has no character for."""
     return _NO_XML.sub("\N{REPLACEMENT CHARACTER}", text)
+
+
+def read_xml(xml: str, most_characters: int) -> Element:
+    """Parse XML that somebody else has written.
+
+    Raises
+    ------
+    SpecError
+        ``TOO_LARGE`` or ``MALFORMED``, the latter also for a document type.
+    """
+    if len(xml) > most_characters:
+        message = f"the XML has {len(xml)} characters, more than {most_characters}"
+        raise SpecError(SpecReason.TOO_LARGE, message)
+    if "<!" in xml.replace("<!--", ""):
+        # Document types and entities have no place here and are how XML parsers are attacked.
+        raise SpecError(SpecReason.MALFORMED, "the XML has a document type")
+    try:
+        return fromstring(xml)  # noqa: S314 - no document type, limited in size
+    except (ParseError, ValueError) as error:
+        # ValueError: a lone surrogate, which has no UTF-8 form.
+        raise SpecError(SpecReason.MALFORMED, f"the XML is not well-formed ({error})") from error

@@ -28,6 +28,7 @@ import xml.etree.ElementTree as ET
 from typing import TypeVar
 
 from biosensor_common import naming
+from biosensor_common.description_xml import read_xml
 from biosensor_common.errors import SpecError, SpecReason
 from biosensor_common.header_0_1_0 import inferred_roles, inferred_state
 from biosensor_common.header_channels import Channels, Roles, fitting, read_channels
@@ -118,7 +119,7 @@ def read_header(xml: str) -> StreamHeader:
         ``TOO_LARGE``, ``MALFORMED``, ``UNKNOWN_VERSION``, ``INVALID`` or
         ``CONTRADICTORY``; the stream can still be mapped by :func:`.foreign_header`.
     """
-    root = _parse(xml)
+    root = read_xml(xml, MAX_XML_CHARACTERS)
     core = _core(root)
     blocks = root.findall("desc/biosensor")
     if not blocks:
@@ -161,21 +162,6 @@ def _core(root: ET.Element) -> CoreFields:
         rate=rate,
         format=channel_format,
     )
-
-
-def _parse(xml: str) -> ET.Element:
-    if len(xml) > MAX_XML_CHARACTERS:
-        message = f"an LSL description has {len(xml)} characters, more than {MAX_XML_CHARACTERS}"
-        raise SpecError(SpecReason.TOO_LARGE, message)
-    if "<!" in xml.replace("<!--", ""):
-        # Document types and entities have no place here and are how XML parsers are attacked.
-        raise SpecError(SpecReason.MALFORMED, "an LSL description contains a document type")
-    try:
-        return ET.fromstring(xml)  # noqa: S314 - no document type, limited in size
-    except (ET.ParseError, ValueError) as error:
-        # ValueError: a lone surrogate, which has no UTF-8 form.
-        message = f"an LSL description is not well-formed XML ({error})"
-        raise SpecError(SpecReason.MALFORMED, message) from error
 
 
 def _own(

@@ -13,7 +13,9 @@ from xml.etree import ElementTree as ET
 import pylsl
 from pylsl.lib import lib
 
+from biosensor_common.description_xml import read_xml
 from biosensor_common.doctor.seen_stream import SeenStream
+from biosensor_common.errors import SpecError
 
 MAX_EXAMINED = 256
 """So many streams are listened to; all are listed."""
@@ -127,11 +129,9 @@ def _described(info: pylsl.StreamInfo) -> SeenStream:
 
 def _fields(header: str) -> ET.Element | None:
     """Read a header; a resolver's has no description, so it is small."""
-    if len(header) > _MAX_HEADER:
-        return None
     try:
-        return ET.fromstring(header)  # noqa: S314 - liblsl itself writes it, without entities
-    except ET.ParseError:
+        return read_xml(header, _MAX_HEADER)
+    except SpecError:
         return None
 
 

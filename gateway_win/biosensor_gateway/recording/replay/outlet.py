@@ -43,7 +43,6 @@ def played_description(header: RecordedHeader, source_id: str, replay: Replay) -
     It is the recorded one, with everything in ``desc`` as it was. At another speed the nominal
     rate is that of the stamps, else every receiver would miss samples, or find too many.
     """
-    recorded = ET.fromstring(header.xml)  # noqa: S314 - was read before, without a document type
     root = ET.Element("info")
     fields = {
         "name": header.name,
@@ -55,7 +54,7 @@ def played_description(header: RecordedHeader, source_id: str, replay: Replay) -
     }
     for name, text in (fields | _BLANK).items():
         ET.SubElement(root, name).text = text
-    desc = recorded.find("desc")
+    desc = header.parsed().find("desc")
     root.append(ET.Element("desc") if desc is None else desc)
     mark_as_replay(root[-1], replay)
     return ET.tostring(root, encoding="unicode")

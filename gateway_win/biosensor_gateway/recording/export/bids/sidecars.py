@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
 
+from biosensor_common.errors import SpecError
 from biosensor_common.quantities import Unit
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export import names
@@ -111,8 +111,8 @@ def timestamp() -> dict[str, object]:
 def hardware(stream: Stream) -> dict[str, str]:
     """Return what the header says of the device, as far as it does."""
     try:
-        root = ET.fromstring(stream.header.xml)  # noqa: S314 - read before, without entities
-    except (ET.ParseError, ValueError):
+        root = stream.header.parsed()
+    except SpecError:
         return {}
     told = {
         key: (root.findtext(f"desc/acquisition/{element}") or "").strip()
@@ -125,14 +125,13 @@ def channel_types(stream: Stream) -> Sequence[str]:
     """Return what type the header says each channel is, empty where it does not."""
 
     def told() -> Iterator[str]:
-        root = ET.fromstring(stream.header.xml)  # noqa: S314 - read before, without entities
-        for channel in root.findall("desc/channels/channel"):
+        for channel in stream.header.parsed().findall("desc/channels/channel"):
             yield (channel.findtext("type") or "").strip()
 
     count = stream.header.channel_count
     try:
         types = list(told())
-    except (ET.ParseError, ValueError):
+    except SpecError:
         types = []
     return types if len(types) == count else [""] * count
 
