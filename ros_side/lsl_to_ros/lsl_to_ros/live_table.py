@@ -96,7 +96,7 @@ class LiveTable(Node):
             self.rows[topic] = row = Row(topic, kind)
             self.create_subscription(CLASSES[kind], topic, partial(self._take, row), QUEUE_DEPTH)
 
-    def _take(self, row: Row, message: Any) -> None:  # noqa: ANN401 - any message
+    def _take(self, row: Row, message: object) -> None:
         row.received += 1
         row.newest = monotonic()
         row.last = message

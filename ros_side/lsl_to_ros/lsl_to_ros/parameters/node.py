@@ -155,7 +155,7 @@ def is_known(name: str) -> bool:
     return name in _PARAMETERS or name.startswith(QOS_OVERRIDES)
 
 
-def fault(name: str, value: Any) -> str | None:  # noqa: ANN401 - whatever a user sets
+def fault(name: str, value: object) -> str | None:
     """Say why a value is refused."""
     if name.startswith(QOS_OVERRIDES):
         return _qos_fault(name, value)
@@ -166,7 +166,7 @@ def fault(name: str, value: Any) -> str | None:  # noqa: ANN401 - whatever a use
 
 def _type_fault(
     default: str | float | list[str],
-    value: Any,  # noqa: ANN401 - as above
+    value: object,
 ) -> str | None:
     if isinstance(default, str):
         return None if isinstance(value, str) else f"must be text, not {value!r}"
@@ -179,20 +179,20 @@ def _type_fault(
     return None if _is_text_list(value) else f"must be a list of host names, not {value!r}"
 
 
-def _is_text_list(value: Any) -> TypeGuard[Sequence[str]]:  # noqa: ANN401 - whatever a user sets
+def _is_text_list(value: object) -> TypeGuard[Sequence[str]]:
     if not isinstance(value, Sequence) or isinstance(value, (str, bytes)):
         return False
     return all(isinstance(item, str) for item in cast("Sequence[object]", value))
 
 
-def _qos_fault(name: str, value: Any) -> str | None:  # noqa: ANN401 - whatever a user sets
+def _qos_fault(name: str, value: object) -> str | None:
     """Judge ``qos_overrides.<topic>.publisher.<policy>``."""
     owner, _, policy = name.rpartition(".")
     if not owner.endswith(".publisher"):
         return None
     if policy == "depth":
-        is_depth = isinstance(value, int) and not isinstance(value, bool)
-        if is_depth and 1 <= value <= MAX_DEPTH:
+        is_number = isinstance(value, int) and not isinstance(value, bool)
+        if is_number and value in range(1, MAX_DEPTH + 1):
             return None
         return f"{name} must be a whole number from 1 to {MAX_DEPTH}, not {value!r}"
     values = _QOS_VALUES.get(policy)

@@ -187,7 +187,7 @@ def _token(data_name: str) -> str:
     return naming.sanitise(data_name)
 
 
-def _fault(name: str, value: Any) -> str | None:  # noqa: ANN401 - whatever a user sets
+def _fault(name: str, value: object) -> str | None:
     """Say why a parameter is refused; parameters that are not ours pass."""
     key = name.rpartition(".")[2]
     if node_parameters.is_known(name):

@@ -194,7 +194,7 @@ class Lane:
         self._keeps_up, self._unchecked, self._held_until_s = is_taken, 0, None
         return False
 
-    def _send(self, message: Any) -> None:  # noqa: ANN401 - any message, or its bytes
+    def _send(self, message: object) -> None:
         self._turn_s += self._interval_s
         self._unchecked += 1
         self._publish(message)
@@ -273,7 +273,7 @@ class Pacer:
             return bool(self._busy) and self.clock() < self._stop_at_s
 
 
-def _copy(message: Any) -> Any:  # noqa: ANN401 - any message, or its bytes
+def _copy(message: object) -> object:
     """Return a message of its own to wait; one that ROS cannot convert fails where it is sent."""
     if isinstance(message, bytes):
         return message

@@ -66,7 +66,7 @@ class TopicPublisher:
         piece = piece_messages(rate)
         self.lane = Lane(ros_publisher.publish, self._is_taken, pacer, rate=rate, piece=piece)
 
-    def publish(self, *messages: Any) -> None:  # noqa: ANN401 - whatever the topic carries
+    def publish(self, *messages: object) -> None:
         """Publish messages, or their bytes, in their order; of many at once most wait a little."""
         self.lane.send(messages)
 

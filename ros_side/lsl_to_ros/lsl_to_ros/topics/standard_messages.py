@@ -63,7 +63,7 @@ class StandardMessageWriter(Writer):
         """Return the data name of this message beside a stream, empty if it has none."""
 
     @abstractmethod
-    def build(self, header: Header, sample: Sequence[float]) -> Any:  # noqa: ANN401 - any message
+    def build(self, header: Header, sample: Sequence[float]) -> object:
         """Make a message of one sample."""
 
     def write(self, run: Run) -> None:
