@@ -365,7 +365,7 @@ FunctionEnd
 Section /o "un.Your settings, logs and secrets" SectionSettings
   StrCpy $R8 $INSTDIR
   Call un.CloseProgram
-  nsExec::Exec '"${BIN}\${EXE}" secrets forget emotiv'
+  nsExec::Exec '"${BIN}\${EXE}" secrets forget --all'
   Pop $R0
   SetShellVarContext current
   RMDir /r "$LOCALAPPDATA\${PROGRAM}"

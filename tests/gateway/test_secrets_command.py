@@ -216,6 +216,23 @@ def test_forget_removes_them_and_may_be_repeated(run: Run, store: Path) -> None:
     assert (outcome.code, outcome.out.count("was not in the keyring")) == (0, 2)
 
 
+def test_forget_all_removes_those_of_every_sensor(run: Run, store: Path) -> None:
+    put(store)
+    file_keyring.put(store, "another program/x", "kept")
+    outcome = run("secrets", "forget", "--all")
+    assert (outcome.code, outcome.out.count("removed from the keyring")) == (0, 2)
+    assert list(file_keyring.entries(store).values()) == ["kept"]
+
+
+@pytest.mark.parametrize("arguments", [(), (SENSOR, "--all")])
+def test_forget_wants_a_sensor_or_all(run: Run, store: Path, arguments: tuple[str, ...]) -> None:
+    put(store)
+    outcome = run("secrets", "forget", *arguments)
+    assert (outcome.code, outcome.out) == (2, "")
+    assert "name a sensor, or say --all" in outcome.err
+    assert file_keyring.entries(store) == STORED
+
+
 @pytest.mark.usefixtures("no_keyring")
 def test_without_a_keyring_it_is_one_sentence(run: Run) -> None:
     assert "no keyring" in one_sentence(run("secrets", "forget", SENSOR), 1)

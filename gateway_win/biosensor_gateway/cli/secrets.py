@@ -13,7 +13,10 @@ from biosensor_gateway.settings.secrets import SecretName
 
 app = typer.Typer(help="Secrets in the keyring of the system.", no_args_is_help=True)
 
-SensorArgument = Annotated[str, typer.Argument(help="Whose secrets: a sensor, or its vendor.")]
+_WHOSE = "Whose secrets: a sensor, or its vendor."
+SensorArgument = Annotated[str, typer.Argument(help=_WHOSE)]
+OptionalSensor = Annotated[str | None, typer.Argument(help=_WHOSE)]
+EveryOption = Annotated[bool, typer.Option("--all", help="Those of all sensors.")]
 
 
 @app.command("set")
@@ -27,9 +30,11 @@ def set_secrets(sensor: SensorArgument) -> None:
 
 
 @app.command("forget")
-def forget_secrets(sensor: SensorArgument) -> None:
-    """Remove the secrets of a sensor's service from the keyring."""
-    for secret in _secrets_of(sensor):
+def forget_secrets(sensor: OptionalSensor = None, *, every: EveryOption = False) -> None:
+    """Remove the secrets of a sensor's service, or all there are, from the keyring."""
+    if (sensor is not None) == every:
+        raise typer.BadParameter("name a sensor, or say --all")
+    for secret in _all_secrets() if sensor is None else _secrets_of(sensor):
         was_there = secret_store.forget_secret(secret)
         outcome = "removed from the keyring" if was_there else "was not in the keyring"
         typer.echo(f"{_sentence(secret)}: {outcome}")
@@ -50,8 +55,16 @@ def check_secrets(sensor: SensorArgument) -> None:
         raise typer.Exit(1)
 
 
+def _by_sensor() -> dict[str, tuple[SecretName, ...]]:
+    return {name: driver(name).secrets for name in sensor_names() if driver(name).secrets}
+
+
+def _all_secrets() -> tuple[SecretName, ...]:
+    return tuple(secret for secrets in _by_sensor().values() for secret in secrets)
+
+
 def _secrets_of(sensor: str) -> tuple[SecretName, ...]:
-    having = {name: driver(name).secrets for name in sensor_names() if driver(name).secrets}
+    having = _by_sensor()
     # The vendor's name is enough, which a sensor's begins with.
     meant = [name for name in having if name == sensor or name.startswith(f"{sensor}_")]
     if len(meant) == 1:
