@@ -29,6 +29,8 @@ OF_ALL_SENSORS = (
     "tests/e2e/test_every_sensor.py",
     "tests/e2e/test_demo.py",
     "tests/bench/agent_load.py",
+    "tests/bench/decoder_speed.py",
+    "tests/bench/tape.py",
     "tests/ble/**/*.py",
     "tests/contracts/**/*.py",
     "tests/time_spent/**/*.py",

@@ -1,0 +1,7 @@
+"""Heart rates, for the speed of decoders."""
+
+from tests.bench.tape import Taped
+
+TAPED = Taped(
+    functions=("biosensor_gateway.devices.ble_heart_rate.driver.emitter:parse_measurement",),
+)

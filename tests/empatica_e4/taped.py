@@ -1,0 +1,8 @@
+"""Lines of the server, for the speed of decoders."""
+
+from tests.bench.tape import Taped
+
+TAPED = Taped(
+    decoder="biosensor_gateway.devices.empatica_e4.driver.protocol:E4Protocol",
+    methods=("feed",),
+)

@@ -1,0 +1,10 @@
+"""PMD frames and heart rates, for the speed of decoders."""
+
+from tests.bench.tape import Taped
+
+TAPED = Taped(
+    functions=(
+        "biosensor_gateway.devices.polar_h10.driver.emitter:parse_frame",
+        "biosensor_gateway.devices.ble_heart_rate.driver.emitter:parse_measurement",
+    ),
+)

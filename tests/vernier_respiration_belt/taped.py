@@ -1,0 +1,8 @@
+"""Packets, for the speed of decoders."""
+
+from tests.bench.tape import Taped
+
+TAPED = Taped(
+    decoder="biosensor_gateway.devices.vernier_respiration_belt.driver.protocol:VernierProtocol",
+    methods=("feed",),
+)
