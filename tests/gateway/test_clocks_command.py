@@ -23,7 +23,7 @@ from biosensor_common.topic_text import read_counters
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.snapshot import snapshot
 from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.recording.xdf.counted import parse_readings
+from biosensor_gateway.recording.xdf.counters import parse_readings
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.sink import DeviceSink
 

@@ -16,8 +16,8 @@ from std_msgs.msg import Float32, Float32MultiArray, UInt8
 
 from biosensor_common.quantities import ChannelFormat, MessageType
 from biosensor_common.stream_header import StreamHeader
+from lsl_to_ros.accounts.counters import Refusals, Tally
 from lsl_to_ros.accounts.gaps import FOREIGN_JITTER_S
-from lsl_to_ros.accounts.tally import Refusals, Tally
 from lsl_to_ros.lsl.blocks import Block
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.topics.bridge import Bridge, Outputs

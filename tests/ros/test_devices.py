@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from biosensor_common.quantities import ChannelFormat, ChannelRole, ContentType, MessageType
 from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.devices.registry import declaration, declaration_names
-from lsl_to_ros.accounts.tally import Refusals, Tally
+from lsl_to_ros.accounts.counters import Refusals, Tally
 from lsl_to_ros.lsl.blocks import Block
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.reports.devices import LOW_BATTERY_PERCENT, device_statuses

@@ -19,9 +19,9 @@ from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.outlets import Outlet
-from lsl_to_ros.accounts import health, rates
+from lsl_to_ros.accounts import rates, status
+from lsl_to_ros.accounts.counters import Refusals, Tally
 from lsl_to_ros.accounts.rates import RATE_WINDOW_S
-from lsl_to_ros.accounts.tally import Refusals, Tally
 from lsl_to_ros.lsl.blocks import Block
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.reports import diagnostics
@@ -92,7 +92,7 @@ class Stream:
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
     monkeypatch.setattr(diagnostics, "monotonic", clock)
-    monkeypatch.setattr(health, "monotonic", clock)
+    monkeypatch.setattr(status, "monotonic", clock)
     monkeypatch.setattr(rates, "monotonic", clock)
     return clock
 

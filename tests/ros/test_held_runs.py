@@ -13,7 +13,7 @@ from std_msgs.msg import Float32
 
 from biosensor_common.quantities import MessageType
 from biosensor_gateway.streaming.counters import Counters, counters_text
-from lsl_to_ros.accounts.tally import Refusals, Tally
+from lsl_to_ros.accounts.counters import Refusals, Tally
 from lsl_to_ros.lsl.blocks import Block
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.topics import bridge as bridge_module

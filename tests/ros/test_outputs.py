@@ -20,7 +20,7 @@ from biosensor_common.naming import TopicName
 from biosensor_common.quantities import ChannelFormat, MessageType
 from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
 from biosensor_gateway.devices.registry import declaration, declaration_names
-from lsl_to_ros.accounts.tally import Lost
+from lsl_to_ros.accounts.counters import Lost
 from lsl_to_ros.lsl.blocks import Run
 from lsl_to_ros.topics.bridge import Outputs
 from lsl_to_ros.topics.messages import CLASSES

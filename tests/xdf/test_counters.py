@@ -10,7 +10,7 @@ import pytest
 
 from biosensor_common.naming import lsl_name, source_id
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.recording.xdf.counted import Counted, Reading, compare, parse_readings
+from biosensor_gateway.recording.xdf.counters import Counted, Reading, compare, parse_readings
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from tests.xdf import xdf_file as x

@@ -15,6 +15,7 @@ from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.page.access import Access, add_access
 from biosensor_gateway.page.agent_process import start_agent
 from biosensor_gateway.page.device_log import add_device_log
+from biosensor_gateway.page.device_test import Trial, add_trial
 from biosensor_gateway.page.doctor import Doctor, add_doctor
 from biosensor_gateway.page.front import PREFIX
 from biosensor_gateway.page.marker_models import MarkerNumber, NewMarker
@@ -37,7 +38,6 @@ from biosensor_gateway.page.refusals import add_refusals
 from biosensor_gateway.page.replaying import Replaying
 from biosensor_gateway.page.searching import Search
 from biosensor_gateway.page.session import Session
-from biosensor_gateway.page.trial import Trial, add_trial
 from biosensor_gateway.settings import editing
 
 

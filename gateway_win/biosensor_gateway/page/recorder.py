@@ -14,8 +14,8 @@ import platformdirs
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.page.models import NewRecording, Outcome, RecordingView, VerdictView
 from biosensor_gateway.page.session import Session
-from biosensor_gateway.recording.here.ending import Ended
 from biosensor_gateway.recording.here.recording import Begun, Recording
+from biosensor_gateway.recording.here.stopping import Ended
 from biosensor_gateway.recording.labrecorder.file_name import BidsLabels, Place
 from biosensor_gateway.recording.labrecorder.starting import Order
 from biosensor_gateway.recording.labrecorder.streams import Presence, expected_devices, look

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from starlette.routing import Router
 
-from biosensor_gateway.page.ending import Ending
 from biosensor_gateway.page.link import AgentLink
 from biosensor_gateway.page.live import live
 from biosensor_gateway.page.session import Session
+from biosensor_gateway.page.shutdown import Ending
 
 _FIRST_S = 1.5
 

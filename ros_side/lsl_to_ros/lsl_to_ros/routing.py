@@ -14,10 +14,10 @@ from biosensor_common.naming import TopicName, resolve_topics
 from biosensor_common.quantities import MessageType
 from biosensor_common.stream_header import StreamHeader
 from biosensor_common.topic_text import clock_of, read_counters
-from lsl_to_ros.accounts.health import StreamHealth
+from lsl_to_ros.accounts.counters import Refusals, Tally, can_estimate_losses
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.accounts.stamping import Stamping
-from lsl_to_ros.accounts.tally import Refusals, Tally, can_estimate_losses
+from lsl_to_ros.accounts.status import StreamHealth
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.lsl.inlets import Inlet
 from lsl_to_ros.parameters.streams import Parameters, StreamSettings

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from biosensor_common.lsl_config import LslOverrides
-from biosensor_gateway.recording.here.ending import Ended, end
 from biosensor_gateway.recording.here.errors import RecorderError, RecorderReason
 from biosensor_gateway.recording.here.growth import Growth, Sight
 from biosensor_gateway.recording.here.memory import RecorderFolder
 from biosensor_gateway.recording.here.starting import Begun, begin
+from biosensor_gateway.recording.here.stopping import Ended, end
 from biosensor_gateway.recording.labrecorder.starting import Order
 from biosensor_gateway.recording.labrecorder.streams import Presence
 from biosensor_gateway.recording.xdf.findings import Finding, Level

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from biosensor_gateway.recording.xdf.counted import Reading, compare, parse_readings
+from biosensor_gateway.recording.xdf.counters import Reading, compare, parse_readings
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.report import Measured
 

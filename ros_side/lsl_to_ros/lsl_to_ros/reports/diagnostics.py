@@ -20,9 +20,9 @@ from time import monotonic
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from biosensor_common.naming import AGENT, TopicName
-from lsl_to_ros.accounts.health import StreamHealth
+from lsl_to_ros.accounts.counters import Delays, Tally, can_estimate_losses
 from lsl_to_ros.accounts.rates import RATE_WINDOW_S
-from lsl_to_ros.accounts.tally import Delays, Tally, can_estimate_losses
+from lsl_to_ros.accounts.status import StreamHealth
 from lsl_to_ros.reports.overload import not_taken, too_fast
 from lsl_to_ros.topics.bridge import Bridge
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from lsl_to_ros.accounts.health import StreamHealth
+from lsl_to_ros.accounts.status import StreamHealth
 from lsl_to_ros.reports.diagnostics import STALE_AFTER_S, status
 from lsl_to_ros.ros_to_lsl.bridge import Bridge, wrong_clock
 from lsl_to_ros.ros_to_lsl.topic import Topic

@@ -10,9 +10,9 @@ from typing import Any
 from numpy.typing import NDArray
 
 from biosensor_common.stream_header import StreamHeader
+from lsl_to_ros.accounts.counters import Tally
 from lsl_to_ros.accounts.gaps import Gap, GapFinder
 from lsl_to_ros.accounts.stamping import Stamping
-from lsl_to_ros.accounts.tally import Tally
 from lsl_to_ros.lsl.blocks import Block, Run, part, split
 from lsl_to_ros.lsl.liblsl import local_clock
 from lsl_to_ros.parameters.streams import StreamSettings

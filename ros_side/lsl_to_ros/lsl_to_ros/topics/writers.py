@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from biosensor_common.naming import TopicName
 from biosensor_common.quantities import MessageType
 from biosensor_common.stream_header import StreamHeader
+from lsl_to_ros.accounts.counters import Lost
 from lsl_to_ros.accounts.stamping import Stamping
-from lsl_to_ros.accounts.tally import Lost
 from lsl_to_ros.lsl.blocks import Run
 from lsl_to_ros.topics import cdr, messages
 from lsl_to_ros.topics.chunker import Chunker

@@ -2,7 +2,7 @@
 
 import { html, useEffect, useState } from "../vendor/preact-htm.js";
 import { ask } from "./api.js";
-import { Trial } from "./trial.js";
+import { Trial } from "./device_test.js";
 
 const LOOK_MS = 300;
 

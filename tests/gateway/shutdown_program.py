@@ -1,6 +1,6 @@
 """A program that the agent's way of ending can be tried on, on every system.
 
-``python ending_program.py RECORD [CLOSING_S [WORD]]`` appends a line to the file RECORD for
+``python shutdown_program.py RECORD [CLOSING_S [WORD]]`` appends a line to the file RECORD for
 whatever it does: ``running``, ``closing`` when it has been asked to end, ``closed`` after
 CLOSING_S seconds (0 by default), ``returned`` after the loop has closed, and ``exiting`` when the
 interpreter shuts down. It needs the standard library and structlog alone. WORD may be

@@ -1,6 +1,6 @@
 """Windows only: start a program and ask it to end in a way that no Unix signal stands for.
 
-``python ending_requests.py REQUEST RECORD PROGRAM ARGUMENT...`` starts PROGRAM with RECORD as
+``python shutdown_requests.py REQUEST RECORD PROGRAM ARGUMENT...`` starts PROGRAM with RECORD as
 its first argument, waits until RECORD says ``running``, makes the REQUEST and exits with
 PROGRAM's exit code. Standard library only; requests are
 

@@ -16,7 +16,7 @@ import pytest
 from biosensor_gateway.system.shutdown import until_signalled
 
 DEADLINE_S = 30.0
-PROGRAM = Path(__file__).with_name("ending_program.py")
+PROGRAM = Path(__file__).with_name("shutdown_program.py")
 WHOLE_STORY = ["running", "closing", "closed", "returned", "exiting"]
 REQUESTS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
+from lsl_to_ros.accounts.counters import Delays, Lost, Refusals, Tally, can_estimate_losses
 from lsl_to_ros.accounts.losses import Losses
-from lsl_to_ros.accounts.tally import Delays, Lost, Refusals, Tally, can_estimate_losses
 from tests.rigs.recorded_topics import header_of
 
 ECG = header_of("zephyr", "ecg")
