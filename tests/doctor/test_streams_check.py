@@ -13,7 +13,7 @@ import pytest
 from biosensor_common.doctor import stream_rules
 from biosensor_common.doctor.checks import streams
 from biosensor_common.doctor.finding import Finding, Level
-from biosensor_common.doctor.seen_stream import SeenStream
+from biosensor_common.doctor.surveyed_stream import SurveyedStream
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.doctor.context import Context
 from tests.doctor.conftest import above_ok, only
@@ -22,7 +22,7 @@ from tests.doctor.outlets import Offered
 if TYPE_CHECKING:
     from tests.doctor.conftest import Examine
 
-GOOD = SeenStream("ecg", "id-1", "u1", "lab-pc", "float32", [16572], 0.001, 0.0004, 0.01)
+GOOD = SurveyedStream("ecg", "id-1", "u1", "lab-pc", "float32", [16572], 0.001, 0.0004, 0.01)
 
 
 @pytest.fixture(autouse=True)
@@ -31,7 +31,7 @@ def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(streams, "SEARCH_S", 1.5)
 
 
-def judged(*seen: SeenStream) -> list[Finding]:
+def judged(*seen: SurveyedStream) -> list[Finding]:
     return above_ok(list(stream_rules.judge(seen)))
 
 
@@ -128,7 +128,7 @@ def test_streams_without_a_mistake() -> None:
         ((replace(GOOD, stamp_error_s=-1.7e9),), "its stamps are -1700000000 s off"),
     ],
 )
-def test_what_the_rules_say(seen: Sequence[SeenStream], what: str) -> None:
+def test_what_the_rules_say(seen: Sequence[SurveyedStream], what: str) -> None:
     (found,) = judged(*seen)
     assert what in found.what
     assert found.level in (Level.WARNING, Level.ERROR)

@@ -13,7 +13,7 @@ import pylsl
 import pytest
 
 from biosensor_gateway.recording.here.memory import RecorderFolder
-from biosensor_gateway.recording.labrecorder.streams import Presence, SeenStream
+from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream
 
 RATE_HZ = 2000
 """So fast that the recorder's blocks are full in a moment."""
@@ -57,7 +57,7 @@ class Sources:
 
     def presence(self, *missing: str) -> Presence:
         host = socket.gethostname()
-        seen = tuple(SeenStream(each, f"{each}-id", host) for each in self._outlets)
+        seen = tuple(VisibleStream(each, f"{each}-id", host) for each in self._outlets)
         return Presence(seen, (), missing)
 
     def _push(self) -> None:

@@ -24,7 +24,7 @@ from biosensor_gateway.recording.here.memory import RecorderFolder
 from biosensor_gateway.recording.here.recording import Recording, Standing
 from biosensor_gateway.recording.labrecorder.file_name import BidsLabels, Place
 from biosensor_gateway.recording.labrecorder.starting import Order
-from biosensor_gateway.recording.labrecorder.streams import Presence, SeenStream
+from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.recording.xdf.verdict import Colour
 from tests.recording_here.conftest import Sources
@@ -141,7 +141,7 @@ def test_a_required_stream_that_the_program_does_not_find_refuses(
 def test_a_refusal_gives_the_name_back_if_no_sample_came(state: Path, tmp_path: Path) -> None:
     silent = pylsl.StreamOutlet(pylsl.StreamInfo("silent", "Markers", 1, 0, "string", "silent-id"))
     host = socket.gethostname()
-    seen = tuple(SeenStream(each, f"{each}-id", host) for each in ("silent", "gone"))
+    seen = tuple(VisibleStream(each, f"{each}-id", host) for each in ("silent", "gone"))
     presence = Presence(seen, (), ())
     short = Order(Place(tmp_path, labels=BIDS), growth_s=5.0)
     with pytest.raises(RecorderError, match="gone") as caught:
@@ -185,10 +185,10 @@ from pathlib import Path
 from biosensor_gateway.recording.here.recording import Recording
 from biosensor_gateway.recording.labrecorder.file_name import BidsLabels, Place
 from biosensor_gateway.recording.labrecorder.starting import Order
-from biosensor_gateway.recording.labrecorder.streams import Presence, SeenStream
+from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream
 import socket
 
-seen = [SeenStream(name, name + "-id", socket.gethostname()) for name in ("chest", "wrist")]
+seen = [VisibleStream(name, name + "-id", socket.gethostname()) for name in ("chest", "wrist")]
 place = Place(Path(sys.argv[2]), labels=BidsLabels("P07", task="Walk"))
 Recording(Path(sys.argv[1])).start(Order(place), lambda: Presence(tuple(seen), (), ()))
 print("begun", flush=True)

@@ -16,7 +16,7 @@ from std_msgs.msg import Float32, Float32MultiArray, UInt8
 
 from biosensor_common.quantities import ChannelFormat, MessageType
 from biosensor_common.stream_header import StreamHeader
-from lsl_to_ros.accounts.counters import Refusals, Tally
+from lsl_to_ros.accounts.counters import NodeCounters, Refusals
 from lsl_to_ros.accounts.gaps import FOREIGN_JITTER_S
 from lsl_to_ros.lsl.blocks import Block
 from lsl_to_ros.parameters.streams import StreamSettings
@@ -38,13 +38,13 @@ class Setup:
     def __init__(self, ros: Ros, header: StreamHeader, settings: StreamSettings) -> None:
         self.raw = RecordedPublisher(CLASSES[header.message_type])
         self.chunk = RecordedPublisher(Float32MultiArray, "biosensors/zephyr/ecg_chunk")
-        self.tally = Tally()
+        self.counters = NodeCounters()
         self.warnings: list[str] = []
-        refuse = Refusals(header, self.tally, self.warnings.append)
+        refuse = Refusals(header, self.counters, self.warnings.append)
         outputs = Outputs(raw=NumberWriter(self.raw, header.message_type, 1, refuse))
         if header.chunk:
             outputs.chunk = ChunkWriter(self.chunk, MessageType.FLOAT32_MULTI_ARRAY, 1)
-        self.bridge = Bridge(header, outputs, settings, self.tally, Clocks(ros.node), refuse)
+        self.bridge = Bridge(header, outputs, settings, self.counters, Clocks(ros.node), refuse)
 
     def send(self, *values: float, start: float = 1000.0, step: float = 0.01) -> None:
         """Send samples one by one."""
@@ -75,7 +75,7 @@ def test_every_sample_goes_out_at_once_and_in_its_chunk(make: Make) -> None:
     it.send(1, 2, 3, 4, 5)
     assert it.raw.values == [1, 2, 3, 4, 5]
     assert it.chunk.values == [[1, 2, 3, 4]]
-    assert (it.tally.received, it.tally.missing, it.tally.discarded) == (5, 0, 0)
+    assert (it.counters.received, it.counters.missing, it.counters.discarded) == (5, 0, 0)
 
 
 def test_a_block_is_no_different(make: Make) -> None:
@@ -83,7 +83,7 @@ def test_a_block_is_no_different(make: Make) -> None:
     it.send_block([1, 2, 3, 4, 5], [1000 + number * 0.01 for number in range(5)])
     assert it.raw.values == [1, 2, 3, 4, 5]
     assert it.chunk.values == [[1, 2, 3, 4]]
-    assert it.tally.received == 5
+    assert it.counters.received == 5
 
 
 @pytest.mark.parametrize("as_block", [False, True])
@@ -98,7 +98,7 @@ def test_a_chunk_never_spans_a_gap(make: Make, as_block: bool) -> None:
             it.send_block([value], [stamp])
     assert it.raw.values == [1, 2, 3, 4, 5, 6, 7]
     assert it.chunk.values == [[4, 5, 6, 7]]
-    assert (it.tally.discarded, it.tally.missing) == (3, 9)
+    assert (it.counters.discarded, it.counters.missing) == (3, 9)
 
 
 @settings(
@@ -124,17 +124,17 @@ def test_what_comes_in_blocks_is_published_and_counted_as_if_it_came_singly(
     assert together.raw.values == singly.raw.values == values
     assert together.chunk.values == singly.chunk.values
     for counter in ("received", "missing", "discarded", "unfit", "unstamped"):
-        assert getattr(together.tally, counter) == getattr(singly.tally, counter)
+        assert getattr(together.counters, counter) == getattr(singly.counters, counter)
     in_chunks = sum(len(chunk) for chunk in singly.chunk.values)
     singly.bridge.end(0)
-    assert in_chunks + singly.tally.discarded == len(values)
+    assert in_chunks + singly.counters.discarded == len(values)
 
 
 def test_a_stamp_that_is_a_little_late_is_no_gap(make: Make) -> None:
     it = make()
     it.send(1, 2, 3, 4, step=0.0149)
     assert len(it.chunk.messages) == 1
-    assert (it.tally.missing, it.tally.discarded) == (0, 0)
+    assert (it.counters.missing, it.counters.discarded) == (0, 0)
 
 
 def test_stamps_of_other_programs_may_jitter(make: Make) -> None:
@@ -142,14 +142,14 @@ def test_stamps_of_other_programs_may_jitter(make: Make) -> None:
     it.send(1, 2, 3, 4, step=FOREIGN_JITTER_S * 0.9)
     assert len(it.chunk.messages) == 1
     it.send(5, 6, step=FOREIGN_JITTER_S * 2.0, start=1001.0)
-    assert it.tally.missing > 0
+    assert it.counters.missing > 0
 
 
 def test_an_irregular_stream_has_no_gaps(make: Make) -> None:
     it = make(replace(HEADER, rate=0.0, chunk=""))
     it.send(1, 2, 3, step=60.0)
     assert it.raw.values == [1, 2, 3]
-    assert (it.tally.received, it.tally.missing) == (3, 0)
+    assert (it.counters.received, it.counters.missing) == (3, 0)
 
 
 @pytest.mark.parametrize("stamp", [math.inf, -math.inf, math.nan, 1e308, 0.0, -5.0])
@@ -163,7 +163,7 @@ def test_no_stamp_stops_a_stream(make: Make, stamp: float, as_block: bool) -> No
         it.send_block([2.0], [stamp])
         it.send(3, start=1000.01)
     assert it.raw.values == [1, 2, 3]
-    assert it.tally.received == 3
+    assert it.counters.received == 3
 
 
 def test_a_sample_that_does_not_fit_is_counted_and_said_once(make: Make) -> None:
@@ -171,7 +171,7 @@ def test_a_sample_that_does_not_fit_is_counted_and_said_once(make: Make) -> None
     it.send_block([60, 300, -1, 61], [1000.0, 1000.01, 1000.02, 1000.03])
     it.send(62, 256, start=1000.04)
     assert it.raw.values == [60, 61, 62]
-    assert it.tally.unfit == 3
+    assert it.counters.unfit == 3
     assert len(it.warnings) == 1
     assert "zephyr ecg" in it.warnings[0]
     assert "300" in it.warnings[0]
@@ -200,7 +200,7 @@ def test_silenced_chunks_leave_nothing_behind(make: Make) -> None:
     it.send(5, 6, 7, 8, start=1000.04)
     assert it.raw.values == [1, 2, 3, 4, 5, 6, 7, 8]
     assert it.chunk.values == [[5, 6, 7, 8]]
-    assert it.tally.discarded == 2
+    assert it.counters.discarded == 2
 
 
 def test_a_new_chunk_length_holds_from_the_next_sample_on(make: Make) -> None:
@@ -211,7 +211,7 @@ def test_a_new_chunk_length_holds_from_the_next_sample_on(make: Make) -> None:
     it.bridge.settings = replace(ON, chunk_length=3)
     it.send(5, 6, 7, start=1000.04)
     assert it.chunk.values == [[1, 2], [3, 4], [5, 6, 7]]
-    assert it.tally.discarded == 0
+    assert it.counters.discarded == 0
 
 
 def test_what_nobody_reads_is_not_published_but_counted(make: Make) -> None:
@@ -220,7 +220,7 @@ def test_what_nobody_reads_is_not_published_but_counted(make: Make) -> None:
     it.chunk.set_readers(0)
     it.send(1, 2, 3, 4)
     assert it.raw.messages == it.chunk.messages == []
-    assert it.tally.received == 4
+    assert it.counters.received == 4
 
 
 def test_a_reader_that_comes_in_the_middle_of_a_chunk_gets_all_of_it(make: Make) -> None:
@@ -250,22 +250,22 @@ def test_the_end_of_a_stream_discards_its_partial_chunk_and_counts_what_lsl_drop
     it = make()
     it.send(1, 2, 3)
     it.bridge.end(7)
-    assert (it.tally.discarded, it.tally.undelivered, it.tally.missing) == (3, 7, 7)
+    assert (it.counters.discarded, it.counters.undelivered, it.counters.missing) == (3, 7, 7)
     it.send(4, 5, 6, 7, start=1000.03)
     assert it.chunk.values == [[4, 5, 6, 7]]
 
 
 def test_who_listens_gets_every_sample_whether_or_not_somebody_reads(ros: Ros) -> None:
-    header, tally = HEADER, Tally()
+    header, counters = HEADER, NodeCounters()
     publisher = RecordedPublisher(Float32, readers=0)
-    refuse = Refusals(header, tally, pytest.fail)
+    refuse = Refusals(header, counters, pytest.fail)
     outputs = Outputs(raw=NumberWriter(publisher, header.message_type, 1, refuse))
     heard: list[list[float]] = []
     bridge = Bridge(
         header,
         outputs,
         ON,
-        tally,
+        counters,
         Clocks(ros.node),
         refuse,
         listen=lambda sample: heard.append(sample.tolist()),

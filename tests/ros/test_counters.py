@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from lsl_to_ros.accounts.counters import Delays, Lost, Refusals, Tally, can_estimate_losses
+from lsl_to_ros.accounts.counters import Delays, Lost, NodeCounters, Refusals, can_estimate_losses
 from lsl_to_ros.accounts.losses import Losses
 from tests.rigs.recorded_topics import header_of
 
@@ -35,73 +35,73 @@ def test_only_gaps_of_another_programs_regular_stream_tell_of_losses() -> None:
 
 
 def test_the_agents_count_is_better_than_an_estimate_and_that_better_than_nothing() -> None:
-    tally = Tally(missing=5)
-    assert tally.lost(can_estimate=False) == Lost(-1, is_estimated=False)
-    assert tally.lost(can_estimate=True) == Lost(5, is_estimated=True)
-    tally.account.reported(0, 3, 0.0)
-    assert tally.lost(can_estimate=True) == Lost(3, is_estimated=False)
+    counters = NodeCounters(missing=5)
+    assert counters.lost(can_estimate=False) == Lost(-1, is_estimated=False)
+    assert counters.lost(can_estimate=True) == Lost(5, is_estimated=True)
+    counters.comparison.reported(0, 3, 0.0)
+    assert counters.lost(can_estimate=True) == Lost(3, is_estimated=False)
 
 
 def test_what_lsl_dropped_is_missing() -> None:
-    tally = Tally(missing=2)
-    tally.connection_ended(5)
-    assert (tally.undelivered, tally.missing) == (5, 7)
-    assert tally.lost(can_estimate=True) == Lost(7, is_estimated=True)
+    counters = NodeCounters(missing=2)
+    counters.connection_ended(5)
+    assert (counters.undelivered, counters.missing) == (5, 7)
+    assert counters.lost(can_estimate=True) == Lost(7, is_estimated=True)
 
 
 def test_what_lsl_dropped_is_lost_for_good_when_another_outlet_takes_over() -> None:
-    tally = Tally()
-    tally.account.reported(0, 0, 0.0)
-    tally.connection_ended(5)
-    tally.outlet_changed()
-    assert tally.account.losses == Losses(device=0, transport=5)
-    assert tally.undelivered == 0
-    tally.outlet_changed()
-    assert tally.account.losses == Losses(device=0, transport=5)
+    counters = NodeCounters()
+    counters.comparison.reported(0, 0, 0.0)
+    counters.connection_ended(5)
+    counters.outlet_changed()
+    assert counters.comparison.losses == Losses(device=0, transport=5)
+    assert counters.undelivered == 0
+    counters.outlet_changed()
+    assert counters.comparison.losses == Losses(device=0, transport=5)
 
 
 def test_what_lsl_dropped_is_counted_once_by_an_outlet_that_continues() -> None:
-    tally = Tally()
-    tally.account.pulled([1.0])
-    tally.account.reported(1, 0, 1.0)
-    tally.account.pulled([2.0])
-    assert tally.account.losses == Losses(device=0, transport=0)
+    counters = NodeCounters()
+    counters.comparison.pulled([1.0])
+    counters.comparison.reported(1, 0, 1.0)
+    counters.comparison.pulled([2.0])
+    assert counters.comparison.losses == Losses(device=0, transport=0)
     # 3.0 came, and LSL dropped it: the outlet has counted it, this node has not.
-    tally.connection_ended(1)
-    tally.account.pulled([4.0])
-    tally.account.reported(4, 0, 4.0)
-    tally.account.pulled([5.0])
-    assert tally.account.losses == Losses(device=0, transport=1)
+    counters.connection_ended(1)
+    counters.comparison.pulled([4.0])
+    counters.comparison.reported(4, 0, 4.0)
+    counters.comparison.pulled([5.0])
+    assert counters.comparison.losses == Losses(device=0, transport=1)
 
 
 def test_delays_are_those_since_the_last_look() -> None:
-    tally = Tally()
-    assert tally.take_delays() == Delays()
+    counters = NodeCounters()
+    assert counters.take_delays() == Delays()
     assert Delays().mean is None
     for age in (0.25, 0.5, 0.75):
-        tally.delays.add(age)
-    delays = tally.take_delays()
+        counters.delays.add(age)
+    delays = counters.take_delays()
     assert (delays.count, delays.mean, delays.longest) == (3, 0.5, 0.75)
-    assert tally.take_delays().mean is None
-    tally.delays.add(0.125)
-    assert tally.take_delays().longest == 0.125
+    assert counters.take_delays().mean is None
+    counters.delays.add(0.125)
+    assert counters.take_delays().longest == 0.125
 
 
 def test_what_does_not_fit_is_counted_and_said_once() -> None:
-    tally = Tally()
+    counters = NodeCounters()
     said: list[str] = []
-    refuse = Refusals(ECG, tally, said.append)
+    refuse = Refusals(ECG, counters, said.append)
     refuse(3, "300 does not fit into UInt8")
     refuse(2, "something else")
-    assert tally.unfit == 5
+    assert counters.unfit == 5
     (sentence,) = said
     for part in ("zephyr ecg", "300 does not fit into UInt8"):
         assert part in sentence
 
 
 def test_a_new_connection_of_the_same_stream_does_not_say_it_again() -> None:
-    tally = Tally()
+    counters = NodeCounters()
     said: list[str] = []
-    Refusals(ECG, tally, said.append)(1, "too large")
-    Refusals(ECG, tally, said.append)(1, "too large")
-    assert (tally.unfit, len(said)) == (2, 1)
+    Refusals(ECG, counters, said.append)(1, "too large")
+    Refusals(ECG, counters, said.append)(1, "too large")
+    assert (counters.unfit, len(said)) == (2, 1)

@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from biosensor_common.quantities import ChannelFormat, ChannelRole, ContentType, MessageType
 from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.devices.registry import declaration, declaration_names
-from lsl_to_ros.accounts.counters import Refusals, Tally
+from lsl_to_ros.accounts.counters import NodeCounters, Refusals
 from lsl_to_ros.lsl.blocks import Block
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.reports.devices import LOW_BATTERY_PERCENT, device_statuses
@@ -36,9 +36,9 @@ class Lab:
 
     def tell(self, device: str, header: StreamHeader, *sample: float) -> Lab:
         """Add a stream of a device; without a sample if none is given."""
-        tally = Tally()
-        clocks, refuse = Clocks(self._ros.node), Refusals(header, tally, pytest.fail)
-        bridge = Bridge(header, Outputs(), SETTINGS, tally, clocks, refuse)
+        counters = NodeCounters()
+        clocks, refuse = Clocks(self._ros.node), Refusals(header, counters, pytest.fail)
+        bridge = Bridge(header, Outputs(), SETTINGS, counters, clocks, refuse)
         if sample:
             bridge.receive(Block(np.array([sample], np.float32), np.array([100.0])))
         self._bridges.append((device, bridge))
@@ -46,7 +46,7 @@ class Lab:
 
     def clock(self, **state: float) -> None:
         """Have the agent tell the clock of the device whose stream was told last."""
-        self._bridges[-1][1].tally.clock = state
+        self._bridges[-1][1].counters.clock = state
 
     def statuses(self) -> dict[str, DiagnosticStatus]:
         statuses = list(device_statuses(self._bridges))

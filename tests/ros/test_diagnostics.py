@@ -20,12 +20,12 @@ from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.outlets import Outlet
 from lsl_to_ros.accounts import rates, status
-from lsl_to_ros.accounts.counters import Refusals, Tally
+from lsl_to_ros.accounts.counters import NodeCounters, Refusals
 from lsl_to_ros.accounts.rates import RATE_WINDOW_S
 from lsl_to_ros.lsl.blocks import Block
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.reports import diagnostics
-from lsl_to_ros.reports.diagnostics import STALE_AFTER_S, StreamHealth, stream_facts, stream_status
+from lsl_to_ros.reports.diagnostics import STALE_AFTER_S, StreamStatus, stream_facts, stream_status
 from lsl_to_ros.topics.bridge import Bridge, Outputs
 from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter
 from tests.rigs.recorded_topics import Clocks, RecordedPublisher, header_of
@@ -53,17 +53,17 @@ class Stream:
     """One stream, looked at by ``/diagnostics`` once a second."""
 
     def __init__(self, ros: Ros, clock: Clock, header: StreamHeader = HEADER) -> None:
-        self.tally = Tally()
+        self.counters = NodeCounters()
         self.clocks = Clocks(ros.node)
         self.topic = NAME
         self._clock = clock
-        refuse = Refusals(header, self.tally, pytest.fail)
+        refuse = Refusals(header, self.counters, pytest.fail)
         raw = RecordedPublisher(Float32MultiArray, NAME.name, readers=2)
         chunk = RecordedPublisher(Float32MultiArray, f"{NAME.name}_chunk")
         kind = MessageType.FLOAT32_MULTI_ARRAY
         outputs = Outputs(raw=NumberWriter(raw, kind, 3, refuse), chunk=ChunkWriter(chunk, kind, 3))
-        self.bridge = Bridge(header, outputs, SETTINGS, self.tally, self.clocks, refuse)
-        self._health = StreamHealth(begun_s=clock.now, heard_s=clock.now)
+        self.bridge = Bridge(header, outputs, SETTINGS, self.counters, self.clocks, refuse)
+        self._status = StreamStatus(begun_s=clock.now, heard_s=clock.now)
 
     def receive(self, *ages: float) -> Stream:
         """Receive samples of so many seconds ago, each by itself."""
@@ -80,7 +80,7 @@ class Stream:
         facts = stream_facts(
             self.topic,
             self.bridge,
-            self._health,
+            self._status,
             self.clocks.correction,
             spread,
             pylsl.local_clock(),
@@ -188,7 +188,7 @@ def test_agents_of_many_computers_may_share_a_name(ros: Ros, clock: Clock) -> No
 
 def test_samples_that_do_not_fit_are_a_warning_for_a_while(irregular: Stream) -> None:
     assert irregular.receive(0.0).look().level == DiagnosticStatus.OK
-    irregular.tally.unfit = 3
+    irregular.counters.unfit = 3
     status = irregular.pass_time(1.0).receive(0.0).look()
     assert (status.level, values(status)["unfit"]) == (DiagnosticStatus.WARN, "3")
     irregular.pass_time(RATE_WINDOW_S - 1.0)
@@ -198,9 +198,9 @@ def test_samples_that_do_not_fit_are_a_warning_for_a_while(irregular: Stream) ->
 
 
 def test_lost_samples_are_a_warning_for_a_while(irregular: Stream) -> None:
-    irregular.tally.account.reported(0, 4, 0.0)
+    irregular.counters.comparison.reported(0, 4, 0.0)
     assert irregular.receive(0.0).look().level == DiagnosticStatus.OK
-    irregular.tally.account.reported(0, 9, 0.0)
+    irregular.counters.comparison.reported(0, 9, 0.0)
     status = irregular.pass_time(1.0).receive(0.0).look()
     assert (status.level, values(status)["lost"]) == (DiagnosticStatus.WARN, "9")
     assert status.message == "5 samples lost in the last 10 s"
@@ -214,7 +214,7 @@ def test_what_is_lost_is_counted_estimated_or_unknown_but_never_made_up(
 ) -> None:
     ours = Stream(ros, clock)
     assert values(ours.look())["lost"] == "unknown"
-    ours.tally.account.reported(0, 4, 0.0)
+    ours.counters.comparison.reported(0, 4, 0.0)
     assert values(ours.look())["lost"] == "4"
     marker = replace(HEADER, rate=0.0, foreign=True)
     assert values(Stream(ros, clock, marker).look())["lost"] == "unknown"

@@ -13,7 +13,7 @@ from std_msgs.msg import Float32
 
 from biosensor_common.quantities import MessageType
 from biosensor_gateway.streaming.counters import Counters, counters_text
-from lsl_to_ros.accounts.counters import Refusals, Tally
+from lsl_to_ros.accounts.counters import NodeCounters, Refusals
 from lsl_to_ros.lsl.blocks import Block
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.topics import bridge as bridge_module
@@ -37,14 +37,14 @@ class Skin:
         header = header_of("zephyr", "st")
         self.clocks = Clocks(ros.node, correction)
         self.raw, self.timed = RecordedPublisher(Float32), RecordedPublisher(Temperature)
-        self.tally = Tally()
+        self.counters = NodeCounters()
         self.warnings: list[str] = []
-        refuse = Refusals(header, self.tally, self.warnings.append)
+        refuse = Refusals(header, self.counters, self.warnings.append)
         outputs = Outputs(
             raw=NumberWriter(self.raw, MessageType.FLOAT32, 1, refuse),
             timed=[TemperatureWriter(self.timed, header, "zephyr", self.clocks)],
         )
-        self.bridge = Bridge(header, outputs, SETTINGS, self.tally, self.clocks, refuse)
+        self.bridge = Bridge(header, outputs, SETTINGS, self.counters, self.clocks, refuse)
 
     def send(self, *stamps: float) -> None:
         """Send a block of samples that have their stamps as values."""
@@ -77,9 +77,9 @@ def test_what_came_before_the_clock_is_written_once_it_is_known(skin: Skin) -> N
     skin.bridge.clock_known()
     skin.send(4.0)
     skin.expect(1.0, 2.0, 3.0, 4.0)
-    assert (skin.tally.unstamped, skin.tally.unfit) == (0, 0)
+    assert (skin.counters.unstamped, skin.counters.unfit) == (0, 0)
     skin.bridge.end(0)
-    assert skin.tally.unstamped == 0
+    assert skin.counters.unstamped == 0
 
 
 def test_what_comes_between_measurement_and_word_of_it_keeps_its_place(skin: Skin) -> None:
@@ -111,7 +111,7 @@ def test_a_clock_that_stays_unknown_is_counted(skin: Skin) -> None:
     skin.send(1.0)
     skin.send(2.0, 3.0)
     skin.bridge.end(0)
-    assert skin.tally.unstamped == 3
+    assert skin.counters.unstamped == 3
     skin.measure()
     skin.expect()
     skin.send(4.0)
@@ -125,7 +125,7 @@ def test_what_nobody_reads_does_not_wait(skin: Skin) -> None:
     skin.send(2.0)
     skin.measure()
     skin.expect(2.0)
-    assert skin.tally.unstamped == 0
+    assert skin.counters.unstamped == 0
 
 
 def test_what_is_latched_waits_without_a_reader(ros: Ros) -> None:
@@ -143,7 +143,7 @@ def test_the_oldest_give_way_and_are_counted(ros: Ros, monkeypatch: pytest.Monke
     skin.send(1.0, 2.0)
     for stamp in (3.0, 4.0, 5.0, 6.0):
         skin.send(stamp)
-    assert skin.tally.unstamped == 3
+    assert skin.counters.unstamped == 3
     skin.measure()
     skin.expect(4.0, 5.0, 6.0)
 
@@ -154,7 +154,7 @@ def test_a_silenced_stream_lets_nothing_wait(skin: Skin) -> None:
     skin.measure()
     skin.expect()
     skin.bridge.end(0)
-    assert skin.tally.unstamped == 0
+    assert skin.counters.unstamped == 0
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e300, 3e9])
@@ -164,7 +164,7 @@ def test_a_stamp_that_is_no_time_costs_its_own_sample_only(ros: Ros, bad: float)
     skin.send(4.0)
     assert len(skin.raw.messages) == 4
     skin.expect(1.0, 3.0, 4.0)
-    assert skin.tally.unfit == 1
+    assert skin.counters.unfit == 1
     assert len(skin.warnings) == 1
 
 
@@ -175,11 +175,11 @@ class Agent:
         header = header_of("gateway", "counters")
         self.clocks = Clocks(ros.node, OFFSET_S)
         self.publisher = RecordedPublisher(DiagnosticArray)
-        self.tally = Tally()
+        self.counters = NodeCounters()
         self.warnings: list[str] = []
-        refuse = Refusals(header, self.tally, self.warnings.append)
+        refuse = Refusals(header, self.counters, self.warnings.append)
         outputs = Outputs(timed=[CountersWriter(self.publisher, self.clocks)])
-        self.bridge = Bridge(header, outputs, SETTINGS, self.tally, self.clocks, refuse)
+        self.bridge = Bridge(header, outputs, SETTINGS, self.counters, self.clocks, refuse)
 
     def send(self, *texts: str) -> None:
         samples: np.ndarray[Any, Any] = np.array([[text] for text in texts], object)
@@ -195,7 +195,7 @@ def test_the_agents_counters_have_a_stamp_of_their_own(ros: Ros) -> None:
     agent.send(report(1), report(2))
     stamps = [message.header.stamp for message in agent.publisher.messages]
     assert stamps == [agent.clocks.ros_time.to_msg(s + OFFSET_S) for s in (1.0, 2.0)]
-    assert (agent.tally.unfit, agent.warnings) == (0, [])
+    assert (agent.counters.unfit, agent.warnings) == (0, [])
 
 
 def test_a_report_that_no_agent_writes_costs_itself_only(ros: Ros) -> None:
@@ -203,5 +203,5 @@ def test_a_report_that_no_agent_writes_costs_itself_only(ros: Ros) -> None:
     agent.send(report(1), "nonsense", report(3))
     pushed = [message.status[0].values[0].value for message in agent.publisher.messages]
     assert [float(value) for value in pushed] == [1.0, 3.0]
-    assert agent.tally.unfit == 1
+    assert agent.counters.unfit == 1
     assert len(agent.warnings) == 1

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lsl_to_ros.accounts.losses import LossAccount, Losses
+from lsl_to_ros.accounts.losses import CountersComparison, Losses
 
 
 class Push(NamedTuple):
@@ -40,7 +40,7 @@ class Link:
     """An agent that pushes and reports over two connections that do not wait for each other."""
 
     def __init__(self, pushed_before: int) -> None:
-        self.account = LossAccount()
+        self.comparison = CountersComparison()
         self.dropped = 0
         self.lost = 0
         self._pushed = pushed_before
@@ -61,9 +61,9 @@ class Link:
     def deliver(self, samples: int, reports: int) -> None:
         count = min(samples, len(self._samples))
         if count:
-            self.account.pulled([self._samples.popleft() for _ in range(count)])
+            self.comparison.pulled([self._samples.popleft() for _ in range(count)])
         for _ in range(min(reports, len(self._reports))):
-            self.account.reported(*self._reports.popleft())
+            self.comparison.reported(*self._reports.popleft())
 
     def deliver_all(self) -> None:
         self.deliver(len(self._samples), len(self._reports))
@@ -82,7 +82,7 @@ def test_exactly_what_is_missing_is_reported(
 ) -> None:
     link = Link(pushed_before)
     link.settle()
-    assert link.account.losses == Losses(device=0, transport=0)
+    assert link.comparison.losses == Losses(device=0, transport=0)
     for event in events:
         match event:
             case Push(arrives):
@@ -91,12 +91,12 @@ def test_exactly_what_is_missing_is_reported(
                 link.report(lost)
             case Deliver(samples, reports):
                 link.deliver(samples, reports)
-        losses = link.account.losses
+        losses = link.comparison.losses
         assert losses is not None
         assert 0 <= losses.transport <= link.dropped
         assert 0 <= losses.device <= link.lost
     link.settle()
-    assert link.account.losses == Losses(device=link.lost, transport=link.dropped)
+    assert link.comparison.losses == Losses(device=link.lost, transport=link.dropped)
 
 
 def test_a_sample_is_lost_whether_before_or_after_the_agent() -> None:
@@ -104,15 +104,15 @@ def test_a_sample_is_lost_whether_before_or_after_the_agent() -> None:
 
 
 def test_nothing_is_said_before_the_agent_has_said_something() -> None:
-    account = LossAccount()
-    account.pulled([1.0])
-    assert account.losses is None
+    comparison = CountersComparison()
+    comparison.pulled([1.0])
+    assert comparison.losses is None
 
 
 def test_a_stream_that_has_pushed_nothing_has_lost_what_the_device_lost() -> None:
-    account = LossAccount()
-    account.reported(0, 7, 0.0)
-    assert account.losses == Losses(device=7, transport=0)
+    comparison = CountersComparison()
+    comparison.reported(0, 7, 0.0)
+    assert comparison.losses == Losses(device=7, transport=0)
 
 
 def test_a_report_waits_for_the_rest_of_its_newest_stamp() -> None:
@@ -121,9 +121,9 @@ def test_a_report_waits_for_the_rest_of_its_newest_stamp() -> None:
     link.push([True, True])
     link.report()
     link.deliver(1, 1)
-    assert link.account.losses == Losses(device=0, transport=0)
+    assert link.comparison.losses == Losses(device=0, transport=0)
     link.deliver_all()
-    assert link.account.losses == Losses(device=0, transport=0)
+    assert link.comparison.losses == Losses(device=0, transport=0)
 
 
 def test_an_idle_stream_still_shows_what_its_device_loses() -> None:
@@ -131,7 +131,7 @@ def test_an_idle_stream_still_shows_what_its_device_loses() -> None:
     link.settle()
     link.report(lost=4)
     link.deliver_all()
-    assert link.account.losses == Losses(device=4, transport=0)
+    assert link.comparison.losses == Losses(device=4, transport=0)
 
 
 def test_a_report_too_old_to_compare_changes_nothing() -> None:
@@ -143,7 +143,7 @@ def test_a_report_too_old_to_compare_changes_nothing() -> None:
         link.push([True])
     link.deliver(5000, 0)
     link.deliver(0, 1)
-    assert link.account.losses == Losses(device=0, transport=0)
+    assert link.comparison.losses == Losses(device=0, transport=0)
 
 
 @given(counts=st.lists(st.integers(1, 3000), min_size=1, max_size=4))
@@ -155,14 +155,14 @@ def test_a_report_is_compared_however_many_samples_come_at_once(counts: list[int
         link.report()
         link.push([True])
         link.deliver_all()
-    assert link.account.losses == Losses(device=0, transport=len(counts))
+    assert link.comparison.losses == Losses(device=0, transport=len(counts))
 
 
 def anew(link: Link, undelivered: int = 0) -> Link:
     """Let the stream come from an outlet that counts from zero."""
-    link.account.restarted(undelivered)
+    link.comparison.restarted(undelivered)
     again = Link(0)
-    again.account = link.account
+    again.comparison = link.comparison
     return again
 
 
@@ -173,22 +173,22 @@ def test_what_was_lost_before_an_agent_started_anew_stays_counted() -> None:
     link.report(lost=4)
     link.settle()
     again = anew(link)
-    assert again.account.losses == Losses(device=4, transport=1)
+    assert again.comparison.losses == Losses(device=4, transport=1)
     again.settle()
-    assert again.account.losses == Losses(device=4, transport=1)
+    assert again.comparison.losses == Losses(device=4, transport=1)
     again.push([False, True])
     again.report(lost=2)
     again.settle()
-    assert again.account.losses == Losses(device=6, transport=2)
+    assert again.comparison.losses == Losses(device=6, transport=2)
 
 
 def test_what_lsl_dropped_when_an_outlet_ended_is_lost_on_the_way() -> None:
     link = Link(0)
     link.settle()
     again = anew(link, undelivered=5)
-    assert again.account.losses == Losses(device=0, transport=5)
+    assert again.comparison.losses == Losses(device=0, transport=5)
     again.settle()
-    assert again.account.losses == Losses(device=0, transport=5)
+    assert again.comparison.losses == Losses(device=0, transport=5)
 
 
 def test_a_report_of_the_outlet_before_is_not_compared_with_the_new_one() -> None:
@@ -199,7 +199,7 @@ def test_a_report_of_the_outlet_before_is_not_compared_with_the_new_one() -> Non
     link.deliver_all()
     again = anew(link)
     again.settle()
-    assert again.account.losses == Losses(device=0, transport=0)
+    assert again.comparison.losses == Losses(device=0, transport=0)
 
 
 def test_a_stream_that_is_attached_again_counts_what_it_missed() -> None:
@@ -208,7 +208,7 @@ def test_a_stream_that_is_attached_again_counts_what_it_missed() -> None:
     # While the node is away; the outlet goes on counting.
     link.push([False] * 7)
     link.settle()
-    assert link.account.losses == Losses(device=0, transport=7)
+    assert link.comparison.losses == Losses(device=0, transport=7)
 
 
 def test_what_an_outlet_sends_before_it_is_attached_again_is_lost() -> None:
@@ -218,14 +218,14 @@ def test_what_an_outlet_sends_before_it_is_attached_again_is_lost() -> None:
     # The agent has started anew, and sends before the node has seen its outlet.
     again.push([False] * 3)
     again.settle()
-    assert again.account.losses == Losses(device=0, transport=3)
+    assert again.comparison.losses == Losses(device=0, transport=3)
 
 
 def test_what_was_sent_before_the_node_was_there_is_told_and_not_lost() -> None:
     link = Link(7)
-    assert link.account.before is None
+    assert link.comparison.before is None
     link.settle()
-    assert (link.account.before, link.account.losses) == (7, Losses(device=0, transport=0))
+    assert (link.comparison.before, link.comparison.losses) == (7, Losses(device=0, transport=0))
     again = anew(link)
     again.settle()
-    assert again.account.before == 7
+    assert again.comparison.before == 7

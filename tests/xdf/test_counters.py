@@ -10,7 +10,12 @@ import pytest
 
 from biosensor_common.naming import lsl_name, source_id
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.recording.xdf.counters import Counted, Reading, compare, parse_readings
+from biosensor_gateway.recording.xdf.counters import (
+    Reading,
+    RecordedCounters,
+    compare,
+    parse_readings,
+)
 from biosensor_gateway.recording.xdf.findings import Level
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from tests.xdf import xdf_file as x
@@ -59,7 +64,7 @@ def _file(stamps: list[float], counted: list[Mapping[str, Counters]] | None) -> 
 def test_all_that_was_pushed_is_there() -> None:
     report = check(_file(STAMPS, [*_counted_each_second()]))
     assert not report.findings
-    assert report.streams[0].counted == Counted(RATE * 29, RATE * 29, 0)
+    assert report.streams[0].counters == RecordedCounters(RATE * 29, RATE * 29, 0)
     assert report.streams[0].stream.header.is_ours
 
 
@@ -103,7 +108,7 @@ def test_counters_of_another_computer_do_not_count() -> None:
     assert content.count(b"<hostname>host<") == 2
     other = content.replace(b"<hostname>host<", b"<hostname>tsoh<", 1)
     report = check(other)
-    assert report.streams[0].counted is None
+    assert report.streams[0].counters is None
     assert ("left-out", lsl_name(AGENT, "counters")) in codes(report)
 
 
@@ -140,7 +145,7 @@ def _readings(pushed: list[int], stamps: list[float], lost: int = 0) -> list[Rea
 def test_comparing_begins_where_the_recording_of_the_stream_begins() -> None:
     # Five were pushed before the recorder was attached to this stream.
     readings = _readings([0, 5, 8, 12], [0.0, 5.0, 8.0, 12.0])
-    assert compare(readings, np.arange(7.0, 13.0), 100.0) == Counted(4, 4, 0)
+    assert compare(readings, np.arange(7.0, 13.0), 100.0) == RecordedCounters(4, 4, 0)
 
 
 @pytest.mark.parametrize(("end", "missing"), [(13.0, 0), (16.9, 4)])
@@ -154,5 +159,7 @@ def test_an_agent_that_was_started_again() -> None:
     counts = [*accumulate([4] * 5), *accumulate([4] * 5)]
     stamps = [4.0 * (k + 1) for k in range(5)] + [40 + 4.0 * (k + 1) for k in range(5)]
     held = np.concatenate([np.arange(1.0, 21.0), np.arange(41.0, 61.0)])
-    assert compare(_readings(counts, stamps), held, 100.0) == Counted(32, 32, 0, restarts=1)
+    assert compare(_readings(counts, stamps), held, 100.0) == RecordedCounters(
+        32, 32, 0, restarts=1
+    )
     assert compare(_readings(counts, stamps), np.delete(held, [7, 30]), 100.0).held == 30

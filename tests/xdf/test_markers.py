@@ -100,8 +100,8 @@ def test_every_marker_is_recorded_behind_one_that_says_ready(tmp_path: Path) -> 
     assert [each["id"] for each in later] == list(range(3, 3 + TICKS - SHORT_OF_STOP - 4))
     assert {each["kind"] for each in later} == {"button", "undo"}
     assert len(found.stream.clock_offsets) >= 1
-    assert found.counted is not None
-    assert found.counted.pushed == found.counted.held > 0
+    assert found.counters is not None
+    assert found.counters.pushed == found.counters.held > 0
 
 
 def texts(path: Path) -> list[str]:

@@ -176,9 +176,9 @@ def test_the_gap_is_found_where_it_is(report: Report) -> None:
     (gap,) = ecg.figures.gaps.listed
     assert gap.lost == GAP_SAMPLES
     assert gap.length_s == pytest.approx((GAP_SAMPLES + 1) / ECG_HZ)
-    assert ecg.counted is not None
-    assert ecg.counted.pushed == ecg.counted.held > 0
-    assert ecg.counted.lost == GAP_SAMPLES
+    assert ecg.counters is not None
+    assert ecg.counters.pushed == ecg.counters.held > 0
+    assert ecg.counters.lost == GAP_SAMPLES
     assert ecg.figures.rate_between_gaps_hz == pytest.approx(ECG_HZ)
     assert {("gaps", ecg.name), ("lost", ecg.name)} <= codes(report, Level.WARNING)
     assert ("smeared-gaps", ecg.name) not in codes(report)
@@ -213,8 +213,8 @@ def test_a_recorder_that_died(folder: Path) -> None:
     assert ("not-closed", "") in codes(report, Level.ERROR)
     ecg = _stream(report, f"polar_h10-{NAME}-ecg")
     assert ecg.stream.sample_count > 0
-    assert ecg.counted is not None
-    assert ecg.counted.pushed == ecg.counted.held
+    assert ecg.counters is not None
+    assert ecg.counters.pushed == ecg.counters.held
 
 
 def test_a_real_recording_that_breaks_off_anywhere(folder: Path, tmp_path: Path) -> None:

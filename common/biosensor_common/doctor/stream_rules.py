@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from biosensor_common.doctor.finding import Finding, error, note, ok, warning
 from biosensor_common.doctor.lsl_text import LSL_PORT_RANGE
-from biosensor_common.doctor.seen_stream import SeenStream
+from biosensor_common.doctor.surveyed_stream import SurveyedStream
 from biosensor_common.lsl_config import LSL_BASE_PORT
 
 MAX_STAMP_ERROR_S = 30.0
@@ -20,7 +20,7 @@ _GENERATED_ID = re.compile(r"-?\d{15,20}")
 _BY_AUTHOR = "ask the author of that program; in pylsl it is StreamInfo(..., source_id='...')"
 
 
-def judge(streams: Sequence[SeenStream]) -> Iterator[Finding]:
+def judge(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
     """Apply all rules."""
     yield from _hosts(streams)
     for rule in (_names, _source_ids, _empty_ids, _generated_ids, _int64, _clocks, _far_ports):
@@ -34,7 +34,7 @@ def listed(names: Iterable[str]) -> str:
     return ", ".join(every[:_SHOWN]) + more
 
 
-def _hosts(streams: Sequence[SeenStream]) -> Iterator[Finding]:
+def _hosts(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
     for host, there in _grouped(streams, lambda each: each.host).items():
         measured = [each for each in there if each.round_trip_s is not None]
         what = f"{_amount(there)} on {host}"
@@ -63,7 +63,7 @@ def _hosts(streams: Sequence[SeenStream]) -> Iterator[Finding]:
         )
 
 
-def _names(streams: Sequence[SeenStream]) -> Iterator[Finding]:
+def _names(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
     for name, same in _repeated(streams, lambda each: each.name):
         yield warning(
             f"{len(same)} streams are called {name} (on {listed(sorted({e.host for e in same}))})",
@@ -74,7 +74,7 @@ def _names(streams: Sequence[SeenStream]) -> Iterator[Finding]:
         )
 
 
-def _source_ids(streams: Sequence[SeenStream]) -> Iterator[Finding]:
+def _source_ids(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
     for source_id, same in _repeated(streams, lambda each: each.source_id):
         where = listed(sorted(f"{each.name} on {each.host}" for each in same))
         yield error(
@@ -85,7 +85,7 @@ def _source_ids(streams: Sequence[SeenStream]) -> Iterator[Finding]:
         )
 
 
-def _empty_ids(streams: Sequence[SeenStream]) -> Iterator[Finding]:
+def _empty_ids(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
     found = [each.name for each in streams if not each.source_id]
     if found:
         yield warning(
@@ -95,7 +95,7 @@ def _empty_ids(streams: Sequence[SeenStream]) -> Iterator[Finding]:
         )
 
 
-def _generated_ids(streams: Sequence[SeenStream]) -> Iterator[Finding]:
+def _generated_ids(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
     found = [each.name for each in streams if _GENERATED_ID.fullmatch(each.source_id)]
     if found:
         yield warning(
@@ -106,7 +106,7 @@ def _generated_ids(streams: Sequence[SeenStream]) -> Iterator[Finding]:
         )
 
 
-def _int64(streams: Sequence[SeenStream]) -> Iterator[Finding]:
+def _int64(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
     found = [each.name for each in streams if each.format == "int64"]
     if found:
         yield error(
@@ -116,7 +116,7 @@ def _int64(streams: Sequence[SeenStream]) -> Iterator[Finding]:
         )
 
 
-def _clocks(streams: Sequence[SeenStream]) -> Iterator[Finding]:
+def _clocks(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
     for each in streams:
         if each.stamp_error_s is not None and abs(each.stamp_error_s) > MAX_STAMP_ERROR_S:
             yield error(
@@ -127,7 +127,7 @@ def _clocks(streams: Sequence[SeenStream]) -> Iterator[Finding]:
             )
 
 
-def _far_ports(streams: Sequence[SeenStream]) -> Iterator[Finding]:
+def _far_ports(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
     end = LSL_BASE_PORT + LSL_PORT_RANGE
     far = [each for each in streams if any(port >= end for port in each.ports)]
     for host, there in _grouped(far, lambda each: each.host).items():
@@ -142,20 +142,20 @@ def _far_ports(streams: Sequence[SeenStream]) -> Iterator[Finding]:
 
 
 def _repeated(
-    streams: Sequence[SeenStream], key: Callable[[SeenStream], str]
-) -> list[tuple[str, list[SeenStream]]]:
+    streams: Sequence[SurveyedStream], key: Callable[[SurveyedStream], str]
+) -> list[tuple[str, list[SurveyedStream]]]:
     groups = _grouped(streams, key)
     return [(name, same) for name, same in groups.items() if name and len(same) > 1]
 
 
 def _grouped(
-    streams: Sequence[SeenStream], key: Callable[[SeenStream], str]
-) -> dict[str, list[SeenStream]]:
-    groups: defaultdict[str, list[SeenStream]] = defaultdict(list)
+    streams: Sequence[SurveyedStream], key: Callable[[SurveyedStream], str]
+) -> dict[str, list[SurveyedStream]]:
+    groups: defaultdict[str, list[SurveyedStream]] = defaultdict(list)
     for each in streams:
         groups[key(each)].append(each)
     return groups
 
 
-def _amount(streams: Sequence[SeenStream]) -> str:
+def _amount(streams: Sequence[SurveyedStream]) -> str:
     return "1 stream" if len(streams) == 1 else f"{len(streams)} streams"

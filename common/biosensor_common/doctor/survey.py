@@ -14,7 +14,7 @@ import pylsl
 from pylsl.lib import lib
 
 from biosensor_common.description_xml import read_xml
-from biosensor_common.doctor.seen_stream import SeenStream
+from biosensor_common.doctor.surveyed_stream import SurveyedStream
 from biosensor_common.errors import SpecError
 
 MAX_EXAMINED = 256
@@ -49,7 +49,7 @@ def survey(search_s: float, listen_s: float, limit_s: float) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``streams``, each as a `SeenStream`.
+        ``streams``, each as a `SurveyedStream`.
     """
     deadline_s = time.monotonic() + limit_s
     resolver = pylsl.ContinuousResolver(forget_after=60.0)
@@ -77,7 +77,7 @@ def meet(source_id: str, search_s: float, listen_s: float) -> dict[str, Any]:
     -------
     dict
         ``found``; and if it was: ``received`` (whether a sample came), ``address`` (from where;
-        empty if none did), ``offset_s`` and ``round_trip_s`` as of a `SeenStream`.
+        empty if none did), ``offset_s`` and ``round_trip_s`` as of a `SurveyedStream`.
     """
     infos = pylsl.resolve_byprop("source_id", source_id, 1, search_s)
     if not infos:
@@ -113,10 +113,10 @@ def _peer(ports: Sequence[int]) -> str:
     return next(found, "")
 
 
-def _described(info: pylsl.StreamInfo) -> SeenStream:
+def _described(info: pylsl.StreamInfo) -> SurveyedStream:
     header = _fields(info.as_xml())
     ports = [_number(header, name) for name in _PORTS]
-    return SeenStream(
+    return SurveyedStream(
         info.name(),
         info.source_id(),
         info.uid(),
@@ -140,7 +140,9 @@ def _number(header: ET.Element | None, name: str) -> int:
     return int(text) if text.isdecimal() else 0
 
 
-def _listen(info: pylsl.StreamInfo, seen: SeenStream, limit_s: float, deadline_s: float) -> None:
+def _listen(
+    info: pylsl.StreamInfo, seen: SurveyedStream, limit_s: float, deadline_s: float
+) -> None:
     if time.monotonic() > deadline_s:
         return
     inlet = pylsl.StreamInlet(info, max_buflen=1, recover=False)
@@ -155,7 +157,7 @@ def _listen(info: pylsl.StreamInfo, seen: SeenStream, limit_s: float, deadline_s
         seen.stamp_error_s = stamp + seen.offset_s - pylsl.local_clock()
 
 
-def _measure_clock(inlet: pylsl.StreamInlet, seen: SeenStream, limit_s: float) -> None:
+def _measure_clock(inlet: pylsl.StreamInlet, seen: SurveyedStream, limit_s: float) -> None:
     remote_s, uncertainty_s = ctypes.c_double(), ctypes.c_double()
     code = ctypes.c_int()
     measure = lib.lsl_time_correction_ex

@@ -15,7 +15,7 @@ from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.page.access import Access, add_access
 from biosensor_gateway.page.agent_process import start_agent
 from biosensor_gateway.page.device_log import add_device_log
-from biosensor_gateway.page.device_test import Trial, add_trial
+from biosensor_gateway.page.device_test import DeviceTester, add_device_test
 from biosensor_gateway.page.doctor import Doctor, add_doctor
 from biosensor_gateway.page.front import PREFIX
 from biosensor_gateway.page.marker_models import MarkerNumber, NewMarker
@@ -55,7 +55,7 @@ def add_api(
     _add_devices(router, session)
     _add_recording(router, recorder)
     _add_markers(router, marking)
-    add_trial(router, Trial(session.streamed))
+    add_device_test(router, DeviceTester(session.streamed))
     add_device_log(router, session.folder)
     add_access(router, Access(session.configured))
     add_doctor(router, Doctor(session.settings, session.folder))

@@ -25,8 +25,8 @@ class Candidate(BaseModel):
     settings: dict[str, str | int | float | bool]
 
 
-class Trial:
-    """Tries one device at a time, beside an agent that streams others.
+class DeviceTester:
+    """Tests one device at a time, beside an agent that streams others.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class Trial:
         Raises
         ------
         ConfigError
-            ``WRONG_VALUE`` if no device can be made of this; ``IN_USE`` while another is tried.
+            ``WRONG_VALUE`` if no device can be made of this; ``IN_USE`` while another is tested.
         TransportError
             ``BUSY`` if the agent has the device.
         SpecError
@@ -64,13 +64,13 @@ class Trial:
             self._is_busy = False
 
 
-def add_trial(router: APIRouter, trial: Trial) -> None:
-    """Add how a device is tried."""
+def add_device_test(router: APIRouter, tester: DeviceTester) -> None:
+    """Add how a device is tested."""
 
     @router.post("/devices/test")
     async def run(candidate: Candidate) -> DeviceTestResult:
         """Connect to a device for some seconds; nothing is streamed."""
-        return await trial.run(candidate)
+        return await tester.run(candidate)
 
 
 def _settings(candidate: Candidate) -> DeviceSettings:

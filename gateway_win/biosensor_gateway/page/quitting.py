@@ -15,7 +15,7 @@ from biosensor_gateway.page.front import PREFIX
 from biosensor_gateway.page.models import AgentState, Outcome, Problem
 from biosensor_gateway.page.recorder import Recorder
 from biosensor_gateway.page.session import Session
-from biosensor_gateway.page.shutdown import Ending
+from biosensor_gateway.page.shutdown import Shutdown
 
 _LOOK_S = 0.2
 
@@ -28,7 +28,7 @@ class Quitting(BaseModel):
     rest: Literal["end", "leave"]
 
 
-def add_quit(app: FastAPI, session: Session, recorder: Recorder, ending: Ending) -> None:
+def add_quit(app: FastAPI, session: Session, recorder: Recorder, shutdown: Shutdown) -> None:
     """Add `/api/v1/quit`."""
     router = APIRouter(prefix=PREFIX, responses={400: {"model": Problem}})
 
@@ -36,7 +36,7 @@ def add_quit(app: FastAPI, session: Session, recorder: Recorder, ending: Ending)
     async def leave(quitting: Quitting) -> Outcome:
         """End the page; first the recording and the agent, if they are to end."""
         said = await _end_the_rest(session, recorder) if quitting.rest == "end" else _left(session)
-        ending.request()
+        shutdown.request()
         return Outcome(sentence=" ".join(said))
 
     app.include_router(router)

@@ -139,7 +139,7 @@ class PageServer:
             if self._share_port is None:
                 begin(self._show())
             service = await asyncio.to_thread(self._load)
-            ended = asyncio.create_task(service.ending.run())
+            ended = asyncio.create_task(service.shutdown.run())
             running.append(ended)
             self._front.show(service.live)
             begin(service.run())
@@ -207,7 +207,7 @@ class PageServer:
             }
 
         async def end(_arguments: Mapping[str, Any]) -> dict[str, Any]:
-            service.ending.request()
+            service.shutdown.request()
             return {}
 
         return reachable(self._folder, new_window, end, self._unfound)

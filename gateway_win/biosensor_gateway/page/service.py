@@ -12,7 +12,7 @@ from starlette.routing import Router
 from biosensor_gateway.page.link import AgentLink
 from biosensor_gateway.page.live import live
 from biosensor_gateway.page.session import Session
-from biosensor_gateway.page.shutdown import Ending
+from biosensor_gateway.page.shutdown import Shutdown
 
 _FIRST_S = 1.5
 
@@ -27,19 +27,19 @@ class Service:
     settings
         The settings file.
     end_after_s
-        See `Ending`.
+        See `Shutdown`.
 
     Attributes
     ----------
     session
-    ending
+    shutdown
     live
         The application of the WebSocket.
     """
 
     def __init__(self, folder: Path, settings: Path, end_after_s: float = math.inf) -> None:
         self.session = session = Session(folder, settings)
-        self.ending = Ending(session, end_after_s)
+        self.shutdown = Shutdown(session, end_after_s)
         self.live = Router([live(session, session.status)])
 
     async def shown(self) -> None:

@@ -1,4 +1,4 @@
-"""How the page's server comes to its end, other than by a signal."""
+"""Ends the page's server when it is asked to, or when nobody needs it any more."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _GOODBYE_S, _HEARD_S = 1.0, 0.05
 """How long windows have to hear of the end, and how often it is asked whether they have."""
 
 
-class Ending:
+class Shutdown:
     """Ends the server when it is asked to, or when nobody has needed it for a while.
 
     Parameters

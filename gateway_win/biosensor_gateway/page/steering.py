@@ -37,7 +37,7 @@ class Steering:
         self._replaying = Replaying(session)
         self.app = new_app()
         add_api(self.app, session, self._recorder, self._marking, self._answer, self._replaying)
-        add_quit(self.app, session, self._recorder, service.ending)
+        add_quit(self.app, session, self._recorder, service.shutdown)
 
     async def run(self) -> None:
         """Watch the recording, the markers and web experiments until cancelled."""

@@ -53,9 +53,9 @@ async def until_signalled(main_task: Callable[[], Coroutine[Any, Any, None]]) ->
 
     with _signals_call(stop, stop_from_any_thread, deaf_afterwards=task.cancelling):
         if sys.platform == "win32":
-            from biosensor_gateway.system import windows_shutdown as windows_ending
+            from biosensor_gateway.system import windows_shutdown
 
-            windows_ending.watch(stop_from_any_thread)
+            windows_shutdown.watch(stop_from_any_thread)
         with contextlib.suppress(asyncio.CancelledError):
             await task
 

@@ -24,7 +24,7 @@ WINDOW_CLASS = "BiosensorGatewaySession"
 # Windows ends a program 5 s after it has told it (HungAppTimeout).
 GRACE_S = 4.5
 
-_log = structlog.get_logger("biosensor_gateway.ending")
+_log = structlog.get_logger("biosensor_gateway.shutdown")
 
 
 def watch(stop: Callable[[], None]) -> None:

@@ -14,10 +14,10 @@ from biosensor_common.naming import TopicName, resolve_topics
 from biosensor_common.quantities import MessageType
 from biosensor_common.stream_header import StreamHeader
 from biosensor_common.topic_text import clock_of, read_counters
-from lsl_to_ros.accounts.counters import Refusals, Tally, can_estimate_losses
+from lsl_to_ros.accounts.counters import NodeCounters, Refusals, can_estimate_losses
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.accounts.stamping import Stamping
-from lsl_to_ros.accounts.status import StreamHealth
+from lsl_to_ros.accounts.status import StreamStatus
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.lsl.inlets import Inlet
 from lsl_to_ros.parameters.streams import Parameters, StreamSettings
@@ -40,7 +40,7 @@ class Route:
     header: StreamHeader
     topic: TopicName | None = None
     bridge: Bridge | None = None
-    health: StreamHealth = field(default_factory=StreamHealth)
+    status: StreamStatus = field(default_factory=StreamStatus)
 
 
 @dataclass(slots=True)
@@ -49,7 +49,7 @@ class _Record:
 
     uid: str = ""
     shape: tuple[object, ...] = ()
-    tally: Tally = field(default_factory=Tally)
+    counters: NodeCounters = field(default_factory=NodeCounters)
 
 
 class Routing:
@@ -82,7 +82,7 @@ class Routing:
         self._warn = log.warn
         self._routes: dict[str, Route] = {}
         self._records: dict[tuple[str, str], _Record] = {}
-        self._tallies: dict[str, Tally] = {}
+        self._counters: dict[str, NodeCounters] = {}
         self._newest: list[Route] = []
         self._due: list[Route] = []
 
@@ -146,7 +146,7 @@ class Routing:
     def _say_gone(self, route: Route) -> None:
         name = route.topic.name if route.topic else route.inlet.core.name
         self._log.inform(f"{name}: its stream is gone")
-        undelivered = route.bridge.tally.undelivered if route.bridge else 0
+        undelivered = route.bridge.counters.undelivered if route.bridge else 0
         if undelivered:
             self._warn(f"{name}: {undelivered} samples were lost with the connection")
 
@@ -201,20 +201,20 @@ class Routing:
 
     def _connect(self, route: Route, topic: TopicName) -> None:
         header, inlet = route.header, route.inlet
-        tally = self._record(route).tally
-        if tally.received:
+        counters = self._record(route).counters
+        if counters.received:
             # What is lost before it is back counts as lost now.
-            lost = tally.lost(can_estimate=can_estimate_losses(header))
-            route.health.recent(max(lost.count, 0), tally.unfit + tally.unstamped)
+            lost = counters.lost(can_estimate=can_estimate_losses(header))
+            route.status.recent(max(lost.count, 0), counters.unfit + counters.unstamped)
         self._parameters.declare(header.identity, header.data_name, header.chunk)
         stamping = Stamping(self._time, lambda: inlet.correction)
-        refuse = Refusals(header, tally, self._warn)
+        refuse = Refusals(header, counters, self._warn)
         context = StreamContext(
             header=header,
             topic=topic,
             frame_id=topic.frame_id(self._prefix),
             stamping=stamping,
-            lost=lambda: tally.lost(can_estimate=can_estimate_losses(header)),
+            lost=lambda: counters.lost(can_estimate=can_estimate_losses(header)),
             refuse=refuse,
         )
         used = self._used_publishers()
@@ -228,7 +228,7 @@ class Routing:
             header,
             outputs,
             settings=self._parameters.settings(header.identity, header.data_name, header.chunk),
-            tally=tally,
+            counters=counters,
             stamping=stamping,
             refuse=refuse,
             listen=self._listener(header),
@@ -249,7 +249,7 @@ class Routing:
             header,
             Outputs(),
             settings=StreamSettings(raw=False, chunk=False, chunk_length=1),
-            tally=Tally(),
+            counters=NodeCounters(),
             stamping=Stamping(self._time, lambda: inlet.correction),
             refuse=lambda count, reason: None,
             listen=self._listener(header),
@@ -263,13 +263,13 @@ class Routing:
         shape = (len(header.labels), header.format, header.rate)
         if record.uid != inlet.uid:
             if record.uid:
-                record.tally.outlet_changed()
+                record.counters.outlet_changed()
             if record.shape not in ((), shape):
                 name = route.topic.name if route.topic else inlet.core.name
                 self._warn(f"{name}: the stream came back as {_shape_text(shape)}")
             record.uid, record.shape = inlet.uid, shape
         if not header.foreign:
-            self._tallies[inlet.source_id] = record.tally
+            self._counters[inlet.source_id] = record.counters
         return record
 
     def _listener(self, header: StreamHeader) -> Callable[[NDArray[Any]], None] | None:
@@ -280,14 +280,14 @@ class Routing:
     def _take_counters(self, sample: NDArray[Any]) -> None:
         """Hand on the agent's counters; runs in the thread that reads that stream."""
         try:
-            counters = read_counters(sample[0])
+            told = read_counters(sample[0])
         except ValueError:
             return
-        for source_id, entry in counters.items():
-            known = self._tallies.get(source_id)
+        for source_id, entry in told.items():
+            known = self._counters.get(source_id)
             if known is not None:
                 pushed, lost = int(entry["pushed"]), int(entry["lost"])
-                known.account.reported(pushed, lost, entry["last_stamp"])
+                known.comparison.reported(pushed, lost, entry["last_stamp"])
                 known.clock = clock_of(entry)
 
 

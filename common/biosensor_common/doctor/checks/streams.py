@@ -9,7 +9,7 @@ from biosensor_common.doctor.children import Probe
 from biosensor_common.doctor.context import Context
 from biosensor_common.doctor.finding import Finding, error, ok
 from biosensor_common.doctor.lsl_api_file import LOOPBACK
-from biosensor_common.doctor.seen_stream import SeenStream
+from biosensor_common.doctor.surveyed_stream import SurveyedStream
 
 SEARCH_S, LISTEN_S = 3.0, 2.0
 _LISTENING_ENDS_S, _LIMIT_S = 8.0, 14.0
@@ -24,7 +24,7 @@ def examine(context: Context) -> Iterator[Finding]:
     yield from _unseen(context, streams)
 
 
-def find(context: Context) -> list[SeenStream]:
+def find(context: Context) -> list[SurveyedStream]:
     """Return the streams of the program's session; this computer is asked directly, too."""
     config = context.config
     peers = lsl_text.value(config, "lab", "KnownPeers").strip("{}")
@@ -38,10 +38,10 @@ def find(context: Context) -> list[SeenStream]:
         listen_s=LISTEN_S,
         listen_until_s=_LISTENING_ENDS_S,
     ) as probe:
-        return [SeenStream(**each) for each in probe.answer()["streams"]]
+        return [SurveyedStream(**each) for each in probe.answer()["streams"]]
 
 
-def _unseen(context: Context, streams: Sequence[SeenStream]) -> Iterator[Finding]:
+def _unseen(context: Context, streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
     """Miss what the program says that it streams."""
     offered, guide = context.offered, context.guide
     missing = sorted(offered - {each.source_id for each in streams})

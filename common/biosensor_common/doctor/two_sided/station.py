@@ -16,7 +16,7 @@ from biosensor_common.doctor.checks.discovery import by_unicast
 from biosensor_common.doctor.checks.interfaces import interfaces
 from biosensor_common.doctor.children import Probe, ProbeError
 from biosensor_common.doctor.context import Context
-from biosensor_common.doctor.seen_stream import SeenStream
+from biosensor_common.doctor.surveyed_stream import SurveyedStream
 from biosensor_common.doctor.two_sided.facts import (
     MAX_STREAMS,
     Computer,
@@ -178,7 +178,7 @@ def listed_streams(config: str) -> tuple[Stream, ...]:
     """Return all streams that LSL finds from here; none where LSL cannot be used."""
     try:
         with Probe("list", _LOOK_S, config=config, search_s=SEARCH_S) as probe:
-            found = [SeenStream(**each) for each in probe.answer()["streams"]]
+            found = [SurveyedStream(**each) for each in probe.answer()["streams"]]
     except ProbeError:
         return ()
     found.sort(key=lambda each: (each.host, each.name))

@@ -21,7 +21,7 @@ from biosensor_gateway.streaming.sink import DeviceSink
 WRITTEN_WITHIN_S = 0.5
 """An answer does not wait longer for the disk; who asks again hears how it went on."""
 
-_log = structlog.get_logger("biosensor_gateway.withdrawal")
+_log = structlog.get_logger("biosensor_gateway.pauses")
 
 
 class PauseCommands:

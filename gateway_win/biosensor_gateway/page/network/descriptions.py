@@ -11,7 +11,7 @@ import pylsl
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl_header import read_header
 from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
-from biosensor_gateway.page.network.seen import SeenStream
+from biosensor_gateway.page.network.stream import NetworkStream
 
 TIMEOUT_S = 5.0
 _RETRY_S = 10.0
@@ -38,7 +38,7 @@ class Descriptions:
         self._pool = pool
         self._readings: dict[str, _Reading] = {}
 
-    def update(self, streams: Iterable[SeenStream], now: float) -> None:
+    def update(self, streams: Iterable[NetworkStream], now: float) -> None:
         """Begin to read what is new, and hand over what was read."""
         unread = {each.uid: each for each in streams if not each.has_description}
         for uid, stream in unread.items():
@@ -51,7 +51,7 @@ class Descriptions:
         for uid in self._readings.keys() - unread.keys():
             del self._readings[uid]
 
-    def _settle(self, stream: SeenStream, reading: _Reading, now: float) -> None:
+    def _settle(self, stream: NetworkStream, reading: _Reading, now: float) -> None:
         assert reading.task is not None
         try:
             stream.header, note = reading.task.result()

@@ -8,7 +8,7 @@ import numpy as np
 
 from biosensor_common.quantities import ChannelRole
 from biosensor_gateway.page.network.models import SeenDeviceView, SeenState, SeenStreamView
-from biosensor_gateway.page.network.seen import SeenStream
+from biosensor_gateway.page.network.stream import NetworkStream
 from biosensor_gateway.page.network.words import readable
 from biosensor_gateway.page.view import title_of
 from biosensor_gateway.streaming.gateway import GATEWAY
@@ -28,7 +28,7 @@ _ORDER = (
 _CONTENT_HALF = 0.5
 
 
-def group_of(stream: SeenStream) -> tuple[str, ...]:
+def group_of(stream: NetworkStream) -> tuple[str, ...]:
     """Return what streams of one device have in common; it sorts devices before programs."""
     header = stream.header
     if header is None or header.foreign:
@@ -39,7 +39,7 @@ def group_of(stream: SeenStream) -> tuple[str, ...]:
 
 
 def device_view(
-    streams: Sequence[SeenStream], views: Mapping[int, SeenStreamView], lost: Mapping[str, int]
+    streams: Sequence[NetworkStream], views: Mapping[int, SeenStreamView], lost: Mapping[str, int]
 ) -> SeenDeviceView:
     """Describe one device by its streams, of which there is at least one."""
     shown = sorted((views[each.number] for each in streams), key=_rank)
@@ -77,19 +77,19 @@ def _rank(stream: SeenStreamView) -> tuple[object, ...]:
     return (stream.is_text, not stream.is_signal, -stream.nominal_hz, stream.data_name)
 
 
-def _played(stream: SeenStream) -> str:
+def _played(stream: NetworkStream) -> str:
     """Return what it is a replay of; empty if it is measured now."""
     replay = stream.header.replay if stream.header else None
     return replay.title if replay else ""
 
 
-def _section(stream: SeenStream) -> str:
+def _section(stream: NetworkStream) -> str:
     if _played(stream):
         return f"{_REPLAY}: {_section_of_live(stream)}"
     return _section_of_live(stream)
 
 
-def _section_of_live(stream: SeenStream) -> str:
+def _section_of_live(stream: NetworkStream) -> str:
     if not stream.is_ours or stream.header is None:
         return f"Other programs on {readable(stream.core.hostname) or 'an unknown computer'}"
     identity = stream.header.identity
@@ -103,7 +103,7 @@ def _title(sensor: str) -> str:
 
 
 def _newest(
-    streams: Sequence[SeenStream], views: Mapping[int, SeenStreamView], role: ChannelRole
+    streams: Sequence[NetworkStream], views: Mapping[int, SeenStreamView], role: ChannelRole
 ) -> float | None:
     """Return the newest value of the channel with that role, unless it is stale or unknown."""
     for stream in streams:

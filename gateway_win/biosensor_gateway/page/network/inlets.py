@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 
 from biosensor_gateway.page.network.losses import is_counters
 from biosensor_gateway.page.network.receiver import CLOCK_WITHIN_S, Receiver
-from biosensor_gateway.page.network.seen import SeenStream
+from biosensor_gateway.page.network.stream import NetworkStream
 
 MAX_INLETS = 64
 """Each costs its sender as much as one more recorder."""
@@ -35,9 +35,11 @@ class Inlets:
     def __init__(self, close: Callable[[Receiver], object]) -> None:
         self.refused = 0
         self._close = close
-        self._wanted_s: dict[SeenStream, float] = {}
+        self._wanted_s: dict[NetworkStream, float] = {}
 
-    def update(self, streams: Mapping[int, SeenStream], numbers: Iterable[int], now: float) -> None:
+    def update(
+        self, streams: Mapping[int, NetworkStream], numbers: Iterable[int], now: float
+    ) -> None:
         """Receive the streams of these numbers, and what their agents count."""
         wanted = [streams[number] for number in numbers if number in streams]
         if any(stream.is_ours for stream in wanted):
@@ -56,14 +58,14 @@ class Inlets:
             elif stream.receiver is not None and stream.receiver.age_s > _SETTLED_S:
                 stream.lost_s = None
 
-    def drop(self, stream: SeenStream, now: float) -> None:
+    def drop(self, stream: NetworkStream, now: float) -> None:
         """Take note that a stream is lost."""
         stream.lost_s = now
         if stream.receiver is not None:
             self._close(stream.receiver)
         stream.receiver = None
 
-    def _close_unwanted(self, streams: Mapping[int, SeenStream], now: float) -> None:
+    def _close_unwanted(self, streams: Mapping[int, NetworkStream], now: float) -> None:
         for stream, wanted_s in list(self._wanted_s.items()):
             if now - wanted_s > LINGER_S or stream.number not in streams:
                 del self._wanted_s[stream]
@@ -71,13 +73,13 @@ class Inlets:
                     self._close(stream.receiver)
                     stream.receiver = None
 
-    def _has_to_wait(self, stream: SeenStream, now: float) -> bool:
+    def _has_to_wait(self, stream: NetworkStream, now: float) -> bool:
         """Whether opening it is of no use yet: it is gone, or was lost a moment ago."""
         is_lost = stream.lost_s is not None and now - stream.lost_s < _RETRY_S
         is_unseen = now - stream.seen_s > _UNSEEN_S
         return stream.header is None or is_lost or is_unseen
 
-    def _open(self, stream: SeenStream, now: float) -> None:
+    def _open(self, stream: NetworkStream, now: float) -> None:
         stream.received.begin(stream.core, is_ours=stream.is_ours)
         try:
             stream.receiver = Receiver(stream.info, stream.core)

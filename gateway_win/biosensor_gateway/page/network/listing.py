@@ -11,7 +11,7 @@ from biosensor_common.announcements import read_core
 from biosensor_common.errors import SpecError
 from biosensor_common.stream_header import CoreFields
 from biosensor_gateway.page.network.receiver import Receiver
-from biosensor_gateway.page.network.seen import UNSEEN_S, SeenStream
+from biosensor_gateway.page.network.stream import UNSEEN_S, NetworkStream
 
 MAX_STREAMS = 400
 FORGET_S = 300.0
@@ -34,7 +34,7 @@ class Listing:
     """
 
     def __init__(self) -> None:
-        self.streams: dict[int, SeenStream] = {}
+        self.streams: dict[int, NetworkStream] = {}
         self.refused: dict[str, str] = {}
         self.left_out = 0
         self._numbers = count(1)
@@ -86,7 +86,7 @@ class Listing:
             return
         self._waiting.pop(info.uid(), None)
         number = next(self._numbers)
-        self.streams[number] = SeenStream(number, info, core, info.uid(), now, note=note)
+        self.streams[number] = NetworkStream(number, info, core, info.uid(), now, note=note)
 
     def _drop_one(self, now: float) -> bool:
         """Make room by forgetting what has been gone the longest."""
@@ -104,5 +104,5 @@ class Listing:
                 del record[uid]
 
 
-def _is_unseen(stream: SeenStream, now: float) -> bool:
+def _is_unseen(stream: NetworkStream, now: float) -> bool:
     return now - stream.seen_s > UNSEEN_S

@@ -8,15 +8,15 @@ from typing import Any, cast
 
 from biosensor_common.quantities import ContentType
 from biosensor_gateway.page.network.received import MAX_COUNTERS
-from biosensor_gateway.page.network.seen import SeenStream
+from biosensor_gateway.page.network.stream import NetworkStream
 
 
-def is_counters(stream: SeenStream) -> bool:
+def is_counters(stream: NetworkStream) -> bool:
     """Whether an agent of ours tells its counts in it."""
     return stream.is_ours and stream.core.content_type == ContentType.COUNTERS
 
 
-def lost_by_source(streams: Iterable[SeenStream]) -> dict[str, int]:
+def lost_by_source(streams: Iterable[NetworkStream]) -> dict[str, int]:
     """Return how many samples never reached their agent, by source_id."""
     found: dict[str, int] = {}
     for stream in streams:

@@ -16,7 +16,7 @@ from biosensor_gateway.page.network.inlets import Inlets
 from biosensor_gateway.page.network.listing import Listing
 from biosensor_gateway.page.network.models import NetworkView
 from biosensor_gateway.page.network.receiver import Receiver
-from biosensor_gateway.page.network.seen import SeenStream
+from biosensor_gateway.page.network.stream import NetworkStream
 from biosensor_gateway.page.network.viewer import Viewer
 from biosensor_gateway.page.network.windows import chosen, key_of, measured_rate, window
 
@@ -99,7 +99,7 @@ class Reader:
             self._on_samples(samples)
 
     def _read_one(
-        self, stream: SeenStream, receiver: Receiver, windows: dict[int, set[int]]
+        self, stream: NetworkStream, receiver: Receiver, windows: dict[int, set[int]]
     ) -> list[Samples]:
         now = pylsl.local_clock()
         try:

@@ -22,7 +22,7 @@ from biosensor_gateway.page.network.models import (
     TextView,
     WindowView,
 )
-from biosensor_gateway.page.network.seen import SeenStream
+from biosensor_gateway.page.network.stream import NetworkStream
 from biosensor_gateway.page.network.windows import DRAWN_CHANNELS, chosen
 from biosensor_gateway.page.network.words import MAX_LABEL, entry_of, readable
 
@@ -82,7 +82,7 @@ class Viewer:
             ],
         )
 
-    def _name(self, streams: Sequence[SeenStream]) -> None:
+    def _name(self, streams: Sequence[NetworkStream]) -> None:
         """Resolve ROS topics as a node does that sees the same streams."""
         named = frozenset((each.number, each.header) for each in streams if each.header)
         if named != self._named:
@@ -92,7 +92,7 @@ class Viewer:
             self._topics = {number: f"/{topic.name}" for number, topic in resolved.items()}
 
     def _stream(
-        self, stream: SeenStream, lost: dict[str, int], firsts: set[int], now: float
+        self, stream: NetworkStream, lost: dict[str, int], firsts: set[int], now: float
     ) -> SeenStreamView:
         core, received = stream.core, stream.received
         is_text = core.format is ChannelFormat.STRING
@@ -130,7 +130,7 @@ class Viewer:
         )  # fmt: skip
 
 
-def _state(stream: SeenStream, now: float) -> tuple[SeenState, float]:
+def _state(stream: NetworkStream, now: float) -> tuple[SeenState, float]:
     """Return how a stream does, and for how long nothing has come of it."""
     heard_s, core, receiver = stream.received.heard_s, stream.core, stream.receiver
     if stream.is_gone(now):
@@ -150,7 +150,7 @@ def _bytes_per_s(core: CoreFields) -> float:
     return core.rate * sample
 
 
-def _window(stream: SeenStream, first: int, *, is_fresh: bool) -> WindowView:
+def _window(stream: NetworkStream, first: int, *, is_fresh: bool) -> WindowView:
     header, values = stream.header, stream.received.values
     end = min(first + DRAWN_CHANNELS, stream.core.channel_count)
     labels = header.labels[first:end] if header else ()
@@ -166,7 +166,7 @@ def _window(stream: SeenStream, first: int, *, is_fresh: bool) -> WindowView:
     )
 
 
-def _lost(stream: SeenStream, lost: dict[str, int]) -> tuple[int | None, bool]:
+def _lost(stream: NetworkStream, lost: dict[str, int]) -> tuple[int | None, bool]:
     """Return how many samples are lost, and whether only the stamps say so."""
     if stream.is_ours:
         return lost.get(stream.core.source_id), False
@@ -174,7 +174,7 @@ def _lost(stream: SeenStream, lost: dict[str, int]) -> tuple[int | None, bool]:
     return (stream.received.missing if is_known else None), True
 
 
-def _texts(stream: SeenStream, now: float) -> list[TextView]:
+def _texts(stream: NetworkStream, now: float) -> list[TextView]:
     return [
         TextView(
             text=entry_of(each.text, is_ours=stream.is_ours), age_s=max(0.0, now - each.time_s)
@@ -183,7 +183,7 @@ def _texts(stream: SeenStream, now: float) -> list[TextView]:
     ]
 
 
-def _clock_note(stream: SeenStream) -> str:
+def _clock_note(stream: NetworkStream) -> str:
     is_known = stream.receiver is not None and stream.receiver.correction is not None
     return _BY_ARRIVAL if is_known and stream.received.placer.is_by_arrival else ""
 

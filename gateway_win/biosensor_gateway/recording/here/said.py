@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from biosensor_gateway.recording.labrecorder.streams import SeenStream
+from biosensor_gateway.recording.labrecorder.streams import VisibleStream
 
 EVERYTHING = "true()"
 _FOUND, _MATCHING = "Found ", " matching '"
@@ -39,10 +39,10 @@ class Said:
         """Whether all that it found are open, so that nothing of them is missed from now on."""
         return self.has_looked and self._text.count(_BEGUN) >= len(self._found)
 
-    def missed(self, wanted: Iterable[SeenStream]) -> tuple[SeenStream, ...]:
+    def missed(self, wanted: Iterable[VisibleStream]) -> tuple[VisibleStream, ...]:
         """Return those of the wanted streams that it has not found."""
         left = Counter(self._found)
-        missed: list[SeenStream] = []
+        missed: list[VisibleStream] = []
         for stream in wanted:
             key = f"{stream.name}@{stream.host}"
             if left[key] > 0:
@@ -58,7 +58,7 @@ class Said:
         return words[-_MOST_SAID:] or "nothing"
 
 
-def predicate(streams: Sequence[SeenStream]) -> str:
+def predicate(streams: Sequence[VisibleStream]) -> str:
     """Return what fits to these streams and no others, as LSL's resolver has it."""
     return " or ".join(
         f"(source_id={_quoted(each.source_id)} and name={_quoted(each.name)})" for each in streams

@@ -19,7 +19,7 @@ from biosensor_gateway.recording.here.program import find_program
 from biosensor_gateway.recording.here.said import EVERYTHING, Said, predicate
 from biosensor_gateway.recording.labrecorder.recording_file import size_of
 from biosensor_gateway.recording.labrecorder.starting import Order, what_is_missing
-from biosensor_gateway.recording.labrecorder.streams import Presence, SeenStream, titles
+from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream, titles
 from biosensor_gateway.recording.xdf.container import RecordingError
 from biosensor_gateway.recording.xdf.recording import read_recording
 
@@ -48,8 +48,8 @@ class Begun:
 
     file: str
     took_s: float
-    streams: tuple[SeenStream, ...]
-    foreign: tuple[SeenStream, ...]
+    streams: tuple[VisibleStream, ...]
+    foreign: tuple[VisibleStream, ...]
     warnings: tuple[str, ...]
 
 
@@ -105,8 +105,8 @@ class _Starter:
         self._deadline = deadline
 
     def start(
-        self, wanted: tuple[SeenStream, ...], required: tuple[SeenStream, ...]
-    ) -> tuple[SeenStream, ...]:
+        self, wanted: tuple[VisibleStream, ...], required: tuple[VisibleStream, ...]
+    ) -> tuple[VisibleStream, ...]:
         """Return those of the wanted streams that are not recorded; none of the required."""
         while True:
             self._launch()
@@ -121,9 +121,9 @@ class _Starter:
 
     def _can_do_without(
         self,
-        missed: tuple[SeenStream, ...],
-        wanted: tuple[SeenStream, ...],
-        required: tuple[SeenStream, ...],
+        missed: tuple[VisibleStream, ...],
+        wanted: tuple[VisibleStream, ...],
+        required: tuple[VisibleStream, ...],
     ) -> bool:
         """Whether to record without some streams; False while there is time to try again."""
         if time.monotonic() <= self._deadline:
@@ -200,7 +200,7 @@ def _recording(folder: RecorderFolder) -> RecorderError:
     return RecorderError(RecorderReason.RECORDING, message)
 
 
-def _require_streams(presence: Presence, wanted: tuple[SeenStream, ...], order: Order) -> None:
+def _require_streams(presence: Presence, wanted: tuple[VisibleStream, ...], order: Order) -> None:
     message = what_is_missing(presence, wanted, order)
     if message is not None:
         raise RecorderError(RecorderReason.STREAMS_MISSING, message)
@@ -216,8 +216,8 @@ def _require_space(file: Path) -> None:
 def _warnings(
     presence: Presence,
     order: Order,
-    foreign: tuple[SeenStream, ...],
-    missed: tuple[SeenStream, ...],
+    foreign: tuple[VisibleStream, ...],
+    missed: tuple[VisibleStream, ...],
 ) -> Iterator[str]:
     if presence.missing:
         yield f"recorded without: {'; '.join(presence.missing)}"

@@ -18,7 +18,7 @@ from biosensor_gateway.recording.labrecorder.recording_file import (
     wait_for_growth,
 )
 from biosensor_gateway.recording.labrecorder.remote import RemoteControl
-from biosensor_gateway.recording.labrecorder.streams import Presence, SeenStream, titles
+from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream, titles
 
 GROWTH_S = 30.0
 STILL_RECORDS_S = 10.0
@@ -68,8 +68,8 @@ class Started:
     file: Path | None
     bytes: int
     took_s: float
-    streams: tuple[SeenStream, ...]
-    foreign: tuple[SeenStream, ...]
+    streams: tuple[VisibleStream, ...]
+    foreign: tuple[VisibleStream, ...]
     warnings: tuple[str, ...]
 
 
@@ -153,7 +153,9 @@ def _require_free(target: Target) -> None:
             raise LabRecorderError(LabRecorderReason.EXISTS, message)
 
 
-def what_is_missing(presence: Presence, wanted: tuple[SeenStream, ...], order: Order) -> str | None:
+def what_is_missing(
+    presence: Presence, wanted: tuple[VisibleStream, ...], order: Order
+) -> str | None:
     """Say why nothing can be recorded of what there is; None if it can.
 
     Parameters

@@ -31,7 +31,7 @@ _MOST_NAMED = 20
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class SeenStream:
+class VisibleStream:
     """A stream that this computer sees."""
 
     name: str
@@ -77,8 +77,8 @@ class Presence:
         One sentence part a device.
     """
 
-    visible: tuple[SeenStream, ...]
-    foreign: tuple[SeenStream, ...]
+    visible: tuple[VisibleStream, ...]
+    foreign: tuple[VisibleStream, ...]
     missing: tuple[str, ...]
 
 
@@ -149,13 +149,13 @@ def look(settings: GatewaySettings, expected: Sequence[ExpectedDevice], own_host
     )  # fmt: skip
 
 
-def _search(needed: frozenset[str]) -> tuple[SeenStream, ...]:
+def _search(needed: frozenset[str]) -> tuple[VisibleStream, ...]:
     resolver = pylsl.ContinuousResolver(forget_after=2 * SEARCH_LIMIT_S)
     begun = time.monotonic()
     while True:
         time.sleep(_POLL_S)
         seen = {
-            info.uid(): SeenStream(info.name(), info.source_id(), info.hostname())
+            info.uid(): VisibleStream(info.name(), info.source_id(), info.hostname())
             for info in resolver.results()
         }
         elapsed = time.monotonic() - begun
@@ -171,7 +171,7 @@ def _missing(device: ExpectedDevice, present: set[str]) -> str:
     return f"{device.title}, {count} of its {len(device.source_ids)} streams{why}"
 
 
-def titles(streams: Iterable[SeenStream]) -> str:
+def titles(streams: Iterable[VisibleStream]) -> str:
     """Name streams, or the first of many."""
     named = [stream.title for stream in streams]
     more = len(named) - _MOST_NAMED

@@ -53,7 +53,7 @@ def _compared(stream: Measured, run: Sequence[Reading], counters: Measured) -> M
     end = counters.figures.last
     if end is None:
         return stream
-    return replace(stream, counted=compare(run, stream.stream.stamps, end))
+    return replace(stream, counters=compare(run, stream.stream.stamps, end))
 
 
 def _left_out(source_id: str, run: Sequence[Reading], name: str) -> Iterator[Finding]:

@@ -31,8 +31,8 @@ class Reading(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Counted:
-    """Comparison of one stream.
+class RecordedCounters:
+    """The agent's counters of one stream against its recording.
 
     Attributes
     ----------
@@ -86,7 +86,9 @@ def _entries(text: str) -> dict[str, Reading]:
     return entries
 
 
-def compare(readings: Sequence[Reading], stamps: NDArray[np.float64], end: float) -> Counted:
+def compare(
+    readings: Sequence[Reading], stamps: NDArray[np.float64], end: float
+) -> RecordedCounters:
     """Compare the readings of one stream with its stamps.
 
     Compared is from the first reading that the recording of the stream reaches to the
@@ -105,7 +107,7 @@ def compare(readings: Sequence[Reading], stamps: NDArray[np.float64], end: float
     ordered = np.sort(stamps[np.isfinite(stamps)])
     runs = _runs(readings)
     parts = [_compare_run(run, ordered, end - TAIL_S) for run in runs]
-    return Counted(
+    return RecordedCounters(
         pushed=sum(part.pushed for part in parts),
         held=sum(part.held for part in parts),
         lost=sum(part.lost for part in parts),
@@ -124,7 +126,9 @@ def _runs(readings: Sequence[Reading]) -> list[list[Reading]]:
     return runs
 
 
-def _compare_run(run: Sequence[Reading], stamps: NDArray[np.float64], tail_begin: float) -> Counted:
+def _compare_run(
+    run: Sequence[Reading], stamps: NDArray[np.float64], tail_begin: float
+) -> RecordedCounters:
     lost = run[-1].lost - run[0].lost
     # Nothing recorded at all: the first reading is the only beginning there is.
     first, last = (stamps[0], stamps[-1]) if len(stamps) else (-np.inf, -np.inf)
@@ -133,8 +137,8 @@ def _compare_run(run: Sequence[Reading], stamps: NDArray[np.float64], tail_begin
     while reached and reached[-1].last_stamp > needless_after:
         reached.pop()
     if not reached:
-        return Counted(0, 0, lost)
+        return RecordedCounters(0, 0, lost)
     begin, end = reached[0], reached[-1]
     bounds = np.array([begin.last_stamp, end.last_stamp]) + _SAME_STAMP_S
     before, until = np.searchsorted(stamps, bounds, side="right").tolist()
-    return Counted(end.pushed - begin.pushed, until - before, lost)
+    return RecordedCounters(end.pushed - begin.pushed, until - before, lost)

@@ -50,7 +50,7 @@ def printable(text: str) -> str:
 def _stream_as_json(measured: Measured, report: Report) -> dict[str, Any]:
     stream, figures = measured.stream, measured.figures
     header = stream.header
-    counted = measured.counted
+    counters = measured.counters
     return {
         "name": header.name,
         "type": header.content_type,
@@ -87,7 +87,7 @@ def _stream_as_json(measured: Measured, report: Report) -> dict[str, Any]:
             ],
         },
         "nan_shares": list(figures.nan_shares),
-        "counted": None if counted is None else asdict(counted),
+        "counted": None if counters is None else asdict(counters),
     }
 
 
@@ -152,11 +152,11 @@ def _stream_lines(measured: Measured, report: Report) -> Iterator[str]:
     ]
     if gappy:
         yield f"    without a value: {', '.join(gappy)}"
-    counted = measured.counted
-    if counted is not None:
+    counters = measured.counters
+    if counters is not None:
         yield (
-            f"    by the agent's count: {counted.pushed} pushed, {counted.held} of them held, "
-            f"{counted.lost} lost before"
+            f"    by the agent's count: {counters.pushed} pushed, {counters.held} of them held, "
+            f"{counters.lost} lost before"
         )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from biosensor_gateway.recording.xdf.counters import Counted
+from biosensor_gateway.recording.xdf.counters import RecordedCounters
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.measuring import Figures
 from biosensor_gateway.recording.xdf.recording import RecordedStream, Recording
@@ -17,7 +17,7 @@ class Measured:
 
     stream: RecordedStream
     figures: Figures
-    counted: Counted | None = None
+    counters: RecordedCounters | None = None
 
     @property
     def name(self) -> str:

@@ -163,21 +163,21 @@ def _values(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
 
 
 def _counted(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
-    counted = measured.counted
-    if counted is None:
+    counters = measured.counters
+    if counters is None:
         return
-    if counted.held < counted.pushed:
-        missing = counted.pushed - counted.held
-        text = f"{missing} of {counted.pushed} samples that the agent pushed are not in the file"
+    if counters.held < counters.pushed:
+        missing = counters.pushed - counters.held
+        text = f"{missing} of {counters.pushed} samples that the agent pushed are not in the file"
         yield Level.ERROR, "not-recorded", text
-    elif counted.held > counted.pushed:
-        text = f"{counted.held} samples are in the file where the agent pushed {counted.pushed}"
+    elif counters.held > counters.pushed:
+        text = f"{counters.held} samples are in the file where the agent pushed {counters.pushed}"
         yield Level.ERROR, "too-many", text
-    if counted.lost:
-        text = f"the agent counted {counted.lost} samples as lost on their way from the device"
+    if counters.lost:
+        text = f"the agent counted {counters.lost} samples as lost on their way from the device"
         yield Level.WARNING, "lost", text
-    if counted.restarts:
-        text = f"the agent began anew {counted.restarts} times during the recording"
+    if counters.restarts:
+        text = f"the agent began anew {counters.restarts} times during the recording"
         yield Level.WARNING, "restarted", text
 
 

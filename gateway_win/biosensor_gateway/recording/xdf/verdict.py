@@ -87,7 +87,7 @@ def verdict(report: Report) -> Verdict:
                 source_id=each.stream.header.source_id,
                 samples=each.stream.sample_count,
                 gaps=each.figures.gaps.count,
-                lost=None if each.counted is None else each.counted.lost,
+                lost=None if each.counters is None else each.counters.lost,
             )
             for each in report.streams
         ),

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from biosensor_common.stream_header import StreamHeader
-from lsl_to_ros.accounts.losses import LossAccount
+from lsl_to_ros.accounts.losses import CountersComparison
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +51,8 @@ class Delays:
 
 
 @dataclass(slots=True)
-class Tally:
-    """What is counted of one stream; it outlives its bridges.
+class NodeCounters:
+    """Counters of one stream in the node; they outlive its bridges.
 
     Attributes
     ----------
@@ -68,8 +68,8 @@ class Tally:
         Samples of partial chunks that ended at a gap. They went out raw.
     undelivered
         Samples that LSL dropped with the last connection.
-    account
-        The agent's count against ours.
+    comparison
+        Of the agent's counters with what was pulled.
     delays
         Since the last report.
     clock
@@ -83,13 +83,13 @@ class Tally:
     unstamped: int = 0
     discarded: int = 0
     undelivered: int = 0
-    account: LossAccount = field(default_factory=LossAccount)
+    comparison: CountersComparison = field(default_factory=CountersComparison)
     delays: Delays = field(default_factory=Delays)
     clock: Mapping[str, float] = field(default_factory=dict[str, float])
 
     def lost(self, *, can_estimate: bool) -> Lost:
         """By the agent's count, else by an estimate, else unknown."""
-        losses = self.account.losses
+        losses = self.comparison.losses
         if losses is not None:
             return Lost(losses.total, is_estimated=False)
         return (
@@ -103,7 +103,7 @@ class Tally:
 
     def outlet_changed(self) -> None:
         """Take note that the samples to come are another outlet's."""
-        self.account.restarted(self.undelivered)
+        self.comparison.restarted(self.undelivered)
         self.undelivered = 0
 
     def take_delays(self) -> Delays:
@@ -121,16 +121,18 @@ class Refusals:
         Called with a sentence.
     """
 
-    def __init__(self, header: StreamHeader, tally: Tally, warn: Callable[[str], None]) -> None:
+    def __init__(
+        self, header: StreamHeader, counters: NodeCounters, warn: Callable[[str], None]
+    ) -> None:
         self._name = f"{header.identity.sensor} {header.data_name}"
-        self._tally = tally
+        self._counters = counters
         self._warn = warn
 
     def __call__(self, count: int, reason: str) -> None:
         """Take note of *count* samples."""
-        if not self._tally.unfit:
+        if not self._counters.unfit:
             self._warn(f"{self._name}: a sample is not published ({reason})")
-        self._tally.unfit += count
+        self._counters.unfit += count
 
 
 def can_estimate_losses(header: StreamHeader) -> bool:

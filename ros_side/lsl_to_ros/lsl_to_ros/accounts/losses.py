@@ -46,7 +46,7 @@ class Losses:
         return self.device + self.transport
 
 
-class LossAccount:
+class CountersComparison:
     """Compares one stream's pulled samples with the agent's counters.
 
     Its two callers are two threads: the stream's reader and the counters' reader.

@@ -12,7 +12,7 @@ from lsl_to_ros.accounts.rates import RATE_WINDOW_S, RateMeter
 
 
 @dataclass(slots=True)
-class StreamHealth:
+class StreamStatus:
     """What the reports of one stream remember from one to the next."""
 
     meter: RateMeter = field(default_factory=RateMeter)

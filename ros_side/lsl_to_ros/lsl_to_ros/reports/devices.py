@@ -30,7 +30,7 @@ def device_statuses(bridges: Iterable[tuple[str, Bridge]]) -> Iterator[Diagnosti
     """
     devices: defaultdict[str, list[Bridge]] = defaultdict(list)
     for name, bridge in bridges:
-        if not bridge.header.foreign and (_told(bridge.header) or bridge.tally.clock):
+        if not bridge.header.foreign and (_told(bridge.header) or bridge.counters.clock):
             devices[name].append(bridge)
     for name, told in devices.items():
         level, message = _judge(told)
@@ -41,7 +41,7 @@ def device_statuses(bridges: Iterable[tuple[str, Bridge]]) -> Iterator[Diagnosti
 def _texts(bridges: Iterable[Bridge]) -> Iterator[tuple[str, str]]:
     """Yield the newest values under their data and channel names, and the clock's state."""
     for bridge in bridges:
-        for key, value in bridge.tally.clock.items():
+        for key, value in bridge.counters.clock.items():
             # An offset of years, to the microsecond.
             yield f"clock/{key}", f"{value:.6f}".rstrip("0").rstrip(".")
         data_name = bridge.header.data_name

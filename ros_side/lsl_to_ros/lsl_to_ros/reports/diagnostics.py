@@ -20,9 +20,9 @@ from time import monotonic
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from biosensor_common.naming import AGENT, TopicName
-from lsl_to_ros.accounts.counters import Delays, Tally, can_estimate_losses
+from lsl_to_ros.accounts.counters import Delays, NodeCounters, can_estimate_losses
 from lsl_to_ros.accounts.rates import RATE_WINDOW_S
-from lsl_to_ros.accounts.status import StreamHealth
+from lsl_to_ros.accounts.status import StreamStatus
 from lsl_to_ros.reports.overload import not_taken, too_fast
 from lsl_to_ros.topics.bridge import Bridge
 
@@ -95,34 +95,36 @@ class StreamFacts:
 def stream_facts(
     topic: TopicName,
     bridge: Bridge,
-    health: StreamHealth,
+    status: StreamStatus,
     correction_s: float | None,
     spread_s: float,
     now_s: float,
     trouble: str = "",
 ) -> StreamFacts:
     """Look at one stream; *now_s* is this machine's LSL clock."""
-    tally: Tally = bridge.tally
-    lost = tally.lost(can_estimate=can_estimate_losses(bridge.header))
+    counters: NodeCounters = bridge.counters
+    lost = counters.lost(can_estimate=can_estimate_losses(bridge.header))
     first = bridge.outputs.of_samples[0].publisher
-    not_taken_lately = health.outflow.look(first.lane.sent, first.lane.not_taken)
-    lost_lately, unfit_lately = health.recent(max(lost.count, 0), tally.unfit + tally.unstamped)
+    not_taken_lately = status.outflow.look(first.lane.sent, first.lane.not_taken)
+    lost_lately, unfit_lately = status.recent(
+        max(lost.count, 0), counters.unfit + counters.unstamped
+    )
     return StreamFacts(
         topic=topic,
         bridge=bridge,
         age_s=now_s - bridge.last_stamp - (correction_s or 0.0),
-        rate=health.meter.rate(tally.received, bridge.last_stamp),
+        rate=status.meter.rate(counters.received, bridge.last_stamp),
         correction_s=correction_s,
         spread_s=spread_s,
-        delays=tally.take_delays(),
+        delays=counters.take_delays(),
         lost_lately=lost_lately,
         unfit_lately=unfit_lately,
-        silent_s=health.silence(tally.received),
-        attached_s=monotonic() - health.begun_s,
+        silent_s=status.silence(counters.received),
+        attached_s=monotonic() - status.begun_s,
         not_taken_lately=not_taken_lately,
-        published_hz=health.outflow.rate,
-        is_fast=health.outflow.is_fast,
-        waited_s=health.take_oldest(),
+        published_hz=status.outflow.rate,
+        is_fast=status.outflow.is_fast,
+        waited_s=status.take_oldest(),
         trouble=trouble,
     )
 
@@ -135,8 +137,8 @@ def stream_status(facts: StreamFacts) -> DiagnosticStatus:
     if replay is not None:
         message = f"{message}; a replay of {replay.title}"
     raw, chunk = bridge.outputs.of_samples[0].publisher, bridge.outputs.chunk
-    tally = bridge.tally
-    lost = tally.lost(can_estimate=can_estimate_losses(header))
+    counters = bridge.counters
+    lost = counters.lost(can_estimate=can_estimate_losses(header))
     values = {
         "topic": raw.name,
         "chunk_topic": chunk.publisher.name if chunk else "",
@@ -147,12 +149,12 @@ def stream_status(facts: StreamFacts) -> DiagnosticStatus:
         "unit_of_measurement": ", ".join(dict.fromkeys(header.units)),
         "rate_measured": f"{facts.rate:.2f}",
         "rate_nominal": f"{header.rate:.2f}",
-        "received": str(tally.received),
+        "received": str(counters.received),
         "lost": str(lost),
-        "sent_before": _count(tally.account.before),
-        "unfit": str(tally.unfit),
-        "unstamped": str(tally.unstamped),
-        "chunk_discarded": str(tally.discarded),
+        "sent_before": _count(counters.comparison.before),
+        "unfit": str(counters.unfit),
+        "unstamped": str(counters.unstamped),
+        "chunk_discarded": str(counters.discarded),
         "published": str(raw.lane.sent),
         "waiting": str(bridge.waiting),
         "queue_age_s": f"{facts.waited_s:.3f}",

@@ -74,10 +74,10 @@ class Survey:
             bridge, inlet = route.bridge, route.inlet
             if bridge is not None and inlet.is_delivering:
                 # In this order: what is read in between then counts as gone, not as late.
-                received = bridge.tally.received
-                age_s = route.health.backlog.age(now_s, received, inlet.waiting)
+                received = bridge.counters.received
+                age_s = route.status.backlog.age(now_s, received, inlet.waiting)
                 age_s += bridge.oldest_waiting_s
-                route.health.waited(age_s)
+                route.status.waited(age_s)
                 self._load.waited(age_s)
 
     def part(self) -> Part:
@@ -100,7 +100,7 @@ class Survey:
         facts = stream_facts(
             route.topic,
             route.bridge,
-            route.health,
+            route.status,
             inlet.correction,
             inlet.correction_spread,
             pylsl.local_clock(),

@@ -31,7 +31,7 @@ from lsl_to_ros.ros_to_lsl.graph import Graph
 from lsl_to_ros.ros_to_lsl.parameters import read_requests
 from lsl_to_ros.ros_to_lsl.reports import (
     PROGRAM,
-    TopicHealth,
+    TopicStatus,
     node_status,
     topic_facts,
     topic_status,
@@ -73,7 +73,7 @@ class RosToLsl(Node):
         configure_lsl(value(SESSION_ID).value, value(KNOWN_PEERS).value)
         self._log = LimitedLog(self.get_logger())
         self._ros_time = RosTime(self)
-        self._topics: dict[str, TopicHealth] = {}
+        self._topics: dict[str, TopicStatus] = {}
         self._events = Events(self, self._facts)
         self._taker = Taker(self, self._fail)
         self._group = TakenElsewhere()
@@ -100,7 +100,7 @@ class RosToLsl(Node):
         say = partial(self._say, request.topic)
         bridge = Bridge(request, self._ros_time, say, by_arrival=self._requests.by_arrival)
         topic = Topic(self, self._taker, self._group, bridge, say)
-        self._topics[request.topic] = TopicHealth(topic)
+        self._topics[request.topic] = TopicStatus(topic)
 
     def _look(self) -> None:
         """See who publishes what, and do what is due."""

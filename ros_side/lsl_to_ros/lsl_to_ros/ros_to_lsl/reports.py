@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from lsl_to_ros.accounts.status import StreamHealth
+from lsl_to_ros.accounts.status import StreamStatus
 from lsl_to_ros.reports.diagnostics import STALE_AFTER_S, status
 from lsl_to_ros.ros_to_lsl.bridge import Bridge, wrong_clock
 from lsl_to_ros.ros_to_lsl.topic import Topic
@@ -25,11 +25,11 @@ PROGRAM = "ros_to_lsl"
 
 
 @dataclass(slots=True)
-class TopicHealth:
+class TopicStatus:
     """What the reports of one topic remember."""
 
     topic: Topic
-    health: StreamHealth = field(default_factory=StreamHealth)
+    status: StreamStatus = field(default_factory=StreamStatus)
 
 
 def node_status(topics: int, streams: int, clock_steps: int) -> DiagnosticStatus:
@@ -38,13 +38,13 @@ def node_status(topics: int, streams: int, clock_steps: int) -> DiagnosticStatus
     return status("node", DiagnosticStatus.OK, f"{streams} streams", values, program=PROGRAM)
 
 
-def topic_status(each: TopicHealth) -> DiagnosticStatus:
+def topic_status(each: TopicStatus) -> DiagnosticStatus:
     """Describe one topic."""
-    topic, health = each.topic, each.health
+    topic = each.topic
     bridge = topic.bridge
     lost = bridge.losses.lost
-    rate = health.meter.rate(bridge.received, bridge.newest_s)
-    level, message = _judge(topic, health)
+    rate = each.status.meter.rate(bridge.received, bridge.newest_s)
+    level, message = _judge(topic, each.status)
     values = {
         "type": topic.kind.name if topic.kind else bridge.request.type_name,
         "publishers": str(topic.publishers),
@@ -80,10 +80,10 @@ def topic_facts(topic: Topic) -> dict[str, object]:
     }
 
 
-def _judge(topic: Topic, health: StreamHealth) -> tuple[bytes, str]:
+def _judge(topic: Topic, status: StreamStatus) -> tuple[bytes, str]:
     bridge = topic.bridge
-    lost_lately, replaced_lately = health.recent(bridge.losses.lost or 0, bridge.replaced)
-    silent_s = health.silence(bridge.received)
+    lost_lately, replaced_lately = status.recent(bridge.losses.lost or 0, bridge.replaced)
+    silent_s = status.silence(bridge.received)
     if bridge.fault:
         return DiagnosticStatus.ERROR, bridge.fault
     if bridge.request.rate and silent_s > STALE_AFTER_S:

@@ -10,7 +10,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from biosensor_common.stream_header import StreamHeader
-from lsl_to_ros.accounts.counters import Tally
+from lsl_to_ros.accounts.counters import NodeCounters
 from lsl_to_ros.accounts.gaps import Gap, GapFinder
 from lsl_to_ros.accounts.stamping import Stamping
 from lsl_to_ros.lsl.blocks import Block, Run, part, split
@@ -76,7 +76,7 @@ class Bridge:
         header: StreamHeader,
         outputs: Outputs,
         settings: StreamSettings,
-        tally: Tally,
+        counters: NodeCounters,
         stamping: Stamping,
         refuse: Refuse,
         listen: Callable[[NDArray[Any]], None] | None = None,
@@ -84,7 +84,7 @@ class Bridge:
         self.header = header
         self.outputs = outputs
         self.settings = settings
-        self.tally = tally
+        self.counters = counters
         self.newest: NDArray[Any] | None = None
         self._stamping = stamping
         self._refuse = refuse
@@ -131,10 +131,10 @@ class Bridge:
 
     def receive(self, block: Block) -> None:
         """Publish samples and the chunks that they fill."""
-        sequence = self.tally.received
-        self.tally.received += len(block.stamps)
+        sequence = self.counters.received
+        self.counters.received += len(block.stamps)
         if self._is_counted_by_agent:
-            self.tally.account.pulled(block.stamps.tolist())
+            self.counters.comparison.pulled(block.stamps.tolist())
         if self._keeps_newest:
             self.newest = block.samples[-1].copy()
         if self._listen is not None:
@@ -146,7 +146,7 @@ class Bridge:
         else:
             self._write(Run(block.samples, block.stamps, sequence))
         if self._stamping.is_known:
-            self.tally.delays.add(local_clock() - self._stamping.local(self.last_stamp))
+            self.counters.delays.add(local_clock() - self._stamping.local(self.last_stamp))
 
     def clock_known(self) -> None:
         """Write what waited for the sender's clock."""
@@ -155,8 +155,8 @@ class Bridge:
 
     def end(self, undelivered: int) -> None:
         """Give up what is not complete: what comes next, comes after a break."""
-        self.tally.connection_ended(undelivered)
-        self.tally.unstamped += sum(len(run.stamps) for run in self._held)
+        self.counters.connection_ended(undelivered)
+        self.counters.unstamped += sum(len(run.stamps) for run in self._held)
         self._held.clear()
         self._discard()
 
@@ -164,7 +164,7 @@ class Bridge:
         start = 0
         for gap in gaps:
             self._write(part(block, start, gap.place, sequence))
-            self.tally.missing += gap.missing
+            self.counters.missing += gap.missing
             self._discard()
             start = gap.place
         self._write(part(block, start, len(block.stamps), sequence))
@@ -193,7 +193,7 @@ class Bridge:
 
     def _hold(self, run: Run) -> None:
         if len(self._held) == HELD_RUNS:
-            self.tally.unstamped += len(self._held[0].stamps)
+            self.counters.unstamped += len(self._held[0].stamps)
         # A view would keep the whole block in memory.
         self._held.append(Run(run.samples.copy(), run.stamps.copy(), run.sequence))
 
@@ -216,4 +216,4 @@ class Bridge:
 
     def _discard(self) -> None:
         if self.outputs.chunk is not None:
-            self.tally.discarded += self.outputs.chunk.discard()
+            self.counters.discarded += self.outputs.chunk.discard()

@@ -19,7 +19,7 @@ function Outcome({ outcome }) {
     </div>`;
 }
 
-export function Trial({ sensor, settings, name }) {
+export function DeviceTest({ sensor, settings, name }) {
   const [isRunning, setRunning] = useState(false);
   const [outcome, setOutcome] = useState(null);
   const run = async () => {

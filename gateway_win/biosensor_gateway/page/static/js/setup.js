@@ -2,7 +2,7 @@
 
 import { html, useEffect, useState } from "../vendor/preact-htm.js";
 import { ask } from "./api.js";
-import { Trial } from "./device_test.js";
+import { DeviceTest } from "./device_test.js";
 
 const LOOK_MS = 300;
 
@@ -32,7 +32,7 @@ function Found({ device, act }) {
             </label>
             <button class="main">Add<span class="hidden"> ${name}</span></button>
           </form>
-          <${Trial} sensor=${device.sensor} settings=${device.settings} name=${name} />`}
+          <${DeviceTest} sensor=${device.sensor} settings=${device.settings} name=${name} />`}
     </li>`;
 }
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 
 @dataclass(slots=True)
-class SeenStream:
+class SurveyedStream:
     """One stream.
 
     Attributes

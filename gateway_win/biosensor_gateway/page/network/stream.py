@@ -16,7 +16,7 @@ _DEAF_S = 2.0
 
 
 @dataclass(slots=True, eq=False)
-class SeenStream:
+class NetworkStream:
     """A stream, over all outlets that it had one after the other.
 
     Attributes
