@@ -45,6 +45,7 @@ MEASUREMENTS: dict[str, Callable[[Effort], Measurement]] = {
     "idle": idle.measure,
     "hundred": hundred.measure,
     "bursts": bursts.measure,
+    "bursts_in_c": bursts.measure_in_c,
     "publish": publish.measure,
     "ros_to_lsl": ros_to_lsl.measure,
     "restart": restart.measure,

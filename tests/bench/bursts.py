@@ -6,6 +6,7 @@ import json
 import os
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +16,8 @@ from tests.bench.agent_load import SENSORS
 from tests.bench.effort import Effort
 from tests.bench.figures import Figure, Measurement, Target
 from tests.bench.processes import BenchError, CpuMeter, Process, Processes
+from tests.rigs import rcl_subscriber
+from tests.rigs.compiler import CompilerError
 
 _LOST = Target(0)
 _STARTED_S, _SETTLED_S = 15.0, 3.0
@@ -42,7 +45,9 @@ class Place(NamedTuple):
     is_busy: bool = False
 
 
+_IN_PYTHON = ("tests.rigs.tutorial_subscriber",)
 _QUEUES = (Queue(5, "best_effort"), Queue(5, "reliable"), Queue(10, "reliable"))
+_QUEUES_IN_C = (*_QUEUES[:2], Queue(10, "best_effort"), _QUEUES[2])
 _QUIET, _BUSY, _AT_ONCE = Place(), Place(is_busy=True), Place(pace="0.0")
 
 
@@ -66,11 +71,36 @@ class Leg:
 
 
 def measure(effort: Effort) -> Measurement:
-    """Measure each queue, on a quiet and on a half-busy machine, and one without pacing."""
+    """Measure each queue, on a quiet and on a half-busy machine, and one without pacing.
+
+    A subscriber in Python needs nearly a whole core, so each has the devices to itself.
+    """
     plan = [(queue, place) for place in (_QUIET, _BUSY) for queue in _QUEUES]
     plan.append((_QUEUES[-1], _AT_ONCE))
-    legs = [_leg(queue, place, effort.bursts_s) for queue, place in plan]
-    title = f"every topic of {len(SENSORS)} devices in one rclpy node, samples lost"
+    runs = [_legs(_IN_PYTHON, (queue,), place, effort.bursts_s) for queue, place in plan]
+    return _measurement("one rclpy node", [leg for run in runs for leg in run])
+
+
+def measure_in_c(effort: Effort) -> Measurement:
+    """Measure all queues side by side, by subscribers on rcl, which rclcpp stands on.
+
+    Raises
+    ------
+    BenchError
+        If there is no C compiler.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        try:
+            command = ("tests.rigs.rcl_subscriber", str(rcl_subscriber.build(Path(name))))
+        except CompilerError as error:
+            raise BenchError(str(error)) from error
+        places = (_QUIET, _BUSY, _AT_ONCE)
+        runs = [_legs(command, _QUEUES_IN_C, place, effort.bursts_s) for place in places]
+    return _measurement("each of four subscribers in C", [leg for run in runs for leg in run])
+
+
+def _measurement(subscriber: str, legs: Sequence[Leg]) -> Measurement:
+    title = f"every topic of {len(SENSORS)} devices in {subscriber}, samples lost"
     return Measurement(title, [_figure(leg) for leg in legs], {"legs": [asdict(x) for x in legs]})
 
 
@@ -92,27 +122,43 @@ def _topics() -> list[str]:
     ]
 
 
-def _leg(queue: Queue, place: Place, seconds: float) -> Leg:
+def _legs(
+    command: Sequence[str], queues: Sequence[Queue], place: Place, seconds: float
+) -> list[Leg]:
+    """Let every device stream for a while to subscribers side by side, one for each queue."""
     with tempfile.TemporaryDirectory() as name, Processes(Path(name)) as processes:
         processes.environment["BIOSENSOR_GATEWAY_STATE"] = str(Path(name, "state"))
         processes.start("lsl_to_ros.node", "--ros-args", "-p", f"burst_pacing:={place.pace}")
-        command = ("tests.rigs.tutorial_subscriber", str(queue.depth), queue.reliability)
-        # It is there before the first sample, so that it can have all.
-        subscriber = processes.start(*command, *_topics())
+        # They are there before the first sample, so that they can have all.
+        subscribers = [
+            processes.start(*command, str(queue.depth), queue.reliability, *_topics())
+            for queue in queues
+        ]
         watcher = processes.start("tests.bench.received")
+        for each in (*subscribers, watcher):
+            _ask(each)
         time.sleep(_SETTLED_S)
         agent = processes.start("biosensor_gateway.cli", "run", "--simulate", "all")
         for _ in range((os.cpu_count() or 1) if place.is_busy else 0):
             processes.start("tests.bench.bursts")
         time.sleep(_STARTED_S)
-        meter = CpuMeter(subscriber)
+        meters = [CpuMeter(subscriber) for subscriber in subscribers]
         time.sleep(seconds)
-        cpu_percent = meter.percent()
+        cpu_percents = [meter.percent() for meter in meters]
         agent.pause()
         time.sleep(_SETTLED_S)
-        received, heard = _ask(watcher), _ask(subscriber)
+        received, heard = _ask(watcher), [_ask(subscriber) for subscriber in subscribers]
     if not received:
         raise BenchError("nothing came from the virtual devices")
+    return [
+        _compared(queue, place, received, got, cpu_percent)
+        for queue, got, cpu_percent in zip(queues, heard, cpu_percents, strict=True)
+    ]
+
+
+def _compared(
+    queue: Queue, place: Place, received: dict[str, int], heard: dict[str, Any], cpu_percent: float
+) -> Leg:
     known = {
         topic: count - len(heard[topic]) for topic, count in received.items() if topic in heard
     }

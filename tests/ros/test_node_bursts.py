@@ -6,7 +6,8 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +17,7 @@ import pytest
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
+from tests.rigs import rcl_subscriber
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
@@ -57,12 +59,14 @@ class Bursts:
 class Subscriber:
     """The process of one."""
 
-    def __init__(self, depth: int, reliability: str, topics: list[str]) -> None:
+    def __init__(
+        self, program: Sequence[str], depth: int, reliability: str, topics: list[str]
+    ) -> None:
         self.name = f"depth {depth}, {reliability}"
-        command = [sys.executable, "-m", "tests.rigs.tutorial_subscriber", str(depth), reliability]
         options = [word for topic in topics for word in (topic, "std_msgs/msg/Float32")]
+        command = [sys.executable, "-m", *program, str(depth), reliability, *options]
         self._process = subprocess.Popen(
-            [*command, *options], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
 
     def heard(self) -> dict[str, list[float]]:
@@ -81,10 +85,18 @@ def devices() -> list[Bursts]:
     return [Bursts(*device) for device in DEVICES]
 
 
+@pytest.fixture(params=["rclpy", pytest.param("rcl", marks=pytest.mark.system)])
+def program(request: pytest.FixtureRequest, tmp_path: Path) -> list[str]:
+    """What subscribes: the whole of rclpy, or in C the layer that rclcpp stands on, too."""
+    if request.param == "rcl":
+        return ["tests.rigs.rcl_subscriber", str(rcl_subscriber.build(tmp_path))]
+    return ["tests.rigs.tutorial_subscriber"]
+
+
 @pytest.fixture
-def subscribers(devices: list[Bursts]) -> Iterator[list[Subscriber]]:
+def subscribers(program: list[str], devices: list[Bursts]) -> Iterator[list[Subscriber]]:
     topics = [device.topic for device in devices]
-    running = [Subscriber(*queue, topics) for queue in QUEUES]
+    running = [Subscriber(program, *queue, topics) for queue in QUEUES]
     yield running
     for each in running:
         each.stop()
