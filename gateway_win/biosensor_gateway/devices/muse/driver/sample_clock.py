@@ -1,0 +1,117 @@
+"""Tells when counted samples were measured, by the times at which they were handed on.
+
+Samples wait before they are handed on: a headband collects them for up to 130 ms, and the radio
+makes them later still. So a `DeviceClock` keeps to the earliest ones. Their rate is only about
+the nominal one, by more than what that takes for a crystal: in recordings of an Athena, light
+came 0.3 % too fast. So it is corrected as soon as it is known to be another one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+
+from biosensor_common.device_clock import DeviceClock
+
+POINT_EVERY_S = 0.5
+POINTS = 240
+LEAST_POINTS = 10
+LATE_S = 0.25
+"""What is later had to wait for a host that did not read, and tells nothing of the rate."""
+RATE_LIMIT = 0.02
+DEVIATIONS = 3.0
+"""The rate is another one if it differs by so many standard errors."""
+LEAST_CHANGE = 100e-6
+"""What a `DeviceClock` follows well by itself."""
+
+Point = tuple[int, float]
+"""Number of a sample, and when it was handed on [s]."""
+
+
+class SampleClock:
+    """The clock of one stream's samples.
+
+    Parameters
+    ----------
+    rate_hz
+        Nominal.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        self._nominal_s = 1 / rate_hz
+        self._period_s = self._nominal_s
+        self._anchor: Point = (0, 0.0)
+        self._points: deque[Point] = deque(maxlen=POINTS)
+        self._bin = -1
+        self._clock = DeviceClock()
+
+    @property
+    def rate_hz(self) -> float:
+        """As far as it is known."""
+        return 1 / self._period_s
+
+    def restart(self) -> None:
+        """Place the next samples by their time alone; the rate is the same as before."""
+        self._points.clear()
+        self._clock = DeviceClock()
+
+    def observe(self, *handed_on: Point) -> None:
+        """Note when samples were handed on together, of each packet the last one.
+
+        The earliest one tells: the others had to wait for it.
+        """
+        index, read_s = min(handed_on, key=lambda each: each[1] - self._counted_s(each[0]))
+        counted_s = self._counted_s(index)
+        if self._clock.observe(counted_s, read_s) is not None:
+            self._points.clear()
+        if read_s - self._clock.to_lsl(counted_s) > LATE_S:
+            return
+        if self._keep(index, read_s) and len(self._points) > LEAST_POINTS:
+            self._correct(index)
+
+    def times(self, first: int, count: int) -> list[float]:
+        """Return when samples were measured, on the clock that they were read by."""
+        return self._clock.all_to_lsl([self._counted_s(first + at) for at in range(count)])
+
+    def _counted_s(self, index: int) -> float:
+        at, at_s = self._anchor
+        return at_s + (index - at) * self._period_s
+
+    def _keep(self, index: int, read_s: float) -> bool:
+        """Keep the earliest of each half second; return whether a new one began."""
+        number = math.floor(read_s / POINT_EVERY_S)
+        if number != self._bin:
+            self._bin = number
+            self._points.append((index, read_s))
+            return True
+        late_s, kept = read_s - self._counted_s(index), self._points[-1] if self._points else None
+        if kept is None:
+            self._points.append((index, read_s))
+        elif late_s < kept[1] - self._counted_s(kept[0]):
+            self._points[-1] = (index, read_s)
+        return False
+
+    def _correct(self, index: int) -> None:
+        # The newest half second has just begun.
+        period_s, error_s = _slope(list(self._points)[:-1])
+        change = period_s / self._period_s - 1
+        is_known = abs(change) > DEVIATIONS * error_s / self._nominal_s + LEAST_CHANGE
+        if not is_known or abs(period_s / self._nominal_s - 1) > RATE_LIMIT:
+            return
+        self._anchor = index, self._counted_s(index)
+        self._period_s = period_s
+        self._clock = DeviceClock()
+        for at, read_s in self._points:
+            self._clock.observe(self._counted_s(at), read_s)
+
+
+def _slope(points: Sequence[Point]) -> tuple[float, float]:
+    """Return the slope of a straight line through points, and its standard error."""
+    count = len(points)
+    x_mean = sum(x for x, _ in points) / count
+    y_mean = sum(y for _, y in points) / count
+    spread = sum((x - x_mean) ** 2 for x, _ in points)
+    slope = sum((x - x_mean) * (y - y_mean) for x, y in points) / spread
+    residuals = sum((y - y_mean - slope * (x - x_mean)) ** 2 for x, y in points)
+    return slope, math.sqrt(residuals / (count - 2) / spread)

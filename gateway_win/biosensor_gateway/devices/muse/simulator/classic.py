@@ -1,0 +1,185 @@
+"""A virtual Muse 2: a characteristic for each channel, packets that are numbered."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Coroutine, Iterable, Mapping
+from itertools import count
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from biosensor_gateway.devices.muse.simulator import packets
+from biosensor_gateway.devices.muse.simulator.expected import CLASSIC
+from biosensor_gateway.devices.muse.simulator.headband import Headband
+from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.virtual_device import Filled
+from biosensor_gateway.simulation.wearer import Floats, Wearer
+from biosensor_gateway.simulation.world import World
+
+_EEG_HZ, _LIGHT_HZ, _MOTION_HZ = 256.0, 64.0, 52.0
+_TELEMETRY_S = 1.0
+_WITH_AUX = frozenset({"p20", "p50", "p60"})
+_WITH_LIGHT = frozenset({"p50", "p51", "p60", "p61"})
+_SILENT = "it is switched off unless the settings ask"
+
+Packets = list[tuple[str, bytes]]
+Rows = dict[str, Floats]
+
+
+class _Source(NamedTuple):
+    """What is measured together.
+
+    Attributes
+    ----------
+    rate_hz
+    samples
+        In a packet.
+    measure
+        Takes the packet's number and the true times; returns packets with their
+        characteristics, and samples by data name.
+    """
+
+    rate_hz: float
+    samples: int
+    measure: Callable[[int, Floats], tuple[Packets, Rows]]
+
+
+class SimulatedMuse(Headband):
+    """A Muse 2; see `Headband`.
+
+    Parameters
+    ----------
+    motion_deviation
+        By which share acceleration and rotation are faster than 52 Hz.
+    """
+
+    expected = CLASSIC
+    filled = MappingProxyType(
+        {
+            "aux": Filled(None, _SILENT),
+            "optics": Filled(None, "a Muse S Athena alone has it"),
+        }
+    )
+    kind = "Muse"
+    protocol = 1
+    start = "d"
+    presets = frozenset({"p20", "p21", "p22", "p50", "p51", "p60", "p61"})
+
+    def __init__(
+        self,
+        world: World,
+        radio: Radio,
+        *,
+        address: str = "00:55:DA:B0:3A:1F",
+        serial: str = "4021-3A1F-0001",
+        motion_deviation: float = 0.0,
+        wearer: Wearer | None = None,
+        seed: int = 0,
+        drift_ppm: float = 0.0,
+        jitter_s: float = 0.0,
+        rssi_dbm: int = -57,
+        patience_s: float = 120.0,
+        kept: int | None = None,
+    ) -> None:
+        super().__init__(
+            world,
+            radio,
+            address=address,
+            serial=serial,
+            wearer=wearer,
+            seed=seed,
+            drift_ppm=drift_ppm,
+            jitter_s=jitter_s,
+            rssi_dbm=rssi_dbm,
+            patience_s=patience_s,
+            kept=kept,
+        )
+        self._motion_hz = _MOTION_HZ * (1 + motion_deviation)
+        self._offer(
+            [
+                *packets.EEG_UUIDS.values(),
+                packets.AUX_UUID,
+                packets.GYRO_UUID,
+                packets.ACC_UUID,
+                packets.TELEMETRY_UUID,
+                *packets.LIGHT_UUIDS.values(),
+            ]
+        )
+
+    @classmethod
+    def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
+        """Give each an address of its own, too."""
+        own = {"address": f"00:55:DA:B0:3B:{number:02X}", "serial": f"4021-3B{number:02X}-0002"}
+        return {**super().worn_by(wearer, number), **own}
+
+    def _streams(self) -> Iterable[Coroutine[None, None, None]]:
+        yield self._send_all(_Source(_EEG_HZ, packets.EEG_COUNT, self._eeg))
+        for measure in (self._acceleration, self._rotation):
+            yield self._send_all(_Source(self._motion_hz, packets.MOTION_COUNT, measure))
+        if self._preset in _WITH_LIGHT:
+            yield self._send_all(_Source(_LIGHT_HZ, packets.LIGHT_COUNT, self._light))
+        yield self._tell_battery()
+
+    async def _send_all(self, source: _Source) -> None:
+        begin_s, left_s = self._crystal.now(), 0.0
+        for number in count():
+            indices = number * source.samples + np.arange(source.samples)
+            device_s = begin_s + indices / source.rate_hz
+            measured_s = await self._crystal.reach(float(device_s[-1]))
+            times = np.array([self._crystal.true_time(float(each)) for each in device_s])
+            left_s = await self._leave(measured_s, left_s)
+            values, rows = source.measure(number, times)
+            heard = {uuid for uuid, _ in values if self._is_heard(uuid)}
+            sent = [await self._notify(uuid, value) for uuid, value in values if uuid in heard]
+            for name, samples in rows.items() if heard else ():
+                self._note(name, times, samples, sent=all(sent))
+
+    def _is_heard(self, uuid: str) -> bool:
+        return self._peripheral.subscribed(self._characteristics[uuid])
+
+    def _eeg(self, number: int, times: Floats) -> tuple[Packets, Rows]:
+        values: Packets = []
+        columns: list[Floats] = []
+        for electrode, uuid in packets.EEG_UUIDS.items():
+            data, held = packets.eeg(number, self._signals.eeg_uv(times, electrode))
+            values.append((uuid, data))
+            columns.append(held)
+        rows = {"eeg": np.stack(columns, axis=1)}
+        if self._preset in _WITH_AUX and self._is_heard(packets.AUX_UUID):
+            data, held = packets.eeg(number, self._signals.eeg_uv(times, "AUX"))
+            # It is the first one that comes, as handles are numbered from behind.
+            values.insert(0, (packets.AUX_UUID, data))
+            nothing = np.full((len(held), 3), np.nan)
+            rows["aux"] = np.concatenate((held[:, np.newaxis], nothing), axis=1)
+        return values, rows
+
+    def _light(self, number: int, times: Floats) -> tuple[Packets, Rows]:
+        values: Packets = []
+        columns: list[Floats] = []
+        for colour, uuid in packets.LIGHT_UUIDS.items():
+            data, held = packets.light(number, self._signals.light(times, colour))
+            values.append((uuid, data))
+            columns.append(held)
+        return values, {"ppg": np.stack(columns, axis=1)}
+
+    def _acceleration(self, number: int, times: Floats) -> tuple[Packets, Rows]:
+        data, held = packets.acceleration(number, self._signals.acceleration_g(times))
+        return [(packets.ACC_UUID, data)], {"acc": held}
+
+    def _rotation(self, number: int, times: Floats) -> tuple[Packets, Rows]:
+        data, held = packets.rotation(number, self._signals.rotation_dps(times))
+        return [(packets.GYRO_UUID, data)], {"gyro": held}
+
+    async def _tell_battery(self) -> None:
+        device_s = self._crystal.now()
+        for number in count():
+            measured_s = await self._crystal.reach(device_s + number * _TELEMETRY_S)
+            value, percent = packets.telemetry(number, self._percent)
+            sent = await self._notify(packets.TELEMETRY_UUID, value)
+            self._note("bat", [measured_s], [(percent,)], sent=sent)
+
+    def _garbage(self, number: int) -> tuple[str, bytes]:
+        """Return packets that are too short or too long."""
+        uuids = [each for each in self._characteristics if each != packets.TELEMETRY_UUID]
+        return uuids[number % len(uuids)], self._rng.bytes(17 + 4 * (number % 2))

@@ -1,0 +1,300 @@
+"""What virtual headbands have in common: power, commands, faults."""
+
+from __future__ import annotations
+
+import asyncio
+from abc import abstractmethod
+from collections.abc import Coroutine, Iterable, Mapping
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import numpy as np
+from bumble.att import Attribute
+from bumble.core import UUID
+from bumble.device import Connection
+from bumble.gatt import Characteristic, CharacteristicValue, Service
+
+from biosensor_gateway.devices.muse.simulator import wire
+from biosensor_gateway.devices.muse.simulator.signals import Signals
+from biosensor_gateway.simulation.crystal import Crystal
+from biosensor_gateway.simulation.effects import Effect, lasting
+from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.peripheral import Peripheral
+from biosensor_gateway.simulation.power import PowerSwitch
+from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.virtual_device import VirtualDevice
+from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.simulation.world import World
+
+_P = Characteristic.Properties
+_REFUSED = 1
+
+
+class Headband(VirtualDevice):
+    """A headband on the air, which streams when it is told to.
+
+    Parameters
+    ----------
+    world, radio
+        Where it lives, and the air that it is heard on.
+    address
+        Bluetooth address; its name is made of the last four digits.
+    serial
+        Its first digit tells the model.
+    wearer
+        Who wears it; somebody made from ``seed`` by default.
+    seed
+        Of radio delays and garbage.
+    drift_ppm
+        Of its crystal.
+    jitter_s
+        Packets leave up to so much late.
+    rssi_dbm
+        How strongly it is heard.
+    patience_s
+        It ends the stream when it has heard nothing for so long.
+    kept
+        Limit of the truth; None = all.
+    """
+
+    sensor = "muse"
+    on_air = True
+    kind: ClassVar[str]
+    """What its name begins with."""
+    protocol: ClassVar[int]
+    """Version of what it speaks."""
+    start: ClassVar[str]
+    """The command that begins the stream."""
+    presets: ClassVar[frozenset[str]]
+
+    def __init__(
+        self,
+        world: World,
+        radio: Radio,
+        *,
+        address: str,
+        serial: str,
+        wearer: Wearer | None = None,
+        seed: int = 0,
+        drift_ppm: float = 0.0,
+        jitter_s: float = 0.0,
+        rssi_dbm: int = -57,
+        patience_s: float = 120.0,
+        kept: int | None = None,
+    ) -> None:
+        super().__init__(world, kept)
+        self._number = address.replace(":", "")[-4:]
+        self._serial = serial
+        self._rng = np.random.default_rng(seed)
+        self._signals = Signals(wearer or Wearer(seed))
+        self._drift_ppm, self._jitter_s = drift_ppm, jitter_s
+        self._rssi_dbm, self._patience_s = rssi_dbm, patience_s
+        self._percent, self._preset = 87.0, "p21"
+        self._answer_delay_s = 0.0
+        self._refuses = self._is_unreadable = False
+        self._crystal = Crystal(world.clock, drift_ppm)
+        self._power = PowerSwitch(self._power_on, self._power_off)
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._measuring: set[asyncio.Task[None]] = set()
+        self._heard_s = 0.0
+        self._characteristics: dict[str, Characteristic[bytes]] = {}
+        self._control = Characteristic[bytes](
+            wire.CONTROL,
+            _P.NOTIFY | _P.WRITE | _P.WRITE_WITHOUT_RESPONSE,
+            Attribute.Permissions.READABLE | Attribute.Permissions.WRITEABLE,
+            CharacteristicValue(write=self._hear),
+        )
+        name = f"{self.kind}-{self._number}"
+        self._peripheral = Peripheral(
+            radio, address, name, service_uuids=[wire.SERVICE], rssi_dbm=rssi_dbm
+        )
+        self._peripheral.on_connected.append(self._note_signal)
+        self._peripheral.on_disconnected.append(self._lose_host)
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """Fields that lead a driver to it."""
+        return {"device": self._number}
+
+    @abstractmethod
+    def _streams(self) -> Iterable[Coroutine[None, None, None]]:
+        """Return what measures and sends for ever, by the preset."""
+
+    @abstractmethod
+    def _garbage(self, number: int) -> tuple[str, bytes]:
+        """Return a notification that makes no sense, and its characteristic."""
+
+    def _offer(self, uuids: Iterable[str]) -> None:
+        """Have these characteristics, which notify."""
+        for uuid in uuids:
+            self._characteristics[uuid] = Characteristic[bytes](
+                uuid, _P.NOTIFY, Attribute.Permissions.READABLE, b""
+            )
+
+    async def _start(self) -> None:
+        self._signals.origin_s = self.world.clock()
+        await self._power.want(True)
+
+    async def _stop(self) -> None:
+        await self._power.want(False)
+
+    async def _power_on(self) -> None:
+        self._crystal = Crystal(self.world.clock, self._drift_ppm)
+        service = UUID.from_16_bits(int(wire.SERVICE, 16))
+        offered = [self._control, *self._characteristics.values()]
+        await self._peripheral.power_on([Service(service, offered)])
+
+    async def _power_off(self) -> None:
+        self._lose_host()
+        await self._peripheral.power_off()
+
+    def _hear(self, _connection: Connection, written: bytes) -> None:
+        self._heard_s = self.world.clock()
+        self._run(self._answer(wire.command_text(written)), self._tasks)
+
+    async def _answer(self, command: str | None) -> None:
+        if self._answer_delay_s:
+            await asyncio.sleep(self._answer_delay_s)
+        answer: Mapping[str, object] = {"rc": _REFUSED}
+        if command is not None and not self._refuses:
+            answer = self._carry_out(command)
+        for piece in wire.pieces(answer):
+            await self._peripheral.notify(self._control, piece)
+
+    def _carry_out(self, command: str) -> Mapping[str, object]:
+        """Return the answer to a command."""
+        if command.startswith("v"):
+            return wire.version("1.2.13", self.protocol)
+        if command == "s":
+            name = f"{self.kind}-{self._number}"
+            return wire.status(name, self._serial, self._percent, self._preset)
+        if command in self.presets:
+            self._preset = command
+        elif command == "h":
+            self._halt()
+        elif command == self.start:
+            self._halt()
+            for stream in (*self._streams(), self._end_unheard()):
+                self._run(stream, self._measuring)
+        elif command != "k":
+            return {"rc": _REFUSED}
+        return {"rc": 0}
+
+    async def _end_unheard(self) -> None:
+        left_s = self._patience_s
+        while left_s > 0:
+            await asyncio.sleep(left_s)
+            left_s = self._heard_s + self._patience_s - self.world.clock()
+        self._break_link()
+
+    async def _leave(self, measured_s: float, before_s: float) -> float:
+        """Wait for the radio, behind the packet before; return when the packet left."""
+        due_s = max(before_s, measured_s + self._rng.uniform(0, self._jitter_s))
+        await asyncio.sleep(max(0.0, due_s - self.world.clock()))
+        return due_s
+
+    async def _notify(self, uuid: str, value: bytes) -> bool:
+        """Send a value; False if the host does not get it, or cannot read it."""
+        cut = value[:-1] if self._is_unreadable else value
+        sent = await self._peripheral.notify(self._characteristics[uuid], cut)
+        return sent and not self._is_unreadable
+
+    def _note(self, name: str, times: Iterable[float], rows: Iterable[Any], *, sent: bool) -> None:
+        """Note samples in the units of the declaration."""
+        stamps = list(times)
+        if sent:
+            self.truth.sent(name, stamps, [tuple(np.atleast_1d(row).tolist()) for row in rows])
+        elif self._peripheral.connected:
+            self.truth.unsent(name, len(stamps))
+
+    def _run(self, work: Coroutine[None, None, None], tasks: set[asyncio.Task[None]]) -> None:
+        task = asyncio.create_task(work)
+        tasks.add(task)
+        task.add_done_callback(tasks.discard)
+
+    def _halt(self) -> None:
+        for task in self._measuring:
+            task.cancel()
+
+    def _lose_host(self) -> None:
+        self._halt()
+        for task in self._tasks:
+            task.cancel()
+
+    def _note_signal(self) -> None:
+        self.truth.sent("rssi", [self.world.clock()], [(self._rssi_dbm,)])
+
+    async def _send_garbage(self, packets: int) -> None:
+        for number in range(packets):
+            uuid, value = self._garbage(number)
+            await self._peripheral.notify(self._characteristics[uuid], value)
+
+    def _break_link(self) -> None:
+        self._peripheral.drop()
+        self._peripheral.restore()
+
+    def _drop(self) -> None:
+        self._peripheral.drop()
+
+    def _restore(self) -> None:
+        self._peripheral.restore()
+
+    def _stall(self) -> None:
+        self._peripheral.stalled = True
+
+    def _resume(self) -> None:
+        self._peripheral.stalled = False
+
+    def _babble(self, packets: float) -> None:
+        self._run(self._send_garbage(round(packets)), self._tasks)
+
+    def _refuse(self) -> None:
+        self._refuses = True
+        self._break_link()
+
+    def _comply(self) -> None:
+        self._refuses = False
+
+    def _answer_late(self, seconds: float) -> None:
+        self._answer_delay_s = seconds
+        self._break_link()
+
+    def _answer_in_time(self) -> None:
+        self._answer_delay_s = 0.0
+
+    def _forget(self, _: float) -> None:
+        self._halt()
+
+    def _become_unreadable(self) -> None:
+        self._is_unreadable = True
+
+    def _become_readable(self) -> None:
+        self._is_unreadable = False
+
+    def _go_down(self) -> None:
+        self._power.hold_off(FaultKind.RESTART)
+
+    def _come_up(self) -> None:
+        self._power.release(FaultKind.RESTART)
+
+    def _discharge(self, percent: float) -> None:
+        self._percent = percent
+
+    def _drift(self, ppm: float) -> None:
+        self._drift_ppm = ppm
+        self._crystal.set_drift(ppm)
+
+    effects = MappingProxyType(
+        {
+            FaultKind.DROP: lasting(_drop, _restore),
+            FaultKind.STALL: lasting(_stall, _resume),
+            FaultKind.GARBAGE: Effect(_babble),
+            FaultKind.REFUSE: lasting(_refuse, _comply),
+            FaultKind.LATE: Effect(_answer_late, _answer_in_time),
+            FaultKind.FORGET: Effect(_forget),
+            FaultKind.UNREADABLE: lasting(_become_unreadable, _become_readable),
+            FaultKind.RESTART: lasting(_go_down, _come_up),
+            FaultKind.LOW_BATTERY: Effect(_discharge),
+            FaultKind.DRIFT: Effect(_drift),
+        }
+    )
