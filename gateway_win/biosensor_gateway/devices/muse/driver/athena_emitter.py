@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 
 import numpy as np
 
@@ -146,23 +147,21 @@ class AthenaEmitter:
         places = [kind.series.place(block.number, block.stamp_s) for block in blocks]
         if places[0].is_anew:
             kind.clock.restart()
-        last = kind.samples - 1
+        indices = [range(place.first, place.first + kind.samples) for place in places]
+        stamps = [block.stamp_s for block in blocks]
         kind.clock.observe(
-            *(
-                (place.first + last, block.stamp_s)
-                for place, block in zip(places, blocks, strict=True)
-            )
+            *((own[-1], stamp_s) for own, stamp_s in zip(indices, stamps, strict=True))
         )
-        times = [each for place in places for each in kind.clock.times(place.first, kind.samples)]
+        times = kind.clock.times(chain.from_iterable(indices))
         lost = sum(place.lost for place in places)
-        streams = [_streams(block) for block in blocks]
-        names = [name for name in streams[0] if name in self._wanted]
+        streams = _streams(blocks)
+        names = [name for name in streams if name in self._wanted]
         if lost and names:
             estimated = places[0].is_anew
             self._log.warning("samples were lost", data=names, count=lost, estimated=estimated)
         for name in names:
             self._sink.lost(name, lost)
-            self._sink.emit(name, np.concatenate([each[name] for each in streams]), times)
+            self._sink.emit(name, streams[name], times)
 
     def _emit_charge(self, block: Block) -> None:
         """Emit the charge in the unit that fits what the device said at the connection."""
@@ -180,17 +179,18 @@ class AthenaEmitter:
             self._sink.emit("bat", [percent], [block.stamp_s])
 
 
-def _streams(block: Block) -> dict[str, Floats]:
-    """Return the samples of a block by data name."""
-    if block.kind is Kind.MOTION:
-        acceleration, rotation = motion(block)
+def _streams(blocks: Sequence[Block]) -> dict[str, Floats]:
+    """Return the samples of blocks of one kind by data name."""
+    kind = blocks[0].kind
+    if kind is Kind.MOTION:
+        acceleration, rotation = motion(blocks)
         return {"acc": acceleration, "gyro": rotation}
-    if block.kind in (Kind.EEG4, Kind.EEG8):
-        samples = eeg_uv(block)
-        inputs = {"aux": samples[:, len(EEG) :]} if block.kind is Kind.EEG8 else {}
+    if kind in (Kind.EEG4, Kind.EEG8):
+        samples = eeg_uv(blocks)
+        inputs = {"aux": samples[:, len(EEG) :]} if kind is Kind.EEG8 else {}
         return {"eeg": samples[:, : len(EEG)], **inputs}
-    samples = light(block)
+    samples = light(blocks)
     rows = np.full((len(samples), len(LIGHT_LABELS)), np.nan)
-    columns = _INNER if block.kind is Kind.LIGHT4 else slice(0, samples.shape[1])
+    columns = _INNER if kind is Kind.LIGHT4 else slice(0, samples.shape[1])
     rows[:, columns] = samples
     return {"optics": rows}

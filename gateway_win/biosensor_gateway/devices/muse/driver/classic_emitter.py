@@ -47,7 +47,7 @@ class _Numbered:
         if place.is_anew:
             self._clock.restart()
         self._clock.observe((place.first + self._samples - 1, arrival_s))
-        times = self._clock.times(place.first, self._samples)
+        times = self._clock.times(range(place.first, place.first + self._samples))
         if place.lost:
             self._log.warning(
                 "samples were lost",

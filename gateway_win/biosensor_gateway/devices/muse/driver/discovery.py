@@ -9,7 +9,7 @@ from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 KIND = "Muse"
 ADVICE = "switch it on (its lights run), and end its connection to phones and other programs"
-_NAME = re.compile(r"Muse[A-Za-z ]*-(?P<number>\w+)")
+_NAME = re.compile(r"Muse(?:S|Athena| Athena)?-(?P<number>\w+)")
 
 
 def identify(seen: Advertisement) -> str | None:

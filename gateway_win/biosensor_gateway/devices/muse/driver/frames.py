@@ -57,6 +57,7 @@ _BYTES = {
     Kind.BATTERY: 20,
 }
 _CHANNELS = {Kind.EEG4: 4, Kind.EEG8: 8, Kind.LIGHT4: 4, Kind.LIGHT8: 8, Kind.LIGHT16: 16}
+_WEIGHTS = 2.0 ** np.arange(_LIGHT_BITS)
 _LONG_BATTERY = 0x88
 """Of newer firmware: others found it to last until the end of its frame."""
 
@@ -110,24 +111,27 @@ def parse_notification(data: bytes) -> tuple[list[Frame], int]:
     return frames, len(data) - at + sum(each.unread_bytes for each in frames)
 
 
-def eeg_uv(block: Block) -> Floats:
-    """Return samples of TP9, AF7, AF8, TP10, and of four more inputs if there are eight [uV]."""
-    counts = _unpacked(block.payload, _EEG_BITS).reshape(-1, _CHANNELS[block.kind])
+def eeg_uv(blocks: Sequence[Block]) -> Floats:
+    """Return samples of TP9, AF7, AF8, TP10, and of four more inputs if there are eight [uV].
+
+    Here and below, the blocks are of one kind, one at least.
+    """
+    counts = _unpacked(_joined(blocks), _EEG_BITS).reshape(-1, _CHANNELS[blocks[0].kind])
     return (counts - EEG_ZERO).astype(np.float64) * EEG_UV
 
 
-def light(block: Block) -> Floats:
+def light(blocks: Sequence[Block]) -> Floats:
     """Return samples of 4, 8 or 16 photodiodes and wavelengths [counts of 20 bits]."""
-    counts = _unpacked(block.payload, _LIGHT_BITS).reshape(-1, _CHANNELS[block.kind])
+    counts = _unpacked(_joined(blocks), _LIGHT_BITS).reshape(-1, _CHANNELS[blocks[0].kind])
     return counts.astype(np.float64)
 
 
-def motion(block: Block) -> tuple[Floats, Floats]:
+def motion(blocks: Sequence[Block]) -> tuple[Floats, Floats]:
     """Return samples of acceleration [g] and rotation [deg/s].
 
     The axes of rotation are turned, as in the programs named above.
     """
-    counts = np.frombuffer(block.payload, "<i2").reshape(-1, 6)
+    counts = np.frombuffer(_joined(blocks), "<i2").reshape(-1, 6)
     return counts[:, :3] * ACC_G, counts[:, 3:] * -GYRO_DPS
 
 
@@ -183,7 +187,13 @@ def _are_blocks(data: bytes) -> bool:
     return at == len(data)
 
 
+def _joined(blocks: Sequence[Block]) -> bytes:
+    # Samples of a block fill its bytes to the last bit.
+    return b"".join(block.payload for block in blocks)
+
+
 def _unpacked(payload: bytes, width: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     bits = np.unpackbits(np.frombuffer(payload, np.uint8), bitorder="little")
-    values = bits[: len(bits) // width * width].reshape(-1, width).astype(np.int64)
-    return values @ (1 << np.arange(width, dtype=np.int64))
+    # Exact in floats, whose product is the fast one.
+    values = bits.reshape(-1, width).astype(np.float64) @ _WEIGHTS[:width]
+    return values.astype(np.int64)

@@ -80,7 +80,7 @@ def parse_motion(data: bytes, unit: float) -> Packet | None:
 
 def parse_charge(data: bytes) -> float | None:
     """Read the battery's state of charge [percent] of a telemetry packet; None if it is none."""
-    if len(data) < 4:
+    if len(data) != _BYTES:
         return None
     percent = int.from_bytes(data[2:4], "big") * CHARGE_PERCENT
     return percent if percent <= 100 else None

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from biosensor_common.device_clock import DeviceClock
 
@@ -70,9 +70,9 @@ class SampleClock:
         if self._keep(index, read_s) and len(self._points) > LEAST_POINTS:
             self._correct(index)
 
-    def times(self, first: int, count: int) -> list[float]:
+    def times(self, indices: Iterable[int]) -> list[float]:
         """Return when samples were measured, on the clock that they were read by."""
-        return self._clock.all_to_lsl([self._counted_s(first + at) for at in range(count)])
+        return self._clock.all_to_lsl([self._counted_s(index) for index in indices])
 
     def _counted_s(self, index: int) -> float:
         at, at_s = self._anchor

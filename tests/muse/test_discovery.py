@@ -1,0 +1,77 @@
+"""Which advertisements are Muse headbands, and which preset each is told."""
+
+from __future__ import annotations
+
+import pytest
+
+from biosensor_gateway.devices.muse.driver.discovery import identify, recognise
+from biosensor_gateway.devices.muse.driver.models import (
+    ATHENA,
+    CLASSIC,
+    athena_preset,
+    classic_preset,
+    model_of,
+)
+from biosensor_gateway.devices.muse.driver.settings import MuseSettings
+from biosensor_gateway.doctor.scan import drivers_by_precedence, recognised
+from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+
+ADDRESS = "00:55:DA:B0:3A:1F"
+
+
+def seen(name: str) -> Advertisement:
+    service = frozenset({"0000fe8d-0000-1000-8000-00805f9b34fb"})
+    return Advertisement(ADDRESS, name, -60, service)
+
+
+@pytest.mark.parametrize("name", ["Muse-3A1F", "MuseS-3A1F", "Muse Athena-3A1F"])
+def test_a_headband_is_found_with_the_settings_that_lead_to_it(name: str) -> None:
+    found = recognised(drivers_by_precedence(), seen(name))
+    assert found is not None
+    assert (found.sensor, found.name) == ("muse", name)
+    settings = MuseSettings.model_validate({"sensor": found.sensor, **found.settings})
+    assert (settings.unit, settings.device) == ("3A1F", ADDRESS)
+    assert identify(seen(name)) == "3A1F"
+
+
+@pytest.mark.parametrize("name", ["", "Muse", "Museum-12", "My Muse-3A1F", "Polar H10 A1B2C3D4"])
+def test_anything_else_is_none(name: str) -> None:
+    assert recognise(seen(name)) is None
+
+
+def test_a_serial_port_is_none() -> None:
+    assert recognise(SerialPort("COM7", "Muse-3A1F")) is None
+
+
+@pytest.mark.parametrize("serial", ["4021-3A1F-0001", "5031-3A1F-0001", "6002-3A1F-0001", ""])
+@pytest.mark.parametrize("aux", [True, False])
+@pytest.mark.parametrize("ppg", [True, False])
+def test_the_preset_of_a_classic_has_what_is_wanted_and_no_more(
+    serial: str, aux: bool, ppg: bool
+) -> None:
+    sent = CLASSIC[classic_preset(serial, aux=aux, ppg=ppg)]
+    assert (sent.has_aux, sent.light > 0) == (aux, ppg)
+
+
+@pytest.mark.parametrize(
+    ("aux", "light", "preset"),
+    [
+        (False, 0, "p21"),
+        (False, 4, "p1035"),
+        (False, 8, "p1034"),
+        (False, 16, "p1041"),
+        (True, 0, "p1045"),
+        (True, 8, "p1043"),
+        (True, 16, "p1041"),
+    ],
+)
+def test_the_preset_of_an_athena_is_the_smallest_that_has_what_is_wanted(
+    aux: bool, light: int, preset: str
+) -> None:
+    assert athena_preset(aux=aux, light=light) == preset
+    assert preset in ATHENA
+
+
+def test_the_model_is_told_by_the_serial_number() -> None:
+    models = [model_of(serial) for serial in ("4021-1", "5031-1", "7001-1", "9", "")]
+    assert models == ["Muse 2", "Muse S", "Muse S Athena", "", ""]

@@ -1,0 +1,104 @@
+"""Packets of a Muse 2 or Muse S, and what is put together of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from biosensor_gateway.devices.muse.driver.packets import (
+    ACC_G,
+    GYRO_DPS,
+    Packet,
+    parse_charge,
+    parse_eeg,
+    parse_light,
+    parse_motion,
+)
+from biosensor_gateway.devices.muse.driver.rows import PATIENCE, RowAssembler, Rows
+from tests.muse.known import bytes_of, of_kind
+
+READERS: dict[str, Callable[[bytes], Packet | None]] = {
+    "eeg": parse_eeg,
+    "light": parse_light,
+    "acc": lambda data: parse_motion(data, ACC_G),
+    "gyro": lambda data: parse_motion(data, GYRO_DPS),
+}
+
+
+@of_kind(*READERS)
+def test_a_packet_is_read_as_its_vector_says(vector: dict[str, Any]) -> None:
+    packet = READERS[vector["kind"]](bytes_of(vector))
+    if vector["expected"] is None:
+        assert packet is None
+        return
+    assert packet is not None
+    assert packet.number == vector["expected"]["number"]
+    np.testing.assert_allclose(packet.samples, vector["expected"]["samples"], rtol=1e-12)
+
+
+def test_rotation_is_in_the_unit_of_other_programs() -> None:
+    # muse-lsl and muse-js have it in seven digits.
+    assert pytest.approx(0.0074768, rel=1e-5) == GYRO_DPS
+
+
+@of_kind("telemetry")
+def test_a_battery_level_is_one_or_none(vector: dict[str, Any]) -> None:
+    assert parse_charge(bytes_of(vector)) == vector["expected"]
+
+
+@given(st.binary(max_size=40))
+def test_any_bytes_are_a_packet_or_none(data: bytes) -> None:
+    for read in READERS.values():
+        packet = read(data)
+        assert (packet is None) == (len(data) != 20)
+        assert packet is None or np.isfinite(packet.samples).all()
+    percent = parse_charge(data)
+    assert percent is None or 0 <= percent <= 100
+
+
+def packet(number: int, value: float) -> Packet:
+    return Packet(number, np.full(3, value))
+
+
+def fed(assembler: RowAssembler, *arrived: tuple[int, int]) -> list[Rows]:
+    """Give packets by channel and number; each holds its channel and its number."""
+    return [
+        rows
+        for channel, number in arrived
+        for rows in assembler.take(channel, packet(number, 10 * number + channel))
+    ]
+
+
+def test_channels_are_complete_with_the_last_one_in_any_order() -> None:
+    rows = fed(RowAssembler(3, 3), (2, 5), (0, 5), (1, 5), (1, 6), (2, 6), (0, 6))
+    assert [each.number for each in rows] == [5, 6]
+    assert rows[0].samples.tolist() == [[50, 51, 52]] * 3
+
+
+def test_a_packet_that_is_missing_is_no_value_in_its_channel_alone() -> None:
+    rows = fed(RowAssembler(3, 3), (0, 1), (2, 1), (0, 2), (1, 2), (2, 2))
+    assert [each.number for each in rows] == [1, 2]
+    np.testing.assert_array_equal(rows[0].samples[0], [10, np.nan, 12])
+    assert not np.isnan(rows[1].samples).any()
+
+
+def test_a_channel_that_never_comes_is_waited_for_only_at_first() -> None:
+    assembler = RowAssembler(3, 3)
+    pairs = [(channel, number) for number in range(PATIENCE + 2) for channel in (0, 1)]
+    rows = fed(assembler, *pairs)
+    assert [each.number for each in rows] == list(range(PATIENCE + 2))
+    assert all(np.isnan(each.samples[:, 2]).all() for each in rows)
+    # Once it comes, it is waited for again.
+    assert not fed(assembler, (2, 9), (0, 9))
+
+
+def test_what_was_held_of_an_earlier_connection_is_gone() -> None:
+    assembler = RowAssembler(2, 3)
+    fed(assembler, (0, 7))
+    assembler.forget()
+    assert [each.number for each in fed(assembler, (0, 0), (1, 0))] == [0]
