@@ -70,6 +70,7 @@ class AthenaEmitter:
         self._newest: tuple[float, float] | None = None
         self._percent: float | None = None
         self._charge_unit = 0.0
+        self._emitted_percent: float | None = None
 
     def started(self, wanted: frozenset[str], percent: float | None) -> None:
         """Expect frames that are counted anew.
@@ -175,7 +176,8 @@ class AthenaEmitter:
                 units[0] if told is None else min(units, key=lambda unit: abs(counts * unit - told))
             )
         percent = counts * self._charge_unit
-        if percent <= 100:
+        if percent <= 100 and percent != self._emitted_percent:
+            self._emitted_percent = percent
             self._sink.emit("bat", [percent], [block.stamp_s])
 
 

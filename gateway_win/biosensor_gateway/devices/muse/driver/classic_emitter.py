@@ -77,6 +77,7 @@ class ClassicEmitter:
         self._axes = {name: _Numbered(sink, log, MOTION_SAMPLES, MOTION_HZ) for name in
             ("acc", "gyro")}  # fmt: skip
         self._has_aux = False
+        self._percent: float | None = None
         self._electrodes = RowAssembler(len(EEG), EEG_SAMPLES)
         self._diodes = RowAssembler(len(PPG), LIGHT_SAMPLES)
 
@@ -106,7 +107,8 @@ class ClassicEmitter:
         if uuid in _AXES:
             return self._take_axes(*_AXES[uuid], data, arrival_s)
         percent = parse_charge(data) if uuid == TELEMETRY else None
-        if percent is not None:
+        if percent is not None and percent != self._percent:
+            self._percent = percent
             self._sink.emit_at("bat", [percent], [arrival_s])
         return percent is not None
 
