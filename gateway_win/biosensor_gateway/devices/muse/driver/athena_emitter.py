@@ -7,6 +7,7 @@ from itertools import chain
 
 import numpy as np
 
+from biosensor_common.device_clock import LONGEST_DELAY_S
 from biosensor_gateway.devices.muse.declaration import EEG_HZ, LIGHT_HZ, LIGHT_LABELS, MOTION_HZ
 from biosensor_gateway.devices.muse.driver.frames import (
     COUNTERS,
@@ -118,14 +119,18 @@ class AthenaEmitter:
                 self._emit_charge(block)
 
     def _follow_clock(self, stamp_s: float, arrival_s: float) -> None:
-        """Begin anew where the device's clock did; the first frame of a connection tells."""
+        """Begin anew where the device's clock did.
+
+        The first frame of a connection tells best: later ones may have waited for the agent.
+        """
         is_new, self._is_new = self._is_new, False
         if self._newest is None:
             return
         pause_s = arrival_s - self._newest[1]
         apart_s = stamp_s - self._newest[0] - pause_s
         is_behind = stamp_s < self._newest[0] - TURNED_BACK_S
-        if is_behind or (is_new and abs(apart_s) > RECKONINGS_AGREE_S + pause_s / 1000):
+        limit_s = (RECKONINGS_AGREE_S if is_new else LONGEST_DELAY_S) + pause_s / 1000
+        if is_behind or abs(apart_s) > limit_s:
             self._log.info("the device was switched off and counts anew")
             self._sink.restart_clock()
             for each in self._kinds.values():

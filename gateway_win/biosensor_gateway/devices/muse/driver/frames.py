@@ -57,6 +57,8 @@ _BYTES = {
     Kind.BATTERY: 20,
 }
 _CHANNELS = {Kind.EEG4: 4, Kind.EEG8: 8, Kind.LIGHT4: 4, Kind.LIGHT8: 8, Kind.LIGHT16: 16}
+_LATEST_S = 9e10
+"""Since 1970; later, it is no time: below what a `DeviceClock` takes."""
 _WEIGHTS = 2.0 ** np.arange(_LIGHT_BITS)
 _LONG_BATTERY = 0x88
 """Of newer firmware: others found it to last until the end of its frame."""
@@ -142,7 +144,7 @@ def charge_counts(block: Block) -> int:
 
 def _frame(data: bytes) -> Frame:
     clock_s = int.from_bytes(data[3:9], "little") / 1000
-    found = _walk(data, clock_s)
+    found = _walk(data, clock_s) if clock_s < _LATEST_S else ([], len(data) - _HEADER_BYTES)
     return Frame(int.from_bytes(data[1:3], "little"), *found)
 
 

@@ -166,8 +166,7 @@ class Headband(VirtualDevice):
         if command.startswith("v"):
             return wire.version("1.2.13", self.protocol)
         if command == "s":
-            name = f"{self.kind}-{self._number}"
-            return wire.status(name, self._serial, self._percent, self._preset)
+            return wire.status(self._peripheral.name, self._serial, self._percent, self._preset)
         if command in self.presets:
             self._preset = command
         elif command == "h":
