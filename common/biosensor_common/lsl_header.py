@@ -25,9 +25,11 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from typing import TypeVar
 
 from biosensor_common import naming
+from biosensor_common.derived import read_derived
 from biosensor_common.description_xml import read_xml
 from biosensor_common.errors import SpecError, SpecReason
 from biosensor_common.header_0_1_0 import inferred_roles, inferred_state
@@ -127,7 +129,8 @@ def read_header(xml: str) -> StreamHeader:
         return foreign_header(core, channels.labels, channels.units, read_replay(root))
     if len(blocks) > 1:
         raise SpecError(SpecReason.MALFORMED, f"{core}: more than one <biosensor> block")
-    return _own(core, blocks[0], read_channels(root, core.channel_count), read_replay(root))
+    own = _own(core, blocks[0], read_channels(root, core.channel_count), read_replay(root))
+    return replace(own, derived=read_derived(root))
 
 
 _CORE_FIELDS = (

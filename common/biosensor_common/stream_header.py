@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from biosensor_common import naming
+from biosensor_common.derived import Derived
 from biosensor_common.known_senders import known_stream
 from biosensor_common.quantities import Category, ChannelFormat, ChannelRole, MessageType
 from biosensor_common.replay import Replay
@@ -50,6 +51,8 @@ class StreamHeader:
         Each sample holds until the next one; never of a regular or foreign stream.
     replay
         Of which recording it is played; None if it is measured now.
+    derived
+        What it was computed from; None if it was measured.
     """
 
     identity: DeviceIdentity
@@ -66,6 +69,7 @@ class StreamHeader:
     is_state: bool = False
     foreign: bool = False
     replay: Replay | None = None
+    derived: Derived | None = None
 
 
 _GENERIC = {

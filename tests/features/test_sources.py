@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from biosensor_common.derived import Derived
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl_header import read_header
 from biosensor_common.quantities import ChannelFormat
@@ -102,6 +104,17 @@ def test_the_header_tells_origin_algorithm_version_window_and_delay() -> None:
     assert "<version>2</version>" in xml
     assert "<window_s>10.0</window_s>" in xml
     assert "<delay_s>0.3</delay_s>" in xml
+    # An interval of at most 2 s, the delay, and a lump of 3 s.
+    assert read_header(xml).derived == Derived("ECG Amp 1-id", 5.3)
+
+
+@pytest.mark.parametrize("holds", ["", "soon", "nan", "inf", "-1", "0"])
+def test_a_feature_that_says_badly_how_long_it_holds_is_shown_as_any_stream(holds: str) -> None:
+    source = _judged(_header("ECG"))
+    xml = stream_info(source, source.features[1]).as_xml()
+    spoilt = re.sub(r"<holds_s>.*</holds_s>", f"<holds_s>{holds}</holds_s>", xml)
+    assert read_header(spoilt).derived is None
+    assert read_header(spoilt).data_name == "hr_live"
 
 
 def test_what_comes_of_a_replay_says_so() -> None:

@@ -29,7 +29,9 @@ def serve_network(settings: Path, show: Callable[[str], None]) -> None:
     TransportError
         The page cannot be served.
     """
-    from biosensor_gateway.page.network.server import NetworkServer  # takes a fifth of a second
+    from biosensor_gateway.page.network_page.server import (
+        NetworkServer,  # takes a fifth of a second
+    )
 
     def ready(address: str) -> None:
         show(address)

@@ -7,15 +7,13 @@ import xml.etree.ElementTree as ET
 import pylsl
 
 from biosensor_common import naming
+from biosensor_common.derived import BLOCK
 from biosensor_common.description_xml import append_children
 from biosensor_common.lsl_header import describe
 from biosensor_common.replay import PREFIX, Replay, mark_as_replay
 from biosensor_common.spec import IRREGULAR, DeviceInfo
 from biosensor_gateway.features.outputs import VERSION, Feature
 from biosensor_gateway.features.sources import Source
-
-BLOCK = "features"
-"""The element of ``desc`` that tells a stream of a feature from one that was measured."""
 
 
 def is_feature(xml: str) -> bool:
@@ -31,7 +29,7 @@ def stream_info(source: Source, feature: Feature) -> pylsl.StreamInfo:
         <features>
           <derived_from>polar_h10-…-ecg</derived_from> <source_id>…</source_id>
           <algorithm>…</algorithm> <version>2</version>
-          <window_s>10.0</window_s> <delay_s>0.3</delay_s>
+          <window_s>10.0</window_s> <delay_s>0.3</delay_s> <holds_s>5.3</holds_s>
         </features>
 
     What comes from a replay says that it does.
@@ -68,5 +66,6 @@ def _tell_origin(desc: ET.Element, source: Source, feature: Feature) -> None:
         ("version", VERSION),
         ("window_s", repr(float(feature.window_s))),
         ("delay_s", repr(float(feature.delay_s))),
+        ("holds_s", repr(float(feature.holds_s))),
     ):
         ET.SubElement(block, name).text = text

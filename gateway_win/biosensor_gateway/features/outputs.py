@@ -49,6 +49,8 @@ class Feature:
         How far back its values look, in s; 0 where that is a single beat, breath or response.
     delay_s
         How long after the time of what it describes it is decided, usually, in s.
+    every_s
+        How long it takes at most from one value to the next while all is well, in s.
     """
 
     name: str
@@ -56,17 +58,25 @@ class Feature:
     algorithm: str
     window_s: float
     delay_s: float
+    every_s: float
+
+    @property
+    def holds_s(self) -> float:
+        """So many seconds after its stamp a value is not that of now any more."""
+        return self.every_s + self.delay_s + at.LUMP_S
 
 
 def _heart(algorithm: str, delay_s: float) -> tuple[Feature, ...]:
+    every_s = at.INTERVAL_S[1]
     return (
-        Feature("beats", raw("beats", ContentType.RR, _BEATS), algorithm, 0, delay_s),
+        Feature("beats", raw("beats", ContentType.RR, _BEATS), algorithm, 0, delay_s, every_s),
         Feature(
             "hr_live",
             raw("hr_live", ContentType.HR, channels(Unit.BEATS_PER_MINUTE, "HR")),
             f"{algorithm}; mean of the valid intervals",
             at.HR_WINDOW_S,
             delay_s,
+            every_s,
         ),
         Feature(
             "hrv_live",
@@ -74,25 +84,28 @@ def _heart(algorithm: str, delay_s: float) -> tuple[Feature, ...]:
             f"{algorithm}; Task Force 1996, artefacts by Malik 1989",
             max(at.HRV_WINDOWS_S),
             delay_s,
+            every_s,
         ),
     )
 
 
 def _sqi(content_type: str, data_name: str, algorithm: str) -> Feature:
     stream = hardware(f"{data_name}_sqi", ContentType.QUALITY, _SQI)
-    return Feature("sqi", stream, algorithm, at.QUALITY_WINDOW_S[content_type], 0)
+    window_s = at.QUALITY_WINDOW_S[content_type]
+    return Feature("sqi", stream, algorithm, window_s, 0, window_s)
 
 
 def _skin() -> tuple[Feature, ...]:
     level = raw("scl", ContentType.GSR, channels(Unit.MICROSIEMENS, "SCL"))
     return (
-        Feature("scl", level, "running median", at.SCL_WINDOW_S, 0),
+        Feature("scl", level, "running median", at.SCL_WINDOW_S, 0, at.SCL_EVERY_S),
         Feature(
             "scr",
             raw("scr", ContentType.GSR, _SCR),
             "trough to peak, Boucsein 2012",
             0,
             0.5,
+            at.SCR_HOLDS_S,
         ),
         Feature(
             "scr_prominent",
@@ -100,6 +113,7 @@ def _skin() -> tuple[Feature, ...]:
             "as scr, of a tenth of the largest, Makowski 2021",
             at.SCR_LARGEST_S,
             1.2,
+            at.SCR_HOLDS_S,
         ),
     )
 
@@ -108,17 +122,19 @@ def _breathing(unit: str) -> tuple[Feature, ...]:
     kind, algorithm = ContentType.RESPIRATION, "turning points, Khodadad 2018"
     breaths = raw("breaths", kind, channels(Unit.SECONDS, "interval"))
     depth = raw("breath_depth", kind, channels(unit, "depth"))
+    every_s = at.BREATH_INTERVAL_S[1]
     rate = raw("br_live", ContentType.RESPIRATION_RATE, channels(Unit.BREATHS_PER_MINUTE, "rate"))
     return (
-        Feature("breaths", breaths, algorithm, 0, 2),
-        Feature("breath_depth", depth, algorithm, 0, 2),
-        Feature("br_live", rate, algorithm, at.BR_WINDOW_S, 2),
+        Feature("breaths", breaths, algorithm, 0, 2, every_s),
+        Feature("breath_depth", depth, algorithm, 0, 2, every_s),
+        Feature("br_live", rate, algorithm, at.BR_WINDOW_S, 2, every_s),
     )
 
 
 def _activity() -> tuple[Feature, ...]:
     stream = raw("activity_live", ContentType.ACTIVITY, channels(Unit.G, "MAD"))
-    return (Feature("activity_live", stream, "Vaha-Ypya 2015", at.ACTIVITY_EPOCH_S, 0),)
+    epoch_s = at.ACTIVITY_EPOCH_S
+    return (Feature("activity_live", stream, "Vaha-Ypya 2015", epoch_s, 0, epoch_s),)
 
 
 def features_of(content_type: str, data_name: str, unit: str) -> tuple[Feature, ...]:
@@ -163,3 +179,16 @@ TYPES = (
     ContentType.ACCELEROMETER,
 )
 """Types of streams that features are computed of, the best source of beats first."""
+
+
+def resolver_query() -> str:
+    """Return by which names liblsl finds streams of features, and no other one of ours."""
+    features = [each for kind in TYPES for each in features_of(kind, "any", "none")]
+    names = [each.stream.data_name for each in features if each.name != "sqi"]
+    endings = dict.fromkeys([*(f"-{each}" for each in names), "_sqi"])
+    return " or ".join(_ends_with(each) for each in endings)
+
+
+def _ends_with(ending: str) -> str:
+    # XPath 1.0 has no function for it.
+    return f"substring(source_id, string-length(source_id) - {len(ending) - 1}) = '{ending}'"

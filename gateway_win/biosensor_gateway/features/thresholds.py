@@ -153,6 +153,11 @@ EDA_SLOPE_MICROSIEMENS_PER_S = 10.0
 BREATH_BAND_SHARE = (0.4, 0.8)
 """Power of 0.05 to 0.8 Hz to that of everything but the mean."""
 
+LUMP_S = 3.0
+"""In lumps of up to so long, devices send what they measure."""
+SCR_HOLDS_S = 10.0
+"""[6]_: half of a response is gone again after 2 to 10 s."""
+
 RATES_HZ = {
     "ECG": (80.0, 2000.0),
     "PPG": (20.0, 2000.0),

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from biosensor_gateway.agent.status import AgentFacts, DeviceFacts, StreamStatus
 from biosensor_gateway.doctor.told import SearchedPlace
 from biosensor_gateway.page.marker_models import ExperimentsView, MarkersView
+from biosensor_gateway.page.network.models import SeenStreamView
 from biosensor_gateway.page.replay_models import ReplayView
 from biosensor_gateway.page.screen_models import ScreenStream
 from biosensor_gateway.settings.models import ShortText, UnitText
@@ -43,12 +44,15 @@ class DeviceView(DeviceFacts):
         Samples of all its streams.
     streams
         By source_id.
+    features
+        Live features of these streams that are on the network, whoever computes them.
     """
 
     name: str
     title: str
     lost: int
     streams: dict[str, StreamView]
+    features: list[SeenStreamView] = Field(default_factory=list[SeenStreamView])
 
 
 class VerdictView(BaseModel):

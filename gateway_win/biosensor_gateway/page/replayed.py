@@ -16,8 +16,8 @@ from biosensor_gateway.page.replay_models import (
     ReplayedStreamView,
     ReplayView,
 )
+from biosensor_gateway.page.titles import title_of
 from biosensor_gateway.page.traces import Traces
-from biosensor_gateway.page.view import title_of
 
 if TYPE_CHECKING:
     # They bring numpy and LSL, and the page begins without them.

@@ -14,6 +14,7 @@ from biosensor_gateway.agent.status import AgentStatus, DeviceStatus
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.page.marker_models import ExperimentsView, MarkersView
 from biosensor_gateway.page.models import AgentState, RecordingView, ShareView, StatusView
+from biosensor_gateway.page.network.models import SeenStreamView
 from biosensor_gateway.page.replayed import Replayed
 from biosensor_gateway.page.traces import Traces
 from biosensor_gateway.page.view import Viewer
@@ -39,6 +40,10 @@ class Session:
         Whether the server is about to end; its windows are told so.
     turns
         How often an agent has come or gone.
+    came
+        Set once there was an agent.
+    features
+        Live features that are on the network.
     told
         Set once it was described to somebody whether there is an agent, and how it is.
     """
@@ -50,9 +55,11 @@ class Session:
         self.recording = RecordingView()
         self.markers = MarkersView()
         self.replay = Replayed(self.traces)
+        self.features: Sequence[SeenStreamView] = ()
         self.has_ended = False
         self.turns = 0
         self.told = asyncio.Event()
+        self.came = asyncio.Event()
         self.share: ShareView | None = None
         self.experiments: ExperimentsView | None = None
         self._viewer = Viewer(self.traces.history)
@@ -66,6 +73,8 @@ class Session:
         if (status is None) is not (self._status is None):
             self.turns += 1
         self._status = status
+        if status is not None:
+            self.came.set()
 
     def take_dropped(self, count: int) -> None:
         """Count what the agent has left out because this server was too slow."""
@@ -103,6 +112,10 @@ class Session:
     def streamed(self) -> tuple[tuple[str, str], ...]:
         """Return the devices that the agent has, by sensor and unit."""
         return tuple((each.sensor, each.unit) for each in self._devices())
+
+    def sources(self) -> frozenset[str]:
+        """Return the source_ids of the agent's streams."""
+        return frozenset(source for device in self._devices() for source in device.streams)
 
     def silent(self) -> tuple[str, ...]:
         """Return the source_ids of streams that may say nothing: paused, or switched off."""
@@ -145,7 +158,7 @@ class Session:
             return StatusView(agent=self._absence(), **facts)
         return StatusView(
             **{name: value for name, value in status if name != "devices"},
-            devices=self._viewer.devices(status),
+            devices=self._viewer.devices(status, self.features),
             agent=AgentState.RUNNING,
             skipped=self._skipped,
             markers=self.markers,

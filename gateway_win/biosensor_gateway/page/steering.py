@@ -6,6 +6,7 @@ import asyncio
 
 from biosensor_gateway.page.api import add_api
 from biosensor_gateway.page.experiments.server import ExperimentServer
+from biosensor_gateway.page.features import Features
 from biosensor_gateway.page.marking import Marking
 from biosensor_gateway.page.network_answer import NetworkAnswer
 from biosensor_gateway.page.new_app import new_app
@@ -40,11 +41,12 @@ class Steering:
         add_quit(self.app, session, self._recorder, service.shutdown)
 
     async def run(self) -> None:
-        """Watch the recording, the markers and web experiments until cancelled."""
+        """Watch the recording, markers, features and web experiments until cancelled."""
         await asyncio.gather(
             self._recorder.run(),
             self._marking.run(),
             self._answer.run(),
             self._replaying.run(),
             ExperimentServer(self._session).run(),
+            Features(self._session).run(),
         )

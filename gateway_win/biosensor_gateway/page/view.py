@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from biosensor_common import naming
@@ -13,9 +13,10 @@ from biosensor_gateway.agent.declared_streams import declared_streams
 from biosensor_gateway.agent.pauses.selection import device_name
 from biosensor_gateway.agent.rate_meter import STALE_AFTER_S, RateMeter
 from biosensor_gateway.agent.status import AgentStatus, DeclaredStream, DeviceStatus, StreamStatus
-from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.page.history import History
 from biosensor_gateway.page.models import DeviceView, StreamView
+from biosensor_gateway.page.network.models import SeenStreamView
+from biosensor_gateway.page.titles import title_of
 
 
 class Viewer:
@@ -31,15 +32,28 @@ class Viewer:
         self._history = history
         self._meters: dict[str, RateMeter] = {}
 
-    def devices(self, status: AgentStatus) -> list[DeviceView]:
-        """Describe the devices of an agent."""
+    def devices(
+        self, status: AgentStatus, features: Sequence[SeenStreamView] = ()
+    ) -> list[DeviceView]:
+        """Describe the devices of an agent.
+
+        Parameters
+        ----------
+        status
+        features
+            What is computed of streams, theirs and others.
+        """
         now = status.lsl_time or 0.0
         declared = [(_identity(each), _declared(each)) for each in status.devices]
         topics = _topics(declared)
-        return [
+        views = [
             self._device(*of_device, device, topics, now)
             for of_device, device in zip(declared, status.devices, strict=True)
         ]
+        for view in views:
+            own = (each for each in features if each.derived_from in view.streams)
+            view.features = [_named(each, topics) for each in own]
+        return views
 
     def _device(
         self,
@@ -94,6 +108,12 @@ class Viewer:
         )
 
 
+def _named(feature: SeenStreamView, topics: Mapping[str, str]) -> SeenStreamView:
+    """Give a feature the ROS topic that it has among the streams of all devices."""
+    device_topic = topics[feature.derived_from].rpartition("/")[0]
+    return feature.model_copy(update={"topic": f"{device_topic}/{feature.data_name}"})
+
+
 def _facts(device: DeviceStatus) -> dict[str, Any]:
     return {name: value for name, value in device if name not in ("streams", "declared")}
 
@@ -120,11 +140,3 @@ def _declared(device: DeviceStatus) -> dict[str, DeclaredStream]:
         return {}
     identity = _identity(device)
     return {naming.source_id(identity, each.data_name): each for each in streams}
-
-
-def title_of(sensor: str) -> str:
-    """Return what people call a kind of sensor; its name, if it is unknown."""
-    try:
-        return declaration(sensor).title
-    except SpecError:
-        return sensor

@@ -10,7 +10,7 @@ from biosensor_common.quantities import ChannelRole
 from biosensor_gateway.page.network.models import SeenDeviceView, SeenState, SeenStreamView
 from biosensor_gateway.page.network.stream import NetworkStream
 from biosensor_gateway.page.network.words import readable
-from biosensor_gateway.page.view import title_of
+from biosensor_gateway.page.titles import title_of
 from biosensor_gateway.streaming.gateway import GATEWAY
 
 _AGENT = "Capture agent"

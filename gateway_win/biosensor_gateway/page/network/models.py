@@ -64,6 +64,9 @@ class SeenStreamView(ScreenStream):
         Of all its channels.
     windows
         Further channels that somebody looks at, by the number of the first.
+    derived_from
+        Of a feature: the `source_id` of the stream that it was computed of if that is listed, else
+        what LSL calls that; empty if it is none.
     bytes_per_s
         What receiving it costs by its nominal rate; 0 if that is irregular.
     """
@@ -79,6 +82,7 @@ class SeenStreamView(ScreenStream):
     channel_count: int
     windows: dict[int, WindowView]
     bytes_per_s: float
+    derived_from: str
 
 
 class SeenDeviceView(BaseModel):

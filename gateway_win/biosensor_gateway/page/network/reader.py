@@ -37,6 +37,8 @@ class Reader:
     ----------
     on_samples
         Is given what was read, in the reader's thread.
+    query
+        Which streams are looked for, as liblsl has it; all by default.
 
     Attributes
     ----------
@@ -46,11 +48,11 @@ class Reader:
         What there is to say of all streams, made twice a second.
     """
 
-    def __init__(self, on_samples: Callable[[list[Samples]], None]) -> None:
+    def __init__(self, on_samples: Callable[[list[Samples]], None], query: str = "") -> None:
         self.wanted: frozenset[str] = frozenset()
         self.view = NetworkView()
         self._on_samples = on_samples
-        self._resolver = pylsl.ContinuousResolver()
+        self._resolver = pylsl.ContinuousResolver(pred=query or None)
         self._pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="network")
         self._listing = Listing()
         self._descriptions = Descriptions(self._pool)

@@ -44,6 +44,7 @@ class Viewer:
         self._begun_s: float | None = None
         self._named: frozenset[tuple[int, StreamHeader]] = frozenset()
         self._topics: dict[int, str] = {}
+        self._keys: dict[str, str] = {}
 
     def view(
         self, listing: Listing, not_received: int, wanted: Collection[str], now: float
@@ -65,6 +66,7 @@ class Viewer:
         self._name(streams)
         lost = lost_by_source(streams)
         windows = chosen(wanted)
+        self._keys = {each.core.source_id: str(each.number) for each in streams}
         views = {
             each.number: self._stream(each, lost, windows.get(each.number, set()), now)
             for each in streams
@@ -97,7 +99,7 @@ class Viewer:
         core, received = stream.core, stream.received
         is_text = core.format is ChannelFormat.STRING
         state, silent_s = _state(stream, now)
-        is_fresh = state in (SeenState.STREAMING, SeenState.WAITING)
+        is_fresh = state in (SeenState.STREAMING, SeenState.WAITING) and not _is_over(stream, now)
         first = _window(stream, 0, is_fresh=is_fresh)
         count, is_estimated = _lost(stream, lost)
         return SeenStreamView(
@@ -127,7 +129,12 @@ class Viewer:
                 for each in firsts if 0 < each < core.channel_count
             },
             bytes_per_s=_bytes_per_s(core),
+            derived_from=self._source_of(stream),
         )  # fmt: skip
+
+    def _source_of(self, stream: NetworkStream) -> str:
+        derived = stream.header.derived if stream.header else None
+        return self._keys.get(derived.source_id, derived.source_id) if derived else ""
 
 
 def _state(stream: NetworkStream, now: float) -> tuple[SeenState, float]:
@@ -143,6 +150,12 @@ def _state(stream: NetworkStream, now: float) -> tuple[SeenState, float]:
     if silent_s > max(STALE_AFTER_S, _SLOW_PERIODS / core.rate):
         return SeenState.SILENT, silent_s
     return (SeenState.OPENING if heard_s is None else SeenState.STREAMING), silent_s
+
+
+def _is_over(stream: NetworkStream, now: float) -> bool:
+    """Whether the newest value of a feature is not that of now any more."""
+    derived, newest_s = stream.header.derived if stream.header else None, stream.received.newest_s
+    return derived is not None and (newest_s is None or now - newest_s > derived.holds_s)
 
 
 def _bytes_per_s(core: CoreFields) -> float:

@@ -1,7 +1,8 @@
 // The overview: a card for each device, grouped by who wears it.
 
-import { html, useEffect, useRef } from "../vendor/preact-htm.js";
-import { drawSpark } from "./draw.js";
+import { html } from "../vendor/preact-htm.js";
+import { Features, marksOf } from "./features.js";
+import { Spark } from "./spark.js";
 import { rateOf, stateOf, streamsOf, valueOf } from "./words.js";
 
 const SHOWN = 4;
@@ -9,7 +10,7 @@ const SHOWN = 4;
 // What a person looks at first: what was measured on the body, the fastest first.
 export function mainStreams(device) {
   return streamsOf(device)
-    .filter((each) => each.is_signal && each.channels.length && each.units[0] !== "boolean" && !each.silent && !each.is_empty)
+    .filter((each) => each.is_signal && !each.derived_from && each.channels.length && each.units[0] !== "boolean" && !each.silent && !each.is_empty)
     .sort((a, b) => b.nominal_hz - a.nominal_hz)
     .slice(0, SHOWN);
 }
@@ -17,16 +18,6 @@ export function mainStreams(device) {
 export function State({ device }) {
   const { sign, tone, word } = stateOf(device);
   return html`<span class="state ${tone}"><span aria-hidden="true">${sign}</span> ${word}</span>`;
-}
-
-export function Spark({ live, stream }) {
-  const canvas = useRef();
-  useEffect(() => {
-    const draw = () => canvas.current && drawSpark(canvas.current, live, stream);
-    live.onPicture.add(draw);
-    return () => live.onPicture.delete(draw);
-  }, [live, stream]);
-  return html`<canvas ref=${canvas} aria-hidden="true"></canvas>`;
 }
 
 function Card({ live, device, onOpen }) {
@@ -40,9 +31,10 @@ function Card({ live, device, onOpen }) {
       <div class="sparks">
         ${mainStreams(device).map((stream) => html`
           <span class="small">${stream.data_name}</span>
-          <${Spark} live=${live} stream=${stream} />
+          <${Spark} live=${live} stream=${stream} marks=${marksOf(device, stream)} />
           <span class="value small" title=${rateOf(stream)}>${valueOf(stream)}</span>`)}
       </div>
+      <${Features} live=${live} device=${device} />
       ${device.error && html`<p class="reason small">${device.error}</p>`}
       <p class="facts small soft">
         <span>battery ${battery === null ? "–" : `${battery.toFixed(0)} %`}</span>

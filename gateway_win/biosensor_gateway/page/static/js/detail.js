@@ -4,6 +4,7 @@ import { html, useEffect, useRef, useState } from "../vendor/preact-htm.js";
 import { Access } from "./access.js";
 import { State } from "./cards.js";
 import { lineOf, Plot } from "./draw.js";
+import { Features, featuresOf, marksOf } from "./features.js";
 import { Clock, Log } from "./inside.js";
 import { ageOf, figure, rateOf, streamsOf } from "./words.js";
 
@@ -15,12 +16,14 @@ function Line({ channel }) {
   return html`<svg width="28" height="8" aria-hidden="true"><line x1="0" y1="4" x2="28" y2="4" style=${{ stroke: colour }} stroke-width="2" stroke-dasharray=${dash} /></svg>`;
 }
 
-export function Trace({ live, stream }) {
+export function Trace({ live, stream, marks = [] }) {
   const place = useRef();
+  const shown = useRef();
+  shown.current = marks;
   const names = stream.channels.join();
   useEffect(() => {
     const plot = new Plot(place.current, live, stream);
-    const draw = () => plot.draw();
+    const draw = () => plot.draw(shown.current);
     live.onPicture.add(draw);
     return () => {
       live.onPicture.delete(draw);
@@ -34,6 +37,7 @@ export function Trace({ live, stream }) {
         <strong>${stream.data_name}</strong> <span class="soft small">${units}</span>
         ${stream.channels.length > 1 && html`<ul class="legend small">${stream.channels.slice(0, NAMED).map((label, c) => html`<li><${Line} channel=${c} />${label}</li>`)}
           ${stream.channels.length > NAMED && html`<li class="soft">and ${stream.channels.length - NAMED} more</li>`}</ul>`}
+        ${marks.length > 0 && html`<span class="marks-named soft small">${marks.map((each) => each.words).join(", ")}</span>`}
       </figcaption>
       <div ref=${place} role="img" aria-label=${`trace of ${stream.data_name}; its values are in the table`}></div>
     </figure>`;
@@ -59,7 +63,7 @@ function Streams({ device }) {
           <th scope="col">LSL name</th><th scope="col">ROS topic</th>
         </tr></thead>
         <tbody>
-          ${streamsOf(device).map((stream) => html`
+          ${[...streamsOf(device), ...featuresOf(device)].map((stream) => html`
             <tr key=${stream.source_id} data-stream=${stream.source_id}>
               <th scope="row">${stream.data_name}</th>
               <td class="figure values">${values(stream)}</td>
@@ -133,7 +137,8 @@ export function Detail({ live, device, isVirtual, act, onClose }) {
           : html`<button onClick=${() => act("POST", "/devices/pause", which)}>Pause (withdrawal)</button>`}
         ${act && !isVirtual && html`<button onClick=${remove}>Remove …</button>`}
       </div>
-      ${plotted.map((stream) => html`<${Trace} key=${stream.source_id} live=${live} stream=${stream} />`)}
+      <${Features} live=${live} device=${device} />
+      ${plotted.map((stream) => html`<${Trace} key=${stream.source_id} live=${live} stream=${stream} marks=${marksOf(device, stream)} />`)}
       <h3>Streams</h3>
       <${Streams} device=${device} />
       ${!device.replay && html`<${Clock} clock=${device.clock} />`}

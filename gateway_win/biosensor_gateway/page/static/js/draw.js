@@ -31,7 +31,27 @@ function range(trace, channel) {
   return high > low ? [low, high] : [low - 1, high + 1];
 }
 
-export function drawSpark(canvas, live, stream) {
+// A sign at the upper edge for each sample of a stream that marks this one, filled or not.
+function drawMarks(pen, live, marks, place, scale) {
+  for (const mark of marks) {
+    const trace = live.traces.get(mark.source_id);
+    pen.fillStyle = pen.strokeStyle = colour("--text");
+    pen.lineWidth = scale;
+    trace?.numbers.forEach((number, i) => {
+      const { x, top } = place(number);
+      if (x === null) return;
+      pen.beginPath();
+      pen.moveTo(x - 3.5 * scale, top);
+      pen.lineTo(x + 3.5 * scale, top);
+      pen.lineTo(x, top + 6 * scale);
+      pen.closePath();
+      if (mark.isFilled(trace.high[i])) pen.fill();
+      pen.stroke();
+    });
+  }
+}
+
+export function drawSpark(canvas, live, stream, marks) {
   const scale = window.devicePixelRatio || 1;
   const width = Math.round(canvas.clientWidth * scale);
   const height = Math.round(canvas.clientHeight * scale);
@@ -65,6 +85,7 @@ export function drawSpark(canvas, live, stream) {
   if (stream.nominal_hz && last !== null && newest - last > Math.max(limit, LUMP_S / live.binS)) {
     pen.fillRect(x(last), 0, width - x(last), height);
   }
+  drawMarks(pen, live, marks, (number) => ({ x: x(number), top: scale }), scale);
 }
 
 // Smallest and largest value of each pixel as one line up and down; null where there is a gap.
@@ -97,6 +118,7 @@ export class Plot {
   constructor(element, live, stream) {
     this.live = live;
     this.stream = stream;
+    this.marks = [];
     // Functions: the screen may turn dark while the plot is there.
     const thin = { stroke: () => colour("--line"), width: 1 };
     const axis = { stroke: () => colour("--soft"), grid: thin, ticks: thin };
@@ -108,6 +130,7 @@ export class Plot {
         cursor: { show: false },
         legend: { show: false },
         scales: { x: { time: false, range: () => [-live.view.window_s, 0] } },
+        hooks: { draw: [(plot) => this.drawMarks(plot)] },
         axes: [
           { ...axis, values: (_, ticks) => ticks.map((tick) => `${tick} s`) },
           { ...axis, size: 64 },
@@ -132,7 +155,17 @@ export class Plot {
     DARK.addEventListener("change", this.repaint);
   }
 
-  draw() {
+  drawMarks(plot) {
+    const { ctx, bbox } = plot;
+    const place = (number) => {
+      const x = plot.valToPos(number * this.live.binS - this.live.now, "x", true);
+      return { x: x < bbox.left ? null : x, top: bbox.top };
+    };
+    drawMarks(ctx, this.live, this.marks, place, window.devicePixelRatio || 1);
+  }
+
+  draw(marks) {
+    this.marks = marks;
     const trace = this.live.traces.get(this.stream.source_id);
     if (!trace || trace.channels !== this.stream.channels.length) return;
     if (this.element.clientWidth !== this.plot.width) {

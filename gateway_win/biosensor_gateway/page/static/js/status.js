@@ -2,11 +2,14 @@
 
 import { html, useEffect } from "../vendor/preact-htm.js";
 import { mainStreams } from "./cards.js";
+import { featuresOf, shownFeatures } from "./features.js";
 import { streamsOf } from "./words.js";
 
 const WINDOW_S = 10;
 const SPARK_PIXELS = 300;
 const PLOT_PIXELS = 900;
+// The server answers no more.
+const MOST_ASKED = 200;
 
 const AGENT = {
   running: ["●", "good", "streaming agent runs"],
@@ -38,8 +41,10 @@ export function useShown(live, status, open) {
   const device = devices.find((each) => each.name === open);
   useEffect(() => {
     if (!live.current || !status) return;
-    const shown = device ? streamsOf(device) : devices.flatMap(mainStreams);
-    live.current.show(shown.map((each) => each.source_id), WINDOW_S, device ? PLOT_PIXELS : SPARK_PIXELS);
+    const shown = device
+      ? [...streamsOf(device), ...featuresOf(device)]
+      : [...devices.flatMap(mainStreams), ...devices.flatMap(shownFeatures)];
+    live.current.show(shown.map((each) => each.source_id).slice(0, MOST_ASKED), WINDOW_S, device ? PLOT_PIXELS : SPARK_PIXELS);
   }, [status]);
   return { devices, device };
 }

@@ -1,7 +1,9 @@
 // A card for each device, and for each name that another program gives its streams.
 
 import { html, useEffect, useRef } from "../../vendor/preact-htm.js";
-import { Spark, mainStreams } from "../cards.js";
+import { mainStreams } from "../cards.js";
+import { Features, marksOf, shownFeatures } from "../features.js";
+import { Spark } from "../spark.js";
 import { rateOf, valueOf } from "../words.js";
 import { lostOf, seenOf, span, trafficOf } from "./words.js";
 
@@ -16,13 +18,13 @@ export function Seen({ each }) {
 }
 
 const isHeavy = (stream) => stream.bytes_per_s > MOST_BYTES;
-const isSlow = (stream) => !stream.is_text && !stream.is_signal && stream.nominal_hz <= 2;
+const isSlow = (stream) => !stream.is_text && !stream.is_signal && !stream.derived_from && stream.nominal_hz <= 2;
 const drawn = (device) => mainStreams({ streams: device.streams.filter((each) => !isHeavy(each)) });
 const texts = (device) => device.streams.filter((each) => each.is_text && each.content_type !== "Counters").slice(0, TEXTS);
 
 // What the card of a device needs: its traces, its entries, and what tells battery and contact.
 export function cardStreams(device) {
-  return [...drawn(device), ...texts(device), ...(device.is_ours ? device.streams.filter(isSlow) : [])];
+  return [...drawn(device), ...texts(device), ...shownFeatures(device), ...(device.is_ours ? device.streams.filter(isSlow) : [])];
 }
 
 export function Entries({ stream, most }) {
@@ -64,9 +66,10 @@ function Card({ live, device, visible, onOpen }) {
       <div class="sparks">
         ${drawn(device).map((stream) => html`
           <span class="small">${stream.data_name}</span>
-          <${Spark} live=${live} stream=${stream} />
+          <${Spark} live=${live} stream=${stream} marks=${marksOf(device, stream)} />
           <span class="value small" title=${rateOf(stream)}>${valueOf(stream)}</span>`)}
       </div>
+      <${Features} live=${live} device=${device} />
       ${texts(device).map((stream) => html`<${Entries} key=${stream.source_id} stream=${stream} most=${3} />`)}
       <${Unseen} streams=${streams.filter(isHeavy)} />
       ${notes.length > 0 && html`<p class="note small">${notes[0].note}</p>`}

@@ -2,6 +2,7 @@
 
 import { html, useEffect, useRef } from "../../vendor/preact-htm.js";
 import { Copied, Played, Trace, values } from "../detail.js";
+import { Features, marksOf } from "../features.js";
 import { ageOf, rateOf } from "../words.js";
 import { Entries, Seen } from "./cards.js";
 import { lostOf } from "./words.js";
@@ -16,16 +17,22 @@ export function windowOf(stream, first) {
   return { ...stream, ...part, source_id: `${stream.source_id}:${first}` };
 }
 
+// So many of those that were measured, and all features.
+function listed(device) {
+  const measured = device.streams.filter((each) => !each.derived_from);
+  return [...measured.slice(0, MOST), ...device.streams.filter((each) => each.derived_from)];
+}
+
 // What the details need of a device, with the choice of channels by stream.
 export function detailStreams(device, firsts) {
-  return device.streams.slice(0, MOST).map((each) => windowOf(each, firsts[each.source_id] ?? 0));
+  return listed(device).map((each) => windowOf(each, firsts[each.source_id] ?? 0));
 }
 
 // What changes once in an hour is in the table.
-const isPlotted = (stream) => stream.channels.length > 0 && (stream.is_signal || stream.nominal_hz > 0);
+const isPlotted = (stream) => !stream.derived_from && stream.channels.length > 0 && (stream.is_signal || stream.nominal_hz > 0);
 
 function Choice({ stream, first, onChoose }) {
-  if (stream.channel_count <= DRAWN) return null;
+  if (stream.channel_count <= DRAWN || stream.derived_from) return null;
   const begins = Array.from({ length: Math.ceil(stream.channel_count / DRAWN) }, (_, i) => i * DRAWN);
   const end = (begin) => Math.min(begin + DRAWN, stream.channel_count);
   return html`
@@ -82,11 +89,12 @@ export function SeenDetail({ live, device, firsts, onChoose, onClose }) {
         <span>on ${device.host}</span>${isWorn && html`<span>${isWorn}</span>`}${battery && html`<span>${battery}</span>`}
       </p>
       <div class="buttons"><button onClick=${onClose}>Back to all streams</button></div>
-      ${device.streams.length > MOST && html`<p class="small">The first ${MOST} of ${device.streams.length} streams are shown.</p>`}
-      ${device.streams.slice(0, MOST).map((stream, i) => html`
+      <${Features} live=${live} device=${device} />
+      ${shown.length < device.streams.length && html`<p class="small">The first ${shown.length} of ${device.streams.length} streams are shown.</p>`}
+      ${listed(device).map((stream, i) => html`
         <div key=${stream.source_id}>
           <${Choice} stream=${stream} first=${firsts[stream.source_id] ?? 0} onChoose=${(first) => onChoose(stream.source_id, first)} />
-          ${isPlotted(shown[i]) && html`<${Trace} key=${shown[i].source_id} live=${live} stream=${shown[i]} />`}
+          ${isPlotted(shown[i]) && html`<${Trace} key=${shown[i].source_id} live=${live} stream=${shown[i]} marks=${marksOf(device, shown[i])} />`}
           ${stream.is_text && stream.content_type !== "Counters" && html`<h3 class="small">${stream.data_name}</h3><${Entries} stream=${stream} most=${20} />`}
         </div>`)}
       <h3>Streams</h3>

@@ -23,7 +23,7 @@ from biosensor_gateway.page.server import HOST, cancelled, guarded, responsive
 if TYPE_CHECKING:
     from starlette.types import ASGIApp
 
-    from biosensor_gateway.page.network.source import NetworkSource
+    from biosensor_gateway.page.network_page.source import NetworkSource
 
 _DOCUMENT = "network.html"
 
@@ -96,13 +96,13 @@ class NetworkServer:
             self._server.should_exit = True
 
     def _check_settings(self) -> None:
-        from biosensor_gateway.page.network.lsl_settings import lsl_settings
+        from biosensor_gateway.page.network_page.lsl_settings import lsl_settings
 
         lsl_settings(self._settings)
 
     def _source(self) -> NetworkSource:
         with responsive():
-            from biosensor_gateway.page.network.source import NetworkSource
+            from biosensor_gateway.page.network_page.source import NetworkSource
 
             return NetworkSource(self._settings)
 
@@ -117,6 +117,6 @@ def _live(source: NetworkSource) -> ASGIApp:
 
 def _api(source: NetworkSource) -> ASGIApp:
     with responsive():
-        from biosensor_gateway.page.network.api import network_api
+        from biosensor_gateway.page.network_page.api import network_api
 
         return network_api(source)

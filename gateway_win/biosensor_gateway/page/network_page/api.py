@@ -6,7 +6,7 @@ from fastapi import FastAPI
 
 from biosensor_gateway.page.front import PREFIX
 from biosensor_gateway.page.network.models import NetworkView
-from biosensor_gateway.page.network.source import NetworkSource
+from biosensor_gateway.page.network_page.source import NetworkSource
 from biosensor_gateway.page.new_app import new_app
 
 

@@ -1,0 +1,1 @@
+"""The page of the network: its server, its API, and what it shows."""

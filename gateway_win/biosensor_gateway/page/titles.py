@@ -1,0 +1,14 @@
+"""What people call a kind of sensor."""
+
+from __future__ import annotations
+
+from biosensor_common.errors import SpecError
+from biosensor_gateway.devices.registry import declaration
+
+
+def title_of(sensor: str) -> str:
+    """Return what people call a kind of sensor; its name, if it is unknown."""
+    try:
+        return declaration(sensor).title
+    except SpecError:
+        return sensor
