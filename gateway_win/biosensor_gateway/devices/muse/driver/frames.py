@@ -143,9 +143,11 @@ def charge_counts(block: Block) -> int:
 
 
 def _frame(data: bytes) -> Frame:
+    number = int.from_bytes(data[1:3], "little")
     clock_s = int.from_bytes(data[3:9], "little") / 1000
-    found = _walk(data, clock_s) if clock_s < _LATEST_S else ([], len(data) - _HEADER_BYTES)
-    return Frame(int.from_bytes(data[1:3], "little"), *found)
+    if clock_s >= _LATEST_S:
+        return Frame(number, [], len(data) - _HEADER_BYTES)
+    return Frame(number, *_walk(data, clock_s))
 
 
 def _walk(data: bytes, clock_s: float) -> tuple[list[Block], int]:
