@@ -40,6 +40,15 @@ TRACE = """name => {
   return { bin: live.binS, numbers: trace.numbers, low: rows(trace.low), high: rows(trace.high) };
 }"""
 
+# A first measurement of the sender's clock on a busy computer may be wrong; the next one puts
+# what is drawn from then on into its place.
+IS_SPAN_RIGHT = """name => {
+  const { binS, traces } = window.biosensorLive;
+  const { numbers } = traces.get(name);
+  const spanS = (numbers.at(-1) - numbers[0]) * binS;
+  return numbers.length >= 60 && Math.abs(spanS - (numbers.length - 1) / 20) <= 0.1;
+}"""
+
 
 class Others:
     """Programs of others, each with outlets."""
@@ -120,8 +129,7 @@ def test_from_nothing_to_ours_and_foreign_streams(
         row == [number + 1000 * c for c in range(24, 32)]
         for row, number in zip(trace["low"], numbers, strict=True)
     )
-    span_s = (trace["numbers"][-1] - trace["numbers"][0]) * trace["bin"]
-    assert span_s == pytest.approx((len(numbers) - 1) / 20, abs=0.1)
+    page.wait_for_function(IS_SPAN_RIGHT, arg=key)
     expect(page.locator("tr", has_text="amplifier")).to_contain_text("20.0 of 20 Hz")
 
 
