@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
 import sys
 import time
+import urllib.request
 from collections.abc import Callable, Generator
 from pathlib import Path
 
@@ -147,6 +149,12 @@ def profile(programs: Programs, tmp_path: Path) -> Generator[Path]:
             process.kill()
 
 
+def page_titles(address: str) -> list[str]:
+    """Ask a browser for the titles of its pages."""
+    with urllib.request.urlopen(f"{address}/json/list", timeout=DEADLINE_S) as answer:
+        return [each["title"] for each in json.load(answer) if each["type"] == "page"]
+
+
 def test_it_opens_a_window_of_its_own_and_ends_after_it(
     programs: Programs, profile: Path, tmp_path: Path, chromium: Browser
 ) -> None:
@@ -154,8 +162,10 @@ def test_it_opens_a_window_of_its_own_and_ends_after_it(
     port = profile / "DevToolsActivePort"
     until(lambda: port.exists() and port.read_text(), "a browser")
     assert (tmp_path / "asked").read_text().startswith("--app=http://127.0.0.1:")
-    number = port.read_text().split()[0]
-    opened = chromium.browser_type.connect_over_cdp(f"http://127.0.0.1:{number}")
+    address = f"http://127.0.0.1:{port.read_text().split()[0]}"
+    # Who connects while the window is being made may wait for ever.
+    until(lambda: "Biosensor Gateway" in page_titles(address), "the page in a window")
+    opened = chromium.browser_type.connect_over_cdp(address)
     (page,) = opened.contexts[0].pages
     expect(page.get_by_role("heading", name=NO_SENSOR)).to_be_visible()
     page.close()
