@@ -1,4 +1,4 @@
-"""What PyInstaller freezes: the command line of the agent."""
+"""Starts the command line of the agent: the program that PyInstaller freezes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What PyInstaller freezes, too: the program of the Start menu, which has no console."""
+"""Starts the program of the Start menu, which has no console; PyInstaller freezes it, too."""
 
 from __future__ import annotations
 

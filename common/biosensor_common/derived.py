@@ -1,4 +1,4 @@
-"""What the header of a stream says that was computed from another one."""
+"""Says in a stream's header that it was computed from another one."""
 
 from __future__ import annotations
 

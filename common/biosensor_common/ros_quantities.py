@@ -1,4 +1,4 @@
-"""What fields of well-known message types measure, with units after REP 103.
+"""Units and quantities of well-known message types, after REP 103.
 
 REP 103 (https://www.ros.org/reps/rep-0103.html) has SI units: metres, radians, seconds,
 newtons. What a field measures is said where the type that has it says so: a ``Vector3`` alone

@@ -1,4 +1,4 @@
-"""What a topic of a stream is like: how deep its queue, of which type its chunks."""
+"""Depth of a topic's queue, and the type of its chunks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the topics of streams of text carry: one string a sample, and an agent's counters."""
+"""Encodes and decodes topics of text: one string a sample, and an agent's counters."""
 
 from __future__ import annotations
 

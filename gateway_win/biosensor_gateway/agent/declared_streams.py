@@ -1,4 +1,4 @@
-"""What the devices of a status emit: by their sensor's declaration, or by their own."""
+"""Lists the streams of a status's devices: by their sensor's declaration, or by their own."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the agent's feed is made of, for both of its ends.
+"""Frames of the agent's feed, for both of its ends.
 
 A client of the control channel asks for ``feed`` (see `control`), reads the line of the answer,
 and then frames until it goes away::

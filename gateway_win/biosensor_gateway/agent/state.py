@@ -1,4 +1,4 @@
-"""Where a device is on its way to streaming."""
+"""The states of a device on its way to streaming."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the commands that take a recording share."""
+"""Arguments and messages that all commands on recordings share."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ``status`` says of an agent and its devices, in sentences."""
+"""Puts the status of an agent and its devices into sentences."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the demo can fill in so many seconds, and why not the rest."""
+"""Predicts which topics the demo fills in so many seconds, and why not the rest."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a driver hands its device's samples to, and all that it sees of the agent."""
+"""Takes a device's samples from its driver; all that a driver sees of the agent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What searches and tests tell scripts by ``--json``, and the page by its API."""
+"""Results of searches and tests, for scripts by ``--json`` and for the page by its API."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Why features are not computed."""
+"""Reasons for which features are not computed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the API says and takes of markers."""
+"""Markers in the API."""
 
 from __future__ import annotations
 

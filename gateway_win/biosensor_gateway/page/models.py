@@ -1,4 +1,4 @@
-"""What the API `/api/v1` answers.
+"""Answers of the API `/api/v1`.
 
 What the agent says of itself has the models of ``status --json``; here is what comes on top.
 """

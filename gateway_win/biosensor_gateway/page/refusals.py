@@ -1,4 +1,4 @@
-"""How the interface refuses: with a code of HTTP, and one sentence for people."""
+"""Refuses a request: with a code of HTTP, and one sentence for people."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the API says of replays; what a replay says of itself has the models of its process."""
+"""Replays in the API; what a replay says of itself has the models of its process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is known of a replay that was begun on the page: how far it is, and what it sends."""
+"""Keeps how far a replay is that was begun on the page, and what it sends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What one browser sees: the streams that it asked for, reduced to its pixels."""
+"""Reduces the streams that one browser asked for to its pixels."""
 
 from __future__ import annotations
 

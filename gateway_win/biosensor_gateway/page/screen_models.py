@@ -1,4 +1,4 @@
-"""What a screen shows of a stream."""
+"""Streams as a screen shows them."""
 
 from __future__ import annotations
 

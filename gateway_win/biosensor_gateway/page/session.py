@@ -1,4 +1,4 @@
-"""What the server knows while it runs: the agent, its devices, the settings."""
+"""Keeps what the server knows while it runs: the agent, its devices, the settings."""
 
 from __future__ import annotations
 

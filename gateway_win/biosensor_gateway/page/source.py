@@ -1,4 +1,4 @@
-"""What the WebSocket needs to know of where traces come from."""
+"""The source of traces, as the WebSocket needs it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What people call a kind of sensor."""
+"""Names for people of kinds of sensors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What came of all streams, and the browsers that show some of them."""
+"""Keeps the newest of all streams, for the browsers that show some of them."""
 
 from __future__ import annotations
 

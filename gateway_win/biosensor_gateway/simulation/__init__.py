@@ -1,1 +1,1 @@
-"""What virtual devices share: their world, wearer, crystal, faults and links."""
+"""The world that virtual devices share: wearer, crystal, faults and links."""

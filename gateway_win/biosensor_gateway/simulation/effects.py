@@ -1,4 +1,4 @@
-"""What a fault does to a virtual device: how it begins, and how it ends."""
+"""Begins and ends faults of a virtual device."""
 
 from __future__ import annotations
 

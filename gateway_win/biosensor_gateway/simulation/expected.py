@@ -1,4 +1,4 @@
-"""What an agent can know of a virtual device; the suites of all sensors go by it."""
+"""The facts that an agent can know of a virtual device; the suites of all sensors go by it."""
 
 from __future__ import annotations
 

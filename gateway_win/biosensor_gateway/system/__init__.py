@@ -1,1 +1,1 @@
-"""What the operating system does for the agent: logs, its end, staying awake, files."""
+"""Uses the operating system for the agent: logs, its end, staying awake, files."""

@@ -1,4 +1,4 @@
-"""How this program starts itself again, for another task."""
+"""Starts this program again, for another task."""
 
 from __future__ import annotations
 

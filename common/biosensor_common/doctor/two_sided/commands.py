@@ -1,4 +1,4 @@
-"""What the side that asks has the other one do, and what they tell each other then."""
+"""The tasks that the asking side gives the other one, and their answers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each of the two computers says of itself, and of what came to it from the other."""
+"""The facts that each of the two computers tells of itself and of what reached it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How two programs find out that they speak the same language and know the same code.
+"""Checks that two programs speak the same language and know the same code.
 
 ::
 

@@ -1,4 +1,4 @@
-"""What can be said where the other computer did not converse, and what to do."""
+"""Explains why the other computer did not converse, and what to do."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a board emits, by BrainFlow's own description of it.
+"""Declares a board's streams, by BrainFlow's own description of it.
 
 `SPEC` is the declaration of BrainFlow's synthetic board, which lists and documents show.
 """

@@ -1,4 +1,4 @@
-"""What a line sensor emits: for each device what its settings say.
+"""Declares a line sensor's streams: for each device those of its settings.
 
 `SPEC` is the declaration of one whose settings are the example, which lists and documents show.
 """

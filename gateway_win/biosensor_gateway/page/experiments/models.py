@@ -1,4 +1,4 @@
-"""What web experiments send, and what they are told."""
+"""Messages of web experiments, and the answers to them."""
 
 from __future__ import annotations
 

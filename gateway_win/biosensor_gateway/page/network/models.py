@@ -1,4 +1,4 @@
-"""What the page of the network shows; see `biosensor_gateway.page.models`."""
+"""Answers of the page of the network; see `biosensor_gateway.page.models`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was received of one stream, over all its outlets and inlets."""
+"""Counts and keeps what was received of one stream, over all its outlets and inlets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the settings say of LSL."""
+"""Reads from the settings how LSL is configured."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can be wrong with a bag."""
+"""Reasons for which a bag cannot be used."""
 
 from __future__ import annotations
 

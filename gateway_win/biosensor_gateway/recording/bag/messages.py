@@ -1,4 +1,4 @@
-"""What a bag consists of."""
+"""The parts of a bag."""
 
 from __future__ import annotations
 

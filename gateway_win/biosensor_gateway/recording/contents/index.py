@@ -1,4 +1,4 @@
-"""Where in a recording the samples of each stream are."""
+"""Finds the samples of each stream in a recording."""
 
 from __future__ import annotations
 

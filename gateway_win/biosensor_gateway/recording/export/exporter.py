@@ -1,4 +1,4 @@
-"""What a format is: it writes what was chosen of a recording to one file or folder."""
+"""The interface of a format: it writes what was chosen of a recording to one file or folder."""
 
 from __future__ import annotations
 

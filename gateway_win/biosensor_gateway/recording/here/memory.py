@@ -1,4 +1,4 @@
-"""What the processes of a recording keep for each other, in a folder of the state folder.
+"""Keeps what the processes of a recording tell each other, in a folder of the state folder.
 
 Whether a recording runs is told by a lock that the operating system keeps for its keeper and
 gives back however that ends, so nobody is taken for it who got its number later.

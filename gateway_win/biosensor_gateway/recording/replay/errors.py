@@ -1,4 +1,4 @@
-"""Why a recording is not played."""
+"""Reasons for which a recording is not played."""
 
 from __future__ import annotations
 

@@ -1,3 +1,3 @@
-"""How slow and how fast a recording can be played, in seconds of it in one second."""
+"""Limits of a replay's speed, in seconds of the recording in one second."""
 
 SLOWEST, FASTEST = 0.01, 1000.0

@@ -1,4 +1,4 @@
-"""What a process that plays a recording is told, and what it tells whoever started it."""
+"""Messages between a process that plays a recording and whoever started it."""
 
 from __future__ import annotations
 

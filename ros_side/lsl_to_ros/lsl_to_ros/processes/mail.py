@@ -1,4 +1,4 @@
-"""What the processes of the node tell each other.
+"""Messages between the processes of the node.
 
 Everything but settings is a whole state, so that only the newest counts.
 """

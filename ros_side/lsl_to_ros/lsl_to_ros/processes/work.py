@@ -1,4 +1,4 @@
-"""What each process of the node does: it reads its share of the streams and publishes them."""
+"""Reads one share of the streams and publishes it: the work of each process of the node."""
 
 from __future__ import annotations
 

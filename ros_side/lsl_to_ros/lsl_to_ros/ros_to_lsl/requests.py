@@ -1,4 +1,4 @@
-"""What is to be sent: topics, and how."""
+"""The topics that are to be sent, and how."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ``--help`` shows."""
+"""The text that ``--help`` shows."""
 
 from __future__ import annotations
 

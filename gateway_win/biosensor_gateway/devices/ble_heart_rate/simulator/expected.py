@@ -1,4 +1,4 @@
-"""What an agent can know of a heart-rate strap."""
+"""The facts that an agent can know of a heart-rate strap."""
 
 from biosensor_gateway.simulation.expected import Expected
 from biosensor_gateway.simulation.faults import FaultKind

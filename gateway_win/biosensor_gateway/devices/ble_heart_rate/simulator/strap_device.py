@@ -1,4 +1,4 @@
-"""What virtual devices have in common that are a strap with something besides."""
+"""Base of virtual devices that are a strap with something besides."""
 
 from __future__ import annotations
 

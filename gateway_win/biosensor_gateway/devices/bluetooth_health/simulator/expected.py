@@ -1,4 +1,4 @@
-"""What an agent can know of the device: as of any strap, but that all of it has no stamp."""
+"""The facts that an agent can know of the device: as of a strap, but all without a stamp."""
 
 from dataclasses import replace
 

@@ -1,1 +1,1 @@
-"""What runs in a process, and maybe in a Python, of its own: BrainFlow is never in the agent's."""
+"""Runs BrainFlow in a process, and maybe in a Python, of its own: it is never in the agent's."""

@@ -1,4 +1,4 @@
-"""What an agent can know of the EmotiBit."""
+"""The facts that an agent can know of the EmotiBit."""
 
 from biosensor_gateway.simulation.expected import Expected, Gap, LossTolerance
 from biosensor_gateway.simulation.faults import FaultKind

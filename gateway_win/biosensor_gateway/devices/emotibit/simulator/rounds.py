@@ -1,4 +1,4 @@
-"""What an EmotiBit measures between two rounds of sending, as packets and as truth."""
+"""Measures between two rounds of sending, as packets and as truth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an EmotiBit writes, and how it reads a host.
+"""Writes an EmotiBit's packets, and reads a host's.
 
 Source: EmotiBit_XPlat_Utils, ``EmotiBitPacket`` (MIT licence).
 """

@@ -1,4 +1,4 @@
-"""What an agent can know of the headset."""
+"""The facts that an agent can know of the headset."""
 
 from biosensor_gateway.simulation.expected import Contact, Expected, Gap
 from biosensor_gateway.simulation.faults import FaultKind

@@ -1,4 +1,4 @@
-"""What each fault does to a virtual Cortex."""
+"""Does each fault to a virtual Cortex."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an agent can know of the wristband."""
+"""The facts that an agent can know of the wristband."""
 
 from biosensor_gateway.simulation.expected import Expected, LossTolerance
 

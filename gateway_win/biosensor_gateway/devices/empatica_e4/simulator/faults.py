@@ -1,4 +1,4 @@
-"""What each fault does to a virtual server and its first wristband."""
+"""Does each fault to a virtual server and its first wristband."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can be asked of a device: paths, the streams behind them, and how their packets look."""
+"""Paths that can be asked of a device, the streams behind them, and the layout of their packets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an agent can know of the sensor: as of any other strap, but that it takes commands."""
+"""The facts that an agent can know of the sensor: as of a strap, but that it takes commands."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Which headband it is, and which preset has it send what is wanted.
+"""Tells headbands apart, and chooses the preset that sends what is wanted.
 
 Sources: BrainFlow's list of supported boards for what presets send; recordings of an Athena
 [1]_, in which those of two digits send no light; the package openble-muse for serial numbers.

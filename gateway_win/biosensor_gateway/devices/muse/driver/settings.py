@@ -1,4 +1,4 @@
-"""What a user can set of a headband."""
+"""The settings of a headband."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an agent can know of a headband."""
+"""The facts that an agent can know of a headband."""
 
 from dataclasses import replace
 

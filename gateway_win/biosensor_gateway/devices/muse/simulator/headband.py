@@ -1,4 +1,4 @@
-"""What virtual headbands have in common: power, commands, faults."""
+"""Base of all virtual headbands: power, commands, faults."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a headband measures of its wearer."""
+"""Measures a headband's wearer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What headbands of all generations say: characteristics, commands and answers.
+"""Characteristics, commands and answers of headbands of all generations.
 
 Sources: muse-lsl (`constants.py`, `muse.py`), muse-js (`muse-utils.ts`) and OpenMuse (`muse.py`)
 for UUIDs, framing and the fields of answers.

@@ -1,4 +1,4 @@
-"""What an agent can know of the strap: as of any other, but that it takes commands."""
+"""The facts that an agent can know of the strap: as of any other, but that it takes commands."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What distinguishes one Polar product from another, and the H10."""
+"""The differences between Polar products, and the H10."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a user can set of an optical sensor."""
+"""The settings of an optical sensor."""
 
 from __future__ import annotations
 

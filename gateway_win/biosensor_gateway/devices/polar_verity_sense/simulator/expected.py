@@ -1,4 +1,4 @@
-"""What an agent can know of an optical sensor."""
+"""The facts that an agent can know of an optical sensor."""
 
 from dataclasses import replace
 

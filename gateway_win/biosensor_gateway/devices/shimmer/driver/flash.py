@@ -1,4 +1,4 @@
-"""What a Shimmer keeps in its flash: read, and changed only where it is not right."""
+"""Reads what a Shimmer keeps in its flash, and changes it only where it is not right."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which Shimmer this is, and what makes its messages safe."""
+"""Tells Shimmers apart, and makes their messages safe."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a Shimmer's memory tells of how its sensors are calibrated."""
+"""Reads from a Shimmer's memory how its sensors are calibrated."""
 
 from __future__ import annotations
 

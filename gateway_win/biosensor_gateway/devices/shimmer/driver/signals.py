@@ -1,4 +1,4 @@
-"""Which channels make which stream, and what turns their values into units."""
+"""Makes streams of channels, and turns their values into units."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an agent can know of a Shimmer3."""
+"""The facts that an agent can know of a Shimmer3."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What a virtual Shimmer keeps without power: from the factory, and what a host has set."""
+"""Memory of a virtual Shimmer that needs no power: from the factory, and as a host has set it."""
 
 from __future__ import annotations
 

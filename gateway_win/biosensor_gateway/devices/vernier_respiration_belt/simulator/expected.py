@@ -1,4 +1,4 @@
-"""What an agent can know of the belt."""
+"""The facts that an agent can know of the belt."""
 
 from biosensor_gateway.simulation.expected import Contact, Expected, LossTolerance
 

@@ -1,4 +1,4 @@
-"""What the virtual belt's sensors read."""
+"""Signals that the virtual belt's sensors read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an agent can know of the BioHarness."""
+"""The facts that an agent can know of the BioHarness."""
 
 from biosensor_gateway.simulation.expected import Expected, LossTolerance
 

@@ -1,4 +1,4 @@
-"""What the electrodes, the strap and the converters of a BioHarness make of its wearer.
+"""Signals that electrodes, strap and converters of a BioHarness make of its wearer.
 
 Times are seconds of the device's own clock since power-on, which is the wearer's time here:
 numbers of samples count it. Nothing has a state, so a test can ask for the truth of a packet

@@ -1,4 +1,4 @@
-"""What a virtual BioHarness sends, and where it comes from: a recording or a wearer.
+"""Sources of a virtual BioHarness's values: a recording, or a wearer.
 
 A source knows neither port nor host. It is asked, with the time on the LSL clock, for the
 frames that are due.

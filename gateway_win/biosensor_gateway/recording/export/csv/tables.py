@@ -1,4 +1,4 @@
-"""What the tables of comma-separated values share: names of columns and files, texts, packing."""
+"""Names of columns and files, texts and packing of all tables of comma-separated values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a run of a stream is put into data records: their length, and the ranges of its channels."""
+"""Divides a run of a stream into data records: their length, and the ranges of its channels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a salvage knows of one stream, without its stamps: files may be larger than the memory."""
+"""Keeps what a salvage knows of one stream, without stamps: files may exceed the memory."""
 
 from __future__ import annotations
 
