@@ -136,11 +136,11 @@ def waits(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     def longest(_low: float, high: float) -> float:
         return high
 
-    async def note(_supervisor: Supervisor, seconds: float) -> None:
+    async def note(seconds: float) -> None:
         noted.append(seconds)
         await asyncio.sleep(0)
 
-    monkeypatch.setattr(Supervisor, "_wait", note)
+    monkeypatch.setattr(module, "sleep", note)
     monkeypatch.setattr(module.random, "uniform", longest)
     return noted
 
@@ -306,23 +306,6 @@ async def test_the_jitter_stays_within_a_quarter(
 
     monkeypatch.setattr(module.random, "uniform", note)
     rig = start(ScriptedDriver(connect=failing(refused())))
-    await eventually(lambda: rig.supervisor.state is STREAMING)
-
-
-@pytest.mark.parametrize(("error", "state"), [(lost(), DISCOVERING), (refused(), BACKOFF)])
-async def test_a_nudge_cuts_a_wait_short(
-    start: Start,
-    eventually: Eventually,
-    monkeypatch: pytest.MonkeyPatch,
-    error: Exception,
-    state: State,
-) -> None:
-    for name in ("PROBE_INTERVAL_S", "BACKOFF_FIRST_S", "BACKOFF_CAP_S"):
-        monkeypatch.setattr(module, name, LONG_S)
-    rig = start(ScriptedDriver(connect=failing(error)))
-    await eventually(lambda: rig.supervisor.state is state)
-    await asyncio.sleep(0.05)
-    rig.supervisor.nudge()
     await eventually(lambda: rig.supervisor.state is STREAMING)
 
 

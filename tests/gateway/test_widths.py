@@ -12,9 +12,11 @@ from rich.console import Console
 from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_common.terminal import wrapped
-from biosensor_gateway.cli import clocks, device_test, status
+from biosensor_gateway.cli import clocks, device_test, scan, status
+from biosensor_gateway.devices.driver import Found
 from biosensor_gateway.devices.registry import declaration, declaration_names
 from biosensor_gateway.doctor.device_test import DeviceTest, StreamTest
+from biosensor_gateway.doctor.scan import Section, toml_lines
 
 WIDTH = 80
 UNIT = "E621E1F8-C36C-495A-93FC-0C247A3E6E5F"
@@ -119,6 +121,30 @@ def test_device_test(terminal: io.StringIO, name: str) -> None:
     units = {channel.unit for channel in channels}
     shown = {word.rstrip(",") for word in words}
     assert units - {"none"} <= shown
+
+
+def test_scan(terminal: io.StringIO) -> None:
+    belt = declaration_names()[-1]
+    name = "a device with a name of some length, of the left upper arm"
+    found = [Found(belt, name, {"device": UNIT[:-1] + end}, -71) for end in "01"]
+    port = "/dev/serial/by-id/usb-FTDI_FT232R_USB_UART_A10KZP45-if00-port0"
+    others = tuple(f"Phone number {number}" for number in range(9))
+    wired = Found(belt, "a board", {"port": port})
+    sections = [
+        Section("Bluetooth LE", tuple(found), others),
+        Section("Serial ports", (wired,)),
+        Section("a vendor's service", problem=REASON),
+    ]
+    with redirect_stdout(terminal):
+        scan._print_sections(sections)  # pyright: ignore[reportPrivateUsage]
+    lines = terminal.getvalue().splitlines()
+    # Those for the settings file are to be copied as they are.
+    copied = {f"    {line}" for each in (*found, wired) for line in toml_lines(each).splitlines()}
+    assert copied <= set(lines)
+    words = " ".join(fits("\n".join(line for line in lines if line not in copied)).split())
+    assert words.count(f"{name}, -71 dBm") == len(found)
+    assert all(other in words for other in others)
+    assert REASON in words
 
 
 def test_a_line_ends_between_words() -> None:

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import asyncio
 import random
+from asyncio import sleep
 from collections.abc import Callable
 from typing import cast
 
@@ -77,7 +78,6 @@ class Supervisor:
         self._on_state = on_state
         self.on_drop: Callable[[str], None] = lambda reason: None
         self._names = {"sensor": sink.identity.sensor, "unit": sink.identity.unit}
-        self._nudge = asyncio.Event()
         self._delay_s = BACKOFF_FIRST_S
         self.state = State.DISCOVERING
         self.connections = 0
@@ -87,10 +87,6 @@ class Supervisor:
     def is_connected(self) -> bool:
         """Whether the device is connected, and whatever comes from it is passed on."""
         return self.state in (State.STREAMING, State.ENABLING)
-
-    def nudge(self) -> None:
-        """Try again now: the device has just been seen."""
-        self._nudge.set()
 
     async def run(self) -> None:
         """Keep the device connected; returns only by cancellation, with the device closed."""
@@ -192,20 +188,12 @@ class Supervisor:
         self._report(error)
         if isinstance(error, TransportError) and error.reason in _PROBED:
             self._enter(State.DISCOVERING)
-            await self._wait(PROBE_INTERVAL_S)
+            await sleep(PROBE_INTERVAL_S)
         else:
             self._enter(State.BACKOFF)
             delay, self._delay_s = self._delay_s, min(BACKOFF_CAP_S, 2 * self._delay_s)
             # Jitter keeps several devices from knocking at one radio in step.
-            await self._wait(delay * random.uniform(0.75, 1.0))  # noqa: S311 - no secret
-
-    async def _wait(self, seconds: float) -> None:
-        self._nudge.clear()
-        try:
-            async with asyncio.timeout(seconds):
-                await self._nudge.wait()
-        except TimeoutError:
-            pass
+            await sleep(delay * random.uniform(0.75, 1.0))  # noqa: S311 - no secret
 
     def _report(self, error: Exception) -> None:
         text = str(error) or type(error).__name__

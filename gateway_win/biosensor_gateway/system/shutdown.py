@@ -30,8 +30,7 @@ async def until_signalled(main_task: Callable[[], Coroutine[Any, Any, None]]) ->
 
     Requests are SIGINT (Ctrl-C), SIGTERM and, on POSIX, SIGHUP (the terminal is
     closed) unless it was ignored before, as under ``nohup``; on Windows Ctrl-Break,
-    the console's close, logoff and shutdown. Whoever comes second changes nothing,
-    and from the first one on the process is deaf to signals up to its exit. Must run
+    the console's close, logoff and shutdown. Later ones are ignored until exit. Must run
     in the main thread.
 
     Raises
