@@ -20,6 +20,7 @@ from biosensor_gateway.devices.registry import ENTRY_POINT_GROUP
 from biosensor_gateway.settings.places import state_folder
 
 SENSOR = "acme_band"
+TOPICS = ("force", "force_chunk", "bat", "quality")
 SOURCES = Path(__file__).parent / SENSOR
 ROOT = Path(__file__).parents[2]
 # One process for all of it: each takes seconds to import what it needs.
@@ -100,8 +101,7 @@ def test_it_is_known_to_demo_fault_matrix_settings_and_search(
     inside = answers["driver"].startswith("biosensor_gateway.devices.")
     assert inside == (added is as_folder)
     topics = {topic: missing for topic, missing in answers["demo"].items() if SENSOR in topic}
-    names = ("force", "force_chunk", "bat", "quality")
-    assert topics == {f"/biosensors/{SENSOR}/{name}": "" for name in names}
+    assert topics == {f"/biosensors/{SENSOR}/{name}": "" for name in TOPICS}
     kinds = ["drop", "stall", "garbage", "unreadable", "low_battery", "off_body", "drift", "asleep"]
     assert answers["cells"] == kinds
     assert f'sensor = "{SENSOR}"' in answers["template"]
@@ -138,7 +138,15 @@ def test_it_streams_to_ros_and_what_a_fault_costs_is_counted(
     assert status["streams"][f"{SENSOR}-virtual-force"]["lost"] >= 50
 
 
-@pytest.mark.parametrize("added", [as_package], indirect=True)
+def test_the_demo_shows_its_topics(added: object) -> None:
+    del added
+    # That all others fill theirs in so short a time is not what this asks.
+    command = (sys.executable, "-m", "biosensor_gateway.cli", "demo", "--seconds", "12")
+    shown = subprocess.run(command, capture_output=True, text=True, check=False)
+    rows = {line.split()[0] for line in shown.stdout.splitlines() if f"/{SENSOR}/" in line}
+    assert rows == {f"/biosensors/{SENSOR}/{name}" for name in TOPICS}, shown.stdout + shown.stderr
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="the fault matrix runs on Linux")
 def test_its_row_of_the_fault_matrix_is_run(added: object, monkeypatch: pytest.MonkeyPatch) -> None:
     del added
