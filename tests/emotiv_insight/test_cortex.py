@@ -21,6 +21,7 @@ from biosensor_common.errors import (
 from biosensor_gateway.devices.emotiv_insight.driver import cortex as module
 from biosensor_gateway.devices.emotiv_insight.driver.codes import ErrorKind, Event
 from biosensor_gateway.devices.emotiv_insight.driver.cortex import CortexClient, CortexError
+from biosensor_gateway.devices.emotiv_insight.driver.cortex_warnings import KEPT_WARNINGS
 from biosensor_gateway.devices.emotiv_insight.driver.messages import FaultCode
 from biosensor_gateway.transports.websocket import ReceivedText
 
@@ -212,13 +213,13 @@ async def test_junk_is_counted_and_hides_nothing(client: CortexClient, link: Fak
 async def test_a_watch_gets_its_warnings_for_as_long_as_it_lasts(
     client: CortexClient, link: FakeLink
 ) -> None:
-    with client.watching(Event.HEADSET_CONNECTED) as heard:
+    with client.warnings.watching(Event.HEADSET_CONNECTED) as heard:
         link.come({"warning": {"code": 104}}, {"warning": {"code": 142}})
         link.come({"id": 9, "result": [], "attention": {"code": 31, "message": "Bluetooth"}})
         assert (await heard.get()).code == 104
         await settled()
         assert heard.empty()
-    forever = client.watch(Event.BLUETOOTH_DENIED)
+    forever = client.warnings.watch(Event.BLUETOOTH_DENIED)
     link.come({"warning": {"code": 104}})
     link.come({"id": 9, "result": [], "attention": {"code": 31, "message": "Bluetooth"}})
     assert (await forever.get()).text == "Bluetooth"
@@ -226,19 +227,19 @@ async def test_a_watch_gets_its_warnings_for_as_long_as_it_lasts(
 
 
 async def test_a_watch_does_not_grow_without_limit(client: CortexClient, link: FakeLink) -> None:
-    heard = client.watch(Event.SCAN_FINISHED)
+    heard = client.warnings.watch(Event.SCAN_FINISHED)
     link.come(*[{"warning": {"code": 142}}] * 1000)
     (task,) = await started(client, "a")
     link.come({"id": 1, "result": 1})
     await task
-    assert heard.qsize() == module.KEPT_WARNINGS
+    assert heard.qsize() == KEPT_WARNINGS
 
 
 async def test_a_secret_that_cortex_quotes_is_not_repeated(
     client: CortexClient, link: FakeLink
 ) -> None:
-    client.hide(SECRET)
-    client.hide("")
+    client.warnings.hide(SECRET)
+    client.warnings.hide("")
     (task,) = await started(client, "authorize")
     with capture_logs() as logs:
         link.come({"warning": {"code": 6, "message": f"no {SECRET}!"}})

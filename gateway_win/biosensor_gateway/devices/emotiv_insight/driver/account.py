@@ -106,10 +106,10 @@ class Account:
             Anything else that Cortex refuses.
         """
         self._credentials = await find_credentials()
-        client.hide(self._credentials.client_id.reveal())
-        client.hide(self._credentials.client_secret.reveal())
+        client.warnings.hide(self._credentials.client_id.reveal())
+        client.warnings.hide(self._credentials.client_secret.reveal())
         if self._token is not None:
-            client.hide(self._token.reveal())
+            client.warnings.hide(self._token.reveal())
         await self._await_login(client, patience_s)
         await self._await_approval(client, self._credentials, patience_s)
         if self._token is None:
@@ -164,7 +164,7 @@ class Account:
             params["license"] = self._license_id
         result = await client.call("authorize", params, AUTHORIZE_TIMEOUT_S)
         self._token = Secret(results.token(result))
-        client.hide(self._token.reveal())
+        client.warnings.hide(self._token.reveal())
         if results.eula_missing(result):
             self.say_once("the licence agreement is not accepted; do so in EMOTIV Launcher")
 
@@ -180,7 +180,7 @@ class Account:
                 self.say_once(missing)
             return login.logged_in or None
 
-        with client.watching(Event.USER_LOGIN) as heard:
+        with client.warnings.watching(Event.USER_LOGIN) as heard:
             if not await until(ask, heard, every_s=ASK_EVERY_S, patience_s=patience_s):
                 raise CredentialError(CredentialReason.MISSING, missing)
 
@@ -205,6 +205,6 @@ class Account:
                     self.say_once(missing)
             return granted or None
 
-        with client.watching(Event.ACCESS_GRANTED, Event.ACCESS_REJECTED) as heard:
+        with client.warnings.watching(Event.ACCESS_GRANTED, Event.ACCESS_REJECTED) as heard:
             if not await until(ask, heard, every_s=ASK_EVERY_S, patience_s=patience_s):
                 raise CredentialError(CredentialReason.MISSING, missing)

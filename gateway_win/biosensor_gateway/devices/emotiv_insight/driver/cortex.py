@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import itertools
 from collections import Counter, deque
-from collections.abc import Generator, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple, Protocol
 
 import structlog
@@ -17,7 +16,8 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
-from biosensor_gateway.devices.emotiv_insight.driver.codes import ErrorKind, Event
+from biosensor_gateway.devices.emotiv_insight.driver.codes import ErrorKind
+from biosensor_gateway.devices.emotiv_insight.driver.cortex_warnings import Warnings
 from biosensor_gateway.devices.emotiv_insight.driver.messages import (
     Data,
     Fault,
@@ -33,9 +33,6 @@ from biosensor_gateway.transports.websocket import ReceivedText
 REPLY_TIMEOUT_S = 10.0
 KEPT_SAMPLES = 2048
 """Ten seconds of all streams: longer than the reply to ``subscribe`` may take."""
-KEPT_WARNINGS = 64
-_LOGGED_UNKNOWN = 8
-_LONGEST_SHOWN = 200
 
 _log = structlog.get_logger("biosensor_gateway.emotiv_insight")
 
@@ -95,20 +92,27 @@ class CortexClient:
     """One connection to Cortex.
 
     Requests may run at the same time; replies are told apart by their ids alone.
+
+    Attributes
+    ----------
+    warnings
+        Hands on what Cortex says unasked.
+    faults
+        Messages of no use, by their fault.
+    dropped_bytes
+        Length of those messages [characters].
     """
 
     def __init__(self, link: TextLink) -> None:
         self._link = link
+        self.warnings = Warnings()
         self._ids = itertools.count(1)
         self._pending: dict[int, asyncio.Future[Reply]] = {}
         self._unawaited: set[int] = set()
-        self._watches: list[tuple[frozenset[Event], asyncio.Queue[Warned]]] = []
         self._data: deque[ArrivedData] = deque()
         self._news = asyncio.Event()
         self._reader: asyncio.Task[None] | None = None
         self._ended: TransportError | None = None
-        self._hidden: set[str] = set()
-        self._unknown_codes: set[int] = set()
         self.faults: Counter[FaultCode] = Counter()
         self.dropped_bytes = 0
         self._dropped_samples = 0
@@ -129,11 +133,6 @@ class CortexClient:
         if self._reader is not None:
             self._reader.cancel()
             await asyncio.wait({self._reader})
-
-    def hide(self, text: str) -> None:
-        """Keep a secret out of errors and logs, should Cortex quote it."""
-        if text:
-            self._hidden.add(text)
 
     async def call(
         self, method: str, params: Mapping[str, object] | None = None, timeout_s: float = 0.0
@@ -174,7 +173,7 @@ class CortexClient:
             if future.done() and not future.cancelled():
                 future.exception()
         if reply.error is not None:
-            shown = RpcError(reply.error.code, self._shown(reply.error.text))
+            shown = RpcError(reply.error.code, self.warnings.shown(reply.error.text))
             raise CortexError(method, shown)
         return reply.result
 
@@ -205,21 +204,6 @@ class CortexClient:
             await self._news.wait()
         return self._data.popleft()
 
-    def watch(self, *events: Event) -> asyncio.Queue[Warned]:
-        """Put such warnings, from now on, into the queue that is returned."""
-        queue: asyncio.Queue[Warned] = asyncio.Queue()
-        self._watches.append((frozenset(events), queue))
-        return queue
-
-    @contextlib.contextmanager
-    def watching(self, *events: Event) -> Generator[asyncio.Queue[Warned]]:
-        """Do the same for as long as the block lasts."""
-        queue = self.watch(*events)
-        try:
-            yield queue
-        finally:
-            self._watches = [each for each in self._watches if each[1] is not queue]
-
     async def _read_forever(self) -> None:
         try:
             while True:
@@ -244,7 +228,7 @@ class CortexClient:
             case Reply() as reply:
                 self._answer(reply)
             case Warned() as warned:
-                self._warn(warned)
+                self.warnings.tell(warned)
             case Fault() as fault:
                 self.dropped_bytes += len(received.text)
                 self.note(fault)
@@ -264,7 +248,7 @@ class CortexClient:
 
     def _answer(self, reply: Reply) -> None:
         if reply.attention is not None:
-            self._warn(reply.attention)
+            self.warnings.tell(reply.attention)
         if reply.request_id in self._unawaited:
             self._unawaited.discard(reply.request_id)
             return
@@ -273,31 +257,3 @@ class CortexClient:
             self.note(Fault(FaultCode.UNKNOWN_ID))
         else:
             future.set_result(reply)
-
-    def _warn(self, warned: Warned) -> None:
-        self._log_warning(warned)
-        for events, queue in self._watches:
-            if warned.event in events and queue.qsize() < KEPT_WARNINGS:
-                queue.put_nowait(warned)
-
-    def _log_warning(self, warned: Warned) -> None:
-        if warned.event is Event.UNKNOWN:
-            # A flood of them must not fill the log.
-            if warned.code in self._unknown_codes or len(self._unknown_codes) >= _LOGGED_UNKNOWN:
-                return
-            self._unknown_codes.add(warned.code)
-        text = self._shown(warned.text)
-        people = f"the Emotiv program says: {text or warned.event.value}"
-        _log.info(
-            "Cortex tells",
-            event_name=warned.event.value,
-            code=warned.code,
-            text=text,
-            for_people=people,
-        )
-
-    def _shown(self, text: str) -> str:
-        """Return a text of Cortex without secrets, in one line, not too long."""
-        for hidden in self._hidden:
-            text = text.replace(hidden, "***")
-        return " ".join(text.split())[:_LONGEST_SHOWN]

@@ -64,7 +64,7 @@ class EmotivInsightDriver:
         self._emitter = emitter
         self._account = account
         self._client = CortexClient(WebSocketLink(settings.url, settings.ca_file))
-        self._endings = self._client.watch(*ENDINGS)
+        self._endings = self._client.warnings.watch(*ENDINGS)
         self._decoder = Decoder()
         self._headset = Headset("")
         self._session: Session | None = None

@@ -117,7 +117,7 @@ async def search(
         found = await known_headsets(client)
         return found if warned is not None or is_enough(found) else None
 
-    with client.watching(Event.SCAN_FINISHED) as heard:
+    with client.warnings.watching(Event.SCAN_FINISHED) as heard:
         await client.call("controlDevice", {"command": "refresh"})
         found = await until(ask, heard, every_s=ASK_EVERY_S, patience_s=patience_s)
     return found if found is not None else known
@@ -137,7 +137,7 @@ async def _connect(client: CortexClient, found: Headset) -> Headset:
         known = chosen(await known_headsets(client), own)
         return known if known is not None and known.is_connected else None
 
-    with client.watching(Event.HEADSET_CONNECTED, Event.HEADSET_CONNECT_FAILED) as heard:
+    with client.warnings.watching(Event.HEADSET_CONNECTED, Event.HEADSET_CONNECT_FAILED) as heard:
         if found.status != "connecting":
             params = {"command": "connect", "headset": own}
             await client.call("controlDevice", params, CONNECT_PATIENCE_S)
