@@ -14,10 +14,7 @@ from biosensor_gateway.devices.ble_heart_rate.driver.stored_beats import (
 )
 from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement
-from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
-    PulseInterval,
-    PulseIntervals,
-)
+from biosensor_gateway.devices.polar_h10.driver.protocol.frames import PulseInterval, PulseIntervals
 from biosensor_gateway.devices.sink import Sink
 
 DATA_NAMES: Mapping[Measurement, str] = {
