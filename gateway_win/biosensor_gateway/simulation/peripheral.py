@@ -5,22 +5,18 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Protocol, cast
 
 from bumble import att
 from bumble.core import UUID
 from bumble.device import Connection, Device
-from bumble.gatt import (
-    GATT_CLIENT_CHARACTERISTIC_CONFIGURATION_DESCRIPTOR as _SUBSCRIPTION,
-)
-from bumble.gatt import (
-    Characteristic,
-    ClientCharacteristicConfigurationBits,
-    Service,
-)
+from bumble.gatt import Characteristic, ClientCharacteristicConfigurationBits, Service
 from bumble.keys import MemoryKeyStore
 
 from biosensor_gateway.simulation.advertising import pack_advertisement, pack_name
+from biosensor_gateway.simulation.protection import (
+    protect_subscriptions,
+    protected_characteristics,
+)
 from biosensor_gateway.simulation.radio import MAX_MTU, Radio
 from biosensor_gateway.simulation.transceiver import Transceiver
 
@@ -28,17 +24,7 @@ _ADVERTISING_INTERVAL_MS = 50.0
 # bumble's emulated advertiser takes its interval, counted in 0.625 ms, for milliseconds.
 _BUMBLE_INTERVAL = _ADVERTISING_INTERVAL_MS * 0.625
 _NOTIFICATION_HEADER = 3
-_AUTHENTICATED = (
-    att.Attribute.Permissions.READ_REQUIRES_AUTHENTICATION
-    | att.Attribute.Permissions.WRITE_REQUIRES_AUTHENTICATION
-)
 _Bits = ClientCharacteristicConfigurationBits
-
-
-class _Table(Protocol):
-    """What is used of bumble's service, whose annotation leaves a type argument out."""
-
-    characteristics: list[Characteristic[bytes]]
 
 
 class Peripheral:
@@ -142,7 +128,7 @@ class Peripheral:
         """
         if self._device:
             raise ValueError(f"{self.name} is already switched on")
-        protected = _protected(services)
+        protected = protected_characteristics(services)
         if self.demand_pairing and not protected:
             raise ValueError(f"no characteristic of {self.name} requires authentication")
         transceiver = Transceiver(self.name, self._radio.air)
@@ -154,13 +140,7 @@ class Peripheral:
         self._device = device
         device.gatt_server.max_mtu = self._max_mtu
         device.add_services(services)
-        for service, characteristic in protected:
-            # bumble makes the descriptor by itself, open to everybody.
-            subscription = device.gatt_server.get_descriptor_attribute(
-                service.uuid, characteristic.uuid, _SUBSCRIPTION
-            )
-            if subscription:
-                subscription.permissions |= characteristic.permissions & _AUTHENTICATED
+        protect_subscriptions(device.gatt_server, protected)
         device.on(Device.EVENT_CONNECTION, self._on_connection)
         await device.start_advertising(
             auto_restart=True,
@@ -301,9 +281,3 @@ class Peripheral:
         self._breaking = False
         for callback in list(self.on_disconnected):
             callback()
-
-
-def _protected(services: Sequence[Service]) -> list[tuple[Service, Characteristic[bytes]]]:
-    """Return the characteristics that require authentication, with their services."""
-    every = ((service, c) for service in services for c in cast("_Table", service).characteristics)
-    return [(service, c) for service, c in every if c.permissions & _AUTHENTICATED]
