@@ -8,7 +8,7 @@ under which LabRecorder, pyxdf, MNE-LSL and rclpy accept a stream.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
@@ -211,6 +211,11 @@ class SensorSpec:
             if stream.data_name == data_name:
                 return stream
         raise KeyError(data_name)
+
+    def rates(self, told: Mapping[str, float]) -> dict[str, float]:
+        """Return the nominal rates in Hz of the streams by data name, some told by the device."""
+        rates = {each.data_name: told.get(each.data_name, each.rate) for each in self.streams}
+        return {name: rate for name, rate in rates.items() if not isinstance(rate, FromDevice)}
 
     def channels_of(self, role: ChannelRole) -> Iterator[tuple[str, int, str]]:
         """Yield data name, column and label of each channel that has a role."""

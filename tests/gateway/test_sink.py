@@ -121,7 +121,7 @@ def test_counters_outlive_a_connection(sink: DeviceSink) -> None:
 def test_samples_are_signs_of_life_of_their_streams(unit: str) -> None:
     sink = DeviceSink(DeviceIdentity("polar_h10", unit), declaration("polar_h10"))
     sink.open(DeviceInfo(), {"ecg": 130.0, "acc": 50.0})
-    assert sink.rates_with({"acc": 25.0})["acc"] == 25.0
+    assert sink.spec.rates({"acc": 25.0})["acc"] == 25.0
     sink.watch.expect({"ecg": 0.0, "acc": 0.0, "hr": 0.0})
     judged = sink.watch.judge(can_enable=True)
     assert judged is not None

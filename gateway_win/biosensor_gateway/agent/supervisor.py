@@ -152,7 +152,7 @@ class Supervisor:
         return error
 
     def _expect(self, connected: Connected, device_limit_s: float) -> None:
-        rates = self._sink.rates_with(connected.rates)
+        rates = self._sink.spec.rates(connected.rates)
         limits_s = limits(rates, connected.due, connected.patience_s)
         for data_name in connected.silent | connected.refused:
             limits_s.pop(data_name, None)

@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike
 
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.device_clock import ClockState, DeviceClock
-from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, SensorSpec
+from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
 from biosensor_gateway.streaming.charge import Charge
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.device_outlets import DeviceOutlets
+from biosensor_gateway.streaming.gaps import Gaps
 from biosensor_gateway.streaming.jumps import JumpReports, Jumps
 from biosensor_gateway.streaming.observer import SinkObserver
 from biosensor_gateway.streaming.outlets import MAX_STAMP_ERROR_S
@@ -73,8 +74,7 @@ class DeviceSink:
         self._jumps = JumpReports(clock, self._say_jumps)
         self._is_new = Once()
         self._gate = PauseGate()
-        self._newest: dict[str, float] = {}
-        self._steps: dict[str, tuple[float, float]] = {}
+        self._gaps = Gaps(clock)
         self.info = DeviceInfo()
         self.told_rates: Mapping[str, float] = {}
         self.dropped_bytes = 0
@@ -93,12 +93,6 @@ class DeviceSink:
     def nominal_rates(self) -> dict[str, float]:
         """Nominal rates in Hz of all streams by source_id, 0 of irregular ones."""
         return self._outlets.rates
-
-    def rates_with(self, told: Mapping[str, float]) -> dict[str, float]:
-        """Return the nominal rates in Hz of all streams by data name, some told by the device."""
-        streams = self.spec.streams
-        rates = {each.data_name: told.get(each.data_name, each.rate) for each in streams}
-        return {name: rate for name, rate in rates.items() if not isinstance(rate, FromDevice)}
 
     @property
     def is_open(self) -> bool:
@@ -250,7 +244,7 @@ class DeviceSink:
         Those that a pause would have withheld are none: of a gap that was partly paused,
         the same part is not counted.
         """
-        begin, end = self._missing_span(data_name)
+        begin, end = self._gaps.widest(data_name)
         missed = count - round(count * self._gate.share(begin, end))
         self._outlets[data_name].counters.lost += missed
         if missed and self.observer is not None:
@@ -262,7 +256,7 @@ class DeviceSink:
         """Take out, and count, what a pause withholds."""
         if not len(times):
             return samples, times
-        self._note_step(data_name, times)
+        self._gaps.note(data_name, times)
         may_send = self._gate.may_send(times)
         rows = np.asarray(samples)
         # Samples that do not fit their times are refused; there is no telling which is which.
@@ -270,22 +264,6 @@ class DeviceSink:
             return samples, times
         self._outlets[data_name].counters.withheld += may_send.count(False)
         return rows[may_send], [time for time, sent in zip(times, may_send, strict=True) if sent]
-
-    def _note_step(self, data_name: str, times: Sequence[float]) -> None:
-        newest = self._newest.get(data_name)
-        if newest is not None:
-            self._steps[data_name] = newest, times[0]
-        self._newest[data_name] = min(max(times), self.clock())
-
-    def _missing_span(self, data_name: str) -> tuple[float, float]:
-        """Return where lost samples are missing, in LSL time.
-
-        Some drivers count them before they emit what follows the gap, some after.
-        """
-        now = self.clock()
-        newest = self._newest.get(data_name, now)
-        spans = (newest, now), self._steps.get(data_name, (newest, newest))
-        return max(spans, key=lambda span: span[1] - span[0])
 
     def _say_jumps(self, jumps: Jumps) -> None:
         if jumps.cause != DEVICE_RESTARTED or jumps.times > 1:
