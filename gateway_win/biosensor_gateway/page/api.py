@@ -52,7 +52,9 @@ def add_api(
     """Add everything under `/api/v1`, and how refusals are told."""
     router = APIRouter(prefix=PREFIX, responses={400: {"model": Problem}})
     _add_agent(router, session)
+    _add_search(router, session)
     _add_devices(router, session)
+    _add_pauses(router, session)
     _add_recording(router, recorder)
     _add_markers(router, marking)
     add_device_test(router, DeviceTester(session.streamed))
@@ -92,7 +94,7 @@ def _add_agent(router: APIRouter, session: Session) -> None:
         return Outcome(sentence="The agent has been told to end.")
 
 
-def _add_devices(router: APIRouter, session: Session) -> None:
+def _add_search(router: APIRouter, session: Session) -> None:
     search = Search(session.configured)
 
     @router.get("/search")
@@ -106,6 +108,8 @@ def _add_devices(router: APIRouter, session: Session) -> None:
         search.start()
         return search.view()
 
+
+def _add_devices(router: APIRouter, session: Session) -> None:
     @router.post("/devices")
     async def add(device: NewDevice) -> Outcome:
         """Add a device to the settings, and have the agent stream it."""
@@ -132,6 +136,8 @@ def _add_devices(router: APIRouter, session: Session) -> None:
         editing.remove_device(session.settings, models, device.sensor, device.unit)
         return await _applied(session, "is no longer in the settings")
 
+
+def _add_pauses(router: APIRouter, session: Session) -> None:
     @router.post("/devices/pause")
     async def pause(device: DeviceName) -> Outcome:
         """Send nothing of a device from now on, until it is resumed."""
