@@ -17,12 +17,13 @@ from bleak import BleakClient
 from bleak.args.winrt import WinRTClientArgs
 from bleak.backends.characteristic import BleakGATTCharacteristic
 from bleak.exc import BleakError
-from bleak.uuids import normalize_uuid_str
 
 from biosensor_common.errors import ProtocolError, ProtocolReason, TransportError, TransportReason
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
+from biosensor_gateway.transports.ble_characteristics import Characteristics
 from biosensor_gateway.transports.ble_choice import Choice
-from biosensor_gateway.transports.ble_errors import AttError, att_code, connect_error, is_forgotten
+from biosensor_gateway.transports.ble_errors import connect_error, is_forgotten, request_error
+from biosensor_gateway.transports.ble_hang_up import hang_up
 from biosensor_gateway.transports.ble_pairing import Pairing
 from biosensor_gateway.transports.ble_scanner import Sighting, forget
 from biosensor_gateway.transports.deadlines import in_background, within
@@ -31,17 +32,9 @@ from biosensor_gateway.transports.nearby import Advertisement
 CONNECT_LIMIT_S = 20.0
 REQUEST_LIMIT_S = 5.0
 PAIR_LIMIT_S = 30.0
-CLOSE_LIMIT_S = 1.5
-"""Leaves a driver half a second to say good-bye."""
 
 _T = TypeVar("_T")
 _Asking: TypeAlias = Callable[[BleakClient], Coroutine[Any, Any, _T]]
-
-_FAILURES = {
-    TransportReason.LOST: "the Bluetooth system of this computer fails",
-    TransportReason.DENIED: "pairing fails; remove the device from the computer's Bluetooth "
-    "settings and try again",
-}
 
 # Radios fail when they have to make two connections at a time.
 _connecting: WeakKeyDictionary[asyncio.AbstractEventLoop, asyncio.Lock] = WeakKeyDictionary()
@@ -88,7 +81,7 @@ class BleLink:
         self._connected_s = 0.0
         self._client: BleakClient | None = None
         self._connected = False
-        self._characteristics: dict[str, BleakGATTCharacteristic] = {}
+        self._characteristics = Characteristics()
         self._incoming: asyncio.Queue[Notification | None] = asyncio.Queue()
         self._lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._attempt: asyncio.Task[None] | None = None
@@ -124,11 +117,11 @@ class BleLink:
 
     def has(self, uuid: str) -> bool:
         """Whether the device has this characteristic; also after the link is gone."""
-        return normalize_uuid_str(uuid) in self._characteristics
+        return self._characteristics.find(uuid) is not None
 
     def properties(self, uuid: str) -> frozenset[str]:
         """Tell what a characteristic can: ``read``, ``notify``, ...; nothing if there is none."""
-        found = self._characteristics.get(normalize_uuid_str(uuid))
+        found = self._characteristics.find(uuid)
         return frozenset() if found is None else frozenset(found.properties)
 
     async def read(self, uuid: str) -> bytes:
@@ -199,7 +192,7 @@ class BleLink:
         client, self._client = self._client, None
         self._end()
         if client is not None:
-            await self._hang_up(client)
+            await hang_up(client, self._attempt, self._pairing)
 
     async def _connect(self, sighting: Sighting) -> None:
         """Raise as :meth:`open` does, or a BleakError if the system forgot the device."""
@@ -225,7 +218,7 @@ class BleLink:
                 self._begin(client)
             except Exception as error:  # turned into ours: backends raise what their system does
                 self._client = None
-                await self._hang_up(client)
+                await hang_up(client, self._attempt, self._pairing)
                 if is_forgotten(error):
                     raise
                 self._pairing.note_drop(0.0)
@@ -233,16 +226,13 @@ class BleLink:
 
     def _begin(self, client: BleakClient) -> None:
         """Note the characteristics now: bleak forgets them when the link is cut."""
-        self._characteristics.clear()
-        for service in client.services:
-            for each in service.characteristics:
-                self._characteristics.setdefault(each.uuid.lower(), each)
+        self._characteristics.learn(client.services)
         self._connected, self._connected_s = client.is_connected, self.clock()
         if not self._connected:
             raise BleakError("lost at once")
 
     def _characteristic(self, uuid: str) -> BleakGATTCharacteristic:
-        found = self._characteristics.get(normalize_uuid_str(uuid))
+        found = self._characteristics.find(uuid)
         if found is None:
             message = f"{self.what}: the device has no characteristic {uuid}"
             raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
@@ -262,14 +252,7 @@ class BleLink:
         except Exception as error:  # a request may fail with any error when the link is cut
             if self._lost.done() or not client.is_connected:
                 raise self._loss() from error
-            code = att_code(error)
-            if code is not None:
-                raise AttError(code, self.what) from error
-            if isinstance(error, TimeoutError):
-                message = f"{self.what}: connected, but no answer within {limit_s:.0f} s"
-                raise TransportError(TransportReason.SILENT, message) from error
-            message = f"{self.what}: {_FAILURES[failure]} ({error or type(error).__name__})"
-            raise TransportError(failure, message) from error
+            raise request_error(self.what, error, failure, limit_s) from error
 
     async def _in_turn(self, client: BleakClient, ask: _Asking[_T]) -> _T:
         # BlueZ and macOS refuse a request while another one is under way.
@@ -296,27 +279,8 @@ class BleLink:
             self._lost.set_result(None)
             self._incoming.put_nowait(None)
 
-    async def _hang_up(self, client: BleakClient) -> None:
-        # Left to itself after a while: some calls never return when the service has died.
-        ending = in_background(_disconnect(client, self._attempt, self._pairing))
-        await asyncio.wait({ending}, timeout=CLOSE_LIMIT_S)
-
 
 async def _pair(client: BleakClient) -> None:
     # macOS has no such call.
     with suppress(NotImplementedError):
         await client.pair()
-
-
-async def _disconnect(
-    client: BleakClient, attempt: asyncio.Task[None] | None, pairing: Pairing
-) -> None:
-    if attempt is not None:
-        # An attempt that was cancelled tidies up behind itself first.
-        await asyncio.wait({attempt})
-    if pairing.ends_with_connection:
-        # Whatever comes of it, the connection has to end.
-        with suppress(BleakError, NotImplementedError, OSError):
-            await client.unpair()
-        pairing.note_unpaired()
-    await client.disconnect()

@@ -43,6 +43,12 @@ _ADVICE = {
     TransportReason.UNAVAILABLE: "Bluetooth is unavailable; plug in or switch on the radio",
 }
 
+_FAILURES = {
+    TransportReason.LOST: "the Bluetooth system of this computer fails",
+    TransportReason.DENIED: "pairing fails; remove the device from the computer's Bluetooth "
+    "settings and try again",
+}
+
 # How bleak puts it when its own picture of BlueZ has lost the device before BlueZ is asked.
 _NOT_IN_BLUEZ = re.compile(r"device '\w+' not found")
 
@@ -104,6 +110,27 @@ def connect_error(what: str, error: Exception) -> TransportError:
         return TransportError(reason, f"{what}: {_ADVICE[reason]} ({_text(error)})")
     message = f"{what}: seen, but it does not connect ({_text(error)}); is it near and free?"
     return TransportError(TransportReason.ABSENT, message)
+
+
+def request_error(
+    what: str, error: Exception, failure: TransportReason, limit_s: float
+) -> TransportError | AttError:
+    """Tell why a device that is connected did not do what it was asked.
+
+    Parameters
+    ----------
+    failure
+        ``LOST`` or ``DENIED``: what it means when the device itself has refused nothing.
+    limit_s
+        How long it was waited for.
+    """
+    code = att_code(error)
+    if code is not None:
+        return AttError(code, what)
+    if isinstance(error, TimeoutError):
+        message = f"{what}: connected, but no answer within {limit_s:.0f} s"
+        return TransportError(TransportReason.SILENT, message)
+    return TransportError(failure, f"{what}: {_FAILURES[failure]} ({_text(error)})")
 
 
 def is_forgotten(error: Exception) -> bool:
