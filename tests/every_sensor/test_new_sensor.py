@@ -141,7 +141,7 @@ def test_it_streams_to_ros_and_what_a_fault_costs_is_counted(
 def test_the_demo_shows_its_topics(added: object) -> None:
     del added
     # That all others fill theirs in so short a time is not what this asks.
-    command = (sys.executable, "-m", "biosensor_gateway.cli", "demo", "--seconds", "12")
+    command = (sys.executable, "-m", "biosensor_gateway.cli", "demo", "--seconds", "15")
     shown = subprocess.run(command, capture_output=True, text=True, check=False)
     rows = {line.split()[0] for line in shown.stdout.splitlines() if f"/{SENSOR}/" in line}
     assert rows == {f"/biosensors/{SENSOR}/{name}" for name in TOPICS}, shown.stdout + shown.stderr

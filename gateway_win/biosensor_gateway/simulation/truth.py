@@ -39,6 +39,7 @@ class Truth:
     def __init__(self, kept: int | None = None) -> None:
         self._kept = kept
         self._sent: dict[str, deque[tuple[float, tuple[float, ...]]]] = {}
+        self._states: dict[str, Sequence[Sequence[float]]] = {}
         self._unsent: dict[str, int] = {}
         self._lock = Lock()
 
@@ -49,6 +50,17 @@ class Truth:
         with self._lock:
             known = self._sent.setdefault(data_name, deque(maxlen=self._kept))
             known.extend((time, tuple(row)) for time, row in zip(times, values, strict=True))
+
+    def told(
+        self, data_name: str, times: Sequence[float], values: Sequence[Sequence[float]]
+    ) -> None:
+        """Note a state that the link took, if it is another one than before.
+
+        Some devices tell theirs again and again; what there is to know is the change.
+        """
+        if values != self._states.get(data_name):
+            self._states[data_name] = values
+            self.sent(data_name, times, values)
 
     def unsent(self, data_name: str, count: int) -> None:
         """Note that so many samples were measured while streaming and could not be sent."""

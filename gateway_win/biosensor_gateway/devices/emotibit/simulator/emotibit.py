@@ -91,7 +91,6 @@ class SimulatedEmotiBit(VirtualDevice):
         self._wearer = wearer or Wearer(seed)
         self._rng = np.random.default_rng(seed)
         self._battery_percent = battery_percent
-        self._battery_told: object = None
         self._crystal = Crystal(world.clock, drift_ppm)
         self._worn_since_s = world.clock()
         self._rounds = self._switched_on()
@@ -161,13 +160,9 @@ class SimulatedEmotiBit(VirtualDevice):
             return
         is_sent = self._wifi.is_let_through() and host.send(datagram)
         for data_name, times, values in samples:
-            if data_name == "bat" and is_sent:
-                # It is told again and again; what there is to know is the change.
-                is_known, self._battery_told = values == self._battery_told, values
-                if is_known:
-                    continue
             if is_sent:
-                self.truth.sent(data_name, times, values)
+                note = self.truth.told if data_name == "bat" else self.truth.sent
+                note(data_name, times, values)
             else:
                 self.truth.unsent(data_name, len(times))
 

@@ -202,7 +202,8 @@ class Headband(VirtualDevice):
         """Note samples in the units of the declaration."""
         stamps = list(times)
         if sent:
-            self.truth.sent(name, stamps, [tuple(np.atleast_1d(row).tolist()) for row in rows])
+            note = self.truth.told if name == "bat" else self.truth.sent
+            note(name, stamps, [tuple(np.atleast_1d(row).tolist()) for row in rows])
         elif self._peripheral.connected:
             self.truth.unsent(name, len(stamps))
 
