@@ -1,0 +1,126 @@
+"""What a robot can do with features: the page's programs, as they stand there."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Generator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from std_msgs.msg import Float32
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "acting-on-features.md"
+HEART_RATE = "/P01/biosensors/polar_h10/hr_live"
+# The library of trees, and what it imports; of the other peers, nothing may be found.
+TREES = ("py_trees", "pydot", "pyparsing")
+_PROGRAM = re.compile(r'^```python title="([^"]+)"\n(.*?)^```$', re.MULTILINE | re.DOTALL)
+_COMMAND = re.compile(r"^ros2 run lsl_to_ros lsl_to_ros (--ros-args .*)$", re.MULTILINE)
+
+Start = Callable[[str], object]
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Generator[Start]:
+    """Start a program of the page; it runs to the end of the test, and must."""
+    running: list[subprocess.Popen[bytes]] = []
+    (installed,) = ROOT.glob(".venv-peers/lib/python*/site-packages")
+    for package in TREES:
+        (tmp_path / package).symlink_to(installed / package)
+    texts = dict(_PROGRAM.findall(PAGE.read_text(encoding="utf-8")))
+
+    def run(name: str) -> None:
+        (tmp_path / name).write_text(texts[name], encoding="utf-8")
+        running.append(subprocess.Popen([sys.executable, str(tmp_path / name)], env=os.environ))
+
+    yield run
+    codes = [process.poll() for process in running]
+    for process in running:
+        process.kill()
+        process.wait()
+    assert codes == [None] * len(running)
+
+
+class Strap:
+    """The topic of a heart rate."""
+
+    def __init__(self, listener: Any) -> None:
+        self._publisher = listener.node.create_publisher(Float32, HEART_RATE, 10)
+
+    @property
+    def is_heard(self) -> bool:
+        return self._publisher.get_subscription_count() > 0
+
+    def tell(self, rates: Sequence[float]) -> None:
+        for rate in rates:
+            self._publisher.publish(Float32(data=rate))
+            # The programs' queues have ten places.
+            time.sleep(0.01)
+
+
+@pytest.fixture
+def strap(listener: Any) -> Strap:
+    return Strap(listener)
+
+
+def test_a_score_is_how_far_a_person_is_from_their_rest(
+    start: Start, strap: Strap, listener: Any, wait_until: Callable[..., None]
+) -> None:
+    scores: list[Float32] = listener.listen(Float32, "/P01/hr_above_rest")
+    start("score.py")
+    wait_until(lambda: strap.is_heard, "the score's subscription")
+    rest = [65.0, 75.0] * 30
+    strap.tell([*rest[:10], math.nan, *rest[10:], math.nan])
+    assert scores == []
+
+    def is_told() -> bool:
+        strap.tell([80.0])
+        return bool(scores)
+
+    wait_until(is_told, "a score")
+    spread = statistics.stdev(rest)
+    assert scores[0].data == pytest.approx((80.0 - 70.0) / spread)
+
+
+def test_the_tree_is_fast_only_while_the_person_is_known_to_be_calm(
+    start: Start, strap: Strap, listener: Any, wait_until: Callable[..., None]
+) -> None:
+    speeds: list[Float32] = listener.listen(Float32, "/speed_scale")
+
+    def comes(speed: float, what: str) -> None:
+        wait_until(lambda: speeds and speeds[-1].data == pytest.approx(speed), what)
+
+    start("tree.py")
+    wait_until(lambda: strap.is_heard, "the condition's subscription")
+    comes(0.3, "slow without a heart rate")
+    strap.tell([70.0])
+    comes(1.0, "fast with a calm one")
+    strap.tell([130.0])
+    comes(0.3, "slow with a fast one")
+    strap.tell([70.0])
+    comes(1.0, "fast again")
+    strap.tell([math.nan])
+    comes(0.3, "slow with none")
+    strap.tell([70.0])
+    comes(1.0, "fast again")
+    comes(0.3, "slow when the newest one is of long ago")
+
+
+def test_a_namespace_puts_a_person_where_ros4hri_looks(
+    programs: Any, listener: Any, wait_until: Callable[..., None]
+) -> None:
+    (arguments,) = _COMMAND.findall(PAGE.read_text(encoding="utf-8"))
+    programs.start("lsl_to_ros.node", *arguments.split())
+    programs.start("biosensor_gateway.cli", "run", "--simulate", "polar_h10@P01", "--features")
+    topic = "/humans/persons/P01/biosensors/polar_h10/hr_live"
+    assert topic in PAGE.read_text(encoding="utf-8")
+    rates = listener.listen(Float32, topic)
+    wait_until(lambda: rates, "a heart rate below /humans/persons")
+    assert 40 < rates[0].data < 150
