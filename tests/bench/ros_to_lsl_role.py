@@ -16,9 +16,8 @@ from rclpy.executors import SingleThreadedExecutor
 
 from lsl_to_ros.ros_to_lsl.application import RosToLsl
 from lsl_to_ros.ros_to_lsl.bridge import Bridge
-from lsl_to_ros.ros_to_lsl.fields import RosMessage
 from lsl_to_ros.ros_to_lsl.outlets import SampleOutlet
-from lsl_to_ros.ros_to_lsl.stamping import MessageInfo
+from lsl_to_ros.taking import MessageInfo, RosMessage
 from tests.bench.child import Orders, say
 from tests.bench.robot_sender import topic_of
 

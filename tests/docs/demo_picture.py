@@ -13,8 +13,9 @@ import re
 import subprocess
 import sys
 import termios
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from io import StringIO
+from itertools import groupby
 from pathlib import Path
 
 from rich.console import Console
@@ -25,7 +26,8 @@ LINES, COLUMNS = 100, 100
 _COMMAND = "biosensor-gateway demo --seconds"
 # What tells of the device or comes beside another topic; the picture has no room for it.
 _LEFT_OUT = re.compile(r"\S+(?:_chunk|/(?:bat|rssi|quality|dev|eeg_status|acc|posture|activity))\b")
-_AGENT = "/biosensors/gateway/"
+_SHOWN_OF_A_SENSOR, _SHOWN_REASONS = 3, 4
+_AGENT, _PREFIX = "gateway/", "/biosensors/"
 _NOTE = "..."
 
 # rich's own template asks another host for its fonts.
@@ -93,11 +95,22 @@ def shown(text: str) -> list[str]:
     if not starts:
         raise ValueError("the demo printed no table")
     heading, *rest = lines[starts[-1] :]
-    rows = [line for line in rest if line.startswith("/") and not _is_reason(line)]
+    rows = [line for line in rest if line.strip() and not _is_reason(line)]
     reasons = [line for line in rest if _is_reason(line)]
-    chosen = [row for row in rows if not _LEFT_OUT.match(row) and not row.startswith(_AGENT)]
+    empty = {reason.partition(":")[0].removeprefix(_PREFIX) for reason in reasons}
+    chosen = [
+        row
+        for _, of_sensor in groupby(rows, key=lambda row: row.partition("/")[0])
+        for row in [each for each in of_sensor if _has_room(each, empty)][:_SHOWN_OF_A_SENSOR]
+    ]
     more = f"{_NOTE} and {len(rows) - len(chosen)} more topics"
-    return [heading, *chosen, more, *reasons]
+    rest_of_reasons = reasons[_SHOWN_REASONS:]
+    others = [f"{_NOTE} and {len(rest_of_reasons)} more of them"] if rest_of_reasons else []
+    return [heading, *chosen, more, *reasons[:_SHOWN_REASONS], *others]
+
+
+def _has_room(row: str, empty: Collection[str]) -> bool:
+    return not (_LEFT_OUT.match(row) or row.startswith(_AGENT) or row.split(maxsplit=1)[0] in empty)
 
 
 def _is_reason(line: str) -> bool:
@@ -116,7 +129,7 @@ def drawn(lines: list[str], title: str) -> str:
     for index, line in enumerate(lines):
         style = "bold" if not index else "dim" if _is_reason(line) or line.startswith(_NOTE) else ""
         text = Text(line, style=style)
-        text.highlight_regex(r"^/\S+", "cyan")
+        text.highlight_regex(r"^[/\w]+" if index else "^$", "cyan")
         console.print(text, no_wrap=True, overflow="ellipsis", crop=True)
     return console.export_svg(title=title, code_format=_TEMPLATE, unique_id="demo")
 

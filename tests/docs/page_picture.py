@@ -18,12 +18,14 @@ from typing import Any, Literal, get_args
 
 from playwright.sync_api import Browser, expect, sync_playwright
 
+from biosensor_gateway.demo.virtual_devices import one_of_each
 from tests.rigs.chromium import OPTIONS
 
 Scheme = Literal["light", "dark"]
 SECONDS = 15
 """Until traces fill their window, and devices have told their battery."""
 HOST = "lab-pc"
+DEVICES = len(one_of_each())
 SENSORS = "empatica_e4,polar_h10,zephyr"
 """Beside other programs' streams; more would push those out of the picture."""
 OTHERS: list[dict[str, Any]] = [
@@ -41,7 +43,7 @@ def _take(browser: Browser, address: str, folder: Path) -> None:
     context = browser.new_context(viewport={"width": 1280, "height": 900})
     page = context.new_page()
     page.goto(address)
-    expect(page.locator(".card", has_text="streaming")).to_have_count(7, timeout=60_000)
+    expect(page.locator(".card", has_text="streaming")).to_have_count(DEVICES, timeout=60_000)
     page.wait_for_timeout(1000 * SECONDS)
     for scheme in get_args(Scheme):
         page.emulate_media(color_scheme=scheme)
@@ -83,7 +85,7 @@ def _take_replay(browser: Browser, address: str, recording: Path, folder: Path) 
     panel.get_by_label("Recording").select_option("another file …")
     panel.get_by_label("whole path").fill(str(recording))
     panel.get_by_role("button", name="Play", exact=True).click(timeout=60_000)
-    expect(page.locator(".card.replay")).to_have_count(7, timeout=60_000)
+    expect(page.locator(".card.replay")).to_have_count(DEVICES, timeout=60_000)
     panel.get_by_role("button", name="Close").click()
     page.wait_for_timeout(1000 * (SECONDS - 3))
     page.screenshot(path=folder / "page-replay.png")

@@ -16,22 +16,27 @@ PICTURES = sorted((Path(__file__).parents[2] / "docs" / "pictures").glob("*.svg"
 SVG = "{http://www.w3.org/2000/svg}"
 PRINTED = f"""\
 something that was logged
-topic                       type     Hz
-/biosensors/polar_h10/ecg   Float32  130.14
-/biosensors/polar_h10/ecg_chunk  Float32MultiArray  1.02
-/biosensors/polar_h10/bat   Float32  0.00
-/biosensors/zephyr/hr       UInt8    {"1.00".ljust(COLUMNS)} end
-/biosensors/gateway/events  String   0.20
+topic in /biosensors/       type     Hz
+empatica_e4/tag             Empty    0.00
+gateway/events              String   0.20
+polar_h10/bat               Float32  0.00
+polar_h10/ecg               Float32  130.14
+polar_h10/ecg_chunk         Float32[]  1.02
+zephyr/br                   Float32  1.00
+zephyr/breathing            Float32  17.86
+zephyr/hr                   UInt8    {"1.00".ljust(COLUMNS)} end
+zephyr/ibi                  Float32  1.00
 /biosensors/empatica_e4/tag: not expected, nobody presses the button
 """
 
 
 def test_the_demo_is_shown_without_what_is_beside_it() -> None:
-    heading, ecg, heart_rate, more, reason = shown(PRINTED)
+    heading, ecg, *breathing, heart_rate, more, reason = shown(PRINTED)
     assert heading.startswith("topic ")
-    assert ecg.startswith("/biosensors/polar_h10/ecg ")
-    assert heart_rate.startswith("/biosensors/zephyr/hr ")
-    assert "3 more topics" in more
+    assert ecg.startswith("polar_h10/ecg ")
+    assert len(breathing) == 2
+    assert heart_rate.startswith("zephyr/hr ")
+    assert "5 more topics" in more
     assert reason.endswith("nobody presses the button")
 
 

@@ -25,11 +25,13 @@ from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
 
 from biosensor_common.quantities import MessageType
 from biosensor_common.terminal import columns
 from lsl_to_ros.accounts.rates import RateMeter
 from lsl_to_ros.fitting import fitted, widths
+from lsl_to_ros.taking import MessageInfo, RosMessage, TakenElsewhere, Taker, nobody
 from lsl_to_ros.topics.messages import CLASSES
 
 FIRST_SAMPLE_TIMEOUT_S = 30.0
@@ -79,6 +81,9 @@ class LiveTable(Node):
 
     def __init__(self) -> None:
         super().__init__("biosensor_live_table")
+        # An executor of rclpy is too slow for so many topics: it would show wrong rates.
+        self._taker = Taker(self, self._fail)
+        self._group = TakenElsewhere()
         self.rows: dict[str, Row] = {}
         self.first_sample: float | None = None
         self.create_subscription(DiagnosticArray, "/diagnostics", self._take_facts, 10)
@@ -94,9 +99,20 @@ class LiveTable(Node):
                 continue
             kind = types[kinds[0]]
             self.rows[topic] = row = Row(topic, kind)
-            self.create_subscription(CLASSES[kind], topic, partial(self._take, row), QUEUE_DEPTH)
+            subscription = self.create_subscription(
+                CLASSES[kind], topic, nobody, QUEUE_DEPTH, callback_group=self._group
+            )
+            self._taker.add(subscription, partial(self._take, row))
 
-    def _take(self, row: Row, message: object) -> None:
+    def stop(self) -> None:
+        """Take what has come, and nothing more."""
+        self._taker.stop()
+
+    def _fail(self, subscription: Subscription, error: Exception) -> None:
+        self.get_logger().error(f"{subscription.topic_name}: {error}")
+
+    def _take(self, row: Row, message: RosMessage, info: MessageInfo) -> None:
+        del info
         row.received += 1
         row.newest = monotonic()
         row.last = message
@@ -169,6 +185,7 @@ def main() -> None:
     try:
         _spin(node, options.seconds, stopping)
     finally:
+        node.stop()
         node.destroy_node()
         rclpy.shutdown()
     raise SystemExit(_conclude(node, options.seconds, expected))

@@ -37,8 +37,8 @@ from lsl_to_ros.ros_to_lsl.reports import (
     topic_status,
 )
 from lsl_to_ros.ros_to_lsl.requests import TopicRequest, stream_name
-from lsl_to_ros.ros_to_lsl.taking import TakenElsewhere, Taker
 from lsl_to_ros.ros_to_lsl.topic import Topic
+from lsl_to_ros.taking import TakenElsewhere, Taker
 from lsl_to_ros.topics.publishers import make_publisher
 
 LOOK_PERIOD_S = 0.25

@@ -11,13 +11,14 @@ from typing import Any
 
 from biosensor_common.errors import GatewayError
 from lsl_to_ros.accounts.ros_time import RosTime
-from lsl_to_ros.ros_to_lsl.fields import FRAMES, HEADER, RosMessage, has_header
+from lsl_to_ros.ros_to_lsl.fields import FRAMES, HEADER, has_header
 from lsl_to_ros.ros_to_lsl.losses import PublicationLosses
 from lsl_to_ros.ros_to_lsl.outlets import MarkerOutlet, Origin, with_stamp
 from lsl_to_ros.ros_to_lsl.publisher_clock import ClockState
 from lsl_to_ros.ros_to_lsl.requests import SendAs, TopicRequest
 from lsl_to_ros.ros_to_lsl.senders import NumberSender, Sender, senders_for
-from lsl_to_ros.ros_to_lsl.stamping import MessageInfo, MessageStamping, StampSource
+from lsl_to_ros.ros_to_lsl.stamping import MessageStamping, StampSource
+from lsl_to_ros.taking import MessageInfo, RosMessage
 
 MAX_HELD = 5000
 """So many messages wait while it is in doubt whether a clock is right."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import Enum, unique
 from functools import cache
 from importlib import import_module
-from typing import Any, TypeAlias
+from typing import Any
 
 from rosidl_parser.definition import (
     AbstractGenericString,
@@ -21,9 +21,6 @@ from rosidl_parser.definition import (
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.ros_quantities import NOTHING_KNOWN, TIME, Quantity, quantity
-
-RosMessage: TypeAlias = Any
-"""A message of whatever type."""
 
 HEADER = "header"
 HEADER_TYPE = "std_msgs/msg/Header"

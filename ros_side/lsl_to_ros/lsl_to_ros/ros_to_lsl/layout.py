@@ -15,7 +15,8 @@ from typing import Any, NamedTuple, Protocol
 from biosensor_common.errors import SpecError, SpecReason
 from biosensor_common.lsl_header import MAX_CHANNELS
 from lsl_to_ros.ros_to_lsl.channels import Channel, channel_of
-from lsl_to_ros.ros_to_lsl.fields import NAMES, Field, FieldKind, RosMessage
+from lsl_to_ros.ros_to_lsl.fields import NAMES, Field, FieldKind
+from lsl_to_ros.taking import RosMessage
 
 _EXACT_UP_TO = 2.0**53
 

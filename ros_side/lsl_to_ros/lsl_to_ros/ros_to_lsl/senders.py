@@ -8,11 +8,12 @@ from time import monotonic
 from typing import Any, Protocol
 
 from biosensor_common.errors import SpecError, SpecReason
-from lsl_to_ros.ros_to_lsl.fields import Field, FieldKind, RosMessage, all_fields, fields_of
+from lsl_to_ros.ros_to_lsl.fields import Field, FieldKind, all_fields, fields_of
 from lsl_to_ros.ros_to_lsl.layout import Layout, LayoutChangedError
 from lsl_to_ros.ros_to_lsl.outlets import MarkerOutlet, Origin, SampleOutlet
 from lsl_to_ros.ros_to_lsl.requests import SendAs, TopicRequest
 from lsl_to_ros.ros_to_lsl.texts import ToText, as_json, has_records, is_text, marker_of, text_of
+from lsl_to_ros.taking import RosMessage
 
 LINGER_S = 0.25
 """How long an outlet stays after its last sample, which LSL sends from a thread of its own."""

@@ -3,29 +3,13 @@
 from __future__ import annotations
 
 from enum import StrEnum, unique
-from typing import NamedTuple, TypedDict
+from typing import NamedTuple
 
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.ros_clock import NS_PER_S
 from lsl_to_ros.accounts.ros_time import RosTime
-from lsl_to_ros.ros_to_lsl.fields import RosMessage
 from lsl_to_ros.ros_to_lsl.publisher_clock import ClockState, PublisherClock
-
-
-class MessageInfo(TypedDict):
-    """What ROS tells of a message besides; None where the middleware does not know.
-
-    Attributes
-    ----------
-    source_timestamp, received_timestamp
-        When it was published and when it arrived, in nanoseconds since 1970.
-    publication_sequence_number
-        Counted by its publisher.
-    """
-
-    source_timestamp: int
-    received_timestamp: int
-    publication_sequence_number: int | None
+from lsl_to_ros.taking import MessageInfo, RosMessage
 
 
 @unique

@@ -12,10 +12,9 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from biosensor_common.errors import GatewayError
 from lsl_to_ros.ros_to_lsl.bridge import OLD_MESSAGES_S, Bridge, MessageType
-from lsl_to_ros.ros_to_lsl.fields import RosMessage, message_class
+from lsl_to_ros.ros_to_lsl.fields import message_class
 from lsl_to_ros.ros_to_lsl.graph import Quality, quality_of
-from lsl_to_ros.ros_to_lsl.stamping import MessageInfo
-from lsl_to_ros.ros_to_lsl.taking import TakenElsewhere, Taker
+from lsl_to_ros.taking import MessageInfo, RosMessage, TakenElsewhere, Taker, nobody
 
 _USUAL = Quality()
 """Of a topic that nobody publishes yet: what most publishers will offer."""
@@ -110,7 +109,7 @@ class Topic:
         self._subscription = self._node.create_subscription(
             self.kind.message_class,
             self.name,
-            _nobody,
+            nobody,
             quality.profile,
             callback_group=self._group,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
@@ -126,7 +125,3 @@ class Topic:
     def _take(self, message: RosMessage, info: MessageInfo) -> None:
         is_new = monotonic() - self._subscribed_s < OLD_MESSAGES_S
         self.bridge.take(message, info, may_be_old=self.quality.is_latched and is_new)
-
-
-def _nobody(_message: object) -> None:
-    """Stand in for a callback: no executor takes from these subscriptions."""

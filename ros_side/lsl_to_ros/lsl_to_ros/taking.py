@@ -6,15 +6,12 @@ import threading
 import time
 from collections.abc import Callable
 from queue import SimpleQueue
-from typing import Any
+from typing import Any, TypeAlias, TypedDict
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.subscription import Subscription
-
-from lsl_to_ros.ros_to_lsl.fields import RosMessage
-from lsl_to_ros.ros_to_lsl.stamping import MessageInfo
 
 REST_S = 0.0015
 """After each round, so that messages that come close together are taken together: a round
@@ -24,7 +21,32 @@ _MAX_TAKEN = 200
 """Of one subscription in a round, so that a flood does not keep the others waiting."""
 _END_S = 5.0
 
+RosMessage: TypeAlias = Any
+"""A message of whatever type."""
+
+
+class MessageInfo(TypedDict):
+    """What ROS tells of a message besides; None where the middleware does not know.
+
+    Attributes
+    ----------
+    source_timestamp, received_timestamp
+        When it was published and when it arrived, in nanoseconds since 1970.
+    publication_sequence_number
+        Counted by its publisher.
+    """
+
+    source_timestamp: int
+    received_timestamp: int
+    publication_sequence_number: int | None
+
+
 Take = Callable[[RosMessage, MessageInfo], None]
+
+
+def nobody(message: RosMessage) -> None:
+    """Stand where rclpy demands a callback of a subscription from which a `Taker` takes."""
+    del message
 
 
 class TakenElsewhere(CallbackGroup):
