@@ -89,13 +89,12 @@ class ControlServer:
     async def __aenter__(self) -> Self:
         try:
             self._server = await asyncio.start_server(self._connected, HOST, 0, limit=REQUEST_LIMIT)
-            try:
+            with contextlib.ExitStack() as failed:
+                failed.callback(self._server.close)
                 port: int = self._server.sockets[0].getsockname()[1]
                 entry = json.dumps({"port": port, "token": self._token})
                 state_file.replace(self._path, entry, private=True)
-            except BaseException:
-                self._server.close()
-                raise
+                failed.pop_all()
         except OSError as error:
             message = f"{self._path}: {error.strerror or error}; `stop` will not work"
             raise ConfigError(ConfigReason.UNREADABLE, message) from error

@@ -6,7 +6,7 @@ import asyncio
 import socket
 import time
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import platformdirs
@@ -106,13 +106,13 @@ class Recorder:
             raise ConfigError(ConfigReason.IN_USE, message)
         self._busy = what
         self._tell_busy(what)
-        try:
-            yield
-        except BaseException:
-            self._tell_busy("")
-            raise
-        finally:
-            self._busy = ""
+        with ExitStack() as failed:
+            failed.callback(self._tell_busy, "")
+            try:
+                yield
+            finally:
+                self._busy = ""
+            failed.pop_all()
 
     def _tell_busy(self, what: str) -> None:
         self._session.recording = self._session.recording.model_copy(update={"busy": what})

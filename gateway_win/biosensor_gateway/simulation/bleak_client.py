@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine
+from contextlib import ExitStack
 from typing import Any, TypeVar, cast
 
 from bleak.args import SizedBuffer
@@ -89,14 +90,13 @@ class VirtualClient(BaseBleakClient):
             raise BleakError("Client is already connected")
         if not self._scanned:
             await self._find()
-        try:
+        with ExitStack() as failed:
+            # The link may have come about in the moment of giving up.
+            failed.callback(tell, self._world.loop, self._close_unwanted)
             async with asyncio.timeout(self._timeout):
                 loop = asyncio.get_running_loop()
                 link = await in_world(self._world, self._open(loop, pair))
-        except BaseException:
-            # The link may have come about in the moment of giving up.
-            tell(self._world.loop, self._close_unwanted)
-            raise
+            failed.pop_all()
         if link.lost:
             raise BleakError(f"{self.address} was lost while connecting")
         self.services = _services(link, self._wanted)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
+from contextlib import AsyncExitStack
 from typing import Protocol, TypeVar, cast
 
 from bumble import att, core, hci
@@ -86,11 +87,10 @@ class GattLink:
         """
         link = cls(connection)
         preparing = asyncio.ensure_future(link._prepare(mtu))
-        try:
+        async with AsyncExitStack() as failed:
+            failed.push_async_callback(link.disconnect)
             await asyncio.shield(preparing)
-        except BaseException:
-            await link.disconnect()
-            raise
+            failed.pop_all()
         return link
 
     @property

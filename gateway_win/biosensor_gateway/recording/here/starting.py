@@ -70,16 +70,15 @@ def begin(
     wanted = ours if order.only_ours else presence.visible
     _require_streams(presence, wanted, order)
     file = take_file(files)
-    try:
+    with contextlib.ExitStack() as failed:
+        failed.callback(_release, file)
         _require_space(file)
         what = predicate(wanted) if order.only_ours else EVERYTHING
         kept = Kept(str(file), tuple(each.source_id for each in ours if each.source_id), 0.0)
         job = Job((str(program), file.name, what), kept)
         starter = _Starter(state, folder, job, lsl, begun + order.growth_s)
         missed = starter.start(wanted, ours)
-    except BaseException:
-        _release(file)
-        raise
+        failed.pop_all()
     recorded = tuple(each for each in wanted if each not in missed)
     foreign = tuple(each for each in recorded if each in presence.foreign)
     return Begun(
@@ -110,14 +109,12 @@ class _Starter:
         """Return those of the wanted streams that are not recorded; none of the required."""
         while True:
             self._launch()
-            try:
+            with contextlib.ExitStack() as failed:
+                failed.callback(self._end)
                 missed = self._wait().missed(wanted)
                 if not missed or self._can_do_without(missed, wanted, required):
+                    failed.pop_all()
                     return missed
-            except BaseException:
-                self._end()
-                raise
-            self._end()
 
     def _can_do_without(
         self,
