@@ -85,7 +85,8 @@ class PageServer:
         self._folder, self._settings = folder, settings
         self._on_ready, self._open_log = on_ready, open_log
         self._end_after_s, self._share_port = end_after_s, share_port
-        self._error: Exception | None = None
+        self._running: asyncio.Task[None] | None = None
+        self._unopened: GatewayError | None = None
         self.share: ShareView | None = None
 
     def run(self) -> None:
@@ -112,8 +113,9 @@ class PageServer:
             self._front = Front(self._pages, "index.html", self._serving)
             self._server = guarded(self._front, self._port, self._keys)
             self._server.run([listening])
-        if self._error is not None:
-            raise self._error
+        if self._unopened is not None:
+            raise self._unopened
+        raise_error_of(self._running)
 
     def _way_in(self) -> str:
         return f"http://{HOST}:{self._port}{DOOR}?token={self._keys.new_token()}"
@@ -121,12 +123,11 @@ class PageServer:
     @contextlib.asynccontextmanager
     async def _serving(self, _app: Starlette) -> AsyncGenerator[None]:
         """Run what goes on beside the requests."""
-        running = asyncio.create_task(self._run())
+        self._running = asyncio.create_task(self._run())
         try:
             yield
         finally:
-            running.cancel()
-            await asyncio.gather(running, return_exceptions=True)
+            await cancelled([self._running])
 
     async def _run(self) -> None:
         """Load the rest and run it until somebody ends the page; an error ends it, too."""
@@ -152,8 +153,6 @@ class PageServer:
                 if self._share_port is not None:
                     begin(self._show())
                 await ended
-        except Exception as error:  # noqa: BLE001 - raised again when the server has ended
-            self._error = error
         finally:
             await cancelled(running)
             self._server.should_exit = True
@@ -175,7 +174,7 @@ class PageServer:
         try:
             await asyncio.to_thread(self._on_ready, self._way_in())
         except GatewayError as error:
-            self._error = error
+            self._unopened = error
             self._server.should_exit = True
 
     @contextlib.asynccontextmanager
@@ -239,6 +238,12 @@ async def cancelled(tasks: Iterable[asyncio.Task[None]]) -> None:
     for task in tasks:
         task.cancel()
     await asyncio.gather(*tasks, return_exceptions=True)
+
+
+def raise_error_of(task: asyncio.Task[None] | None) -> None:
+    """Raise what a task has ended with, unless it ended well, was cancelled or never began."""
+    if task is not None and task.done() and not task.cancelled():
+        task.result()
 
 
 def _ignore(_number: int, _frame: FrameType | None) -> None:

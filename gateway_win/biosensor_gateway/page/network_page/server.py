@@ -18,7 +18,7 @@ from starlette.applications import Starlette
 
 from biosensor_gateway.page.front import Front
 from biosensor_gateway.page.guard import DOOR, Keys
-from biosensor_gateway.page.server import HOST, cancelled, guarded, responsive
+from biosensor_gateway.page.server import HOST, cancelled, guarded, raise_error_of, responsive
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp
@@ -42,7 +42,7 @@ class NetworkServer:
 
     def __init__(self, settings: Path, on_ready: Callable[[str], None]) -> None:
         self._settings, self._on_ready = settings, on_ready
-        self._error: Exception | None = None
+        self._running: asyncio.Task[None] | None = None
 
     def run(self) -> None:
         """Serve until SIGINT or SIGTERM.
@@ -66,16 +66,15 @@ class NetworkServer:
             self._front = Front(pages, _DOCUMENT, self._serving)
             self._server = guarded(self._front, port, keys)
             self._server.run([listening])
-        if self._error is not None:
-            raise self._error
+        raise_error_of(self._running)
 
     @contextlib.asynccontextmanager
     async def _serving(self, _app: Starlette) -> AsyncGenerator[None]:
-        running = asyncio.create_task(self._run())
+        self._running = asyncio.create_task(self._run())
         try:
             yield
         finally:
-            await cancelled([running])
+            await cancelled([self._running])
 
     async def _run(self) -> None:
         """Load the rest and run it until cancelled; an error ends the server."""
@@ -89,8 +88,6 @@ class NetworkServer:
             running.append(asyncio.create_task(source.run()))
             self._front.complete(await asyncio.to_thread(_api, source))
             await asyncio.gather(*running)
-        except Exception as error:  # noqa: BLE001 - raised again when the server has ended
-            self._error = error
         finally:
             await cancelled(running)
             self._server.should_exit = True
