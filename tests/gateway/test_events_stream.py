@@ -24,11 +24,12 @@ from biosensor_common.errors import ConfigError
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.settings.file import load_settings
+from biosensor_gateway.streaming import own_outlets
 from biosensor_gateway.streaming.events import EventKind
-from biosensor_gateway.streaming.events import announcer as announcer_module
 from biosensor_gateway.streaming.events.announcer import Announcer
 from biosensor_gateway.streaming.events.device import follow
 from biosensor_gateway.streaming.events.log_errors import log_errors
+from biosensor_gateway.streaming.outlets import Outlet
 from biosensor_gateway.streaming.sink import DeviceSink
 
 SOURCE = naming.source_id(DeviceIdentity("gateway", socket.gethostname()), "events")
@@ -154,13 +155,13 @@ async def test_an_agent_that_starts_says_its_version(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     said: list[str] = []
-    push = announcer_module.Outlet.push_text
+    push = Outlet.push_text
 
     def noted(outlet: Any, text: str, stamp: float) -> None:
         said.append(text)
         push(outlet, text, stamp)
 
-    monkeypatch.setattr(announcer_module.Outlet, "push_text", noted)
+    monkeypatch.setattr(Outlet, "push_text", noted)
     async with announcing(0.0):
         (text,) = said
     assert " " not in text
@@ -181,7 +182,7 @@ async def test_nothing_that_fails_in_it_reaches_the_data(
     with capture_logs() as logs:
         async with announcing(0.1, broken) as announcer:
             events = follow(sink, announcer)
-            monkeypatch.setattr(announcer_module.Outlet, "push_text", broken)
+            monkeypatch.setattr(Outlet, "push_text", broken)
             sink.open(DeviceInfo(), {})
             reader = await asyncio.to_thread(inlet, f"zephyr-{unit}-ecg")
             for index in range(20):
@@ -227,7 +228,7 @@ async def test_devices_are_streamed_also_if_there_can_be_no_such_stream(
     def refuse(*_arguments: object) -> None:
         raise RuntimeError("no port is free")
 
-    monkeypatch.setattr(announcer_module, "Outlet", refuse)
+    monkeypatch.setattr(own_outlets, "Outlet", refuse)
     with capture_logs() as logs:
         async with announcing(0.1) as announcer:
             announcer.announce(EventKind.PAUSED, {})

@@ -17,7 +17,7 @@ from biosensor_common.errors import ConfigError, ConfigReason, TransportError, T
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.marking import LISTED, MAX_AGE_S, MAX_SOURCE, MAX_TEXT, MarkerCommands
 from biosensor_gateway.settings.models import MarkerSettings
-from biosensor_gateway.streaming import markers as module
+from biosensor_gateway.streaming import own_outlets
 from biosensor_gateway.streaming.markers import KEPT, MarkerStream
 
 SOURCE = naming.source_id(DeviceIdentity("gateway", socket.gethostname()), "markers")
@@ -279,7 +279,7 @@ async def test_without_a_stream_markers_are_refused_and_nothing_else_fails(
         assert caught.value.reason is TransportReason.UNAVAILABLE
 
     await is_refused()
-    monkeypatch.setattr(module, "Outlet", refuse)
+    monkeypatch.setattr(own_outlets, "Outlet", refuse)
     with capture_logs() as logs:
         desk.stream.open()
         desk.stream.tick(pylsl.local_clock())

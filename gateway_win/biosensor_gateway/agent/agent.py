@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import socket
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,6 @@ import structlog
 from biosensor_common.device_clock import ClockState
 from biosensor_common.heap import limit_arenas
 from biosensor_common.lsl_config import LslOverrides
-from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.control_server import Command, Conversation
 from biosensor_gateway.agent.device import Device
@@ -31,9 +29,9 @@ from biosensor_gateway.settings.models import GatewaySettings, LslSettings
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
-from biosensor_gateway.streaming.gateway import GATEWAY
 from biosensor_gateway.streaming.markers import MarkerStream
 from biosensor_gateway.streaming.outlets import Outlet, configure_lsl
+from biosensor_gateway.streaming.own_outlets import own_outlet
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.keep_alive import restart_facts
 from biosensor_gateway.system.keep_awake import KeepAwake, system_inhibitor
@@ -102,7 +100,7 @@ class Agent:
     async def run(self) -> None:
         """Stream until cancelled, then close every device and outlet."""
         self._known.expect()
-        counters = _counters_outlet()
+        counters = own_outlet("counters")
         self._markers.open()
         start = restart_facts(os.environ)
         if start:
@@ -170,8 +168,3 @@ class Agent:
 
 def _overrides(settings: LslSettings) -> LslOverrides:
     return LslOverrides(settings.session_id, settings.known_peers, settings.port_range)
-
-
-def _counters_outlet() -> Outlet:
-    identity = DeviceIdentity(GATEWAY.name, socket.gethostname())
-    return Outlet(GATEWAY.stream("counters"), identity, DeviceInfo(model=GATEWAY.model))

@@ -31,14 +31,12 @@ from __future__ import annotations
 
 import asyncio
 import json
-import socket
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum, unique
 from typing import NamedTuple
 
 import pylsl
-import structlog
 
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.errors import (
@@ -47,18 +45,15 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
-from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.events.log_errors import log_errors
-from biosensor_gateway.streaming.gateway import GATEWAY
 from biosensor_gateway.streaming.outlets import Outlet
+from biosensor_gateway.streaming.own_outlets import spare_outlet
 
 LINGER_S = 0.25
 """How long the outlet stays after the last marker, which LSL sends from a thread of its own."""
 KEPT = 1000
 """The newest markers that are remembered; an older one cannot be undone."""
-
-_log = structlog.get_logger("biosensor_gateway.markers")
 
 
 @unique
@@ -146,13 +141,7 @@ class MarkerStream:
 
     def open(self) -> None:
         """Make the outlet. What goes wrong is logged, and markers are refused then."""
-        identity = DeviceIdentity(GATEWAY.name, socket.gethostname())
-        try:
-            self._outlet = Outlet(
-                GATEWAY.stream("markers"), identity, DeviceInfo(model=GATEWAY.model)
-            )
-        except Exception:  # noqa: BLE001 - whatever keeps the stream away, devices go on
-            _log.exception("there is no stream of markers")
+        self._outlet = spare_outlet("markers")
 
     @log_errors
     def tick(self, now: float) -> None:

@@ -5,28 +5,22 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-import socket
 import time
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
 
 import pylsl
-import structlog
 
 from biosensor_common.clock_pair import measure_clock_pair
 from biosensor_common.clocks import MonotonicStamps
-from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.log_errors import log_errors
-from biosensor_gateway.streaming.gateway import GATEWAY
-from biosensor_gateway.streaming.outlets import Outlet
+from biosensor_gateway.streaming.own_outlets import spare_outlet
 
 TICK_S = 0.25
 LINGER_S = 0.25
 """How long the outlet stays after the last event, which LSL sends from a thread of its own."""
-
-_log = structlog.get_logger("biosensor_gateway.events")
 
 
 class Announcer:
@@ -58,7 +52,7 @@ class Announcer:
         self._started_s = round(pylsl.local_clock(), 6)
         self._due_s = -math.inf
         self._had_consumers = False
-        self._outlet = _outlet()
+        self._outlet = spare_outlet("events")
         self._start = dict(start or {})
         facts = {"version": version("biosensor-gateway"), **self._start, **_clock()}
         self.announce(EventKind.AGENT_STARTED, facts)
@@ -133,12 +127,3 @@ class Announcer:
 
 def _clock() -> dict[str, object]:
     return measure_clock_pair(time.time_ns, pylsl.local_clock).as_facts()
-
-
-def _outlet() -> Outlet | None:
-    identity = DeviceIdentity(GATEWAY.name, socket.gethostname())
-    try:
-        return Outlet(GATEWAY.stream("events"), identity, DeviceInfo(model=GATEWAY.model))
-    except Exception:  # noqa: BLE001 - whatever keeps the stream away, devices go on
-        _log.exception("there is no stream of events")
-        return None

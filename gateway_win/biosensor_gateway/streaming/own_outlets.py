@@ -1,0 +1,35 @@
+"""Makes the outlets of the agent's own streams, which no device feeds."""
+
+from __future__ import annotations
+
+import socket
+
+import structlog
+
+from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.streaming.gateway import GATEWAY
+from biosensor_gateway.streaming.outlets import Outlet
+
+
+def own_outlet(data_name: str) -> Outlet:
+    """Make the outlet of a stream that the agent cannot do without.
+
+    Raises
+    ------
+    RuntimeError
+        LSL has no port for it.
+    OSError, ValueError
+        This computer tells no name, or one that is no text.
+    """
+    identity = DeviceIdentity(GATEWAY.name, socket.gethostname())
+    return Outlet(GATEWAY.stream(data_name), identity, DeviceInfo(model=GATEWAY.model))
+
+
+def spare_outlet(data_name: str) -> Outlet | None:
+    """Make the outlet of a stream that devices go on without; what keeps it away is logged."""
+    try:
+        return own_outlet(data_name)
+    except (OSError, RuntimeError, ValueError):
+        log = structlog.get_logger(f"biosensor_gateway.{data_name}")
+        log.exception(f"there is no stream of {data_name}")
+        return None
