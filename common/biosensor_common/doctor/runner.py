@@ -75,6 +75,6 @@ class _Running:
         try:
             for finding in self._check.load()(context):
                 self._findings.append(finding)
-        except BaseException as problem:  # noqa: BLE001 - a check may fail in any way
+        except BaseException as problem:  # noqa: BLE001 - a check may fail in any way, also by sys.exit
             what = f"the check failed: {type(problem).__name__}: {problem}"
             self._findings.append(warning(what, _UNKNOWN, self._alone))

@@ -81,7 +81,7 @@ def read_context(
         from biosensor_gateway.settings.file import load_settings
 
         loaded = load_settings(settings_path, settings_models())
-    except Exception as problem:  # noqa: BLE001 - a driver that cannot be imported, too
+    except Exception as problem:  # noqa: BLE001 - a model of another package may raise anything
         return replace(context, overrides=_overrides(_default_lsl()), problem=problem)
     return replace(
         context,

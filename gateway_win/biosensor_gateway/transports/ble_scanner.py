@@ -155,8 +155,7 @@ class _SharedScan:
         scanner, self._scanner = self._scanner, None
         self._seen.clear()
         if scanner is not None:
-            # A radio that is gone refuses; the scan is over all the same.
-            with suppress(Exception):
+            with suppress(Exception):  # a radio that is gone refuses; the scan is over all the same
                 await within(STOP_LIMIT_S, scanner.stop())
 
     def _heard(self, device: BLEDevice, data: AdvertisementData) -> None:
