@@ -164,9 +164,11 @@ async def test_a_command_that_cannot_be_sent_is_no_question(device: Device) -> N
 
 
 async def test_nobody_who_never_listens_lets_the_memory_overflow(
-    device: Device, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(dialogue_module, "KEPT_READS", 2)
+    device = Device()
+    device.dialogue.begin()
     device.say("data1", "data2", "data3", CUT)
     await settle()
     with pytest.raises(TransportError):

@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable, Sequence
 from typing import Any, Generic, TypeVar
 
 from biosensor_gateway.transports.deadlines import in_background
+from biosensor_gateway.transports.early import Early
 
 KEPT_READS = 8192
 """Reads that wait for a listener; a device may talk for half a minute before there is one."""
@@ -39,7 +40,7 @@ class Dialogue(Generic[_MessageT, _CommandT]):
         self._receive = receive
         self._send = send
         self._listener: Callable[[Sequence[_MessageT]], None] = self._keep
-        self._early: list[Sequence[_MessageT]] = []
+        self._early = Early[Sequence[_MessageT]](KEPT_READS)
         self._turn = asyncio.Lock()
         self._is_answer: Callable[[_MessageT], bool] | None = None
         self._reading: asyncio.Task[None] | None = None
@@ -109,8 +110,7 @@ class Dialogue(Generic[_MessageT, _CommandT]):
         Exception
             What `receive` or the listener raised.
         """
-        early, self._early = self._early, []
-        for messages in early:
+        for messages in self._early.take():
             listener(messages)
         self._listener = listener
         reading = self._require_reader()
@@ -151,8 +151,8 @@ class Dialogue(Generic[_MessageT, _CommandT]):
         return self._reading
 
     def _keep(self, messages: Sequence[_MessageT]) -> None:
-        if messages and len(self._early) < KEPT_READS:
-            self._early.append(messages)
+        if messages:
+            self._early.keep(messages)
 
 
 def _pass_over(_messages: Sequence[object]) -> None:

@@ -22,12 +22,15 @@ from biosensor_gateway.devices.brainflow.driver.timeline import COUNTS_UP_TO
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.transports.early import Early
 from biosensor_gateway.transports.threads import in_daemon_thread
 
 START_LIMIT_S = 60.0
 """Bluetooth boards are searched for by BrainFlow, some for half a minute."""
 HANGS_S = 5.0
 """The process sends a sign of life every second, whatever its board does."""
+_MOST_EARLY = 4096
+"""More than fit into the read that says that the board has started."""
 
 
 class BrainFlowDriver:
@@ -40,7 +43,7 @@ class BrainFlowDriver:
         self._is_declared = is_declared
         self._link = ProcessLink(settings)
         self._frames = Frames()
-        self._early: list[tuple[Rows, float]] = []
+        self._early = Early[tuple[Rows, float]](_MOST_EARLY)
         self._described: Mapping[int, Description] = {}
 
     async def connect(self) -> Connected:
@@ -65,9 +68,8 @@ class BrainFlowDriver:
         """Emit all that comes."""
         self._sink.restart_clock()
         emitters = self._emitters()
-        for rows, arrival_s in self._early:
+        for rows, arrival_s in self._early.take():
             emitters[rows.preset].take(rows, arrival_s)
-        self._early = []
         while True:
             for frame, arrival_s in await self._read(HANGS_S):
                 if isinstance(frame, Rows):
@@ -83,7 +85,7 @@ class BrainFlowDriver:
         has_started = False
         for frame, arrival_s in await self._read(START_LIMIT_S):
             if isinstance(frame, Rows):
-                self._early.append((frame, arrival_s))
+                self._early.keep((frame, arrival_s))
             else:
                 self._raise_refusal(frame)
                 has_started = has_started or "started" in frame.what

@@ -35,6 +35,7 @@ from biosensor_gateway.devices.emotibit.driver.link import (
 from biosensor_gateway.devices.emotibit.driver.packets import Packet, Tag
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.transports.early import Early
 
 PATIENCE_S = 3.0
 _LOCAL_TIME = "%Y-%m-%d_%H-%M-%S-%f"
@@ -77,7 +78,8 @@ class EmotiBitDriver:
         self._advertising = Advertising(settings.host, settings.port)
         self._link: Link | None = None
         self._device: Address = ("", 0)
-        self._early: list[Arrived] = []
+        # Connecting ends with the first read that has data.
+        self._early = Early[Arrived](1)
 
     async def connect(self) -> Connected:
         """Find the EmotiBit and wait for its first data; see the protocol class."""
@@ -145,14 +147,13 @@ class EmotiBitDriver:
                     arrived = await link.read()
                     self._sink.dropped_bytes += arrived.found.dropped_bytes
                     if arrived.found.packets:
-                        self._early.append(arrived)
+                        self._early.keep(arrived)
         except TimeoutError as error:
             message = f"{link.name}: it is connected and sends no data; switch it off and on"
             raise ProtocolError(ProtocolReason.NO_REPLY, message) from error
 
     async def _pass_on(self, link: Link) -> None:
-        early, self._early = self._early, []
-        for arrived in early:
+        for arrived in self._early.take():
             self._take(link, arrived)
         while True:
             arrived = await link.read()

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Iterable
 
 from biosensor_gateway.devices.empatica_e4.driver.loss import WINDOW_S, LossEstimate
 from biosensor_gateway.devices.empatica_e4.driver.messages import Sample, Stream
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog
+from biosensor_gateway.transports.early import Early
 
 ACC_COUNTS_PER_G = 64.0
 RATES_HZ = {Stream.BVP: 64.0, Stream.ACC: 32.0, Stream.GSR: 4.0, Stream.TMP: 4.0}
@@ -43,7 +43,7 @@ class E4Emitter:
         self._sink = sink
         self.log = DeviceLog("biosensor_gateway.empatica_e4", sink.identity)
         self._anchored = False
-        self._early: deque[Sample] = deque(maxlen=_MAX_EARLY)
+        self._early = Early[Sample](_MAX_EARLY, is_newest_kept=True)
         self._last_times: dict[Stream, float] = {}
         self._open_samples = 0
         self._worn: bool | None = None
@@ -75,13 +75,12 @@ class E4Emitter:
         if clocked:
             self._sink.observe(max(clocked), arrival_s)
             self._anchored = True
-        self._early += fresh
+        self._early.keep(*fresh)
         if not self._anchored:
             return
         by_stream: dict[Stream, list[Sample]] = {}
-        for sample in self._early:
+        for sample in self._early.take():
             by_stream.setdefault(sample.stream, []).append(sample)
-        self._early.clear()
         for stream, together in by_stream.items():
             self._emit(stream, together)
         self._follow_loss(len(by_stream.get(Stream.BVP, ())), arrival_s)

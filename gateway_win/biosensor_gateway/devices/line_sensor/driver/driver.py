@@ -34,6 +34,7 @@ from biosensor_gateway.devices.line_sensor.driver.settings import LineSettings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.system.device_log import DeviceLog, Once
+from biosensor_gateway.transports.early import Early
 
 FIRST_LINE_LIMIT_S = 6.0
 """An Arduino that is reset by opening its port begins after two."""
@@ -54,7 +55,8 @@ class LineDriver:
         self._protocol = row_protocol(settings)
         self._log = DeviceLog("biosensor_gateway.line_sensor", sink.identity)
         self._is_new = Once()
-        self._early: list[tuple[list[Row], float]] = []
+        # Connecting ends with the first read that fits.
+        self._early = Early[tuple[list[Row], float]](1)
         self._came_bytes = 0
         rate_hz = settings.rate_hz
         self._wait_s = max(FIRST_LINE_LIMIT_S, _SOME_LINES / rate_hz if rate_hz else 0.0)
@@ -80,9 +82,8 @@ class LineDriver:
     async def stream(self) -> None:
         """Emit what came while connecting, then all that comes."""
         self._emitter.connected()
-        for rows, arrival_s in self._early:
+        for rows, arrival_s in self._early.take():
             self._emitter.take(rows, arrival_s)
-        self._early = []
         while True:
             rows, bad, arrival_s = await self._read()
             self._emitter.take(rows, arrival_s)
@@ -96,7 +97,7 @@ class LineDriver:
     async def _first(self) -> list[BadLine]:
         rows, bad, arrival_s = await self._read()
         if rows:
-            self._early.append((rows, arrival_s))
+            self._early.keep((rows, arrival_s))
         return bad
 
     async def _read(self) -> tuple[list[Row], list[BadLine], float]:
