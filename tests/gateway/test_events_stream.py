@@ -26,11 +26,12 @@ from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.settings.file import load_settings
 from biosensor_gateway.streaming import own_outlets
 from biosensor_gateway.streaming.events import EventKind
-from biosensor_gateway.streaming.events.announcer import Announcer
+from biosensor_gateway.streaming.events.announcer import TICK_S, Announcer
 from biosensor_gateway.streaming.events.device import follow
 from biosensor_gateway.streaming.events.log_errors import log_errors
 from biosensor_gateway.streaming.outlets import Outlet
 from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 
 SOURCE = naming.source_id(DeviceIdentity("gateway", socket.gethostname()), "events")
 STATES = {"zephyr/1": "streaming"}
@@ -61,9 +62,11 @@ class Heard:
 
 @asynccontextmanager
 async def announcing(
-    heartbeat_s: float, states: Callable[[], Mapping[str, str]] = lambda: STATES
+    heartbeat_s: float,
+    states: Callable[[], Mapping[str, str]] = lambda: STATES,
+    clock: Clock = LSL_CLOCK,
 ) -> AsyncGenerator[Announcer]:
-    announcer = Announcer(heartbeat_s, states)
+    announcer = Announcer(heartbeat_s, states, clock=clock)
     task = asyncio.create_task(announcer.run())
     try:
         yield announcer
@@ -92,29 +95,62 @@ async def test_whoever_begins_to_receive_gets_a_sign_of_life_at_once(
         assert pair.unix_ns / 1e9 - pair.lsl_s == pytest.approx(here_s, abs=0.001)
         del heard
         again = announcer.counters[SOURCE].pushed
-        await asyncio.sleep(0.6)
+        await asyncio.sleep(2 * TICK_S)
         assert announcer.counters[SOURCE].pushed == again
         second = Heard(await asyncio.to_thread(inlet, SOURCE))
         await eventually(second.has(EventKind.HEARTBEAT))
 
 
-async def test_signs_of_life_go_on_in_the_period(inlet: OpenInlet, eventually: Eventually) -> None:
-    async with announcing(0.5):
-        heard = Heard(await asyncio.to_thread(inlet, SOURCE))
-        await eventually(heard.has(EventKind.HEARTBEAT, 5))
-    stamps = [stamp for _, stamp in heard.events]
-    assert min(later - earlier for earlier, later in pairwise(stamps)) > 0.49
+@pytest.fixture
+def pushed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[dict[str, Any], float]]:
+    """Return the events with their stamps as they go into the outlet."""
+    noted: list[tuple[dict[str, Any], float]] = []
+    push = Outlet.push_text
+
+    def note(outlet: Outlet, text: str, stamp: float) -> None:
+        assert " " not in text
+        noted.append((json.loads(text), stamp))
+        push(outlet, text, stamp)
+
+    monkeypatch.setattr(Outlet, "push_text", note)
+    return noted
 
 
-async def test_heartbeats_can_be_switched_off(inlet: OpenInlet, eventually: Eventually) -> None:
-    async with announcing(0.0) as announcer:
+async def test_signs_of_life_go_on_in_the_period(
+    virtual_clock: Clock, pushed: list[tuple[dict[str, Any], float]]
+) -> None:
+    began = virtual_clock()
+    async with announcing(5.0, clock=virtual_clock):
+        await asyncio.sleep(61.0)
+    start, *heartbeats = pushed
+    assert start[0]["event"] == "agent_started"
+    assert {event["event"] for event, _ in heartbeats} == {"heartbeat"}
+    assert {event["agent_started"] for event, _ in heartbeats} == {round(began, 6)}
+    # One at once; a look that is due may come with the next tick.
+    assert heartbeats[0][1] == pytest.approx(began, abs=1e-4)
+    periods = [later - earlier for (_, earlier), (_, later) in pairwise(heartbeats)]
+    assert len(periods) in (11, 12)
+    assert all(5.0 - 1e-4 < each < 5.0 + TICK_S + 1e-4 for each in periods)
+
+
+async def test_heartbeats_can_be_switched_off(
+    inlet: OpenInlet, eventually: Eventually, virtual_clock: Clock
+) -> None:
+    async with announcing(0.0, clock=virtual_clock) as announcer:
+        await asyncio.sleep(600.0)
+        # The start, which nobody can have heard.
+        assert announcer.counters[SOURCE].pushed == 1
         heard = Heard(await asyncio.to_thread(inlet, SOURCE))
-        await asyncio.sleep(1.0)
+
+        def is_received() -> bool:
+            announcer.announce(EventKind.PAUSED, {})
+            return "paused" in heard.kinds()
+
+        await eventually(is_received)
+        await asyncio.sleep(600.0)
         announcer.announce(EventKind.AGENT_STOPPED, {})
         await eventually(heard.has(EventKind.AGENT_STOPPED))
-        assert heard.kinds() == ["agent_stopped"]
-        # The start came before anybody could hear it.
-        assert announcer.counters[SOURCE].pushed == 2
+        assert set(heard.kinds()) == {"paused", "agent_stopped"}
 
 
 async def test_the_last_word_is_heard_though_the_outlet_goes(
@@ -152,20 +188,10 @@ async def test_stamps_never_run_back_and_the_text_says_when_it_was(
 
 
 async def test_an_agent_that_starts_says_its_version(
-    monkeypatch: pytest.MonkeyPatch,
+    pushed: list[tuple[dict[str, Any], float]],
 ) -> None:
-    said: list[str] = []
-    push = Outlet.push_text
-
-    def noted(outlet: Any, text: str, stamp: float) -> None:
-        said.append(text)
-        push(outlet, text, stamp)
-
-    monkeypatch.setattr(Outlet, "push_text", noted)
     async with announcing(0.0):
-        (text,) = said
-    assert " " not in text
-    content = json.loads(text)
+        ((content, _),) = pushed
     assert (content["event"], content["version"]) == (
         "agent_started",
         version("biosensor-gateway"),
@@ -173,20 +199,24 @@ async def test_an_agent_that_starts_says_its_version(
 
 
 async def test_nothing_that_fails_in_it_reaches_the_data(
-    inlet: OpenInlet, eventually: Eventually, unit: str, monkeypatch: pytest.MonkeyPatch
+    inlet: OpenInlet,
+    eventually: Eventually,
+    unit: str,
+    virtual_clock: Clock,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def broken(*_arguments: object) -> NoReturn:
         raise OSError("the outlet is gone")
 
-    sink = DeviceSink(DeviceIdentity("zephyr", unit), declaration("zephyr"))
+    sink = DeviceSink(DeviceIdentity("zephyr", unit), declaration("zephyr"), virtual_clock)
     with capture_logs() as logs:
-        async with announcing(0.1, broken) as announcer:
+        async with announcing(0.1, broken, virtual_clock) as announcer:
             events = follow(sink, announcer)
             monkeypatch.setattr(Outlet, "push_text", broken)
             sink.open(DeviceInfo(), {})
             reader = await asyncio.to_thread(inlet, f"zephyr-{unit}-ecg")
             for index in range(20):
-                now = pylsl.local_clock()
+                now = virtual_clock()
                 sink.observe(8e8 + (index % 2) * 3600, now)
                 sink.emit_at("ecg", [float(index)], [now])
                 sink.emit_at("quality", [[float(index % 2)] * 6], [now])
@@ -201,7 +231,7 @@ async def test_nothing_that_fails_in_it_reaches_the_data(
                     or len(values) == 20
                 )
             )
-            await asyncio.sleep(0.3)
+            await asyncio.sleep(10.0)
             sink.close()
     assert values == [float(index) for index in range(20)]
     assert {entry["of"] for entry in logs if "not announced" in entry["event"]} <= {

@@ -15,10 +15,18 @@ from structlog.testing import capture_logs
 from biosensor_common import naming
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.agent.marking import LISTED, MAX_AGE_S, MAX_SOURCE, MAX_TEXT, MarkerCommands
+from biosensor_gateway.agent.marking import (
+    LISTED,
+    MAX_AGE_S,
+    MAX_LEAD_S,
+    MAX_SOURCE,
+    MAX_TEXT,
+    MarkerCommands,
+)
 from biosensor_gateway.settings.models import MarkerSettings
 from biosensor_gateway.streaming import own_outlets
 from biosensor_gateway.streaming.markers import KEPT, MarkerStream
+from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 
 SOURCE = naming.source_id(DeviceIdentity("gateway", socket.gethostname()), "markers")
 BUTTONS = ("baseline", "stimulus on")
@@ -30,8 +38,8 @@ Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
 class Desk:
     """A stream of markers, its commands, and what a receiver gets."""
 
-    def __init__(self) -> None:
-        self.stream = MarkerStream()
+    def __init__(self, clock: Clock) -> None:
+        self.stream = MarkerStream(clock)
         self.commands = MarkerCommands(self.stream, MarkerSettings(buttons=BUTTONS))
         self.heard: list[tuple[dict[str, Any], float]] = []
         self._reader: pylsl.StreamInlet | None = None
@@ -61,27 +69,32 @@ class Desk:
 
 
 @pytest.fixture
-async def desk() -> AsyncGenerator[Desk]:
-    running = Desk()
+async def desk(virtual_clock: Clock) -> AsyncGenerator[Desk]:
+    running = Desk(virtual_clock)
     running.stream.open()
     yield running
     await running.stream.end()
 
 
-@pytest.fixture
-async def heard_desk(desk: Desk, inlet: OpenInlet, eventually: Eventually) -> Desk:
+async def listened_to(desk: Desk, inlet: OpenInlet, eventually: Eventually) -> Desk:
     desk.listen(await asyncio.to_thread(inlet, SOURCE))
     await eventually(lambda: desk.stream.is_received)
     return desk
 
 
+@pytest.fixture
+async def heard_desk(desk: Desk, inlet: OpenInlet, eventually: Eventually) -> Desk:
+    return await listened_to(desk, inlet, eventually)
+
+
 async def test_a_marker_says_all_of_itself(heard_desk: Desk, eventually: Eventually) -> None:
-    at = pylsl.local_clock() - 2.5
+    now = heard_desk.stream.clock()
+    at = now - 2.5
     pressed = {"marker": "baseline", "note": "", "kind": "button", "source": "page", "at": at}
     assert await heard_desk.ask("mark", **pressed) == {"id": 1, "lsl_time": round(at, 6)}
-    before = pylsl.local_clock()
+    await asyncio.sleep(7.0)
     answer = await heard_desk.ask("mark", marker="", note=" she said \u201ccold\u201d ")
-    assert before <= answer["lsl_time"] + 1e-6 <= pylsl.local_clock() + 1e-5
+    assert answer["lsl_time"] == round(now + 7.0, 6)
     await heard_desk.ask("mark", marker="trigger 3")
     await eventually(heard_desk.has(3))
     button, note, sent = heard_desk.pull()
@@ -106,7 +119,7 @@ async def test_a_marker_says_all_of_itself(heard_desk: Desk, eventually: Eventua
 async def test_stamps_never_run_back_and_the_text_says_when_it_was(
     heard_desk: Desk, eventually: Eventually
 ) -> None:
-    now = pylsl.local_clock()
+    now = heard_desk.stream.clock()
     times = [now - 1.0, now - 30.0, now + 0.05, now]
     for at in times:
         await heard_desk.ask("mark", marker="m", at=at)
@@ -195,12 +208,14 @@ async def test_what_is_no_marker_is_refused(desk: Desk, wrong: dict[str, Any]) -
 
 
 async def test_a_time_that_cannot_be_is_refused(desk: Desk) -> None:
-    now = pylsl.local_clock()
-    for at in (now - MAX_AGE_S - 1, now + 5.0):
+    now = desk.stream.clock()
+    for at in (now - MAX_AGE_S - 0.001, now + MAX_LEAD_S + 0.001):
         refused = str(await desk.refusal("mark", marker="m", at=at))
         assert "no LSL time from 60 s ago to 0.1 s ahead" in refused
-    for at in (now - MAX_AGE_S + 5, now):
+    for at in (now - MAX_AGE_S, now, now + MAX_LEAD_S):
         await desk.ask("mark", marker="m", at=at)
+    await asyncio.sleep(0.002)
+    assert "no LSL time" in str(await desk.refusal("mark", marker="m", at=now - MAX_AGE_S))
 
 
 @pytest.mark.parametrize("number", ["1", 1.0, True, [1]])
@@ -221,9 +236,9 @@ async def test_whoever_begins_to_receive_gets_a_marker_at_once(
     desk: Desk, inlet: OpenInlet, eventually: Eventually
 ) -> None:
     def ticks_until(condition: Callable[[], bool]) -> Callable[[], bool]:
-        return lambda: desk.stream.tick(pylsl.local_clock()) is None and condition()
+        return lambda: desk.stream.tick(desk.stream.clock()) is None and condition()
 
-    desk.stream.tick(pylsl.local_clock())
+    desk.stream.tick(desk.stream.clock())
     assert desk.stream.counters[SOURCE].pushed == 0
     desk.listen(await asyncio.to_thread(inlet, SOURCE))
     await eventually(ticks_until(desk.has(1)))
@@ -231,7 +246,7 @@ async def test_whoever_begins_to_receive_gets_a_marker_at_once(
     assert (ready["kind"], ready["id"]) == ("ready", 1)
     assert ready["lsl_time"] == pytest.approx(stamp, abs=1e-6)
     for _ in range(5):
-        desk.stream.tick(pylsl.local_clock())
+        desk.stream.tick(desk.stream.clock())
     assert desk.stream.counters[SOURCE].pushed == 1
     # It is nobody's marker, and nobody can undo it.
     assert (await desk.refusal("undo-marker", id=1)).reason is ConfigReason.NOT_FOUND
@@ -247,7 +262,7 @@ async def test_whoever_gets_another_marker_first_gets_only_that(
     heard_desk: Desk, eventually: Eventually
 ) -> None:
     await heard_desk.ask("mark", marker="m")
-    heard_desk.stream.tick(pylsl.local_clock())
+    heard_desk.stream.tick(heard_desk.stream.clock())
     await heard_desk.ask("mark", marker="n")
     await eventually(heard_desk.has(2))
     assert [each["marker"] for each in heard_desk.pull()] == ["m", "n"]
@@ -259,19 +274,18 @@ async def test_a_marker_that_nobody_receives_is_said(
     with capture_logs() as logs:
         await desk.ask("mark", marker="m")
         assert [each["event"] for each in logs] == ["a marker was sent that nobody receives"]
-        desk.listen(await asyncio.to_thread(inlet, SOURCE))
-        await eventually(lambda: desk.stream.is_received)
+        await listened_to(desk, inlet, eventually)
         await desk.ask("mark", marker="m")
         assert len(logs) == 1
 
 
 async def test_without_a_stream_markers_are_refused_and_nothing_else_fails(
-    monkeypatch: pytest.MonkeyPatch,
+    virtual_clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_arguments: object) -> NoReturn:
         raise RuntimeError("no port is free")
 
-    desk = Desk()
+    desk = Desk(virtual_clock)
 
     async def is_refused() -> None:
         with pytest.raises(TransportError) as caught:
@@ -282,7 +296,7 @@ async def test_without_a_stream_markers_are_refused_and_nothing_else_fails(
     monkeypatch.setattr(own_outlets, "Outlet", refuse)
     with capture_logs() as logs:
         desk.stream.open()
-        desk.stream.tick(pylsl.local_clock())
+        desk.stream.tick(desk.stream.clock())
         await is_refused()
         await desk.stream.end()
     assert [entry["event"] for entry in logs] == ["there is no stream of markers"]
@@ -290,9 +304,13 @@ async def test_without_a_stream_markers_are_refused_and_nothing_else_fails(
 
 
 async def test_the_last_marker_is_heard_though_the_outlet_goes(
-    heard_desk: Desk, eventually: Eventually
+    inlet: OpenInlet, eventually: Eventually
 ) -> None:
-    listening = asyncio.ensure_future(eventually(heard_desk.has(1)))
-    await heard_desk.ask("mark", marker="m")
-    await heard_desk.stream.end()
+    # In real time, in which LSL sends.
+    desk = Desk(LSL_CLOCK)
+    desk.stream.open()
+    await listened_to(desk, inlet, eventually)
+    listening = asyncio.ensure_future(eventually(desk.has(1)))
+    await desk.ask("mark", marker="m")
+    await desk.stream.end()
     await listening

@@ -116,7 +116,7 @@ class Bench:
         self.asked: list[set[str]] = []
         self.states: list[State] = []
         self.sink = NotedSink(unit, clock)
-        self.announcer = Announcer(0.0, dict)
+        self.announcer = Announcer(0.0, dict, clock=clock)
         self.supervisor = Supervisor(lambda: kind(self), self.sink, self.states.append)
         self.supervisor.on_drop = follow(self.sink, self.announcer).dropped
         self.task = asyncio.create_task(self.supervisor.run())

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any, TypeGuard
 
-import pylsl
 import structlog
 
 from biosensor_common.errors import ConfigError, ConfigReason
@@ -80,7 +79,7 @@ class MarkerCommands:
             note,
             kind,
             _text(arguments, "source", MAX_WEB_SOURCE if is_web else MAX_SOURCE),
-            _time(arguments, MAX_WEB_AGE_S if is_web else MAX_AGE_S),
+            _time(arguments, MAX_WEB_AGE_S if is_web else MAX_AGE_S, self._stream.clock()),
             _timing(arguments) if is_web else None,
         )
         if not self._stream.is_received:
@@ -146,8 +145,8 @@ def _timing(arguments: Mapping[str, Any]) -> Timing:
     return Timing(TimedBy(timed_by), None if uncertainty is None else round(uncertainty, 6))
 
 
-def _time(arguments: Mapping[str, Any], oldest_s: float) -> float | None:
-    at, now = arguments.get("at"), pylsl.local_clock()
+def _time(arguments: Mapping[str, Any], oldest_s: float, now: float) -> float | None:
+    at = arguments.get("at")
     if at is None:
         return None
     if not _is_number(at) or not now - oldest_s <= at <= now + MAX_LEAD_S:

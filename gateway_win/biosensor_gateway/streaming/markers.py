@@ -36,8 +36,6 @@ from dataclasses import dataclass
 from enum import StrEnum, unique
 from typing import NamedTuple
 
-import pylsl
-
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.errors import (
     ConfigError,
@@ -49,6 +47,7 @@ from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.events.log_errors import log_errors
 from biosensor_gateway.streaming.outlets import Outlet
 from biosensor_gateway.streaming.own_outlets import spare_outlet
+from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 
 LINGER_S = 0.25
 """How long the outlet stays after the last marker, which LSL sends from a thread of its own."""
@@ -120,9 +119,15 @@ class MarkerStream:
     The outlet is there from the agent's beginning, so that LabRecorder finds it. Who begins
     to receive where nobody did gets a marker ``ready`` soon, unless another one comes first:
     a stream of markers without any cannot be loaded by some versions of the loader for MATLAB.
+
+    Attributes
+    ----------
+    clock
+        Tells when something happens.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Clock = LSL_CLOCK) -> None:
+        self.clock = clock
         self._stamps = MonotonicStamps()
         self._count = 0
         self._kept: dict[int, Marker] = {}
@@ -141,7 +146,7 @@ class MarkerStream:
 
     def open(self) -> None:
         """Make the outlet. What goes wrong is logged, and markers are refused then."""
-        self._outlet = spare_outlet("markers")
+        self._outlet = spare_outlet("markers", self.clock)
 
     @log_errors
     def tick(self, now: float) -> None:
@@ -175,7 +180,7 @@ class MarkerStream:
         TransportError
             ``UNAVAILABLE`` if there is no stream.
         """
-        happened = pylsl.local_clock() if at is None else at
+        happened = self.clock() if at is None else at
         known = {} if timing is None else timing._asdict()
         said = {"note": note, "source": source, **known}
         facts = {name: each for name, each in said.items() if each not in ("", None)}
@@ -208,7 +213,7 @@ class MarkerStream:
         """
         wrong = self._last_that_holds() if number is None else self._remembered(number)
         undo = MarkerKind.UNDO
-        own = self._send(undo.value, undo, pylsl.local_clock(), {"of": wrong.id})
+        own = self._send(undo.value, undo, self.clock(), {"of": wrong.id})
         wrong.undone = True
         return own, wrong.id
 

@@ -9,14 +9,13 @@ import time
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
 
-import pylsl
-
 from biosensor_common.clock_pair import measure_clock_pair
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.log_errors import log_errors
 from biosensor_gateway.streaming.own_outlets import spare_outlet
+from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 
 TICK_S = 0.25
 LINGER_S = 0.25
@@ -37,6 +36,8 @@ class Announcer:
         Tells the state of every device by ``sensor/unit``, for the heartbeat.
     start
         What there is to say of the agent's start, in each heartbeat, too.
+    clock
+        Tells when something happens, and when a heartbeat is due.
     """
 
     def __init__(
@@ -44,17 +45,19 @@ class Announcer:
         heartbeat_s: float,
         states: Callable[[], Mapping[str, str]],
         start: Mapping[str, object] | None = None,
+        clock: Clock = LSL_CLOCK,
     ) -> None:
+        self._clock = clock
         self._period_s = heartbeat_s
         self._states = states
         self._watchers: list[Callable[[float], None]] = []
         self._stamps = MonotonicStamps()
-        self._started_s = round(pylsl.local_clock(), 6)
+        self._started_s = round(clock(), 6)
         self._due_s = -math.inf
         self._had_consumers = False
-        self._outlet = spare_outlet("events")
+        self._outlet = spare_outlet("events", clock)
         self._start = dict(start or {})
-        facts = {"version": version("biosensor-gateway"), **self._start, **_clock()}
+        facts = {"version": version("biosensor-gateway"), **self._start, **self._clock_pair()}
         self.announce(EventKind.AGENT_STARTED, facts)
         self._tick()
 
@@ -87,7 +90,7 @@ class Announcer:
         """
         if self._outlet is None:
             return
-        happened = pylsl.local_clock() if at is None else at
+        happened = self._clock() if at is None else at
         content = {"event": kind.value, **facts, "lsl_time": round(happened, 6)}
         text = json.dumps(content, separators=(",", ":"), allow_nan=False)
         (stamp,) = self._stamps.apply([happened])
@@ -110,7 +113,7 @@ class Announcer:
 
     @log_errors
     def _tick(self) -> None:
-        now = pylsl.local_clock()
+        now = self._clock()
         for watcher in tuple(self._watchers):
             watcher(now)
         if self._outlet is None or not self._period_s:
@@ -121,9 +124,8 @@ class Announcer:
         if has_come or now >= self._due_s:
             self._due_s = now + self._period_s
             states = dict(self._states())
-            facts = {"agent_started": self._started_s, **self._start, "devices": states, **_clock()}
-            self.announce(EventKind.HEARTBEAT, facts)
+            began = {"agent_started": self._started_s, **self._start}
+            self.announce(EventKind.HEARTBEAT, {**began, "devices": states, **self._clock_pair()})
 
-
-def _clock() -> dict[str, object]:
-    return measure_clock_pair(time.time_ns, pylsl.local_clock).as_facts()
+    def _clock_pair(self) -> dict[str, object]:
+        return measure_clock_pair(time.time_ns, self._clock).as_facts()
