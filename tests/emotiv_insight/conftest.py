@@ -8,28 +8,21 @@ import json
 import ssl
 import time
 import uuid
-from collections import Counter, deque
-from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping, Sequence
+from collections import deque
+from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import pytest
 import trustme
-from numpy.typing import ArrayLike, NDArray
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 
-from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import supervisor as supervisor_module
-from biosensor_gateway.agent.state import State
-from biosensor_gateway.agent.supervisor import Supervisor
-from biosensor_gateway.devices.emotiv_insight.declaration import SPEC
 from biosensor_gateway.devices.emotiv_insight.driver import account, driver, headsets
 from biosensor_gateway.devices.emotiv_insight.driver.driver import DRIVER
 from biosensor_gateway.devices.emotiv_insight.driver.settings import EmotivInsightSettings
-from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.streaming.sink import DeviceSink
+from tests.rigs.driver_run import NotedSink, Run, supervised
 
 DEADLINE_S = 30.0
 HEADSET_ID = "INSIGHT-12341234"
@@ -212,60 +205,14 @@ class Answers:
         """Leave the request without a reply."""
 
 
-class NotedSink(DeviceSink):
-    """Notes what drivers emit on its way into LSL."""
-
-    def __init__(self) -> None:
-        super().__init__(
-            DeviceIdentity("emotiv_insight", uuid.uuid4().hex), declaration("emotiv_insight")
-        )
-        names = [stream.data_name for stream in SPEC.streams]
-        self.rows: dict[str, list[NDArray[np.float64]]] = {name: [] for name in names}
-        self.times: dict[str, list[float]] = {name: [] for name in names}
-        self.stamps: dict[str, list[float]] = {name: [] for name in names}
-        self.losses: Counter[str] = Counter()
-        self.rates: dict[str, float] = {}
-
-    def open(self, info: DeviceInfo, rates: Mapping[str, float]) -> None:
-        super().open(info, rates)
-        self.rates.update(rates)
-
-    def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
-        super().emit(data_name, samples, device_times)
-        width = len(SPEC.stream(data_name).channels)
-        self.rows[data_name].extend(np.asarray(samples, np.float64).reshape(-1, width))
-        self.times[data_name].extend(device_times)
-
-    def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
-        super().emit_at(data_name, samples, lsl_times)
-        self.stamps[data_name].extend(lsl_times)
-
-    def lost(self, data_name: str, count: int) -> None:
-        super().lost(data_name, count)
-        self.losses[data_name] += count
-
-    def has(self, data_name: str, rows: int) -> Callable[[], bool]:
-        return lambda: len(self.rows[data_name]) >= rows
-
-
-class Run:
-    """A driver and the supervisor that keeps it connected."""
+class InsightRun(Run):
+    """The supervisor of a headset behind Cortex, and what came of it."""
 
     def __init__(self, **settings: Any) -> None:
-        self.sink = NotedSink()
-        self.states: list[State] = []
-        self.settings = EmotivInsightSettings.model_validate(
-            {"sensor": "emotiv_insight", "unit": self.sink.identity.unit, **settings}
-        )
-        make = DRIVER.make(self.settings, self.sink)
-        self.supervisor = Supervisor(make, self.sink, self.states.append)
-
-    @property
-    def error(self) -> str:
-        return self.supervisor.last_error or ""
-
-    def is_streaming(self) -> bool:
-        return self.supervisor.state is State.STREAMING
+        sink = NotedSink("emotiv_insight")
+        named = {"sensor": "emotiv_insight", "unit": sink.identity.unit}
+        self.settings = EmotivInsightSettings.model_validate({**named, **settings})
+        self._begin(sink, DRIVER.make(self.settings, sink))
 
 
 @pytest.fixture(scope="session")
@@ -321,21 +268,16 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def noted_sink() -> type[NotedSink]:
-    return NotedSink
-
-
-@pytest.fixture
 def answers() -> type[Answers]:
     return Answers
 
 
 @pytest.fixture
-def make_run() -> type[Run]:
-    return Run
+def make_run() -> type[InsightRun]:
+    return InsightRun
 
 
-Running = Callable[..., contextlib.AbstractAsyncContextManager[Run]]
+Running = Callable[..., contextlib.AbstractAsyncContextManager[InsightRun]]
 
 
 @pytest.fixture
@@ -343,18 +285,9 @@ def running(cortex: ScriptedCortex, credentials: None, hasty: None) -> Running:
     """Run a driver until the block ends; then nothing may have been refused or be left open."""
 
     @contextlib.asynccontextmanager
-    async def run(**settings: Any) -> AsyncGenerator[Run]:
-        made = Run(**{**cortex.settings, **settings})
-        task = asyncio.create_task(made.supervisor.run())
-        try:
+    async def run(**settings: Any) -> AsyncGenerator[InsightRun]:
+        async with supervised(InsightRun(**{**cortex.settings, **settings})) as made:
             yield made
-        finally:
-            task.cancel()
-            await asyncio.wait({task}, timeout=DEADLINE_S)
-            refused = {name: each.refused for name, each in made.sink.counters.items()}
-            made.sink.close()
-        assert made.states[-1] is State.STOPPED
-        assert set(refused.values()) <= {0}
 
     return run
 

@@ -19,7 +19,7 @@ from biosensor_gateway.devices.emotiv_insight.driver import account
 from biosensor_gateway.transports import websocket
 
 if TYPE_CHECKING:
-    from tests.emotiv_insight.conftest import Answers, Run, Running, ScriptedCortex
+    from tests.emotiv_insight.conftest import Answers, InsightRun, Running, ScriptedCortex
 
 Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
 
@@ -38,18 +38,18 @@ def test_every_scenario_has_its_test() -> None:
 
 
 async def stream_a_second(
-    cortex: ScriptedCortex, run: Run, eventually: Eventually, rows: int = 128
+    cortex: ScriptedCortex, run: InsightRun, eventually: Eventually, rows: int = 128
 ) -> float:
     """Send a second of EEG and wait for it; return when it began, in unix seconds."""
     await eventually(lambda: run.supervisor.is_connected)
     start = time.time() - 1
     already = len(run.sink.rows["eeg"])
     await cortex.say(*(cortex.eeg(number, start) for number in range(rows)))
-    await eventually(run.sink.has("eeg", already + rows))
+    await eventually(run.sink.has(already + rows, "eeg"))
     return start
 
 
-def numbers(run: Run) -> list[int]:
+def numbers(run: InsightRun) -> list[int]:
     """Return which samples arrived, by the value that tells them apart."""
     return [round(float(row[0]) - 4200) for row in run.sink.rows["eeg"]]
 
@@ -79,9 +79,9 @@ async def test_happy_path(
         await eventually(run.is_streaming)
         values = [7.5, *reversed([5, 1, 4201.0, 4202.0, 4203.0, 4204.0, 4205.0, 1024.0, 1, []])]
         await cortex.say(cortex.data("eeg", values, time.time()))
-        await eventually(run.sink.has("eeg", 1))
-    assert run.sink.rows["eeg"][0].tolist() == [4201, 4202, 4203, 4204, 4205]
-    assert run.sink.rows["eeg_status"][0].tolist() == [5, 1, 1024, 1]
+        await eventually(run.sink.has(1, "eeg"))
+    assert run.sink.rows["eeg"][0] == [4201, 4202, 4203, 4204, 4205]
+    assert run.sink.rows["eeg_status"][0] == [5, 1, 1024, 1]
     await eventually(lambda: "updateSession" in cortex.methods)
     assert [each for each in cortex.methods if each not in START] == [
         "controlDevice", "controlDevice", "unsubscribe", "updateSession"
@@ -171,7 +171,7 @@ async def test_eeg_license_missing(
             await cortex.say(cortex.data("met", [True, 0.4, False, None, 0.2], time.time()))
             await cortex.say(cortex.data("dev", [4, 1.0, [4, 3, 2, 4, 1, 75], 88], time.time()))
             for name in ("pow", "met", "dev"):
-                await eventually(run.sink.has(name, 1))
+                await eventually(run.sink.has(1, name))
             assert run.states.count(State.STREAMING) == 1
             # Once a device, not once a connection.
             await cortex.each_connection(lambda socket: socket.close())
@@ -180,7 +180,7 @@ async def test_eeg_license_missing(
     assert sessions[:2] == ["active", "open"]
     assert len(logged(logs, "does not cover raw EEG")) == 1
     assert run.sink.rows["eeg"] == []
-    assert run.sink.rows["dev"][0].tolist() == [4, 1, 4, 3, 2, 4, 1, 75, 88]
+    assert run.sink.rows["dev"][0] == [4, 1, 4, 3, 2, 4, 1, 75, 88]
     (met,) = run.sink.rows["met"]
     assert [round(float(value), 3) for value in met if not math.isnan(value)] == [0.2, 0.4]
 
@@ -193,7 +193,7 @@ async def test_partial_then_full(
         await eventually(run.is_streaming)
         cortex.failures = {}
         await cortex.say(cortex.data("pow", [1.0] * 25, time.time()))
-        await eventually(run.sink.has("pow", 1))
+        await eventually(run.sink.has(1, "pow"))
         # The licence has come, but nobody asks without being told to.
         assert cortex.count("subscribe") == 1
         await cortex.each_connection(lambda socket: socket.close())
@@ -231,7 +231,7 @@ async def test_token_expired(
             number += 1
         # What comes of a stream that stays away is tested elsewhere.
         run.sink.watch.expect({})
-        await eventually(run.sink.has("mot", number))
+        await eventually(run.sink.has(number, "mot"))
         await stream_a_second(cortex, run, eventually)
         assert cortex.opened == run.supervisor.connections == 1
     tokens = [each.params["cortexToken"] for each in cortex.requests if each.method == "subscribe"]
@@ -365,7 +365,7 @@ async def test_data_before_subscribe_reply(
 
     cortex.on("subscribe", data_first)
     async with running() as run:
-        await eventually(run.sink.has("eeg", 40))
+        await eventually(run.sink.has(40, "eeg"))
     assert numbers(run) == list(range(40))
 
 
@@ -383,8 +383,8 @@ async def lost_between(
             await asyncio.sleep(later_s)
             values: list[Any] = [counter, 0, *[4200.0] * 5, 0.0, 0, []]
             await cortex.say(cortex.data("eeg", values, start + later_s))
-        await eventually(run.sink.has("eeg", 2))
-        assert run.sink.losses["eeg"] == run.sink.losses["eeg_status"]
+        await eventually(run.sink.has(2, "eeg"))
+        assert run.sink.losses.get("eeg") == run.sink.losses.get("eeg_status")
         return dict(run.sink.losses)
 
 
@@ -417,7 +417,7 @@ async def test_interpolated_run(
         start = time.time() - 1
         await cortex.say(*(cortex.eeg(number, start, interpolated=int(5 <= number < 25))
                            for number in range(40)))  # fmt: skip
-        await eventually(run.sink.has("eeg_status", 40))
+        await eventually(run.sink.has(40, "eeg_status"))
     assert numbers(run) == list(range(40))
     assert [bool(row[1]) for row in run.sink.rows["eeg_status"]] == [
         5 <= number < 25 for number in range(40)

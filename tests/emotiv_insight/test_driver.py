@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import math
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator
@@ -26,12 +25,13 @@ from biosensor_gateway.devices.emotiv_insight.simulator import (
 )
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
+from tests.rigs.driver_run import supervised
 
 if TYPE_CHECKING:
-    from tests.emotiv_insight.conftest import Run
+    from tests.emotiv_insight.conftest import InsightRun
 
 Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
-Kept = Callable[..., contextlib.AbstractAsyncContextManager["Run"]]
+Kept = Callable[..., contextlib.AbstractAsyncContextManager["InsightRun"]]
 
 QUICK = Timing(found_s=0.05, scan_s=0.3, connect_s=0.05, silence_s=3.0)
 ALL = ("eeg", "eeg_status", "mot", "pow", "met", "dev")
@@ -44,29 +44,20 @@ def world() -> Iterator[World]:
 
 
 @pytest.fixture
-def kept(make_run: Callable[..., Run], hasty: None, monkeypatch: pytest.MonkeyPatch) -> Kept:
+def kept(make_run: Callable[..., InsightRun], hasty: None, monkeypatch: pytest.MonkeyPatch) -> Kept:
     """Keep a driver connected to a virtual Cortex until the block ends."""
 
     @contextlib.asynccontextmanager
-    async def run(cortex: SimulatedCortex, **settings: Any) -> AsyncGenerator[Run]:
+    async def run(cortex: SimulatedCortex, **settings: Any) -> AsyncGenerator[InsightRun]:
         for variable, text in cortex.environment.items():
             monkeypatch.setenv(variable, text)
-        made = make_run(**{**cortex.settings, **settings})
-        task = asyncio.create_task(made.supervisor.run())
-        try:
+        async with supervised(make_run(**{**cortex.settings, **settings})) as made:
             yield made
-        finally:
-            task.cancel()
-            await asyncio.wait({task}, timeout=30)
-            refused = {name: each.refused for name, each in made.sink.counters.items()}
-            made.sink.close()
-        assert made.states[-1] is State.STOPPED
-        assert set(refused.values()) <= {0}
 
     return run
 
 
-def assert_true(run: Run, cortex: SimulatedCortex, *data_names: str) -> None:
+def assert_true(run: InsightRun, cortex: SimulatedCortex, *data_names: str) -> None:
     """All that arrived was sent, in this order and once; what is missing was counted."""
     for name in data_names:
         sent = cortex.truth.samples(name).values
@@ -80,16 +71,12 @@ def assert_true(run: Run, cortex: SimulatedCortex, *data_names: str) -> None:
             position += 1
 
 
-def has(run: Run, rows: int, *data_names: str) -> Callable[[], bool]:
-    return lambda: all(len(run.sink.rows[name]) >= rows for name in data_names)
-
-
 async def test_every_stream_fills_with_what_was_measured(
     world: World, kept: Kept, eventually: Eventually
 ) -> None:
     with SimulatedCortex(world, timing=QUICK, seed=1) as cortex:
         async with kept(cortex) as run:
-            await eventually(has(run, 3, *ALL))
+            await eventually(run.sink.has(3, *ALL))
         assert_true(run, cortex, *ALL)
         first = cortex.truth.samples("eeg").values[0]
         assert run.sink.rows["eeg"][0] == pytest.approx(first)
@@ -104,9 +91,9 @@ async def test_stamps_are_those_of_the_measurement(
 ) -> None:
     with SimulatedCortex(world, timing=QUICK, seed=2, drift_ppm=100, jitter_s=0.02) as cortex:
         async with kept(cortex) as run:
-            await eventually(has(run, 500, "eeg"))
+            await eventually(run.sink.has(500, "eeg"))
         truth = cortex.truth.samples("eeg")
-        stamps = np.array(run.sink.stamps["eeg"])
+        stamps = np.array(run.sink.times["eeg"])
         # No loss at the start, so they go one by one.
         errors = stamps - truth.times[: len(stamps)]
         assert np.abs(errors[128:]).max() < 0.05
@@ -119,9 +106,9 @@ async def test_other_insights(
 ) -> None:
     with SimulatedCortex(world, model=model, timing=QUICK, seed=3) as cortex:
         async with kept(cortex) as run:
-            await eventually(has(run, 20, "eeg", "mot"))
+            await eventually(run.sink.has(20, "eeg", "mot"))
             if model is INSIGHT_1_GYRO:
-                await eventually(has(run, 20, "gyro"))
+                await eventually(run.sink.has(20, "gyro"))
         assert_true(run, cortex, "eeg", "mot", *(("gyro",) if run.sink.rows["gyro"] else ()))
         assert run.sink.rates["mot"] == rate
         # What never comes has no nominal rate.
@@ -151,7 +138,7 @@ async def test_other_versions(
         world, Circumstances(release=Release(version, metrics)), timing=QUICK, seed=4
     ) as cortex:
         async with kept(cortex) as run:
-            await eventually(has(run, 2, "eeg", "met", "dev"))
+            await eventually(run.sink.has(2, "eeg", "met", "dev"))
         assert_true(run, cortex, "eeg", "met", "dev")
 
 
@@ -164,7 +151,7 @@ async def test_licences(world: World, kept: Kept, eventually: Eventually, licenc
         capture_logs() as logs,
     ):
         async with kept(cortex) as run:
-            await eventually(has(run, 2, "mot", "pow", "met", "dev"))
+            await eventually(run.sink.has(2, "mot", "pow", "met", "dev"))
             cortex.close_connections(1001)
             await eventually(lambda: run.states.count(State.STREAMING) == 2)
         assert_true(run, cortex, "mot", "pow", "met", "dev")
@@ -179,7 +166,7 @@ async def test_a_counted_licence_is_drawn_from_once(
     with SimulatedCortex(world, Circumstances(session_quota=12), timing=QUICK) as cortex:
         async with kept(cortex) as run:
             for connections in (1, 2):
-                await eventually(has(run, 10 * connections, "eeg"))
+                await eventually(run.sink.has(10 * connections, "eeg"))
                 cortex.close_connections(1001)
                 await eventually(lambda n=connections: run.states.count(State.STREAMING) > n)
         assert cortex.calls.count("authorize") == 1
@@ -188,13 +175,13 @@ async def test_a_counted_licence_is_drawn_from_once(
 async def test_losses_are_counted_exactly(world: World, kept: Kept, eventually: Eventually) -> None:
     with SimulatedCortex(world, timing=QUICK, seed=6) as cortex:
         async with kept(cortex) as run:
-            await eventually(has(run, 20, "eeg"))
+            await eventually(run.sink.has(20, "eeg"))
             cortex.drop_samples(5)
             await eventually(lambda: run.sink.losses.get("eeg") == 5)
             cortex.skip_seconds(2)
             await eventually(lambda: run.sink.losses.get("eeg") == 5 + 256)
             rows = len(run.sink.rows["eeg"])
-            await eventually(has(run, rows + 50, "eeg"))
+            await eventually(run.sink.has(rows + 50, "eeg"))
         assert run.sink.losses == {"eeg": 261, "eeg_status": 261}
         assert_true(run, cortex, "eeg", "eeg_status")
 
@@ -205,10 +192,10 @@ async def test_a_clock_that_is_set_loses_and_invents_nothing(
 ) -> None:
     with SimulatedCortex(world, timing=QUICK, seed=7) as cortex:
         async with kept(cortex) as run:
-            await eventually(has(run, 50, "eeg", "mot"))
+            await eventually(run.sink.has(50, "eeg", "mot"))
             cortex.time_jump(seconds)
             rows = len(run.sink.rows["eeg"])
-            await eventually(has(run, rows + 100, "eeg"))
+            await eventually(run.sink.has(rows + 100, "eeg"))
         assert_true(run, cortex, "eeg", "mot")
         assert not run.sink.losses
 
@@ -218,16 +205,16 @@ async def test_repeated_interpolated_and_marked_samples(
 ) -> None:
     with SimulatedCortex(world, timing=QUICK, seed=8) as cortex:
         async with kept(cortex) as run:
-            await eventually(has(run, 10, "eeg"))
+            await eventually(run.sink.has(10, "eeg"))
             cortex.repeat_samples(20)
             cortex.interpolate(20)
             cortex.mark("stimulus", 7)
             rows = len(run.sink.rows["eeg"])
-            await eventually(has(run, rows + 60, "eeg"))
+            await eventually(run.sink.has(rows + 60, "eeg"))
         assert_true(run, cortex, "eeg", "eeg_status")
         status = np.array(run.sink.rows["eeg_status"])
         assert (status[:, 1].sum(), status[:, 3].sum()) == (20, 1)
-        assert len(set(run.sink.times["eeg"])) == len(status)
+        assert len(set(run.sink.device_times["eeg"])) == len(status)
         assert not run.sink.losses
 
 
@@ -236,15 +223,15 @@ async def test_a_token_that_expires_is_renewed(
 ) -> None:
     with SimulatedCortex(world, timing=QUICK, seed=9) as cortex:
         async with kept(cortex) as run:
-            await eventually(has(run, 20, "eeg"))
+            await eventually(run.sink.has(20, "eeg"))
             cortex.expire_token()
             rows = len(run.sink.rows["eeg"])
-            await eventually(has(run, rows + 20, "eeg"))
+            await eventually(run.sink.has(rows + 20, "eeg"))
             assert run.states.count(State.STREAMING) == 1
             cortex.close_connections(1001)
             await eventually(lambda: run.states.count(State.STREAMING) == 2)
             rows = len(run.sink.rows["eeg"])
-            await eventually(has(run, rows + 20, "eeg"))
+            await eventually(run.sink.has(rows + 20, "eeg"))
         assert cortex.calls.count("authorize") == 2
         assert_true(run, cortex, "eeg")
 
@@ -255,12 +242,12 @@ async def test_a_headset_that_is_switched_off_and_on(
 ) -> None:
     with SimulatedCortex(world, timing=QUICK, is_virtual=virtual, seed=10) as cortex:
         async with kept(cortex) as run:
-            await eventually(has(run, 20, "eeg"))
+            await eventually(run.sink.has(20, "eeg"))
             cortex.switch_headset_off(virtual=virtual)
             await eventually(lambda: State.DISCOVERING in run.states)
             cortex.switch_headset_on()
             rows = len(run.sink.rows["eeg"])
-            await eventually(has(run, rows + 50, "eeg"))
+            await eventually(run.sink.has(rows + 50, "eeg"))
         assert_true(run, cortex, "eeg")
 
 
@@ -279,24 +266,24 @@ async def test_a_fault_that_passes_leaves_a_gap(
 ) -> None:
     with SimulatedCortex(world, timing=QUICK, seed=11) as cortex:
         async with kept(cortex) as run:
-            await eventually(has(run, 20, "eeg", "mot"))
+            await eventually(run.sink.has(20, "eeg", "mot"))
             cortex.apply(fault)
             await eventually(lambda: run.states.count(State.STREAMING) >= 2)
             rows = len(run.sink.rows["eeg"])
-            await eventually(has(run, rows + 50, "eeg"))
+            await eventually(run.sink.has(rows + 50, "eeg"))
         assert_true(run, cortex, "eeg", "mot")
 
 
 async def test_garbage_hides_nothing(world: World, kept: Kept, eventually: Eventually) -> None:
     with SimulatedCortex(world, timing=QUICK, seed=13) as cortex:
         async with kept(cortex) as run:
-            await eventually(has(run, 20, "eeg"))
+            await eventually(run.sink.has(20, "eeg"))
             cortex.apply(Fault(FaultKind.GARBAGE, 64.0))
             cortex.flood(500)
             cortex.send_raw(b"\x00" * 100)
             cortex.send_raw('{"x":"' + "y" * 2_000_000 + '"}')
             rows = len(run.sink.rows["eeg"])
-            await eventually(has(run, rows + 100, "eeg"))
+            await eventually(run.sink.has(rows + 100, "eeg"))
             assert run.states.count(State.STREAMING) == 1
             assert run.sink.dropped_bytes > 0
         assert_true(run, cortex, "eeg")
@@ -308,12 +295,12 @@ async def test_battery_and_contact_are_seen(
 ) -> None:
     with SimulatedCortex(world, timing=QUICK, seed=14) as cortex:
         async with kept(cortex) as run:
-            await eventually(has(run, 1, "dev"))
+            await eventually(run.sink.has(1, "dev"))
             assert run.sink.rows["dev"][0][7] > 0
             cortex.apply(Fault(FaultKind.LOW_BATTERY, 4.0))
             cortex.apply(Fault(FaultKind.OFF_BODY, math.inf))
             await eventually(lambda: run.sink.rows["dev"][-1][8] == 4)
-            await eventually(lambda: not run.sink.rows["dev"][-1][2:8].any())
+            await eventually(lambda: not any(run.sink.rows["dev"][-1][2:8]))
             cortex.clear(FaultKind.OFF_BODY)
             await eventually(lambda: run.sink.rows["dev"][-1][7] > 0)
         assert_true(run, cortex, "dev")
@@ -328,7 +315,7 @@ async def test_a_reply_that_comes_twice_answers_once(
     ) as cortex:
         cortex.duplicate_reply(method)
         async with kept(cortex) as run:
-            await eventually(has(run, 50, "eeg"))
+            await eventually(run.sink.has(50, "eeg"))
             assert run.states.count(State.STREAMING) == 1
         assert_true(run, cortex, "eeg")
         sent = cortex.truth.samples("eeg").values
@@ -348,14 +335,14 @@ async def test_the_user_logs_in_and_approves(
             await eventually(lambda: "requestAccess" in cortex.calls)
             assert run.supervisor.state is State.CONNECTING
             cortex.approve()
-            await eventually(has(run, 10, "eeg"))
+            await eventually(run.sink.has(10, "eeg"))
             cortex.log_out()
             asked = cortex.calls.count("getUserLogin")
             await eventually(lambda: cortex.calls.count("getUserLogin") > asked + 1)
             assert run.supervisor.state is State.CONNECTING
             rows = len(run.sink.rows["eeg"])
             cortex.log_in()
-            await eventually(has(run, rows + 10, "eeg"))
+            await eventually(run.sink.has(rows + 10, "eeg"))
         assert_true(run, cortex, "eeg")
 
 
@@ -364,7 +351,7 @@ async def test_wrong_credentials_are_told(
 ) -> None:
     with SimulatedCortex(world, timing=QUICK) as cortex:
         async with kept(cortex) as run:
-            await eventually(has(run, 1, "eeg"))
+            await eventually(run.sink.has(1, "eeg"))
         async with kept(cortex) as run:
             monkeypatch.setenv("EMOTIV_CLIENT_SECRET", "wrong")
             await eventually(lambda: "check the client id and secret" in run.error)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pylsl
 import pytest
@@ -13,9 +13,7 @@ from structlog.testing import capture_logs
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.emotiv_insight.driver.emitter import EmotivEmitter
 from biosensor_gateway.devices.emotiv_insight.driver.protocol import Sample
-
-if TYPE_CHECKING:
-    from tests.emotiv_insight.conftest import NotedSink
+from tests.rigs.driver_run import NotedSink
 
 START_S = 1.7e9
 EEG = {"COUNTER": 0.0, "INTERPOLATED": 0.0, "AF3": 4201.5, "T7": 4202.5, "Pz": 4203.5,
@@ -26,8 +24,8 @@ FIELD = {"ACCX": 0.0, "ACCY": -1.0, "ACCZ": 0.1, "MAGX": 30.0, "MAGY": -15.0, "M
 
 
 @pytest.fixture
-def sink(noted_sink: type[NotedSink]) -> Generator[NotedSink]:
-    opened = noted_sink()
+def sink() -> Generator[NotedSink]:
+    opened = NotedSink("emotiv_insight")
     opened.open(DeviceInfo(), {"mot": 64.0, "gyro": 64.0})
     yield opened
     opened.close()
@@ -62,7 +60,7 @@ def test_eeg_keeps_its_offset_and_its_status_goes_beside(
     take(emitter, "eeg", EEG, others={"MARKERS": [{"label": "x"}]})
     assert row(sink, "eeg") == [4201.5, 4202.5, 4203.5, 4204.5, 4205.5]
     assert row(sink, "eeg_status") == [0, 0, 1024, 1]
-    assert sink.times["eeg"] == sink.times["eeg_status"] == [START_S]
+    assert sink.device_times["eeg"] == sink.device_times["eeg_status"] == [START_S]
 
 
 def test_an_electrode_that_is_missing_or_null_is_no_value(
@@ -102,8 +100,8 @@ def test_newer_firmware_has_an_orientation(emitter: EmotivEmitter, sink: NotedSi
 def test_older_firmware_has_a_gyroscope_instead(emitter: EmotivEmitter, sink: NotedSink) -> None:
     take(emitter, "mot", {**GYROSCOPE, **FIELD, "COUNTER_MEMS": 0.0})
     take(emitter, "mot", {**GYROSCOPE, **FIELD, "COUNTER_MEMS": 3.0}, 3 / 64)
-    assert sink.rows["gyro"][0].tolist() == [8192, 8180, 8201]
-    assert sink.rows["mot"][0][4:].tolist() == [0, -1, 0.1, 30, -15, 45]
+    assert sink.rows["gyro"][0] == [8192, 8180, 8201]
+    assert sink.rows["mot"][0][4:] == [0, -1, 0.1, 30, -15, 45]
     assert all(math.isnan(value) for value in sink.rows["mot"][0][:4])
     assert sink.losses == {"mot": 2, "gyro": 2}
 
@@ -169,7 +167,7 @@ def test_a_gap_between_connections_is_an_estimate_if_the_headset_has_measured(
         for late_s in (2.0, 3.0):
             emitter.take(Sample("eeg", START_S + late_s, EEG), arrival + late_s)
     between, within = (255, 127) if stayed else (0, 127)
-    assert sink.losses["eeg"] == between + within
+    assert sink.lost_count("eeg") == between + within
     estimates = [entry["samples"] for entry in logs if "estimate" in entry["event"]]
     assert estimates == ([255] if stayed else [])
 

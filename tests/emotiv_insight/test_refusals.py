@@ -35,17 +35,17 @@ from biosensor_gateway.system.logs import LOG_FILE_NAME, configure_logs
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from tests.emotiv_insight.conftest import Answers, Run, Running, ScriptedCortex
+    from tests.emotiv_insight.conftest import Answers, InsightRun, Running, ScriptedCortex
 
 Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
-MakeRun = Callable[..., "Run"]
+MakeRun = Callable[..., "InsightRun"]
 
 MISSING, REJECTED = CredentialReason.MISSING, CredentialReason.REJECTED
 ABSENT, LOST = TransportReason.ABSENT, TransportReason.LOST
 REFUSED = ProtocolReason.REFUSED
 
 
-async def refusal(run: Run) -> GatewayError:
+async def refusal(run: InsightRun) -> GatewayError:
     """Connect once, close, and return why it did not work."""
     made = DRIVER.make(run.settings, run.sink)()
     with pytest.raises(GatewayError) as raised:
@@ -55,7 +55,7 @@ async def refusal(run: Run) -> GatewayError:
 
 
 @pytest.fixture
-def run(cortex: ScriptedCortex, make_run: MakeRun, credentials: None, hasty: None) -> Run:
+def run(cortex: ScriptedCortex, make_run: MakeRun, credentials: None, hasty: None) -> InsightRun:
     return make_run(**cortex.settings)
 
 
@@ -80,7 +80,7 @@ def run(cortex: ScriptedCortex, make_run: MakeRun, credentials: None, hasty: Non
     ],
 )
 async def test_a_refusal_is_classed_by_its_code(
-    cortex: ScriptedCortex, answers: Answers, run: Run, method: str, code: int,
+    cortex: ScriptedCortex, answers: Answers, run: InsightRun, method: str, code: int,
     reason: object, words: str,
 ) -> None:  # fmt: skip
     cortex.on(method, answers.error(code))
@@ -91,7 +91,7 @@ async def test_a_refusal_is_classed_by_its_code(
 
 
 async def test_a_token_that_is_refused_again_is_no_loop(
-    cortex: ScriptedCortex, answers: Answers, run: Run
+    cortex: ScriptedCortex, answers: Answers, run: InsightRun
 ) -> None:
     cortex.on("createSession", *[answers.error(-32014)] * 9)
     assert (await refusal(run)).reason is REJECTED
@@ -111,7 +111,7 @@ async def test_a_headset_that_is_nearly_ready_is_asked_again(
 
 
 async def test_another_user_of_the_computer_holds_cortex(
-    cortex: ScriptedCortex, answers: Answers, run: Run
+    cortex: ScriptedCortex, answers: Answers, run: InsightRun
 ) -> None:
     cortex.on("getUserLogin", answers.result([{"currentOSUId": "1", "loggedInOSUId": "2"}]))
     error = await refusal(run)
@@ -120,13 +120,13 @@ async def test_another_user_of_the_computer_holds_cortex(
 
 
 async def test_an_answer_without_its_token_is_garbage(
-    cortex: ScriptedCortex, answers: Answers, run: Run
+    cortex: ScriptedCortex, answers: Answers, run: InsightRun
 ) -> None:
     cortex.on("authorize", answers.result({"cortexToken": 5}))
     assert (await refusal(run)).reason is ProtocolReason.GARBAGE
 
 
-async def test_no_stream_at_all_is_a_refusal(cortex: ScriptedCortex, run: Run) -> None:
+async def test_no_stream_at_all_is_a_refusal(cortex: ScriptedCortex, run: InsightRun) -> None:
     cortex.failures = dict.fromkeys(cortex.columns, -32016)
     error = await refusal(run)
     assert isinstance(error, ProtocolError)
@@ -134,7 +134,11 @@ async def test_no_stream_at_all_is_a_refusal(cortex: ScriptedCortex, run: Run) -
 
 
 async def test_two_headsets_are_not_chosen_from_by_chance(
-    cortex: ScriptedCortex, make_run: MakeRun, run: Run, running: Running, eventually: Eventually
+    cortex: ScriptedCortex,
+    make_run: MakeRun,
+    run: InsightRun,
+    running: Running,
+    eventually: Eventually,
 ) -> None:
     cortex.headsets = [cortex.headset(), {**cortex.headset(), "id": "INSIGHT2-99999999"}]
     error = await refusal(run)
@@ -148,7 +152,7 @@ async def test_two_headsets_are_not_chosen_from_by_chance(
 
 @pytest.mark.parametrize("code", [100, 101, 102])
 async def test_a_headset_that_cannot_be_connected_is_absent(
-    cortex: ScriptedCortex, answers: Answers, run: Run, code: int
+    cortex: ScriptedCortex, answers: Answers, run: InsightRun, code: int
 ) -> None:
     cortex.headsets = [cortex.headset("discovered")]
 
@@ -195,7 +199,7 @@ async def test_motion_that_never_comes_costs_eeg_one_connection_and_no_more(
         await measure(1)
         before = len(run.sink.rows["eeg"])
         await measure(300)
-        await eventually(run.sink.has("eeg", before + 300))
+        await eventually(run.sink.has(before + 300, "eeg"))
         assert run.supervisor.connections == 2
     streams = [each.params["streams"] for each in cortex.requests if each.method == "subscribe"]
     assert [set(each) for each in (streams[1], streams[3])] == [{"mot", "pow"}] * 2
@@ -203,7 +207,7 @@ async def test_motion_that_never_comes_costs_eeg_one_connection_and_no_more(
 
 @pytest.mark.parametrize(("rate", "expected"), [(32, 32.0), (128, 128.0), (0, 64.0), (None, 64.0)])
 async def test_the_headset_tells_the_rate_of_its_motion_sensor(
-    cortex: ScriptedCortex, run: Run, rate: int | None, expected: float
+    cortex: ScriptedCortex, run: InsightRun, rate: int | None, expected: float
 ) -> None:
     cortex.headsets = [cortex.headset(memsRate=rate, eegRate=256)]
     made = DRIVER.make(run.settings, run.sink)()
@@ -215,7 +219,7 @@ async def test_the_headset_tells_the_rate_of_its_motion_sensor(
 
 
 async def test_licence_and_debit_are_sent_as_they_are_set(
-    cortex: ScriptedCortex, make_run: MakeRun, run: Run
+    cortex: ScriptedCortex, make_run: MakeRun, run: InsightRun
 ) -> None:
     special = make_run(**cortex.settings, license="licence-1", debit=0)
     made = DRIVER.make(special.settings, special.sink)()
@@ -235,7 +239,7 @@ def empty_keyring() -> Generator[None]:
 
 @pytest.mark.usefixtures("empty_keyring")
 async def test_without_credentials_nothing_is_asked(
-    cortex: ScriptedCortex, run: Run, monkeypatch: pytest.MonkeyPatch
+    cortex: ScriptedCortex, run: InsightRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("EMOTIV_CLIENT_SECRET")
     for error in (await refusal(run), await failed_search(run)):
@@ -245,14 +249,14 @@ async def test_without_credentials_nothing_is_asked(
     assert "authorize" not in cortex.methods
 
 
-async def failed_search(run: Run) -> GatewayError:
+async def failed_search(run: InsightRun) -> GatewayError:
     with pytest.raises(GatewayError) as raised:
         await find([run.settings])
     return raised.value
 
 
 async def test_a_search_returns_the_headsets_of_cortex(
-    cortex: ScriptedCortex, run: Run, monkeypatch: pytest.MonkeyPatch
+    cortex: ScriptedCortex, run: InsightRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(discovery, "SEARCH_S", 0.3)
     cortex.headsets = [cortex.headset("discovered"), {"id": "EPOCX-1", "status": "discovered"}]
@@ -270,7 +274,7 @@ async def test_a_search_returns_the_headsets_of_cortex(
 
 
 async def test_a_search_waits_for_nobody(
-    cortex: ScriptedCortex, answers: Answers, run: Run
+    cortex: ScriptedCortex, answers: Answers, run: InsightRun
 ) -> None:
     cortex.on("getUserLogin", answers.result([]))
     assert (await failed_search(run)).reason is MISSING
@@ -330,7 +334,9 @@ async def test_no_secret_shows_anywhere(
     assert not [text for text in planted if text in shown]
 
 
-async def test_closing_ends_in_time_whatever_cortex_does(cortex: ScriptedCortex, run: Run) -> None:
+async def test_closing_ends_in_time_whatever_cortex_does(
+    cortex: ScriptedCortex, run: InsightRun
+) -> None:
     made = DRIVER.make(run.settings, run.sink)()
     await made.connect()
     await cortex.each_connection(lambda socket: socket.transport.pause_reading())

@@ -17,14 +17,12 @@ import pytest
 from numpy.typing import NDArray
 
 from biosensor_gateway.agent import supervisor as supervisor_module
-from biosensor_gateway.agent.state import State
-from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.empatica_e4.driver import driver as driver_module
 from biosensor_gateway.devices.empatica_e4.driver.driver import DRIVER, E4Settings
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.streaming import silence as silence_module
-from tests.rigs.driver_run import NotedSink
+from tests.rigs.driver_run import NotedSink, Run, supervised
 
 DEADLINE_S = 40.0
 REGULAR = ("bvp", "acc", "gsr", "st")
@@ -134,19 +132,13 @@ def vectors() -> dict[str, Any]:
     return loaded
 
 
-class Run:
-    """A driver and the supervisor that keeps it connected."""
+class E4Run(Run):
+    """The supervisor of a wristband behind the E4 server, and what came of it."""
 
     def __init__(self, settings: Mapping[str, Any]) -> None:
-        self.sink = NotedSink("empatica_e4")
-        self.states: list[State] = []
-        unit = self.sink.identity.unit
-        made = E4Settings.model_validate({"sensor": "empatica_e4", "unit": unit, **settings})
-        self.supervisor = Supervisor(DRIVER.make(made, self.sink), self.sink, self.states.append)
-
-    @property
-    def error(self) -> str:
-        return self.supervisor.last_error or ""
+        sink = NotedSink("empatica_e4")
+        named = {"sensor": "empatica_e4", "unit": sink.identity.unit}
+        self._begin(sink, DRIVER.make(E4Settings.model_validate({**named, **settings}), sink))
 
     def has_reconnected(self) -> bool:
         return self.supervisor.connections > 1
@@ -215,7 +207,7 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, name, seconds)
 
 
-Running = Callable[[Mapping[str, Any]], AbstractAsyncContextManager[Run]]
+Running = Callable[[Mapping[str, Any]], AbstractAsyncContextManager[E4Run]]
 
 
 @pytest.fixture
@@ -224,17 +216,8 @@ def running(hasty: None) -> Running:
     del hasty
 
     @asynccontextmanager
-    async def run_driver(settings: Mapping[str, Any]) -> AsyncGenerator[Run]:
-        run = Run(settings)
-        task = asyncio.create_task(run.supervisor.run())
-        try:
+    async def run_driver(settings: Mapping[str, Any]) -> AsyncGenerator[E4Run]:
+        async with supervised(E4Run(settings)) as run:
             yield run
-        finally:
-            task.cancel()
-            await asyncio.wait({task}, timeout=DEADLINE_S)
-            refused = {name: each.refused for name, each in run.sink.counters.items()}
-            run.sink.close()
-        assert run.states[-1] is State.STOPPED
-        assert set(refused.values()) <= {0}
 
     return run_driver

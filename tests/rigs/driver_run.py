@@ -37,6 +37,8 @@ class NotedSink(DeviceSink):
     ----------
     rows, times
         Samples of each stream, and their LSL times [s].
+    device_times
+        Those of the device's clock [s], where it stamps them.
     texts
         Of all streams of text; their times are in `times`.
     info, rates
@@ -51,6 +53,7 @@ class NotedSink(DeviceSink):
         names = [stream.data_name for stream in self._spec.streams]
         self.rows: dict[str, list[list[float]]] = {name: [] for name in names}
         self.times: dict[str, list[float]] = {name: [] for name in names}
+        self.device_times: dict[str, list[float]] = {name: [] for name in names}
         self.texts: list[str] = []
         self.info = DeviceInfo()
         self.rates: Mapping[str, float] = {}
@@ -61,6 +64,12 @@ class NotedSink(DeviceSink):
         """Counters of all streams, also after the end."""
         return super().counters or self._kept
 
+    @property
+    def losses(self) -> dict[str, int]:
+        """How many samples are counted as lost, by data name of the streams that lost any."""
+        names = {source_id(self.identity, each): each for each in self.rows}
+        return {names[key]: each.lost for key, each in self.counters.items() if each.lost}
+
     def open(self, info: DeviceInfo, rates: Mapping[str, float]) -> None:
         """Note what the device is."""
         super().open(info, rates)
@@ -70,6 +79,11 @@ class NotedSink(DeviceSink):
         """Keep the counters."""
         self._kept = self.counters
         super().close()
+
+    def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
+        """Note when the device says that samples were measured."""
+        super().emit(data_name, samples, device_times)
+        self.device_times[data_name] += device_times
 
     def emit_at(self, data_name: str, samples: ArrayLike, lsl_times: Sequence[float]) -> None:
         """Note samples; those that the device stamps pass here as well."""
@@ -129,8 +143,16 @@ class Run:
     @property
     def lost(self) -> dict[str, int]:
         """How many samples are counted as lost, by data name of the streams that lost any."""
-        names = [stream.data_name for stream in self.sink.spec.streams]
-        return {name: count for name in names if (count := self.sink.lost_count(name))}
+        return self.sink.losses
+
+    @property
+    def error(self) -> str:
+        """Why there is no connection, or was none last; empty if nothing is wrong."""
+        return self.supervisor.last_error or ""
+
+    def is_streaming(self) -> bool:
+        """Whether all that is due comes."""
+        return self.supervisor.state is State.STREAMING
 
     async def goes_on(self, count: int, *data_names: str) -> None:
         """Wait until so many further samples of each have come."""
@@ -160,9 +182,9 @@ async def supervised(run: _R) -> AsyncGenerator[_R]:
     finally:
         task.cancel()
         await asyncio.wait({task}, timeout=20)
+        run.sink.close()
     assert run.states[-1] is State.STOPPED
     assert {each.refused for each in run.sink.counters.values()} <= {0}
-    run.sink.close()
 
 
 @asynccontextmanager

@@ -23,8 +23,7 @@ from biosensor_gateway.devices.shimmer3_gsr.driver.driver import DRIVER, Shimmer
 from biosensor_gateway.devices.shimmer3_gsr.simulator import SimulatedShimmer3
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
-from tests.rigs import driver_run
-from tests.rigs.driver_run import supervised
+from tests.rigs.driver_run import Run, supervised
 from tests.rigs.polling import until
 
 DEADLINE_S = 30.0
@@ -42,8 +41,8 @@ async def is_idle(device: SimulatedShimmer3) -> bool:
     return len(device.truth.samples("ppg").times) == before
 
 
-class Run(driver_run.Run):
-    """A device and the supervisor that keeps it connected."""
+class ShimmerRun(Run):
+    """The supervisor of a virtual device, that device, and what came of both."""
 
     def __init__(self, device: SimulatedShimmer3, **fields: Any) -> None:
         super().__init__(device, **fields)
@@ -97,7 +96,7 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stopping, "QUIET_S", 0.1)
 
 
-Streaming = Callable[..., AbstractAsyncContextManager[Run]]
+Streaming = Callable[..., AbstractAsyncContextManager[ShimmerRun]]
 
 
 @pytest.fixture
@@ -107,9 +106,9 @@ def streaming(world: World) -> Streaming:
     @asynccontextmanager
     async def started(
         *, settings: dict[str, Any] | None = None, **device: Any
-    ) -> AsyncGenerator[Run]:
+    ) -> AsyncGenerator[ShimmerRun]:
         with SimulatedShimmer3(world, **device) as shimmer:
-            async with supervised(Run(shimmer, **(settings or {}))) as run:
+            async with supervised(ShimmerRun(shimmer, **(settings or {}))) as run:
                 yield run
 
     return started
@@ -371,7 +370,7 @@ async def test_a_device_that_was_left_streaming_is_stopped_first(world: World) -
                 os.write(other, bytes.fromhex(command))
                 await asyncio.sleep(0.2)
             await until(lambda: len(device.truth.samples("gsr").times) > 200)
-            run = Run(device)
+            run = ShimmerRun(device)
             task = asyncio.create_task(run.supervisor.run())
             await run.more(100)
             received, measured = await run.both()
@@ -388,7 +387,7 @@ async def test_a_device_that_was_left_streaming_is_stopped_first(world: World) -
 
 async def test_firmware_with_short_stamps_is_refused_with_an_advice(world: World) -> None:
     with SimulatedShimmer3(world, firmware=(0, 5, 2)) as device:
-        run = Run(device)
+        run = ShimmerRun(device)
         driver = DRIVER.make(
             ShimmerSettings(sensor="shimmer3_gsr", unit="1", port=device.port), run.sink
         )()
@@ -404,7 +403,7 @@ async def test_a_stop_while_connecting_leaves_the_device_idle(
     monkeypatch.setattr(stopping, "LISTEN_S", 0.01)
     for delay_s in (0.0, 0.1, 0.2, 0.3):
         with SimulatedShimmer3(world) as device:
-            run = Run(device)
+            run = ShimmerRun(device)
             task = asyncio.create_task(run.supervisor.run())
             await asyncio.sleep(delay_s)
             task.cancel()

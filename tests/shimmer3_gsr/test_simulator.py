@@ -15,6 +15,7 @@ from pylsl import local_clock
 from biosensor_gateway.devices.shimmer3_gsr.simulator import SimulatedShimmer3
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
+from tests.rigs.serial_hosts import SerialHosts
 
 DEADLINE_S = 20.0
 RESISTORS_KOHM = (40.2, 287.0, 1000.0, 3300.0)
@@ -116,31 +117,9 @@ def world() -> Iterator[World]:
         yield running
 
 
-class Bench:
-    """Hosts of one test, ended with it."""
-
-    def __init__(self) -> None:
-        self._hosts: list[Host] = []
-
-    def connect(self, device: SimulatedShimmer3) -> Host:
-        deadline = time.monotonic() + DEADLINE_S
-        while True:
-            try:
-                self._hosts.append(Host(device.port))
-            except OSError:
-                assert time.monotonic() < deadline, "the port did not come back"
-                time.sleep(0.05)
-            else:
-                return self._hosts[-1]
-
-    def close(self) -> None:
-        for host in self._hosts:
-            host.close()
-
-
 @pytest.fixture
-def bench() -> Iterator[Bench]:
-    running = Bench()
+def hosts() -> Iterator[SerialHosts[Host]]:
+    running = SerialHosts(Host)
     yield running
     running.close()
 
@@ -152,8 +131,8 @@ def device(world: World, request: pytest.FixtureRequest) -> Iterator[SimulatedSh
 
 
 @pytest.fixture
-def host(bench: Bench, device: SimulatedShimmer3) -> Host:
-    return bench.connect(device)
+def host(hosts: SerialHosts[Host], device: SimulatedShimmer3) -> Host:
+    return hosts.connect(device.port)
 
 
 def volts_of(counts: int) -> float:
@@ -226,9 +205,9 @@ def test_no_packet_leaves_before_it_was_measured(host: Host, device: SimulatedSh
     assert device.truth.samples("gsr").times[29] < heard_s
 
 
-def test_ticks_wrap_at_24_bits(world: World, bench: Bench) -> None:
+def test_ticks_wrap_at_24_bits(world: World, hosts: SerialHosts[Host]) -> None:
     with SimulatedShimmer3(world, first_tick=(1 << 24) - 20_000) as device:
-        host = bench.connect(device)
+        host = hosts.connect(device.port)
         host.ask_all(*GSR_PPG_128_HZ, "07")
         packets = host.packets(150)
     assert packets[-1].ticks < packets[0].ticks
@@ -298,7 +277,7 @@ def test_nothing_is_said_before_the_first_command(host: Host, device: SimulatedS
 
 
 def test_a_host_that_leaves_ends_stream_and_modes(
-    bench: Bench, host: Host, device: SimulatedShimmer3
+    hosts: SerialHosts[Host], host: Host, device: SimulatedShimmer3
 ) -> None:
     host.ask_all(*GSR_PPG_128_HZ, "a300")
     assert host.ask("8b01", 2) == "fff4"
@@ -309,7 +288,7 @@ def test_a_host_that_leaves_ends_stream_and_modes(
     while device.streaming:
         assert time.monotonic() < deadline
         time.sleep(0.01)
-    again = bench.connect(device)
+    again = hosts.connect(device.port)
     assert again.is_quiet()
     # The settings are in flash.
     assert again.ask("01", 12) == "ff02000101ff01090201121c"
@@ -317,9 +296,11 @@ def test_a_host_that_leaves_ends_stream_and_modes(
     assert again.take(4).hex() == "ff8a7121"
 
 
-def test_whole_packets_are_dropped_when_the_host_does_not_read(world: World, bench: Bench) -> None:
+def test_whole_packets_are_dropped_when_the_host_does_not_read(
+    world: World, hosts: SerialHosts[Host]
+) -> None:
     with SimulatedShimmer3(world, tcp=False) as device:
-        host = bench.connect(device)
+        host = hosts.connect(device.port)
         host.ask_all("08040100", "2104", "5e01", "050800", "07")
         unsent(device, "gsr", 200)
         # First what waited, then what is measured now: 30 KiB hold at most 4000 packets.
@@ -339,7 +320,7 @@ def test_the_truth_tells_the_battery_that_was_said(host: Host, device: Simulated
 
 class TestFaults:
     def test_drop_takes_the_port_away_and_brings_it_back(
-        self, bench: Bench, host: Host, device: SimulatedShimmer3
+        self, hosts: SerialHosts[Host], host: Host, device: SimulatedShimmer3
     ) -> None:
         host.ask_all(*GSR_PPG_128_HZ, "07")
         before = host.packets(3)
@@ -348,19 +329,21 @@ class TestFaults:
         with pytest.raises(OSError):
             Host(device.port)
         device.clear(FaultKind.DROP)
-        again = bench.connect(device)
+        again = hosts.connect(device.port)
         assert again.is_quiet()
         again.ask_all("07")
         # The crystal has gone on.
         assert again.packets(1)[0].ticks > before[-1].ticks
 
-    def test_restart_begins_with_new_ticks_and_no_clock(self, world: World, bench: Bench) -> None:
+    def test_restart_begins_with_new_ticks_and_no_clock(
+        self, world: World, hosts: SerialHosts[Host]
+    ) -> None:
         with SimulatedShimmer3(world, first_tick=1_000_000) as device:
-            host = bench.connect(device)
+            host = hosts.connect(device.port)
             host.ask_all(*GSR_PPG_128_HZ, "8f" + 16 * "0", "06")
             device.apply(Fault(FaultKind.RESTART, 0.2))
             host.until_hung_up()
-            again = bench.connect(device)
+            again = hosts.connect(device.port)
             assert again.ask("72", 4) == "ff8a7120"
             assert again.ask("03", 4) == "ff040001"
             again.ask_all("07")
@@ -384,20 +367,20 @@ class TestFaults:
         assert host.is_quiet()
 
     def test_refuse_answers_every_command_with_a_refusal(
-        self, bench: Bench, host: Host, device: SimulatedShimmer3
+        self, hosts: SerialHosts[Host], host: Host, device: SimulatedShimmer3
     ) -> None:
         assert host.is_quiet()
         device.apply(Fault(FaultKind.REFUSE, math.inf))
         host.until_hung_up()
-        again = bench.connect(device)
+        again = hosts.connect(device.port)
         assert [again.ask(command) for command in ("20", "3f", "07")] == ["fe"] * 3
         device.clear(FaultKind.REFUSE)
         assert again.is_quiet()
 
-    def test_old_firmware_refuses_in_silence(self, world: World, bench: Bench) -> None:
+    def test_old_firmware_refuses_in_silence(self, world: World, hosts: SerialHosts[Host]) -> None:
         with SimulatedShimmer3(world, firmware=(0, 16, 11)) as device:
             device.apply(Fault(FaultKind.REFUSE, math.inf))
-            host = bench.connect(device)
+            host = hosts.connect(device.port)
             host.send("3f")
 
             def docked_and_told() -> bool:
@@ -409,12 +392,12 @@ class TestFaults:
             assert host.take(4).hex() == "ff8a7121"
 
     def test_late_delays_answers_in_order(
-        self, bench: Bench, host: Host, device: SimulatedShimmer3
+        self, hosts: SerialHosts[Host], host: Host, device: SimulatedShimmer3
     ) -> None:
         assert host.is_quiet()
         device.apply(Fault(FaultKind.LATE, 0.3))
         host.until_hung_up()
-        again = bench.connect(device)
+        again = hosts.connect(device.port)
         sent_s = local_clock()
         again.send("3f")
         again.send("72")

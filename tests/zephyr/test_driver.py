@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import time
-import uuid
 from collections.abc import AsyncGenerator, Callable, Iterable, Sequence
 from contextlib import asynccontextmanager
 from itertools import pairwise
@@ -18,11 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_common.spec import DeviceIdentity
+from biosensor_common.naming import source_id
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.state import State
-from biosensor_gateway.agent.supervisor import Supervisor
-from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.devices.zephyr.declaration import SPEC
 from biosensor_gateway.devices.zephyr.driver import driver as module
 from biosensor_gateway.devices.zephyr.driver.driver import DRIVER, ZephyrDriver, ZephyrSettings
@@ -32,9 +29,8 @@ from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing
 from biosensor_gateway.devices.zephyr.simulator.synthetic import DEFAULT_CLOCK, SyntheticSource
 from biosensor_gateway.devices.zephyr.simulator.wire import Packet
 from biosensor_gateway.simulation.wearer import Wearer
-from biosensor_gateway.streaming.counters import Counters
-from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.clock import Clock
+from tests.rigs.driver_run import NotedSink, Run, supervised
 from tests.rigs.zephyr import SteeredBioHarness, is_damaged
 
 DEADLINE_S = 30.0
@@ -53,60 +49,31 @@ async def eventually(condition: Callable[[], bool]) -> None:
         await asyncio.sleep(0.01)
 
 
-class NotedSink(DeviceSink):
-    """Notes what drivers emit on its way into LSL."""
+class BlockSink(NotedSink):
+    """Notes also which samples came in one packet."""
 
     def __init__(self) -> None:
-        super().__init__(DeviceIdentity("zephyr", uuid.uuid4().hex), declaration("zephyr"))
-        self.blocks: dict[str, list[Floats]] = {stream.data_name: [] for stream in SPEC.streams}
-        self.times: dict[str, list[float]] = {stream.data_name: [] for stream in SPEC.streams}
-        self._kept: dict[str, Counters] = {}
-
-    @property
-    def counters(self) -> dict[str, Counters]:
-        return super().counters or self._kept
-
-    def close(self) -> None:
-        self._kept = self.counters
-        super().close()
+        super().__init__("zephyr")
+        self.blocks: dict[str, list[Floats]] = {name: [] for name in self.rows}
 
     def emit(self, data_name: str, samples: ArrayLike, device_times: Sequence[float]) -> None:
+        before = len(self.rows[data_name])
         super().emit(data_name, samples, device_times)
-        width = len(SPEC.stream(data_name).channels)
-        self.blocks[data_name].append(np.asarray(samples, np.float64).reshape(-1, width))
-        self.times[data_name].extend(device_times)
+        self.blocks[data_name].append(np.array(self.rows[data_name][before:], np.float64))
 
-    def source_id(self, data_name: str) -> str:
-        return f"zephyr-{self.identity.unit}-{data_name}"
-
-    def counted(self, data_name: str) -> Counters:
-        return self.counters[self.source_id(data_name)]
-
-    def values(self, data_name: str) -> Floats:
-        """Return all samples; shape (samples, channels)."""
-        width = len(SPEC.stream(data_name).channels)
-        return np.concatenate([np.empty((0, width)), *self.blocks[data_name]])
-
-    def has(self, *data_names: str, blocks: int = 1) -> Callable[[], bool]:
+    def has_blocks(self, *data_names: str, blocks: int = 1) -> Callable[[], bool]:
         return lambda: all(len(self.blocks[name]) >= blocks for name in data_names)
 
 
-class Run:
-    """A device and the supervisor that keeps it connected."""
+class BioHarnessRun(Run):
+    """The supervisor of a steered device, and what came of it."""
+
+    sink: BlockSink
 
     def __init__(self, device: SteeredBioHarness) -> None:
-        self.device, self.sink = device, NotedSink()
-        self.states: list[State] = []
-        settings = ZephyrSettings(sensor="zephyr", unit=self.sink.identity.unit, port=device.port)
-        self.supervisor = Supervisor(
-            DRIVER.make(settings, self.sink), self.sink, self.states.append
-        )
-
-    @property
-    def lost(self) -> dict[str, int]:
-        losses = {stream.data_name: self.sink.counted(stream.data_name).lost
-                  for stream in SPEC.streams}  # fmt: skip
-        return {name: count for name, count in losses.items() if count}
+        self.device, sink = device, BlockSink()
+        settings = ZephyrSettings(sensor="zephyr", unit=sink.identity.unit, port=device.port)
+        self._begin(sink, DRIVER.make(settings, sink))
 
     def arrived(self, data_name: str) -> list[Outgoing]:
         """Return the packet that each block came from; the noise makes every one unlike all others.
@@ -124,18 +91,11 @@ def in_units(data_name: str, counts: Any) -> Floats:
 
 
 @asynccontextmanager
-async def streaming(device: SteeredBioHarness) -> AsyncGenerator[Run]:
+async def streaming(device: SteeredBioHarness) -> AsyncGenerator[BioHarnessRun]:
     """Run until the block ends; then nothing may have been refused or be half closed."""
     with device:
-        run = Run(device)
-        task = asyncio.create_task(run.supervisor.run())
-        yield run
-        task.cancel()
-        await asyncio.wait({task}, timeout=DEADLINE_S)
-        assert run.states[-1] is State.STOPPED
-        refused = {name: each.refused for name, each in run.sink.counters.items()}
-        assert set(refused.values()) <= {0}
-        run.sink.close()
+        async with supervised(BioHarnessRun(device)) as run:
+            yield run
 
 
 @pytest.fixture
@@ -152,42 +112,44 @@ async def test_every_stream_fills_with_what_the_device_sent() -> None:
     async with streaming(SteeredBioHarness(fast())) as run:
         # This strap has no thermometer.
         names = [stream.data_name for stream in SPEC.streams if stream.data_name != "st"]
-        await eventually(run.sink.has(*names, blocks=5))
+        await eventually(run.sink.has_blocks(*names, blocks=5))
         sent = run.device.sent
     for name, packet in WAVEFORMS.items():
         truth = run.device.sent_samples(packet)[:, 1:]
-        received = run.sink.values(name)
+        received = run.sink.array(name)
         np.testing.assert_array_equal(received, in_units(name, truth[: len(received)]))
     summaries = [out.values for out in sent if out.packet is Packet.SUMMARY and out.values]
     keys = {"hr": "heart_rate_bpm", "hrv": "hrv_ms", "br": "respiration_rate_bpm",
             "posture": "posture_deg", "activity": "activity_vmu_g", "bat": "battery_percent",
             "rssi": "rssi_db"}  # fmt: skip
     for name, key in keys.items():
-        received = run.sink.values(name)[:, 0]
+        received = run.sink.array(name)[:, 0]
         sent_values = np.array([values[key] for values in summaries], np.float64)
         np.testing.assert_allclose(received, sent_values[: len(received)], rtol=1e-6)
     assert run.sink.blocks["st"] == []
-    assert {tuple(row) for row in run.sink.values("quality")} == {(1, 100, 0, 0, 0, 254)}
+    assert {tuple(row) for row in run.sink.array("quality")} == {(1, 100, 0, 0, 0, 254)}
     assert run.lost == {}
     assert run.sink.dropped_bytes == 0
 
 
 async def test_intervals_are_those_of_the_body() -> None:
     async with streaming(SteeredBioHarness(fast())) as run:
-        await eventually(run.sink.has("ibi", blocks=25))
+        await eventually(run.sink.has_blocks("ibi", blocks=25))
         readings = run.device.sent_samples(Packet.RR)[:, 1]
     beats = np.flatnonzero(np.diff(readings)) + 1
-    received = run.sink.values("ibi")[:, 0]
+    received = run.sink.array("ibi")[:, 0]
     np.testing.assert_allclose(received, np.abs(readings[beats])[: len(received)] / 1000)
-    apart = np.diff(run.sink.times["ibi"])
+    apart = np.diff(run.sink.device_times["ibi"])
     # A beat is seen in the first of the readings, 56 ms apart, that follow it.
     np.testing.assert_allclose(apart, received[1:], atol=0.065)
 
 
 async def test_an_inlet_gets_the_device_s_samples_at_their_times() -> None:
     async with streaming(SteeredBioHarness(SyntheticSource(seed=4))) as run:
-        await eventually(run.sink.has("ecg"))
-        found = pylsl.resolve_byprop("source_id", run.sink.source_id("ecg"), timeout=DEADLINE_S)
+        await eventually(run.sink.has_blocks("ecg"))
+        found = pylsl.resolve_byprop(
+            "source_id", source_id(run.sink.identity, "ecg"), timeout=DEADLINE_S
+        )
         inlet = pylsl.StreamInlet(found[0], recover=False)
         inlet.open_stream(DEADLINE_S)
         received: list[float] = []
@@ -234,7 +196,7 @@ async def test_it_enables_keeps_awake_and_disables(monkeypatch: pytest.MonkeyPat
 async def test_refused_packets_leave_the_others() -> None:
     with capture_logs() as logs:
         async with streaming(SteeredBioHarness(fast(), refused=[0x15, 0x1E])) as run:
-            await eventually(run.sink.has("ecg", "hr", "ibi", blocks=3))
+            await eventually(run.sink.has_blocks("ecg", "hr", "ibi", blocks=3))
             assert run.device.enabled == ALL_PACKETS - {Packet.BREATHING, Packet.ACCELERATION}
     assert run.sink.blocks["breathing"] == run.sink.blocks["acc"] == []
     refusals = [entry["packets"] for entry in logs if "refuses packets" in entry["event"]]
@@ -251,11 +213,11 @@ async def test_a_device_that_refuses_everything_is_left_alone() -> None:
 
 async def test_without_summaries_general_data_take_their_place() -> None:
     async with streaming(SteeredBioHarness(fast(), summary_supported=False)) as run:
-        await eventually(run.sink.has("hr", "br", "posture", "activity", "bat", "quality"))
+        await eventually(run.sink.has_blocks("hr", "br", "posture", "activity", "bat", "quality"))
         sent = [out.values for out in run.device.sent if out.packet is Packet.GENERAL]
     assert sent[0] is not None
-    assert run.sink.values("hr")[0, 0] == sent[0]["heart_rate_bpm"]
-    assert run.sink.values("bat")[0, 0] == 80
+    assert run.sink.array("hr")[0, 0] == sent[0]["heart_rate_bpm"]
+    assert run.sink.array("bat")[0, 0] == 80
     assert run.sink.blocks["hrv"] == run.sink.blocks["rssi"] == []
 
 
@@ -272,7 +234,7 @@ async def test_general_data_are_asked_for_only_if_summaries_stay_away(
 ) -> None:
     monkeypatch.setattr(module, "SUMMARY_PATIENCE_S", 0.5)
     async with streaming(SteeredBioHarness(source)) as run:
-        await eventually(run.sink.has("hr", blocks=8))
+        await eventually(run.sink.has_blocks("hr", blocks=8))
         general = Packet.GENERAL in run.device.enabled
     assert general == isinstance(source, NoSummaries)
     assert run.device.switched_on == frozenset()
@@ -281,7 +243,7 @@ async def test_general_data_are_asked_for_only_if_summaries_stay_away(
 @pytest.mark.usefixtures("hasty")
 async def test_a_request_that_is_ignored_is_repeated_then_given_up() -> None:
     with SteeredBioHarness(fast(), ignored=[0x16]) as device:
-        sink = NotedSink()
+        sink = BlockSink()
         settings = ZephyrSettings(sensor="zephyr", unit="1", port=device.port)
         driver = ZephyrDriver(settings, sink, ZephyrEmitter(sink))
         with pytest.raises(ProtocolError) as caught:
@@ -318,7 +280,7 @@ async def test_a_stop_while_connecting_disables_what_may_have_been_enabled() -> 
 async def test_samples_that_came_while_connecting_are_not_lost() -> None:
     device = SteeredBioHarness(fast(), answer_delay_s=0.4)
     async with streaming(device) as run:
-        await eventually(run.sink.has("breathing", "acc", blocks=3))
+        await eventually(run.sink.has_blocks("breathing", "acc", blocks=3))
         first = next(out for out in device.sent if out.packet is Packet.ECG)
         np.testing.assert_array_equal(run.sink.blocks["ecg"][0], first.samples)
     assert run.lost == {}
@@ -326,7 +288,7 @@ async def test_samples_that_came_while_connecting_are_not_lost() -> None:
     assert numbers == list(range(first.sequence or 0, (first.sequence or 0) + len(numbers)))
 
 
-async def assert_only_counted_losses(run: Run) -> None:
+async def assert_only_counted_losses(run: BioHarnessRun) -> None:
     """Nothing invented, nothing doubled; what is missing between two packets is counted."""
     for name in WAVEFORMS:
         packets = run.arrived(name)
@@ -340,18 +302,18 @@ async def assert_only_counted_losses(run: Run) -> None:
 @pytest.mark.usefixtures("hasty")
 async def test_a_link_drop_is_a_gap_of_counted_length() -> None:
     async with streaming(SteeredBioHarness(SyntheticSource(seed=5))) as run:
-        await eventually(run.sink.has("breathing", "acc", blocks=2))
+        await eventually(run.sink.has_blocks("breathing", "acc", blocks=2))
         run.device.drop_link(seconds=2.0)
         await eventually(lambda: State.DISCOVERING in run.states)
         before = len(run.sink.blocks["breathing"])
-        await eventually(run.sink.has("breathing", "acc", "ecg", blocks=before + 3))
-        await eventually(run.sink.has("hr", blocks=4))
+        await eventually(run.sink.has_blocks("breathing", "acc", "ecg", blocks=before + 3))
+        await eventually(run.sink.has_blocks("hr", blocks=4))
     assert run.supervisor.connections == 2
     assert run.lost["ecg"] >= 6 * 63
     assert run.lost["hr"] >= 1
     await assert_only_counted_losses(run)
     for name in WAVEFORMS:
-        assert all(a < b for a, b in pairwise(run.sink.times[name]))
+        assert all(a < b for a, b in pairwise(run.sink.device_times[name]))
     assert run.sink.clock_state.reanchors == 0
 
 
@@ -361,7 +323,7 @@ async def test_a_device_that_falls_silent_is_connected_anew(
 ) -> None:
     monkeypatch.setattr(ZephyrDriver, "silence_limit_s", 0.7)
     async with streaming(SteeredBioHarness(SyntheticSource(), host_timeout_s=None)) as run:
-        await eventually(run.sink.has("ecg", "acc", "breathing"))
+        await eventually(run.sink.has_blocks("ecg", "acc", "breathing"))
         run.device.stall()
         await eventually(lambda: State.DISCOVERING in run.states)
         run.device.resume()
@@ -373,10 +335,10 @@ async def test_a_device_that_falls_silent_is_connected_anew(
 async def test_garbage_between_frames_costs_nothing_else() -> None:
     async with streaming(SteeredBioHarness(fast(), seed=11)) as run:
         for number in range(1, 6):
-            await eventually(run.sink.has("ecg", blocks=5 * number))
+            await eventually(run.sink.has_blocks("ecg", blocks=5 * number))
             run.device.garbage(100)
         await eventually(lambda: run.sink.dropped_bytes >= 500)
-        await eventually(run.sink.has("breathing", "acc", blocks=8))
+        await eventually(run.sink.has_blocks("breathing", "acc", blocks=8))
     assert run.sink.dropped_bytes == 500
     assert run.lost == {}
     await assert_only_counted_losses(run)
@@ -384,15 +346,15 @@ async def test_garbage_between_frames_costs_nothing_else() -> None:
 
 async def test_the_samples_of_a_damaged_frame_are_counted_as_lost() -> None:
     async with streaming(SteeredBioHarness(fast())) as run:
-        await eventually(run.sink.has(*WAVEFORMS))
+        await eventually(run.sink.has_blocks(*WAVEFORMS))
         damaged: set[Packet | None] = set()
         while not damaged >= {Packet.ECG, Packet.ACCELERATION}:
             run.device.corrupt_next()
             count = len(run.sink.blocks["ecg"])
-            await eventually(run.sink.has("ecg", blocks=count + 2))
+            await eventually(run.sink.has_blocks("ecg", blocks=count + 2))
             damaged = {out.packet for out in run.device.sent if is_damaged(out)}
         for name in WAVEFORMS:
-            await eventually(run.sink.has(name, blocks=len(run.sink.blocks[name]) + 2))
+            await eventually(run.sink.has_blocks(name, blocks=len(run.sink.blocks[name]) + 2))
         spoilt = [len(out.data) for out in run.device.sent if is_damaged(out)]
     assert run.lost["ecg"] >= 63
     assert run.sink.dropped_bytes == sum(spoilt)
@@ -402,7 +364,7 @@ async def test_the_samples_of_a_damaged_frame_are_counted_as_lost() -> None:
 async def test_more_packets_than_sequence_numbers_make_no_gap() -> None:
     source = SyntheticSource(speed=40)
     async with streaming(SteeredBioHarness(source)) as run:
-        await eventually(run.sink.has("ecg", blocks=600))
+        await eventually(run.sink.has_blocks("ecg", blocks=600))
     assert run.lost == {}
     await assert_only_counted_losses(run)
 
@@ -410,12 +372,12 @@ async def test_more_packets_than_sequence_numbers_make_no_gap() -> None:
 @pytest.mark.parametrize("step_s", [None, 3600.0, -3600.0], ids=["midnight", "ahead", "back"])
 async def test_the_device_s_clock_may_turn_midnight_or_be_set(step_s: float | None) -> None:
     async with streaming(SteeredBioHarness(SyntheticSource())) as run:
-        await eventually(run.sink.has("breathing", "hr"))
+        await eventually(run.sink.has_blocks("breathing", "hr"))
         if step_s is None:
             run.device.midnight(seconds=0.5)
         else:
             run.device.step_clock(step_s)
-        await eventually(run.sink.has("breathing", "hr", blocks=3))
+        await eventually(run.sink.has_blocks("breathing", "hr", blocks=3))
         days = {out.stamp.day for out in run.device.sent if out.stamp}
     assert len(days) == (2 if step_s is None else 1)
     assert run.lost == {}
@@ -424,7 +386,7 @@ async def test_the_device_s_clock_may_turn_midnight_or_be_set(step_s: float | No
 
 async def test_the_strap_may_be_taken_off_and_put_on_again() -> None:
     async with streaming(SteeredBioHarness(fast())) as run:
-        worn: Callable[[], list[float]] = lambda: list(run.sink.values("quality")[:, 0])  # noqa: E731
+        worn: Callable[[], list[float]] = lambda: list(run.sink.array("quality")[:, 0])  # noqa: E731
         await eventually(lambda: 1 in worn())
         run.device.off_body()
         await eventually(lambda: worn()[-2:] == [0, 0])
@@ -433,7 +395,7 @@ async def test_the_strap_may_be_taken_off_and_put_on_again() -> None:
         assert len(run.sink.blocks["hr"]) == beats
         run.device.on_body()
         await eventually(lambda: worn()[-2:] == [1, 1])
-        await eventually(run.sink.has("hr", blocks=beats + 1))
+        await eventually(run.sink.has_blocks("hr", blocks=beats + 1))
     assert sorted(worn(), reverse=True) != worn()
     assert [b - a for a, b in pairwise(worn()) if a != b] == [-1, 1]
 
@@ -476,12 +438,12 @@ async def test_a_torn_frame_is_given_up_and_hides_nothing(monkeypatch: pytest.Mo
         # The rest never comes, and the frame behind is too short not to pass for it.
         breathing = wire.waveform(Packet.BREATHING, 0, DEFAULT_CLOCK, list(range(18)))
         script.pieces += [ecg_frame(0), torn + breathing]
-        await eventually(run.sink.has("ecg", "breathing"))
+        await eventually(run.sink.has_blocks("ecg", "breathing"))
         script.pieces.append(ecg_frame(2))
-        await eventually(run.sink.has("ecg", blocks=2))
+        await eventually(run.sink.has_blocks("ecg", blocks=2))
         script.pieces.append(ecg_frame(3)[:7])
         await eventually(lambda: run.sink.dropped_bytes == len(torn) + 7)
-    np.testing.assert_array_equal(run.sink.values("breathing")[:, 0], range(18))
+    np.testing.assert_array_equal(run.sink.array("breathing")[:, 0], range(18))
     assert [block[0, 0] for block in run.sink.blocks["ecg"]] == [0, 2]
     assert run.lost == {"ecg": 63}
 
@@ -495,7 +457,7 @@ async def test_a_pause_within_a_frame_is_no_loss(monkeypatch: pytest.MonkeyPatch
         script.pieces.append(ecg_frame(0)[:50])
         await asyncio.sleep(0.4)
         script.pieces.append(ecg_frame(0)[50:])
-        await eventually(run.sink.has("ecg"))
+        await eventually(run.sink.has_blocks("ecg"))
     assert run.sink.dropped_bytes == 0
 
 
@@ -507,7 +469,7 @@ async def test_samples_in_the_same_read_as_an_answer_are_not_lost() -> None:
         script.pieces.append(ecg_frame(0) + wire.response(0x15, accepted=True) + ecg_frame(1))
         await eventually(lambda: run.supervisor.state is State.STREAMING)
         script.pieces.append(ecg_frame(2))
-        await eventually(lambda: 2 in run.sink.values("ecg"))
+        await eventually(lambda: 2 in run.sink.array("ecg"))
     assert [block[0, 0] for block in run.sink.blocks["ecg"]] == [0, 1, 2]
 
 
@@ -523,7 +485,7 @@ async def test_a_device_whose_clock_was_never_set_is_stamped_by_arrival() -> Non
         for number in (0, 1, 2, 5, 6):
             script.pieces.append(without_a_date(ecg_frame(number)))
             await asyncio.sleep(0.1)
-        await eventually(run.sink.has("ecg", blocks=5))
+        await eventually(run.sink.has_blocks("ecg", blocks=5))
         stamp = run.sink.counted("ecg").last_stamp
         assert abs(stamp - pylsl.local_clock()) < 5
     assert run.lost == {"ecg": 2 * 63}

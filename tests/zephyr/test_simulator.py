@@ -17,6 +17,7 @@ from biosensor_gateway.devices.zephyr.simulator.recording import (
 )
 from biosensor_gateway.devices.zephyr.simulator.synthetic import SyntheticSource
 from biosensor_gateway.devices.zephyr.simulator.wire import Packet
+from tests.rigs.serial_hosts import SerialHosts
 from tests.rigs.zephyr import ROOMY_BYTES, SteeredBioHarness, is_damaged
 
 DEADLINE_S = 8.0
@@ -120,13 +121,13 @@ class Host:
         self._serial.close()
 
 
-class Bench:
-    """Devices and hosts of one test, ended with it."""
+class PluggedDevice:
+    """The device of one test and its hosts, ended with it."""
 
     device: SteeredBioHarness
 
     def __init__(self) -> None:
-        self._hosts: list[Host] = []
+        self._hosts = SerialHosts(Host)
 
     def start(self, device: SteeredBioHarness) -> Host:
         self.device = device
@@ -134,18 +135,16 @@ class Bench:
         return self.connect()
 
     def connect(self) -> Host:
-        self._hosts.append(Host(self.device.port))
-        return self._hosts[-1]
+        return self._hosts.connect(self.device.port)
 
     def close(self) -> None:
-        for host in self._hosts:
-            host.close()
+        self._hosts.close()
         self.device.stop()
 
 
 @pytest.fixture
-def bench() -> Iterator[Bench]:
-    bench = Bench()
+def bench() -> Iterator[PluggedDevice]:
+    bench = PluggedDevice()
     yield bench
     bench.close()
 
@@ -161,7 +160,9 @@ def fast(speed: float = 30.0) -> SyntheticSource:
     return SyntheticSource(seed=3, speed=speed)
 
 
-def test_it_is_silent_until_the_host_speaks_and_never_answers_a_lifesign(bench: Bench) -> None:
+def test_it_is_silent_until_the_host_speaks_and_never_answers_a_lifesign(
+    bench: PluggedDevice,
+) -> None:
     host = bench.start(SteeredBioHarness(fast(), lifesign_s=0.02))
     time.sleep(0.1)
     host.listen()
@@ -172,7 +173,7 @@ def test_it_is_silent_until_the_host_speaks_and_never_answers_a_lifesign(bench: 
 
 
 @pytest.mark.parametrize("request_id", [0x14, 0x15, 0x16, 0x19, 0x1E, 0xBC])
-def test_each_packet_is_switched_on_and_off(bench: Bench, request_id: int) -> None:
+def test_each_packet_is_switched_on_and_off(bench: PluggedDevice, request_id: int) -> None:
     host = bench.start(SteeredBioHarness())
     assert host.ask(bytes((2, request_id, 1, 1, 0x5E, 3))) == ACK
     assert len(bench.device.enabled) == 1
@@ -192,13 +193,13 @@ def test_each_packet_is_switched_on_and_off(bench: Bench, request_id: int) -> No
     ],
     ids=["check", "other check", "length", "value", "unsupported", "summary length"],
 )
-def test_a_wrong_request_is_refused_without_effect(bench: Bench, request_hex: str) -> None:
+def test_a_wrong_request_is_refused_without_effect(bench: PluggedDevice, request_hex: str) -> None:
     host = bench.start(SteeredBioHarness())
     assert host.ask(bytes.fromhex(request_hex)) == NAK
     assert bench.device.enabled == frozenset()
 
 
-def test_an_old_device_refuses_the_summary_and_has_general_data(bench: Bench) -> None:
+def test_an_old_device_refuses_the_summary_and_has_general_data(bench: PluggedDevice) -> None:
     host = bench.start(SteeredBioHarness(fast(), summary_supported=False))
     assert host.ask(SUMMARY_ON) == NAK
     assert host.ask(GENERAL_ON) == ACK
@@ -210,7 +211,7 @@ def test_an_old_device_refuses_the_summary_and_has_general_data(bench: Bench) ->
     assert payload[52] == 0x80
 
 
-def test_what_is_heard_is_what_was_sent(bench: Bench) -> None:
+def test_what_is_heard_is_what_was_sent(bench: PluggedDevice) -> None:
     host = bench.start(SteeredBioHarness(fast(), buffer_bytes=ROOMY_BYTES))
     host.send(ENABLES)
     host.until(lambda: len(host.of(Packet.SUMMARY)) >= 20)
@@ -235,7 +236,9 @@ def test_what_is_heard_is_what_was_sent(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("name", [RECORDING_150_S, RECORDING_WITH_GAP])
-def test_a_recording_is_played_byte_for_byte_without_its_answers(bench: Bench, name: str) -> None:
+def test_a_recording_is_played_byte_for_byte_without_its_answers(
+    bench: PluggedDevice, name: str
+) -> None:
     source = RecordedSource.shipped(name, speed=500)
     host = bench.start(SteeredBioHarness(source, buffer_bytes=ROOMY_BYTES))
     recorded = (RECORDINGS / f"{name}.dat").read_bytes()
@@ -248,7 +251,9 @@ def test_a_recording_is_played_byte_for_byte_without_its_answers(bench: Bench, n
     assert b"".join(out.data for out in bench.device.sent) == recorded
 
 
-def test_a_recording_that_hangs_up_is_heard_to_its_end_and_begins_anew(bench: Bench) -> None:
+def test_a_recording_that_hangs_up_is_heard_to_its_end_and_begins_anew(
+    bench: PluggedDevice,
+) -> None:
     data = b"".join(
         item.data for item in split((RECORDINGS / f"{RECORDING_150_S}.dat").read_bytes()[:3000])
     )
@@ -266,13 +271,13 @@ def test_a_recording_that_hangs_up_is_heard_to_its_end_and_begins_anew(bench: Be
     assert len(host.raw) == len(data)
 
 
-def test_a_recordings_body_cannot_be_changed(bench: Bench) -> None:
+def test_a_recordings_body_cannot_be_changed(bench: PluggedDevice) -> None:
     bench.start(SteeredBioHarness(RecordedSource.shipped()))
     with pytest.raises(AssertionError, match="recording"):
         bench.device.off_body()
 
 
-def test_a_dropped_link_loses_whole_packets_and_forgets_the_enables(bench: Bench) -> None:
+def test_a_dropped_link_loses_whole_packets_and_forgets_the_enables(bench: PluggedDevice) -> None:
     host = bench.start(SteeredBioHarness(fast(), buffer_bytes=ROOMY_BYTES))
     host.send(ECG_ON)
     host.until(lambda: len(host.of(Packet.ECG)) >= 3)
@@ -298,14 +303,14 @@ def test_a_dropped_link_loses_whole_packets_and_forgets_the_enables(bench: Bench
     assert sequences[0] == index[gap + 1] // 63 % 256
 
 
-def test_a_link_comes_back_by_itself_on_the_same_path(bench: Bench) -> None:
+def test_a_link_comes_back_by_itself_on_the_same_path(bench: PluggedDevice) -> None:
     bench.start(SteeredBioHarness())
     bench.device.drop_link(seconds=0.05)
     await_port(bench.device.port)
     assert bench.connect().ask(ECG_ON) == ACK
 
 
-def test_a_stalled_device_neither_hears_nor_speaks(bench: Bench) -> None:
+def test_a_stalled_device_neither_hears_nor_speaks(bench: PluggedDevice) -> None:
     host = bench.start(SteeredBioHarness(fast(), lifesign_s=0.02))
     assert host.ask(ECG_ON) == ACK
     bench.device.stall()
@@ -322,7 +327,7 @@ def test_a_stalled_device_neither_hears_nor_speaks(bench: Bench) -> None:
     assert host.ask(ECG_OFF) == ACK
 
 
-def test_garbage_stands_between_frames(bench: Bench) -> None:
+def test_garbage_stands_between_frames(bench: PluggedDevice) -> None:
     host = bench.start(SteeredBioHarness(fast(), buffer_bytes=ROOMY_BYTES, seed=11))
     host.ask(ECG_ON)
     bench.device.garbage(200)
@@ -333,7 +338,7 @@ def test_garbage_stands_between_frames(bench: Bench) -> None:
     assert len(host.raw) == sum(len(heard.raw) for heard in host.frames) + 200
 
 
-def test_a_corrupted_frame_is_told_from_the_others(bench: Bench) -> None:
+def test_a_corrupted_frame_is_told_from_the_others(bench: PluggedDevice) -> None:
     host = bench.start(SteeredBioHarness(fast(), buffer_bytes=ROOMY_BYTES))
     host.ask(ECG_ON)
     bench.device.corrupt_next()
@@ -347,7 +352,7 @@ def test_a_corrupted_frame_is_told_from_the_others(bench: Bench) -> None:
     assert len(bench.device.sent_samples(Packet.ECG)) == 63 * len(intact)
 
 
-def test_a_request_is_refused_or_ignored_until_it_is_allowed(bench: Bench) -> None:
+def test_a_request_is_refused_or_ignored_until_it_is_allowed(bench: PluggedDevice) -> None:
     host = bench.start(SteeredBioHarness(refused=[0x16], ignored=[0x19]))
     assert host.ask(ECG_ON) == NAK
     host.send(RR_ON)
@@ -366,14 +371,14 @@ def test_a_request_is_refused_or_ignored_until_it_is_allowed(bench: Bench) -> No
     ]  # fmt: skip
 
 
-def test_a_late_answer_comes_after_the_data(bench: Bench) -> None:
+def test_a_late_answer_comes_after_the_data(bench: PluggedDevice) -> None:
     host = bench.start(SteeredBioHarness(fast()))
     bench.device.delay_answers(0.3)
     assert host.ask(ECG_ON) == ACK
     assert [heard.message_id for heard in host.frames][:1] == [Packet.ECG]
 
 
-def test_taking_the_strap_off_and_on_is_an_event_and_a_status(bench: Bench) -> None:
+def test_taking_the_strap_off_and_on_is_an_event_and_a_status(bench: PluggedDevice) -> None:
     host = bench.start(SteeredBioHarness(SyntheticSource(speed=30, hrv_after_s=0)))
     host.ask(SUMMARY_ON)
     host.until(lambda: len(host.of(Packet.SUMMARY)) >= 1)
@@ -397,7 +402,7 @@ def test_taking_the_strap_off_and_on_is_an_event_and_a_status(bench: Bench) -> N
     assert summaries[-1].payload[24] == 9
 
 
-def test_the_device_clock_can_be_stepped(bench: Bench) -> None:
+def test_the_device_clock_can_be_stepped(bench: PluggedDevice) -> None:
     host = bench.start(SteeredBioHarness(fast()))
     host.ask(SUMMARY_ON)
     host.until(lambda: len(host.of(Packet.SUMMARY)) >= 1)
@@ -416,7 +421,7 @@ def test_the_device_clock_can_be_stepped(bench: Bench) -> None:
     )
 
 
-def test_a_host_that_says_nothing_is_forgotten(bench: Bench) -> None:
+def test_a_host_that_says_nothing_is_forgotten(bench: PluggedDevice) -> None:
     host = bench.start(SteeredBioHarness(fast(), host_timeout_s=0.15))
     host.ask(ECG_ON)
     host.until(lambda: bench.device.enabled == frozenset())
@@ -426,7 +431,9 @@ def test_a_host_that_says_nothing_is_forgotten(bench: Bench) -> None:
     assert host.ask(ECG_ON) == ACK
 
 
-def test_a_host_that_does_not_read_loses_whole_frames_and_blocks_nothing(bench: Bench) -> None:
+def test_a_host_that_does_not_read_loses_whole_frames_and_blocks_nothing(
+    bench: PluggedDevice,
+) -> None:
     host = bench.start(SteeredBioHarness(fast(speed=400), host_timeout_s=None))
     host.send(ENABLES)
     deadline = time.monotonic() + DEADLINE_S

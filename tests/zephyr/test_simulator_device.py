@@ -18,6 +18,7 @@ from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.truth import Samples
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
+from tests.rigs.serial_hosts import SerialHosts
 
 DEADLINE_S = 20.0
 ECG_ON = bytes.fromhex("021601015e03")
@@ -115,31 +116,9 @@ class Host:
         self._serial.close()
 
 
-class Bench:
-    """Hosts of one test, ended with it."""
-
-    def __init__(self) -> None:
-        self._hosts: list[Host] = []
-
-    def connect(self, device: SimulatedZephyr) -> Host:
-        deadline = time.monotonic() + DEADLINE_S
-        while True:
-            try:
-                self._hosts.append(Host(device.settings["port"]))
-            except OSError:
-                assert time.monotonic() < deadline, "the port did not come back"
-                time.sleep(0.05)
-            else:
-                return self._hosts[-1]
-
-    def close(self) -> None:
-        for host in self._hosts:
-            host.close()
-
-
 @pytest.fixture
-def bench() -> Iterator[Bench]:
-    running = Bench()
+def hosts() -> Iterator[SerialHosts[Host]]:
+    running = SerialHosts(Host)
     yield running
     running.close()
 
@@ -151,8 +130,8 @@ def device() -> Iterator[SimulatedZephyr]:
 
 
 @pytest.fixture
-def host(bench: Bench, device: SimulatedZephyr) -> Host:
-    return bench.connect(device)
+def host(hosts: SerialHosts[Host], device: SimulatedZephyr) -> Host:
+    return hosts.connect(device.settings["port"])
 
 
 def settled(device: SimulatedZephyr, data_name: str, count: int) -> Samples:
@@ -180,10 +159,10 @@ def test_waveforms_of_the_truth_are_those_on_the_wire(host: Host, device: Simula
         assert began_s - 1.1 < truth.times[0] <= truth.times[-1] < local_clock()
 
 
-def test_intervals_of_the_truth_are_where_the_wire_turns_its_sign(bench: Bench) -> None:
+def test_intervals_of_the_truth_are_where_the_wire_turns_its_sign(hosts: SerialHosts[Host]) -> None:
     wearer = Wearer(heart_rate_bpm=150.0)
     with World() as world, SimulatedZephyr(world, wearer=wearer) as device:
-        host = bench.connect(device)
+        host = hosts.connect(device.settings["port"])
         assert host.ask(RR_ON) == ACK
         packets = host.wait_for(RR, 3)
         raw = np.concatenate([np.frombuffer(each.payload[9:], "<i2") for each in packets])
@@ -217,7 +196,7 @@ def test_vital_signs_of_the_truth_are_those_of_the_summary(
 
 
 def test_drop_takes_the_port_away_and_brings_it_back(
-    bench: Bench, host: Host, device: SimulatedZephyr
+    hosts: SerialHosts[Host], host: Host, device: SimulatedZephyr
 ) -> None:
     assert host.ask(ECG_ON) == ACK
     device.apply(Fault(FaultKind.DROP, math.inf))
@@ -225,24 +204,26 @@ def test_drop_takes_the_port_away_and_brings_it_back(
     with pytest.raises(OSError):
         Host(device.settings["port"])
     device.clear(FaultKind.DROP)
-    assert bench.connect(device).ask(ECG_ON) == ACK
+    assert hosts.connect(device.settings["port"]).ask(ECG_ON) == ACK
 
 
 def test_restart_begins_with_packet_0_and_a_clock_that_went_on(
-    bench: Bench, host: Host, device: SimulatedZephyr
+    hosts: SerialHosts[Host], host: Host, device: SimulatedZephyr
 ) -> None:
     assert host.ask(ECG_ON) == ACK
     before = host.wait_for(ECG, 6)[-1]
     device.apply(Fault(FaultKind.RESTART, 0.3))
     host.until_hung_up()
-    again = bench.connect(device)
+    again = hosts.connect(device.settings["port"])
     assert again.ask(ECG_ON) == ACK
     after = again.wait_for(ECG, 1)[0]
     assert after.sequence < before.sequence
     assert after.device_ms > before.device_ms
 
 
-def test_a_restart_ends_no_drop(bench: Bench, host: Host, device: SimulatedZephyr) -> None:
+def test_a_restart_ends_no_drop(
+    hosts: SerialHosts[Host], host: Host, device: SimulatedZephyr
+) -> None:
     device.apply(Fault(FaultKind.DROP, math.inf))
     host.until_hung_up()
     device.apply(Fault(FaultKind.RESTART, math.inf))
@@ -250,7 +231,7 @@ def test_a_restart_ends_no_drop(bench: Bench, host: Host, device: SimulatedZephy
     with pytest.raises(OSError):
         Host(device.settings["port"])
     device.clear(FaultKind.DROP)
-    assert bench.connect(device).ask(ECG_ON) == ACK
+    assert hosts.connect(device.settings["port"]).ask(ECG_ON) == ACK
 
 
 def test_stall_is_a_gap_that_the_truth_counts(host: Host, device: SimulatedZephyr) -> None:
@@ -275,20 +256,22 @@ def test_garbage_comes_between_frames(host: Host, device: SimulatedZephyr) -> No
 
 
 def test_refuse_answers_with_a_refusal_until_it_ends(
-    bench: Bench, host: Host, device: SimulatedZephyr
+    hosts: SerialHosts[Host], host: Host, device: SimulatedZephyr
 ) -> None:
     device.apply(Fault(FaultKind.REFUSE, math.inf))
     host.until_hung_up()
-    again = bench.connect(device)
+    again = hosts.connect(device.settings["port"])
     assert {again.ask(request) for request in (ECG_ON, SUMMARY_ON)} == {NAK}
     device.clear(FaultKind.REFUSE)
     assert again.ask(ECG_ON) == ACK
 
 
-def test_late_answers_come_late(bench: Bench, host: Host, device: SimulatedZephyr) -> None:
+def test_late_answers_come_late(
+    hosts: SerialHosts[Host], host: Host, device: SimulatedZephyr
+) -> None:
     device.apply(Fault(FaultKind.LATE, 0.5))
     host.until_hung_up()
-    again = bench.connect(device)
+    again = hosts.connect(device.settings["port"])
     asked_s = local_clock()
     assert again.ask(ECG_ON) == ACK
     # Never before; how long after is the machine's matter.
