@@ -62,7 +62,7 @@ MEASUREMENTS: dict[str, Callable[[Effort], Measurement]] = {
 }
 
 
-def _run(names: Sequence[str], effort: Effort) -> tuple[report.Run, list[str]]:
+def _run(names: Sequence[str], effort: Effort) -> tuple[report.BenchRun, list[str]]:
     """Measure; return the figures, and for each measurement that failed, why."""
     load, begin_s = machine.load(), time.monotonic()
     measurements: dict[str, Measurement] = {}
@@ -75,7 +75,7 @@ def _run(names: Sequence[str], effort: Effort) -> tuple[report.Run, list[str]]:
             failures.append(f"{name}: {error}")
     seconds = time.monotonic() - begin_s
     loads = load, machine.load()
-    return report.Run(machine.facts(), loads, seconds, measurements), failures
+    return report.BenchRun(machine.facts(), loads, seconds, measurements), failures
 
 
 def main() -> None:

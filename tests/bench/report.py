@@ -16,7 +16,7 @@ from tests.bench.figures import Figure, Measurement
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class BenchRun:
     """All that one run measured.
 
     Attributes
@@ -33,7 +33,7 @@ class Run:
     measurements: Mapping[str, Measurement]
 
 
-def write(run: Run, file: Path) -> None:
+def write(run: BenchRun, file: Path) -> None:
     """Write everything as JSON."""
     content = {
         "machine": dict(run.machine),
@@ -45,7 +45,7 @@ def write(run: Run, file: Path) -> None:
     file.write_text(json.dumps(content, indent=2) + "\n")
 
 
-def show(run: Run) -> None:
+def show(run: BenchRun) -> None:
     """Print one table and the conditions of the run."""
     table = Table(box=SIMPLE_HEAD)
     table.add_column("measurement", no_wrap=True)

@@ -20,7 +20,7 @@ ARRIVAL_S = 5_000.0
 NAN = math.nan
 
 
-class Bench:
+class LinkedEmitter:
     """An emitter that has been told of a new radio link, and its sink."""
 
     def __init__(self) -> None:
@@ -40,11 +40,11 @@ class Bench:
 
 
 @pytest.fixture
-def bench() -> Bench:
-    return Bench()
+def bench() -> LinkedEmitter:
+    return LinkedEmitter()
 
 
-def test_values_are_those_of_the_declaration(bench: Bench) -> None:
+def test_values_are_those_of_the_declaration(bench: LinkedEmitter) -> None:
     bench.take(Stream.BVP, 0.0, -12.5)
     bench.take(Stream.ACC, 0.03, -64.0, 0.0, 127.0)
     bench.take(Stream.TMP, 0.0, 33.75)
@@ -63,13 +63,13 @@ def test_values_are_those_of_the_declaration(bench: Bench) -> None:
     assert set(emitted) == {stream.data_name for stream in SPEC.streams} - {"tag"}
 
 
-def test_a_press_of_the_button_is_a_marker(bench: Bench) -> None:
+def test_a_press_of_the_button_is_a_marker(bench: LinkedEmitter) -> None:
     bench.take(Stream.BVP, 0.0, 1.0)
     bench.take(Stream.TAG, 0.5)
     assert bench.sink.texts == [("tag", "button", UNIX_S + 0.5)]
 
 
-def test_only_what_is_not_late_by_design_moves_the_clock(bench: Bench) -> None:
+def test_only_what_is_not_late_by_design_moves_the_clock(bench: LinkedEmitter) -> None:
     bench.take(Stream.BVP, 1.0, 1.0)
     bench.take(Stream.ACC, 1.01, 1.0, 2.0, 3.0)
     for stream in (Stream.GSR, Stream.TMP, Stream.IBI, Stream.HR, Stream.BAT):
@@ -81,14 +81,14 @@ def test_only_what_is_not_late_by_design_moves_the_clock(bench: Bench) -> None:
     ]
 
 
-def test_of_samples_that_arrive_together_the_newest_moves_the_clock(bench: Bench) -> None:
+def test_of_samples_that_arrive_together_the_newest_moves_the_clock(bench: LinkedEmitter) -> None:
     samples = [Sample(Stream.BVP, UNIX_S + k / 64, (1.0,)) for k in range(64)]
     bench.emitter.take(samples, ARRIVAL_S + 1)
     assert bench.sink.observed == [(samples[-1].time_s, ARRIVAL_S + 1)]
     assert bench.sink.times["bvp"] == [sample.time_s for sample in samples]
 
 
-def test_what_cannot_be_mapped_yet_waits_for_what_can(bench: Bench) -> None:
+def test_what_cannot_be_mapped_yet_waits_for_what_can(bench: LinkedEmitter) -> None:
     bench.take(Stream.GSR, 0.0, 1.0)
     bench.take(Stream.GSR, 0.25, 2.0)
     bench.take(Stream.TAG, 0.3)
@@ -103,7 +103,7 @@ def test_what_cannot_be_mapped_yet_waits_for_what_can(bench: Bench) -> None:
     assert bench.sink.emitted["gsr"] == [[1.0], [2.0], [3.0]]
 
 
-def test_a_line_that_comes_twice_is_one_sample(bench: Bench) -> None:
+def test_a_line_that_comes_twice_is_one_sample(bench: LinkedEmitter) -> None:
     for after_s in (0.0, 0.0, 1 / 64, 1 / 64, 2 / 64):
         bench.take(Stream.BVP, after_s, 7.0)
     assert bench.sink.times["bvp"] == [UNIX_S + k / 64 for k in range(3)]
@@ -113,12 +113,14 @@ def test_a_line_that_comes_twice_is_one_sample(bench: Bench) -> None:
     assert (len(bench.sink.emitted["hr"]), len(bench.sink.emitted["ibi"])) == (1, 1)
 
 
-def conduct(bench: Bench, values: Sequence[float], begin_s: float = 0.0) -> None:
+def conduct(bench: LinkedEmitter, values: Sequence[float], begin_s: float = 0.0) -> None:
     for number, value in enumerate(values):
         bench.take(Stream.GSR, begin_s + number / 4, value)
 
 
-def test_no_conductance_keeps_its_place_and_for_two_seconds_means_not_worn(bench: Bench) -> None:
+def test_no_conductance_keeps_its_place_and_for_two_seconds_means_not_worn(
+    bench: LinkedEmitter,
+) -> None:
     bench.take(Stream.BVP, 0.0, 1.0)
     conduct(bench, [1.0] + [0.0] * 7 + [2.0])
     assert [row[0] for row in bench.sink.emitted["quality"]] == [1.0]
@@ -130,7 +132,7 @@ def test_no_conductance_keeps_its_place_and_for_two_seconds_means_not_worn(bench
     assert np.isnan(gsr).tolist() == [False] + [True] * 7 + [False] + [True] * 12 + [False] * 2
 
 
-def test_at_the_start_a_few_open_samples_do_not_tell(bench: Bench) -> None:
+def test_at_the_start_a_few_open_samples_do_not_tell(bench: LinkedEmitter) -> None:
     bench.take(Stream.BVP, 0.0, 1.0)
     conduct(bench, [0.0] * 7)
     assert "quality" not in bench.sink.emitted
@@ -138,14 +140,16 @@ def test_at_the_start_a_few_open_samples_do_not_tell(bench: Bench) -> None:
     assert [row[0] for row in bench.sink.emitted["quality"]] == [0.0]
 
 
-def test_without_loss_quality_says_so_every_window(bench: Bench) -> None:
+def test_without_loss_quality_says_so_every_window(bench: LinkedEmitter) -> None:
     bench.stream_bvp(0, 3 * WINDOW_S + 1)
     np.testing.assert_equal(bench.sink.emitted["quality"], [[NAN, 0.0]] * 3)
     assert set(bench.sink.losses.values()) <= {0}
     assert bench.sink.restarts == [0]
 
 
-def test_radio_loss_is_counted_for_every_stream_and_starts_the_clock_anew(bench: Bench) -> None:
+def test_radio_loss_is_counted_for_every_stream_and_starts_the_clock_anew(
+    bench: LinkedEmitter,
+) -> None:
     bench.stream_bvp(0, 15)
     with capture_logs() as logs:
         bench.stream_bvp(17, 45, ahead_s=2.0)
@@ -163,7 +167,9 @@ def test_radio_loss_is_counted_for_every_stream_and_starts_the_clock_anew(bench:
     assert bench.sink.mapped(newest) == pytest.approx(newest - UNIX_S + 2.0 + ARRIVAL_S, abs=0.02)
 
 
-def test_a_gap_that_was_told_is_counted_without_another_start_of_the_clock(bench: Bench) -> None:
+def test_a_gap_that_was_told_is_counted_without_another_start_of_the_clock(
+    bench: LinkedEmitter,
+) -> None:
     bench.stream_bvp(0, 25)
     bench.emitter.new_epoch()
     bench.stream_bvp(30, 55)
@@ -175,7 +181,7 @@ def test_a_gap_that_was_told_is_counted_without_another_start_of_the_clock(bench
     assert len(bench.sink.restarts) == 3
 
 
-def test_a_wristband_that_was_switched_off_lost_nothing(bench: Bench) -> None:
+def test_a_wristband_that_was_switched_off_lost_nothing(bench: LinkedEmitter) -> None:
     bench.stream_bvp(0, 25)
     bench.emitter.switched_off()
     bench.emitter.new_epoch()

@@ -47,7 +47,7 @@ SLEEP_S, LONG_SLEEP_S = 15.0, 60.0
 _ItemT = TypeVar("_ItemT")
 
 
-class Bench:
+class FaultBench:
     """Steers the lab, and looks at what agent and recorder have.
 
     Parameters

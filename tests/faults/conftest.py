@@ -9,7 +9,7 @@ import pytest
 
 from biosensor_gateway.devices.registry import declaration
 from tests.faults.agent import AgentProcess
-from tests.faults.bench import Bench
+from tests.faults.bench import FaultBench
 from tests.faults.expectations import SENSORS, numeric_streams, source
 from tests.faults.recorder import Recorder
 from tests.faults.table import LEGEND, NAME, FaultTable
@@ -66,7 +66,7 @@ def bench(
     tmp_path_factory: pytest.TempPathFactory,
     pytestconfig: pytest.Config,
     request: pytest.FixtureRequest,
-) -> Generator[Bench]:
+) -> Generator[FaultBench]:
     """The virtual devices, an agent that streams from all of them, and a recorder."""
     folder = tmp_path_factory.mktemp("bench")
     sensors = _asked_for(request.session)
@@ -89,6 +89,6 @@ def bench(
         ):
             # The faults are the devices'; the computer has none.
             before_others(agent.pid)
-            running = Bench(lab, agent, recorder, pytestconfig.stash[_TABLE])
+            running = FaultBench(lab, agent, recorder, pytestconfig.stash[_TABLE])
             running.wait_for_streams()
             yield running

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from biosensor_gateway.simulation.faults import FaultKind
-from tests.faults.bench import Bench
+from tests.faults.bench import FaultBench
 from tests.faults.expectations import (
     BREAKS,
     CELLS,
@@ -53,7 +53,7 @@ WORN = [name for name in SENSORS if (FaultKind.OFF_BODY, name) in CELLS]
 """Those that can tell whether somebody wears them."""
 
 
-def test_the_devices_can_have_the_faults_of_the_matrix(bench: Bench) -> None:
+def test_the_devices_can_have_the_faults_of_the_matrix(bench: FaultBench) -> None:
     assert {name: set(kinds) for name, kinds in bench.lab.faults.items()} == {
         name: {kind.value for kind, hit in CELLS if hit == name and isinstance(kind, FaultKind)}
         for name in bench.sensors
@@ -61,12 +61,12 @@ def test_the_devices_can_have_the_faults_of_the_matrix(bench: Bench) -> None:
 
 
 @EVERY_CELL
-def test_it_is_noticed(bench: Bench, kind: Kind, name: str) -> None:
+def test_it_is_noticed(bench: FaultBench, kind: Kind, name: str) -> None:
     assert (kind, name) in bench.episode(kind).seen
 
 
 @EVERY_CELL
-def test_it_is_said_in_one_sentence(bench: Bench, kind: Kind, name: str) -> None:
+def test_it_is_said_in_one_sentence(bench: FaultBench, kind: Kind, name: str) -> None:
     warnings = bench.episode(kind).warnings(name)
     assert warnings or kind not in BREAKS | {FaultKind.FORGET, FaultKind.UNREADABLE}
     for record in warnings:
@@ -78,7 +78,7 @@ def test_it_is_said_in_one_sentence(bench: Bench, kind: Kind, name: str) -> None
 
 
 @EVERY_CELL
-def test_it_recovers_by_itself(bench: Bench, kind: Kind, name: str) -> None:
+def test_it_recovers_by_itself(bench: FaultBench, kind: Kind, name: str) -> None:
     episode = bench.episode(kind)
     assert (kind, name) in episode.recovered_s
     before, after = episode.before[name].status, episode.after[name].status
@@ -88,12 +88,12 @@ def test_it_recovers_by_itself(bench: Bench, kind: Kind, name: str) -> None:
 
 
 @EVERY_CELL
-def test_what_is_lost_is_counted(bench: Bench, kind: Kind, name: str) -> None:
+def test_what_is_lost_is_counted(bench: FaultBench, kind: Kind, name: str) -> None:
     assert not bench.episode(kind).imbalance(name)
 
 
 @EVERY_CELL
-def test_nothing_comes_twice_or_from_nowhere(bench: Bench, kind: Kind, name: str) -> None:
+def test_nothing_comes_twice_or_from_nowhere(bench: FaultBench, kind: Kind, name: str) -> None:
     episode = bench.episode(kind)
     for data_name in numeric_streams(name):
         assert (np.diff(episode.received[name, data_name].times) > 0).all(), data_name
@@ -103,7 +103,7 @@ def test_nothing_comes_twice_or_from_nowhere(bench: Bench, kind: Kind, name: str
 
 
 @pytest.mark.parametrize("name", WORN)
-def test_without_contact_there_is_no_value(bench: Bench, name: str) -> None:
+def test_without_contact_there_is_no_value(bench: FaultBench, name: str) -> None:
     episode = bench.episode(FaultKind.OFF_BODY)
     contact = contact_of(name)
     said = episode.received[name, contact.data_name]
@@ -118,7 +118,7 @@ def test_without_contact_there_is_no_value(bench: Bench, name: str) -> None:
 
 @EVERY_SENSOR
 def test_what_waited_for_an_agent_that_slept_is_stamped_as_measured(
-    bench: Bench, name: str
+    bench: FaultBench, name: str
 ) -> None:
     episode = bench.episode(AgentFault.ASLEEP)
     for data_name in regular_streams(name):
@@ -129,7 +129,7 @@ def test_what_waited_for_an_agent_that_slept_is_stamped_as_measured(
 
 
 @EVERY_SENSOR
-def test_beats_that_waited_are_where_the_heart_beat(bench: Bench, name: str) -> None:
+def test_beats_that_waited_are_where_the_heart_beat(bench: FaultBench, name: str) -> None:
     episode = bench.episode(AgentFault.ASLEEP)
     for data_name in BEATS & set(numeric_streams(name)):
         places = episode.matched(name, data_name)
@@ -140,7 +140,7 @@ def test_beats_that_waited_are_where_the_heart_beat(bench: Bench, name: str) -> 
 
 
 @EVERY_SENSOR
-def test_stamps_follow_a_crystal_that_drifts(bench: Bench, name: str) -> None:
+def test_stamps_follow_a_crystal_that_drifts(bench: FaultBench, name: str) -> None:
     episode = bench.episode(FaultKind.DRIFT)
     for data_name in regular_streams(name):
         places = episode.matched(name, data_name)
@@ -149,6 +149,6 @@ def test_stamps_follow_a_crystal_that_drifts(bench: Bench, name: str) -> None:
         assert np.abs(errors_s).max() <= STAMP_LIMIT_S, data_name
 
 
-def test_the_agent_was_never_started_anew(bench: Bench) -> None:
+def test_the_agent_was_never_started_anew(bench: FaultBench) -> None:
     assert bench.agent.is_running
     assert "the driver failed" not in bench.agent.console()

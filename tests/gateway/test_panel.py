@@ -16,7 +16,7 @@ from tests.rigs.terminal import Screen
 DEADLINE_S = 30.0
 
 
-class Bench:
+class PanelOnScreen:
     """A panel on a screen; the screen may take nothing for a while."""
 
     def __init__(self, columns: int = 40, lines: int = 12) -> None:
@@ -51,11 +51,11 @@ class Bench:
 
 
 @pytest.fixture
-def bench() -> Bench:
-    return Bench()
+def bench() -> PanelOnScreen:
+    return PanelOnScreen()
 
 
-def test_lines_of_the_log_go_above_and_the_panel_is_renewed_in_place(bench: Bench) -> None:
+def test_lines_of_the_log_go_above_and_the_panel_is_renewed_in_place(bench: PanelOnScreen) -> None:
     bench.show("one", "two")
     bench.put("log 1\n")
     bench.show("uno")
@@ -67,7 +67,7 @@ def test_lines_of_the_log_go_above_and_the_panel_is_renewed_in_place(bench: Benc
     assert bench.screen.lines == ["log 1", "log 2", "log 3", "the end", ""]
 
 
-def test_a_line_that_comes_in_pieces_is_one(bench: Bench) -> None:
+def test_a_line_that_comes_in_pieces_is_one(bench: PanelOnScreen) -> None:
     bench.show("panel")
     for piece in ("lib", "lsl ", "says", "\nand more", " of it\n\n", "last"):
         bench.put(piece)
@@ -77,21 +77,21 @@ def test_a_line_that_comes_in_pieces_is_one(bench: Bench) -> None:
     assert bench.screen.lines == ["liblsl says", "and more of it", "", "last", "panel", ""]
 
 
-def test_a_line_that_is_broken_by_the_terminal_is_not_drawn_over(bench: Bench) -> None:
+def test_a_line_that_is_broken_by_the_terminal_is_not_drawn_over(bench: PanelOnScreen) -> None:
     bench.show("panel")
     bench.put("x" * 100 + "\n")
     bench.show("panel")
     assert bench.screen.lines == ["x" * 40, "x" * 40, "x" * 20, "panel", ""]
 
 
-def test_what_is_wider_or_higher_than_the_terminal_is_cut(bench: Bench) -> None:
+def test_what_is_wider_or_higher_than_the_terminal_is_cut(bench: PanelOnScreen) -> None:
     bench.show(*(f"{number} " + "y" * 60 for number in range(30)))
     bench.show(*(f"{number} " + "z" * 60 for number in range(30)))
     shown = bench.screen.lines
     assert shown == [(f"{number} " + "z" * 60)[:39] for number in range(11)] + [""]
 
 
-def test_no_line_of_the_log_is_lost_when_the_window_becomes_narrower(bench: Bench) -> None:
+def test_no_line_of_the_log_is_lost_when_the_window_becomes_narrower(bench: PanelOnScreen) -> None:
     bench.put("log 1\n")
     bench.show("a panel of some width", "second line")
     bench.resize(10, 12)
@@ -102,33 +102,33 @@ def test_no_line_of_the_log_is_lost_when_the_window_becomes_narrower(bench: Benc
     assert bench.screen.lines[-2:] == ["a panel o", ""]
 
 
-def test_it_is_not_drawn_while_another_program_has_the_terminal(bench: Bench) -> None:
+def test_it_is_not_drawn_while_another_program_has_the_terminal(bench: PanelOnScreen) -> None:
     bench.size = None
     bench.show("panel")
     bench.put("log\n")
     assert "".join(bench.writes) == "log\n"
 
 
-def test_a_name_cannot_command_the_terminal(bench: Bench) -> None:
+def test_a_name_cannot_command_the_terminal(bench: PanelOnScreen) -> None:
     bench.show("strap\x1b[2J\nfake")
     assert bench.screen.lines == ["strap\\x1b[2J\\nfake", ""]
 
 
-def test_letters_that_take_two_columns_are_measured_so(bench: Bench) -> None:
+def test_letters_that_take_two_columns_are_measured_so(bench: PanelOnScreen) -> None:
     bench.show("脈" * 30)
     written = bench.writes[-1].split("\x1b")[0].lstrip("\r")
     assert written == "脈" * 19 + " "
 
 
 def test_letters_that_the_terminal_has_not_got_are_escaped_and_fit() -> None:
-    bench = Bench()
+    bench = PanelOnScreen()
     Panel(bench.outflow, lambda: bench.size, "ascii").show(lambda _size: [Line("é" * 39)])
     bench.settle()
     assert bench.screen.lines[0] == ("\\xe9" * 39)[:39]
 
 
 def test_while_the_terminal_takes_nothing_pictures_are_left_out_and_the_log_is_not(
-    bench: Bench,
+    bench: PanelOnScreen,
 ) -> None:
     bench.show("before")
     bench.takes_output.clear()
@@ -159,7 +159,7 @@ STEP = st.one_of(
 def test_whatever_is_shown_every_line_of_the_log_stays(
     steps: Sequence[tuple[str, Sequence[str] | int]], columns: int
 ) -> None:
-    bench = Bench(columns)
+    bench = PanelOnScreen(columns)
     logged: list[str] = []
     for kind, value in steps:
         if not isinstance(value, int):

@@ -38,7 +38,7 @@ class Sender:
 
     silence_limit_s = LONG_S
 
-    def __init__(self, bench: Bench) -> None:
+    def __init__(self, bench: SupervisedDriver) -> None:
         self.bench = bench
 
     async def connect(self) -> Connected:
@@ -84,7 +84,7 @@ class Silent(Sender):
         await asyncio.sleep(LONG_S)
 
 
-class NotedSink(DeviceSink):
+class NotedSilences(DeviceSink):
     """Notes what is told of silences besides telling it."""
 
     def __init__(self, unit: str, clock: Clock) -> None:
@@ -101,7 +101,7 @@ class NotedSink(DeviceSink):
         super().tell_came_back(streams)
 
 
-class Bench:
+class SupervisedDriver:
     """A supervised driver, and what it shall do."""
 
     def __init__(
@@ -115,7 +115,7 @@ class Bench:
         self.denied = denied
         self.asked: list[set[str]] = []
         self.states: list[State] = []
-        self.sink = NotedSink(unit, clock)
+        self.sink = NotedSilences(unit, clock)
         self.announcer = Announcer(0.0, dict, clock=clock)
         self.supervisor = Supervisor(lambda: kind(self), self.sink, self.states.append)
         self.supervisor.on_drop = follow(self.sink, self.announcer).dropped
@@ -135,7 +135,7 @@ class Bench:
         await self.announcer.end()
 
 
-Start = Callable[..., Awaitable[Bench]]
+Start = Callable[..., Awaitable[SupervisedDriver]]
 
 
 @pytest.fixture
@@ -145,10 +145,10 @@ async def start(
     monkeypatch.setattr(supervisor_module, "PROBE_INTERVAL_S", 0.01)
     monkeypatch.setattr(reviving, "TICK_S", 0.01)
     monkeypatch.setattr(silence_module, "RETRY_S", LONG_S)
-    benches: list[Bench] = []
+    benches: list[SupervisedDriver] = []
 
-    async def begin(kind: type[Sender], **denied: str) -> Bench:
-        benches.append(Bench(unit, virtual_clock, kind, denied))
+    async def begin(kind: type[Sender], **denied: str) -> SupervisedDriver:
+        benches.append(SupervisedDriver(unit, virtual_clock, kind, denied))
         await eventually(lambda: benches[-1].supervisor.state is State.STREAMING)
         return benches[-1]
 

@@ -20,7 +20,7 @@ LIMIT_S = 5.0
 TICK_S = 0.25
 
 
-class Bench:
+class SteeredWatch:
     """A watch, and a clock that only the test moves."""
 
     def __init__(self, *names: str, device_limit_s: float = math.inf) -> None:
@@ -59,13 +59,13 @@ def test_limits_follow_from_the_rates() -> None:
 
 
 def test_streams_that_come_are_left_alone() -> None:
-    bench = Bench("ecg", "acc")
+    bench = SteeredWatch("ecg", "acc")
     assert bench.run(60, "ecg", "acc") == []
     assert not bench.watch.absent
 
 
 def test_silent_streams_are_enabled_again_then_the_connection_is_made_anew() -> None:
-    bench = Bench("ecg", "acc")
+    bench = SteeredWatch("ecg", "acc")
     bench.run(10, "ecg", "acc")
     assert bench.run(LIMIT_S - TICK_S) == []
     (first,) = bench.run(TICK_S)
@@ -83,12 +83,12 @@ def test_silent_streams_are_enabled_again_then_the_connection_is_made_anew() -> 
 
 
 def test_a_driver_without_the_hook_costs_the_connection() -> None:
-    bench = Bench("ecg")
+    bench = SteeredWatch("ecg")
     assert remedies(bench.run(LIMIT_S, can_enable=False)) == [(Remedy.RECONNECT, {"ecg"})]
 
 
 def test_each_stream_is_judged_by_itself() -> None:
-    bench = Bench("ecg", "acc")
+    bench = SteeredWatch("ecg", "acc")
     assert remedies(bench.run(LIMIT_S, "acc")) == [(Remedy.ENABLE, {"ecg"})]
     assert bench.run(1.0, "acc", "ecg") == []
     assert bench.watch.take_came_back() == {"ecg"}
@@ -99,7 +99,7 @@ def test_each_stream_is_judged_by_itself() -> None:
 
 
 def test_one_stream_that_stays_away_costs_the_others_one_connection_only() -> None:
-    bench = Bench("ecg", "acc")
+    bench = SteeredWatch("ecg", "acc")
     judged = bench.run(2 * LIMIT_S, "acc")
     bench.connect()
     judged += bench.run(2 * LIMIT_S + RETRY_S + 2 * LIMIT_S, "acc")
@@ -115,7 +115,7 @@ def test_one_stream_that_stays_away_costs_the_others_one_connection_only() -> No
 
 
 def test_where_nothing_comes_connections_go_on_being_made() -> None:
-    bench = Bench("ecg", "acc")
+    bench = SteeredWatch("ecg", "acc")
     attempts: list[int] = []
     for _ in range(4):
         attempts += [each.attempts for each in bench.run(2 * LIMIT_S)]
@@ -124,7 +124,7 @@ def test_where_nothing_comes_connections_go_on_being_made() -> None:
 
 
 def test_patience_with_all_streams_may_be_shorter_for_a_while() -> None:
-    bench = Bench("ecg", "acc")
+    bench = SteeredWatch("ecg", "acc")
     bench.run(1, "ecg", "acc")
     bench.now_s += 1.0
     assert bench.watch.judge(can_enable=True) is None
@@ -136,7 +136,7 @@ def test_patience_with_all_streams_may_be_shorter_for_a_while() -> None:
 
 
 def test_the_agent_sleeps_and_nothing_is_missed_for_it() -> None:
-    bench = Bench("ecg", device_limit_s=10.0)
+    bench = SteeredWatch("ecg", device_limit_s=10.0)
     bench.run(4)
     bench.now_s += 3600.0
     assert not bench.watch.is_device_silent
@@ -147,7 +147,7 @@ def test_the_agent_sleeps_and_nothing_is_missed_for_it() -> None:
 
 
 def test_a_starved_agent_gives_no_connection_up() -> None:
-    bench = Bench("ecg", device_limit_s=10.0)
+    bench = SteeredWatch("ecg", device_limit_s=10.0)
     for _ in range(4):
         bench.now_s += 30.0
         assert bench.watch.judge(can_enable=True) is None
@@ -155,7 +155,7 @@ def test_a_starved_agent_gives_no_connection_up() -> None:
 
 
 def test_what_is_excused_is_not_due_until_it_is_heard() -> None:
-    bench = Bench("hr", "ecg")
+    bench = SteeredWatch("hr", "ecg")
     bench.watch.excuse(["hr", "unknown"])
     assert bench.run(10 * LIMIT_S, "ecg") == []
     bench.run(TICK_S, "hr", "ecg")
@@ -163,7 +163,7 @@ def test_what_is_excused_is_not_due_until_it_is_heard() -> None:
 
 
 def test_what_the_device_refuses_is_missing_and_not_waited_for_until_it_comes() -> None:
-    bench = Bench("hr", "ecg")
+    bench = SteeredWatch("hr", "ecg")
     bench.run(2 * LIMIT_S, "hr")
     bench.watch.expect(bench.limits_s, denied={"ecg": "no room", "ibi": "no room"})
     assert bench.watch.denied == {"ecg": "no room", "ibi": "no room"}
@@ -179,14 +179,14 @@ def test_what_the_device_refuses_is_missing_and_not_waited_for_until_it_comes() 
 
 
 def test_what_is_not_due_never_counts() -> None:
-    bench = Bench("ecg")
+    bench = SteeredWatch("ecg")
     bench.watch.heard("ibi")
     assert bench.run(60, "ecg") == []
     assert bench.watch.take_came_back() == frozenset()
 
 
 def test_a_pause_gives_every_stream_its_time_again() -> None:
-    bench = Bench("ecg")
+    bench = SteeredWatch("ecg")
     for _ in range(20):
         bench.run(LIMIT_S - TICK_S)
         bench.watch.wait_anew()
@@ -194,7 +194,7 @@ def test_a_pause_gives_every_stream_its_time_again() -> None:
 
 
 def test_what_a_new_connection_does_not_have_is_not_missed() -> None:
-    bench = Bench("ecg")
+    bench = SteeredWatch("ecg")
     bench.run(2 * LIMIT_S)
     bench.watch.expect({})
     assert not bench.watch.absent
@@ -202,7 +202,7 @@ def test_what_a_new_connection_does_not_have_is_not_missed() -> None:
 
 @pytest.mark.parametrize("heard", [(), ("ecg",)])
 def test_a_device_that_says_anything_is_there(heard: tuple[str, ...]) -> None:
-    bench = Bench(device_limit_s=10.0)
+    bench = SteeredWatch(device_limit_s=10.0)
     bench.run(9)
     bench.watch.heard(*heard)
     bench.run(9)

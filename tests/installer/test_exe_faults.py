@@ -66,7 +66,7 @@ EVERY_CELL = pytest.mark.parametrize(
 )
 
 
-class Bench:
+class WindowsFaultBench:
     """The devices, the program that streams from them, and a recorder on Linux."""
 
     def __init__(
@@ -163,7 +163,9 @@ class Bench:
 
 
 @pytest.fixture(scope="module")
-def bench(installed: WindowsPc, tmp_path_factory: pytest.TempPathFactory) -> Generator[Bench]:
+def bench(
+    installed: WindowsPc, tmp_path_factory: pytest.TempPathFactory
+) -> Generator[WindowsFaultBench]:
     """All devices stream; the ports were plugged in while the program looked for them."""
     folder = tmp_path_factory.mktemp("exe")
     prefix = lively(installed, program_environment(folder))
@@ -190,7 +192,7 @@ def bench(installed: WindowsPc, tmp_path_factory: pytest.TempPathFactory) -> Gen
             RunningProgram(prefix, installed.program, folder, *options) as program,
             Recorder(channels) as recorder,
         ):
-            running = Bench(devices, program, recorder)
+            running = WindowsFaultBench(devices, program, recorder)
             _plug_in(installed, running, devices)
             yield running
 
@@ -206,7 +208,7 @@ def _settings(devices: dict[str, VirtualDevice]) -> str:
     return "\n\n".join(blocks) + "\n"
 
 
-def _plug_in(pc: WindowsPc, bench: Bench, devices: dict[str, VirtualDevice]) -> None:
+def _plug_in(pc: WindowsPc, bench: WindowsFaultBench, devices: dict[str, VirtualDevice]) -> None:
     absent = wait_for(
         PORTS, lambda name: "no such port" in (bench.program.device(name).get("error") or "")
     )
@@ -229,7 +231,7 @@ def wait_for(items: Iterable[_ItemT], condition: Callable[[_ItemT], bool]) -> li
 
 
 @EVERY_CELL
-def test_it_is_said_in_one_sentence(bench: Bench, what: str, name: str) -> None:
+def test_it_is_said_in_one_sentence(bench: WindowsFaultBench, what: str, name: str) -> None:
     warnings = bench.episode(what, name).warnings(name)
     assert warnings
     for record in warnings:
@@ -239,7 +241,7 @@ def test_it_is_said_in_one_sentence(bench: Bench, what: str, name: str) -> None:
 
 
 @EVERY_CELL
-def test_it_goes_on_by_itself(bench: Bench, what: str, name: str) -> None:
+def test_it_goes_on_by_itself(bench: WindowsFaultBench, what: str, name: str) -> None:
     episode = bench.episode(what, name)
     kind = KINDS[what][name]
     assert (kind, name) in episode.recovered_s, bench.program.said()
@@ -250,12 +252,14 @@ def test_it_goes_on_by_itself(bench: Bench, what: str, name: str) -> None:
 
 
 @EVERY_CELL
-def test_what_is_lost_is_counted(bench: Bench, what: str, name: str) -> None:
+def test_what_is_lost_is_counted(bench: WindowsFaultBench, what: str, name: str) -> None:
     assert not bench.episode(what, name).imbalance(name)
 
 
 @EVERY_CELL
-def test_nothing_comes_twice_or_out_of_order(bench: Bench, what: str, name: str) -> None:
+def test_nothing_comes_twice_or_out_of_order(
+    bench: WindowsFaultBench, what: str, name: str
+) -> None:
     episode = bench.episode(what, name)
     for data_name in numeric_streams(name):
         assert (np.diff(episode.received[name, data_name].times) > 0).all(), data_name
@@ -264,7 +268,7 @@ def test_nothing_comes_twice_or_out_of_order(bench: Bench, what: str, name: str)
             episode.matched(name, data_name)
 
 
-def test_the_streams_are_the_same_all_the_time(bench: Bench) -> None:
+def test_the_streams_are_the_same_all_the_time(bench: WindowsFaultBench) -> None:
     for what in KINDS:
         bench.episode(what, SENSORS[0])
     outlets, process = bench.identities[0]

@@ -29,7 +29,7 @@ PER_MS, BURST = 0.5, 73
 class Topic:
     """One topic, whose messages are numbers as bytes; notes when each went out."""
 
-    def __init__(self, bench: Bench, rate: float, piece: int) -> None:
+    def __init__(self, bench: SteeredPacer, rate: float, piece: int) -> None:
         self.sent: list[tuple[float, int]] = []
         self.is_taken = True
         self._bench, self._came = bench, 0
@@ -57,7 +57,7 @@ class Topic:
         self.sent.append((self._bench.now_s, int(message)))
 
 
-class Bench:
+class SteeredPacer:
     """A pacer whose time and turns are the test's."""
 
     def __init__(self, per_ms: float = PER_MS) -> None:
@@ -77,7 +77,7 @@ class Bench:
 
 
 def test_what_comes_alone_goes_out_at_once() -> None:
-    bench = Bench()
+    bench = SteeredPacer()
     topic = bench.topic()
     for _ in range(50):
         topic.come(1)
@@ -88,7 +88,7 @@ def test_what_comes_alone_goes_out_at_once() -> None:
 
 
 def test_a_burst_is_spread() -> None:
-    bench = Bench()
+    bench = SteeredPacer()
     topic = bench.topic()
     topic.come(BURST)
     assert len(topic.sent) == AT_ONCE
@@ -100,7 +100,7 @@ def test_a_burst_is_spread() -> None:
 
 
 def test_what_comes_while_others_wait_goes_out_behind_them() -> None:
-    bench = Bench()
+    bench = SteeredPacer()
     topic = bench.topic()
     for _ in range(20):
         topic.come(BURST)
@@ -111,7 +111,7 @@ def test_what_comes_while_others_wait_goes_out_behind_them() -> None:
 
 @pytest.mark.parametrize("late_s", [0.01, 0.1, 1.0])
 def test_a_late_turn_makes_no_new_burst(late_s: float) -> None:
-    bench = Bench()
+    bench = SteeredPacer()
     topic = bench.topic()
     topic.come(BURST)
     bench.now_s += late_s
@@ -120,7 +120,7 @@ def test_a_late_turn_makes_no_new_burst(late_s: float) -> None:
 
 
 def test_a_long_silence_earns_no_larger_burst() -> None:
-    bench = Bench()
+    bench = SteeredPacer()
     topic = bench.topic()
     topic.come(1)
     bench.now_s += 3600.0
@@ -130,7 +130,7 @@ def test_a_long_silence_earns_no_larger_burst() -> None:
 
 @pytest.mark.parametrize("rate", [256.0, 1000.0, 10_000.0])
 def test_an_even_stream_never_waits(rate: float) -> None:
-    bench = Bench()
+    bench = SteeredPacer()
     topic = bench.topic(rate)
     for _ in range(500):
         bench.now_s += TICK_S
@@ -142,7 +142,7 @@ def test_an_even_stream_never_waits(rate: float) -> None:
 @pytest.mark.parametrize("rate", [256.0, 1000.0, 10_000.0])
 @pytest.mark.parametrize("turn_s", [0.002, 0.02])
 def test_no_stream_falls_behind(rate: float, turn_s: float) -> None:
-    bench = Bench()
+    bench = SteeredPacer()
     topic = bench.topic(rate)
     for _ in range(100):
         topic.come(round(0.1 * rate))
@@ -153,13 +153,13 @@ def test_no_stream_falls_behind(rate: float, turn_s: float) -> None:
 
 
 def test_one_topic_s_backlog_does_not_hold_up_another() -> None:
-    bench = Bench()
+    bench = SteeredPacer()
     long, short = bench.topic(), bench.topic()
     long.come(5000)
     short.come(BURST)
     bench.run(0.2)
     short.expect_all()
-    alone = Bench()
+    alone = SteeredPacer()
     topic = alone.topic()
     topic.come(BURST)
     alone.run(0.2)
@@ -168,7 +168,7 @@ def test_one_topic_s_backlog_does_not_hold_up_another() -> None:
 
 @pytest.mark.parametrize("samples", [500, 9000])
 def test_a_backlog_goes_out_while_its_stream_goes_on(samples: int) -> None:
-    bench = Bench()
+    bench = SteeredPacer()
     topic = bench.topic()
     topic.come(samples)
     for _ in range(80):
@@ -180,7 +180,7 @@ def test_a_backlog_goes_out_while_its_stream_goes_on(samples: int) -> None:
 
 @pytest.mark.parametrize("rate", [64.0, 250.0, 512.0])
 def test_what_5_s_have_held_up_is_gone_within_2_s(rate: float) -> None:
-    bench = Bench()
+    bench = SteeredPacer()
     topic = bench.topic(rate)
     topic.come(round(5 * rate))
     for _ in range(20):
@@ -190,14 +190,14 @@ def test_what_5_s_have_held_up_is_gone_within_2_s(rate: float) -> None:
 
 
 def test_without_pacing_all_goes_out_at_once() -> None:
-    bench = Bench(0.0)
+    bench = SteeredPacer(0.0)
     topic = bench.topic()
     topic.come(BURST)
     topic.expect_all()
 
 
 def test_pacing_can_be_switched_off_while_something_waits() -> None:
-    bench = Bench()
+    bench = SteeredPacer()
     topic = bench.topic()
     topic.come(BURST)
     bench.pace.per_ms = 0.0
@@ -211,7 +211,7 @@ def test_pacing_can_be_switched_off_while_something_waits() -> None:
 )
 def test_no_queue_is_overrun_whatever_comes(steps: Sequence[tuple[int, int]], rate: float) -> None:
     assume(sum(samples for samples, _ in steps) <= BACKLOG)
-    bench = Bench()
+    bench = SteeredPacer()
     topic = bench.topic(rate)
     for samples, milliseconds in steps:
         topic.come(samples)
@@ -225,7 +225,7 @@ def test_no_queue_is_overrun_whatever_comes(steps: Sequence[tuple[int, int]], ra
 
 
 def test_a_publisher_s_queue_is_not_overrun() -> None:
-    bench = Bench(0.0)
+    bench = SteeredPacer(0.0)
     topic = bench.topic(piece=100)
     topic.is_taken = False
     topic.come(250)
@@ -238,7 +238,7 @@ def test_a_publisher_s_queue_is_not_overrun() -> None:
 
 
 def test_a_subscriber_that_has_stopped_is_waited_for_once() -> None:
-    bench = Bench(0.0)
+    bench = SteeredPacer(0.0)
     topic = bench.topic(piece=100)
     topic.is_taken = False
     topic.come(1000)
@@ -249,7 +249,7 @@ def test_a_subscriber_that_has_stopped_is_waited_for_once() -> None:
 
 
 def test_what_goes_out_before_it_can_be_taken_is_counted() -> None:
-    bench = Bench(0.0)
+    bench = SteeredPacer(0.0)
     topic = bench.topic(piece=100)
     topic.come(250)
     assert (topic.lane.sent, topic.lane.not_taken) == (250, 0)
@@ -261,7 +261,7 @@ def test_what_goes_out_before_it_can_be_taken_is_counted() -> None:
 
 
 def test_the_oldest_message_of_a_lane_has_an_age() -> None:
-    bench = Bench()
+    bench = SteeredPacer()
     topic = bench.topic(0.0)
     topic.come(AT_ONCE)
     assert topic.lane.age_s == 0.0
@@ -276,7 +276,7 @@ def test_the_oldest_message_of_a_lane_has_an_age() -> None:
 
 
 def test_a_lane_says_when_its_stream_should_stay_in_lsl_s_buffer() -> None:
-    bench = Bench()
+    bench = SteeredPacer()
     topic = bench.topic()
     topic.come(MOST_WAITING)
     assert not topic.lane.is_full
@@ -288,12 +288,12 @@ def test_a_lane_says_when_its_stream_should_stay_in_lsl_s_buffer() -> None:
     topic.expect_all()
 
 
-def lane_of(bench: Bench, publish: Callable[[Any], None]) -> Lane:
+def lane_of(bench: SteeredPacer, publish: Callable[[Any], None]) -> Lane:
     return Lane(publish, lambda: True, bench.pacer, rate=130.0, piece=MOST_WAITING)
 
 
 def test_what_cannot_be_a_message_fails_where_it_is_sent() -> None:
-    bench, sent = Bench(), list[String]()
+    bench, sent = SteeredPacer(), list[String]()
     lane = lane_of(bench, sent.append)
     lane.send([String(data=str(number)) for number in range(10)])
     with pytest.raises(UnicodeEncodeError):
@@ -304,7 +304,7 @@ def test_what_cannot_be_a_message_fails_where_it_is_sent() -> None:
 
 
 def test_what_waits_does_not_change_with_its_message() -> None:
-    bench, sent = Bench(), list[Any]()
+    bench, sent = SteeredPacer(), list[Any]()
     lane = lane_of(bench, sent.append)
     message = Float32(data=1.0)
     lane.send([message] * (AT_ONCE + 1))
@@ -314,7 +314,7 @@ def test_what_waits_does_not_change_with_its_message() -> None:
 
 
 def test_what_ros_fails_to_publish_is_counted_and_costs_nothing_else() -> None:
-    bench, sent = Bench(), list[bytes]()
+    bench, sent = SteeredPacer(), list[bytes]()
 
     def publish(message: bytes) -> None:
         if message == b"7":

@@ -80,7 +80,7 @@ def of_kind(*kinds: str) -> Any:
     return pytest.mark.parametrize("vector", chosen, ids=[each["name"] for each in chosen])
 
 
-class Bench:
+class BareInterpreter:
     """An interpreter without link or clock."""
 
     def __init__(self, firmware: Firmware = NEWEST) -> None:
@@ -108,7 +108,7 @@ class Bench:
 
 @of_kind("command")
 def test_every_command_is_acknowledged(vector: dict[str, Any]) -> None:
-    bench = Bench()
+    bench = BareInterpreter()
     assert bench.say(vector["hex"])[:2] == "ff"
     expected = vector["expected"]
     if "channels" in expected:
@@ -120,7 +120,7 @@ def test_every_command_is_acknowledged(vector: dict[str, Any]) -> None:
 
 def test_responses_are_those_of_the_vectors() -> None:
     expected = {each["name"]: each["hex"] for each in VECTORS if each["kind"] == "response"}
-    bench = Bench()
+    bench = BareInterpreter()
     gyro = bench.say("08400000", "058002", "0e00000005", "01")
     assert gyro == "ff" + expected["rsp_inquiry_gyro_exp_gsr2"]
     skin = bench.say("08040100", "050001", "0e029b3909", "01")
@@ -179,13 +179,13 @@ def test_pulse_voltages_are_those_of_the_vectors(vector: dict[str, Any]) -> None
 def test_battery_readings_are_those_of_the_vectors(vector: dict[str, Any]) -> None:
     expected = vector["expected"]
     assert battery.percent_of(expected["adc"]) == pytest.approx(expected["percent"])
-    bench = Bench()
+    bench = BareInterpreter()
     bench.counts = expected["adc"]
     assert bench.say("95").startswith("ff8a94" + vector["hex"][:4])
 
 
 def test_the_charger_is_unknown_out_of_the_dock_then_charging_then_full() -> None:
-    bench = Bench()
+    bench = BareInterpreter()
     assert bench.say("95") == "ff8a94560aff"
     bench.interpreter.docked = True
     assert bench.say("95") == "ff8a94560a80"
@@ -209,7 +209,7 @@ def test_the_check_is_the_vendors() -> None:
 
 
 def test_every_message_carries_the_check_from_its_own_answer_on() -> None:
-    bench = Bench()
+    bench = BareInterpreter()
     assert bench.say("8b01") == "fff4"
     assert bench.say("3f") == sealed(bytes.fromhex("ff2503"), 1).hex()
     assert bench.say("8b02") == sealed(b"\xff", 2).hex()
@@ -218,18 +218,18 @@ def test_every_message_carries_the_check_from_its_own_answer_on() -> None:
 
 
 def test_commands_of_the_firmware_at_that_time() -> None:
-    old = Bench(Firmware(0, 11, 0))
+    old = BareInterpreter(Firmware(0, 11, 0))
     # It knows neither the check nor its argument, which it takes for an inquiry.
     assert old.say("8b01")[:4] == "ff02"
     # The same for the prefix, whose argument is no command at all.
     assert old.say("a300") == ""
-    assert Bench(Firmware(0, 13, 7)).say("8b01") == "fff4"
-    assert Bench(Firmware(0, 16, 11)).say("a300") == "ff"
+    assert BareInterpreter(Firmware(0, 13, 7)).say("8b01") == "fff4"
+    assert BareInterpreter(Firmware(0, 16, 11)).say("a300") == "ff"
 
 
 def test_a_blocked_command_is_refused_aloud_or_ignored() -> None:
     for firmware, answer in ((NEWEST, "fe"), (Firmware(0, 16, 11), "ff")):
-        bench = Bench(firmware)
+        bench = BareInterpreter(firmware)
         bench.say("07")
         for command in ("050001", "08040100", "0e029b3909", "2104", "5e01", "790141"):
             assert bench.say(command) == answer
@@ -240,7 +240,7 @@ def test_a_blocked_command_is_refused_aloud_or_ignored() -> None:
 
 
 def test_unknown_commands_are_passed_over_and_arguments_are_waited_for() -> None:
-    bench = Bench()
+    bench = BareInterpreter()
     assert bench.say("0088ee") == ""
     assert bench.say("05") == ""
     assert bench.say("00") == ""
@@ -258,7 +258,7 @@ def test_commands_are_the_same_however_they_are_cut(data: bytes, draw: st.DataOb
 
 
 def test_it_says_who_it_is() -> None:
-    bench = Bench()
+    bench = BareInterpreter()
     assert bench.say("2e") == "ff2f030001000102"
     assert bench.say("3f") == bench.say("24") == "ff2503"
     assert bench.say("660300") == "ff6503300400"
@@ -273,7 +273,7 @@ def test_it_says_who_it_is() -> None:
 
 
 def test_the_status_follows_dock_clock_stream_and_lamp() -> None:
-    bench = Bench()
+    bench = BareInterpreter()
     assert bench.say("72") == "ff8a7120"
     bench.say("8f0000000000000000")
     bench.interpreter.docked = True
@@ -287,7 +287,7 @@ def test_the_status_follows_dock_clock_stream_and_lamp() -> None:
 
 
 def test_the_clock_goes_on_from_where_it_was_set() -> None:
-    bench = Bench()
+    bench = BareInterpreter()
     bench.now = 1000
     bench.say("8f" + (5 << 40).to_bytes(8, "little").hex())
     bench.now = 1000 + 32768
@@ -295,7 +295,7 @@ def test_the_clock_goes_on_from_where_it_was_set() -> None:
 
 
 def test_nothing_streams_without_channels_or_too_fast() -> None:
-    bench = Bench()
+    bench = BareInterpreter()
     assert bench.say("08000000", "07") == "ff"
     assert not bench.interpreter.sensing
     assert bench.say("08040100", "050700", "07") == "ff"
@@ -319,7 +319,7 @@ async def test_a_late_answer_is_not_given_to_the_next_host() -> None:
     def obeyed(opcode: Opcode, answered: bool) -> None:
         del opcode, answered
 
-    conversation = Conversation(NEWEST, Bench().interpreter, write, obeyed)
+    conversation = Conversation(NEWEST, BareInterpreter().interpreter, write, obeyed)
     conversation.answer_delay_s = 0.01
     conversation.hear(b"\x3f")
     conversation.link_lost()

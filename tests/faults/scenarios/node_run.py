@@ -58,7 +58,7 @@ class Restart(NamedTuple):
         return Span(self.started_s, self.end_s)
 
 
-class Run(NamedTuple):
+class NodeRun(NamedTuple):
     """What was observed.
 
     Attributes
@@ -85,7 +85,7 @@ class Run(NamedTuple):
     memory_mb: tuple[float, float, float]
 
 
-def drive(pair: Pair, folder: Path) -> Run:
+def drive(pair: Pair, folder: Path) -> NodeRun:
     """Do it all, with programs that run already; the pair's node is dead afterwards."""
     pair.await_matched()
     pid = pair.node.pid
@@ -106,7 +106,7 @@ def drive(pair: Pair, folder: Path) -> Run:
     required, calm = times(stalled, slow)
     losses = observation.faults_in_bad_weather(pair.expected, required, calm)
     regular = _regular(pair)
-    return Run(observation, regular, losses, stalled, slow, restart, slow_ecg, memory_mb)
+    return NodeRun(observation, regular, losses, stalled, slow, restart, slow_ecg, memory_mb)
 
 
 def pair_on_this_machine(folder: Path) -> Pair:

@@ -21,7 +21,7 @@ from tests.faults.scenarios.node_run import (
     ECG,
     ECG_SOURCE,
     FLOWS_WITHIN_S,
-    Run,
+    NodeRun,
     drive,
     pair_on_this_machine,
     times,
@@ -44,9 +44,9 @@ MEMORY_MB = 10.0
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def run(tmp_path_factory: pytest.TempPathFactory) -> NodeRun:
     folder = tmp_path_factory.mktemp("node")
-    found: list[Run] = []
+    found: list[NodeRun] = []
     # The only program that does not end well is the one that was killed.
     with (
         pytest.raises(ProgramError, match=r"lsl_to_ros\.node .* exit code -9"),
@@ -56,7 +56,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return found[0]
 
 
-def delay_s(run: Run, observed: Recording, span: Span) -> float:
+def delay_s(run: NodeRun, observed: Recording, span: Span) -> float:
     """Return the median of how much later samples came than to the LSL program."""
     came = observed.between(*span)
     if not len(came.rows):
@@ -64,13 +64,13 @@ def delay_s(run: Run, observed: Recording, span: Span) -> float:
     return float(np.median(delays(run.observation.streams[ECG_SOURCE], came)))
 
 
-def calm_s(run: Run) -> float:
+def calm_s(run: NodeRun) -> float:
     """Return that delay before all faults."""
     begin_s = run.stalled.start
     return delay_s(run, run.observation.topics[ECG], Span(begin_s - CALM_S, begin_s))
 
 
-def back_after_s(run: Run, observed: Recording, end_s: float) -> float:
+def back_after_s(run: NodeRun, observed: Recording, end_s: float) -> float:
     """Seconds from the end of a fault until samples are no later than before all faults."""
     limit_s = calm_s(run) + NEAR_S
     starts = np.arange(end_s, end_s + BUSY_BACK_S, WINDOW_S / 5)
@@ -79,7 +79,7 @@ def back_after_s(run: Run, observed: Recording, end_s: float) -> float:
     return next((window.start - end_s for window in back), np.inf)
 
 
-def sent_until_the_kill(run: Run, source: str) -> int:
+def sent_until_the_kill(run: NodeRun, source: str) -> int:
     """How many samples an outlet had pushed, up to the last that came before the kill."""
     before, after = run.restart.before, run.restart.after
     stream, came = run.observation.streams[source], run.observation.topics[run.regular[source]]
@@ -91,47 +91,47 @@ def sent_until_the_kill(run: Run, source: str) -> int:
     return last + int(counters["pushed"]) - received
 
 
-def test_nothing_is_lost_to_a_reliable_subscriber(run: Run, figures: Record) -> None:
+def test_nothing_is_lost_to_a_reliable_subscriber(run: NodeRun, figures: Record) -> None:
     for name in (STALL, SLOW):
         figures(name, "topics with a lost sample", "0", str(len(run.losses)))
     assert not run.losses
 
 
-def test_nothing_is_lost_to_the_slow_subscriber(run: Run, figures: Record) -> None:
+def test_nothing_is_lost_to_the_slow_subscriber(run: NodeRun, figures: Record) -> None:
     required, calm = times(run.stalled, run.slow)
     what = fault(run.observation.streams[ECG_SOURCE], run.slow_ecg, required, calm)
     figures(SLOW, "samples lost to it", "0", what or "0")
     assert not what
 
 
-def test_after_a_stall_the_latency_is_soon_as_before(run: Run, figures: Record) -> None:
+def test_after_a_stall_the_latency_is_soon_as_before(run: NodeRun, figures: Record) -> None:
     back_s = back_after_s(run, run.observation.topics[ECG], run.stalled.end)
     figures(STALL, "latency as before after", "≤ 2 s", f"{back_s:.1f} s")
     assert back_s <= BUSY_BACK_S
 
 
-def test_a_slow_subscriber_is_soon_up_to_date(run: Run, figures: Record) -> None:
+def test_a_slow_subscriber_is_soon_up_to_date(run: NodeRun, figures: Record) -> None:
     assert delay_s(run, run.slow_ecg, Span(run.slow.end - 1.0, run.slow.end)) > 1.0
     back_s = back_after_s(run, run.slow_ecg, run.slow.end)
     figures(SLOW, "latency as before after", "≤ 2 s", f"{back_s:.1f} s")
     assert back_s <= BUSY_BACK_S
 
 
-def test_the_others_do_not_wait_for_a_slow_subscriber(run: Run, figures: Record) -> None:
+def test_the_others_do_not_wait_for_a_slow_subscriber(run: NodeRun, figures: Record) -> None:
     meanwhile_s = delay_s(run, run.observation.topics[ECG], run.slow)
     text = f"{1000 * (meanwhile_s - calm_s(run)):+.1f} ms"
     figures(SLOW, "latency of another subscriber meanwhile", "as before", text)
     assert meanwhile_s <= calm_s(run) + NEAR_S
 
 
-def test_the_node_s_memory_is_bounded(run: Run, figures: Record) -> None:
+def test_the_node_s_memory_is_bounded(run: NodeRun, figures: Record) -> None:
     before, stalled, after = run.memory_mb
     figures(STALL, "node's memory before and after", "+10 MB", f"{before:.1f}, {stalled:.1f} MB")
     figures(SLOW, "node's memory before and after", "+10 MB", f"{stalled:.1f}, {after:.1f} MB")
     assert max(stalled, after) <= before + MEMORY_MB
 
 
-def test_the_topics_flow_soon_after_a_restart(run: Run, figures: Record) -> None:
+def test_the_topics_flow_soon_after_a_restart(run: NodeRun, figures: Record) -> None:
     after = run.restart.after
     topics = [run.observation.topics[topic] for topic in run.regular.values()]
     flows_s = max(float(each.between(*after).arrivals[0]) for each in topics) - after.start
@@ -140,7 +140,7 @@ def test_the_topics_flow_soon_after_a_restart(run: Run, figures: Record) -> None
 
 
 def test_what_is_lost_from_kill_to_restart_is_counted_and_announced(
-    run: Run, figures: Record
+    run: NodeRun, figures: Record
 ) -> None:
     """A subscriber may find the new node late; that it got less than the node is told apart."""
     streams, topics = run.observation.streams, run.observation.topics

@@ -76,7 +76,7 @@ def growth(counts: list[int]) -> int:
 
 
 @dataclass
-class Run:
+class SteadyRun:
     """The books of all streams at the end, by sensor and data name, and what it took."""
 
     sensors: tuple[str, ...]
@@ -140,7 +140,7 @@ class Books:
 
 
 @pytest.fixture(scope="module", params=TURNS, ids="+".join)
-def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Run:
+def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> SteadyRun:
     sensors: tuple[str, ...] = request.param
     folder = tmp_path_factory.mktemp("steady")
     with lab_of(sensors, folder, jitter_s=0.01, kept=KEPT) as lab, ExitStack() as stack:
@@ -159,7 +159,7 @@ def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     return ended
 
 
-def run_for(seconds: float, books: Books, processes: Mapping[str, Process]) -> Run:
+def run_for(seconds: float, books: Books, processes: Mapping[str, Process]) -> SteadyRun:
     """Look at the processes all the time, and settle the books now and then."""
     footprints = {program: Footprint() for program in processes}
     end_s = time.monotonic() + seconds
@@ -172,12 +172,12 @@ def run_for(seconds: float, books: Books, processes: Mapping[str, Process]) -> R
         books.settle()
     truths = books.truths()
     books.settle()
-    return Run(
+    return SteadyRun(
         books.sensors, books.sent, books.pushed, books.overdue(truths), books.counters(), footprints
     )
 
 
-def test_what_was_sent_was_received(run: Run, figures: Record) -> None:
+def test_what_was_sent_was_received(run: SteadyRun, figures: Record) -> None:
     received = sum(ledger.received for ledger in run.sent.values())
     lost = sum(ledger.lost for ledger in run.sent.values()) + sum(run.overdue.values())
     figures(run.fault, "lost, duplicated, reordered of the samples that devices sent", "0",
@@ -187,7 +187,7 @@ def test_what_was_sent_was_received(run: Run, figures: Record) -> None:
     assert {stream: count for stream, count in run.overdue.items() if count} == {}
 
 
-def test_what_was_pushed_was_received(run: Run, figures: Record) -> None:
+def test_what_was_pushed_was_received(run: SteadyRun, figures: Record) -> None:
     wrong = {stream: each.difference for stream, each in run.pushed.items() if each.difference}
     figures(run.fault, "received less pushed by the agent", "0 per stream",
             f"0 in {len(run.pushed) - len(wrong)} of {len(run.pushed)} streams")  # fmt: skip
@@ -197,7 +197,7 @@ def test_what_was_pushed_was_received(run: Run, figures: Record) -> None:
 
 
 @pytest.mark.parametrize("program", ["agent", "node"])
-def test_nothing_grows(run: Run, figures: Record, program: str) -> None:
+def test_nothing_grows(run: SteadyRun, figures: Record, program: str) -> None:
     footprint = run.footprints[program]
     hours = np.array(footprint.times) / 3600
     slope = fit(hours, footprint.memory_mb)
