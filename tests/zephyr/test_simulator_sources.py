@@ -64,7 +64,8 @@ def joined(
 
 def test_equal_seeds_give_equal_bytes_and_others_do_not() -> None:
     first, again, other = (
-        [out.data for out in produce(SyntheticSource(seed, jitter_s=0.05), 5)] for seed in (4, 4, 5)
+        [out.data for out in produce(SyntheticSource(seed=seed, jitter_s=0.05), 5)]
+        for seed in (4, 4, 5)
     )
     assert first == again
     assert first != other
@@ -143,7 +144,7 @@ def test_a_wearer_at_rest_feels_one_g() -> None:
 
 
 def test_any_packet_is_known_without_those_before() -> None:
-    frames = of(Packet.BREATHING, produce(SyntheticSource(7), 10))
+    frames = of(Packet.BREATHING, produce(SyntheticSource(seed=7), 10))
     assert frames[8].samples is not None
     np.testing.assert_array_equal(frames[8].samples, Inputs(Wearer(7)).samples(Packet.BREATHING, 8))
 

@@ -98,6 +98,11 @@ class Peripheral:
         return self._connection is not None
 
     @property
+    def rssi_dbm(self) -> int:
+        """How strong hosts hear it [dBm]."""
+        return self._rssi_dbm
+
+    @property
     def host_mtu(self) -> int:
         """The ATT MTU in use; 23 while nobody is connected."""
         return self._connection.att_mtu if self._connection else att.ATT_DEFAULT_MTU

@@ -7,11 +7,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from math import isfinite
 from types import MappingProxyType, TracebackType
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self, Unpack
 
 from biosensor_gateway.simulation.effects import Effects
 from biosensor_gateway.simulation.expected import Expected
 from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.specimen import Specimen, SpecimenOptions
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
@@ -46,8 +47,16 @@ class VirtualDevice(ABC):
     ----------
     world
         Where it lives.
-    kept
-        Limit of `truth`; None = all.
+    **specimen
+        Parameters of its `Specimen`.
+
+    Attributes
+    ----------
+    world
+    specimen
+        Who wears it, and how far it is from a perfect one.
+    truth
+        What it measured and sent.
     """
 
     sensor: ClassVar[str]
@@ -76,9 +85,10 @@ class VirtualDevice(ABC):
             raise TypeError(f"{cls.__name__} has no end for the faults {', '.join(endless)}")
         cls.faults = frozenset(cls.effects)
 
-    def __init__(self, world: World, kept: int | None = None) -> None:
+    def __init__(self, world: World, **specimen: Unpack[SpecimenOptions]) -> None:
         self.world = world
-        self.truth = Truth(kept)
+        self.specimen = Specimen(**specimen)
+        self.truth = Truth(self.specimen.kept)
         self._lasting: dict[FaultKind, asyncio.TimerHandle | None] = {}
 
     @classmethod

@@ -7,7 +7,7 @@ import struct
 from collections.abc import Mapping
 from math import nan
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -16,8 +16,8 @@ from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, lasting
 from biosensor_gateway.simulation.expected import Expected
 from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
-from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
 _PERIOD_S = 0.02
@@ -36,20 +36,10 @@ class SimulatedAcmeBand(VirtualDevice):
         ),
     )
 
-    def __init__(
-        self,
-        world: World,
-        *,
-        seed: int = 0,
-        drift_ppm: float = 0.0,
-        jitter_s: float = 0.0,
-        kept: int | None = None,
-    ) -> None:
-        super().__init__(world, kept)
-        self._wearer = Wearer(seed)
-        self._rng = np.random.default_rng(seed)
-        self._crystal = Crystal(world.clock, drift_ppm)
-        self._jitter_s = jitter_s
+    def __init__(self, world: World, **specimen: Unpack[SpecimenOptions]) -> None:
+        super().__init__(world, **specimen)
+        self._rng = np.random.default_rng(self.specimen.seed)
+        self._crystal = Crystal(world.clock, self.specimen.drift_ppm)
         self._port: AsyncSerialPort | None = None
         self._measuring: asyncio.Task[None] | None = None
         self._sends, self._stalled, self._worn, self._battery = False, False, True, 80
@@ -83,8 +73,8 @@ class SimulatedAcmeBand(VirtualDevice):
         number = 0
         while True:
             time_s = await self._crystal.reach(number * _PERIOD_S)
-            (force,) = self._wearer.chest_force_n(np.array([time_s], np.float64))
-            await asyncio.sleep(self._jitter_s * self._rng.random())
+            (force,) = self.specimen.wearer.chest_force_n(np.array([time_s], np.float64))
+            await asyncio.sleep(self.specimen.jitter_s * self._rng.random())
             counts = round(100 * force) if self._worn else -(2**15)
             value = counts / 100 if self._worn else nan
             taken = self._sends and not self._stalled and port.write(self._frame(number, counts))

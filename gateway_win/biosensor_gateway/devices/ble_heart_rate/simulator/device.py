@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Unpack
 
 from biosensor_gateway.devices.ble_heart_rate.simulator.expected import EXPECTED
 from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
@@ -13,6 +13,7 @@ from biosensor_gateway.devices.ble_heart_rate.simulator.strap_device import Stra
 from biosensor_gateway.simulation.effects import on_part
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
@@ -29,20 +30,12 @@ class SimulatedHeartRateStrap(StrapDevice):
         Where it lives, and the air that it is heard on.
     address, name
         As advertised.
-    wearer
-        Who wears it; somebody made from ``seed`` by default.
-    seed
-        Of radio delays.
-    drift_ppm
-        Of its crystal.
-    jitter_s
-        Packets leave up to so much late.
     rssi_dbm
         How strongly it is heard.
     demands_pairing
         Tells its heart rate only to a host that has paired.
-    kept
-        Limit of the truth; None = all.
+    **specimen
+        As for every virtual device: see `Specimen`.
     """
 
     sensor = "ble_heart_rate"
@@ -57,26 +50,18 @@ class SimulatedHeartRateStrap(StrapDevice):
         *,
         address: str = "C8:25:00:00:00:01",
         name: str = "Heart Strap 0001",
-        wearer: Wearer | None = None,
-        seed: int = 0,
-        drift_ppm: float = 0.0,
-        jitter_s: float = 0.0,
         rssi_dbm: int = -61,
         demands_pairing: bool = False,
-        kept: int | None = None,
+        **specimen: Unpack[SpecimenOptions],
     ) -> None:
-        super().__init__(world, kept)
+        super().__init__(world, **specimen)
         self._address = address
         peripheral = Peripheral(radio, address, name, service_uuids=("180d",), rssi_dbm=rssi_dbm)
         self._strap = Strap(
             peripheral,
             self.truth,
+            self.specimen,
             identity=Identity("Virtual Straps", "Heart Strap", "0001", firmware="1.0"),
-            rssi_dbm=rssi_dbm,
-            wearer=wearer,
-            seed=seed,
-            drift_ppm=drift_ppm,
-            jitter_s=jitter_s,
         )
         if demands_pairing:
             peripheral.demand_pairing = True

@@ -28,8 +28,8 @@ from biosensor_gateway.simulation.effects import Effect, Effects, lasting
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.power import PowerSwitch
+from biosensor_gateway.simulation.specimen import Specimen
 from biosensor_gateway.simulation.truth import Truth
-from biosensor_gateway.simulation.wearer import Wearer
 
 _BATTERY_PERCENT = 87
 
@@ -43,18 +43,10 @@ class Strap:
         Its radio.
     truth
         Takes what it measured.
+    specimen
+        Who wears it, and what its crystal and its radio are like.
     identity, location
         What its services say about it.
-    rssi_dbm
-        How strongly the radio is heard.
-    wearer
-        Who wears it.
-    seed
-        Of radio delays and garbage.
-    drift_ppm
-        Of the crystal.
-    jitter_s
-        Packets leave up to so much late.
     tells_contact, sends_rr
         What its heart rate measurements carry.
     off_body_drop_s
@@ -87,22 +79,18 @@ class Strap:
         self,
         peripheral: Peripheral,
         truth: Truth,
+        specimen: Specimen,
         *,
         identity: Identity,
-        rssi_dbm: int,
         location: int = CHEST,
-        wearer: Wearer | None = None,
-        seed: int = 0,
-        drift_ppm: float = 0.0,
-        jitter_s: float = 0.0,
         tells_contact: bool = True,
         sends_rr: bool = True,
         off_body_drop_s: float = inf,
     ) -> None:
         self.peripheral = peripheral
         self.truth = truth
-        self.wearer = wearer or Wearer(seed)
-        self.rng = np.random.default_rng(seed)
+        self.wearer = specimen.wearer
+        self.rng = np.random.default_rng(specimen.seed)
         self.worn = True
         self.put_on_s = -inf
         self.is_unreadable = False
@@ -115,9 +103,8 @@ class Strap:
         self._battery = BatteryService(self._read_battery)
         services = (self.heart_rate.service, self._battery.service, identity.service())
         self.services: list[Service] = list(services)
-        self._rssi_dbm = rssi_dbm
-        self._drift_ppm = drift_ppm
-        self._jitter_s = jitter_s
+        self._drift_ppm = specimen.drift_ppm
+        self._jitter_s = specimen.jitter_s
         self._tells_contact = tells_contact
         self._sends_rr = sends_rr
         self._off_body_drop_s = off_body_drop_s
@@ -267,7 +254,7 @@ class Strap:
             self._note("bat", percent)
 
     def _note_signal(self) -> None:
-        self._note("rssi", self._rssi_dbm)
+        self._note("rssi", self.peripheral.rssi_dbm)
 
     def _note(self, data_name: str, value: float) -> None:
         self.truth.sent(data_name, [self.peripheral.clock()], [(value,)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from itertools import count
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 from bumble.att import Attribute
@@ -21,6 +21,7 @@ from biosensor_gateway.simulation.effects import Effect, on_part
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
@@ -53,18 +54,10 @@ class SimulatedHealthDevice(StrapDevice):
         Where it lives, and the air that it is heard on.
     address, name
         As advertised.
-    wearer
-        Who wears it; somebody made from ``seed`` by default.
-    seed
-        Of radio delays.
-    drift_ppm
-        Of its crystal.
-    jitter_s
-        Packets leave up to so much late.
     rssi_dbm
         How strongly it is heard.
-    kept
-        Limit of the truth; None = all.
+    **specimen
+        As for every virtual device: see `Specimen`.
     """
 
     sensor = "bluetooth_health"
@@ -78,24 +71,16 @@ class SimulatedHealthDevice(StrapDevice):
         *,
         address: str = "C8:26:00:00:00:01",
         name: str = "Health Device 0001",
-        wearer: Wearer | None = None,
-        seed: int = 0,
-        drift_ppm: float = 0.0,
-        jitter_s: float = 0.0,
         rssi_dbm: int = -63,
-        kept: int | None = None,
+        **specimen: Unpack[SpecimenOptions],
     ) -> None:
-        super().__init__(world, kept)
+        super().__init__(world, **specimen)
         self._address = address
         self._strap = Strap(
             Peripheral(radio, address, name, service_uuids=_ADVERTISED, rssi_dbm=rssi_dbm),
             self.truth,
+            self.specimen,
             identity=Identity("Virtual Health", "Health Device", "0001", firmware="1.0"),
-            rssi_dbm=rssi_dbm,
-            wearer=wearer,
-            seed=seed,
-            drift_ppm=drift_ppm,
-            jitter_s=jitter_s,
         )
         # It is no strap.
         self._strap.services.remove(self._strap.heart_rate.service)

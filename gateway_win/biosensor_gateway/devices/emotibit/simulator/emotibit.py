@@ -11,7 +11,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -24,9 +24,9 @@ from biosensor_gateway.devices.emotibit.simulator.wifi import Wifi
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, lasting
 from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.tcp_port import LOOPBACK
 from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
-from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
 _FORGOTTEN_S = 10.0
@@ -50,14 +50,10 @@ class SimulatedEmotiBit(VirtualDevice):
         Address and UDP port on which hosts ask for it; 0 takes a free one. A real one has 3131.
     ppg_hz
         Of its firmware.
-    wearer, seed
-        Who wears it, by default a person from the seed; the seed also makes delays and garbage.
-    drift_ppm, jitter_s
-        Of its processor's clock, and the Wi-Fi's longest delay.
-    kept
-        Limit of `truth`; None = all.
     battery_percent
         Charge at power-on.
+    **specimen
+        As for every virtual device: see `Specimen`. The drift is that of its processor's clock.
     """
 
     sensor = "emotibit"
@@ -78,26 +74,21 @@ class SimulatedEmotiBit(VirtualDevice):
         host: str = LOOPBACK,
         port: int = 0,
         ppg_hz: float = 25.0,
-        wearer: Wearer | None = None,
-        seed: int = 0,
-        drift_ppm: float = 0.0,
-        jitter_s: float = 0.0,
-        kept: int | None = None,
         battery_percent: float = 80.0,
+        **specimen: Unpack[SpecimenOptions],
     ) -> None:
-        super().__init__(world, kept)
+        super().__init__(world, **specimen)
         self.device = device
         self._ppg_hz = ppg_hz
-        self._wearer = wearer or Wearer(seed)
-        self._rng = np.random.default_rng(seed)
+        self._rng = np.random.default_rng(self.specimen.seed)
         self._battery_percent = battery_percent
-        self._crystal = Crystal(world.clock, drift_ppm)
+        self._crystal = Crystal(world.clock, self.specimen.drift_ppm)
         self._worn_since_s = world.clock()
         self._rounds = self._switched_on()
         self._wifi = Wifi(self._asked, host, port)
         self._host: Host | None = None
         self._running: asyncio.Task[None] | None = None
-        self._sending = Sending(world.clock, self._rng, jitter_s, self._put_out)
+        self._sending = Sending(world.clock, self._rng, self.specimen.jitter_s, self._put_out)
         self._answer_delay_s = 0.0
         self._stalled = self._refuses = self._sleeps = self._is_unreadable = False
 
@@ -129,7 +120,7 @@ class SimulatedEmotiBit(VirtualDevice):
         self._wifi.close()
 
     def _switched_on(self) -> Rounds:
-        return Rounds(self._crystal, self._wearer, self._worn_since_s, self._ppg_hz)
+        return Rounds(self._crystal, self.specimen.wearer, self._worn_since_s, self._ppg_hz)
 
     async def _run(self) -> None:
         due_s = ROUND_S

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Unpack
 
 from biosensor_gateway.devices.emotiv_insight.simulator.account import Licence
 from biosensor_gateway.devices.emotiv_insight.simulator.circumstances import APP, Circumstances
@@ -22,8 +22,8 @@ from biosensor_gateway.devices.emotiv_insight.simulator.headset import Timing
 from biosensor_gateway.devices.emotiv_insight.simulator.models import INSIGHT_1, Model
 from biosensor_gateway.devices.emotiv_insight.simulator.service import Service, Setup
 from biosensor_gateway.simulation.effects import on_part
+from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
-from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
 _USER_LOGGED_IN, _USER_LOGGED_OUT = 2, 3
@@ -36,8 +36,8 @@ class SimulatedCortex(VirtualDevice):
 
     Parameters
     ----------
-    world, wearer, seed, drift_ppm, jitter_s, kept
-        As for every virtual device; the drift is that of the clock of Cortex.
+    world
+        Where it lives.
     circumstances
         Of the user, the computer and the version of Cortex.
     headset
@@ -48,6 +48,8 @@ class SimulatedCortex(VirtualDevice):
         The headset is one of the vendor's simulator: its end is never noticed.
     timing
         How long Cortex takes for what it does.
+    **specimen
+        As for every virtual device: see `Specimen`. The drift is that of the clock of Cortex.
     """
 
     sensor = "emotiv_insight"
@@ -66,13 +68,9 @@ class SimulatedCortex(VirtualDevice):
         model: Model = INSIGHT_1,
         is_virtual: bool = False,
         timing: Timing | None = None,
-        wearer: Wearer | None = None,
-        seed: int = 0,
-        drift_ppm: float = 0.0,
-        jitter_s: float = 0.0,
-        kept: int | None = None,
+        **specimen: Unpack[SpecimenOptions],
     ) -> None:
-        super().__init__(world, kept)
+        super().__init__(world, **specimen)
         circumstances = circumstances or Circumstances()
         self.client_id, self.client_secret = circumstances.app
         self._service = Service(
@@ -82,10 +80,7 @@ class SimulatedCortex(VirtualDevice):
                 model=model,
                 is_virtual=is_virtual,
                 timing=timing or Timing(),
-                wearer=wearer or Wearer(seed),
-                seed=seed,
-                drift_ppm=drift_ppm,
-                jitter_s=jitter_s,
+                specimen=self.specimen,
             ),
             self.truth,
             world,

@@ -27,8 +27,8 @@ from biosensor_gateway.devices.emotiv_insight.simulator.signals import Signals
 from biosensor_gateway.devices.emotiv_insight.simulator.streaming import Stage, Stream
 from biosensor_gateway.devices.emotiv_insight.simulator.warnings import Announcement, warning
 from biosensor_gateway.simulation.crystal import Crystal
+from biosensor_gateway.simulation.specimen import Specimen
 from biosensor_gateway.simulation.truth import Truth
-from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
 _CORTEX_READY = 23
@@ -44,10 +44,7 @@ class Setup:
     model: Model
     is_virtual: bool
     timing: Timing
-    wearer: Wearer
-    seed: int
-    drift_ppm: float
-    jitter_s: float
+    specimen: Specimen
 
 
 class Service:
@@ -70,15 +67,15 @@ class Service:
         self._truth = truth
         self._loop = world.loop
         self._clock = world.clock
-        self._rng = np.random.default_rng((setup.seed, 0x6A))
-        self._signals = Signals(setup.model, setup.wearer, setup.seed)
+        self._rng = np.random.default_rng((setup.specimen.seed, 0x6A))
+        self._signals = Signals(setup.model, setup.specimen.wearer, setup.specimen.seed)
         self._changes = 0
         self._obstacles: set[str] = set()
         self._tasks: list[asyncio.Task[None]] = []
         self._starting: asyncio.TimerHandle | None = None
         self.mishaps = Mishaps()
         self.account = self._make_account()
-        self.sessions = Sessions(self._warn_one, setup.seed)
+        self.sessions = Sessions(self._warn_one, setup.specimen.seed)
         self.headset = Headset(
             setup.headset_id,
             setup.model,
@@ -119,7 +116,7 @@ class Service:
         self.listener.open()
         self._begin_s = self._clock()
         self._unix_begin_s = time.time()
-        self._crystal = Crystal(self._clock, self._setup.drift_ppm, self._begin_s)
+        self._crystal = Crystal(self._clock, self._setup.specimen.drift_ppm, self._begin_s)
         self._streams = self._make_streams()
         self._tasks = [self._loop.create_task(stream.run()) for stream in self._streams.values()]
 
@@ -230,7 +227,7 @@ class Service:
             eula_accepted=around.eula_accepted,
             licence=around.licence,
             session_quota=around.session_quota,
-            seed=self._setup.seed,
+            seed=self._setup.specimen.seed,
         )
 
     def _make_streams(self) -> dict[str, Stream]:
@@ -238,7 +235,7 @@ class Service:
         stage = Stage(
             crystal=self._crystal,
             begin_s=self._begin_s,
-            jitter_s=setup.jitter_s,
+            jitter_s=setup.specimen.jitter_s,
             rng=self._rng,
             truth=self._truth,
             delivers=lambda: self.headset.delivers,

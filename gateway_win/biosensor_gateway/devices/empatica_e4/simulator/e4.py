@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import inf
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Unpack
 
 from biosensor_gateway.devices.empatica_e4.simulator.delivery import Mishaps, Tear
 from biosensor_gateway.devices.empatica_e4.simulator.expected import EXPECTED
@@ -22,10 +22,10 @@ from biosensor_gateway.devices.empatica_e4.simulator.radio_link import Timing
 from biosensor_gateway.devices.empatica_e4.simulator.server import Server
 from biosensor_gateway.devices.empatica_e4.simulator.wristband import Wristband
 from biosensor_gateway.simulation.effects import on_part
+from biosensor_gateway.simulation.specimen import Specimen, SpecimenOptions
 from biosensor_gateway.simulation.tcp_port import LOOPBACK
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
-from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
 
@@ -36,8 +36,8 @@ class SimulatedE4(VirtualDevice):
 
     Parameters
     ----------
-    world, wearer, seed, drift_ppm, jitter_s, kept
-        As for every virtual device; the drift is that of each wristband's crystal.
+    world
+        Where it lives.
     device_id
         Of the first wristband.
     others
@@ -51,6 +51,8 @@ class SimulatedE4(VirtualDevice):
         Of numbers, after the Windows locale; a restart changes the decimal mark.
     timing
         When samples leave the wristbands; their jitter is ``jitter_s``.
+    **specimen
+        As for every virtual device: see `Specimen`. The drift is that of each wristband's crystal.
     """
 
     sensor = "empatica_e4"
@@ -77,29 +79,24 @@ class SimulatedE4(VirtualDevice):
         allowed: bool = True,
         style: NumberFormat | None = None,
         timing: Timing | None = None,
-        wearer: Wearer | None = None,
-        seed: int = 0,
-        drift_ppm: float = 0.0,
-        jitter_s: float = 0.0,
-        kept: int | None = None,
+        **specimen: Unpack[SpecimenOptions],
     ) -> None:
-        super().__init__(world, kept)
-        timing = replace(timing or Timing(), jitter_s=jitter_s)
+        super().__init__(world, **specimen)
+        timing = replace(timing or Timing(), jitter_s=self.specimen.jitter_s)
         self._server = Server(
             is_automatic=automatic,
             style=style or NumberFormat(),
-            seed=seed,
+            seed=self.specimen.seed,
             clock=world.clock,
         )
         for number, each in enumerate((device_id, *others)):
+            own = _further(self.specimen, number) if number else self.specimen
             self._server.wristbands[each.lower()] = Wristband(
                 each,
-                wearer=wearer if wearer and not number else Wearer(seed + number),
-                timing=timing,
-                drift_ppm=drift_ppm,
-                seed=seed + number,
+                own,
+                timing,
                 is_allowed=allowed or number > 0,
-                truth=Truth(kept) if number else self.truth,
+                truth=Truth(own.kept) if number else self.truth,
                 deliver=self._server.delivery.deliver,
             )
         self._first = self._server.first
@@ -216,3 +213,13 @@ class SimulatedE4(VirtualDevice):
 
     def _do(self, action: Callable[[], Any]) -> None:
         self.world.call(action)
+
+
+def _further(first: Specimen, number: int) -> Specimen:
+    """Return one that somebody else wears."""
+    return Specimen(
+        seed=first.seed + number,
+        drift_ppm=first.drift_ppm,
+        jitter_s=first.jitter_s,
+        kept=first.kept,
+    )

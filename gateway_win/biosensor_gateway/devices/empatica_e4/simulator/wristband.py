@@ -13,8 +13,8 @@ from biosensor_gateway.devices.empatica_e4.simulator.samples import Packet
 from biosensor_gateway.devices.empatica_e4.simulator.signals import Signals
 from biosensor_gateway.devices.empatica_e4.simulator.wall_clock import Stamps, WallClock
 from biosensor_gateway.simulation.crystal import Crystal
+from biosensor_gateway.simulation.specimen import Specimen
 from biosensor_gateway.simulation.truth import Truth
-from biosensor_gateway.simulation.wearer import Wearer
 
 Deliver = Callable[["Wristband", Packet], None]
 
@@ -26,7 +26,9 @@ class Wristband:
     ----------
     device_id
         Six hexadecimal digits.
-    wearer, timing, drift_ppm, seed
+    specimen
+        Who wears it, and what its crystal is like.
+    timing
     is_allowed
         It is registered to the owner of the server's key.
     truth
@@ -48,23 +50,21 @@ class Wristband:
     def __init__(
         self,
         device_id: str,
-        *,
-        wearer: Wearer,
+        specimen: Specimen,
         timing: Timing,
-        drift_ppm: float,
-        seed: int,
+        *,
         is_allowed: bool,
         truth: Truth,
         deliver: Deliver,
     ) -> None:
         self.device_id = device_id
-        self.signals = Signals(wearer)
+        self.signals = Signals(specimen.wearer)
         self.truth = truth
         self.is_allowed = is_allowed
         self.is_left_alone = False
         self._timing = timing
-        self._drift_ppm = drift_ppm
-        self._rng = np.random.default_rng((seed, 0xE4))
+        self._drift_ppm = specimen.drift_ppm
+        self._rng = np.random.default_rng((specimen.seed, 0xE4))
         self._deliver = deliver
         self._is_on = True
         self._is_lost = False

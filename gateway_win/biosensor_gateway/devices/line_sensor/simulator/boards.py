@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Unpack
 
 import numpy as np
 
@@ -28,8 +28,8 @@ from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, lasting
 from biosensor_gateway.simulation.expected import Expected, Gap, LossTolerance
 from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
-from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
 _DIGITS = 4
@@ -44,14 +44,8 @@ class SimulatedLineSensor(VirtualDevice):
     ----------
     world
         Where it lives.
-    wearer
-        Who wears it; somebody made from ``seed`` by default.
-    seed
-        Of delays and garbage.
-    drift_ppm, jitter_s
-        Of the crystal, and the link's longest delay; lines keep their order.
-    kept
-        Limit of `truth`; None = all.
+    **specimen
+        As for every virtual device: see `Specimen`. Lines keep their order.
     """
 
     sensor = NAME
@@ -69,21 +63,10 @@ class SimulatedLineSensor(VirtualDevice):
     )
     format_settings: ClassVar[Mapping[str, Any]] = MappingProxyType({"format": "csv"})
 
-    def __init__(
-        self,
-        world: World,
-        *,
-        wearer: Wearer | None = None,
-        seed: int = 0,
-        drift_ppm: float = 0.0,
-        jitter_s: float = 0.0,
-        kept: int | None = None,
-    ) -> None:
-        super().__init__(world, kept)
-        self._wearer = wearer or Wearer(seed)
-        self._rng = np.random.default_rng(seed)
-        self._crystal = Crystal(world.clock, drift_ppm)
-        self._jitter_s = jitter_s
+    def __init__(self, world: World, **specimen: Unpack[SpecimenOptions]) -> None:
+        super().__init__(world, **specimen)
+        self._rng = np.random.default_rng(self.specimen.seed)
+        self._crystal = Crystal(world.clock, self.specimen.drift_ppm)
         self._way: Way | None = None
         self._measuring: asyncio.Task[None] | None = None
         self._opening: asyncio.Task[None] | None = None
@@ -136,7 +119,7 @@ class SimulatedLineSensor(VirtualDevice):
         while True:
             device_s = count / EXAMPLE_RATE_HZ
             time_s = await self._crystal.reach(device_s)
-            due_s = max(due_s, time_s + self._jitter_s * self._rng.random())
+            due_s = max(due_s, time_s + self.specimen.jitter_s * self._rng.random())
             left_s = due_s - self.world.clock()
             if left_s > 0:
                 await asyncio.sleep(left_s)
@@ -145,8 +128,8 @@ class SimulatedLineSensor(VirtualDevice):
 
     def _look(self, count: int, device_s: float, time_s: float) -> Measured:
         times = np.array([time_s], np.float64)
-        acc = self._wearer.acceleration_g(times)[0].round(_DIGITS)
-        gsr = self._wearer.skin_conductance_us(times)[0].round(_DIGITS)
+        acc = self.specimen.wearer.acceleration_g(times)[0].round(_DIGITS)
+        gsr = self.specimen.wearer.skin_conductance_us(times)[0].round(_DIGITS)
         x, y, z = (float(each) for each in acc)
         return Measured(count, round(device_s * 1e6), (x, y, z), float(gsr))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Unpack
 
 from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
 from biosensor_gateway.devices.ble_heart_rate.simulator.strap import STRAP_EFFECTS, Strap
@@ -16,6 +16,7 @@ from biosensor_gateway.simulation.effects import Effect, lasting, on_part
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import Filled
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
@@ -39,22 +40,14 @@ class SimulatedMovesense(StrapDevice):
         Firmware of the first version of the protocol.
     deviation
         By which share the movement sensor is faster than it should be.
-    wearer
-        Who wears it; somebody made from ``seed`` by default.
-    seed
-        Of radio delays and garbage.
-    drift_ppm
-        Of its crystal.
-    jitter_s
-        Packets leave up to so much late.
     rssi_dbm
         How strongly it is heard.
     max_mtu
         The largest ATT MTU that it grants.
     demands_pairing
         Takes commands only of a host that has paired.
-    kept
-        Limit of the truth; None = all.
+    **specimen
+        As for every virtual device: see `Specimen`.
     """
 
     sensor = "movesense"
@@ -71,16 +64,12 @@ class SimulatedMovesense(StrapDevice):
         serial: str = "174630000192",
         is_old: bool = False,
         deviation: float = 0.02,
-        wearer: Wearer | None = None,
-        seed: int = 0,
-        drift_ppm: float = 0.0,
-        jitter_s: float = 0.0,
         rssi_dbm: int = -60,
         max_mtu: int = FULL_MTU,
         demands_pairing: bool = False,
-        kept: int | None = None,
+        **specimen: Unpack[SpecimenOptions],
     ) -> None:
-        super().__init__(world, kept)
+        super().__init__(world, **specimen)
         self._serial = serial
         peripheral = Peripheral(
             radio,
@@ -94,12 +83,8 @@ class SimulatedMovesense(StrapDevice):
         self._strap = Strap(
             peripheral,
             self.truth,
+            self.specimen,
             identity=Identity("Movesense", "Movesense HR2", serial, firmware="2.3.1"),
-            rssi_dbm=rssi_dbm,
-            wearer=wearer,
-            seed=seed,
-            drift_ppm=drift_ppm,
-            jitter_s=jitter_s,
             tells_contact=False,
         )
         self._service = SensorDataService(self._strap, serial, is_old=is_old, deviation=deviation)

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Coroutine, Iterable, Mapping
 from itertools import count
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import NamedTuple, Unpack
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from biosensor_gateway.devices.muse.simulator import athena_wire as wire
 from biosensor_gateway.devices.muse.simulator.expected import ATHENA
 from biosensor_gateway.devices.muse.simulator.headband import Headband
 from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import Filled
 from biosensor_gateway.simulation.wearer import Floats, Wearer
 from biosensor_gateway.simulation.world import World
@@ -83,26 +84,18 @@ class SimulatedAthena(Headband):
         *,
         address: str = "00:55:DA:B9:FA:20",
         serial: str = "7001-FA20-0001",
-        wearer: Wearer | None = None,
-        seed: int = 0,
-        drift_ppm: float = 0.0,
-        jitter_s: float = 0.0,
         rssi_dbm: int = -57,
         patience_s: float = 120.0,
-        kept: int | None = None,
+        **specimen: Unpack[SpecimenOptions],
     ) -> None:
         super().__init__(
             world,
             radio,
             address=address,
             serial=serial,
-            wearer=wearer,
-            seed=seed,
-            drift_ppm=drift_ppm,
-            jitter_s=jitter_s,
             rssi_dbm=rssi_dbm,
             patience_s=patience_s,
-            kept=kept,
+            **specimen,
         )
         self._offer(wire.DATA_UUIDS)
 

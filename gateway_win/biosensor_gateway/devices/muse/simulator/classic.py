@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Coroutine, Iterable, Mapping
 from itertools import count
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import NamedTuple, Unpack
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from biosensor_gateway.devices.muse.simulator import packets
 from biosensor_gateway.devices.muse.simulator.expected import CLASSIC
 from biosensor_gateway.devices.muse.simulator.headband import Headband
 from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import Filled
 from biosensor_gateway.simulation.wearer import Floats, Wearer
 from biosensor_gateway.simulation.world import World
@@ -74,26 +75,18 @@ class SimulatedMuse(Headband):
         address: str = "00:55:DA:B0:3A:1F",
         serial: str = "4021-3A1F-0001",
         motion_deviation: float = 0.0,
-        wearer: Wearer | None = None,
-        seed: int = 0,
-        drift_ppm: float = 0.0,
-        jitter_s: float = 0.0,
         rssi_dbm: int = -57,
         patience_s: float = 120.0,
-        kept: int | None = None,
+        **specimen: Unpack[SpecimenOptions],
     ) -> None:
         super().__init__(
             world,
             radio,
             address=address,
             serial=serial,
-            wearer=wearer,
-            seed=seed,
-            drift_ppm=drift_ppm,
-            jitter_s=jitter_s,
             rssi_dbm=rssi_dbm,
             patience_s=patience_s,
-            kept=kept,
+            **specimen,
         )
         self._motion_hz = _MOTION_HZ * (1 + motion_deviation)
         self._offer(

@@ -6,7 +6,7 @@ import asyncio
 from abc import abstractmethod
 from collections.abc import Coroutine, Iterable, Mapping
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Unpack
 
 import numpy as np
 from bumble.att import Attribute
@@ -22,8 +22,8 @@ from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.power import PowerSwitch
 from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
-from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
 _P = Characteristic.Properties
@@ -41,20 +41,12 @@ class Headband(VirtualDevice):
         Bluetooth address; its name is made of the last four digits.
     serial
         Its first digit tells the model.
-    wearer
-        Who wears it; somebody made from ``seed`` by default.
-    seed
-        Of radio delays and garbage.
-    drift_ppm
-        Of its crystal.
-    jitter_s
-        Packets leave up to so much late.
     rssi_dbm
         How strongly it is heard.
     patience_s
         It ends the stream when it has heard nothing for so long.
-    kept
-        Limit of the truth; None = all.
+    **specimen
+        As for every virtual device: see `Specimen`.
     """
 
     sensor = "muse"
@@ -74,25 +66,21 @@ class Headband(VirtualDevice):
         *,
         address: str,
         serial: str,
-        wearer: Wearer | None = None,
-        seed: int = 0,
-        drift_ppm: float = 0.0,
-        jitter_s: float = 0.0,
         rssi_dbm: int = -57,
         patience_s: float = 120.0,
-        kept: int | None = None,
+        **specimen: Unpack[SpecimenOptions],
     ) -> None:
-        super().__init__(world, kept)
+        super().__init__(world, **specimen)
         self._number = address.replace(":", "")[-4:]
         self._serial = serial
-        self._rng = np.random.default_rng(seed)
-        self._signals = Signals(wearer or Wearer(seed))
-        self._drift_ppm, self._jitter_s = drift_ppm, jitter_s
-        self._rssi_dbm, self._patience_s = rssi_dbm, patience_s
+        self._rng = np.random.default_rng(self.specimen.seed)
+        self._signals = Signals(self.specimen.wearer)
+        self._drift_ppm = self.specimen.drift_ppm
+        self._patience_s = patience_s
         self._percent, self._preset = 87.0, "p21"
         self._answer_delay_s = 0.0
         self._refuses = self._is_unreadable = False
-        self._crystal = Crystal(world.clock, drift_ppm)
+        self._crystal = Crystal(world.clock, self._drift_ppm)
         self._power = PowerSwitch(self._power_on, self._power_off)
         self._tasks: set[asyncio.Task[None]] = set()
         self._measuring: set[asyncio.Task[None]] = set()
@@ -188,7 +176,7 @@ class Headband(VirtualDevice):
 
     async def _leave(self, measured_s: float, before_s: float) -> float:
         """Wait for the radio, behind the packet before; return when the packet left."""
-        due_s = max(before_s, measured_s + self._rng.uniform(0, self._jitter_s))
+        due_s = max(before_s, measured_s + self._rng.uniform(0, self.specimen.jitter_s))
         await asyncio.sleep(max(0.0, due_s - self.world.clock()))
         return due_s
 
@@ -222,7 +210,7 @@ class Headband(VirtualDevice):
             task.cancel()
 
     def _note_signal(self) -> None:
-        self.truth.sent("rssi", [self.world.clock()], [(self._rssi_dbm,)])
+        self.truth.sent("rssi", [self.world.clock()], [(self._peripheral.rssi_dbm,)])
 
     async def _send_garbage(self, packets: int) -> None:
         for number in range(packets):

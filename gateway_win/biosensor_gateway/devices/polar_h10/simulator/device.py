@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import inf
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Unpack
 
 from bumble.att import Attribute
 from bumble.core import UUID
@@ -28,6 +28,7 @@ from biosensor_gateway.simulation.effects import Effect, lasting, on_part
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
@@ -64,21 +65,13 @@ class SimulatedPolarH10(StrapDevice):
     product
     quirks
         Firmware and circumstances.
-    wearer
-        Who wears it; somebody made from ``seed`` by default.
-    seed
-        Of radio delays and garbage.
-    drift_ppm
-        Of its crystal.
-    jitter_s
-        Packets leave up to so much late.
     off_body_drop_s
         So long after it left the skin it switches itself off, until it is put on again;
         a real one does after about 45 s.
     rssi_dbm
         How strongly it is heard.
-    kept
-        Limit of the truth; None = all.
+    **specimen
+        As for every virtual device: see `Specimen`.
     """
 
     sensor = "polar_h10"
@@ -96,15 +89,11 @@ class SimulatedPolarH10(StrapDevice):
         device_id: str = "",
         product: Product | None = None,
         quirks: Quirks | None = None,
-        wearer: Wearer | None = None,
-        seed: int = 0,
-        drift_ppm: float = 0.0,
-        jitter_s: float = 0.0,
         off_body_drop_s: float = inf,
         rssi_dbm: int = -58,
-        kept: int | None = None,
+        **specimen: Unpack[SpecimenOptions],
     ) -> None:
-        super().__init__(world, kept)
+        super().__init__(world, **specimen)
         quirks = quirks or Quirks()
         product = product or self.usual.product
         device_id = self._device_id = device_id or self.usual.device_id
@@ -114,13 +103,9 @@ class SimulatedPolarH10(StrapDevice):
         self._strap = Strap(
             _peripheral(radio, address or self.usual.address, name, rssi_dbm, quirks),
             self.truth,
+            self.specimen,
             identity=_identity(product, device_id),
-            rssi_dbm=rssi_dbm,
             location=product.body_location,
-            wearer=wearer,
-            seed=seed,
-            drift_ppm=drift_ppm,
-            jitter_s=jitter_s,
             tells_contact=product.tells_contact,
             sends_rr=product.sends_rr,
             off_body_drop_s=off_body_drop_s,

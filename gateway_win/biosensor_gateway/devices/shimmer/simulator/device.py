@@ -6,7 +6,7 @@ import sys
 from abc import abstractmethod
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Unpack
 
 import numpy as np
 
@@ -33,8 +33,8 @@ from biosensor_gateway.simulation.async_serial import AsyncSerialPort, serial_po
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, lasting
 from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
-from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
 _TX_QUEUE_BYTES = 256
@@ -55,19 +55,14 @@ class SimulatedShimmer(VirtualDevice):
         How the radio calls itself; the unit's own name has its last four characters.
     firmware
         Version of LogAndStream: 0.11.0, 0.16.11 or 1.1.2 for instance.
-    wearer, seed
-        Who wears it, by default a person from the seed; the seed also makes the
-        radio's delays and garbage.
-    drift_ppm, jitter_s
-        Of the crystal, and the radio's longest delay.
-    kept
-        Limit of `truth`; None = all.
     battery_percent
         Charge at power-on.
     first_tick
         Count of ticks at the first power-on; the data packets hold its low 24 bits.
     tcp
         A TCP server instead of a pseudo-terminal; by default where there is none.
+    **specimen
+        As for every virtual device: see `Specimen`.
     """
 
     memory: ClassVar[Memory]
@@ -80,30 +75,25 @@ class SimulatedShimmer(VirtualDevice):
         *,
         name: str | None = None,
         firmware: tuple[int, int, int] = (1, 1, 2),
-        wearer: Wearer | None = None,
-        seed: int = 0,
-        drift_ppm: float = 0.0,
-        jitter_s: float = 0.0,
-        kept: int | None = None,
         battery_percent: float = 80.0,
         first_tick: int = 0,
         tcp: bool = sys.platform == "win32",
+        **specimen: Unpack[SpecimenOptions],
     ) -> None:
-        super().__init__(world, kept)
+        super().__init__(world, **specimen)
         self.name = name or self.usual_name
-        self.wearer = wearer or Wearer(seed)
+        self.wearer = self.specimen.wearer
         self.firmware = Firmware(*firmware)
         self._flash = self._new_flash(f"Shimmer_{self.name[-4:]}")
         self._interpreter = Interpreter(self.firmware, self._flash, self, self.memory)
         self._conversation = Conversation(
             self.firmware, self._interpreter, self._write, self._obeyed
         )
-        self._rng = np.random.default_rng(seed)
-        self._jitter_s = jitter_s
+        self._rng = np.random.default_rng(self.specimen.seed)
         self._battery_percent = battery_percent
         self._first_tick = first_tick
         self._tcp = tcp
-        self._crystal = Crystal(world.clock, drift_ppm)
+        self._crystal = Crystal(world.clock, self.specimen.drift_ppm)
         self._started_s = self.world.clock()
         self._port: AsyncSerialPort | None = None
         self._notes = Notes(self.truth)
@@ -209,7 +199,7 @@ class SimulatedShimmer(VirtualDevice):
             self._crystal,
             self._first_tick,
             self._rng,
-            self._jitter_s,
+            self.specimen.jitter_s,
             self.memory.model,
         )
 

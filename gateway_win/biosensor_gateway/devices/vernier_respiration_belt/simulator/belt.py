@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Coroutine, Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from bumble.att import Attribute
@@ -26,6 +26,7 @@ from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.power import PowerSwitch
 from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
@@ -53,22 +54,14 @@ class SimulatedBelt(VirtualDevice):
         Bluetooth address.
     serial
         Eight characters, part of the advertised name.
-    wearer
-        Who wears it; somebody made from ``seed`` by default.
-    seed
-        Of radio delays and garbage.
-    drift_ppm
-        Of its crystal.
-    jitter_s
-        Packets leave up to so much late.
     warm_up_s
         The belt knows no respiration rate for so long after every start.
     rssi_dbm
         How strongly it is heard.
     max_mtu
         The largest ATT MTU that it grants.
-    kept
-        Limit of the truth; None = all.
+    **specimen
+        As for every virtual device: see `Specimen`.
     """
 
     sensor = "vernier_respiration_belt"
@@ -83,25 +76,19 @@ class SimulatedBelt(VirtualDevice):
         *,
         address: str = "E0:F5:BD:94:6A:1B",
         serial: str = "0K2002Z5",
-        wearer: Wearer | None = None,
-        seed: int = 0,
-        drift_ppm: float = 0.0,
-        jitter_s: float = 0.0,
         warm_up_s: float = RATE_WARM_UP_S,
         rssi_dbm: int = -62,
         max_mtu: int = 158,
-        kept: int | None = None,
+        **specimen: Unpack[SpecimenOptions],
     ) -> None:
-        super().__init__(world, kept)
+        super().__init__(world, **specimen)
         self._serial = serial
         self._firmware = BeltFirmware(_ORDER_CODE, serial)
-        self._signals = Signals(wearer or Wearer(seed), warm_up_s, world.clock)
-        self._rng = np.random.default_rng(seed)
-        self._drift_ppm = drift_ppm
-        self._jitter_s = jitter_s
-        self._rssi_dbm = rssi_dbm
+        self._signals = Signals(self.specimen.wearer, warm_up_s, world.clock)
+        self._rng = np.random.default_rng(self.specimen.seed)
+        self._drift_ppm = self.specimen.drift_ppm
         self._answer_delay_s = 0.0
-        self._crystal = Crystal(world.clock, drift_ppm)
+        self._crystal = Crystal(world.clock, self._drift_ppm)
         self._power = PowerSwitch(self._power_on, self._power_off)
         self._tasks: set[asyncio.Task[None]] = set()
         self._measuring: asyncio.Task[None] | None = None
@@ -178,8 +165,8 @@ class SimulatedBelt(VirtualDevice):
             device_times = begin_s + (first + np.arange(count)) * period_s
             await self._crystal.reach(float(device_times[-1]))
             times = np.array([self._crystal.true_time(float(time)) for time in device_times])
-            if self._jitter_s:
-                await asyncio.sleep(self._rng.uniform(0, self._jitter_s))
+            if self.specimen.jitter_s:
+                await asyncio.sleep(self._rng.uniform(0, self.specimen.jitter_s))
             rows = self._signals.rows(times, started_s)
             mask = self._firmware.mask
             if not mask:
@@ -211,7 +198,7 @@ class SimulatedBelt(VirtualDevice):
         self._peripheral.restore()
 
     def _note_signal(self) -> None:
-        self.truth.sent("rssi", [self.world.clock()], [(self._rssi_dbm,)])
+        self.truth.sent("rssi", [self.world.clock()], [(self._peripheral.rssi_dbm,)])
 
     def _lose_host(self) -> None:
         self._stop_measuring()

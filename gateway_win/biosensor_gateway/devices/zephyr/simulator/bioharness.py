@@ -11,7 +11,7 @@ import sys
 from collections.abc import Mapping
 from math import isfinite
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from biosensor_gateway.devices.zephyr.simulator.wire import Packet, with_wrong_c
 from biosensor_gateway.simulation.async_serial import AsyncSerialPort, serial_port
 from biosensor_gateway.simulation.effects import Effect, lasting
 from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
 
@@ -41,14 +42,12 @@ class BioHarness(VirtualDevice):
         Of its packets.
     session
         How it converses; as new firmware does by default.
-    seed
-        Of garbage.
-    kept
-        Limit of `truth`; None = all.
     buffer_bytes
         What the radio keeps for a host that does not read.
     tcp
         A TCP server instead of a pseudo-terminal; by default where there is none.
+    **specimen
+        As for every virtual device: see `Specimen`. Wearer, drift and jitter are the source's.
 
     Attributes
     ----------
@@ -64,15 +63,14 @@ class BioHarness(VirtualDevice):
         source: Source,
         session: Session | None = None,
         *,
-        seed: int = 0,
-        kept: int | None = None,
         buffer_bytes: int = _BUFFER_BYTES,
         tcp: bool = sys.platform == "win32",
+        **specimen: Unpack[SpecimenOptions],
     ) -> None:
-        super().__init__(world, kept)
+        super().__init__(world, **specimen)
         self.source = source
         self.session = session or Session()
-        self._rng = np.random.default_rng(seed)
+        self._rng = np.random.default_rng(self.specimen.seed)
         self._buffer_bytes = buffer_bytes
         self._tcp = tcp
         self._port: AsyncSerialPort | None = None

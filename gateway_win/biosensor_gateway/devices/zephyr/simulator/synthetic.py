@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 from datetime import date
 from types import MappingProxyType
+from typing import Unpack
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from biosensor_gateway.devices.zephyr.simulator.wire import (
     duration_ms,
 )
 from biosensor_gateway.simulation.crystal import Crystal
-from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.simulation.specimen import Specimen, SpecimenOptions
 from biosensor_gateway.system.clock import Clock
 
 DEFAULT_CLOCK = DeviceStamp(date(2026, 1, 30), 36_000_000)
@@ -40,22 +41,15 @@ class SyntheticSource:
 
     Parameters
     ----------
-    seed
-        Of the delays of packets and the jitter of their stamps.
-    wearer
-        Who wears it; somebody made from ``seed`` by default.
     clock_start
         Reading of the device's clock at power-on.
-    drift_ppm
-        How much too fast the device's crystal runs.
-    jitter_s
-        Packets leave up to so much later than they are complete (one-sided).
     speed
         Device seconds in a second.
     hrv_after_s
         HRV is invalid until so long after power-on [device s].
-    worn, battery_percent
-        State at power-on.
+    **specimen
+        As for every virtual device: see `Specimen`. The jitter of the stamps comes from the
+        seed, too.
 
     Attributes
     ----------
@@ -65,26 +59,22 @@ class SyntheticSource:
 
     def __init__(
         self,
-        seed: int = 0,
         *,
-        wearer: Wearer | None = None,
         clock_start: DeviceStamp = DEFAULT_CLOCK,
-        drift_ppm: float = 0.0,
-        jitter_s: float = 0.0,
         speed: float = 1.0,
         hrv_after_s: float = 300.0,
-        worn: bool = True,
-        battery_percent: int = 80,
+        **specimen: Unpack[SpecimenOptions],
     ) -> None:
-        self.battery_percent = battery_percent
-        self._seed = seed
-        self._inputs = Inputs(wearer or Wearer(seed))
+        own = Specimen(**specimen)
+        self.battery_percent = 80
+        self._seed = own.seed
+        self._inputs = Inputs(own.wearer)
         self._clock = clock_start
         self._speed = speed
-        self._drift_ppm = drift_ppm
-        self._jitter_ms = 1000 * jitter_s
+        self._drift_ppm = own.drift_ppm
+        self._jitter_ms = 1000 * own.jitter_s
         self._hrv_after_s = hrv_after_s
-        self._worn = worn
+        self._worn = True
         self._begin_measuring()
 
     @property

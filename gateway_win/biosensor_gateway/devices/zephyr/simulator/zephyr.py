@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import MappingProxyType
+from typing import Unpack
 
 from biosensor_gateway.devices.zephyr.simulator.bioharness import BioHarness
 from biosensor_gateway.devices.zephyr.simulator.expected import EXPECTED
@@ -12,7 +13,7 @@ from biosensor_gateway.devices.zephyr.simulator.synthetic import SyntheticSource
 from biosensor_gateway.devices.zephyr.simulator.wire import REQUESTS
 from biosensor_gateway.simulation.effects import Effect, lasting
 from biosensor_gateway.simulation.faults import FaultKind
-from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.world import World
 
 
@@ -25,30 +26,15 @@ class SimulatedZephyr(BioHarness):
     ----------
     world
         Where it lives.
-    wearer
-        Who wears it; somebody made from ``seed`` by default.
-    seed
-        Of delays and garbage.
-    drift_ppm, jitter_s
-        Of the crystal, and the radio's longest delay.
-    kept
-        Limit of `truth`; None = all.
+    **specimen
+        As for every virtual device: see `Specimen`.
     """
 
     expected = EXPECTED
 
-    def __init__(
-        self,
-        world: World,
-        *,
-        wearer: Wearer | None = None,
-        seed: int = 0,
-        drift_ppm: float = 0.0,
-        jitter_s: float = 0.0,
-        kept: int | None = None,
-    ) -> None:
-        self._body = SyntheticSource(seed, wearer=wearer, drift_ppm=drift_ppm, jitter_s=jitter_s)
-        super().__init__(world, self._body, seed=seed, kept=kept)
+    def __init__(self, world: World, **specimen: Unpack[SpecimenOptions]) -> None:
+        self._body = SyntheticSource(**specimen)
+        super().__init__(world, self._body, **specimen)
         self._notes = Notes(self.truth)
 
     def _note(self, frame: Outgoing, *, sent: bool) -> None:
