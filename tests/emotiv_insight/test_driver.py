@@ -22,6 +22,7 @@ from biosensor_gateway.devices.emotiv_insight.simulator import (
     Release,
     SimulatedCortex,
     Timing,
+    User,
 )
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
@@ -146,7 +147,10 @@ async def test_other_versions(
 async def test_licences(world: World, kept: Kept, eventually: Eventually, licence: Licence) -> None:
     with (
         SimulatedCortex(
-            world, Circumstances(licence=licence, unlicensed_metrics_s=0.5), timing=QUICK, seed=5
+            world,
+            Circumstances(user=User(licence=licence), unlicensed_metrics_s=0.5),
+            timing=QUICK,
+            seed=5,
         ) as cortex,
         capture_logs() as logs,
     ):
@@ -163,7 +167,7 @@ async def test_licences(world: World, kept: Kept, eventually: Eventually, licenc
 async def test_a_counted_licence_is_drawn_from_once(
     world: World, kept: Kept, eventually: Eventually
 ) -> None:
-    with SimulatedCortex(world, Circumstances(session_quota=12), timing=QUICK) as cortex:
+    with SimulatedCortex(world, Circumstances(user=User(session_quota=12)), timing=QUICK) as cortex:
         async with kept(cortex) as run:
             for connections in (1, 2):
                 await eventually(run.sink.has(10 * connections, "eeg"))
@@ -327,7 +331,7 @@ async def test_the_user_logs_in_and_approves(
     world: World, kept: Kept, eventually: Eventually
 ) -> None:
     with SimulatedCortex(
-        world, Circumstances(logged_in=False, approved=False), timing=QUICK
+        world, Circumstances(user=User(logged_in=False, approved=False)), timing=QUICK
     ) as cortex:
         async with kept(cortex) as run:
             await eventually(lambda: "getUserLogin" in cortex.calls)

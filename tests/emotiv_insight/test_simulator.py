@@ -18,6 +18,7 @@ from biosensor_gateway.devices.emotiv_insight.simulator import (
     Release,
     SimulatedCortex,
     Timing,
+    User,
 )
 from biosensor_gateway.simulation.world import World
 from tests.rigs.cortex_client import CortexClient, CortexError
@@ -103,7 +104,10 @@ async def test_the_way_from_the_first_request_to_data(world: World) -> None:
 
 async def test_replies_have_the_shape_of_the_vectors(world: World) -> None:
     with SimulatedCortex(
-        world, Circumstances(release=Release("3.8.1"), other_os_user=True), model=INSIGHT_2, seed=2
+        world,
+        Circumstances(release=Release("3.8.1"), user=User(other_os_user=True)),
+        model=INSIGHT_2,
+        seed=2,
     ) as cortex:
         async with CortexClient(cortex.settings) as client:
             replies = {
@@ -137,7 +141,7 @@ async def test_warnings_have_the_shape_of_the_vectors(
 
 @pytest.mark.parametrize(("decide", "code"), [("approve", 9), ("reject", 10)])
 async def test_an_app_waits_for_the_users_decision(world: World, decide: str, code: int) -> None:
-    with SimulatedCortex(world, Circumstances(approved=False)) as cortex:
+    with SimulatedCortex(world, Circumstances(user=User(approved=False))) as cortex:
         async with CortexClient(cortex.settings) as client:
             assert not (await client.ask("hasAccessRight", **CREDENTIALS))["accessGranted"]
             assert not (await client.ask("requestAccess", **CREDENTIALS))["accessGranted"]
@@ -156,7 +160,7 @@ def test_the_credentials_are_offered_as_environment(world: World) -> None:
 
 
 async def test_nothing_goes_without_a_login(world: World) -> None:
-    with SimulatedCortex(world, Circumstances(logged_in=False)) as cortex:
+    with SimulatedCortex(world, Circumstances(user=User(logged_in=False))) as cortex:
         async with CortexClient(cortex.settings) as client:
             assert await client.ask("getUserLogin") == []
             assert await refusal(client, "authorize", **CREDENTIALS) == -32033
@@ -230,7 +234,7 @@ async def test_an_expired_token_stops_requests_but_no_stream(world: World) -> No
 async def test_a_licence_decides_about_eeg(
     world: World, licence: Licence, active: int | None, has_eeg: bool
 ) -> None:
-    with SimulatedCortex(world, Circumstances(licence=licence)) as cortex:
+    with SimulatedCortex(world, Circumstances(user=User(licence=licence))) as cortex:
         async with CortexClient(cortex.settings) as client:
             token = await client.authorize(*APP)
             info = await client.ask("getLicenseInfo", cortexToken=token)
@@ -254,7 +258,7 @@ async def test_a_licence_decides_about_eeg(
 
 
 async def test_a_counted_licence_gives_the_sessions_that_were_debited(world: World) -> None:
-    with SimulatedCortex(world, Circumstances(session_quota=3)) as cortex:
+    with SimulatedCortex(world, Circumstances(user=User(session_quota=3))) as cortex:
         async with CortexClient(cortex.settings) as client:
             token = await client.authorize(*APP)
             await client.connect_headset()

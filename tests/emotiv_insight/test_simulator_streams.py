@@ -23,6 +23,7 @@ from biosensor_gateway.devices.emotiv_insight.simulator import (
     Release,
     SimulatedCortex,
     Timing,
+    User,
 )
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
@@ -205,7 +206,7 @@ async def test_messages_are_built_like_the_vectors(world: World, model: Model, v
 
 async def test_without_licence_the_metrics_come_rarely(world: World) -> None:
     with SimulatedCortex(
-        world, Circumstances(licence=Licence.EEG, unlicensed_metrics_s=1.5)
+        world, Circumstances(user=User(licence=Licence.EEG), unlicensed_metrics_s=1.5)
     ) as cortex:
         async with CortexClient(cortex.settings) as client:
             await client.begin(*APP, "met")

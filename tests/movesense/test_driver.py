@@ -13,6 +13,7 @@ from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.movesense.declaration import SPEC
 from biosensor_gateway.devices.movesense.driver.protocol import COMMAND
+from biosensor_gateway.devices.movesense.simulator import Firmware
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.transports.ble import BleLink
 from tests.rigs.bluetooth import ON_BUMBLE
@@ -91,7 +92,7 @@ async def test_rates_and_streams_are_those_of_the_settings(
 async def test_packets_of_any_number_of_parts_are_put_together(
     sensor: MakeSensor, max_mtu: int
 ) -> None:
-    movesense = sensor(max_mtu=max_mtu)
+    movesense = sensor(firmware=Firmware(max_mtu=max_mtu))
     async with streaming(movesense, mag=True, imu_rate_hz=104) as run:
         await until(run.sink.has(200, "acc", "ecg"))
         assert {run.sink.lost_count(stream.data_name) for stream in SPEC.streams} == {0}
@@ -112,7 +113,7 @@ async def test_it_is_known_by_what_it_says_of_itself(sensor: MakeSensor) -> None
 async def test_firmware_that_answers_no_subscription_is_read_all_the_same(
     sensor: MakeSensor,
 ) -> None:
-    movesense = sensor(is_old=True)
+    movesense = sensor(firmware=Firmware(is_old=True))
     async with streaming(movesense) as run:
         await until(run.sink.has(2, "hr", "ibi", "temp"))
         await until(run.sink.has(100, "ecg", "acc"))
@@ -192,5 +193,6 @@ async def test_what_a_gap_cost_is_counted_when_the_sensor_stayed_on(sensor: Make
 
 @ON_BUMBLE
 async def test_pairing_is_done_where_the_settings_ask(sensor: MakeSensor) -> None:
-    async with streaming(sensor(demands_pairing=True), pair=True) as run:
+    movesense = sensor(firmware=Firmware(demands_pairing=True))
+    async with streaming(movesense, pair=True) as run:
         await until(run.sink.has(50, "ecg"))

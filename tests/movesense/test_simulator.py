@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from biosensor_gateway.devices.movesense.simulator import Firmware
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.gatt_host import GattHost, advertised, connection
 from tests.rigs.polling import until
@@ -59,7 +60,7 @@ async def test_its_packets_are_as_long_as_those_of_a_real_one(sensor: MakeSensor
 
 
 async def test_it_has_room_for_four_subscriptions(sensor: MakeSensor) -> None:
-    sensor(is_old=True)
+    sensor(firmware=Firmware(is_old=True))
     async with connection(NAME) as host:
         await host.subscribe(DATA)
         for reference, path in enumerate((b"Acc/13", b"Gyro/13", b"Magn/13", b"Temp", b"HR"), 1):

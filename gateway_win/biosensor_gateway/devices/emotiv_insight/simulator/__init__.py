@@ -1,6 +1,6 @@
 """A virtual Cortex service with one headset: JSON-RPC over a TLS WebSocket."""
 
-from biosensor_gateway.devices.emotiv_insight.simulator.account import App, Licence
+from biosensor_gateway.devices.emotiv_insight.simulator.account import App, Licence, User
 from biosensor_gateway.devices.emotiv_insight.simulator.certificates import Leaf
 from biosensor_gateway.devices.emotiv_insight.simulator.circumstances import Circumstances
 from biosensor_gateway.devices.emotiv_insight.simulator.cortex import SimulatedCortex
@@ -28,4 +28,5 @@ __all__ = [
     "Release",
     "SimulatedCortex",
     "Timing",
+    "User",
 ]

@@ -36,6 +36,32 @@ class App(NamedTuple):
     client_secret: str
 
 
+@dataclass(frozen=True)
+class User:
+    """A user of Cortex: what they have done, and what they are licensed for.
+
+    Attributes
+    ----------
+    approved
+        They have let the registered app in.
+    logged_in, other_os_user
+        Whether they are logged in, and whether as another user of this machine.
+    eula_accepted
+        False: every authorization carries a warning.
+    licence
+        What the licence covers.
+    session_quota
+        Sessions left in the cloud on a counted licence; None = not counted.
+    """
+
+    approved: bool = True
+    logged_in: bool = True
+    other_os_user: bool = False
+    eula_accepted: bool = True
+    licence: Licence = Licence.EEG | Licence.METRICS
+    session_quota: int | None = None
+
+
 @dataclass(slots=True)
 class _Token:
     client_id: str
@@ -51,37 +77,21 @@ class Account:
         Secrets of the registered apps by client id.
     approved
         Client ids of those that the user let in.
-    logged_in, other_os_user
-        Whether somebody is logged in, and whether that is another user of this machine.
-    eula_accepted
-        False: every authorization carries a warning.
-    licence
-        What the licence covers.
-    session_quota
-        Sessions left in the cloud on a counted licence; None = not counted.
+    user
+        Whose account it is, as they are at first.
     seed
         Of the tokens.
     """
 
     def __init__(
-        self,
-        apps: Mapping[str, str],
-        approved: set[str],
-        *,
-        logged_in: bool,
-        other_os_user: bool,
-        eula_accepted: bool,
-        licence: Licence,
-        session_quota: int | None,
-        seed: int,
+        self, apps: Mapping[str, str], approved: set[str], user: User, *, seed: int
     ) -> None:
         self.approved = approved
-        self.is_logged_in = logged_in
-        self.licence = licence
+        self.is_logged_in = user.logged_in
+        self.licence = user.licence
         self._apps = apps
-        self._other_os_user = other_os_user
-        self._eula_accepted = eula_accepted
-        self._cloud_quota = session_quota
+        self._user = user
+        self._cloud_quota = user.session_quota
         self._local_quota = 0
         self._tokens: dict[str, _Token] = {}
         self._rng = np.random.default_rng((seed, 0xC0))
@@ -90,13 +100,14 @@ class Account:
         """Return who is logged in: nobody or one."""
         if not self.is_logged_in:
             return []
+        is_other = self._user.other_os_user
         return [
             {
                 "currentOSUId": "1000",
                 "currentOSUsername": "participant",
                 "lastLoginTime": "2026-01-05T03:00:00.000+01:00",
-                "loggedInOSUId": "1001" if self._other_os_user else "1000",
-                "loggedInOSUsername": "somebody" if self._other_os_user else "participant",
+                "loggedInOSUId": "1001" if is_other else "1000",
+                "loggedInOSUsername": "somebody" if is_other else "participant",
                 "username": USER,
             }
         ]
@@ -125,7 +136,7 @@ class Account:
         token = ".".join(self._rng.bytes(12).hex() for _ in range(3))
         self._tokens[token] = _Token(client_id)
         reply: dict[str, Any] = {"cortexToken": token}
-        if not self._eula_accepted:
+        if not self._user.eula_accepted:
             reply["warning"] = {"code": 6, "message": "The licence agreement is not accepted."}
         return reply
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from biosensor_gateway.devices.emotiv_insight.simulator.account import App, Licence
+from biosensor_gateway.devices.emotiv_insight.simulator.account import App, User
 from biosensor_gateway.devices.emotiv_insight.simulator.certificates import Leaf
 from biosensor_gateway.devices.emotiv_insight.simulator.errors import Code
 from biosensor_gateway.devices.emotiv_insight.simulator.release import Release
@@ -17,7 +17,7 @@ _SUBSCRIPTION_DELAY_S = 0.3
 
 @dataclass(frozen=True)
 class Circumstances:
-    """Its version, what its user has done and is licensed for, its computer, and its manners.
+    """Its version, its user, its computer, and its manners.
 
     Attributes
     ----------
@@ -27,10 +27,8 @@ class Circumstances:
         The registered app.
     other_apps
         Secrets of further apps by client id; the user has approved them.
-    approved, logged_in, other_os_user, eula_accepted
-        What the user has done.
-    licence, session_quota
-        What it covers, and for a counted one how many sessions are left.
+    user
+        As they are at first.
     unlicensed_metrics_s
         Between two samples of ``met`` where the licence does not cover it [s].
     bluetooth_permitted
@@ -50,12 +48,7 @@ class Circumstances:
     release: Release = RELEASE
     app: App = APP
     other_apps: Mapping[str, str] = field(default_factory=dict[str, str])
-    approved: bool = True
-    logged_in: bool = True
-    other_os_user: bool = False
-    eula_accepted: bool = True
-    licence: Licence = Licence.EEG | Licence.METRICS
-    session_quota: int | None = None
+    user: User = field(default_factory=User)
     unlicensed_metrics_s: float = 10.0
     bluetooth_permitted: bool = True
     neighbours: tuple[str, ...] = ()
@@ -73,7 +66,7 @@ class Circumstances:
     @property
     def approved_apps(self) -> set[str]:
         """Client ids of the apps that the user has approved."""
-        return {*self.other_apps, *([self.app.client_id] if self.approved else [])}
+        return {*self.other_apps, *([self.app.client_id] if self.user.approved else [])}
 
     @property
     def delays_s(self) -> dict[str, float]:

@@ -74,7 +74,12 @@ class Service:
         self._tasks: list[asyncio.Task[None]] = []
         self._starting: asyncio.TimerHandle | None = None
         self.mishaps = Mishaps()
-        self.account = self._make_account()
+        self.account = Account(
+            self._around.secrets,
+            self._around.approved_apps,
+            self._around.user,
+            seed=setup.specimen.seed,
+        )
         self.sessions = Sessions(self._warn_one, setup.specimen.seed)
         self.headset = Headset(
             setup.headset_id,
@@ -216,19 +221,6 @@ class Service:
     def step_clock(self, seconds: float) -> None:
         """Set the clock of Cortex forward or back."""
         self._unix_begin_s += seconds
-
-    def _make_account(self) -> Account:
-        around = self._around
-        return Account(
-            around.secrets,
-            around.approved_apps,
-            logged_in=around.logged_in,
-            other_os_user=around.other_os_user,
-            eula_accepted=around.eula_accepted,
-            licence=around.licence,
-            session_quota=around.session_quota,
-            seed=self._setup.specimen.seed,
-        )
 
     def _make_streams(self) -> dict[str, Stream]:
         setup = self._setup

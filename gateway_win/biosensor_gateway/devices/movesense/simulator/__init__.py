@@ -1,5 +1,5 @@
 """Virtual Movesense sensors."""
 
-from biosensor_gateway.devices.movesense.simulator.device import SimulatedMovesense
+from biosensor_gateway.devices.movesense.simulator.device import Firmware, SimulatedMovesense
 
-__all__ = ["SimulatedMovesense"]
+__all__ = ["Firmware", "SimulatedMovesense"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Unpack
 
@@ -25,6 +26,25 @@ from biosensor_gateway.simulation.world import World
 _ADVERTISED = ("180d", "fdf3")
 
 
+@dataclass(frozen=True)
+class Firmware:
+    """A build of the firmware.
+
+    Attributes
+    ----------
+    is_old
+        Of the first version of the protocol.
+    max_mtu
+        The largest ATT MTU that it grants.
+    demands_pairing
+        It takes commands only of a host that has paired.
+    """
+
+    is_old: bool = False
+    max_mtu: int = FULL_MTU
+    demands_pairing: bool = False
+
+
 class SimulatedMovesense(StrapDevice):
     """A sensor with the services of a strap and the GATT SensorData Protocol.
 
@@ -36,16 +56,12 @@ class SimulatedMovesense(StrapDevice):
         Bluetooth address.
     serial
         Twelve digits, as engraved.
-    is_old
-        Firmware of the first version of the protocol.
+    firmware
+        What it runs; a new one by default.
     deviation
         By which share the movement sensor is faster than it should be.
     rssi_dbm
         How strongly it is heard.
-    max_mtu
-        The largest ATT MTU that it grants.
-    demands_pairing
-        Takes commands only of a host that has paired.
     **specimen
         As for every virtual device: see `Specimen`.
     """
@@ -62,24 +78,23 @@ class SimulatedMovesense(StrapDevice):
         *,
         address: str = "0C:8C:DC:10:F7:D3",
         serial: str = "174630000192",
-        is_old: bool = False,
+        firmware: Firmware | None = None,
         deviation: float = 0.02,
         rssi_dbm: int = -60,
-        max_mtu: int = FULL_MTU,
-        demands_pairing: bool = False,
         **specimen: Unpack[SpecimenOptions],
     ) -> None:
         super().__init__(world, **specimen)
         self._serial = serial
+        firmware = firmware or Firmware()
         peripheral = Peripheral(
             radio,
             address,
             f"Movesense {serial}",
             service_uuids=_ADVERTISED,
             rssi_dbm=rssi_dbm,
-            max_mtu=max_mtu,
+            max_mtu=firmware.max_mtu,
         )
-        peripheral.demand_pairing = demands_pairing
+        peripheral.demand_pairing = firmware.demands_pairing
         self._strap = Strap(
             peripheral,
             self.truth,
@@ -87,7 +102,9 @@ class SimulatedMovesense(StrapDevice):
             identity=Identity("Movesense", "Movesense HR2", serial, firmware="2.3.1"),
             tells_contact=False,
         )
-        self._service = SensorDataService(self._strap, serial, is_old=is_old, deviation=deviation)
+        self._service = SensorDataService(
+            self._strap, serial, is_old=firmware.is_old, deviation=deviation
+        )
 
     @classmethod
     def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
