@@ -19,7 +19,7 @@ import pytest
 from keyring.backends import fail
 
 from biosensor_common.doctor.finding import Level
-from biosensor_gateway.devices.emotiv_insight.simulator import Licence, SimulatedCortex
+from biosensor_gateway.devices.emotiv_insight.simulator import Licence
 from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4
 from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.doctor import device_kinds
@@ -30,6 +30,7 @@ from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.transports import ble_pairing
 from tests.doctor.conftest import E4, POLAR, ZEPHYR, above_ok, only
+from tests.emotiv_insight.steering import SteeredCortex
 
 if TYPE_CHECKING:
     from tests.doctor.conftest import Examine
@@ -187,7 +188,7 @@ def test_an_e4_server_that_runs_and_one_that_does_not(
 def test_cortex_with_its_certificate_and_without(
     examine: Examine, configured: Configured, world: World
 ) -> None:
-    with SimulatedCortex(world) as cortex:
+    with SteeredCortex(world) as cortex:
         url, ca_file = cortex.settings["url"], cortex.settings["ca_file"]
         good = examine(configured(CORTEX.format(url, ca_file)), "services")
         untrusted = examine(configured(CORTEX.format(url, "")), "services")
@@ -217,8 +218,8 @@ def test_secrets_of_services(
 
 
 @pytest.fixture
-def cortex(world: World, monkeypatch: pytest.MonkeyPatch) -> Generator[SimulatedCortex]:
-    with SimulatedCortex(world) as service:
+def cortex(world: World, monkeypatch: pytest.MonkeyPatch) -> Generator[SteeredCortex]:
+    with SteeredCortex(world) as service:
         for variable, secret in service.environment.items():
             monkeypatch.setenv(variable, secret)
         yield service
@@ -236,7 +237,7 @@ def cortex(world: World, monkeypatch: pytest.MonkeyPatch) -> Generator[Simulated
 def test_what_a_licence_does_not_cover_is_named(
     examine: Examine,
     configured: Configured,
-    cortex: SimulatedCortex,
+    cortex: SteeredCortex,
     licence: Licence,
     streams: list[str],
 ) -> None:
@@ -251,7 +252,7 @@ def test_what_a_licence_does_not_cover_is_named(
 
 
 def test_who_is_not_logged_in_is_an_error_and_who_cannot_be_asked_a_note(
-    examine: Examine, configured: Configured, cortex: SimulatedCortex, free_port: int
+    examine: Examine, configured: Configured, cortex: SteeredCortex, free_port: int
 ) -> None:
     url, ca_file = cortex.settings["url"], cortex.settings["ca_file"]
     cortex.log_out()

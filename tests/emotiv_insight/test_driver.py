@@ -20,12 +20,12 @@ from biosensor_gateway.devices.emotiv_insight.simulator import (
     Licence,
     Metrics,
     Release,
-    SimulatedCortex,
     Timing,
     User,
 )
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
+from tests.emotiv_insight.steering import SteeredCortex
 from tests.rigs.driver_run import supervised
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def kept(make_run: Callable[..., InsightRun], hasty: None, monkeypatch: pytest.M
     """Keep a driver connected to a virtual Cortex until the block ends."""
 
     @contextlib.asynccontextmanager
-    async def run(cortex: SimulatedCortex, **settings: Any) -> AsyncGenerator[InsightRun]:
+    async def run(cortex: SteeredCortex, **settings: Any) -> AsyncGenerator[InsightRun]:
         for variable, text in cortex.environment.items():
             monkeypatch.setenv(variable, text)
         async with supervised(make_run(**{**cortex.settings, **settings})) as made:
@@ -58,7 +58,7 @@ def kept(make_run: Callable[..., InsightRun], hasty: None, monkeypatch: pytest.M
     return run
 
 
-def assert_true(run: InsightRun, cortex: SimulatedCortex, *data_names: str) -> None:
+def assert_true(run: InsightRun, cortex: SteeredCortex, *data_names: str) -> None:
     """All that arrived was sent, in this order and once; what is missing was counted."""
     for name in data_names:
         sent = cortex.truth.samples(name).values
@@ -75,7 +75,7 @@ def assert_true(run: InsightRun, cortex: SimulatedCortex, *data_names: str) -> N
 async def test_every_stream_fills_with_what_was_measured(
     world: World, kept: Kept, eventually: Eventually
 ) -> None:
-    with SimulatedCortex(world, timing=QUICK, seed=1) as cortex:
+    with SteeredCortex(world, timing=QUICK, seed=1) as cortex:
         async with kept(cortex) as run:
             await eventually(run.sink.has(3, *ALL))
         assert_true(run, cortex, *ALL)
@@ -90,7 +90,7 @@ async def test_every_stream_fills_with_what_was_measured(
 async def test_stamps_are_those_of_the_measurement(
     world: World, kept: Kept, eventually: Eventually
 ) -> None:
-    with SimulatedCortex(world, timing=QUICK, seed=2, drift_ppm=100, jitter_s=0.02) as cortex:
+    with SteeredCortex(world, timing=QUICK, seed=2, drift_ppm=100, jitter_s=0.02) as cortex:
         async with kept(cortex) as run:
             await eventually(run.sink.has(500, "eeg"))
         truth = cortex.truth.samples("eeg")
@@ -105,7 +105,7 @@ async def test_stamps_are_those_of_the_measurement(
 async def test_other_insights(
     world: World, kept: Kept, eventually: Eventually, model: Any, rate: float
 ) -> None:
-    with SimulatedCortex(world, model=model, timing=QUICK, seed=3) as cortex:
+    with SteeredCortex(world, model=model, timing=QUICK, seed=3) as cortex:
         async with kept(cortex) as run:
             await eventually(run.sink.has(20, "eeg", "mot"))
             if model is INSIGHT_1_GYRO:
@@ -120,7 +120,7 @@ async def test_other_insights(
 async def test_a_headset_of_another_model_is_refused(
     world: World, kept: Kept, eventually: Eventually
 ) -> None:
-    with SimulatedCortex(world, model=EPOC_X, timing=QUICK, seed=3) as cortex:
+    with SteeredCortex(world, model=EPOC_X, timing=QUICK, seed=3) as cortex:
         async with kept(cortex) as run:
             await eventually(lambda: "EPOCX-A1B2C3D4 is no Insight; " in run.error)
             assert not run.sink.rows["eeg"]
@@ -135,7 +135,7 @@ async def test_a_headset_of_another_model_is_refused(
 async def test_other_versions(
     world: World, kept: Kept, eventually: Eventually, version: str, metrics: Metrics | None
 ) -> None:
-    with SimulatedCortex(
+    with SteeredCortex(
         world, Circumstances(release=Release(version, metrics)), timing=QUICK, seed=4
     ) as cortex:
         async with kept(cortex) as run:
@@ -146,7 +146,7 @@ async def test_other_versions(
 @pytest.mark.parametrize("licence", [Licence.NONE, Licence.METRICS, Licence.EEG])
 async def test_licences(world: World, kept: Kept, eventually: Eventually, licence: Licence) -> None:
     with (
-        SimulatedCortex(
+        SteeredCortex(
             world,
             Circumstances(user=User(licence=licence), unlicensed_metrics_s=0.5),
             timing=QUICK,
@@ -167,7 +167,7 @@ async def test_licences(world: World, kept: Kept, eventually: Eventually, licenc
 async def test_a_counted_licence_is_drawn_from_once(
     world: World, kept: Kept, eventually: Eventually
 ) -> None:
-    with SimulatedCortex(world, Circumstances(user=User(session_quota=12)), timing=QUICK) as cortex:
+    with SteeredCortex(world, Circumstances(user=User(session_quota=12)), timing=QUICK) as cortex:
         async with kept(cortex) as run:
             for connections in (1, 2):
                 await eventually(run.sink.has(10 * connections, "eeg"))
@@ -177,7 +177,7 @@ async def test_a_counted_licence_is_drawn_from_once(
 
 
 async def test_losses_are_counted_exactly(world: World, kept: Kept, eventually: Eventually) -> None:
-    with SimulatedCortex(world, timing=QUICK, seed=6) as cortex:
+    with SteeredCortex(world, timing=QUICK, seed=6) as cortex:
         async with kept(cortex) as run:
             await eventually(run.sink.has(20, "eeg"))
             cortex.drop_samples(5)
@@ -194,7 +194,7 @@ async def test_losses_are_counted_exactly(world: World, kept: Kept, eventually: 
 async def test_a_clock_that_is_set_loses_and_invents_nothing(
     world: World, kept: Kept, eventually: Eventually, seconds: float
 ) -> None:
-    with SimulatedCortex(world, timing=QUICK, seed=7) as cortex:
+    with SteeredCortex(world, timing=QUICK, seed=7) as cortex:
         async with kept(cortex) as run:
             await eventually(run.sink.has(50, "eeg", "mot"))
             cortex.time_jump(seconds)
@@ -207,7 +207,7 @@ async def test_a_clock_that_is_set_loses_and_invents_nothing(
 async def test_repeated_interpolated_and_marked_samples(
     world: World, kept: Kept, eventually: Eventually
 ) -> None:
-    with SimulatedCortex(world, timing=QUICK, seed=8) as cortex:
+    with SteeredCortex(world, timing=QUICK, seed=8) as cortex:
         async with kept(cortex) as run:
             await eventually(run.sink.has(10, "eeg"))
             cortex.repeat_samples(20)
@@ -225,7 +225,7 @@ async def test_repeated_interpolated_and_marked_samples(
 async def test_a_token_that_expires_is_renewed(
     world: World, kept: Kept, eventually: Eventually
 ) -> None:
-    with SimulatedCortex(world, timing=QUICK, seed=9) as cortex:
+    with SteeredCortex(world, timing=QUICK, seed=9) as cortex:
         async with kept(cortex) as run:
             await eventually(run.sink.has(20, "eeg"))
             cortex.expire_token()
@@ -244,7 +244,7 @@ async def test_a_token_that_expires_is_renewed(
 async def test_a_headset_that_is_switched_off_and_on(
     world: World, kept: Kept, eventually: Eventually, virtual: bool
 ) -> None:
-    with SimulatedCortex(world, timing=QUICK, is_virtual=virtual, seed=10) as cortex:
+    with SteeredCortex(world, timing=QUICK, is_virtual=virtual, seed=10) as cortex:
         async with kept(cortex) as run:
             await eventually(run.sink.has(20, "eeg"))
             cortex.switch_headset_off(virtual=virtual)
@@ -268,7 +268,7 @@ async def test_a_headset_that_is_switched_off_and_on(
 async def test_a_fault_that_passes_leaves_a_gap(
     world: World, kept: Kept, eventually: Eventually, fault: Fault
 ) -> None:
-    with SimulatedCortex(world, timing=QUICK, seed=11) as cortex:
+    with SteeredCortex(world, timing=QUICK, seed=11) as cortex:
         async with kept(cortex) as run:
             await eventually(run.sink.has(20, "eeg", "mot"))
             cortex.apply(fault)
@@ -279,7 +279,7 @@ async def test_a_fault_that_passes_leaves_a_gap(
 
 
 async def test_garbage_hides_nothing(world: World, kept: Kept, eventually: Eventually) -> None:
-    with SimulatedCortex(world, timing=QUICK, seed=13) as cortex:
+    with SteeredCortex(world, timing=QUICK, seed=13) as cortex:
         async with kept(cortex) as run:
             await eventually(run.sink.has(20, "eeg"))
             cortex.apply(Fault(FaultKind.GARBAGE, 64.0))
@@ -297,7 +297,7 @@ async def test_garbage_hides_nothing(world: World, kept: Kept, eventually: Event
 async def test_battery_and_contact_are_seen(
     world: World, kept: Kept, eventually: Eventually
 ) -> None:
-    with SimulatedCortex(world, timing=QUICK, seed=14) as cortex:
+    with SteeredCortex(world, timing=QUICK, seed=14) as cortex:
         async with kept(cortex) as run:
             await eventually(run.sink.has(1, "dev"))
             assert run.sink.rows["dev"][0][7] > 0
@@ -314,7 +314,7 @@ async def test_battery_and_contact_are_seen(
 async def test_a_reply_that_comes_twice_answers_once(
     world: World, kept: Kept, eventually: Eventually, method: str
 ) -> None:
-    with SimulatedCortex(
+    with SteeredCortex(
         world, Circumstances(data_before_reply=True), timing=QUICK, seed=15
     ) as cortex:
         cortex.duplicate_reply(method)
@@ -330,7 +330,7 @@ async def test_a_reply_that_comes_twice_answers_once(
 async def test_the_user_logs_in_and_approves(
     world: World, kept: Kept, eventually: Eventually
 ) -> None:
-    with SimulatedCortex(
+    with SteeredCortex(
         world, Circumstances(user=User(logged_in=False, approved=False)), timing=QUICK
     ) as cortex:
         async with kept(cortex) as run:
@@ -353,7 +353,7 @@ async def test_the_user_logs_in_and_approves(
 async def test_wrong_credentials_are_told(
     world: World, kept: Kept, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with SimulatedCortex(world, timing=QUICK) as cortex:
+    with SteeredCortex(world, timing=QUICK) as cortex:
         async with kept(cortex) as run:
             await eventually(run.sink.has(1, "eeg"))
         async with kept(cortex) as run:

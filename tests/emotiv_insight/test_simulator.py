@@ -16,14 +16,14 @@ from biosensor_gateway.devices.emotiv_insight.simulator import (
     Circumstances,
     Licence,
     Release,
-    SimulatedCortex,
     Timing,
     User,
 )
 from biosensor_gateway.simulation.world import World
+from tests.emotiv_insight.steering import SteeredCortex
 from tests.rigs.cortex_client import CortexClient, CortexError
 
-APP = (SimulatedCortex.client_id, SimulatedCortex.client_secret)
+APP = (SteeredCortex.client_id, SteeredCortex.client_secret)
 CREDENTIALS = dict(zip(("clientId", "clientSecret"), APP, strict=True))
 ALL = ("eeg", "mot", "pow", "met", "dev", "eq")
 FAST = Timing(found_s=0.05, scan_s=0.1, connect_s=0.05, silence_s=0.3)
@@ -58,7 +58,7 @@ async def refusal(client: CortexClient, method: str, **params: Any) -> int:
 
 
 async def test_the_way_from_the_first_request_to_data(world: World) -> None:
-    with SimulatedCortex(world, timing=Timing(connect_s=1.0)) as cortex:
+    with SteeredCortex(world, timing=Timing(connect_s=1.0)) as cortex:
         headset = cortex.settings["headset"]
         async with CortexClient(cortex.settings) as client:
             assert (await client.ask("getCortexInfo"))["version"] == "4.8.32"
@@ -103,7 +103,7 @@ async def test_the_way_from_the_first_request_to_data(world: World) -> None:
 
 
 async def test_replies_have_the_shape_of_the_vectors(world: World) -> None:
-    with SimulatedCortex(
+    with SteeredCortex(
         world,
         Circumstances(release=Release("3.8.1"), user=User(other_os_user=True)),
         model=INSIGHT_2,
@@ -132,7 +132,7 @@ async def test_replies_have_the_shape_of_the_vectors(world: World) -> None:
 async def test_warnings_have_the_shape_of_the_vectors(
     world: World, vector: str, reported: int
 ) -> None:
-    with SimulatedCortex(world) as cortex:
+    with SteeredCortex(world) as cortex:
         async with CortexClient(cortex.settings) as client:
             await client.connect_headset()
             warning = await client.until_warned(reported)
@@ -141,7 +141,7 @@ async def test_warnings_have_the_shape_of_the_vectors(
 
 @pytest.mark.parametrize(("decide", "code"), [("approve", 9), ("reject", 10)])
 async def test_an_app_waits_for_the_users_decision(world: World, decide: str, code: int) -> None:
-    with SimulatedCortex(world, Circumstances(user=User(approved=False))) as cortex:
+    with SteeredCortex(world, Circumstances(user=User(approved=False))) as cortex:
         async with CortexClient(cortex.settings) as client:
             assert not (await client.ask("hasAccessRight", **CREDENTIALS))["accessGranted"]
             assert not (await client.ask("requestAccess", **CREDENTIALS))["accessGranted"]
@@ -155,12 +155,12 @@ async def test_an_app_waits_for_the_users_decision(world: World, decide: str, co
 
 
 def test_the_credentials_are_offered_as_environment(world: World) -> None:
-    with SimulatedCortex(world, Circumstances(app=App("a", "b"))) as cortex:
+    with SteeredCortex(world, Circumstances(app=App("a", "b"))) as cortex:
         assert cortex.environment == {"EMOTIV_CLIENT_ID": "a", "EMOTIV_CLIENT_SECRET": "b"}
 
 
 async def test_nothing_goes_without_a_login(world: World) -> None:
-    with SimulatedCortex(world, Circumstances(user=User(logged_in=False))) as cortex:
+    with SteeredCortex(world, Circumstances(user=User(logged_in=False))) as cortex:
         async with CortexClient(cortex.settings) as client:
             assert await client.ask("getUserLogin") == []
             assert await refusal(client, "authorize", **CREDENTIALS) == -32033
@@ -177,7 +177,7 @@ async def test_nothing_goes_without_a_login(world: World) -> None:
 
 
 async def test_wrong_requests_are_told_by_their_codes(world: World) -> None:
-    with SimulatedCortex(world) as cortex:
+    with SteeredCortex(world) as cortex:
         async with CortexClient(cortex.settings) as client:
             wrong = {"clientId": APP[0], "clientSecret": "wrong"}
             assert await refusal(client, "authorize", **wrong) == -32021
@@ -200,7 +200,7 @@ async def test_wrong_requests_are_told_by_their_codes(world: World) -> None:
 
 async def test_any_error_of_the_vectors_can_be_answered(world: World) -> None:
     errors = [v["message"]["error"] for v in VECTORS.values() if v["category"] == "error"]
-    with SimulatedCortex(world) as cortex:
+    with SteeredCortex(world) as cortex:
         cortex.answer_with_error("getUserLogin", *(error["code"] for error in errors))
         async with CortexClient(cortex.settings) as client:
             for error in errors:
@@ -212,7 +212,7 @@ async def test_any_error_of_the_vectors_can_be_answered(world: World) -> None:
 
 
 async def test_an_expired_token_stops_requests_but_no_stream(world: World) -> None:
-    with SimulatedCortex(world) as cortex:
+    with SteeredCortex(world) as cortex:
         async with CortexClient(cortex.settings) as client:
             token, _ = await client.begin(*APP, "eeg")
             cortex.expire_token()
@@ -234,7 +234,7 @@ async def test_an_expired_token_stops_requests_but_no_stream(world: World) -> No
 async def test_a_licence_decides_about_eeg(
     world: World, licence: Licence, active: int | None, has_eeg: bool
 ) -> None:
-    with SimulatedCortex(world, Circumstances(user=User(licence=licence))) as cortex:
+    with SteeredCortex(world, Circumstances(user=User(licence=licence))) as cortex:
         async with CortexClient(cortex.settings) as client:
             token = await client.authorize(*APP)
             info = await client.ask("getLicenseInfo", cortexToken=token)
@@ -258,7 +258,7 @@ async def test_a_licence_decides_about_eeg(
 
 
 async def test_a_counted_licence_gives_the_sessions_that_were_debited(world: World) -> None:
-    with SimulatedCortex(world, Circumstances(user=User(session_quota=3))) as cortex:
+    with SteeredCortex(world, Circumstances(user=User(session_quota=3))) as cortex:
         async with CortexClient(cortex.settings) as client:
             token = await client.authorize(*APP)
             await client.connect_headset()
@@ -274,7 +274,7 @@ async def test_a_counted_licence_gives_the_sessions_that_were_debited(world: Wor
 
 
 async def test_a_session_ends_with_its_connection_and_there_is_one_an_app(world: World) -> None:
-    with SimulatedCortex(world, Circumstances(other_apps={"other": "o"})) as cortex:
+    with SteeredCortex(world, Circumstances(other_apps={"other": "o"})) as cortex:
         async with CortexClient(cortex.settings) as client:
             async with CortexClient(cortex.settings) as first:
                 token, session = await first.begin(*APP, "mot")
@@ -296,7 +296,7 @@ async def test_a_session_ends_with_its_connection_and_there_is_one_an_app(world:
 
 
 async def test_older_releases_list_headsets_without_a_scan(world: World) -> None:
-    with SimulatedCortex(
+    with SteeredCortex(
         world, Circumstances(release=Release("2.2.0"), neighbours=("EPOCX-01234567",))
     ) as cortex:
         async with CortexClient(cortex.settings) as client:
@@ -307,7 +307,7 @@ async def test_older_releases_list_headsets_without_a_scan(world: World) -> None
 
 
 async def test_missing_bluetooth_is_noted_in_the_list(world: World) -> None:
-    with SimulatedCortex(world, Circumstances(bluetooth_permitted=False)) as cortex:
+    with SteeredCortex(world, Circumstances(bluetooth_permitted=False)) as cortex:
         async with CortexClient(cortex.settings) as client:
             reply = await (await client.send("queryHeadsets"))
             assert reply["attention"]["code"] == 31
@@ -316,7 +316,7 @@ async def test_missing_bluetooth_is_noted_in_the_list(world: World) -> None:
 
 @pytest.mark.parametrize("code", [100, 101, 102])
 async def test_a_headset_cannot_always_be_connected_to(world: World, code: int) -> None:
-    with SimulatedCortex(world, timing=FAST) as cortex:
+    with SteeredCortex(world, timing=FAST) as cortex:
         async with CortexClient(cortex.settings) as client:
             await client.ask("controlDevice", command="refresh")
             await client.until_warned(142)
@@ -332,14 +332,14 @@ async def test_a_headset_cannot_always_be_connected_to(world: World, code: int) 
 
 
 async def test_an_unknown_headset_cannot_be_connected_to(world: World) -> None:
-    with SimulatedCortex(world) as cortex:
+    with SteeredCortex(world) as cortex:
         async with CortexClient(cortex.settings) as client:
             await client.ask("controlDevice", command="connect", headset="INSIGHT-00000000")
             assert (await client.until_warned(100))["message"]["headsetId"] == "INSIGHT-00000000"
 
 
 async def test_a_headset_that_is_switched_off_is_given_up_after_a_silence(world: World) -> None:
-    with SimulatedCortex(world, timing=FAST) as cortex:
+    with SteeredCortex(world, timing=FAST) as cortex:
         async with CortexClient(cortex.settings) as client:
             token, session = await client.begin(*APP, "eeg")
             await client.until_data("eeg")
@@ -362,7 +362,7 @@ async def test_a_headset_that_is_switched_off_is_given_up_after_a_silence(world:
 
 
 async def test_the_end_of_a_virtual_headset_is_never_told(world: World) -> None:
-    with SimulatedCortex(world, timing=FAST, is_virtual=True) as cortex:
+    with SteeredCortex(world, timing=FAST, is_virtual=True) as cortex:
         async with CortexClient(cortex.settings) as client:
             token, session = await client.begin(*APP, "eeg", "dev")
             await client.until_data("dev")
@@ -382,7 +382,7 @@ async def test_the_end_of_a_virtual_headset_is_never_told(world: World) -> None:
 
 
 async def test_a_headset_of_another_model_has_its_own_electrodes(world: World) -> None:
-    with SimulatedCortex(world, model=EPOC_X) as cortex:
+    with SteeredCortex(world, model=EPOC_X) as cortex:
         async with CortexClient(cortex.settings) as client:
             await client.begin(*APP, "eeg")
             (headset,) = await client.ask("queryHeadsets")

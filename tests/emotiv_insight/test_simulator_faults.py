@@ -13,17 +13,13 @@ import pytest
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosedError
 
-from biosensor_gateway.devices.emotiv_insight.simulator import (
-    Circumstances,
-    Leaf,
-    SimulatedCortex,
-    Timing,
-)
+from biosensor_gateway.devices.emotiv_insight.simulator import Circumstances, Leaf, Timing
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
+from tests.emotiv_insight.steering import SteeredCortex
 from tests.rigs.cortex_client import DEADLINE_S, CortexClient, CortexError
 
-APP = (SimulatedCortex.client_id, SimulatedCortex.client_secret)
+APP = (SteeredCortex.client_id, SteeredCortex.client_secret)
 CREDENTIALS = dict(zip(("clientId", "clientSecret"), APP, strict=True))
 FOREVER = float("inf")
 
@@ -46,7 +42,7 @@ async def samples_before_reply(client: CortexClient, token: str, session: str) -
 
 @pytest.mark.parametrize("leaf", [Leaf.EXPIRED, Leaf.WRONG_NAME, Leaf.UNTRUSTED])
 async def test_a_wrong_certificate_is_not_trusted(world: World, leaf: Leaf) -> None:
-    with SimulatedCortex(world, Circumstances(leaf=leaf)) as cortex:
+    with SteeredCortex(world, Circumstances(leaf=leaf)) as cortex:
         with pytest.raises(ssl.SSLCertVerificationError):
             async with CortexClient(cortex.settings):
                 pass
@@ -54,7 +50,7 @@ async def test_a_wrong_certificate_is_not_trusted(world: World, leaf: Leaf) -> N
 
 
 async def test_the_authority_of_another_cortex_is_not_trusted(world: World) -> None:
-    with SimulatedCortex(world) as cortex, SimulatedCortex(world) as other:
+    with SteeredCortex(world) as cortex, SteeredCortex(world) as other:
         settings = {**cortex.settings, "ca_file": other.settings["ca_file"]}
         with pytest.raises(ssl.SSLCertVerificationError):
             async with CortexClient(settings):
@@ -65,7 +61,7 @@ async def test_the_authority_of_another_cortex_is_not_trusted(world: World) -> N
 async def test_strict_clients_want_the_key_usage_of_the_authority(
     world: World, lacks: bool
 ) -> None:
-    with SimulatedCortex(world, Circumstances(ca_without_key_usage=lacks)) as cortex:
+    with SteeredCortex(world, Circumstances(ca_without_key_usage=lacks)) as cortex:
         async with CortexClient(cortex.settings) as client:
             assert await client.ask("getUserLogin")
         strict = ssl.create_default_context(cafile=cortex.settings["ca_file"])
@@ -80,7 +76,7 @@ async def test_strict_clients_want_the_key_usage_of_the_authority(
 
 async def test_stopping_removes_the_certificate_and_the_port(world: World) -> None:
     with ExitStack() as stack:
-        settings = stack.enter_context(SimulatedCortex(world)).settings
+        settings = stack.enter_context(SteeredCortex(world)).settings
         ca_file = Path(settings["ca_file"])
         assert await asyncio.to_thread(ca_file.exists)
         async with CortexClient(settings) as client:
@@ -93,7 +89,7 @@ async def test_stopping_removes_the_certificate_and_the_port(world: World) -> No
 
 
 async def test_a_dropped_link_breaks_off_and_refuses_until_it_is_back(world: World) -> None:
-    with SimulatedCortex(world) as cortex:
+    with SteeredCortex(world) as cortex:
         async with CortexClient(cortex.settings) as client:
             token, _ = await client.begin(*APP, "eeg")
             await client.until_data("eeg")
@@ -110,7 +106,7 @@ async def test_a_dropped_link_breaks_off_and_refuses_until_it_is_back(world: Wor
 
 
 async def test_a_dropped_link_comes_back_by_itself(world: World) -> None:
-    with SimulatedCortex(world) as cortex:
+    with SteeredCortex(world) as cortex:
         cortex.apply(Fault(FaultKind.DROP, 0.3))
         async with asyncio.timeout(DEADLINE_S):
             while True:
@@ -123,7 +119,7 @@ async def test_a_dropped_link_comes_back_by_itself(world: World) -> None:
 
 
 async def test_a_half_open_link_answers_no_ping_and_sends_nothing(world: World) -> None:
-    with SimulatedCortex(world) as cortex:
+    with SteeredCortex(world) as cortex:
         async with CortexClient(cortex.settings) as client:
             await client.begin(*APP, "eeg")
             await client.until_data("eeg", 3)
@@ -148,7 +144,7 @@ async def test_a_half_open_link_answers_no_ping_and_sends_nothing(world: World) 
 
 
 async def test_a_client_that_pings_notices_a_half_open_link(world: World) -> None:
-    with SimulatedCortex(world) as cortex:
+    with SteeredCortex(world) as cortex:
         async with CortexClient(cortex.settings, ping_s=0.3) as client:
             cortex.apply(Fault(FaultKind.STALL, FOREVER))
             await client.until_closed()
@@ -159,7 +155,7 @@ async def test_a_client_that_pings_notices_a_half_open_link(world: World) -> Non
 
 
 async def test_garbage_stands_between_samples(world: World) -> None:
-    with SimulatedCortex(world, seed=5) as cortex:
+    with SteeredCortex(world, seed=5) as cortex:
         async with CortexClient(cortex.settings) as client:
             _, session = await client.begin(*APP, "eeg")
             await client.until_data("eeg")
@@ -180,7 +176,7 @@ async def test_garbage_stands_between_samples(world: World) -> None:
 
 
 async def test_a_refusing_cortex_breaks_off_and_refuses_what_leads_to_data(world: World) -> None:
-    with SimulatedCortex(world, Circumstances(refusal_code=-32122)) as cortex:
+    with SteeredCortex(world, Circumstances(refusal_code=-32122)) as cortex:
         async with CortexClient(cortex.settings) as client:
             token, _ = await client.begin(*APP)
             cortex.apply(Fault(FaultKind.REFUSE, FOREVER))
@@ -196,7 +192,7 @@ async def test_a_refusing_cortex_breaks_off_and_refuses_what_leads_to_data(world
 
 
 async def test_late_answers_still_come(world: World) -> None:
-    with SimulatedCortex(world) as cortex:
+    with SteeredCortex(world) as cortex:
         async with CortexClient(cortex.settings) as client:
             await client.begin(*APP)
             cortex.apply(Fault(FaultKind.LATE, 0.4))
@@ -210,7 +206,7 @@ async def test_late_answers_still_come(world: World) -> None:
 
 
 async def test_a_restart_forgets_tokens_sessions_and_the_headset(world: World) -> None:
-    with SimulatedCortex(world, timing=Timing(starting_s=2.0)) as cortex:
+    with SteeredCortex(world, timing=Timing(starting_s=2.0)) as cortex:
         async with CortexClient(cortex.settings) as client:
             token, _ = await client.begin(*APP, "eeg")
             cortex.apply(Fault(FaultKind.RESTART, FOREVER))
@@ -234,7 +230,7 @@ async def test_a_restart_forgets_tokens_sessions_and_the_headset(world: World) -
 
 
 async def test_a_port_opens_only_when_nothing_keeps_it_shut(world: World) -> None:
-    with SimulatedCortex(world) as cortex:
+    with SteeredCortex(world) as cortex:
         cortex.apply(Fault(FaultKind.RESTART, FOREVER))
         cortex.apply(Fault(FaultKind.DROP, FOREVER))
         cortex.clear(FaultKind.RESTART)
@@ -248,7 +244,7 @@ async def test_a_port_opens_only_when_nothing_keeps_it_shut(world: World) -> Non
 
 @pytest.mark.parametrize("code", [1000, 1001, 1011])
 async def test_connections_are_closed_with_any_code(world: World, code: int) -> None:
-    with SimulatedCortex(world) as cortex:
+    with SteeredCortex(world) as cortex:
         async with CortexClient(cortex.settings) as client:
             cortex.close_connections(code)
             assert await client.until_closed() == code
@@ -257,14 +253,14 @@ async def test_connections_are_closed_with_any_code(world: World, code: int) -> 
 
 
 async def test_data_may_come_before_the_reply(world: World) -> None:
-    with SimulatedCortex(world, Circumstances(data_before_reply=True)) as cortex:
+    with SteeredCortex(world, Circumstances(data_before_reply=True)) as cortex:
         async with CortexClient(cortex.settings) as client:
             token, session = await client.begin(*APP)
             assert await samples_before_reply(client, token, session) > 0
 
 
 async def test_answers_overtake_each_other(world: World) -> None:
-    with SimulatedCortex(world, Circumstances(reply_delays_s={"getUserLogin": 0.3})) as cortex:
+    with SteeredCortex(world, Circumstances(reply_delays_s={"getUserLogin": 0.3})) as cortex:
         async with CortexClient(cortex.settings) as client:
             order: list[str] = []
             first = await client.send("getUserLogin")
@@ -276,7 +272,7 @@ async def test_answers_overtake_each_other(world: World) -> None:
 
 
 async def test_answers_are_withheld_doubled_or_wrong(world: World) -> None:
-    with SimulatedCortex(world) as cortex:
+    with SteeredCortex(world) as cortex:
         async with CortexClient(cortex.settings) as client:
             cortex.withhold_reply("getUserLogin")
             withheld = await client.send("getUserLogin")
@@ -295,7 +291,7 @@ async def test_answers_are_withheld_doubled_or_wrong(world: World) -> None:
 
 
 async def test_any_message_can_be_sent_and_unknown_warnings_in_any_number(world: World) -> None:
-    with SimulatedCortex(world) as cortex:
+    with SteeredCortex(world) as cortex:
         async with CortexClient(cortex.settings, max_size=2**22) as client:
             await client.begin(*APP, "eeg")
             client.warnings.clear()
@@ -311,7 +307,7 @@ async def test_any_message_can_be_sent_and_unknown_warnings_in_any_number(world:
 
 
 async def test_a_client_that_does_not_read_blocks_nobody(world: World) -> None:
-    with SimulatedCortex(world) as cortex:
+    with SteeredCortex(world) as cortex:
         async with (
             CortexClient(cortex.settings, max_size=2**22) as slow,
             CortexClient(cortex.settings, max_size=2**22) as client,

@@ -21,15 +21,15 @@ from biosensor_gateway.devices.emotiv_insight.simulator import (
     Metrics,
     Model,
     Release,
-    SimulatedCortex,
     Timing,
     User,
 )
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
+from tests.emotiv_insight.steering import SteeredCortex
 from tests.rigs.cortex_client import CortexClient
 
-APP = (SimulatedCortex.client_id, SimulatedCortex.client_secret)
+APP = (SteeredCortex.client_id, SteeredCortex.client_secret)
 STREAMS = ("eeg", "mot", "pow", "met", "dev")
 ELECTRODES = ["AF3", "T7", "Pz", "T8", "AF4"]
 _VECTORS = json.loads((Path(__file__).parent / "vectors/emotiv_cortex.json").read_text("utf-8"))
@@ -84,7 +84,7 @@ def flat(values: list[Any]) -> list[Any]:
     return parts
 
 
-async def record(cortex: SimulatedCortex, eeg_samples: int, *streams: str) -> Recording:
+async def record(cortex: SteeredCortex, eeg_samples: int, *streams: str) -> Recording:
     """Stream until so many EEG samples and one of each other stream are there; stop."""
     async with CortexClient(cortex.settings) as client:
         token, session = await client.begin(*APP)
@@ -101,7 +101,7 @@ async def record(cortex: SimulatedCortex, eeg_samples: int, *streams: str) -> Re
     [(INSIGHT_1, "4.8.32"), (INSIGHT_1_GYRO, "2.2.0"), (INSIGHT_2, "3.6.5")],
 )
 async def test_data_are_the_truth(world: World, model: Model, version: str) -> None:
-    with SimulatedCortex(
+    with SteeredCortex(
         world, Circumstances(release=Release(version)), model=model, seed=4, jitter_s=0.02
     ) as cortex:
         recording = await record(cortex, 200, *STREAMS)
@@ -120,7 +120,7 @@ async def test_data_are_the_truth(world: World, model: Model, version: str) -> N
 
 
 async def test_eeg_lies_on_its_offset_in_steps_of_the_converter(world: World) -> None:
-    with SimulatedCortex(world, model=INSIGHT_2) as cortex:
+    with SteeredCortex(world, model=INSIGHT_2) as cortex:
         await record(cortex, 128, "eeg")
         eeg = cortex.truth.samples("eeg").values
     assert 4000 < eeg.min() < eeg.max() < 4400
@@ -133,7 +133,7 @@ async def test_eeg_lies_on_its_offset_in_steps_of_the_converter(world: World) ->
 async def test_counters_begin_anew_each_second_and_times_are_even(
     world: World, model: Model, rate: int
 ) -> None:
-    with SimulatedCortex(world, model=model) as cortex:
+    with SteeredCortex(world, model=model) as cortex:
         recording = await record(cortex, 300, "eeg", "mot")
         for stream, modulus in (("eeg", 128), ("mot", rate)):
             counters = [row[0] for row in recording.client.rows(stream)]
@@ -145,7 +145,7 @@ async def test_counters_begin_anew_each_second_and_times_are_even(
 
 
 async def test_attitude_and_acceleration_agree(world: World) -> None:
-    with SimulatedCortex(world) as cortex:
+    with SteeredCortex(world) as cortex:
         await record(cortex, 64, "eeg", "mot")
         w, x, y, z, *_ = columns = cortex.truth.samples("mot").values.T
     np.testing.assert_allclose(w**2 + x**2 + y**2 + z**2, 1, atol=1e-5)
@@ -172,7 +172,7 @@ async def test_columns_are_those_of_the_release(
     world: World, version: str, metrics: Metrics | None, eeg_last: str, dev: list[Any],
     met: list[str],
 ) -> None:  # fmt: skip
-    with SimulatedCortex(world, Circumstances(release=Release(version, metrics))) as cortex:
+    with SteeredCortex(world, Circumstances(release=Release(version, metrics))) as cortex:
         recording = await record(cortex, 5, *STREAMS)
     assert recording.columns["eeg"][-1] == eeg_last
     assert recording.columns["dev"] == dev
@@ -185,7 +185,7 @@ async def test_columns_are_those_of_the_release(
     [(INSIGHT_1, "mot_quaternion_1"), (INSIGHT_1_GYRO, "mot_gyro_old_insight")],
 )
 async def test_messages_are_built_like_the_vectors(world: World, model: Model, vector: str) -> None:
-    with SimulatedCortex(world, model=model) as cortex:
+    with SteeredCortex(world, model=model) as cortex:
         recording = await record(cortex, 5, *STREAMS, "eq")
     vectors = {
         "eeg": "eeg_insight_1",
@@ -205,7 +205,7 @@ async def test_messages_are_built_like_the_vectors(world: World, model: Model, v
 
 
 async def test_without_licence_the_metrics_come_rarely(world: World) -> None:
-    with SimulatedCortex(
+    with SteeredCortex(
         world, Circumstances(user=User(licence=Licence.EEG), unlicensed_metrics_s=1.5)
     ) as cortex:
         async with CortexClient(cortex.settings) as client:
@@ -215,7 +215,7 @@ async def test_without_licence_the_metrics_come_rarely(world: World) -> None:
 
 
 async def test_the_headset_is_worn_and_taken_off_and_worn(world: World) -> None:
-    with SimulatedCortex(world) as cortex:
+    with SteeredCortex(world) as cortex:
         async with CortexClient(cortex.settings) as client:
             await client.begin(*APP, "eeg", "dev", "met", "pow")
             await client.until_data("dev")
@@ -243,7 +243,7 @@ async def test_the_headset_is_worn_and_taken_off_and_worn(world: World) -> None:
 async def test_lost_samples_show_in_the_counter_and_whole_seconds_only_in_time(
     world: World,
 ) -> None:
-    with SimulatedCortex(world) as cortex:
+    with SteeredCortex(world) as cortex:
         async with CortexClient(cortex.settings) as client:
             await client.begin(*APP, "eeg")
             await client.until_data("eeg", 3)
@@ -260,7 +260,7 @@ async def test_lost_samples_show_in_the_counter_and_whole_seconds_only_in_time(
 
 
 async def test_samples_can_be_filled_in_marked_and_sent_twice(world: World) -> None:
-    with SimulatedCortex(world) as cortex:
+    with SteeredCortex(world) as cortex:
         async with CortexClient(cortex.settings) as client:
             await client.begin(*APP, "eeg")
             cortex.interpolate(20)
@@ -279,7 +279,7 @@ async def test_samples_can_be_filled_in_marked_and_sent_twice(world: World) -> N
 
 
 async def test_the_clock_of_cortex_can_be_set(world: World) -> None:
-    with SimulatedCortex(world) as cortex:
+    with SteeredCortex(world) as cortex:
         async with CortexClient(cortex.settings) as client:
             await client.begin(*APP, "eeg")
             await client.until_data("eeg", 3)
@@ -291,7 +291,7 @@ async def test_the_clock_of_cortex_can_be_set(world: World) -> None:
 
 
 async def test_the_clock_of_cortex_drifts(world: World) -> None:
-    with SimulatedCortex(world, drift_ppm=-20_000) as cortex:
+    with SteeredCortex(world, drift_ppm=-20_000) as cortex:
         async with CortexClient(cortex.settings) as client:
             await client.begin(*APP, "eeg")
             await client.until_data("eeg", 60)
@@ -306,7 +306,7 @@ async def test_the_clock_of_cortex_drifts(world: World) -> None:
 async def test_equal_seeds_give_equal_tokens_and_contacts(world: World) -> None:
     tokens: list[str] = []
     for seed in (1, 1, 2):
-        with SimulatedCortex(world, seed=seed, timing=Timing()) as cortex:
+        with SteeredCortex(world, seed=seed, timing=Timing()) as cortex:
             async with CortexClient(cortex.settings) as client:
                 tokens.append(await client.authorize(*APP))
     assert tokens[0] == tokens[1] != tokens[2]

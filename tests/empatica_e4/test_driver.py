@@ -15,9 +15,10 @@ from structlog.testing import capture_logs
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.empatica_e4.driver.driver import DRIVER, E4Settings
-from biosensor_gateway.devices.empatica_e4.simulator import NumberFormat, SimulatedE4, Timing
+from biosensor_gateway.devices.empatica_e4.simulator import NumberFormat, Timing
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
+from tests.empatica_e4.steering import SteeredE4
 
 ID, OTHER = "9ff167", "cc34cd"
 SAME_CONNECTION = "You've tried to connect to the device from the same connection"
@@ -32,7 +33,7 @@ Running = Callable[[Mapping[str, Any]], AbstractAsyncContextManager[Any]]
 async def test_every_stream_says_the_truth_at_the_time_of_measuring(
     world: World, running: Running
 ) -> None:
-    with SimulatedE4(
+    with SteeredE4(
         world, timing=Timing(battery_interval_s=2), jitter_s=0.05, drift_ppm=200, seed=2
     ) as server:
         async with running(server.settings) as run:
@@ -58,7 +59,7 @@ async def test_every_stream_says_the_truth_at_the_time_of_measuring(
     ("mark", "minus"), [(".", "-"), (",", "\u2212")], ids=["dot", "comma and U+2212"]
 )
 async def test_any_locale_is_read(world: World, running: Running, mark: str, minus: str) -> None:
-    with SimulatedE4(world, style=NumberFormat(mark, minus)) as server:
+    with SteeredE4(world, style=NumberFormat(mark, minus)) as server:
         async with running(server.settings) as run:
             await run.until_more("bvp", "acc", rows=70)
             run.assert_all_arrived(server.truth, "bvp", "acc")
@@ -68,7 +69,7 @@ async def test_any_locale_is_read(world: World, running: Running, mark: str, min
 async def test_the_wristband_may_be_taken_off_and_put_on_again(
     world: World, running: Running
 ) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         async with running(server.settings) as run:
 
             def worn() -> list[float]:
@@ -89,7 +90,7 @@ async def test_the_wristband_may_be_taken_off_and_put_on_again(
 
 
 async def test_a_low_battery_is_told(world: World, running: Running) -> None:
-    with SimulatedE4(world, timing=Timing(battery_interval_s=0.5)) as server:
+    with SteeredE4(world, timing=Timing(battery_interval_s=0.5)) as server:
         async with running(server.settings) as run:
             await run.until(run.sink.has(1, "bat"))
             server.apply(Fault(FaultKind.LOW_BATTERY, 4))
@@ -98,7 +99,7 @@ async def test_a_low_battery_is_told(world: World, running: Running) -> None:
 
 
 async def test_manual_radio_is_connected_by_the_driver(world: World, running: Running) -> None:
-    with SimulatedE4(world, automatic=False) as server:
+    with SteeredE4(world, automatic=False) as server:
         async with running(server.settings) as run:
             await run.until_more()
             run.assert_all_arrived(server.truth, "bvp", "acc")
@@ -111,7 +112,7 @@ async def test_manual_radio_is_connected_by_the_driver(world: World, running: Ru
 async def test_a_wristband_that_is_switched_on_later_is_found(
     world: World, running: Running
 ) -> None:
-    with SimulatedE4(world, automatic=False) as server:
+    with SteeredE4(world, automatic=False) as server:
         server.turn_off()
         async with running(server.settings) as run:
             await run.until(lambda: "switch it on" in run.error)
@@ -121,7 +122,7 @@ async def test_a_wristband_that_is_switched_on_later_is_found(
 
 
 async def test_a_server_that_starts_later_is_found(world: World, running: Running) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         server.apply(Fault(FaultKind.RESTART, FOREVER))
         async with running(server.settings) as run:
             await run.until(lambda: "start the E4 streaming server" in run.error)
@@ -131,7 +132,7 @@ async def test_a_server_that_starts_later_is_found(world: World, running: Runnin
 
 
 async def test_a_wristband_of_another_account_is_not_tried(world: World, running: Running) -> None:
-    with SimulatedE4(world, allowed=False) as server:
+    with SteeredE4(world, allowed=False) as server:
         async with running(server.settings) as run:
             await run.until(lambda: State.BACKOFF in run.states)
             assert f"API key does not own wristband {ID}" in run.error
@@ -142,7 +143,7 @@ async def test_a_wristband_of_another_account_is_not_tried(world: World, running
 
 
 async def test_without_a_choice_the_only_wristband_is_taken(world: World, running: Running) -> None:
-    with SimulatedE4(world, device_id="CC34CD") as server:
+    with SteeredE4(world, device_id="CC34CD") as server:
         async with running({**server.settings, "device": ""}) as run:
             await run.until_more()
             run.assert_all_arrived(server.truth, "bvp")
@@ -152,7 +153,7 @@ async def test_without_a_choice_the_only_wristband_is_taken(world: World, runnin
 async def test_without_a_choice_several_wristbands_are_refused(
     world: World, running: Running, automatic: bool
 ) -> None:
-    with SimulatedE4(world, others=(OTHER,), automatic=automatic) as server:
+    with SteeredE4(world, others=(OTHER,), automatic=automatic) as server:
         async with running({**server.settings, "device": ""}) as run:
             await run.until(lambda: State.BACKOFF in run.states)
             assert f"several wristbands ({ID}, {OTHER}); set `device`" in run.error
@@ -160,7 +161,7 @@ async def test_without_a_choice_several_wristbands_are_refused(
 
 
 async def test_several_wristbands_of_one_server_do_not_mix(world: World, running: Running) -> None:
-    with SimulatedE4(world, others=(OTHER.upper(),)) as server:
+    with SteeredE4(world, others=(OTHER.upper(),)) as server:
         async with (
             running(server.settings) as first,
             running(server.settings_of(OTHER)) as second,
@@ -178,7 +179,7 @@ async def test_several_wristbands_of_one_server_do_not_mix(world: World, running
 async def test_a_second_client_of_the_same_wristband_is_no_obstacle(
     world: World, running: Running, line_client: Any
 ) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as other:
+    with SteeredE4(world) as server, line_client(server.settings) as other:
         await asyncio.to_thread(other.begin)
         async with running(server.settings) as run:
             await run.until_more()
@@ -213,7 +214,7 @@ async def test_a_connection_that_is_bound_already_goes_on(running: Running) -> N
 
 
 async def test_one_refused_stream_costs_only_itself(world: World, running: Running) -> None:
-    with SimulatedE4(world, timing=Timing(burst=1)) as server:
+    with SteeredE4(world, timing=Timing(burst=1)) as server:
         server.refuse_stream("gsr")
         with capture_logs() as logs:
             async with running(server.settings) as run:
@@ -226,7 +227,7 @@ async def test_one_refused_stream_costs_only_itself(world: World, running: Runni
 async def test_a_server_that_refuses_every_stream_is_left_alone(
     world: World, running: Running
 ) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         for stream in ("acc", "bvp", "gsr", "ibi", "tmp", "bat", "tag"):
             server.refuse_stream(stream)
         async with running(server.settings) as run:
@@ -235,7 +236,7 @@ async def test_a_server_that_refuses_every_stream_is_left_alone(
 
 
 async def test_stopping_unbinds(world: World, running: Running) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         async with running(server.settings) as run:
             await run.until_more()
         await run.until(lambda: server.client_count == 0)
@@ -243,7 +244,7 @@ async def test_stopping_unbinds(world: World, running: Running) -> None:
 
 
 async def test_the_wristbands_of_a_server_are_found(world: World) -> None:
-    with SimulatedE4(world, others=(OTHER,), automatic=False) as server:
+    with SteeredE4(world, others=(OTHER,), automatic=False) as server:
         configured = E4Settings.model_validate(
             {"sensor": "empatica_e4", "unit": "1", **server.settings}
         )

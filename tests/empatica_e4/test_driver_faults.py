@@ -13,9 +13,10 @@ import pytest
 from structlog.testing import capture_logs
 
 from biosensor_gateway.agent.state import State
-from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4, Timing
+from biosensor_gateway.devices.empatica_e4.simulator import Timing
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
+from tests.empatica_e4.steering import SteeredE4
 
 ID = "9ff167"
 FOREVER = float("inf")
@@ -29,7 +30,7 @@ Running = Callable[[Mapping[str, Any]], AbstractAsyncContextManager[Any]]
 async def test_a_lost_radio_link_that_comes_back_needs_no_new_connection(
     world: World, running: Running
 ) -> None:
-    with SimulatedE4(world, timing=Timing(beat_delay_s=0.5)) as server:
+    with SteeredE4(world, timing=Timing(beat_delay_s=0.5)) as server:
         with capture_logs() as logs:
             async with running(server.settings) as run:
                 await run.until_more(rows=64)
@@ -52,7 +53,7 @@ async def test_a_lost_radio_link_that_comes_back_needs_no_new_connection(
 async def test_a_radio_link_that_stays_lost_is_connected_anew(
     world: World, running: Running, automatic: bool
 ) -> None:
-    with SimulatedE4(world, automatic=automatic) as server:
+    with SteeredE4(world, automatic=automatic) as server:
         async with running(server.settings) as run:
             await run.until_more()
             server.apply(Fault(FaultKind.DROP, FOREVER))
@@ -66,7 +67,7 @@ async def test_a_radio_link_that_stays_lost_is_connected_anew(
 async def test_a_manual_radio_that_is_back_is_connected_after_the_grace(
     world: World, running: Running
 ) -> None:
-    with SimulatedE4(world, automatic=False) as server:
+    with SteeredE4(world, automatic=False) as server:
         async with running(server.settings) as run:
             await run.until_more()
             server.apply(Fault(FaultKind.DROP, 0.2))
@@ -77,7 +78,7 @@ async def test_a_manual_radio_that_is_back_is_connected_after_the_grace(
 
 
 async def test_a_wristband_that_is_turned_off_is_awaited(world: World, running: Running) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         async with running(server.settings) as run:
             await run.until_more()
             before = len(server.truth.samples("bvp").times)
@@ -93,7 +94,7 @@ async def test_a_wristband_that_is_turned_off_is_awaited(world: World, running: 
 
 
 async def test_what_comes_in_one_piece_with_an_event_counts(world: World, running: Running) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         async with running(server.settings) as run:
             await run.until_more()
             tag = f"E4_Tag {time.time():.5f}\r\n"
@@ -108,7 +109,7 @@ async def test_what_comes_in_one_piece_with_an_event_counts(world: World, runnin
 
 
 async def test_a_stalled_server_is_asked_and_then_left(world: World, running: Running) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         async with running(server.settings) as run:
             await run.until_more()
             server.apply(Fault(FaultKind.STALL, FOREVER))
@@ -119,7 +120,7 @@ async def test_a_stalled_server_is_asked_and_then_left(world: World, running: Ru
             run.assert_none_doubled(server.truth)
 
 
-def end_radio_link(line_client: Any, server: SimulatedE4) -> None:
+def end_radio_link(line_client: Any, server: SteeredE4) -> None:
     with line_client(server.settings) as other:
         assert other.ask(f"device_disconnect_btle {ID}").endswith("OK\n")
 
@@ -127,7 +128,7 @@ def end_radio_link(line_client: Any, server: SimulatedE4) -> None:
 async def test_a_server_that_answers_without_data_is_left_too(
     world: World, running: Running, line_client: Any
 ) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         async with running(server.settings) as run:
             await run.until_more()
             # Another program ends the radio link, of which nobody is told.
@@ -141,7 +142,7 @@ async def test_a_short_hold_up_is_waited_for_and_its_backlog_misleads_no_stamp(
     world: World,
     running: Running,
 ) -> None:
-    with SimulatedE4(world, seed=9) as server:
+    with SteeredE4(world, seed=9) as server:
         async with running(server.settings) as run:
             await run.until_more(rows=128)
             server.tear_line(1.5)
@@ -154,7 +155,7 @@ async def test_a_short_hold_up_is_waited_for_and_its_backlog_misleads_no_stamp(
 
 
 async def test_garbage_costs_nothing_but_itself(world: World, running: Running) -> None:
-    with SimulatedE4(world, seed=5) as server:
+    with SteeredE4(world, seed=5) as server:
         async with running(server.settings) as run:
             await run.until_more()
             server.apply(Fault(FaultKind.GARBAGE, 300))
@@ -168,7 +169,7 @@ async def test_garbage_costs_nothing_but_itself(world: World, running: Running) 
 
 
 async def test_lines_that_come_twice_glued_or_in_pieces(world: World, running: Running) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         async with running(server.settings) as run:
             for _ in range(5):
                 server.duplicate_line()
@@ -186,7 +187,7 @@ async def test_lines_that_come_twice_glued_or_in_pieces(world: World, running: R
 async def test_a_connection_that_ends_within_a_line_is_begun_anew(
     world: World, running: Running
 ) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         async with running(server.settings) as run:
             await run.until_more()
             server.close_within_line()
@@ -198,7 +199,7 @@ async def test_a_connection_that_ends_within_a_line_is_begun_anew(
 
 
 async def test_a_restart_under_another_locale_is_survived(world: World, running: Running) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         async with running(server.settings) as run:
             await run.until_more(rows=64)
             server.apply(Fault(FaultKind.RESTART, 0.8))
@@ -212,7 +213,7 @@ async def test_a_restart_under_another_locale_is_survived(world: World, running:
 
 
 async def test_a_refusal_to_bind_is_overcome(world: World, running: Running) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         async with running(server.settings) as run:
             await run.until_more()
             server.apply(Fault(FaultKind.REFUSE, FOREVER))
@@ -226,7 +227,7 @@ async def test_a_refusal_to_bind_is_overcome(world: World, running: Running) -> 
 async def test_answers_that_come_too_late_answer_nothing_else(
     world: World, running: Running
 ) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         async with running(server.settings) as run:
             await run.until_more()
             server.apply(Fault(FaultKind.LATE, 2.5))
@@ -238,7 +239,7 @@ async def test_answers_that_come_too_late_answer_nothing_else(
 
 
 async def test_an_answer_that_never_comes_begins_anew(world: World, running: Running) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         server.withhold_reply("device_subscribe")
         async with running(server.settings) as run:
             await run.until(lambda: "no answer to device_subscribe" in run.error)
@@ -249,7 +250,7 @@ async def test_an_answer_that_never_comes_begins_anew(world: World, running: Run
 async def test_a_server_that_never_answers_pause_does_without(
     world: World, running: Running, obey: bool
 ) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         server.never_answer("pause", obey=obey)
         with capture_logs() as logs:
             async with running(server.settings) as run:
@@ -264,7 +265,7 @@ async def test_a_server_that_never_answers_pause_does_without(
 
 
 async def test_an_empty_list_is_waited_for(world: World, running: Running) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         server.empty_list(0.7)
         async with running(server.settings) as run:
             await run.until(lambda: "sees no wristband" in run.error)
@@ -275,7 +276,7 @@ async def test_an_empty_list_is_waited_for(world: World, running: Running) -> No
 async def test_the_clock_of_the_server_may_be_set(
     world: World, running: Running, seconds: float
 ) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         async with running(server.settings) as run:
             await run.until_more(rows=64)
             server.jump_clock(seconds)

@@ -12,9 +12,10 @@ from structlog.testing import capture_logs
 
 from biosensor_gateway.devices.empatica_e4.driver import emitter as emitter_module
 from biosensor_gateway.devices.empatica_e4.driver import loss as loss_module
-from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4, Timing
+from biosensor_gateway.devices.empatica_e4.simulator import Timing
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
+from tests.empatica_e4.steering import SteeredE4
 
 REGULAR = ("bvp", "acc", "gsr", "st")
 # Without a rival for the processor it is a hundredth of that.
@@ -34,7 +35,7 @@ def short_window(monkeypatch: pytest.MonkeyPatch) -> float:
 async def test_radio_loss_is_estimated_and_moves_the_stamps_back_to_their_place(
     world: World, running: Running, short_window: float
 ) -> None:
-    with SimulatedE4(world, timing=Timing(burst=1)) as server, capture_logs() as logs:
+    with SteeredE4(world, timing=Timing(burst=1)) as server, capture_logs() as logs:
         async with running(server.settings) as run:
             await run.until_more(rows=64)
             server.lose_packets(1.0, 0.4)
@@ -59,7 +60,7 @@ async def test_radio_loss_is_estimated_and_moves_the_stamps_back_to_their_place(
 async def test_a_share_of_lost_packets_shows_in_quality(
     world: World, running: Running, short_window: float
 ) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         async with running(server.settings) as run:
             await run.until_more()
             server.lose_packets(0.3)
@@ -76,7 +77,7 @@ async def test_a_share_of_lost_packets_shows_in_quality(
 async def test_what_was_measured_while_the_server_was_away_is_counted(
     world: World, running: Running, short_window: float
 ) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         async with running(server.settings) as run:
             await run.until_more(rows=64)
             server.apply(Fault(FaultKind.REFUSE, 0.8))

@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.empatica_e4.simulator import NumberFormat, SimulatedE4
+from biosensor_gateway.devices.empatica_e4.simulator import NumberFormat
 from biosensor_gateway.devices.empatica_e4.simulator.number_format import as_sent
 from biosensor_gateway.simulation.world import World
+from tests.empatica_e4.steering import SteeredE4
 
 ID = "9ff167"
 NOT_BOUND = "ERR You are not connected to any device\n"
@@ -38,13 +39,13 @@ def play(client: Any, steps: list[str]) -> None:
 
 
 def test_the_happy_path_to_the_byte(world: World, line_client: Any, vectors: Any) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         play(client, scenario(vectors, "happy_path"))
 
 
 def test_the_manual_path_to_the_byte(world: World, line_client: Any, vectors: Any) -> None:
     with (
-        SimulatedE4(world, automatic=False) as server,
+        SteeredE4(world, automatic=False) as server,
         line_client(server.settings) as client,
     ):
         play(client, scenario(vectors, "manual_btle"))
@@ -54,7 +55,7 @@ def test_a_wristband_of_another_owner_to_the_byte(
     world: World, line_client: Any, vectors: Any
 ) -> None:
     with (
-        SimulatedE4(world, device_id="7a3166", allowed=False) as server,
+        SteeredE4(world, device_id="7a3166", allowed=False) as server,
         line_client(server.settings) as client,
     ):
         play(client, scenario(vectors, "not_allowed"))
@@ -70,7 +71,7 @@ def test_a_wristband_of_another_owner_to_the_byte(
 def test_a_second_binding_of_one_connection_to_the_byte(
     world: World, line_client: Any, vectors: Any
 ) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         client.begin(streams="")
         play(client, scenario(vectors, "second_binding"))
 
@@ -79,7 +80,7 @@ def test_one_wristband_may_have_several_clients(
     world: World, line_client: Any, vectors: Any
 ) -> None:
     with (
-        SimulatedE4(world) as server,
+        SteeredE4(world) as server,
         line_client(server.settings) as first,
         line_client(server.settings) as second,
     ):
@@ -102,7 +103,7 @@ def test_one_wristband_may_have_several_clients(
 def test_unbinding_closes_the_connection_to_the_byte(
     world: World, line_client: Any, vectors: Any
 ) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         client.begin(streams="")
         play(client, scenario(vectors, "disconnect_closes_tcp"))
         assert client.read() == b""
@@ -114,7 +115,7 @@ def test_unbinding_closes_the_connection_to_the_byte(
 def test_requests_end_either_way_and_come_in_any_pieces(
     world: World, line_client: Any, end: str
 ) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         for piece in ("devi", "ce_list", *end, f"{end}device_connect {ID.upper()}{end}pau"):
             client.socket.sendall(piece.encode())
         assert client.read() == f"R device_list 1 | {ID} Empatica_E4\n".encode()
@@ -140,7 +141,7 @@ def test_requests_end_either_way_and_come_in_any_pieces(
 def test_what_cannot_be_done_is_an_error(
     world: World, line_client: Any, request_: str, answer: str
 ) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         assert client.ask(request_) == f"R {request_.split(maxsplit=1)[0]} {answer}"
 
 
@@ -148,7 +149,7 @@ def test_what_cannot_be_done_is_an_error(
 def test_only_the_words_of_the_protocol_can_be_subscribed_to(
     world: World, line_client: Any, stream: str
 ) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         client.begin()
         answer = client.ask(f"device_subscribe {stream} ON")
         assert answer.startswith(f"R device_subscribe {stream} ERR ")
@@ -156,7 +157,7 @@ def test_only_the_words_of_the_protocol_can_be_subscribed_to(
 
 
 def test_a_subscription_ends(world: World, line_client: Any) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         client.begin(streams="acc bvp")
         client.until_lines("E4_Acc", 1)
         assert client.ask("device_subscribe acc OFF") == "R device_subscribe acc OK\n"
@@ -167,7 +168,7 @@ def test_a_subscription_ends(world: World, line_client: Any) -> None:
 
 def test_several_wristbands_of_one_server(world: World, line_client: Any) -> None:
     with (
-        SimulatedE4(world, others=("CC34CD",)) as server,
+        SteeredE4(world, others=("CC34CD",)) as server,
         line_client(server.settings) as first,
         line_client(server.settings_of("CC34CD")) as second,
     ):
@@ -190,7 +191,7 @@ def test_a_lost_wristband_is_replaced_by_another_on_the_same_connection(
     world: World, line_client: Any
 ) -> None:
     with (
-        SimulatedE4(world, others=("cc34cd",)) as server,
+        SteeredE4(world, others=("cc34cd",)) as server,
         line_client(server.settings) as client,
     ):
         client.begin(streams="bvp")
@@ -202,7 +203,7 @@ def test_a_lost_wristband_is_replaced_by_another_on_the_same_connection(
 
 
 def test_a_client_ends_a_radio_link_and_begins_another(world: World, line_client: Any) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         assert client.ask(f"device_disconnect_btle {ID}") == "R device_disconnect_btle OK\n"
         assert client.ask("device_list") == "R device_list 0\n"
         found = f"R device_discover_list 1 | {ID} Empatica_E4 allowed\n"
@@ -274,7 +275,7 @@ def test_what_is_written_is_what_is_noted(number: float) -> None:
 )
 def test_lines_follow_the_locale(world: World, line_client: Any, mark: str, minus: str) -> None:
     with (
-        SimulatedE4(world, style=NumberFormat(mark, minus)) as server,
+        SteeredE4(world, style=NumberFormat(mark, minus)) as server,
         line_client(server.settings) as client,
     ):
         client.begin(streams="bvp acc")
@@ -290,7 +291,7 @@ def test_stopping_closes_connections_and_gives_the_port_back(
     world: World, line_client: Any
 ) -> None:
     with ExitStack() as stack:
-        settings = stack.enter_context(SimulatedE4(world)).settings
+        settings = stack.enter_context(SteeredE4(world)).settings
         with line_client(settings) as client:
             client.begin()
             stack.close()

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
+from tests.empatica_e4.steering import SteeredE4
 
 ID = "9ff167"
 LISTED = f"R device_list 1 | {ID} Empatica_E4\n"
@@ -29,7 +29,7 @@ def eventually(condition: Callable[[], object]) -> None:
         time.sleep(0.01)
 
 
-def until_accepted(line_client: Any, server: SimulatedE4) -> Any:
+def until_accepted(line_client: Any, server: SteeredE4) -> Any:
     """Connect as soon as the port is open."""
     deadline = time.monotonic() + DEADLINE_S
     while True:
@@ -52,7 +52,7 @@ def stamps(client: Any, word: str = "E4_Bvp") -> list[float]:
 def test_a_lost_radio_link_is_told_and_comes_back_with_a_new_reference(
     world: World, line_client: Any
 ) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         client.begin(streams="bvp")
         client.until_lines("E4_Bvp", 10)
         server.apply(Fault(FaultKind.DROP, FOREVER))
@@ -75,7 +75,7 @@ def test_a_lost_radio_link_is_told_and_comes_back_with_a_new_reference(
 def test_a_radio_link_that_is_lost_for_a_time_comes_back_by_itself(
     world: World, line_client: Any
 ) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         client.begin(streams="bvp")
         server.apply(Fault(FaultKind.DROP, 0.2))
         assert client.reply() == LOST
@@ -87,7 +87,7 @@ def test_without_automatic_connections_a_client_connects_anew(
     world: World, line_client: Any
 ) -> None:
     with (
-        SimulatedE4(world, automatic=False) as server,
+        SteeredE4(world, automatic=False) as server,
         line_client(server.settings) as client,
         line_client(server.settings) as other,
     ):
@@ -109,7 +109,7 @@ def test_a_wristband_that_was_given_no_patience_is_off_once_it_is_lost(
     world: World, line_client: Any
 ) -> None:
     with (
-        SimulatedE4(world, automatic=False) as server,
+        SteeredE4(world, automatic=False) as server,
         line_client(server.settings) as client,
     ):
         client.ask(f"device_connect_btle {ID}")
@@ -122,7 +122,7 @@ def test_a_wristband_that_was_given_no_patience_is_off_once_it_is_lost(
 
 
 def test_a_wristband_that_is_turned_off_is_told_and_unbound(world: World, line_client: Any) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         client.begin(streams="bvp")
         client.until_lines("E4_Bvp", 3)
         server.turn_off()
@@ -138,7 +138,7 @@ def test_a_wristband_that_is_turned_off_is_told_and_unbound(world: World, line_c
 
 
 def test_a_stalled_server_says_nothing_and_reads_nothing(world: World, line_client: Any) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         client.begin(streams="bvp")
         client.until_lines("E4_Bvp", 3)
         server.apply(Fault(FaultKind.STALL, FOREVER))
@@ -158,7 +158,7 @@ def test_a_stalled_server_says_nothing_and_reads_nothing(world: World, line_clie
 
 
 def test_a_refusing_server_breaks_off_and_binds_nobody(world: World, line_client: Any) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         with line_client(server.settings) as client:
             client.begin()
             server.apply(Fault(FaultKind.REFUSE, FOREVER))
@@ -171,7 +171,7 @@ def test_a_refusing_server_breaks_off_and_binds_nobody(world: World, line_client
 
 
 def test_late_answers_still_come_and_after_data(world: World, line_client: Any) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         with line_client(server.settings) as client:
             client.begin(streams="bvp")
             server.apply(Fault(FaultKind.LATE, 0.3))
@@ -186,7 +186,7 @@ def test_late_answers_still_come_and_after_data(world: World, line_client: Any) 
 def test_a_restart_resets_refuses_and_comes_up_under_another_locale(
     world: World, line_client: Any
 ) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         with line_client(server.settings) as client:
             client.begin(streams="bvp")
             client.until_lines("E4_Bvp", 5)
@@ -207,7 +207,7 @@ def test_a_restart_resets_refuses_and_comes_up_under_another_locale(
 
 
 def test_a_restart_ends_by_itself(world: World, line_client: Any) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         server.apply(Fault(FaultKind.RESTART, 0.2))
         with until_accepted(line_client, server) as client:
             assert client.ask("device_list") == LISTED
@@ -216,7 +216,7 @@ def test_a_restart_ends_by_itself(world: World, line_client: Any) -> None:
 def test_a_restarted_server_without_automatic_connections_has_none(
     world: World, line_client: Any
 ) -> None:
-    with SimulatedE4(world, automatic=False) as server:
+    with SteeredE4(world, automatic=False) as server:
         with line_client(server.settings) as client:
             client.ask(f"device_connect_btle {ID} 0")
         server.apply(Fault(FaultKind.RESTART, 0.1))
@@ -227,7 +227,7 @@ def test_a_restarted_server_without_automatic_connections_has_none(
 def test_packets_that_are_lost_on_the_radio_leave_no_gap_in_the_stamps(
     world: World, line_client: Any
 ) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         client.begin(streams="bvp")
         client.until_lines("E4_Bvp", 20)
         server.lose_packets(0.5, seconds=1.0)

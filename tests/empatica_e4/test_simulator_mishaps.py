@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4
 from biosensor_gateway.devices.empatica_e4.simulator.garbage import damaged_line
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
+from tests.empatica_e4.steering import SteeredE4
 
 ID = "9ff167"
 LISTED = f"R device_list 1 | {ID} Empatica_E4\n"
@@ -39,7 +39,7 @@ def stamps(client: Any, word: str = "E4_Bvp") -> list[float]:
 
 
 def test_garbage_stands_between_lines(world: World, line_client: Any) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         client.begin(streams="acc")
         client.until_lines("E4_Acc", 3)
         server.apply(Fault(FaultKind.GARBAGE, 200))
@@ -67,7 +67,7 @@ def test_garbage_is_never_mistaken_for_a_sample(seed: int) -> None:
 
 
 def test_lines_are_doubled_glued_and_torn(world: World, line_client: Any) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         client.begin(streams="bvp")
         client.until_lines("E4_Bvp", 3)
         server.duplicate_line()
@@ -91,7 +91,7 @@ def test_lines_are_doubled_glued_and_torn(world: World, line_client: Any) -> Non
 
 
 def test_a_torn_line_comes_in_two_reads(world: World, line_client: Any) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         client.begin(streams="acc")
         server.tear_line(0.3)
         pieces: list[bytes] = []
@@ -103,7 +103,7 @@ def test_a_torn_line_comes_in_two_reads(world: World, line_client: Any) -> None:
 
 
 def test_a_connection_may_end_within_a_line(world: World, line_client: Any) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         client.begin(streams="bvp")
         client.until_lines("E4_Bvp", 2)
         server.close_within_line()
@@ -115,7 +115,7 @@ def test_a_connection_may_end_within_a_line(world: World, line_client: Any) -> N
 
 @pytest.mark.parametrize("seconds", [3600.0, -3600.0])
 def test_the_clock_of_the_pc_may_be_set(world: World, line_client: Any, seconds: float) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         client.begin(streams="bvp acc")
         client.until_lines("E4_Acc", 3)
         server.jump_clock(seconds)
@@ -126,7 +126,7 @@ def test_the_clock_of_the_pc_may_be_set(world: World, line_client: Any, seconds:
 
 
 def test_answers_are_refused_withheld_and_invented(world: World, line_client: Any) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         client.begin(streams="")
         server.refuse_stream("gsr")
         assert client.ask("device_subscribe gsr ON").startswith("R device_subscribe gsr ERR ")
@@ -139,7 +139,7 @@ def test_answers_are_refused_withheld_and_invented(world: World, line_client: An
 
 
 def test_lists_may_be_empty_for_a_time(world: World, line_client: Any) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         server.empty_list(0.3)
         assert client.ask("device_list") == "R device_list 0\n"
         assert client.ask("device_discover_list") == "R device_discover_list 0\n"
@@ -150,7 +150,7 @@ def test_a_client_that_does_not_read_loses_nothing_for_long_and_blocks_nobody(
     world: World, line_client: Any
 ) -> None:
     with (
-        SimulatedE4(world) as server,
+        SteeredE4(world) as server,
         line_client(server.settings) as slow,
         line_client(server.settings) as client,
     ):
@@ -164,7 +164,7 @@ def test_a_client_that_does_not_read_loses_nothing_for_long_and_blocks_nobody(
 
 
 def test_connections_can_be_broken_off(world: World, line_client: Any) -> None:
-    with SimulatedE4(world) as server:
+    with SteeredE4(world) as server:
         with line_client(server.settings) as client:
             client.begin()
             server.close_connections()

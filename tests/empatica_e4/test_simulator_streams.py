@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from pylsl import local_clock
 
-from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4, Timing
+from biosensor_gateway.devices.empatica_e4.simulator import Timing
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
+from tests.empatica_e4.steering import SteeredE4
 
 STEPS_S = {
     "E4_Bvp": 1 / 63.997,
@@ -51,7 +52,7 @@ def declared(word: str, values: tuple[float, ...]) -> list[float]:
             return list(values)
 
 
-def assert_equals_truth(server: SimulatedE4, client: Any, *words: str) -> None:
+def assert_equals_truth(server: SteeredE4, client: Any, *words: str) -> None:
     """What a client read is what was noted, from the first line on and in order."""
     for word in words or DATA_NAMES:
         lines = client.lines(word)
@@ -62,7 +63,7 @@ def assert_equals_truth(server: SimulatedE4, client: Any, *words: str) -> None:
 
 def test_every_stream_says_the_truth(world: World, line_client: Any) -> None:
     with (
-        SimulatedE4(world, timing=Timing(battery_interval_s=1.0), seed=3) as server,
+        SteeredE4(world, timing=Timing(battery_interval_s=1.0), seed=3) as server,
         line_client(server.settings) as client,
     ):
         gather(client)
@@ -73,7 +74,7 @@ def test_every_stream_says_the_truth(world: World, line_client: Any) -> None:
 
 def test_stamps_count_samples_by_the_nominal_rate(world: World, line_client: Any) -> None:
     with (
-        SimulatedE4(world, jitter_s=0.05, drift_ppm=200) as server,
+        SteeredE4(world, jitter_s=0.05, drift_ppm=200) as server,
         line_client(server.settings) as client,
     ):
         client.begin()
@@ -86,7 +87,7 @@ def test_stamps_count_samples_by_the_nominal_rate(world: World, line_client: Any
 
 def test_the_reference_is_the_begin_of_the_radio_link(world: World, line_client: Any) -> None:
     with (
-        SimulatedE4(world, automatic=False) as server,
+        SteeredE4(world, automatic=False) as server,
         line_client(server.settings) as first,
         line_client(server.settings) as second,
     ):
@@ -103,7 +104,7 @@ def test_the_reference_is_the_begin_of_the_radio_link(world: World, line_client:
 
 
 def test_conductance_and_temperature_come_in_bursts(world: World, line_client: Any) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         client.begin(streams="bvp gsr tmp")
         client.until_lines("E4_Temperature", 18)
     words = [line.split(maxsplit=1)[0].decode() for line in client.data]
@@ -115,7 +116,7 @@ def test_conductance_and_temperature_come_in_bursts(world: World, line_client: A
 
 
 def test_beats_come_late_and_the_rate_before_the_interval(world: World, line_client: Any) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         gather(client)
         rates, intervals = client.lines("E4_Hr"), client.lines("E4_Ibi")
         newest_bvp = client.lines("E4_Bvp")[-1].stamp
@@ -133,7 +134,7 @@ def test_beats_come_late_and_the_rate_before_the_interval(world: World, line_cli
 def test_beats_are_those_of_the_wearer(world: World, line_client: Any) -> None:
     wearer = Wearer(1, heart_rate_bpm=90)
     with (
-        SimulatedE4(world, timing=Timing(beat_delay_s=0.0), wearer=wearer) as server,
+        SteeredE4(world, timing=Timing(beat_delay_s=0.0), wearer=wearer) as server,
         line_client(server.settings) as client,
     ):
         client.begin(streams="ibi")
@@ -145,7 +146,7 @@ def test_beats_are_those_of_the_wearer(world: World, line_client: Any) -> None:
 
 def test_bvp_may_come_later_than_conductance(world: World, line_client: Any) -> None:
     with (
-        SimulatedE4(world, timing=Timing(bvp_delay_s=0.065)) as server,
+        SteeredE4(world, timing=Timing(bvp_delay_s=0.065)) as server,
         line_client(server.settings) as client,
     ):
         client.begin(streams="bvp gsr")
@@ -159,7 +160,7 @@ def test_bvp_may_come_later_than_conductance(world: World, line_client: Any) -> 
 
 def test_the_charge_comes_at_its_interval(world: World, line_client: Any) -> None:
     with (
-        SimulatedE4(world, timing=Timing(battery_interval_s=0.5)) as server,
+        SteeredE4(world, timing=Timing(battery_interval_s=0.5)) as server,
         line_client(server.settings) as client,
     ):
         client.begin(streams="bat")
@@ -174,7 +175,7 @@ def test_the_charge_comes_at_its_interval(world: World, line_client: Any) -> Non
 
 
 def test_a_button_press_is_a_line_without_value(world: World, line_client: Any) -> None:
-    with SimulatedE4(world) as server, line_client(server.settings) as client:
+    with SteeredE4(world) as server, line_client(server.settings) as client:
         client.begin(streams="bvp tag")
         client.until_lines("E4_Bvp", 5)
         before = local_clock()
@@ -192,7 +193,7 @@ def test_a_button_press_is_a_line_without_value(world: World, line_client: Any) 
 
 def test_the_crystal_drifts_against_the_stamps(world: World, line_client: Any) -> None:
     with (
-        SimulatedE4(world, drift_ppm=5000) as server,
+        SteeredE4(world, drift_ppm=5000) as server,
         line_client(server.settings) as client,
     ):
         client.begin(streams="bvp acc")
@@ -215,7 +216,7 @@ def test_nothing_arrives_before_it_is_measured_nor_out_of_order(
     world: World, line_client: Any
 ) -> None:
     with (
-        SimulatedE4(world, jitter_s=0.1) as server,
+        SteeredE4(world, jitter_s=0.1) as server,
         line_client(server.settings) as client,
     ):
         client.begin(streams="bvp acc gsr")
@@ -234,7 +235,7 @@ def test_a_wristband_that_is_taken_off_reads_exactly_no_conductance(
     world: World, line_client: Any
 ) -> None:
     with (
-        SimulatedE4(world, timing=Timing(beat_delay_s=0.0, burst=1)) as server,
+        SteeredE4(world, timing=Timing(beat_delay_s=0.0, burst=1)) as server,
         line_client(server.settings) as client,
     ):
         client.begin()
@@ -257,7 +258,7 @@ def test_a_wristband_that_is_taken_off_reads_exactly_no_conductance(
 def test_equal_wearers_measure_equal_things(world: World, line_client: Any) -> None:
     wearer = Wearer(4)
     t = np.arange(0, 30.0, 0.01)
-    with SimulatedE4(world, seed=4) as server, line_client(server.settings) as client:
+    with SteeredE4(world, seed=4) as server, line_client(server.settings) as client:
         client.begin(streams="tmp")
         client.until_lines("E4_Temperature", 6)
         readings = [line.values[0] for line in client.lines("E4_Temperature")]

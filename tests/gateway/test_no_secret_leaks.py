@@ -24,18 +24,14 @@ from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.emotiv_insight.driver import cortex as cortex_client
 from biosensor_gateway.devices.emotiv_insight.driver.driver import DRIVER
 from biosensor_gateway.devices.emotiv_insight.driver.requests import request_text
-from biosensor_gateway.devices.emotiv_insight.simulator import (
-    App,
-    Circumstances,
-    SimulatedCortex,
-    Timing,
-)
+from biosensor_gateway.devices.emotiv_insight.simulator import App, Circumstances, Timing
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.logs import LOG_FILE_NAME, configure_logs, flush_logs
+from tests.emotiv_insight.steering import SteeredCortex
 from tests.rigs import file_keyring
 
 CLIENT_ID, CLIENT_SECRET = "planted-id-3c80f1", "planted-secret-77ab02"
@@ -48,10 +44,10 @@ Until = Callable[[Callable[[], bool]], None]
 
 
 @pytest.fixture
-def cortex() -> Iterator[SimulatedCortex]:
+def cortex() -> Iterator[SteeredCortex]:
     with (
         World() as world,
-        SimulatedCortex(
+        SteeredCortex(
             world, Circumstances(app=App(CLIENT_ID, CLIENT_SECRET)), timing=QUICK, seed=1
         ) as service,
     ):
@@ -67,7 +63,7 @@ def leaks(text: str) -> list[str]:
 class Gateway:
     """An agent as a process, and all that it leaves behind."""
 
-    def __init__(self, folder: Path, cortex: SimulatedCortex, environment: dict[str, str]) -> None:
+    def __init__(self, folder: Path, cortex: SteeredCortex, environment: dict[str, str]) -> None:
         self._folder = folder
         self._environment = {
             **{name: text for name, text in os.environ.items() if not name.startswith("EMOTIV_")},
@@ -134,7 +130,7 @@ class Gateway:
 
 
 @pytest.fixture
-def start(tmp_path: Path, cortex: SimulatedCortex) -> Generator[Callable[..., Gateway]]:
+def start(tmp_path: Path, cortex: SteeredCortex) -> Generator[Callable[..., Gateway]]:
     started: list[Gateway] = []
 
     def begin(environment: dict[str, str]) -> Gateway:
@@ -157,7 +153,7 @@ def process_list() -> str:
     return "\n".join(shown)
 
 
-def quote(cortex: SimulatedCortex) -> None:
+def quote(cortex: SteeredCortex) -> None:
     """Have Cortex say what it was told, as no service should."""
     told = f"{CLIENT_ID} has the secret {CLIENT_SECRET}"
     cortex.send_raw(json.dumps({"jsonrpc": "2.0", "warning": {"code": 4711, "message": told}}))
@@ -168,7 +164,7 @@ def quote(cortex: SimulatedCortex) -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="the process list is read from /proc")
 @pytest.mark.parametrize("origin", ["environment", "keyring"])
 def test_an_agent_shows_no_secret_whatever_happens(
-    cortex: SimulatedCortex,
+    cortex: SteeredCortex,
     start: Callable[..., Gateway],
     until: Until,
     tmp_path: Path,
@@ -203,7 +199,7 @@ def test_an_agent_shows_no_secret_whatever_happens(
 
 
 def test_rejected_secrets_are_not_quoted(
-    cortex: SimulatedCortex, start: Callable[..., Gateway], until: Until
+    cortex: SteeredCortex, start: Callable[..., Gateway], until: Until
 ) -> None:
     agent = start({"EMOTIV_CLIENT_ID": CLIENT_ID, "EMOTIV_CLIENT_SECRET": WRONG_SECRET})
     until(lambda: agent.device()["error"] is not None)
@@ -232,7 +228,7 @@ def with_variables(error: BaseException) -> str:
 
 @pytest.mark.parametrize("broken", ["hasAccessRight", "authorize", "createSession", "subscribe"])
 async def test_a_crash_shows_no_secret(
-    cortex: SimulatedCortex,
+    cortex: SteeredCortex,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],

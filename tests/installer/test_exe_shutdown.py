@@ -12,11 +12,11 @@ from typing import NamedTuple
 import pylsl
 import pytest
 
-from biosensor_gateway.devices.empatica_e4.simulator import SimulatedE4
 from biosensor_gateway.devices.shimmer3_gsr.simulator import SimulatedShimmer3
 from biosensor_gateway.simulation.world import World
 from installer.layout import WORK
 from installer.wine.prefix import Prefix, windows_path
+from tests.empatica_e4.steering import SteeredE4
 from tests.faults.expectations import source
 from tests.rigs.windows.pc import WindowsPc
 from tests.rigs.windows.program import RunningProgram, lively, program_environment, wait_until
@@ -35,7 +35,7 @@ class Streaming(NamedTuple):
     pc: WindowsPc
     program: RunningProgram
     folder: Path
-    e4: SimulatedE4
+    e4: SteeredE4
     shimmer: SimulatedShimmer3
 
 
@@ -78,7 +78,7 @@ def prefix(installed: WindowsPc) -> Prefix:
 @pytest.fixture
 def streaming(prefix: Prefix, installed: WindowsPc, tmp_path: Path) -> Generator[Streaming]:
     here = replace(prefix, environment={**prefix.environment, **program_environment(tmp_path)})
-    with World() as world, SimulatedE4(world) as e4, SimulatedShimmer3(world) as shimmer:
+    with World() as world, SteeredE4(world) as e4, SimulatedShimmer3(world) as shimmer:
         installed.plug_in(COM, shimmer.port)
         devices = {
             "empatica_e4": e4.settings,

@@ -13,8 +13,8 @@ from playwright.sync_api import Locator, Page, expect
 
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.demo.virtual_devices import one_of_each
-from biosensor_gateway.devices.empatica_e4.simulator.e4 import SimulatedE4
 from biosensor_gateway.simulation.world import World
+from tests.empatica_e4.steering import SteeredE4
 from tests.page.axe import violations
 from tests.page.conftest import DEADLINE_S, Server
 from tests.rigs.wristbands import LOCATED
@@ -27,8 +27,8 @@ Scheme = Literal["light", "dark"]
 
 
 @pytest.fixture
-def wristbands() -> Generator[SimulatedE4]:
-    with World() as world, SimulatedE4(world, device_id=LEFT, others=[RIGHT]) as running:
+def wristbands() -> Generator[SteeredE4]:
+    with World() as world, SteeredE4(world, device_id=LEFT, others=[RIGHT]) as running:
         yield running
 
 
@@ -63,7 +63,7 @@ WATCH_FOR_PROGRESS = """() => {
 
 
 def test_two_sensors_are_found_added_watched_paused_renamed_and_removed(
-    server: Server, window: OpenWindow, wristbands: SimulatedE4
+    server: Server, window: OpenWindow, wristbands: SteeredE4
 ) -> None:
     server.programs.settings.write_text(LOCATED.format(**wristbands.settings))
     page = window()
@@ -120,7 +120,7 @@ def test_two_sensors_are_found_added_watched_paused_renamed_and_removed(
 
 
 def test_a_mistake_in_the_settings_is_explained_and_an_agent_that_dies_comes_back(
-    server: Server, window: OpenWindow, wristbands: SimulatedE4
+    server: Server, window: OpenWindow, wristbands: SteeredE4
 ) -> None:
     settings = server.programs.settings
     good = (

@@ -10,13 +10,13 @@ from typing import Any
 import pytest
 
 from biosensor_gateway.agent import supervisor as supervisor_module
-from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.polar_h10.simulator.quirks import Quirks
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.wearer import Wearer
+from tests.polar_h10.steering import SteeredPolarH10
 from tests.rigs.bluetooth import *  # noqa: F403 - its fixtures and its hook
 
-Make = Callable[..., SimulatedPolarH10]
+Make = Callable[..., SteeredPolarH10]
 
 
 @pytest.fixture
@@ -24,8 +24,8 @@ def make_h10(radio: Radio) -> Generator[Make]:
     """Switch a sensor on for the rest of the test."""
     with ExitStack() as stack:
 
-        def make(quirks: Quirks | None = None, **options: Any) -> SimulatedPolarH10:
-            device = SimulatedPolarH10(radio.world, radio, quirks=quirks, **options)
+        def make(quirks: Quirks | None = None, **options: Any) -> SteeredPolarH10:
+            device = SteeredPolarH10(radio.world, radio, quirks=quirks, **options)
             return stack.enter_context(device)
 
         yield make

@@ -13,16 +13,16 @@ from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.polar_h10.driver import driver as driver_module
 from biosensor_gateway.devices.polar_h10.driver import session as session_module
 from biosensor_gateway.devices.polar_h10.driver.driver import PolarDriver
-from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
 from biosensor_gateway.devices.polar_h10.simulator.quirks import Quirks
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.transports import ble
+from tests.polar_h10.steering import SteeredPolarH10
 from tests.rigs.driver_run import Run, streaming
 from tests.rigs.polar_h10 import assert_only_gaps
 from tests.rigs.polling import until
 
-MakeSensor = Callable[..., SimulatedPolarH10]
+MakeSensor = Callable[..., SteeredPolarH10]
 
 
 async def after_a_break(run: Run, break_it: Callable[[], None]) -> None:

@@ -9,9 +9,9 @@ import pytest
 from bleak.exc import BleakGATTProtocolError
 from numpy.typing import NDArray
 
-from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
 from biosensor_gateway.simulation.wearer import Wearer
+from tests.polar_h10.steering import SteeredPolarH10
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.gatt_host import advertised, connection
 from tests.rigs.polar_pmd import (
@@ -28,13 +28,13 @@ from tests.rigs.polar_pmd import (
 from tests.rigs.polling import until
 
 POWER_ON_NS = 599_616_000_000_000_000
-MakeH10 = Callable[..., SimulatedPolarH10]
+MakeH10 = Callable[..., SteeredPolarH10]
 
 pytestmark = ON_BUMBLE
 
 
 @pytest.fixture
-def h10(make_h10: MakeH10) -> SimulatedPolarH10:
+def h10(make_h10: MakeH10) -> SteeredPolarH10:
     return make_h10()
 
 
@@ -42,7 +42,7 @@ def int16(body: bytes) -> NDArray[np.int16]:
     return np.frombuffer(body, "<i2").reshape(-1, 3)
 
 
-async def test_it_is_advertised_as_an_h10_is(h10: SimulatedPolarH10) -> None:
+async def test_it_is_advertised_as_an_h10_is(h10: SteeredPolarH10) -> None:
     device, data = await advertised(NAME)
     assert device.address == "A0:9E:1A:A1:B2:C3"
     assert h10.settings == {"device": "A1B2C3D4"}
@@ -53,7 +53,7 @@ async def test_it_is_advertised_as_an_h10_is(h10: SimulatedPolarH10) -> None:
     assert payload[0] & 0b11 == 0b10
 
 
-async def test_its_advertisement_shows_that_it_is_alive(h10: SimulatedPolarH10) -> None:
+async def test_its_advertisement_shows_that_it_is_alive(h10: SteeredPolarH10) -> None:
     del h10
     counters: set[int] = set()
     rates: set[int] = set()
@@ -64,7 +64,7 @@ async def test_its_advertisement_shows_that_it_is_alive(h10: SimulatedPolarH10) 
     assert max(rates) > 60
 
 
-async def test_it_says_what_it_is(h10: SimulatedPolarH10) -> None:
+async def test_it_says_what_it_is(h10: SteeredPolarH10) -> None:
     async with connection(NAME) as host:
         read = host.client.read_gatt_char
         texts = [bytes(await read(uuid)) for uuid in ("2a29", "2a24", "2a25")]
@@ -88,7 +88,7 @@ async def test_heart_rate_carries_intervals_and_nothing_about_contact(make_h10: 
     assert h10.truth.samples("ibi").values[: len(intervals), 0].tolist() == intervals
 
 
-async def test_the_handshake_is_as_published(h10: SimulatedPolarH10) -> None:
+async def test_the_handshake_is_as_published(h10: SteeredPolarH10) -> None:
     async with connection(NAME) as host:
         with pytest.raises(BleakGATTProtocolError) as refused:
             await host.client.write_gatt_char(CONTROL, b"\1\0", response=True)
@@ -130,7 +130,7 @@ async def test_ecg_frames_are_the_truth(make_h10: MakeH10) -> None:
     assert all(one.arrival >= time for one, time in zip(heard, last_s, strict=True))
 
 
-async def test_acceleration_frames_are_the_truth(h10: SimulatedPolarH10) -> None:
+async def test_acceleration_frames_are_the_truth(h10: SteeredPolarH10) -> None:
     async with connection(NAME) as host:
         await open_pmd(host)
         await host.ask(CONTROL, START_ACC)
@@ -160,7 +160,7 @@ async def test_the_ecg_beats_where_the_intervals_end(make_h10: MakeH10) -> None:
         assert peak_s == pytest.approx(beat_s, abs=1.5 / 130)
 
 
-async def test_measurements_end_with_the_link(h10: SimulatedPolarH10) -> None:
+async def test_measurements_end_with_the_link(h10: SteeredPolarH10) -> None:
     async with connection(NAME) as host:
         await open_pmd(host)
         await host.ask(CONTROL, START_ECG)
@@ -170,7 +170,7 @@ async def test_measurements_end_with_the_link(h10: SimulatedPolarH10) -> None:
         assert await host.ask(CONTROL, START_ECG) == "f002000000"
 
 
-async def test_it_can_stop_by_itself_and_says_so(h10: SimulatedPolarH10) -> None:
+async def test_it_can_stop_by_itself_and_says_so(h10: SteeredPolarH10) -> None:
     async with connection(NAME) as host:
         await open_pmd(host)
         await host.ask(CONTROL, START_ACC)

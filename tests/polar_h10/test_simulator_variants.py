@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from bleak.exc import BleakGATTProtocolError
 
-from biosensor_gateway.devices.polar_h10.simulator import SimulatedPolarH10
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
 from biosensor_gateway.devices.polar_h10.simulator.quirks import Firmware, Quirks
 from biosensor_gateway.simulation.radio import Radio
+from tests.polar_h10.steering import SteeredPolarH10
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.gatt_host import connection
 from tests.rigs.polar_pmd import (
@@ -27,7 +27,7 @@ from tests.rigs.polar_pmd import (
 from tests.rigs.polling import until
 
 PMD_SERVICE = "fb005c80-02e7-f387-1cad-8acd2d8df0c8"
-MakeH10 = Callable[..., SimulatedPolarH10]
+MakeH10 = Callable[..., SteeredPolarH10]
 
 pytestmark = ON_BUMBLE
 

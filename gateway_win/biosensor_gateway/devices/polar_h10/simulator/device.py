@@ -20,7 +20,6 @@ from biosensor_gateway.devices.polar_h10.simulator.advertisement import (
     manufacturer_data,
 )
 from biosensor_gateway.devices.polar_h10.simulator.expected import EXPECTED
-from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement
 from biosensor_gateway.devices.polar_h10.simulator.pmd_service import PmdService
 from biosensor_gateway.devices.polar_h10.simulator.products import H10, Product
 from biosensor_gateway.devices.polar_h10.simulator.quirks import Firmware, Quirks
@@ -128,15 +127,6 @@ class SimulatedPolarH10(StrapDevice):
     def settings(self) -> Mapping[str, Any]:
         """Fields that lead a driver to it."""
         return {"device": self._device_id}
-
-    def stop_measurements(self, *measurements: Measurement) -> None:
-        """Have the device stop measurements by itself and tell the host."""
-        if self._pmd is not None:
-            self.world.await_(self._pmd.stop(measurements))
-
-    def forget_heart_rate(self) -> None:
-        """Have the device take it that nobody has subscribed to its heart rate."""
-        self.world.call(self._strap.forget)
 
     def _babble(self, packets: float) -> None:
         self._strap.babble(packets)
