@@ -11,14 +11,7 @@ from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.jumps import SAID, SAID_S, JumpReports, Jumps
 from biosensor_gateway.streaming.sink import DeviceSink
-from biosensor_gateway.system.clock import LslClock
-
-
-class SetClock(LslClock):
-    now_s = 1000.0
-
-    def __call__(self) -> float:
-        return self.now_s
+from tests.rigs.set_clock import SetClock
 
 
 @pytest.fixture

@@ -7,18 +7,11 @@ from typing import Any
 from structlog.testing import capture_logs
 
 from biosensor_gateway.system.keep_awake import GRACE_S, RETRY_S, KeepAwake
+from tests.rigs.set_clock import SetClock
 
 KEPT = "the computer is kept from sleeping while a device streams"
 LET_GO = "the computer may go to sleep again"
 WARNED = "the computer may go to sleep while a device streams"
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now = 1000.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 class Recorder:
@@ -49,15 +42,15 @@ def events(logs: list[Any]) -> list[str]:
     return [entry["event"].split(";")[0] for entry in logs]
 
 
-def every_second(awake: KeepAwake, clock: Clock, seconds: float, *, wanted: bool) -> None:
-    end = clock.now + seconds
-    while clock.now < end:
+def every_second(awake: KeepAwake, clock: SetClock, seconds: float, *, wanted: bool) -> None:
+    end = clock.now_s + seconds
+    while clock.now_s < end:
         awake.hold(wanted)
-        clock.now += 1.0
+        clock.now_s += 1.0
 
 
 def test_it_is_held_once_and_let_go_once_a_grace_period_after_the_last_stream() -> None:
-    clock, system = Clock(), Recorder()
+    clock, system = SetClock(), Recorder()
     awake = KeepAwake(system, clock)
     with capture_logs() as logs:
         every_second(awake, clock, 10, wanted=False)
@@ -77,7 +70,7 @@ def test_it_is_held_once_and_let_go_once_a_grace_period_after_the_last_stream() 
 
 
 def test_a_device_that_drops_out_for_less_is_no_end() -> None:
-    clock, system = Clock(), Recorder()
+    clock, system = SetClock(), Recorder()
     awake = KeepAwake(system, clock)
     for _ in range(5):
         every_second(awake, clock, 5, wanted=True)
@@ -86,7 +79,7 @@ def test_a_device_that_drops_out_for_less_is_no_end() -> None:
 
 
 def test_closing_ends_it_without_a_grace_period_and_it_can_be_held_again() -> None:
-    clock, system = Clock(), Recorder()
+    clock, system = SetClock(), Recorder()
     awake = KeepAwake(system, clock)
     awake.hold(True)
     awake.close()
@@ -97,16 +90,16 @@ def test_closing_ends_it_without_a_grace_period_and_it_can_be_held_again() -> No
 
 
 def test_after_a_long_sleep_it_is_asked_for_anew() -> None:
-    clock, system = Clock(), Recorder()
+    clock, system = SetClock(), Recorder()
     awake = KeepAwake(system, clock)
     awake.hold(True)
-    clock.now += GRACE_S
+    clock.now_s += GRACE_S
     awake.hold(True)
     assert system.calls == ["begin", "end", "begin"]
 
 
 def test_a_refusal_is_said_once_and_the_system_is_asked_again_after_a_while() -> None:
-    clock, system = Clock(), Recorder()
+    clock, system = SetClock(), Recorder()
     awake = KeepAwake(system, clock)
     system.refusal = PermissionError("not you")
     with capture_logs() as logs:
@@ -121,7 +114,7 @@ def test_a_refusal_is_said_once_and_the_system_is_asked_again_after_a_while() ->
 
 
 def test_it_is_not_said_to_be_held_before_the_system_has_agreed() -> None:
-    clock, system = Clock(), Recorder()
+    clock, system = SetClock(), Recorder()
     awake = KeepAwake(system, clock)
     system.agreed = False
     with capture_logs() as logs:

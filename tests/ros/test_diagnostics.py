@@ -29,6 +29,7 @@ from lsl_to_ros.reports.diagnostics import STALE_AFTER_S, StreamStatus, stream_f
 from lsl_to_ros.topics.bridge import Bridge, Outputs
 from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter
 from tests.rigs.recorded_topics import Clocks, RecordedPublisher, header_of
+from tests.rigs.set_clock import SetClock
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
@@ -39,20 +40,10 @@ HEADER = header_of("zephyr", "acc", participant="p01", label="left", rate=100.0,
 SETTINGS = StreamSettings(raw=True, chunk=True, chunk_length=8)
 
 
-class Clock:
-    """Time that passes when a test says so."""
-
-    def __init__(self) -> None:
-        self.now = 1000.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 class Stream:
     """One stream, looked at by ``/diagnostics`` once a second."""
 
-    def __init__(self, ros: Ros, clock: Clock, header: StreamHeader = HEADER) -> None:
+    def __init__(self, ros: Ros, clock: SetClock, header: StreamHeader = HEADER) -> None:
         self.counters = NodeCounters()
         self.clocks = Clocks(ros.node)
         self.topic = NAME
@@ -63,7 +54,7 @@ class Stream:
         kind = MessageType.FLOAT32_MULTI_ARRAY
         outputs = Outputs(raw=NumberWriter(raw, kind, 3, refuse), chunk=ChunkWriter(chunk, kind, 3))
         self.bridge = Bridge(header, outputs, SETTINGS, self.counters, self.clocks, refuse)
-        self._status = StreamStatus(begun_s=clock.now, heard_s=clock.now)
+        self._status = StreamStatus(begun_s=clock.now_s, heard_s=clock.now_s)
 
     def receive(self, *ages: float) -> Stream:
         """Receive samples of so many seconds ago, each by itself."""
@@ -73,7 +64,7 @@ class Stream:
         return self
 
     def pass_time(self, seconds: float) -> Stream:
-        self._clock.now += seconds
+        self._clock.now_s += seconds
         return self
 
     def look(self, spread: float = 0.0) -> DiagnosticStatus:
@@ -89,8 +80,8 @@ class Stream:
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    clock = Clock()
+def clock(monkeypatch: pytest.MonkeyPatch) -> SetClock:
+    clock = SetClock()
     monkeypatch.setattr(diagnostics, "monotonic", clock)
     monkeypatch.setattr(status, "monotonic", clock)
     monkeypatch.setattr(rates, "monotonic", clock)
@@ -98,12 +89,12 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
 
 @pytest.fixture
-def stream(ros: Ros, clock: Clock) -> Stream:
+def stream(ros: Ros, clock: SetClock) -> Stream:
     return Stream(ros, clock)
 
 
 @pytest.fixture
-def irregular(ros: Ros, clock: Clock) -> Stream:
+def irregular(ros: Ros, clock: SetClock) -> Stream:
     """A stream of which no rate can be expected."""
     return Stream(ros, clock, replace(HEADER, rate=0.0, chunk=""))
 
@@ -179,7 +170,7 @@ def test_a_shared_name_is_an_error(stream: Stream) -> None:
     assert stream.look().level == DiagnosticStatus.ERROR
 
 
-def test_agents_of_many_computers_may_share_a_name(ros: Ros, clock: Clock) -> None:
+def test_agents_of_many_computers_may_share_a_name(ros: Ros, clock: SetClock) -> None:
     agent = replace(HEADER, identity=DeviceIdentity("gateway", "lab-pc-1"))
     stream = Stream(ros, clock, agent).receive(0.0)
     stream.topic = TopicName("biosensors/gateway_lab_x2Dpc_x2D1", "counters", conflict=True)
@@ -210,7 +201,7 @@ def test_lost_samples_are_a_warning_for_a_while(irregular: Stream) -> None:
 
 
 def test_what_is_lost_is_counted_estimated_or_unknown_but_never_made_up(
-    ros: Ros, clock: Clock
+    ros: Ros, clock: SetClock
 ) -> None:
     ours = Stream(ros, clock)
     assert values(ours.look())["lost"] == "unknown"

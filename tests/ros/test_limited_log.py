@@ -11,19 +11,10 @@ from rclpy.logging import RcutilsLogger
 
 from lsl_to_ros import limited_log
 from lsl_to_ros.limited_log import BURST, BURST_S, SAME_AGAIN_S, LimitedLog
+from tests.rigs.set_clock import SetClock
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros
-
-
-class Clock:
-    """Time that passes when a test says so."""
-
-    def __init__(self) -> None:
-        self.now = 1000.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 class Recorder:
@@ -52,8 +43,8 @@ class Recorder:
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    clock = Clock()
+def clock(monkeypatch: pytest.MonkeyPatch) -> SetClock:
+    clock = SetClock()
     monkeypatch.setattr(limited_log, "monotonic", clock)
     return clock
 
@@ -64,8 +55,8 @@ def recorder() -> Recorder:
 
 
 @pytest.fixture
-def log(clock: Clock, recorder: Recorder) -> LimitedLog:
-    assert clock.now
+def log(clock: SetClock, recorder: Recorder) -> LimitedLog:
+    assert clock.now_s
     return LimitedLog(cast("RcutilsLogger", recorder))
 
 
@@ -76,38 +67,40 @@ def test_different_sentences_are_all_said(log: LimitedLog, recorder: Recorder) -
 
 
 def test_a_sentence_is_said_once_a_minute(
-    log: LimitedLog, recorder: Recorder, clock: Clock
+    log: LimitedLog, recorder: Recorder, clock: SetClock
 ) -> None:
     log.warn("a")
-    clock.now += SAME_AGAIN_S - 0.001
+    clock.now_s += SAME_AGAIN_S - 0.001
     log.warn("a")
     assert recorder.said == ["a"]
-    clock.now += 0.001
+    clock.now_s += 0.001
     log.warn("a")
     log.warn("a")
     assert recorder.said == ["a", "a (1 lines were held back)"]
-    clock.now += SAME_AGAIN_S
+    clock.now_s += SAME_AGAIN_S
     log.warn("a")
     assert recorder.said[2:] == ["a (1 lines were held back)"]
 
 
 def test_repeating_a_sentence_does_not_put_off_its_next_time(
-    log: LimitedLog, recorder: Recorder, clock: Clock
+    log: LimitedLog, recorder: Recorder, clock: SetClock
 ) -> None:
     for _ in range(int(SAME_AGAIN_S) + 1):
         log.warn("a")
-        clock.now += 1.0
+        clock.now_s += 1.0
     assert len(recorder.said) == 2
 
 
-def test_a_burst_is_cut_off_and_counted(log: LimitedLog, recorder: Recorder, clock: Clock) -> None:
+def test_a_burst_is_cut_off_and_counted(
+    log: LimitedLog, recorder: Recorder, clock: SetClock
+) -> None:
     for number in range(BURST + 30):
         log.warn(f"stream {number}")
     assert recorder.said == [f"stream {number}" for number in range(BURST)]
-    clock.now += BURST_S - 0.001
+    clock.now_s += BURST_S - 0.001
     log.warn("too early")
     assert len(recorder.said) == BURST
-    clock.now += 0.001
+    clock.now_s += 0.001
     log.warn("the next")
     assert recorder.said[-1] == "the next (31 lines were held back)"
     log.warn("and one more")
@@ -115,17 +108,17 @@ def test_a_burst_is_cut_off_and_counted(log: LimitedLog, recorder: Recorder, clo
 
 
 def test_what_a_burst_held_back_can_still_be_said(
-    log: LimitedLog, recorder: Recorder, clock: Clock
+    log: LimitedLog, recorder: Recorder, clock: SetClock
 ) -> None:
     for number in range(BURST + 1):
         log.warn(f"stream {number}")
-    clock.now += BURST_S
+    clock.now_s += BURST_S
     log.warn(f"stream {BURST}")
     assert recorder.said[-1] == f"stream {BURST} (1 lines were held back)"
 
 
 def test_every_warning_of_every_thread_is_said_or_counted(
-    log: LimitedLog, recorder: Recorder, clock: Clock
+    log: LimitedLog, recorder: Recorder, clock: SetClock
 ) -> None:
     different, repeats, count = BURST // 4, 5, 8
 
@@ -138,7 +131,7 @@ def test_every_warning_of_every_thread_is_said_or_counted(
         thread.start()
     for thread in threads:
         thread.join()
-    clock.now += BURST_S
+    clock.now_s += BURST_S
     log.warn("the last")
     assert len(recorder.said) == BURST + 1
     assert len(recorder.said) + recorder.held_back == count * different * repeats + 1

@@ -27,18 +27,10 @@ from biosensor_gateway.devices.zephyr.simulator.wire import (
     waveform,
 )
 from biosensor_gateway.simulation.wearer import Wearer
-from biosensor_gateway.system.clock import LslClock
+from tests.rigs.set_clock import SetClock
 
 ALL = frozenset(REQUESTS.values())
 MONDAY = DeviceStamp(date(2026, 3, 2), 86_390_000)
-
-
-class SetClock(LslClock):
-    def __init__(self, now_s: float) -> None:
-        self.now_s = now_s
-
-    def __call__(self) -> float:
-        return self.now_s
 
 
 def produce(
