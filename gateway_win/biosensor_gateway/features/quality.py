@@ -6,6 +6,7 @@ References are in :mod:`.thresholds`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,13 +61,16 @@ def _held(values: Array) -> dict[str, bool]:
     }
 
 
-def _moment(values: Array, order: int) -> float:
+def _moment(values: Array, order: Literal[3, 4]) -> float:
+    """Return skewness or kurtosis."""
     centred = values - values.mean()
     spread = float(np.sqrt(np.square(centred).mean()))
     if spread <= 0:
         return 0.0
     scaled: Array = centred / spread
-    return float(np.power(scaled, order).mean())
+    squares = np.square(scaled)
+    # np.power takes twenty times as long.
+    return float((squares * (scaled if order == 3 else squares)).mean())
 
 
 def _judged(scores: Mapping[str, float], held: Mapping[str, bool]) -> Judged:
