@@ -13,7 +13,7 @@ class Effort:
     ----------
     rounds
         Of each measurement that is compared with a floor.
-    one_s, sixteen_s, chunks_s, idle_s, bursts_s, agent_s
+    one_s, sixteen_s, chunks_s, idle_s, bursts_s, agent_s, features_s
         What one round takes without its preparation.
     settle_s
         Time for what starts up to come to rest.
@@ -51,6 +51,7 @@ class Effort:
     page_s: float
     published: int
     agent_s: float
+    features_s: float
     taped_s: float
     passes: int
     clock_seeds: int
@@ -74,6 +75,7 @@ FULL = Effort(
     page_s=1800.0,
     published=200,
     agent_s=30.0,
+    features_s=60.0,
     taped_s=5.0,
     passes=15,
     clock_seeds=10,
@@ -96,6 +98,7 @@ QUICK = Effort(
     page_s=300.0,
     published=50,
     agent_s=4.0,
+    features_s=15.0,
     taped_s=1.0,
     passes=5,
     clock_seeds=3,
