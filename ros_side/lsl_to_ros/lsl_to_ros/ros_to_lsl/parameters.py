@@ -172,7 +172,7 @@ def _request(topic: str, given: Mapping[str, Any], resolve: Callable[[str], str]
     }
     try:
         full = resolve(topic)
-    except (RuntimeError, TypeError) as error:  # RCLError is the one; the other, no Unicode
+    except (RuntimeError, TypeError, ValueError) as error:
         raise _wrong(f"{TOPICS}: {topic!r} is no name of a topic") from error
     name = value[NAME] or stream_name(full)
     if not _STREAM_NAME.fullmatch(name):
