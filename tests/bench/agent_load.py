@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from biosensor_gateway.demo.virtual_devices import one_of_each
-from tests.bench.processes import BenchError, Process, Processes
+from tests.bench.processes import PORT_RANGE, BenchError, Process, Processes
 from tests.rigs.lab_client import LabProcess, settings_toml
 
 SENSORS = one_of_each()
@@ -48,8 +48,13 @@ class AgentLoad:
 
 
 @contextmanager
-def streaming_agent() -> Generator[tuple[Process, Processes]]:
+def streaming_agent(port_range: int = PORT_RANGE) -> Generator[tuple[Process, Processes]]:
     """Run the agent in the block, with every device streaming; see `agent_role`.
+
+    Parameters
+    ----------
+    port_range
+        Of LSL, for its outlets and those of programs beside it: four ports for each.
 
     Raises
     ------
@@ -59,7 +64,7 @@ def streaming_agent() -> Generator[tuple[Process, Processes]]:
     devices = [{"key": name, "sensor": name, "options": {"kept": 0}} for name in SENSORS]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        with LabProcess(devices, folder) as lab, Processes(folder) as processes:
+        with LabProcess(devices, folder) as lab, Processes(folder, port_range) as processes:
             settings = folder / "settings.toml"
             settings.write_text(settings_toml(lab, {each: each for each in SENSORS}))
             processes.environment |= lab.environment

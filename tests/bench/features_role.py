@@ -20,10 +20,12 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_msgs.msg import Float32MultiArray
 
+from biosensor_common.quantities import ContentType
 from tests.bench.child import Orders, say
 
 BEATS = "beats"
-_FIND_S, _POLL_S = 8.0, 0.002
+_FIND_S, _POLL_S = 5.0, 0.002
+_MOST = 1000
 _FULL_S = 10.0
 
 
@@ -97,9 +99,18 @@ class _Topic:
         return Lateness(self.topic, self._type, late, self._ages)
 
 
+def _found() -> dict[str, pylsl.StreamInfo]:
+    # Asked for all streams, so many would answer at once that some answers get lost.
+    found = pylsl.resolve_byprop("type", ContentType.RR.value, _MOST, _FIND_S)
+    return {each.source_id(): each for each in found if each.source_id().endswith(f"-{BEATS}")}
+
+
 def _topics(node: Node) -> list[_Topic]:
-    found = pylsl.resolve_streams(_FIND_S)
-    return [_Topic(node, each) for each in found if each.source_id().endswith(f"-{BEATS}")]
+    """Return the streams of beats, once no new one appears."""
+    before, found = dict[str, pylsl.StreamInfo](), _found()
+    while not found or found.keys() != before.keys():
+        before, found = found, _found()
+    return [_Topic(node, each) for each in found.values()]
 
 
 def _spin(executor: SingleThreadedExecutor, ending: threading.Event) -> None:

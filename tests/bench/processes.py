@@ -18,8 +18,8 @@ from typing import Self
 _PATIENCE_S = 30.0
 # An outlet takes two ports of TCP and two of UDP, so 100 would not find enough of them
 # between those of other sessions on this machine. One beyond the range is not found.
-_PORT_RANGE = 256
-_BASE_PORTS = range(20_000, 32_000, _PORT_RANGE)
+PORT_RANGE = 256
+_FIRST_PORT, _LAST_PORT = 20_000, 32_000
 _LSL_CONFIG = """\
 [lab]
 SessionID = bench-{session}
@@ -38,10 +38,17 @@ class BenchError(Exception):
     """A process of the benchmark did not do its part."""
 
 
-def isolated_environment(folder: Path) -> dict[str, str]:
-    """Return an environment whose LSL session and ROS domain nobody else is in."""
+def isolated_environment(folder: Path, port_range: int = PORT_RANGE) -> dict[str, str]:
+    """Return an environment whose LSL session and ROS domain nobody else is in.
+
+    Parameters
+    ----------
+    port_range
+        Ports of LSL; four times as many as there are outlets are enough.
+    """
     config = folder / "lsl_api.cfg"
-    ports = {"base_port": random.choice(_BASE_PORTS), "port_range": _PORT_RANGE}
+    base_port = random.choice(range(_FIRST_PORT, _LAST_PORT, port_range))
+    ports = {"base_port": base_port, "port_range": port_range}
     config.write_text(_LSL_CONFIG.format(session=uuid.uuid4().hex, **ports))
     return {
         **os.environ,
@@ -217,9 +224,9 @@ class Processes:
         What the next children get.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, port_range: int = PORT_RANGE) -> None:
         self.folder = folder
-        self.environment = isolated_environment(folder)
+        self.environment = isolated_environment(folder, port_range)
         self._stack = ExitStack()
         self._started = 0
 
