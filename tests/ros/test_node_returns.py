@@ -6,7 +6,6 @@ import json
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from statistics import median
 from typing import TYPE_CHECKING, Any
@@ -18,6 +17,8 @@ from std_msgs.msg import Float32, Float32MultiArray
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
+from tests.rigs.lsl_streams import wait_until
+from tests.rigs.still_process import stands_still, waiting_bytes
 from tests.rigs.stopwatch import Stopwatch
 
 if TYPE_CHECKING:
@@ -206,8 +207,13 @@ def test_what_lsl_drops_when_a_program_is_killed_is_counted(
     # While the node stands still, its sockets take in samples; then it sees the end at once.
     node.send(signal.SIGSTOP)
     try:
+        wait_until(lambda: stands_still(node.pid), "that the node stands still")
         program.do("push", 500)
-        time.sleep(0.5)
+        # A sample has a byte for its stamp's kind, eight for the stamp and four for the value.
+        wait_until(
+            lambda: sum(waiting >= 500 * 13 for waiting in waiting_bytes(node.pid)) == len(streams),
+            "all samples in the node's sockets",
+        )
         program.kill()
     finally:
         node.send(signal.SIGCONT)
