@@ -57,6 +57,8 @@ while True:
 """
 
 
+# Fourteen devices, the node and the table keep most of two cores busy.
+@pytest.mark.alone
 def test_the_demo_fills_all_that_virtual_devices_of_every_kind_can_fill() -> None:
     expected = expected_topics(SECONDS, CHUNK_LENGTH)
     assert {topic for each in demo_devices() for topic in _declared_by_hand(each)} == set(expected)
