@@ -1,0 +1,60 @@
+"""Describes to ``ros2 launch`` how a node of this package is started."""
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+NAMESPACE, NODE_NAME, PARAMS_FILE = "namespace", "node_name", "params_file"
+
+
+def description(
+    executable: str, arguments: Mapping[str, str], types: Mapping[str, Any]
+) -> LaunchDescription:
+    """Declare the arguments and start one node.
+
+    Parameters
+    ----------
+    executable
+        Also what the node is called where ``node_name`` is not given.
+    arguments
+        What each is for, by its name; ``namespace``, ``node_name`` and ``params_file`` are among
+        them.
+    types
+        Of those that are parameters of the node. Without them, YAML rules would make a number of
+        a session named 42.
+    """
+    declared = [_argument(name, text, executable) for name, text in arguments.items()]
+    start = OpaqueFunction(function=partial(_node, executable=executable, types=types))
+    return LaunchDescription([*declared, start])
+
+
+def _argument(name: str, text: str, executable: str) -> DeclareLaunchArgument:
+    if name == NODE_NAME:
+        return DeclareLaunchArgument(name, default_value=executable, description=text)
+    return DeclareLaunchArgument(name, default_value="", description=f"{text}; empty: not set here")
+
+
+def _node(context: LaunchContext, *, executable: str, types: Mapping[str, Any]) -> list[Node]:
+    """Make the node from what was given: an empty value must not overrule the file's."""
+    params_file = LaunchConfiguration(PARAMS_FILE).perform(context)
+    given = {
+        name: ParameterValue(LaunchConfiguration(name), value_type=kind)
+        for name, kind in types.items()
+        if LaunchConfiguration(name).perform(context)
+    }
+    node = Node(
+        package="lsl_to_ros",
+        executable=executable,
+        name=LaunchConfiguration(NODE_NAME),
+        namespace=LaunchConfiguration(NAMESPACE),
+        output="screen",
+        # The last one wins.
+        parameters=[part for part in (params_file, given) if part],
+    )
+    return [node]
