@@ -11,11 +11,9 @@ import pytest
 from pydantic import Field, ValidationError
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.lsl_config import LslOverrides
 from biosensor_gateway.settings.file import load_settings
-from biosensor_gateway.settings.models import (
-    DeviceSettings,
-    GatewaySettings,
-)
+from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings, LslSettings
 
 
 class StrapSettings(DeviceSettings):
@@ -102,6 +100,17 @@ def test_everything_that_can_be_set_arrives(load: Loader) -> None:
         BoxSettings(sensor="box", unit="7", port="COM3", channels=(3,), rate=50.0, enabled=False),
     )
     assert isinstance(settings.devices[1], BoxSettings)
+
+
+@pytest.mark.parametrize(("text", "port_range"), [("", None), ("[lsl]\nport_range = 256", 256)])
+def test_a_range_of_ports_goes_before_the_user_s_own_only_where_it_is_written(
+    load: Loader, text: str, port_range: int | None
+) -> None:
+    lsl = load(text).lsl
+    assert lsl.overrides == LslOverrides(port_range=port_range)
+    # So it reaches another process, too.
+    line = lsl.model_dump_json(exclude_unset=True)
+    assert LslSettings.model_validate_json(line).overrides == lsl.overrides
 
 
 def test_settings_do_not_change_once_loaded(load: Loader) -> None:

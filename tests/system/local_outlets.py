@@ -14,7 +14,6 @@ import time
 
 import pylsl
 
-from biosensor_common.lsl_config import LslOverrides
 from biosensor_gateway.settings.models import LslSettings
 from biosensor_gateway.streaming.outlets import configure_lsl
 
@@ -22,9 +21,7 @@ RATE_HZ = 10.0
 
 
 def main() -> None:
-    settings = LslSettings()
-    overrides = LslOverrides(settings.session_id, settings.known_peers, settings.port_range)
-    print(f"taken over: {configure_lsl(overrides)}", flush=True)
+    print(f"taken over: {configure_lsl(LslSettings().overrides)}", flush=True)
     outlets = [
         pylsl.StreamOutlet(
             pylsl.StreamInfo(f"local-{number}", "Test", 1, RATE_HZ, "float32", f"local-{number}")

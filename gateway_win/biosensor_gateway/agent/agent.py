@@ -13,7 +13,6 @@ import structlog
 
 from biosensor_common.device_clock import ClockState
 from biosensor_common.heap import limit_arenas
-from biosensor_common.lsl_config import LslOverrides
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.control_server import Command, Conversation
 from biosensor_gateway.agent.device import Device
@@ -25,7 +24,7 @@ from biosensor_gateway.agent.pauses.commands import PauseCommands
 from biosensor_gateway.agent.reloading import ReadSettings, Reloading
 from biosensor_gateway.agent.snapshot import snapshot
 from biosensor_gateway.agent.status_writer import StatusWriter
-from biosensor_gateway.settings.models import GatewaySettings, LslSettings
+from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
@@ -69,7 +68,7 @@ class Agent:
     ) -> None:
         self._folder = folder
         limit_arenas(os.environ)
-        taken_over = configure_lsl(_overrides(settings.lsl))
+        taken_over = configure_lsl(settings.lsl.overrides)
         if taken_over is not None:
             people = f"LSL's own settings are heeded: {taken_over}"
             _log.info("LSL configuration taken over", file=str(taken_over), for_people=people)
@@ -164,7 +163,3 @@ class Agent:
         """Clocks of the devices, each by the source_id of the first of its streams."""
         opened = (each.sink for each in self.devices if each.sink.counters)
         return {next(iter(sink.counters)): sink.clock_state for sink in opened}
-
-
-def _overrides(settings: LslSettings) -> LslOverrides:
-    return LslOverrides(settings.session_id, settings.known_peers, settings.port_range)

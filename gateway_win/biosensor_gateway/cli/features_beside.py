@@ -92,7 +92,7 @@ class FeaturesBeside:
             assert process.stdin is not None
             # If it has died already, its exit code says so.
             with contextlib.suppress(OSError):
-                process.stdin.write(f"{self._lsl.model_dump_json()}\n".encode())
+                process.stdin.write(f"{self._lsl.model_dump_json(exclude_unset=True)}\n".encode())
                 process.stdin.flush()
             return process
 

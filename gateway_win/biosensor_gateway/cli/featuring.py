@@ -10,7 +10,6 @@ from pathlib import Path
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_common.lsl_config import LslOverrides
 from biosensor_gateway.cli.recordings import wrong_recording
 from biosensor_gateway.cli.screen import say
 from biosensor_gateway.features.errors import FeatureError, FeatureReason
@@ -38,7 +37,7 @@ class _Saying:
 
 async def watch_live(lsl: LslSettings) -> None:
     """Compute features of live streams until cancelled."""
-    configure_lsl(LslOverrides(lsl.session_id, lsl.known_peers, lsl.port_range))
+    configure_lsl(lsl.overrides)
     stopping = threading.Event()
     say("looking for raw streams; end it by Ctrl-C")
     work = asyncio.get_running_loop().run_in_executor(None, Live(_Saying()).run, stopping)

@@ -12,7 +12,6 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from biosensor_common.lsl_config import LslOverrides
 from biosensor_gateway.cli.recordings import wrong_recording
 from biosensor_gateway.cli.screen import say
 from biosensor_gateway.recording.replay import words
@@ -35,7 +34,7 @@ async def play(wanted: Wanted, lsl: LslSettings) -> None:
     ReplayError
         If it is not played, see its reasons.
     """
-    configure_lsl(LslOverrides(lsl.session_id, lsl.known_peers, lsl.port_range))
+    configure_lsl(lsl.overrides)
     stopping = threading.Event()
     work = asyncio.get_running_loop().run_in_executor(None, _play, wanted, stopping)
     try:

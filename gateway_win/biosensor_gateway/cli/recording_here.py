@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from biosensor_common.lsl_config import LslOverrides
 from biosensor_gateway.recording.here.growing_stream import GrowingStream
 from biosensor_gateway.recording.here.growth import Growth, Sight
 from biosensor_gateway.recording.here.recording import Begun, Ended, Recording, Standing
@@ -57,7 +56,7 @@ def start(order: Order, settings: GatewaySettings, *, counts_up: bool, as_json: 
     begun = Recording(state_folder()).start(
         order,
         partial(look_for, settings),
-        LslOverrides(lsl.session_id, lsl.known_peers, lsl.port_range),
+        lsl.overrides,
         counts_up=counts_up,
     )
     warn(begun.warnings, silent=as_json)

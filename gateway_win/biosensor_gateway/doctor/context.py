@@ -10,7 +10,6 @@ from pydantic import ValidationError
 from biosensor_common.doctor import context as common
 from biosensor_common.doctor.guide import Guide
 from biosensor_common.errors import ConfigError, SpecError
-from biosensor_common.lsl_config import LslOverrides
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.devices.registry import declared
@@ -82,10 +81,10 @@ def read_context(
 
         loaded = load_settings(settings_path, settings_models())
     except Exception as problem:  # noqa: BLE001 - a model of another package may raise anything
-        return replace(context, overrides=_overrides(_default_lsl()), problem=problem)
+        return replace(context, overrides=_default_lsl().overrides, problem=problem)
     return replace(
         context,
-        overrides=_overrides(loaded.lsl),
+        overrides=loaded.lsl.overrides,
         devices=loaded.devices,
         keep_awake=loaded.power.keep_awake,
     )
@@ -96,10 +95,6 @@ def _streams(device: DeviceSettings) -> int:
         return len(declared(device).streams)
     except SpecError:
         return 0
-
-
-def _overrides(lsl: LslSettings) -> LslOverrides:
-    return LslOverrides(lsl.session_id, lsl.known_peers, lsl.port_range)
 
 
 def _default_lsl() -> LslSettings:

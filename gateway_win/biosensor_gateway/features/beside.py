@@ -11,7 +11,6 @@ import sys
 import threading
 from io import FileIO
 
-from biosensor_common.lsl_config import LslOverrides
 from biosensor_gateway.features.live import Live
 from biosensor_gateway.features.sources import Source
 from biosensor_gateway.settings.models import LslSettings
@@ -26,7 +25,7 @@ def send_for_another() -> int:
     if not line:
         return 0
     lsl = LslSettings.model_validate_json(line)
-    configure_lsl(LslOverrides(lsl.session_id, lsl.known_peers, lsl.port_range))
+    configure_lsl(lsl.overrides)
     stopping = threading.Event()
 
     def read_to_the_end() -> None:

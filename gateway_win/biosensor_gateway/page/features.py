@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 
 from biosensor_common.errors import ConfigError
-from biosensor_common.lsl_config import LslOverrides
 from biosensor_gateway.agent.feed_frames import Samples
 from biosensor_gateway.features.outputs import resolver_query
 from biosensor_gateway.page.network.models import SeenStreamView
@@ -46,7 +45,7 @@ class Features:
         await self._session.came.wait()
         with contextlib.suppress(ConfigError):
             lsl = self._session.loaded().lsl
-            configure_lsl(LslOverrides(lsl.session_id, lsl.known_peers, lsl.port_range))
+            configure_lsl(lsl.overrides)
         reader = await asyncio.to_thread(Reader, hand_over, resolver_query())
         try:
             while True:

@@ -121,7 +121,7 @@ class Replaying:
             assert process.stdin is not None
             assert process.stdout is not None
             with process.stdout as output, contextlib.suppress(OSError, EOFError, ValueError):
-                process.stdin.write(job.model_dump_json().encode() + b"\n")
+                process.stdin.write(job.model_dump_json(exclude_unset=True).encode() + b"\n")
                 process.stdin.flush()
                 while True:
                     kind, content = _read_frame(output)

@@ -18,7 +18,7 @@ from pydantic_settings import (
     SettingsConfigDict,
 )
 
-from biosensor_common.lsl_config import DEFAULT_PORT_RANGE
+from biosensor_common.lsl_config import DEFAULT_PORT_RANGE, LslOverrides
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.settings.web_markers import WebMarkerSettings
 
@@ -99,6 +99,12 @@ class LslSettings(BaseModel):
         description="How many ports, from 16572, the streams of this machine may use; the "
         "firewall must let them through.",
     )
+
+    @property
+    def overrides(self) -> LslOverrides:
+        """What comes before the user's own LSL file; a range that nobody set does not."""
+        port_range = self.port_range if "port_range" in self.model_fields_set else None
+        return LslOverrides(self.session_id, self.known_peers, port_range)
 
 
 class LogSettings(BaseModel):

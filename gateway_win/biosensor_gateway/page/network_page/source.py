@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pylsl import local_clock
 
-from biosensor_common.lsl_config import LSL_BASE_PORT, LSL_DISCOVERY_PORT, LslOverrides
+from biosensor_common.lsl_config import LSL_BASE_PORT, LSL_DISCOVERY_PORT
 from biosensor_gateway.agent.feed_frames import Samples
 from biosensor_gateway.page.network.models import NetworkView
 from biosensor_gateway.page.network.reader import Reader
@@ -42,7 +42,7 @@ class NetworkSource:
 
     def __init__(self, settings: Path) -> None:
         lsl = lsl_settings(settings)
-        own = configure_lsl(LslOverrides(lsl.session_id, lsl.known_peers, lsl.port_range))
+        own = configure_lsl(lsl.overrides)
         self.traces = Traces(KEPT_S)
         self.has_ended = False
         self.turns = 0

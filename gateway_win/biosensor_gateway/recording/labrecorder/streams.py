@@ -12,7 +12,6 @@ import pylsl
 
 from biosensor_common import naming
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_common.lsl_config import LslOverrides
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.declared_streams import declared_streams
@@ -135,7 +134,7 @@ def look(settings: GatewaySettings, expected: Sequence[ExpectedDevice], own_host
         Name of this computer, by which the agent's own streams are known.
     """
     lsl = settings.lsl
-    configure_lsl(LslOverrides(lsl.session_id, lsl.known_peers, lsl.port_range))
+    configure_lsl(lsl.overrides)
     needed = frozenset[str]().union(*(device.source_ids for device in expected))
     seen = _search(needed)
     agent = DeviceIdentity(naming.AGENT, own_host)

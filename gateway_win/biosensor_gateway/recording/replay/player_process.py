@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_common.errors import GatewayError
-from biosensor_common.lsl_config import LslOverrides
 from biosensor_gateway.agent.feed import Waiting
 from biosensor_gateway.agent.feed_frames import FrameKind, frame
 from biosensor_gateway.agent.sample_frames import samples_frame
@@ -44,7 +43,7 @@ def play_for_another() -> int:
     # Unbuffered: a thread that reads from a buffer cannot be left behind at the end.
     asked = FileIO(sys.stdin.fileno(), closefd=False)
     job = ReplayJob.model_validate_json(asked.readline())
-    configure_lsl(LslOverrides(job.lsl.session_id, job.lsl.known_peers, job.lsl.port_range))
+    configure_lsl(job.lsl.overrides)
     stopping = threading.Event()
     threading.Thread(target=_read_to_the_end, args=(asked, stopping), daemon=True).start()
     teller = _Teller(sys.stdout.buffer)
