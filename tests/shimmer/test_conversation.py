@@ -15,7 +15,7 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
-from biosensor_gateway.devices.shimmer.driver import commands, conversation, stopping
+from biosensor_gateway.devices.shimmer.driver import commands
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
 from biosensor_gateway.devices.shimmer.driver.conversation import Conversation
 from biosensor_gateway.devices.shimmer.driver.crc import CrcMode, checksum
@@ -30,6 +30,8 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
     StatusFlag,
 )
 from biosensor_gateway.transports.link import Received
+
+pytestmark = pytest.mark.usefixtures("virtual_clock")
 
 ACK, NACK = b"\xff", b"\xfe"
 UNASKED = b"\xff\x8a\x71\x01"
@@ -99,13 +101,6 @@ async def talking(script: Script) -> AsyncGenerator[Talk]:
     await talk.conversation.close()
     assert talk.link.closed
     assert talk.link.written[-1] == commands.STOP_STREAMING
-
-
-@pytest.fixture(autouse=True)
-def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(conversation, "REPLY_TIMEOUT_S", 0.4)
-    monkeypatch.setattr(stopping, "LISTEN_S", 0.05)
-    monkeypatch.setattr(stopping, "QUIET_S", 0.05)
 
 
 def usual(command: bytes) -> bytes:
@@ -294,10 +289,7 @@ async def test_a_device_that_was_left_streaming_is_stopped_and_its_data_thrown_a
     await talk.conversation.close()
 
 
-async def test_a_device_that_does_not_stop_is_told_three_times(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(stopping, "ATTEMPT_S", 0.2)
+async def test_a_device_that_does_not_stop_is_told_three_times() -> None:
     talk = Talk(usual)
 
     async def stream() -> None:
