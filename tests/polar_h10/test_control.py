@@ -18,7 +18,6 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.devices.polar_h10.driver import control as control_module
 from biosensor_gateway.devices.polar_h10.driver.control import ControlPoint
 from biosensor_gateway.devices.polar_h10.driver.driver import PolarDriver
 from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
@@ -39,6 +38,8 @@ from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.ble_errors import AttError
 from biosensor_gateway.transports.ble_pairing import Pairing
 from biosensor_gateway.transports.nearby import Advertisement
+
+pytestmark = pytest.mark.usefixtures("virtual_clock")
 
 ASK = get_settings(Measurement.ACCELERATION)
 RATES = "f0010200 00 00 04 1900 3200 6400 c800"
@@ -95,11 +96,6 @@ class ScriptedLink:
 
     async def close(self) -> None:
         self.closed = True
-
-
-@pytest.fixture(autouse=True)
-def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(control_module, "REPLY_TIMEOUT_S", 0.2)
 
 
 @asynccontextmanager
