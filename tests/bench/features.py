@@ -44,7 +44,7 @@ def measure(effort: Effort) -> Measurement:
         Figure("CPU of features, for seven devices", cpu_percent * 7 / len(SENSORS), "%",
                _CPU_OF_SEVEN, of),
         Figure("its memory", memory_mb, "MB", note="resident"),
-        Figure("topics of beats that were found", len(found), "", note="LSL may hide some here"),
+        Figure("topics of beats", len(found), ""),
         *(figure for each in found for figure in _figures(each)),
     ]  # fmt: skip
     return Measurement("live features of a virtual device of every kind", figures, {"late": found})

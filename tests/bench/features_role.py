@@ -10,7 +10,7 @@ import json
 import threading
 import time
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -73,6 +73,11 @@ class _Topic:
         self._arrivals.append((message.data[0], pylsl.local_clock()))
 
     @property
+    def is_measured(self) -> bool:
+        """Whether anything of the raw stream has come."""
+        return bool(self._ages)
+
+    @property
     def has_come(self) -> bool:
         """Whether beats have come by both ways."""
         return bool(self._arrivals and self._stamps)
@@ -118,11 +123,15 @@ def _spin(executor: SingleThreadedExecutor, ending: threading.Event) -> None:
         executor.spin_once(timeout_sec=0.1)
 
 
-def _poll_until_told(topics: Sequence[_Topic], orders: Orders) -> None:
-    while orders.poll() is None:
+def _poll_until(topics: Sequence[_Topic], holds: Callable[[], bool]) -> None:
+    while not holds():
         for each in topics:
             each.poll()
         time.sleep(_POLL_S)
+
+
+def _poll_until_told(topics: Sequence[_Topic], orders: Orders) -> None:
+    _poll_until(topics, lambda: orders.poll() is not None)
 
 
 def main() -> None:
@@ -136,10 +145,11 @@ def main() -> None:
     ending = threading.Event()
     spinning = threading.Thread(target=_spin, args=(executor, ending))
     spinning.start()
-    while not topics or not all(each.has_come for each in topics):
-        for each in topics:
-            each.poll()
-        time.sleep(_POLL_S)
+    look_s = time.monotonic() + _FULL_S
+    _poll_until(topics, lambda: time.monotonic() > look_s)
+    # A headband has a stream of light that is off unless it is asked for.
+    topics = [each for each in topics if each.is_measured]
+    _poll_until(topics, lambda: all(each.has_come for each in topics))
     say("streaming")
     _poll_until_told(topics, orders)
     for each in topics:

@@ -20,9 +20,13 @@ import pylsl
 import pytest
 from numpy.typing import NDArray
 
+from biosensor_common.lsl_header import read_header
 from biosensor_common.naming import source_id
+from biosensor_common.quantities import ContentType
 from biosensor_common.spec import DeviceIdentity, StreamSpec
 from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.features.sources import Source, judge
+from biosensor_gateway.simulation.wearer import Wearer
 from lsl_to_ros.topics.messages import CLASSES
 from tests.faults.expectations import (
     SENSORS,
@@ -43,6 +47,8 @@ LATEST_S = 6.5
 AT_NODE_S = 1.0
 STAMP_LIMIT_S = 0.020
 READ_LATE_S = 0.25
+# Before it is known which way up a pulse is.
+UNSETTLED_BEATS = 4
 SPACING_LIMIT_S = 0.001
 _DRIFTS_PPM = (-80.0, 120.0, -150.0, 150.0, 60.0, 100.0, -100.0)
 _DRIFT_PPM = dict(zip(SENSORS, cycle(_DRIFTS_PPM), strict=False))
@@ -90,6 +96,10 @@ class Recorder:
         """LSL time of a stream's last sample."""
         chunks = self._chunks[source]
         return chunks[-1][0][-1] if chunks else 0.0
+
+    def described(self, source: str) -> str:
+        """What a stream says of itself."""
+        return self._inlets[source].info().as_xml()
 
     def recorded(self, source: str) -> Recorded:
         times = [stamp for stamps, _ in self._chunks[source] for stamp in stamps]
@@ -176,6 +186,16 @@ def _check_stamps(name: str, stream: StreamSpec, lsl: Recorded, truth: Samples) 
     return f"{what}: worst {1000 * worst:.2f} ms, spacing RMS {1000 * rms:.3f} ms"
 
 
+def _check_beats(source: Source, lsl: Recorded) -> str:
+    """A pulse or an ECG has the beats of who wears it, no more and no fewer."""
+    events = source.new_computer().take(lsl.times, lsl.values)
+    beats = np.array([each.values for each in events if each.feature == "beats"][UNSETTLED_BEATS:])
+    found = f"{source.name}: {60 / np.median(beats[:, 0]):.1f} beats a minute, {len(beats)} beats"
+    assert 60 / np.median(beats[:, 0]) == pytest.approx(Wearer(1).heart_rate_bpm, rel=0.1), found
+    assert np.mean(beats[:, 1]) < 0.1, f"{source.name}: {np.sum(beats[:, 1])} artefacts, {found}"
+    return found
+
+
 def _flat(messages: list[Any]) -> Floats:
     return np.array([np.atleast_1d(message.data) for message in messages], np.float64)
 
@@ -237,3 +257,8 @@ def test_every_sensor_from_device_to_ros(
             report = _check_stamps(name, stream, recorder.recorded(sources[key]), truth)
             record_property("/".join(key), report)
             print(report)
+            if stream.is_regular and stream.content_type in (ContentType.ECG, ContentType.PPG):
+                header = read_header(recorder.described(sources[key]))
+                source = judge("/".join(key), sources[key], header)
+                assert source is not None
+                print(_check_beats(source, recorder.recorded(sources[key])))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,6 +21,7 @@ from biosensor_gateway.features.errors import FeatureError, FeatureReason
 from biosensor_gateway.features.headers import is_feature, stream_info
 from biosensor_gateway.features.outputs import TYPES
 from biosensor_gateway.features.sources import Source, judge
+from tests.features import signals
 
 
 def _header(
@@ -39,6 +41,25 @@ def _judged(header: StreamHeader) -> Source:
     source = judge(name, f"{name}-id", header)
     assert source is not None
     return source
+
+
+@pytest.mark.parametrize(
+    ("labels", "taken"),
+    [
+        (("infrared", "red", "green"), 0),
+        (("ambient", "infrared", "red"), 1),
+        (("LED1", "Ambient"), 0),
+        (("Ambient",), 0),
+    ],
+)
+def test_a_pulse_is_not_looked_for_in_ambient_light(labels: tuple[str, ...], taken: int) -> None:
+    core = CoreFields("Lamp", "PPG", "lamp", "host", len(labels), 64, ChannelFormat.FLOAT32)
+    header = foreign_header(core, labels, ("counts",) * len(labels))
+    signal, beats = signals.pulse(64, 20)
+    values = np.zeros((len(signal), len(labels)))
+    values[:, taken] = signal
+    events = _judged(header).new_computer().take(np.arange(len(signal)) / 64, values)
+    assert len(signals.stamps_of(events, "beats")) == pytest.approx(len(beats), abs=3)
 
 
 @pytest.mark.parametrize(

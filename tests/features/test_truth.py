@@ -51,12 +51,19 @@ def test_a_beat_is_told_within_four_tenths_of_a_second_of_its_apex(
 
 
 @pytest.mark.parametrize("factor", [-1.0, 1e-3, 1e6])
-def test_neither_polarity_nor_unit_matters_for_beats(factor: float) -> None:
-    signal, _ = signals.ecg(250, 30)
-    plain = signals.stamps_of(signals.events_of("ECG", signal, 250), "beats")
-    other = signals.stamps_of(signals.events_of("ECG", signal * factor, 250), "beats")
+@pytest.mark.parametrize(
+    ("kind", "make", "rate"), [("ECG", signals.ecg, 250), ("PPG", signals.pulse, 64)]
+)
+def test_neither_polarity_nor_unit_matters_for_beats_and_quality(
+    kind: str, make: Callable[[float, float], tuple[Array, Array]], rate: float, factor: float
+) -> None:
+    signal, _ = make(rate, 30)
+    plain = signals.events_of(kind, signal, rate)
+    other = signals.events_of(kind, signal * factor, rate)
     # An upside-down one is looked at for some beats before it is known which side is up.
-    assert np.abs(plain[4:] - other[4:]).max() < 0.005
+    beats = (signals.stamps_of(each, "beats")[4:] for each in (plain, other))
+    assert np.abs(np.subtract(*beats)).max() < 0.005
+    assert signals.values_of(other, "sqi")[:, 0].min() > 0.9
 
 
 @pytest.mark.parametrize("rate", [25, 64, 128, 2000])

@@ -100,8 +100,10 @@ def test_of_an_arrhythmia_nothing_is_claimed_but_that_two_detectors_differ_more(
     assert max(_f1(ours, first, 0.05), _f1(ours, second, 0.05)) > between
 
 
-def test_pulses_are_those_of_neurokit(recordings: Recordings) -> None:
-    ours = stamps_of(_live(recordings, "PPG", "ppg_75"), "beats")
+@pytest.mark.parametrize("sign", [1, -1], ids=["upright", "reflected"])
+def test_pulses_are_those_of_neurokit(recordings: Recordings, sign: int) -> None:
+    signal = {"ppg_75": sign * recordings["ppg_75"].astype(np.float64)}
+    ours = stamps_of(_live(signal, "PPG", "ppg_75"), "beats")
     found, right = _shares(ours, recordings["ppg_neurokit"], 0.1)
     assert found >= 0.98
     assert right >= 0.98

@@ -6,6 +6,7 @@ as it was measured, around where the filtered one had its own.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 from biosensor_gateway.features import thresholds as at
@@ -14,6 +15,41 @@ from biosensor_gateway.features.runs import Array
 
 # How far the filter's group delay moves an apex, at most.
 _APEX_S = 0.12
+
+
+class Polarity:
+    """Tells which way up a pulse is by its skewness: upright it is skewed to the right.
+
+    A sensor that counts reflected light shows it upside down, for blood takes light up.
+
+    Parameters
+    ----------
+    rate
+        Of the samples, in Hz.
+
+    Attributes
+    ----------
+    sign
+        -1 while it is upside down, else 1.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self.sign = 1.0
+        self._kept_share = math.exp(-1 / (at.PULSE_SKEWNESS_S * rate))
+        self._least = at.PULSE_SKEWNESS_LEAST_S * rate
+        self._squares = self._cubes = self._weight = 0.0
+
+    def take(self, filtered: float) -> float:
+        """Return the sign after this sample."""
+        square = filtered * filtered
+        self._squares = self._kept_share * self._squares + square
+        self._cubes = self._kept_share * self._cubes + square * filtered
+        self._weight = self._kept_share * self._weight + 1.0
+        # The same as comparing skewness, without dividing by what may be 0.
+        limit = at.PULSE_SKEWNESS * self._squares * math.sqrt(self._squares / self._weight)
+        if self._weight >= self._least and -self.sign * self._cubes > limit:
+            self.sign = -self.sign
+        return self.sign
 
 
 class Pulses:
@@ -30,6 +66,7 @@ class Pulses:
         slow = self._decimator.rate
         self._high_pass = Biquad(at.PULSE_BAND_HZ[0], slow, is_high_pass=True)
         self._low_pass = Biquad(at.PULSE_BAND_HZ[1], slow, is_high_pass=False)
+        self._polarity = Polarity(slow)
         peak, beat = (2 * round(s * slow / 2) + 1 for s in (at.PULSE_PEAK_S, at.PULSE_BEAT_S))
         self._peak_mean, self._beat_mean = MovingMean(peak), MovingMean(beat)
         self._offset = MovingMean(round(at.PULSE_MEAN_S * slow))
@@ -51,7 +88,8 @@ class Pulses:
 
     def _sample(self, stamp: float, value: float) -> float | None:
         filtered = self._low_pass.take(self._high_pass.take(value))
-        clipped = filtered * filtered if filtered > 0 else 0.0
+        upright = filtered * self._polarity.take(filtered)
+        clipped = upright * upright if upright > 0 else 0.0
         self._kept.append((stamp, value, filtered))
         self._peaks.append(self._peak_mean.take(clipped))
         beat = self._beat_mean.take(clipped)
@@ -63,14 +101,14 @@ class Pulses:
         return self._apex(length) if length >= self._least else None
 
     def _apex(self, length: int) -> float | None:
-        kept = list(self._kept)
+        kept, sign = list(self._kept), self._polarity.sign
         end = len(kept) - 1 - self._late
         begin = max(0, end - length)
-        top = max(range(begin, end), key=lambda place: kept[place][2], default=None)
+        top = max(range(begin, end), key=lambda place: sign * kept[place][2], default=None)
         if top is None:
             return None
         around = range(max(0, top - self._around), min(len(kept), top + self._around // 2 + 1))
-        stamp = kept[max(around, key=lambda place: kept[place][1])][0]
+        stamp = kept[max(around, key=lambda place: sign * kept[place][1])][0]
         if stamp - self._last < self._refractory_s:
             return None
         self._last = stamp

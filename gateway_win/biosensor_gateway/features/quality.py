@@ -98,11 +98,21 @@ def ecg(values: Array, rate: float) -> Judged:
     return _judged({"noisy": noisy, "baseline": baseline}, _held(values))
 
 
+def _upright(values: Array, rate: float) -> Array:
+    """Turn a pulse over that is upside down, as where reflected light is counted."""
+    spectrum = np.fft.rfft(values - values.mean())
+    frequencies = np.fft.rfftfreq(len(values), 1 / rate)
+    low, high = at.PULSE_BAND_HZ
+    spectrum[(frequencies < low) | (frequencies > high)] = 0
+    return -values if _moment(np.fft.irfft(spectrum), 3) < -at.PULSE_SKEWNESS else values
+
+
 def ppg(values: Array, rate: float) -> Judged:
     """Judge a pulse by how like its beats are, Orphanidou 2015, and skewness, Elgendi 2016.
 
     Besides, by power outside of its band, and a second that is much wilder than the others.
     """
+    values = _upright(values, rate)
     power = _power(values, rate)
     inside = power(*at.PULSE_BAND_HZ)
     noisy = _scaled(_share(inside, power(at.PULSE_BAND_HZ[0], rate)), at.PPG_BAND_SHARE)

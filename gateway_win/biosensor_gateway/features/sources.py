@@ -29,6 +29,7 @@ _SCALES: dict[str, dict[str, float]] = {
 """By type: what a unit, in lower case, is multiplied by. Of other types only ratios matter."""
 
 _AXES = 3
+_NOT_LIT = "ambient"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +45,7 @@ class Source:
     features
         What is computed of it.
     columns
-        How many of its channels are taken, from the first on.
+        Which of its channels are taken.
     scale
         By which its values are multiplied.
     """
@@ -54,7 +55,7 @@ class Source:
     header: StreamHeader
     identity: DeviceIdentity
     features: tuple[Feature, ...]
-    columns: int
+    columns: range
     scale: float
 
     def new_computer(self) -> Computer:
@@ -74,7 +75,8 @@ class Computer:
     def take(self, stamps: Array, values: object) -> list[Event]:
         """Take samples in, of shapes (n,) and (n, n_channels), in the source's unit."""
         numbers = np.asarray(values, dtype=np.float64).reshape(len(stamps), -1)
-        events = self._runs.take(stamps, numbers[:, : self._columns] * self._scale)
+        taken = numbers[:, self._columns.start : self._columns.stop]
+        events = self._runs.take(stamps, taken * self._scale)
         return [each for each in events if each.feature in self._wanted]
 
 
@@ -89,15 +91,24 @@ def judge(name: str, source_id: str, header: StreamHeader) -> Source | None:
     kind = header.content_type
     if kind not in TYPES:
         return None
-    columns = _AXES if kind == ContentType.ACCELEROMETER else 1
-    if header.format is ChannelFormat.STRING or len(header.labels) < columns:
-        message = f"stream {name!r} has no {columns} channels of numbers, as {kind} needs"
+    columns = _columns(header)
+    if header.format is ChannelFormat.STRING or len(header.labels) < columns.stop:
+        message = f"stream {name!r} has no {len(columns)} channels of numbers, as {kind} needs"
         raise FeatureError(FeatureReason.FORMAT, message)
     _require_rate(name, header)
     scale = _scale(name, header, columns)
     data_name = _ros_name(header.data_name)
-    features = features_of(kind, data_name, header.units[0])
+    features = features_of(kind, data_name, header.units[columns.start])
     return Source(name, source_id, header, _identity(header), features, columns, scale)
+
+
+def _columns(header: StreamHeader) -> range:
+    """Return three axes, or the first channel that is no ambient light, which may come first."""
+    if header.content_type == ContentType.ACCELEROMETER:
+        return range(_AXES)
+    lit = (place for place, label in enumerate(header.labels) if label.lower() != _NOT_LIT)
+    first = next(lit, 0)
+    return range(first, first + 1)
 
 
 def _require_rate(name: str, header: StreamHeader) -> None:
@@ -113,8 +124,8 @@ def _require_rate(name: str, header: StreamHeader) -> None:
         raise FeatureError(FeatureReason.RATE, message)
 
 
-def _scale(name: str, header: StreamHeader, columns: int) -> float:
-    units = {unit.strip() for unit in header.units[:columns]}
+def _scale(name: str, header: StreamHeader, columns: range) -> float:
+    units = {unit.strip() for unit in header.units[columns.start : columns.stop]}
     unit = units.pop()
     if units or not unit:
         what = "several units" if units else "no unit"

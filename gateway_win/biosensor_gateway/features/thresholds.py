@@ -76,6 +76,9 @@ PULSE_OFFSET = 0.02
 """[3]_: beta, of the mean of the squared signal."""
 PULSE_MEAN_S = 3.0
 """How long that mean looks back."""
+PULSE_SKEWNESS, PULSE_SKEWNESS_S, PULSE_SKEWNESS_LEAST_S = 0.3, 15.0, 1.0
+"""[9]_: a good pulse is skewed to the right, so one that is skewed to the left by this much is
+upside down; for how long it is remembered, and the least that is looked at."""
 PULSE_RATE_HZ = 100.0
 """What is faster is averaged to between this and twice as much."""
 
