@@ -25,6 +25,8 @@ Column = str | tuple[str, ...]
 
 _NUMERIC_STREAMS = frozenset({"eeg", "mot", "dev", "eq", "pow", "met"})
 _NOT_NUMBERS = (".isActive", "MARKERS")
+_MOST = 1 << 53
+"""Below it, a whole number is a float without loss."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +149,8 @@ def _labelled(
         # Most values are these, and a call for each would take longer than all else here.
         if type(value) is float and -math.inf < value < math.inf:
             numbers[label] = value
+        elif type(value) is int and -_MOST < value < _MOST:
+            numbers[label] = float(value)
         elif (number := number_of(value)) is not None:
             numbers[label] = number
         elif is_number:
