@@ -88,6 +88,21 @@ def test_what_was_never_stored_moves_the_clock(seed: int, length: int) -> None:
     assert abs(world.errors[-1]) < 0.2
 
 
+@given(st.integers(0, 99), st.integers(4, 40), st.integers(1, 2 * GROUP - 1), st.integers(12, 60))
+def test_a_sleep_just_after_a_gap_is_none(seed: int, gap: int, between: int, stored: int) -> None:
+    world = World(seed)
+    world.run(WARM_UP)
+    for _ in range(gap):
+        world.send(lost=True)
+    world.run(between)
+    awake_s = world.second + stored
+    for number in range(stored):
+        world.send(arrival_s=awake_s + 0.002 * number)
+    world.run(30)
+    assert np.abs(world.errors[WARM_UP // 2 :]).max() < 1.0
+    assert abs(world.errors[-1]) < 0.2
+
+
 def test_packets_are_held_back_only_while_it_is_unclear() -> None:
     clock = StoredBeats()
     clock.place([Beat(0.8)], 100.0)

@@ -73,18 +73,21 @@ class StoredBeats:
             LSL clock when the packet arrived.
         """
         packet = _Packet(beats, arrival_s)
+        # Before this one is taken in: what held it up is nothing that held up those.
+        overdue = bool(self._held) and arrival_s - self._held[0].arrival_s > HOLD_LIMIT_S
+        placed = self._anchored_anew() if overdue else []
         # A packet without intervals says that the strap itself missed them.
         is_told, self._was_empty = self._was_empty, not beats
         if not self._held:
             is_late = bool(beats) and self._late_s(packet) > REANCHOR_S
             self._may_be_stored = is_late and (self._may_be_stored or not is_told)
             if not self._may_be_stored:
-                return self._placed(packet)
+                return placed + self._placed(packet)
         if beats:
             self._held.append(packet)
-        return self._decided(arrival_s)
+        return placed + self._decided()
 
-    def _decided(self, now_s: float) -> list[PlacedBeat]:
+    def _decided(self) -> list[PlacedBeat]:
         """Place what is held back as far as it is clear what happened."""
         placed: list[PlacedBeat] = []
         while self._held:
@@ -93,7 +96,7 @@ class StoredBeats:
                 placed += self._placed(self._held.pop(0))
             elif self._is_fast(0) or self._shrinks:
                 placed += self._placed(self._held.pop(0), stored=True)
-            elif self._is_complete or now_s - self._held[0].arrival_s > HOLD_LIMIT_S:
+            elif self._is_complete:
                 placed += self._anchored_anew()
             else:
                 break
