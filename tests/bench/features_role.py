@@ -105,7 +105,7 @@ class _Topic:
 
 
 def _found() -> dict[str, pylsl.StreamInfo]:
-    # Asked for all streams, so many would answer at once that some answers get lost.
+    # Of that type alone: the rest of two hundred would be in the way.
     found = pylsl.resolve_byprop("type", ContentType.RR.value, _MOST, _FIND_S)
     return {each.source_id(): each for each in found if each.source_id().endswith(f"-{BEATS}")}
 

@@ -52,11 +52,10 @@ def look_for(settings: GatewaySettings) -> Presence:
 
 def start(order: Order, settings: GatewaySettings, *, counts_up: bool, as_json: bool) -> None:
     """Record by this computer itself."""
-    lsl = settings.lsl
     begun = Recording(state_folder()).start(
         order,
         partial(look_for, settings),
-        lsl.overrides,
+        settings.lsl.overrides,
         counts_up=counts_up,
     )
     warn(begun.warnings, silent=as_json)

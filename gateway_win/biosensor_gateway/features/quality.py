@@ -104,7 +104,9 @@ def _upright(values: Array, rate: float) -> Array:
     frequencies = np.fft.rfftfreq(len(values), 1 / rate)
     low, high = at.PULSE_BAND_HZ
     spectrum[(frequencies < low) | (frequencies > high)] = 0
-    return -values if _moment(np.fft.irfft(spectrum), 3) < -at.PULSE_SKEWNESS else values
+    return (
+        -values if _moment(np.fft.irfft(spectrum, len(values)), 3) < -at.PULSE_SKEWNESS else values
+    )
 
 
 def ppg(values: Array, rate: float) -> Judged:

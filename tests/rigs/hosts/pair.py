@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import NamedTuple, Protocol, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity
@@ -26,6 +27,7 @@ from tests.rigs.hosts.recordings import Recording
 SENSORS = one_of_each()
 # Of the slowest stream, at 4 Hz, one fills in four seconds.
 CHUNK_LENGTH = 16
+# So long before a time the samples of its first chunk may begin, and come.
 _CHUNK_S = 6.0
 MATCH_TIMEOUT_S = 60.0
 VIRTUAL_UNIT = "virtual"
@@ -102,20 +104,25 @@ class Observation(NamedTuple):
         self, places: Mapping[str, Place], required: Span, calm: Sequence[Span]
     ) -> dict[str, str]:
         """Say by topic what is wrong with what the subscriber got; see `completeness.fault`."""
-        checked = {
-            topic: fault(self.streams[source], self.topics[topic], required, calm, unfilled)
-            for source, place in places.items()
-            for topic, unfilled in ((place.topic, 0), (place.chunks, CHUNK_LENGTH - 1))
-            if topic
-        }
-        return {topic: what for topic, what in checked.items() if what}
+        found: dict[str, str] = {}
+        for source, place in places.items():
+            for topic, unfilled in ((place.topic, 0), (place.chunks, CHUNK_LENGTH - 1)):
+                reference = self.streams[source]
+                if topic and (
+                    what := fault(reference, self.topics[topic], required, calm, unfilled)
+                ):
+                    # No chunk spans a gap, so this tells whose fault it is.
+                    step_s = float(self._steps_s(source, required).max(initial=0.0))
+                    found[topic] = f"{what}; the longest step of its stamps is {step_s:.3f} s"
+        return found
 
     def faults_in_bad_weather(
         self, places: Mapping[str, Place], required: Span, calm: Sequence[Span]
     ) -> dict[str, str]:
         """Say the same of a time in which the network was disturbed.
 
-        A latched topic keeps one message, so of a state only the newest counts.
+        A latched topic keeps one message, so of a state only the newest counts. On a busy
+        machine a virtual device may lose samples; no chunk spans such a gap.
         """
         states = {s: place for s, place in places.items() if place.is_state}
         steady = {source: place for source, place in places.items() if source not in states}
@@ -124,25 +131,21 @@ class Observation(NamedTuple):
             for source, place in states.items()
             if not is_current(self.streams[source], self.topics[place.topic], required)
         }
-        return self.faults(self.with_whole_chunks(steady, required), required, calm) | outdated
-
-    def with_whole_chunks(self, places: Mapping[str, Place], span: Span) -> dict[str, Place]:
-        """Leave out the chunks of streams with a gap in their stamps, which no chunk spans.
-
-        On a busy machine a virtual device may lose samples, or be late for so long that its clock
-        is anchored anew.
-        """
-        return {
+        whole = {
             source: place._replace(chunks="")
-            if place.chunks and self._has_gap(source, span)
+            if place.chunks and self._has_gap(source, required)
             else place
-            for source, place in places.items()
+            for source, place in steady.items()
         }
+        return self.faults(whole, required, calm) | outdated
 
     def _has_gap(self, source: str, span: Span) -> bool:
+        steps_s = self._steps_s(source, span)
+        return len(steps_s) > 0 and bool(steps_s.max() > GAP_PERIODS * np.median(steps_s))
+
+    def _steps_s(self, source: str, span: Span) -> NDArray[np.float64]:
         around = self.streams[source].between(span.start - _CHUNK_S, span.end + MARGIN_S)
-        steps = np.diff(around.stamps)
-        return len(steps) > 0 and bool(steps.max() > GAP_PERIODS * np.median(steps))
+        return np.diff(around.stamps)
 
     @property
     def counters(self) -> Recording:

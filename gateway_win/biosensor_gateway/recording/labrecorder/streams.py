@@ -133,8 +133,7 @@ def look(settings: GatewaySettings, expected: Sequence[ExpectedDevice], own_host
     own_host
         Name of this computer, by which the agent's own streams are known.
     """
-    lsl = settings.lsl
-    configure_lsl(lsl.overrides)
+    configure_lsl(settings.lsl.overrides)
     needed = frozenset[str]().union(*(device.source_ids for device in expected))
     seen = _search(needed)
     agent = DeviceIdentity(naming.AGENT, own_host)
