@@ -58,7 +58,8 @@ async def test_a_pending_request_fails_after_the_callback(probe: Probe) -> None:
     assert events == ["lost", "failed", "failed", "failed"]
 
 
-async def test_what_was_sent_before_the_drop_arrives(probe: Probe) -> None:
+@pytest.mark.parametrize("is_switched_off", [False, True])
+async def test_what_was_sent_before_the_drop_arrives(probe: Probe, is_switched_off: bool) -> None:
     sent = [count.to_bytes(2, "big") * 100 for count in range(700)]
     got: list[bytes] = []
     gone = asyncio.Event()
@@ -67,7 +68,10 @@ async def test_what_was_sent_before_the_drop_arrives(probe: Probe) -> None:
 
         async def burst_then_drop() -> list[bool]:
             taken = [await probe.peripheral.notify(probe.flow, value) for value in sent]
-            probe.peripheral.drop()
+            if is_switched_off:
+                await probe.peripheral.power_off()
+            else:
+                probe.peripheral.drop()
             return [*taken, await probe.peripheral.notify(probe.flow, b"too late")]
 
         taken = probe.radio.world.await_(burst_then_drop())

@@ -156,9 +156,14 @@ class Peripheral:
         )
 
     async def power_off(self) -> None:
-        """Switch off: the link is lost, and nothing is on the air."""
+        """Switch off: the link is lost, and nothing is on the air.
+
+        What `notify` accepted before still arrives.
+        """
         if self._device and self._transceiver:
             device, self._device = self._device, None
+            while self._has_unsent():
+                await asyncio.sleep(0)
             transceiver, self._transceiver = self._transceiver, None
             await self._radio.power_off(transceiver, device)
             if self._connection:
@@ -236,14 +241,14 @@ class Peripheral:
         self._update_audible()
 
     def _break_when_sent(self) -> None:
-        connection, transceiver = self._connection, self._transceiver
-        if not connection or not transceiver:
-            return
-        queue = connection.data_packet_queue
-        if queue and queue.pending:
+        if self._has_unsent():
             asyncio.get_running_loop().call_soon(self._break_when_sent)
-        else:
-            transceiver.lose_links()
+        elif self._connection and self._transceiver:
+            self._transceiver.lose_links()
+
+    def _has_unsent(self) -> bool:
+        queue = self._connection.data_packet_queue if self._connection else None
+        return bool(queue and queue.pending)
 
     async def _indicate(
         self, connection: Connection, characteristic: Characteristic[bytes], value: bytes

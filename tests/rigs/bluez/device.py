@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from math import inf
 from typing import TYPE_CHECKING
 
 from dbus_fast.message import Message
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
     from tests.rigs.bluez.adapter import FakeBluez
 
 DEVICE = "org.bluez.Device1"
+_STEADY_S = 1.0
+"""No real radio is heard at the same strength for longer. A program that misses what is
+told at the begin of its scan, as bleak may, is told so again."""
 
 
 class FakeDevice:
@@ -50,6 +54,7 @@ class FakeDevice:
         self._link: GattLink | None = None
         self._objects: GattObjects | None = None
         self._connecting: asyncio.Task[None] | None = None
+        self._strength_told_s = -inf
 
     @property
     def connected(self) -> bool:
@@ -68,6 +73,11 @@ class FakeDevice:
             for name, variant in told.items()
             if duplicates or self._tree.property(self.path, DEVICE, name) != variant.value
         }
+        now_s = asyncio.get_running_loop().time()
+        if now_s - self._strength_told_s >= _STEADY_S:
+            changed["RSSI"] = told["RSSI"]
+        if "RSSI" in changed:
+            self._strength_told_s = now_s
         if changed:
             self._tree.change(self.path, DEVICE, changed)
 
