@@ -162,8 +162,8 @@ class Peripheral:
         """
         if self._device and self._transceiver:
             device, self._device = self._device, None
-            while self._has_unsent():
-                await asyncio.sleep(0)
+            if self._connection:
+                await self._connection.drain()
             transceiver, self._transceiver = self._transceiver, None
             await self._radio.power_off(transceiver, device)
             if self._connection:
@@ -241,14 +241,14 @@ class Peripheral:
         self._update_audible()
 
     def _break_when_sent(self) -> None:
-        if self._has_unsent():
+        connection, transceiver = self._connection, self._transceiver
+        if not connection or not transceiver:
+            return
+        queue = connection.data_packet_queue
+        if queue and queue.pending:
             asyncio.get_running_loop().call_soon(self._break_when_sent)
-        elif self._connection and self._transceiver:
-            self._transceiver.lose_links()
-
-    def _has_unsent(self) -> bool:
-        queue = self._connection.data_packet_queue if self._connection else None
-        return bool(queue and queue.pending)
+        else:
+            transceiver.lose_links()
 
     async def _indicate(
         self, connection: Connection, characteristic: Characteristic[bytes], value: bytes
