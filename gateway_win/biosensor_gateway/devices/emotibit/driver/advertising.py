@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import asyncio
 import os
+from collections.abc import Callable
 from typing import NamedTuple
 
 from biosensor_common.errors import TransportError, TransportReason
-from biosensor_gateway.devices.emotibit.driver.datagrams import Address, Datagrams
 from biosensor_gateway.devices.emotibit.driver.packets import Packet, Tag, read, write
-from biosensor_gateway.transports.link import Received
+from biosensor_gateway.transports.udp_port import Address
 
 ADVERTISING_PORT = 3131
 BROADCAST_VARIABLE = "BIOSENSOR_GATEWAY_BROADCAST"
@@ -49,6 +49,19 @@ class Nearby(NamedTuple):
         return self.device.casefold() == device.casefold()
 
 
+class _Answers(asyncio.DatagramProtocol):
+    """Hands each datagram on."""
+
+    def __init__(self, take: Callable[[bytes, Address], None]) -> None:
+        self._take = take
+
+    def datagram_received(self, data: bytes, addr: Address) -> None:
+        self._take(data, (addr[0], addr[1]))
+
+    def error_received(self, exc: Exception) -> None:
+        """Pass over it: where nobody listens (yet), some systems say so at the next call."""
+
+
 class Advertising:
     """The channel on which EmotiBits are found; open it, and close it."""
 
@@ -69,7 +82,7 @@ class Advertising:
         loop = asyncio.get_running_loop()
         try:
             self._transport, _ = await loop.create_datagram_endpoint(
-                lambda: Datagrams(self._take),
+                lambda: _Answers(self._take),
                 ("0.0.0.0", 0),  # noqa: S104 - answers come by whatever network there is
                 allow_broadcast=True,
             )
@@ -126,6 +139,6 @@ class Advertising:
             self.tell(Tag.HELLO_EMOTIBIT)
             await asyncio.sleep(ASK_EVERY_S)
 
-    def _take(self, received: Received, address: Address) -> None:
-        for packet in read(received.data).packets:
+    def _take(self, data: bytes, address: Address) -> None:
+        for packet in read(data).packets:
             self._heard.put_nowait((packet, address))

@@ -23,7 +23,6 @@ from biosensor_gateway.devices.emotibit.driver.advertising import (
     Advertising,
     Nearby,
 )
-from biosensor_gateway.devices.emotibit.driver.datagrams import Address
 from biosensor_gateway.devices.emotibit.driver.discovery import find
 from biosensor_gateway.devices.emotibit.driver.emitter import EmotiBitEmitter
 from biosensor_gateway.devices.emotibit.driver.link import (
@@ -36,6 +35,7 @@ from biosensor_gateway.devices.emotibit.driver.packets import Packet, Tag
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.early import Early
+from biosensor_gateway.transports.udp_port import Address
 
 PATIENCE_S = 3.0
 _LOCAL_TIME = "%Y-%m-%d_%H-%M-%S-%f"

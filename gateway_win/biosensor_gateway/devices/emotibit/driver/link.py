@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import threading
 from contextlib import suppress
+from functools import partial
 from typing import NamedTuple
 
 from biosensor_common.errors import (
@@ -23,14 +25,12 @@ from biosensor_gateway.devices.emotibit.driver.advertising import (
     Advertising,
     Nearby,
 )
-from biosensor_gateway.devices.emotibit.driver.datagrams import Address, Datagrams
 from biosensor_gateway.devices.emotibit.driver.packets import Read, Tag, read, write
-from biosensor_gateway.transports.link import Received
+from biosensor_gateway.transports.udp_port import Address, UdpPort
 
 CONNECT_LIMIT_S = 5.0
 PING_EVERY_S = 1.0
 _DATA_PORT, _CONTROL_PORT = "DP", "CP"
-_RECEIVE_BUFFER_BYTES = 1 << 20
 _QUIET_S = 0.05
 """When no more data came for so long, there is nothing left from before the end."""
 
@@ -87,7 +87,7 @@ class Link:
         self._server: asyncio.Server | None = None
         self._control: asyncio.Transport | None = None
         self._is_controlled = asyncio.Event()
-        self._data: asyncio.DatagramTransport | None = None
+        self._data: UdpPort | None = None
         self._arrived: asyncio.Queue[Arrived | TransportError] = asyncio.Queue()
         self._number = 0
         self._datagrams = 0
@@ -104,14 +104,11 @@ class Link:
         try:
             here = _address_towards(self._host)
             self._server = await loop.create_server(lambda: _Control(self), here, 0)
-            self._data, _ = await loop.create_datagram_endpoint(
-                lambda: Datagrams(self._take), (here, 0)
-            )
+            data = self._data = UdpPort(here)
         except OSError as error:
             message = f"{self.name}: no port for its data on this computer ({error})"
             raise TransportError(TransportReason.UNAVAILABLE, message) from error
-        receiving: socket.socket = self._data.get_extra_info("socket")
-        receiving.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+        threading.Thread(target=self._receive, args=(data, loop), daemon=True).start()
 
     @property
     def payload(self) -> tuple[str, ...]:
@@ -124,7 +121,7 @@ class Link:
     def data_payload(self) -> tuple[str, ...]:
         """What tells the device that it is its own host who asks."""
         assert self._data is not None
-        return (_DATA_PORT, str(self._data.get_extra_info("sockname")[1]))
+        return (_DATA_PORT, str(self._data.number))
 
     async def controlled(self, limit_s: float) -> bool:
         """Wait until the device has connected; return whether it has in time."""
@@ -141,7 +138,7 @@ class Link:
     def answer(self, tag: Tag, payload: tuple[str, ...], to: Address) -> None:
         """Send a packet to where data came from."""
         if self._data is not None:
-            self._data.sendto(write(tag, self._number, payload), to)
+            self._data.send(write(tag, self._number, payload), to)
             self._number += 1
 
     async def read(self) -> Arrived:
@@ -166,7 +163,7 @@ class Link:
         if self._control is not None:
             self._control.close()
         if self._data is not None:
-            self._data.close()
+            self._data.end()
 
     def take_control(self, control: asyncio.Transport) -> bool:
         """Take a connection that was made; return False for one that is not the device's."""
@@ -192,11 +189,15 @@ class Link:
         message = f"{self.name}: the link was cut; is it on, charged and in the Wi-Fi?"
         self._arrived.put_nowait(TransportError(TransportReason.LOST, message))
 
-    def _take(self, received: Received, address: Address) -> None:
+    def _receive(self, data: UdpPort, loop: asyncio.AbstractEventLoop) -> None:
+        # The control channel tells that the device has gone; a loop that has ended reads nothing.
+        with suppress(OSError, RuntimeError):
+            data.read_forever(partial(loop.call_soon_threadsafe, self._take))
+
+    def _take(self, data: bytes, arrival_s: float, address: Address) -> None:
         if address[0] == self._host:
             self._datagrams += 1
-            found = read(received.data)
-            self._arrived.put_nowait(Arrived(found, received.arrival, address))
+            self._arrived.put_nowait(Arrived(read(data), arrival_s, address))
 
 
 def _address_towards(host: str) -> str:

@@ -90,8 +90,12 @@ class Rounds:
         return Round(packets, samples)
 
     def note(self, tag: str, payload: list[str]) -> bytes:
-        """Write down what a host said, as it does for the file on its card."""
-        return self._packet(int(self._crystal.now() * 1000), tag, payload)
+        """Write down what a host said, as it does for the file on its card.
+
+        With the time of the last round: a virtual device that is late has rounds before now that
+        it has yet to send, and a real one does not.
+        """
+        return self._packet(int(self._before_s * 1000), tag, payload)
 
     def _measured(self, part: Part, reading: Reading) -> tuple[Measured, list[list[str]]]:
         times = [self._crystal.true_time(each) for each in reading.times_s]

@@ -5,19 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
-import socket
-
-from pylsl import local_clock
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.transports.link import Received
-from biosensor_gateway.transports.receiving import Receiver
 from biosensor_gateway.transports.threads import in_daemon_thread
 from biosensor_gateway.transports.traffic import Traffic
-
-_LOOK_S = 0.2
-_BUFFER_BYTES = 1 << 20
-"""What the system keeps for an agent that does not run."""
+from biosensor_gateway.transports.udp_port import UdpPort
 
 
 class UdpLink:
@@ -27,7 +20,7 @@ class UdpLink:
 
     def __init__(self, port: int) -> None:
         self._port = port
-        self._socket: socket.socket | None = None
+        self._udp: UdpPort | None = None
         self._traffic = Traffic(f"UDP port {port}", "is the network still there?")
 
     async def open(self) -> None:
@@ -38,9 +31,11 @@ class UdpLink:
         TransportError
             ``BUSY``, ``DENIED`` or ``UNAVAILABLE``.
         """
-        listening = self._bound()
-        self._socket = listening
-        self._traffic.start(lambda: self._read_forever(listening), lambda: None)
+        try:
+            udp = self._udp = UdpPort(port=self._port)
+        except OSError as error:
+            raise self._refusal(error) from error
+        self._traffic.start(lambda: self._read_forever(udp), lambda: None)
 
     async def read(self) -> Received:
         """Wait for the next datagram; raise ``LOST`` when the port is gone."""
@@ -52,23 +47,11 @@ class UdpLink:
     async def close(self) -> None:
         """Stop listening."""
         self._traffic.closing = True
-        if self._socket is not None:
+        if self._udp is not None:
+            self._udp.end()
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(1.0):
                     await in_daemon_thread(self._traffic.join_reader)
-            self._socket.close()
-
-    def _bound(self) -> socket.socket:
-        listening = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            listening.settimeout(_LOOK_S)
-            with contextlib.suppress(OSError):
-                listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
-            listening.bind(("", self._port))
-        except OSError as error:
-            listening.close()
-            raise self._refusal(error) from error
-        return listening
 
     def _refusal(self, error: OSError) -> TransportError:
         name = f"UDP port {self._port}"
@@ -81,16 +64,8 @@ class UdpLink:
         message = f"{name}: it cannot be had ({error.strerror or error})"
         return TransportError(TransportReason.UNAVAILABLE, message)
 
-    def _read_forever(self, listening: socket.socket) -> None:
-        receiver = Receiver(listening)
-        while not self._traffic.closing:
-            try:
-                data = receiver.read()
-            except (TimeoutError, ConnectionResetError):
-                # Windows tells so that something which was sent elsewhere did not arrive.
-                continue
-            except OSError as error:
-                self._traffic.lost(error)
-                return
-            if not self._traffic.closing:
-                self._traffic.deliver(data, local_clock())
+    def _read_forever(self, udp: UdpPort) -> None:
+        try:
+            udp.read_forever(lambda data, arrival, _: self._traffic.deliver(data, arrival))
+        except OSError as error:
+            self._traffic.lost(error)
