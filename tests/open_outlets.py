@@ -27,6 +27,12 @@ def watch_outlets() -> None:
     pylsl.StreamOutlet.__init__ = noting
 
 
+def outlets_of(source_id: str) -> list[pylsl.StreamOutlet]:
+    """Return the open outlets of one stream."""
+    found = (ref() for ref, name in _made if name == source_id)
+    return [outlet for outlet in found if outlet is not None]
+
+
 def open_outlets() -> list[str]:
     """Return what is still open, by source_id."""
     if _still_open():

@@ -25,18 +25,15 @@ if TYPE_CHECKING:
 GOOD = SurveyedStream("ecg", "id-1", "u1", "lab-pc", "float32", [16572], 0.001, 0.0004, 0.01)
 
 
-@pytest.fixture(autouse=True)
-def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On one computer, streams answer at once."""
-    monkeypatch.setattr(streams, "SEARCH_S", 1.5)
-
-
 def judged(*seen: SurveyedStream) -> list[Finding]:
     return above_ok(list(stream_rules.judge(seen)))
 
 
-def test_nothing_is_there(examine: Examine, context: Context, session: str) -> None:
+def test_nothing_is_there(
+    examine: Examine, context: Context, session: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     del session
+    monkeypatch.setattr(streams, "SEARCH_S", 0.5)
     assert [each.what for each in examine(context, "streams")] == [
         "no LSL stream is there at the moment"
     ]

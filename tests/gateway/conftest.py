@@ -25,6 +25,7 @@ from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.system.logs import flush_logs
+from tests.open_outlets import outlets_of
 from tests.rigs.virtual_time import pytest_asyncio_loop_factories, virtual_clock
 
 __all__ = ["pytest_asyncio_loop_factories", "virtual_clock"]
@@ -66,14 +67,20 @@ def unit() -> str:
 
 
 @pytest.fixture
-def inlet() -> Callable[[str], pylsl.StreamInlet]:
-    """Find a stream by its source_id and begin to receive it."""
+def inlet() -> Callable[..., pylsl.StreamInlet]:
+    """Find a stream by its source_id and begin to receive it.
 
-    def opened(source_id: str) -> pylsl.StreamInlet:
+    An inlet that does not recover gives nothing any more once its outlet has gone, not even
+    what has arrived.
+    """
+
+    def opened(source_id: str, *, recover: bool = False) -> pylsl.StreamInlet:
         found = pylsl.resolve_byprop("source_id", source_id, timeout=DEADLINE_S)
         assert len(found) == 1
-        reader = pylsl.StreamInlet(found[0], recover=False)
+        reader = pylsl.StreamInlet(found[0], recover=recover)
         reader.open_stream(DEADLINE_S)
+        # The sender has answered; only then it makes the queue for what is pushed.
+        assert all(each.wait_for_consumers(DEADLINE_S) for each in outlets_of(source_id))
         return reader
 
     return opened

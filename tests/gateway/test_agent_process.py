@@ -92,7 +92,7 @@ def test_it_ends_while_streaming_and_its_streams_vanish(
         cli_process(tmp_path, *write_settings(tmp_path, device.port, unit)) as process,
     ):
         until(lambda: is_streaming(tmp_path))
-        assert visible(f"zephyr-{unit}-ecg")
+        until(lambda: visible(f"zephyr-{unit}-ecg"))
         end(process, number, tmp_path)
         until(lambda: device.switched_on == frozenset())
     until(lambda: not visible(f"zephyr-{unit}-ecg"))

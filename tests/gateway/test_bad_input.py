@@ -40,6 +40,11 @@ class Lab(NamedTuple):
                     return device
         return {}
 
+    def lines_with(self, text: str) -> list[str]:
+        """Lines of the log."""
+        log = (self.folder / "stderr.txt").read_text()
+        return [line for line in log.splitlines() if text in line]
+
     def pushed(self) -> int:
         streams = self.device("good").get("streams", {})
         return streams.get("zephyr-good-ecg", {}).get("pushed", 0)
@@ -115,13 +120,15 @@ def test_a_bad_device_is_named_with_its_fault_and_disturbs_no_other(
     until(lambda: words in (lab.device(unit).get("error") or ""))
     error: str = lab.device(unit)["error"]
     assert error.startswith(f"{lab.ports[unit]}: ")
-    log = (lab.folder / "stderr.txt").read_text()
-    (line,) = [line for line in log.splitlines() if error in line]
+    # The log is written by a thread of its own.
+    until(lambda: bool(lab.lines_with(error)))
+    (line,) = lab.lines_with(error)
     assert "warning" in line
     assert f"unit={unit!r}" in line
     assert f"reason={reason!r}" in line
+    until(lambda: lab.pushed() > 0)
     pushed = lab.pushed()
-    until(lambda: lab.pushed() > pushed > 0)
+    until(lambda: lab.pushed() > pushed)
     good = lab.device("good")
     assert (good["state"], good["connections"], good["error"]) == ("streaming", 1, None)
     assert all(counters["lost"] == 0 for counters in good["streams"].values())

@@ -155,11 +155,11 @@ async def test_bytes_carry_the_lsl_time_of_their_arrival(peer: Peer, link: ByteL
     before = local_clock()
     peer.connection.sendall(b"x")
     # Read later: the stamp is that of the arrival, not of the reading.
-    await asyncio.sleep(0.5)
+    await asyncio.sleep(2.0)
     after = local_clock()
     data, arrival = await link.read()
     assert data == b"x"
-    assert before <= arrival < after - 0.1
+    assert before <= arrival < after - 0.5
 
 
 async def test_commands_are_sent_at_once_and_a_dead_peer_is_noticed(

@@ -77,7 +77,7 @@ def one_sentence(outcome: Outcome) -> str:
 
 def test_a_sound_device_has_no_problem_and_streams_nothing(run: Run) -> None:
     heard = pylsl.ContinuousResolver(forget_after=60.0)
-    outcome = run("test", "zephyr", "--simulate", "--seconds", "4", "--json")
+    outcome = run("test", "zephyr", "--simulate", "--seconds", "5", "--json")
     assert (outcome.code, outcome.err) == (0, "")
     told = json.loads(outcome.out)
     assert told.keys() == {
@@ -96,7 +96,7 @@ def test_a_sound_device_has_no_problem_and_streams_nothing(run: Run) -> None:
 
 def test_for_people_it_is_a_table(run: Run, configure: Any, zephyr: SimulatedZephyr) -> None:
     configure(of(zephyr))
-    outcome = run("test", "zephyr", "--seconds", "3")
+    outcome = run("test", "zephyr", "--seconds", "5")
     assert (problems(outcome), outcome.err) == ([], "")
     row = next(line.split() for line in outcome.out.splitlines() if line.startswith(" ecg"))
     assert (int(row[1]) > 0, row[3]) == (True, "250")
@@ -107,7 +107,7 @@ def test_without_settings_the_only_one_in_range_is_tried(
     run: Run, world: World, radio: Radio
 ) -> None:
     with SimulatedPolarH10(world, radio):
-        outcome = run("test", "polar_h10", "--seconds", "3")
+        outcome = run("test", "polar_h10", "--seconds", "5")
     assert problems(outcome) == []
     assert "connected: Polar Electro Oy H10 A1B2C3D4" in outcome.out
 
@@ -117,7 +117,7 @@ def test_what_the_settings_switch_off_is_not_missed(
 ) -> None:
     with SimulatedPolarH10(world, radio) as h10:
         configure(of(h10) | {"ecg": False})
-        outcome = run("test", "polar_h10", "--seconds", "3", "--json")
+        outcome = run("test", "polar_h10", "--seconds", "5", "--json")
     told = json.loads(outcome.out)
     assert (told["connected"], told["problems"]) == (True, [])
     assert told["streams"]["acc"]["samples"] > 0
@@ -284,7 +284,7 @@ def test_of_several_the_one_that_is_named_is_tried(
     run: Run, configure: Any, zephyr: SimulatedZephyr
 ) -> None:
     configure(of(zephyr, "U1"), {"sensor": "zephyr", "unit": "U2", "port": "nowhere"})
-    assert problems(run("test", "zephyr", "--unit", "U1", "--seconds", "3")) == []
+    assert problems(run("test", "zephyr", "--unit", "U1", "--seconds", "5")) == []
     (problem,) = problems(run("test", "zephyr", "--unit", "U2"))
     assert "nowhere" in problem
 

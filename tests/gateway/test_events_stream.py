@@ -19,7 +19,7 @@ from pylsl.util import LostError
 from structlog.testing import capture_logs
 
 from biosensor_common import naming
-from biosensor_common.clock_pair import read_clock_pair
+from biosensor_common.clock_pair import measure_clock_pair, read_clock_pair
 from biosensor_common.errors import ConfigError
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
@@ -90,9 +90,12 @@ async def test_whoever_begins_to_receive_gets_a_sign_of_life_at_once(
         assert heartbeat["lsl_time"] == pytest.approx(stamp, abs=1e-6)
         pair = read_clock_pair(heartbeat)
         assert pair is not None
-        assert pair.lsl_s == pytest.approx(stamp, abs=0.01)
-        here_s = time.time() - pylsl.local_clock()
-        assert pair.unix_ns / 1e9 - pair.lsl_s == pytest.approx(here_s, abs=0.001)
+        # Of about this moment; what counts is that both are of the same.
+        assert pair.lsl_s == pytest.approx(stamp, abs=1.0)
+        here = measure_clock_pair(time.time_ns, pylsl.local_clock)
+        assert pair.unix_ns / 1e9 - pair.lsl_s == pytest.approx(
+            here.unix_ns / 1e9 - here.lsl_s, abs=0.001
+        )
         del heard
         again = announcer.counters[SOURCE].pushed
         await asyncio.sleep(2 * TICK_S)
@@ -154,8 +157,10 @@ async def test_heartbeats_can_be_switched_off(
 
 
 async def test_the_last_word_is_heard_though_the_outlet_goes(
-    inlet: OpenInlet, eventually: Eventually
+    inlet: OpenInlet, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # LSL's threads may be held up for longer than a person waits for the end.
+    monkeypatch.setattr("biosensor_gateway.streaming.events.announcer.LINGER_S", 1.5)
     for _ in range(3):
         async with announcing(3600.0) as announcer:
             heard = Heard(await asyncio.to_thread(inlet, SOURCE))

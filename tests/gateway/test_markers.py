@@ -24,7 +24,7 @@ from biosensor_gateway.agent.marking import (
     MarkerCommands,
 )
 from biosensor_gateway.settings.models import MarkerSettings
-from biosensor_gateway.streaming import own_outlets
+from biosensor_gateway.streaming import markers, own_outlets
 from biosensor_gateway.streaming.markers import KEPT, MarkerStream
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 
@@ -304,9 +304,10 @@ async def test_without_a_stream_markers_are_refused_and_nothing_else_fails(
 
 
 async def test_the_last_marker_is_heard_though_the_outlet_goes(
-    inlet: OpenInlet, eventually: Eventually
+    inlet: OpenInlet, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # In real time, in which LSL sends.
+    # In real time, in which LSL sends; its threads may be held up for longer than a person waits.
+    monkeypatch.setattr(markers, "LINGER_S", 1.5)
     desk = Desk(LSL_CLOCK)
     desk.stream.open()
     await listened_to(desk, inlet, eventually)

@@ -297,7 +297,7 @@ def test_closing_makes_the_streams_vanish(
 ) -> None:
     device.open(DeviceInfo(), RATES)
     source_id = device["force"].source_id
-    assert visible(source_id)
+    until(lambda: visible(source_id))
     device.close()
     until(lambda: not visible(source_id))
     assert device.counters == {}

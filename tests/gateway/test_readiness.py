@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 import threading
 import time
 from collections.abc import Callable, Generator
@@ -130,8 +131,8 @@ def test_what_stopped_advancing_is_not_ready(state: Path) -> None:
                 device(unit="2")]  # fmt: skip
 
     with reporting(state, report):
-        outcome = wait_until_ready(state, 8.0)
-    assert time.monotonic() - begun >= 8.0
+        outcome = wait_until_ready(state, 12.0)
+    assert time.monotonic() - begun >= 12.0
     assert (("zephyr (1)", (ACC,))) in [each[:2] for each in missing(outcome)]
 
 
@@ -205,7 +206,8 @@ def away(state: Path) -> Generator[None]:
 def test_the_command_says_what_is_missing_and_fails(run: Run) -> None:
     outcome = run("wait-ready", "--timeout", "1")
     assert (outcome.code, outcome.out) == (1, "")
-    assert outcome.err == (
+    said = re.sub(r"\d+ s:", "1 s:", outcome.err, count=1)
+    assert said == (
         "not ready after 1 s:\n- zephyr (1): backoff - the [device] is busy "
         f"(no samples of {', '.join(STEADY)})\n"
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -60,5 +61,5 @@ def test_a_device_that_falls_silent_is_named_and_no_other(
         out, err = waiting.communicate(timeout=DEADLINE_S)
     assert (waiting.returncode, out) == (1, "")
     first, *missing = err.splitlines()
-    assert first == "not ready after 20 s:"
+    assert re.fullmatch(r"not ready after 2\d s:", first)
     assert [line.startswith("- zephyr (virtual): ") for line in missing] == [True]

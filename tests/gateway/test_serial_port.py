@@ -104,11 +104,11 @@ async def test_bytes_carry_the_lsl_time_of_their_arrival(pty: Pty, link: SerialL
     before = local_clock()
     os.write(pty.master, b"x")
     # Read later: the stamp is that of the arrival, not of the reading.
-    await asyncio.sleep(0.5)
+    await asyncio.sleep(2.0)
     after = local_clock()
     data, arrival = await link.read()
     assert data == b"x"
-    assert before <= arrival < after - 0.1
+    assert before <= arrival < after - 0.5
 
 
 async def test_a_port_that_is_not_there_is_absent(tmp_path: Path) -> None:

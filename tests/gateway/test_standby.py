@@ -159,8 +159,8 @@ def test_a_request_to_end_ends_the_standby_as_well(
 
 
 def test_who_dies_soon_has_no_standby(kept: Kept) -> None:
-    keeper = kept.start(standby_after_s=60.0)
     kept.tell_program("fail")
+    keeper = kept.start(standby_after_s=60.0)
     kept.wait_for("runs", 3)
     keeper.send_signal(signal.SIGTERM)
     keeper.wait(DEADLINE_S)

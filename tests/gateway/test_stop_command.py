@@ -40,7 +40,7 @@ from biosensor_gateway.demo import virtual_devices as simulate
 start = simulate.simulated_settings
 
 def slowly(*arguments):
-    time.sleep(2)
+    time.sleep(5)
     return start(*arguments)
 
 simulate.simulated_settings = slowly

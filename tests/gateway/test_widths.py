@@ -101,12 +101,12 @@ def test_clocks(terminal: io.StringIO) -> None:
 def test_device_test(terminal: io.StringIO, name: str) -> None:
     streams = {
         each.data_name: StreamTest(
-            123456,
-            1.0,
-            700.0,
-            (-1.23456e-5,) * len(each.channels),
-            256,
-            tuple(channel.unit for channel in each.channels),
+            samples=123456,
+            first_s=1.0,
+            last_s=700.0,
+            last=(-1.23456e-5,) * len(each.channels),
+            nominal_hz=256,
+            units=tuple(channel.unit for channel in each.channels),
         )
         for each in declaration(name).streams
     }

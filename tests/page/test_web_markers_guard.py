@@ -294,7 +294,7 @@ def test_a_flood_of_messages_ends_its_socket_and_the_page_goes_on(lab: WebLab) -
     assert caught.value.rcvd is None or caught.value.rcvd.code == 1008
     with ExitStack() as stack:
         for _ in range(MAX_SOCKETS):
-            stack.enter_context(opened(lab))
+            greet(lab, stack.enter_context(opened(lab)))
         with pytest.raises(InvalidStatus):
             opened(lab).close()
         assert lab.server.request("GET", "/api/v1/status", lab.cookie).status == 200

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -23,6 +24,8 @@ SECONDS = 5.0
 STREAMS = 7
 # Doubles of a few thousand seconds are exact to a picosecond; the rest is room for arithmetic.
 SAME_S = 1e-6
+TAKEN_IN_S = 3.0
+"""LabRecorder takes samples in twice a second, and not once more when it stops."""
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +53,7 @@ def again(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         assert f"{STREAMS} streams, 0:00:04" in replay.begun()
         with LabRecorder(path, at_least=STREAMS):
             assert replay.ended() == 0, replay.said
+            time.sleep(TAKEN_IN_S)
     assert "samples were sent" in replay.said
     return path
 

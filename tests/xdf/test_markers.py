@@ -30,9 +30,10 @@ from tests.xdf.checking import codes, load_by_pyxdf
 
 AGENT = DeviceIdentity("gateway", socket.gethostname())
 NAME = lsl_name(AGENT, "markers")
-TICK_S, TICKS = 0.25, 32
-SHORT_OF_STOP = 4
-"""LabRecorder takes samples in twice a second, and not once more when it stops."""
+TICK_S, TICKS = 0.25, 48
+SHORT_OF_STOP = 12
+"""LabRecorder takes samples in twice a second, and not once more when it stops. It measures the
+clock after 5 s for the first time, and a second time in 10 s."""
 
 
 class Agent:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import subprocess
 import threading
 import time
 import uuid
@@ -25,11 +24,11 @@ from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.recording.xdf.report import Measured, Report
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.outlets import Outlet
-from tests.rigs.lab_recorder import EVERYTHING, PROGRAM, LabRecorder
+from tests.rigs.lab_recorder import LabRecorder
 from tests.xdf.checking import codes, load_by_pyxdf, text_of
 from tests.xdf.xdf_file import chunk_ends
 
-RECORD_S = 9.0
+RECORD_S = 12.5
 STREAMS = 9
 ECG_HZ, GAP_SAMPLES, STEP_S = 130, 260, 0.1
 INVENTED = 7
@@ -120,10 +119,9 @@ def _outlets() -> Generator[Outlets]:
 
 
 def _record_and_kill(path: Path) -> None:
-    command = [PROGRAM, str(path), EVERYTHING]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as recorder:
+    with LabRecorder(path, at_least=STREAMS) as recorder:
         deadline = time.monotonic() + 30
-        while not path.exists() or path.stat().st_size < ENOUGH_BYTES:
+        while path.stat().st_size < ENOUGH_BYTES:
             assert time.monotonic() < deadline, "nothing was recorded"
             time.sleep(0.1)
         recorder.kill()

@@ -22,6 +22,9 @@ from biosensor_gateway.streaming.sink import DeviceSink
 
 CONNECT_TIMEOUT_S = 60.0
 RATE_TOLERANCE = 0.1
+SETTLING_S = 1.0
+"""A first packet that was late is followed by stamps that are too close, until the device's
+clock is found."""
 _POLL_S = 0.05
 
 
@@ -34,6 +37,9 @@ class StreamTest:
     samples
     first_s, last_s
         LSL times of the first and the newest sample.
+    settled_samples, settled_s
+        So many had come, and the LSL time of the newest of them, when the device's clock was
+        found; 0 before.
     last
         Newest values, or text.
     nominal_hz
@@ -45,6 +51,8 @@ class StreamTest:
     samples: int = 0
     first_s: float = 0.0
     last_s: float = 0.0
+    settled_samples: int = 0
+    settled_s: float = 0.0
     last: tuple[float | str, ...] = ()
     nominal_hz: float = 0.0
     units: tuple[str, ...] = ()
@@ -52,8 +60,19 @@ class StreamTest:
     @property
     def measured_hz(self) -> float | None:
         """Effective rate by the samples' own times; None if it cannot be told."""
-        elapsed_s = self.last_s - self.first_s
-        return (self.samples - 1) / elapsed_s if self.samples > 1 and elapsed_s > 0 else None
+        is_settled = 0 < self.settled_samples < self.samples
+        before = self.settled_samples if is_settled else 1
+        elapsed_s = self.last_s - (self.settled_s if is_settled else self.first_s)
+        return (self.samples - before) / elapsed_s if self.samples > 1 and elapsed_s > 0 else None
+
+    def take(self, times: Sequence[float]) -> None:
+        """Note samples by their LSL times."""
+        if not self.samples:
+            self.first_s = times[0]
+        self.samples += len(times)
+        self.last_s = times[-1]
+        if not self.settled_samples and self.last_s - self.first_s >= SETTLING_S:
+            self.settled_samples, self.settled_s = self.samples, self.last_s
 
 
 @dataclass(slots=True)
@@ -95,9 +114,9 @@ class _TestSink(DeviceSink):
         if not len(lsl_times):
             return
         self.heard(data_name)
-        self._note(data_name, len(lsl_times), lsl_times)
-        last = np.atleast_1d(rows[-1])
-        self.outcome.streams[data_name].last = tuple(float(value) for value in last)
+        noted = self.outcome.streams[data_name]
+        noted.take(lsl_times)
+        noted.last = tuple(float(value) for value in np.atleast_1d(rows[-1]))
 
     def emit_text(self, data_name: str, text: str, device_s: float) -> None:
         del device_s
@@ -107,13 +126,6 @@ class _TestSink(DeviceSink):
 
     def lost(self, data_name: str, count: int) -> None:
         """Pass over: a test is too short to judge losses."""
-
-    def _note(self, data_name: str, count: int, times: Sequence[float]) -> None:
-        noted = self.outcome.streams[data_name]
-        if not noted.samples:
-            noted.first_s = times[0]
-        noted.samples += count
-        noted.last_s = times[-1]
 
 
 async def run_device_test(settings: DeviceSettings, seconds: float) -> DeviceTest:

@@ -10,9 +10,11 @@ from biosensor_common.doctor.context import Context
 from biosensor_common.doctor.finding import Finding, error, ok
 from biosensor_common.doctor.lsl_api_file import LOOPBACK
 from biosensor_common.doctor.surveyed_stream import SurveyedStream
+from biosensor_common.sender_clocks import LIMIT_S
 
-SEARCH_S, LISTEN_S = 3.0, 2.0
-_LISTENING_ENDS_S, _LIMIT_S = 8.0, 14.0
+SEARCH_S, LISTEN_S = 3.0, LIMIT_S
+"""A sender's clock is asked for anew every 2 s, and the first answers may be late."""
+_LISTENING_ENDS_S, _ENDS_S = 8.0, 18.0
 
 
 def examine(context: Context) -> Iterator[Finding]:
@@ -32,7 +34,7 @@ def find(context: Context) -> list[SurveyedStream]:
     asking = lsl_text.changed(config, {("lab", "KnownPeers"): "{" + ", ".join(names) + "}"})
     with Probe(
         "survey",
-        _LIMIT_S,
+        _ENDS_S,
         config=asking,
         search_s=SEARCH_S,
         listen_s=LISTEN_S,
