@@ -9,14 +9,12 @@ from typing import Any
 import pytest
 from bleak import BleakScanner
 
-from biosensor_common.errors import (
-    ProtocolReason,
-    TransportReason,
-)
+from biosensor_common.errors import ProtocolReason
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.transports import ble_choice, ble_scanner
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_scanner import advertisements, scan
+from tests.ble.conftest import absence, heard
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.polling import until
 from tests.rigs.probe import Probe
@@ -32,8 +30,7 @@ async def hang(*_: Any) -> None:
 
 @pytest.mark.usefixtures("hurry")
 async def test_an_absent_device_is_absent_with_advice(probe: Probe) -> None:
-    error = await refusal(BleLink(choice("2")).open())
-    assert error.reason is TransportReason.ABSENT
+    error = await absence(BleLink(choice("2")))
     assert str(error) == "Probe 2 is not in range; press its button"
 
 
@@ -50,8 +47,8 @@ async def test_a_device_is_chosen_by_id_name_or_address(
 
 @pytest.mark.usefixtures("hurry")
 async def test_several_devices_are_refused_by_name(radio: Radio, probe: Probe) -> None:
-    switched_on(radio, 2)
-    error = await refusal(BleLink(choice()).open())
+    async with heard(probe, switched_on(radio, 2)):
+        error = await refusal(BleLink(choice()).open())
     assert error.reason is ProtocolReason.REFUSED
     assert "(1, 2)" in str(error)
     assert "`device`" in str(error)
@@ -65,8 +62,7 @@ async def test_the_only_device_is_kept_to(radio: Radio, probe: Probe) -> None:
     switched_on(radio, 2)
     probe.drop()
     await first.close()
-    error = await refusal(BleLink(chosen).open())
-    assert error.reason is TransportReason.ABSENT
+    error = await absence(BleLink(chosen))
     assert "Probe 1" in str(error)
     probe.restore()
     again = BleLink(chosen)
@@ -102,9 +98,9 @@ async def test_one_scan_serves_everybody(
 
 
 async def test_a_scan_lists_the_strongest_first(radio: Radio, probe: Probe) -> None:
-    switched_on(radio, 2, rssi_dbm=-40)
-    switched_on(radio, 3, rssi_dbm=-80)
-    found = await scan(1.0)
+    others = [switched_on(radio, 2, rssi_dbm=-40), switched_on(radio, 3, rssi_dbm=-80)]
+    async with heard(probe, *others):
+        found = await scan(1.0)
     assert [(each.name, each.rssi_dbm) for each in found] == [
         ("Probe 2", -40), ("Probe 1", -58), ("Probe 3", -80)
     ]  # fmt: skip

@@ -11,12 +11,12 @@ from contextlib import contextmanager
 import pytest
 from structlog.testing import capture_logs
 
-from biosensor_common.errors import TransportReason
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.bluez import known_devices
+from tests.ble.conftest import absence
 from tests.rigs.bluetooth import ON_BLUEZ, Bluetooth
 from tests.rigs.probe import SERIAL, Probe
-from tests.rigs.probe_link import DEADLINE_S, choice, generic_choice, refusal
+from tests.rigs.probe_link import DEADLINE_S, choice, generic_choice
 
 pytestmark = [ON_BLUEZ, pytest.mark.usefixtures("hurry")]
 
@@ -72,8 +72,7 @@ async def test_a_device_that_a_killed_program_left_is_freed(
 async def test_a_device_that_a_program_listens_to_is_named_and_not_taken(
     listener: subprocess.Popen[str], probe: Probe, device: str
 ) -> None:
-    error = await refusal(BleLink(choice(device)).open())
-    assert error.reason is TransportReason.ABSENT
+    error = await absence(BleLink(choice(device)))
     assert "is connected to this computer already; end the program that uses it" in str(error)
     assert str(error).endswith(f"free it: bluetoothctl disconnect {probe.address}")
     (known,) = await known_devices()
@@ -85,6 +84,6 @@ async def test_a_kind_that_has_others_in_it_frees_nothing_of_theirs(
 ) -> None:
     link = BleLink(choice())
     await link.open()
-    assert (await refusal(BleLink(generic_choice()).open())).reason is TransportReason.ABSENT
+    await absence(BleLink(generic_choice()))
     assert await link.read(SERIAL) == b"0815"
     await link.close()

@@ -6,19 +6,14 @@ import asyncio
 
 import pytest
 
-from biosensor_common.errors import TransportReason
 from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.transports import ble_choice
 from biosensor_gateway.transports.ble import BleLink
-from biosensor_gateway.transports.ble_choice import Choice
+from tests.ble.conftest import absence, heard
 from tests.rigs.probe import Probe
-from tests.rigs.probe_link import choice, generic_choice, refusal, switched_on
+from tests.rigs.probe_link import choice, generic_choice, switched_on
 
 pytestmark = pytest.mark.usefixtures("hurry")
-
-
-async def looked_for(chosen: Choice) -> None:
-    """Have it looked for once, in vain."""
-    assert (await refusal(BleLink(chosen).open())).reason is TransportReason.ABSENT
 
 
 @pytest.mark.parametrize("device", ["", "1", "Probe 1", "A0:9E:1A:00:00:01"])
@@ -26,10 +21,10 @@ async def test_a_device_of_a_kind_of_its_own_is_left_to_that_kind(
     radio: Radio, device: str
 ) -> None:
     special, generic = choice(device), generic_choice()
-    await looked_for(special)
+    await absence(BleLink(special))
     probe = switched_on(radio, 1)
-    error = await refusal(BleLink(generic).open())
-    assert error.reason is TransportReason.ABSENT
+    async with heard(probe):
+        error = await absence(BleLink(generic))
     assert f"other tables of the settings use (Probe 1 {probe.address})" in str(error)
     other = switched_on(radio, 2, "Thing")
     links = [BleLink(generic), BleLink(special)]
@@ -51,8 +46,8 @@ async def test_what_another_has_connected_stays_its(radio: Radio, probe: Probe) 
     link = BleLink(chosen)
     await link.open()
     await link.close()
-    error = await refusal(BleLink(late).open())
-    assert error.reason is TransportReason.ABSENT
+    async with heard(probe):
+        error = await absence(BleLink(late))
     assert probe.address in str(error)
     other = switched_on(radio, 2)
     second, first = BleLink(late), BleLink(chosen)
@@ -62,7 +57,11 @@ async def test_what_another_has_connected_stays_its(radio: Radio, probe: Probe) 
     await first.close()
 
 
-async def test_two_that_look_at_the_same_time_get_one_each(probe: Probe) -> None:
+async def test_two_that_look_at_the_same_time_get_one_each(
+    probe: Probe, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # For one of them it is there, for the other one it is not.
+    monkeypatch.setattr(ble_choice, "SCAN_S", 2.0)
     links = [BleLink(choice()), BleLink(choice())]
     outcomes = await asyncio.gather(*(link.open() for link in links), return_exceptions=True)
     assert sorted(isinstance(each, Exception) for each in outcomes) == [False, True]

@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 from structlog.testing import capture_logs
 
-from biosensor_common.errors import ProtocolReason, TransportReason
+from biosensor_common.errors import ProtocolReason
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.transports.ble import BleLink
+from tests.ble.conftest import absence, heard
 from tests.rigs.probe import Probe
 from tests.rigs.probe_link import choice, refusal, switched_on
 
@@ -28,8 +29,8 @@ async def test_a_device_that_is_away_is_not_replaced_by_its_namesake(
     await first.close()
     with capture_logs() as logs:
         for _ in range(2):
-            error = await refusal(BleLink(chosen).open())
-            assert error.reason is TransportReason.ABSENT
+            async with heard(namesake):
+                error = await absence(BleLink(chosen))
             assert f"({probe.address}) is not in range, only another" in str(error)
             assert f"({namesake.address}); press its button, or set `device`" in str(error)
     (warning,) = [each["event"] for each in logs if each["log_level"] == "warning"]
@@ -45,7 +46,8 @@ async def test_a_device_that_is_away_is_not_replaced_by_its_namesake(
 
 async def test_two_of_a_name_are_refused_by_address(radio: Radio, probe: Probe) -> None:
     namesake = switched_on(radio, 2, NAME)
-    error = await refusal(BleLink(choice(NAME)).open())
+    async with heard(probe, namesake):
+        error = await refusal(BleLink(choice(NAME)).open())
     assert error.reason is ProtocolReason.REFUSED
     assert f"called {NAME} ({probe.address}, {namesake.address}); set `device`" in str(error)
     link = BleLink(choice(namesake.address))

@@ -19,7 +19,8 @@ def strap(radio: Radio, monkeypatch: pytest.MonkeyPatch) -> Generator[SimulatedH
     """One that is switched on; it is looked for without long pauses."""
     monkeypatch.setattr(supervisor_module, "PROBE_INTERVAL_S", 0.05)
     monkeypatch.setattr(supervisor_module, "BACKOFF_FIRST_S", 0.1)
-    monkeypatch.setattr(ble_choice, "RIVALS_S", 0.5)
+    # Not shorter: a second strap has to be heard in that time.
+    monkeypatch.setattr(ble_choice, "RIVALS_S", 2.0)
     wearer = Wearer(seed=3, heart_rate_bpm=160)
     with SimulatedHeartRateStrap(radio.world, radio, wearer=wearer, rssi_dbm=-67) as strap:
         yield strap

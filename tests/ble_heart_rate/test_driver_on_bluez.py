@@ -24,7 +24,7 @@ async def test_a_daemon_that_dies_without_a_word_is_noticed_and_waited_for(
 ) -> None:
     monkeypatch.setattr(HeartRateStrapDriver, "silence_limit_s", 2.0)
     async with streaming(strap) as run:
-        await until(run.sink.has(1, "hr"))
+        await until(run.sink.has(1, "hr", "bat"))
         bluez.die()
         # Nobody asks a strap for anything, so it is its silence that tells.
         await until(lambda: State.BACKOFF in run.states)

@@ -7,6 +7,7 @@ import json
 import os
 import signal
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,8 @@ from tests.rigs.driver_run import NotedSink, supervised
 from tests.rigs.polling import until
 
 RATE_HZ = 250.0
+# A Python that imports BrainFlow takes its time to start on a busy machine.
+START_LIMIT_S = 60.0
 DESCRIBE_ALL = """
 import json, warnings
 warnings.simplefilter("ignore")
@@ -35,6 +38,14 @@ for board in BoardIds:
         pass
 print(json.dumps(found))
 """
+
+
+async def until_started(condition: Callable[[], object]) -> None:
+    now = asyncio.get_running_loop().time
+    deadline = now() + START_LIMIT_S
+    while not condition():
+        assert now() < deadline, "it did not start"
+        await asyncio.sleep(0.02)
 
 
 async def test_the_synthetic_board_streams_what_it_describes_without_a_gap() -> None:
@@ -88,10 +99,10 @@ async def test_a_process_that_is_killed_or_hangs_is_replaced(
     monkeypatch.setattr(link_module, "start", noted)
     async with supervised(BoardRun()) as run:
         for number, act in enumerate((signal.SIGKILL, signal.SIGSTOP), start=1):
-            await until(lambda number=number: run.supervisor.connections == number)
+            await until_started(lambda number=number: run.supervisor.connections == number)
             await run.goes_on(50, "eeg")
             os.kill(started[-1].pid, act)
-        await until(lambda: run.supervisor.connections == 3)
+        await until_started(lambda: run.supervisor.connections == 3)
         await run.goes_on(50, "eeg")
     assert [process.poll() is not None for process in started] == [True] * 3
 
@@ -162,7 +173,7 @@ class TestOneSentenceSays:
     async def test_that_the_rate_is_another(self) -> None:
         with capture_logs() as logs:
             async with supervised(BoardRun(rate_hz=100.0)) as run:
-                await until(lambda: any(each.get("declared_hz") for each in logs))
+                await until_started(lambda: any(each.get("declared_hz") for each in logs))
                 assert run.supervisor.connections == 1
         said = next(each for each in logs if each.get("declared_hz"))
         assert said["measured_hz"] == pytest.approx(RATE_HZ, rel=0.05)

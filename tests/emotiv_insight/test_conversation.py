@@ -502,9 +502,11 @@ async def test_half_open(
     monkeypatch.setattr(websocket, "PING_TIMEOUT_S", 0.1)
     async with running() as run:
         await eventually(run.is_streaming)
+        # So impatient a ping may have ended a sound connection already.
+        before = run.supervisor.connections
         await cortex.each_connection(lambda socket: socket.transport.pause_reading())
         await eventually(lambda: "the connection was closed" in run.error)
-        await eventually(lambda: run.supervisor.connections == 2)
+        await eventually(lambda: run.supervisor.connections > before)
 
 
 async def test_unknown_warning_flood(
@@ -513,6 +515,8 @@ async def test_unknown_warning_flood(
     with capture_logs() as logs:
         async with running() as run:
             await eventually(run.is_streaming)
+            # It is quiet meanwhile, for as long as all that takes to come through.
+            run.sink.watch.expect({})
             for code in range(1000, 2000):
                 await cortex.warn(code, "future")
             await stream_a_second(cortex, run, eventually)

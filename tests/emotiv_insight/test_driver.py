@@ -92,13 +92,15 @@ async def test_stamps_are_those_of_the_measurement(
 ) -> None:
     with SteeredCortex(world, timing=QUICK, seed=2, drift_ppm=100, jitter_s=0.02) as cortex:
         async with kept(cortex) as run:
-            await eventually(run.sink.has(500, "eeg"))
+            await eventually(run.sink.has(640, "eeg"))
         truth = cortex.truth.samples("eeg")
         stamps = np.array(run.sink.times["eeg"])
         # No loss at the start, so they go one by one.
         errors = stamps - truth.times[: len(stamps)]
-        assert np.abs(errors[128:]).max() < 0.05
-        assert np.sqrt(np.mean((np.diff(stamps) - 1 / 128) ** 2)) < 0.001
+        assert errors.min() > -0.05
+        # If the first packet is held up, its delay is taken off in the seconds that follow.
+        assert np.abs(errors[448:]).max() < 0.05
+        assert np.sqrt(np.mean((np.diff(stamps[448:]) - 1 / 128) ** 2)) < 0.001
 
 
 @pytest.mark.parametrize(("model", "rate"), [(INSIGHT_2, 32.0), (INSIGHT_1_GYRO, 128.0)])

@@ -195,7 +195,7 @@ async def test_late_answers_still_come(world: World) -> None:
     with SteeredCortex(world) as cortex:
         async with CortexClient(cortex.settings) as client:
             await client.begin(*APP)
-            cortex.apply(Fault(FaultKind.LATE, 0.4))
+            cortex.apply(Fault(FaultKind.LATE, 1.0))
             assert await client.until_closed() is None
         async with CortexClient(cortex.settings) as again:
             token = await again.authorize(*APP)
@@ -206,7 +206,7 @@ async def test_late_answers_still_come(world: World) -> None:
 
 
 async def test_a_restart_forgets_tokens_sessions_and_the_headset(world: World) -> None:
-    with SteeredCortex(world, timing=Timing(starting_s=2.0)) as cortex:
+    with SteeredCortex(world, timing=Timing(starting_s=6.0)) as cortex:
         async with CortexClient(cortex.settings) as client:
             token, _ = await client.begin(*APP, "eeg")
             cortex.apply(Fault(FaultKind.RESTART, FOREVER))
@@ -294,6 +294,8 @@ async def test_any_message_can_be_sent_and_unknown_warnings_in_any_number(world:
     with SteeredCortex(world) as cortex:
         async with CortexClient(cortex.settings, max_size=2**22) as client:
             await client.begin(*APP, "eeg")
+            # The end of the scan is told by a warning as well.
+            await client.until_warned(142)
             client.warnings.clear()
             cortex.flood(1000)
             await client.until(lambda: client.warning_codes == [999] * 1000)

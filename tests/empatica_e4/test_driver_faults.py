@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from structlog.testing import capture_logs
 
 from biosensor_gateway.agent.state import State
+from biosensor_gateway.devices.empatica_e4.driver import driver as driver_module
 from biosensor_gateway.devices.empatica_e4.simulator import Timing
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
@@ -23,25 +25,35 @@ FOREVER = float("inf")
 REGULAR = ("bvp", "acc", "gsr", "st")
 # Without a rival for the processor it is a hundredth of that.
 NEAR_S = 0.15
+# A packet on which stamps hang may be held up; that is taken off in the seconds after it.
+LATEST_S, SETTLED_S = 2.0, 3.0
+SETTLED_ROWS = round(64 * SETTLED_S)
 
 Running = Callable[[Mapping[str, Any]], AbstractAsyncContextManager[Any]]
 
 
+def assert_in_place(errors: NDArray[np.float64]) -> None:
+    """Stamps are nowhere early, hardly late, and right at the end, long after all that befell."""
+    assert errors.min() > -NEAR_S
+    assert errors.max() < LATEST_S
+    assert np.abs(errors[-16:]).max() < NEAR_S
+
+
 async def test_a_lost_radio_link_that_comes_back_needs_no_new_connection(
-    world: World, running: Running
+    world: World, running: Running, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(driver_module, "RADIO_GRACE_S", 10.0)
     with SteeredE4(world, timing=Timing(beat_delay_s=0.5)) as server:
         with capture_logs() as logs:
             async with running(server.settings) as run:
                 await run.until_more(rows=64)
                 server.apply(Fault(FaultKind.DROP, 1.2))
                 await run.until(lambda: server.truth.unsent_count("bvp"))
-                await run.until_more(rows=64)
+                await run.until_more(rows=SETTLED_ROWS)
                 assert run.supervisor.connections == 1
                 run.assert_all_arrived(server.truth, "bvp", "acc")
                 # Of a new reference, and yet in place: the pause is in the stamps.
-                errors = run.stamp_errors(server.truth, "bvp")
-                assert np.abs(errors).max() < NEAR_S
+                assert_in_place(run.stamp_errors(server.truth, "bvp"))
                 assert np.diff(run.sink.times["bvp"]).max() > 0.8
                 run.assert_none_doubled(server.truth)
         assert not any(each.startswith("device_list") for each in server.requests[1:])
@@ -139,17 +151,18 @@ async def test_a_server_that_answers_without_data_is_left_too(
 
 
 async def test_a_short_hold_up_is_waited_for_and_its_backlog_misleads_no_stamp(
-    world: World,
-    running: Running,
+    world: World, running: Running, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # What is silent for that long is asked, and answers once the line goes on.
+    monkeypatch.setattr(driver_module, "LIST_TIMEOUT_S", 10.0)
     with SteeredE4(world, seed=9) as server:
         async with running(server.settings) as run:
-            await run.until_more(rows=128)
+            await run.until_more(rows=SETTLED_ROWS + 32)
             server.tear_line(1.5)
             await run.until_more(rows=192)
             assert run.supervisor.connections == 1
             run.assert_all_arrived(server.truth, "bvp", "acc", "st")
-            errors = run.stamp_errors(server.truth, "bvp", after_s=1.0)
+            errors = run.stamp_errors(server.truth, "bvp", after_s=SETTLED_S)
             assert np.abs(errors).max() < NEAR_S
             assert run.sink.dropped_bytes == 0
 
@@ -204,12 +217,12 @@ async def test_a_restart_under_another_locale_is_survived(world: World, running:
             await run.until_more(rows=64)
             server.apply(Fault(FaultKind.RESTART, 0.8))
             await run.until(run.has_reconnected)
-            await run.until_more(rows=64)
+            await run.until_more(rows=SETTLED_ROWS)
             run.assert_none_doubled(server.truth)
             assert run.sink.dropped_bytes < 64
             stamps = np.array(run.sink.times["bvp"])
             true = server.truth.samples("bvp").times[run.places(server.truth)]
-            assert np.abs(stamps - true).max() < NEAR_S
+            assert_in_place(stamps - true)
 
 
 async def test_a_refusal_to_bind_is_overcome(world: World, running: Running) -> None:
@@ -266,9 +279,10 @@ async def test_a_server_that_never_answers_pause_does_without(
 
 async def test_an_empty_list_is_waited_for(world: World, running: Running) -> None:
     with SteeredE4(world) as server:
-        server.empty_list(0.7)
+        server.empty_list(FOREVER)
         async with running(server.settings) as run:
             await run.until(lambda: "sees no wristband" in run.error)
+            server.empty_list(0.0)
             await run.until_more()
 
 
@@ -280,8 +294,7 @@ async def test_the_clock_of_the_server_may_be_set(
         async with running(server.settings) as run:
             await run.until_more(rows=64)
             server.jump_clock(seconds)
-            await run.until_more(rows=128)
+            await run.until_more(rows=SETTLED_ROWS)
             run.assert_all_arrived(server.truth, "bvp", "acc")
-            errors = run.stamp_errors(server.truth, "bvp")
-            assert np.abs(errors).max() < NEAR_S
+            assert_in_place(run.stamp_errors(server.truth, "bvp"))
             assert run.supervisor.connections == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -140,9 +141,10 @@ def test_answers_are_refused_withheld_and_invented(world: World, line_client: An
 
 def test_lists_may_be_empty_for_a_time(world: World, line_client: Any) -> None:
     with SteeredE4(world) as server, line_client(server.settings) as client:
-        server.empty_list(0.3)
+        server.empty_list(inf)
         assert client.ask("device_list") == "R device_list 0\n"
         assert client.ask("device_discover_list") == "R device_discover_list 0\n"
+        server.empty_list(0.1)
         eventually(lambda: client.ask("device_list") == LISTED)
 
 

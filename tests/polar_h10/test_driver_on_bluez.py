@@ -175,7 +175,7 @@ async def test_a_value_that_is_read_is_no_answer_and_no_sample(
     monkeypatch.setattr(BleLink, "next", noted)
     h10 = sensor()
     # So that the replies come after the values.
-    h10.apply(Fault(FaultKind.LATE, 0.2))
+    h10.apply(Fault(FaultKind.LATE, 1.0))
     async with streaming(h10) as run:
         await until(run.sink.has(FRAME, "ecg"))
         await until(run.sink.has(36, "acc"))

@@ -163,9 +163,10 @@ async def test_it_stops_the_device_at_the_end(streaming: Streaming) -> None:
 async def test_the_real_rate_is_announced(streaming: Streaming) -> None:
     async with streaming(settings={"rate_hz": 100.0}) as run:
         await run.more(100)
-        stamps = np.array(run.sink.times["ppg"])
     assert run.sink.rates == dict.fromkeys(WAVEFORMS, 32768 / 328)
-    assert 1 / np.mean(np.diff(stamps)) == pytest.approx(32768 / 328, rel=0.01)
+    # By the device's own clock: who holds a packet up has no part in that.
+    apart_s = np.diff(run.sink.device_times["ppg"])
+    np.testing.assert_allclose(1 / apart_s.mean(), 32768 / 328, rtol=1e-4)
     assert run.lost == {}
 
 
@@ -241,8 +242,9 @@ async def test_a_restarted_device_is_followed_with_a_new_clock(streaming: Stream
 async def test_samples_that_a_stall_costs_are_counted(streaming: Streaming) -> None:
     async with streaming(seed=7) as run:
         await run.more()
-        run.device.apply(Fault(FaultKind.STALL, 0.7))
+        run.device.apply(Fault(FaultKind.STALL, NEVER))
         await until(lambda: run.device.truth.unsent_count("gsr") > 50)
+        run.device.clear(FaultKind.STALL)
         await run.more()
         await run.assert_nothing_invented()
         unsent = run.device.truth.unsent_count("gsr")
@@ -253,12 +255,13 @@ async def test_samples_that_a_stall_costs_are_counted(streaming: Streaming) -> N
 async def test_a_device_that_falls_silent_is_asked_then_connected_anew(
     streaming: Streaming, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "PATIENCE_S", 0.4)
-    monkeypatch.setattr(conversation, "REPLY_TIMEOUT_S", 0.4)
+    monkeypatch.setattr(module, "PATIENCE_S", 1.0)
+    monkeypatch.setattr(conversation, "REPLY_TIMEOUT_S", 1.0)
     async with streaming(seed=8) as run:
         await run.more()
+        before = len(run.states)
         run.device.apply(Fault(FaultKind.STALL, NEVER))
-        await until(lambda: State.DISCOVERING in run.states)
+        await until(lambda: State.DISCOVERING in run.states[before:])
         assert "fallen silent" in (run.supervisor.last_error or "")
         run.device.clear(FaultKind.STALL)
         await until(lambda: run.supervisor.connections == 2)

@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import AsyncGenerator, Iterator
 from contextlib import suppress
-from typing import IO, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import pytest
 from bleak import BleakClient, BleakScanner
@@ -28,6 +28,7 @@ from bleak.exc import (
 )
 
 from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.simulation.transceiver import Transceiver
 from biosensor_gateway.simulation.world import World
 from tests.rigs.bluez import FakeBluez
 from tests.rigs.polling import until
@@ -181,12 +182,23 @@ async def test_drops_and_returns(bluez: FakeBluez, probe: Probe) -> None:
         probe.restore()
 
 
-async def test_a_pending_request_fails_with_the_link(bluez: FakeBluez, probe: Probe) -> None:
+async def test_a_pending_request_fails_with_the_link(
+    bluez: FakeBluez, probe: Probe, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held: list[bytes] = []
+    take = Transceiver.on_link_acl_data
+
+    def noted(self: Transceiver, sender: Any, transport: Any, data: bytes) -> None:
+        take(self, sender, transport, data)
+        if self.stalled:
+            held.append(data)
+
+    monkeypatch.setattr(Transceiver, "on_link_acl_data", noted)
     client = BleakClient(await found())
     await client.connect()
     probe.set_stalled(True)
     request = asyncio.create_task(client.read_gatt_char(SERIAL))
-    await asyncio.sleep(0.05)
+    await until(lambda: held)
     probe.drop()
     with pytest.raises(BleakGATTProtocolError) as caught:
         await request
