@@ -14,11 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rcl_interfaces.srv import SetParameters
+from rclpy.duration import Duration
 from std_msgs.msg import Float32
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "acting-on-features.md"
 HEART_RATE = "/P01/biosensors/polar_h10/hr_live"
+DEADLINE_S = 30.0
 # The library of trees, and what it imports; of the other peers, nothing may be found.
 TREES = ("py_trees", "pydot", "pyparsing")
 _PROGRAM = re.compile(r'^```python title="([^"]+)"\n(.*?)^```$', re.MULTILINE | re.DOTALL)
@@ -52,17 +55,40 @@ class Strap:
     """The topic of a heart rate."""
 
     def __init__(self, listener: Any) -> None:
-        self._publisher = listener.node.create_publisher(Float32, HEART_RATE, 10)
+        self._node = listener.node
+        self._publisher = self._node.create_publisher(Float32, HEART_RATE, 10)
 
     @property
     def is_heard(self) -> bool:
         return self._publisher.get_subscription_count() > 0
 
-    def tell(self, rates: Sequence[float]) -> None:
+    def meet(self) -> None:
+        """Return once a subscriber hears it: one that is seen may not see the publisher yet."""
+        self.tell(math.nan)
+        assert self._publisher.wait_for_all_acked(Duration(seconds=DEADLINE_S))
+
+    def tell(self, rate: float) -> None:
+        self._publisher.publish(Float32(data=rate))
+
+    def tell_each(self, rates: Sequence[float], name: str) -> None:
+        """Tell them to a node that must take every one: its queue has ten places.
+
+        What is published comes before a request that is sent after it, and of what has come an
+        executor takes messages before requests. So an answer says that the rate was taken.
+        """
+        services = self._node.create_client(SetParameters, f"/{name}/set_parameters")
+        assert services.wait_for_service(timeout_sec=DEADLINE_S)
         for rate in rates:
-            self._publisher.publish(Float32(data=rate))
-            # The programs' queues have ten places.
-            time.sleep(0.01)
+            self.tell(rate)
+            answer, deadline = services.call_async(SetParameters.Request()), _deadline()
+            while not answer.done():
+                assert time.monotonic() < deadline, f"{name} has not answered"
+                time.sleep(0.001)
+        self._node.destroy_client(services)
+
+
+def _deadline() -> float:
+    return time.monotonic() + DEADLINE_S
 
 
 @pytest.fixture
@@ -77,11 +103,12 @@ def test_a_score_is_how_far_a_person_is_from_their_rest(
     start("score.py")
     wait_until(lambda: strap.is_heard, "the score's subscription")
     rest = [65.0, 75.0] * 30
-    strap.tell([*rest[:10], math.nan, *rest[10:], math.nan])
+    strap.meet()
+    strap.tell_each([*rest[:10], math.nan, *rest[10:], math.nan], "score")
     assert scores == []
 
     def is_told() -> bool:
-        strap.tell([80.0])
+        strap.tell(80.0)
         return bool(scores)
 
     wait_until(is_told, "a score")
@@ -99,16 +126,17 @@ def test_the_tree_is_fast_only_while_the_person_is_known_to_be_calm(
 
     start("tree.py")
     wait_until(lambda: strap.is_heard, "the condition's subscription")
+    strap.meet()
     comes(0.3, "slow without a heart rate")
-    strap.tell([70.0])
+    strap.tell(70.0)
     comes(1.0, "fast with a calm one")
-    strap.tell([130.0])
+    strap.tell(130.0)
     comes(0.3, "slow with a fast one")
-    strap.tell([70.0])
+    strap.tell(70.0)
     comes(1.0, "fast again")
-    strap.tell([math.nan])
+    strap.tell(math.nan)
     comes(0.3, "slow with none")
-    strap.tell([70.0])
+    strap.tell(70.0)
     comes(1.0, "fast again")
     comes(0.3, "slow when the newest one is of long ago")
 

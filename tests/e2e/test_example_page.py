@@ -151,10 +151,16 @@ def test_the_page_is_true(
         terminals.type(line)
     with (folder / "study_csv" / "P01-polar_h10-virtual-ecg.csv").open() as file:
         recorded = [float(np.float32(row[1])) for row in list(csv.reader(file))[1:]]
+
+    def heard() -> list[float]:
+        return [message.data for message in list(played)]
+
     # The first may be gone before this subscriber has found the new topic.
-    wait_until(lambda: len(played) > 0.8 * len(recorded), "the recording is published")
-    heard = [message.data for message in played]
-    assert heard == recorded[len(recorded) - len(heard) :]
+    wait_until(
+        lambda: len(played) > 0.8 * len(recorded) and heard()[-1] == recorded[-1],
+        "the recording is published",
+    )
+    assert heard() == recorded[-len(heard()) :]
 
 
 def _check_table(path: Path) -> None:

@@ -23,11 +23,13 @@ from tests.faults.scenarios.length import is_long
 from tests.rigs.lab_client import LabProcess, settings_toml
 from tests.rigs.lab_recorder import LabRecorder
 from tests.rigs.recorded_robot import (
+    BEST_EFFORT,
     UNWRITTEN_S,
     Stream,
     description,
     greatest_errors_s,
     labels,
+    told_lost,
 )
 from tests.rigs.robot import JOINTS, PARTS
 
@@ -87,19 +89,22 @@ def test_a_robot_stands_beside_the_sensors_in_one_recording(
     with LabRecorder(tmp_path / "study.xdf", at_least=len(resolver.results())):
         begun_ns = time.time_ns()
         time.sleep(RECORD_S / 2)
-        marked_ns = time.time_ns()
+        before_s = time.time()
         trial.publish(String(data=MARKER))
+        marked_s = before_s, time.time()
         time.sleep(RECORD_S / 2)
         ended_ns = time.time_ns()
     programs.interrupt(robot)
     published: dict[str, list[int]] = json.loads(sent.read_text())
 
-    streams, _ = _load_xdf(str(tmp_path / "study.xdf"))
+    # All programs are on one computer: offsets that were measured between them are noise.
+    streams, _ = _load_xdf(str(tmp_path / "study.xdf"), synchronize_clocks=False)
     by_name = {each["info"]["name"][0]: each for each in streams}
     (events,) = (by_name[name] for name in by_name if name.startswith(f"{NODE}-"))
     offset_s = _wall_clock_offset_s(events)
     span = begun_ns, ended_ns - round(UNWRITTEN_S * NS_PER_S)
-    worst_s = greatest_errors_s(by_name, published, span, offset_s)
+    lost = told_lost(programs.log(node))
+    worst_s = greatest_errors_s(by_name, published, span, offset_s, lost)
     print({topic: f"{error_s * 1e6:.0f} us" for topic, error_s in worst_s.items()})
     assert max(worst_s.values()) < STAMP_LIMIT_S, worst_s
     steps = [int(text.split()[1]) for text in _texts(by_name["robot-event"]) if "step" in text]
@@ -114,12 +119,15 @@ def test_a_robot_stands_beside_the_sensors_in_one_recording(
     assert description(by_name["odom"], "ros")["child_frame_id"] == ["base_link"]
 
     at_s = by_name["trial"]["time_stamps"][_texts(by_name["trial"]).index(MARKER)]
-    assert at_s + offset_s == pytest.approx(marked_ns / 1e9, abs=0.01)
+    assert marked_s[0] - 0.01 < at_s + offset_s < marked_s[1] + 0.01
     # One that LabRecorder has not ended has no footer.
     assert all(each["footer"] for each in streams)
-    assert programs.log(node).count("lost") == 0
-    heartbeat = [json.loads(text) for text in _texts(events) if "heartbeat" in text][-1]
-    assert {each["lost"] for each in heartbeat["topics"].values()} == {0}
+    heartbeats = [json.loads(text) for text in _texts(events) if "heartbeat" in text]
+    first, last = heartbeats[0]["topics"], heartbeats[-1]["topics"]
+    for topic, each in last.items():
+        # While all these programs start, and after the last one, more may have been lost.
+        assert each["lost"] <= lost[topic]
+        assert topic in BEST_EFFORT or each["lost"] == first[topic]["lost"], topic
     recorded = [name for name, each in by_name.items() if len(each["time_stamps"])]
     assert all(any(name.startswith(each) for name in recorded) for each in wanted)
 

@@ -53,8 +53,13 @@ class Source:
         assert len(found) == 1
         return found[0]
 
+    def await_inlet(self) -> None:
+        """Return once an inlet gets what is pushed: one that is open may not be heard of yet."""
+        assert self.outlet.wait_for_consumers(DEADLINE_S)
+
     def push(self, count: int) -> None:
         """Push so many samples at once: numbers counted on from 0, in every channel."""
+        self.await_inlet()
         numbers = np.arange(self.pushed, self.pushed + count, dtype=np.float32)
         samples = np.repeat(numbers[:, np.newaxis], self.info.channel_count(), axis=1)
         self.outlet.push_chunk(samples, [stamp_of(int(number)) for number in numbers])

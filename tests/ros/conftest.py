@@ -258,6 +258,7 @@ class Flow:
         self.pushed = 0
         self._outlet = outlet
         self._rate = rate
+        self._begun = pylsl.local_clock()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._push, daemon=True)
         self._thread.start()
@@ -268,14 +269,17 @@ class Flow:
         self._thread.join()
         return self.pushed
 
+    def stamp(self, number: float) -> float:
+        """Return when the sample of that number is due, on the LSL clock."""
+        return self._begun + number / self._rate
+
     def _push(self) -> None:
-        begun = pylsl.local_clock()
         while not self._stopping.wait(0.02):
-            due = int((pylsl.local_clock() - begun) * self._rate)
+            due = int((pylsl.local_clock() - self._begun) * self._rate)
             new = np.arange(self.pushed + 1, due + 1)
             if len(new):
                 samples = new[:, np.newaxis].astype(np.float32)
-                self._outlet.push_chunk(samples, list(begun + new / self._rate))
+                self._outlet.push_chunk(samples, [self.stamp(int(number)) for number in new])
                 self.pushed = due
 
 

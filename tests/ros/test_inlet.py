@@ -60,6 +60,7 @@ def test_numbers_of_every_format_come_as_they_are(
     inlet, receiver = open_inlet(source.find()), Collector()
     inlet.deliver_to(receiver)
     pushed = np.array([sample] * count, dtype)
+    source.await_inlet()
     source.outlet.push_chunk(pushed, [5.0 + number for number in range(count)])
     drain_until(inlet, receiver, count)
     received = np.concatenate([block.samples for block in receiver.blocks])
@@ -73,6 +74,7 @@ def test_text_is_decoded(open_inlet: Open, count: int) -> None:
     source = Source("string", 3)
     inlet, receiver = open_inlet(source.find()), Collector()
     inlet.deliver_to(receiver)
+    source.await_inlet()
     for _ in range(count):
         source.outlet.push_sample(["Größe ☃".encode(), "Größe".encode("latin-1"), b""], 5.0)
     drain_until(inlet, receiver, count)

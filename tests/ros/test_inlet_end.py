@@ -135,22 +135,22 @@ def test_a_stream_that_ends_before_it_is_open_is_lost(warnings: list[str]) -> No
 def test_a_stopped_inlet_has_delivered_what_had_come_and_leaves_no_thread(
     warnings: list[str],
 ) -> None:
-    source = Source()
-    found = source.find()
+    # One each: an outlet may take an inlet that is gone for one that is there.
+    sources = {True: Source(), False: Source()}
+    found = {wanted: source.find() for wanted, source in sources.items()}
     python_threads, all_threads = threading.active_count(), thread_count()
-    for wants_each_sample in (True, False):
-        inlet = Inlet(found, warnings.append)
+    for wants_each_sample, source in sources.items():
+        inlet = Inlet(found[wants_each_sample], warnings.append)
         receiver = Collector(wants_each_sample=wants_each_sample)
         wait_until(lambda inlet=inlet: inlet.state is InletState.READY, "an inlet that is open")
         inlet.deliver_to(receiver)
         if wants_each_sample:
             threading.Thread(target=inlet.follow, args=(lambda: True,)).start()
-        start = source.pushed
         source.push(50)
         drain_until(inlet, receiver, 50)
         closing = inlet.stop()
         assert receiver.ends == [0]
-        receiver.assert_all(start, start + 50)
+        receiver.assert_all(0, 50)
         closing.join(DEADLINE_S)
         assert not closing.is_alive()
         inlet.drain()

@@ -120,17 +120,41 @@ def test_a_parameter_that_is_set_holds_in_every_process(ros: Ros) -> None:
     assert "out of range" in ros.set("Chunk_Length", 0)
     assert ros.set("Chunk_Length", 2) == ""
     assert ros.set(f"{sources[2]}.EEG.Chunk_Length", 3) == ""
-    ros.spin(0.5)
-    for outlet in outlets:
-        outlet.push_chunk([[float(number)] for number in range(6)])
-    ros.until(lambda: [len(each) for each in chunks] == [3, 3, 2], "chunks of 2, 2 and 3")
+    pushed = 0
+
+    def push() -> None:
+        nonlocal pushed
+        for outlet in outlets:
+            outlet.push_chunk([[float(pushed + number)] for number in range(6)])
+        pushed += 6
+
+    def are_set() -> bool:
+        # The other processes are told a little later.
+        push()
+        ros.spin(0.2)
+        return [len(each[-1].data) if each else 0 for each in chunks] == [2, 2, 3]
+
+    ros.until(are_set, "chunks of 2, 2 and 3")
+    first = pushed
+    push()
+
+    def new() -> list[list[int]]:
+        """The lengths of the chunks that were full since, of each stream."""
+        return [[len(each.data) for each in part if each.data[-1] >= first] for part in chunks]
+
+    ros.until(lambda: new() == [[2] * 3, [2] * 3, [3] * 2], "chunks of the new lengths alone")
+    ros.until(lambda: [len(each) for each in heard] == [pushed] * PROCESSES, "all samples")
     assert ros.set(f"{sources[2]}.EEG.Chunk_Length", None) == ""
     assert ros.set("Sensor_Enable", False) == ""
-    ros.spin(0.5)
-    for outlet in outlets:
-        outlet.push_sample([9.0])
-    ros.spin(0.5)
-    assert [len(each) for each in heard] == [6, 6, 6]
+
+    def brings_nothing() -> bool:
+        before = [len(each) for each in heard]
+        push()
+        ros.spin(0.5)
+        return [len(each) for each in heard] == before
+
+    ros.until(brings_nothing, "that no process publishes")
+    assert brings_nothing()
     assert ros.set("Sensor_Enable", True) == ""
     assert ros.set("Chunk_Length", 128) == ""
     assert ros.set("processes", 2) != ""

@@ -13,6 +13,8 @@ import pylsl
 import pytest
 from std_msgs.msg import Float32MultiArray
 
+from tests.rigs.lsl_streams import wait_until
+from tests.rigs.still_process import stands_still, waiting_bytes
 from tests.rigs.stopwatch import Stopwatch
 
 if TYPE_CHECKING:
@@ -200,10 +202,18 @@ def test_what_lsl_drops_with_a_dead_program_is_said_and_counted(
         ros.until(is_balanced, "the first samples")
         # It does not come to read until the program is dead, as on a machine that is busy.
         node.send(signal.SIGSTOP)
-        program.push(burst)
-        ros.spin(0.5)
-        program.kill()
-        node.send(signal.SIGCONT)
+        try:
+            wait_until(lambda: stands_still(node.pid), "that the node stands still")
+            program.push(burst)
+            # Else they might die in the program. A sample has a byte for its stamp's kind, eight
+            # for the stamp and four for the value.
+            wait_until(
+                lambda: any(waiting >= burst * 13 for waiting in waiting_bytes(node.pid)),
+                "all samples in the node's socket",
+            )
+            program.kill()
+        finally:
+            node.send(signal.SIGCONT)
         pushed += burst
         ros.until(lambda: topic not in ros.present(), "its end")
         dropped = node.count("[WARN]", f"{topic[1:]}: ", "samples were lost with the connection")

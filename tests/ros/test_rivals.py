@@ -18,7 +18,7 @@ from lsl_to_ros.lsl.inlets import Inlet, InletState
 from tests.rigs.lsl_streams import DEADLINE_S, Collector, wait_until
 
 # Longer than the resolver remembers, and less than a test may take.
-FORGET_S, HELD_S = 1.0, 3.0
+FORGET_S, PATIENCE_S, HELD_S = 1.0, 1.0, 3.0
 
 # Pushes as many samples as each line says, numbered on, and says when it has done so.
 PROGRAM = """
@@ -28,6 +28,8 @@ info = pylsl.StreamInfo(sys.argv[1], "Test", 1, 100.0, "float32", sys.argv[1])
 outlet = pylsl.StreamOutlet(info)
 pushed = 0
 for line in sys.stdin:
+    # An inlet that is open may not be heard of yet.
+    outlet.wait_for_consumers(30.0)
     for _ in range(int(line)):
         outlet.push_sample([pushed], 1000.0 + pushed / 1024)
         pushed += 1
@@ -100,7 +102,7 @@ def sender() -> Iterator[Sender]:
 @pytest.fixture
 def node(monkeypatch: pytest.MonkeyPatch) -> Iterator[Node]:
     monkeypatch.setattr(discovery_module, "FORGET_AFTER_S", FORGET_S)
-    monkeypatch.setattr(rivals, "PATIENCE_S", 1.0)
+    monkeypatch.setattr(rivals, "PATIENCE_S", PATIENCE_S)
     monkeypatch.setattr(rivals, "SEEN_AGAIN_S", 0.5)
     node = Node()
     yield node
@@ -131,10 +133,12 @@ def starve(node: Node, sender: Sender) -> None:
 
 
 def test_what_a_starved_sender_sends_on_its_connection_is_not_lost(
-    node: Node, sender: Sender
+    node: Node, sender: Sender, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     inlet = attach(node, sender)
     starve(node, sender)
+    # A busy sender takes its time; that would be silence, and another sentence about it.
+    monkeypatch.setattr(rivals, "PATIENCE_S", DEADLINE_S)
     sender.push(127)
     wait_until(lambda: node.hears(137), "what was sent since")
     sender.push(100)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
 
 import pytest
 
@@ -11,6 +12,8 @@ from biosensor_common import sender_clocks
 from biosensor_common.sender_clocks import PERIOD_S, ClockInlet, Measurement, SenderClocks
 from lsl_to_ros.lsl.inlets import Inlet
 from tests.rigs.lsl_streams import Collector, Open, Source, inlets, thread_count, wait_until
+
+STEADY_S = 0.5
 
 
 @pytest.fixture
@@ -35,14 +38,29 @@ def watch() -> Iterator[Watch]:
         clocks.stop()
 
 
-def threads_at_rest() -> int:
-    """Count the threads of this process once no inlet is being opened any more."""
+def threads_at_rest(sources: Iterable[Source]) -> int:
+    """Count the threads of this process once those that open something are gone.
+
+    No inlet is being opened any more, the outlets have a thread for each inlet, and what is
+    left of tests before this one has ended.
+    """
 
     def opening() -> bool:
         return any(thread.name.startswith("open ") for thread in threading.enumerate())
 
     wait_until(lambda: not opening(), "inlets that are open")
-    return thread_count()
+    for source in sources:
+        source.await_inlet()
+    count, since_s = thread_count(), time.monotonic()
+
+    def is_steady() -> bool:
+        nonlocal count, since_s
+        if (now := thread_count()) != count:
+            count, since_s = now, time.monotonic()
+        return time.monotonic() - since_s > STEADY_S
+
+    wait_until(is_steady, "a number of threads that stays")
+    return count
 
 
 def test_a_senders_clock_is_said_once_and_measured_again_and_again(
@@ -72,7 +90,7 @@ def test_a_senders_clock_is_said_once_and_measured_again_and_again(
 def test_nothing_stays_of_a_measurement(open_inlet: Open, watch: Watch) -> None:
     sources = [Source() for _ in range(3)]
     opened = [open_inlet(source.find()) for source in sources]
-    threads = threads_at_rest()
+    threads = threads_at_rest(sources)
     watch(opened)
     wait_until(lambda: all(each.correction is not None for each in opened), "all clocks")
     # liblsl's thread that measures lives as long as the inlet that was asked.
@@ -92,7 +110,7 @@ def test_an_inlet_that_is_gone_is_not_measured_any_more(
     monkeypatch.setattr(sender_clocks, "Measurement", measure)
     source = Source()
     inlet = open_inlet(source.find())
-    present, threads = [inlet], threads_at_rest()
+    present, threads = [inlet], threads_at_rest([source])
     watch(present)
     wait_until(lambda: begun, "a measurement")
     begun.clear()

@@ -39,8 +39,11 @@ def test_an_agent_that_stands_still_is_said_of_all_its_streams(
         statuses = [ros.status(topic) for topic in (*TOPICS, COUNTERS)]
         return {status.level if status else b"absent" for status in statuses}
 
+    def said() -> int:
+        return node.count("[WARN]", f"{host}: {SILENT}")
+
     ros.until(lambda: levels() == {DiagnosticStatus.OK}, "all streams")
-    node_has_warned = node.count("[WARN]", SILENT)
+    before = said()
     begun_s = time.monotonic()
     os.kill(agent.pid, signal.SIGSTOP)
     try:
@@ -54,6 +57,9 @@ def test_an_agent_that_stands_still_is_said_of_all_its_streams(
         os.kill(agent.pid, signal.SIGCONT)
     print(f"said after {said_s:.1f} s")
     ros.until(lambda: levels() == {DiagnosticStatus.OK}, "all streams again")
-    assert node.count("[WARN]", f"{host}: {SILENT}") == node_has_warned + 1
-    # What is written comes by another way than the diagnostics.
-    ros.until(lambda: node.count("[INFO]", f"{host}: it is heard again") >= 1, "its return")
+    # What is written comes by another way than the diagnostics. On a busy machine nothing may
+    # come for a second time; that is said, too, and so is each return.
+    ros.until(
+        lambda: before < said() == node.count("[INFO]", f"{host}: it is heard again"),
+        "a return of each silence",
+    )

@@ -181,7 +181,9 @@ def test_without_a_network_labrecorder_needs_the_file(tmp_path: Path) -> None:
     show("lo only, without the file", without)
     show("lo only, with the file", with_file)
     assert str(user.configuration) in said
-    assert all(0 < outcome.found < OUTLETS for outcome in without)
+    # On a busy machine it may be too late for all of them once.
+    assert all(outcome.found < OUTLETS for outcome in without)
+    assert any(outcome.found for outcome in without)
     assert with_file[-1] == ALL
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import time
 from collections.abc import Callable
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -12,6 +11,7 @@ from xml.etree import ElementTree as ET
 import pylsl
 import pytest
 
+from tests.system.lsl_time import NS_PER_S, system_minus_lsl_ns
 from tests.system.programs import Program
 from tests.system.toolchain import ROOT, Toolchain
 from tests.system.workspace import Workspace
@@ -79,7 +79,7 @@ def test_a_message_type_of_the_lab_is_sent_by_its_type(
     assert told.pop("type_hash").startswith("RIHS01_")
     assert told == {"type": "lab_msgs/msg/Grip", "frame_id": "palm", "stamp_source": "header"}
 
-    offset_s = time.time() - pylsl.local_clock()
+    offset_s = system_minus_lsl_ns() / NS_PER_S
     rows = _pull(numbers, COUNT, node)
     first = round(rows[0][0][-1])
     for n, (row, stamp) in enumerate(rows, start=first):

@@ -19,7 +19,12 @@ from biosensor_common.ros_clock import NS_PER_S
 from tests.rigs.hosts.lan import Lan
 from tests.rigs.hosts.programs import Program
 from tests.rigs.lab_recorder import LabRecorder
-from tests.rigs.recorded_robot import UNWRITTEN_S, Stream, greatest_errors_s
+from tests.rigs.recorded_robot import (
+    UNWRITTEN_S,
+    Stream,
+    greatest_errors_s,
+    told_lost,
+)
 from tests.rigs.robot import PARTS
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(200)]
@@ -48,10 +53,11 @@ def test_stamps_are_those_that_were_published_on_the_other_computer(
     topics = ("-p", f"topics:=[{', '.join(each.topic for each in PARTS)}]")
     with Lan({"robot": 0, "lab": RECORDER_AHEAD_S}) as lan:
         robot = lan["robot"]
+        node = Program(
+            robot, environment, tmp_path, "lsl_to_ros.ros_to_lsl.node", "--ros-args", *topics
+        )
         with (
-            Program(
-                robot, environment, tmp_path, "lsl_to_ros.ros_to_lsl.node", "--ros-args", *topics
-            ),
+            node,
             Program(robot, environment, tmp_path, "tests.rigs.robot", str(sent)),
             LabRecorder(study, at_least=STREAMS, computer=lan["lab"], environment=environment),
         ):
@@ -63,6 +69,7 @@ def test_stamps_are_those_that_were_published_on_the_other_computer(
     streams, _ = _load_xdf(str(study))
     by_name = {each["info"]["name"][0]: each for each in streams}
     span = begun_ns, ended_ns - round(UNWRITTEN_S * NS_PER_S)
-    worst_s = greatest_errors_s(by_name, json.loads(sent.read_text()), span, offset_s)
+    published = json.loads(sent.read_text())
+    worst_s = greatest_errors_s(by_name, published, span, offset_s, told_lost(node.log))
     record_property("stamp error in us", {t: round(s * 1e6) for t, s in worst_s.items()})
     assert max(worst_s.values()) < STAMP_LIMIT_S, worst_s

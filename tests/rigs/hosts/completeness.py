@@ -20,6 +20,8 @@ from tests.rigs.hosts.recordings import Recording
 MARGIN_S = 2.0
 _WINDOW_S = 5.0
 _EQUALLY_NEAR_S = 0.005
+# Samples come to both without delay for half of a window, or to what is observed for this share.
+_PROMPT_SHARES = (0.02, 0.5)
 
 Codes = NDArray[np.int64]
 
@@ -75,7 +77,9 @@ def fault(
         return "it fits what was sent, but not always when it was sent: samples are missing"
     if not len(wanted):
         return ""
-    begin, end = start, start + len(codes)
+    begin = start
+    # A node or a subscriber that is held up may bring the last ones later than the part goes.
+    end = begin + len(codes) + _came_later(reference, observed, part, begin)
     early, late = begin - int(wanted[0]), int(wanted[-1]) + 1 - end
     if early > 0 or late > unfilled:
         return f"{max(0, early)} samples are missing at the begin, {max(0, late)} at the end"
@@ -114,6 +118,19 @@ def _starts(whole: Codes, part: Codes) -> list[int]:
     return [int(at) for at in candidates if np.array_equal(whole[at : at + len(part)], part)]
 
 
+def _came_later(reference: Recording, observed: Recording, part: Recording, start: int) -> int:
+    """Count the samples that went on, one by one, behind a part that begins at a place."""
+    rest = observed.between(float(np.nextafter(part.arrivals[-1], np.inf)), np.inf)
+    sent = reference.rows[start + len(part.rows) :]
+    count = min(len(sent), len(rest.rows))
+    cut = [
+        each._replace(rows=rows[:count]) for each, rows in ((reference, sent), (rest, rest.rows))
+    ]
+    whole, codes = _codes(*cut)
+    differing = np.flatnonzero(whole != codes)
+    return int(differing[0]) if len(differing) else count
+
+
 def _missing(whole: Codes, part: Codes) -> str:
     """Tell from the places of its first and last samples how many are missing in between."""
     size = min(100, len(part) // 2)
@@ -147,7 +164,9 @@ def _punctual(
     last = np.flatnonzero(np.diff(part.arrivals, append=np.inf) > 0)
 
     def distance(start: int, here: NDArray[np.int64]) -> float:
-        return float(np.median(np.abs(part.arrivals[here] - reference.arrivals[start + here])))
+        # Whoever is held up is late, and may be so for most of a window.
+        late_s = part.arrivals[here] - reference.arrivals[start + here]
+        return float(np.abs(np.quantile(late_s, _PROMPT_SHARES)).min())
 
     remaining = list(starts)
     for window in (each for span in calm for each in span.windows()):
