@@ -17,9 +17,32 @@ import psutil
 
 from biosensor_common.errors import ConfigError
 from biosensor_gateway.agent import status_file
+from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.system.logs import LOG_FILE_NAME
 
 _STOP_LIMIT_S = 30.0
+_PATIENCE_S = 30.0
+_POLL_S = 0.05
+
+
+def fresh_status(folder: Path) -> dict[str, Any]:
+    """What the agent with this state folder says of itself.
+
+    What a busy one has said last may be too old to count; it is waited for as long as it runs.
+
+    Raises
+    ------
+    ConfigError
+        If none runs there, or it says nothing for half a minute.
+    """
+    deadline = time.monotonic() + _PATIENCE_S
+    while True:
+        try:
+            return status_file.read_status(folder)
+        except ConfigError:
+            if time.monotonic() > deadline or not is_held(folder):
+                raise
+        time.sleep(_POLL_S)
 
 
 class AgentProcess:
@@ -70,7 +93,7 @@ class AgentProcess:
     @property
     def serving(self) -> int:
         """The process that is the agent; with ``--keep-alive`` not `pid`."""
-        return int(status_file.read_status(self._folder)["process"])
+        return int(fresh_status(self._folder)["process"])
 
     @property
     def standby(self) -> int | None:
@@ -94,7 +117,7 @@ class AgentProcess:
         return (self._folder / "console.txt").read_text(errors="replace")
 
     def status(self) -> dict[str, Any]:
-        """What the agent says of itself, by sensor; empty before it has said anything."""
+        """What the agent says of itself, by sensor; empty if it has said nothing of late."""
         assert self.is_running, self.console()
         try:
             status = status_file.read_status(self._folder)
@@ -104,10 +127,19 @@ class AgentProcess:
         assert process == self.pid or process in self._children()
         return {device["sensor"]: device for device in status["devices"]}
 
+    def devices(self) -> dict[str, Any]:
+        """The same, once it says something."""
+        deadline = time.monotonic() + _PATIENCE_S
+        while not (status := self.status()):
+            assert time.monotonic() < deadline, f"it says nothing: {self.console()}"
+            time.sleep(_POLL_S)
+        return status
+
     def log(self) -> list[dict[str, Any]]:
         """Everything that it has logged, as records."""
         path = self._folder / LOG_FILE_NAME
-        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+        # The last line may be half written; what is behind the last end of a line is no record.
+        lines = path.read_bytes().split(b"\n")[:-1] if path.exists() else []
         return [json.loads(line) for line in lines]
 
     def _children(self) -> set[int]:

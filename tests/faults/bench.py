@@ -198,7 +198,7 @@ class FaultBench:
         )
 
     def _status(self, name: str) -> Mapping[str, Any]:
-        return self.agent.status()[name]
+        return self.agent.devices()[name]
 
     def _is_well(self, name: str) -> bool:
         return _says_well(self._status(name))

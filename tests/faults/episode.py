@@ -17,7 +17,15 @@ from tests.faults.expectations import (
     source,
     tolerance,
 )
-from tests.faults.matching import NEAR_S, Places, UnknownSampleError, match, missing, unread
+from tests.faults.matching import (
+    NEAR_S,
+    Places,
+    UnknownSampleError,
+    held_up,
+    match,
+    missing,
+    unread,
+)
 from tests.faults.recorder import Recorded
 from tests.rigs.lab_client import Samples
 
@@ -126,9 +134,16 @@ class Episode:
             # Those that come together break nothing.
             least, most = _bounds(gap_of(self.kinds[0], name), account)
             allowed = tolerance(self.kinds[0], name, data_name)
+            if device_of(name).expected.loss_tolerance.by_arrival:
+                allowed += self._held_up(name, data_name)
             if not least - allowed <= account.lost <= most + allowed:
                 return f"{name}/{data_name}: {account}"
         return ""
+
+    def _held_up(self, name: str, data_name: str) -> int:
+        """Samples that fit into what held packets up beside the gaps of one stream."""
+        found = self.matched(name, data_name)
+        return held_up(self.received[name, data_name], found, self.truth[name, data_name])
 
     def is_balanced(self, name: str) -> bool:
         """Whether the books of all streams of a device are right."""

@@ -10,6 +10,8 @@ from tests.rigs.lab_client import Samples
 
 NEAR_S = 3.0
 """A stamp is never so far from the truth; values alone may repeat themselves."""
+_USUAL = 0.9
+"""So large a part of the samples is taken for as late as samples usually are."""
 _LOOK_AHEAD = 16
 """So many equal samples in a row make a place as good as any with more."""
 
@@ -49,15 +51,37 @@ def missing(places: Places, truth: Samples) -> int:
     """Samples that a regular stream would have had room for between those that arrived."""
     if len(places) < 2:
         return 0
-    period_s = float(np.median(np.diff(truth.times)))
-    # Where measuring began anew, a gap is no whole number of periods.
-    steps = np.round(np.diff(truth.times[places]) / period_s).astype(int)
-    return int(np.maximum(0, steps - 1).sum())
+    return int(np.maximum(0, _steps(places, truth) - 1).sum())
+
+
+def held_up(received: Recorded, places: Places, truth: Samples) -> int:
+    """Samples that fit into what held up those beside the gaps of a regular stream.
+
+    That is by how much more than usual they came late: of the last before a gap and the first
+    behind it, the one that was held up for longer.
+    """
+    if len(places) < 2:
+        return 0
+    late_s = received.arrivals - truth.times[places]
+    held_up_s = np.maximum(0.0, late_s - np.quantile(late_s, _USUAL))
+    gaps = np.flatnonzero(_steps(places, truth) > 1)
+    longest_s = np.maximum(held_up_s[gaps], held_up_s[gaps + 1])
+    return int(np.ceil(longest_s.sum() / _period_s(truth)))
 
 
 def unread(places: Places) -> int:
     """Samples that were sent between those that arrived, and did not."""
     return int(places[-1] - places[0] + 1 - len(places)) if len(places) else 0
+
+
+def _steps(places: Places, truth: Samples) -> NDArray[np.int64]:
+    """How many periods each sample is behind the one before."""
+    # Where measuring began anew, a gap is no whole number of periods.
+    return np.round(np.diff(truth.times[places]) / _period_s(truth)).astype(np.int64)
+
+
+def _period_s(truth: Samples) -> float:
+    return float(np.median(np.diff(truth.times)))
 
 
 def _best(head: _Values, sent: _Values, apart_s: Floats, near_s: float) -> int:

@@ -80,9 +80,10 @@ def test_a_second_one_is_refused_and_the_first_one_goes_on(
         said = only_sentence(prefix.attempt(installed.program, "run", *SIMULATED), USAGE)
         assert f"already running with the state folder {windows_path(tmp_path)}" in said
         assert said.endswith("end it with: biosensor-gateway stop")
-        before = first.status()["written"]
-        wait_until(lambda: first.status()["written"] > before, "a newer status")
-        assert first.device(SENSOR)["state"] == "streaming"
+        before = first.report()["written"]
+        wait_until(lambda: first.report()["written"] > before, "a newer status")
+        (device,) = first.report()["devices"]
+        assert (device["sensor"], device["state"]) == (SENSOR, "streaming")
 
 
 def streams() -> set[str]:

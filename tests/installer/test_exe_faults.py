@@ -144,7 +144,8 @@ class WindowsFaultBench:
         return is_right and max(stamps) - self._clock_difference_s > ended_s
 
     def _stock(self, name: str) -> Stock:
-        return Stock(local_clock(), self.program.device(name))
+        time_s, devices = local_clock(), self.program.report()["devices"]
+        return Stock(time_s, next(each for each in devices if each["sensor"] == name))
 
     def _recorded(self, name: str, data_name: str) -> Recorded:
         recorded = self._recorder.recorded(source(name, data_name))
@@ -159,7 +160,7 @@ class WindowsFaultBench:
         while not wanted <= uids.keys() and time.monotonic() < deadline:
             found = pylsl.resolve_streams(2.0)
             uids = {info.source_id(): info.uid() for info in found if info.source_id() in sources}
-        self.identities.append((uids, self.program.status()["process"]))
+        self.identities.append((uids, self.program.report()["process"]))
 
 
 @pytest.fixture(scope="module")

@@ -40,7 +40,7 @@ def here(installed: WindowsPc, tmp_path: Path) -> Prefix:
 @pytest.fixture
 def chromium() -> Generator[Browser]:
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(**OPTIONS)
+        browser = playwright.chromium.launch(timeout=1000 * DEADLINE_S, **OPTIONS)
         yield browser
         browser.close()
 
@@ -58,6 +58,7 @@ def test_a_sensor_is_found_added_and_seen(
                 assert time.monotonic() < begun + DEADLINE_S, said
                 said += server.stdout.readline().decode(errors="replace")
             page = chromium.new_page()
+            page.set_default_timeout(1000 * DEADLINE_S)
             page.goto(found[0])
             page.get_by_role("button", name="Find sensors").first.click()
             entry = page.locator(".found li", has_text=UNIT)

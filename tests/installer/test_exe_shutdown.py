@@ -62,7 +62,7 @@ def _log_off(it: Streaming) -> None:
 
 
 def _close_console(it: Streaming) -> None:
-    process = str(it.program.status()["process"])
+    process = str(it.program.report()["process"])
     it.prefix.run(WORK / "python" / "python.exe", windows_path(CLOSER), process)
 
 

@@ -56,7 +56,7 @@ def asked(here: Prefix) -> Path:
 @pytest.fixture
 def chromium() -> Generator[Browser]:
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(**OPTIONS)
+        browser = playwright.chromium.launch(timeout=1000 * DEADLINE_S, **OPTIONS)
         yield browser
         browser.close()
 
@@ -92,6 +92,7 @@ def test_from_the_start_menu_to_traces_and_to_the_end(
         try:
             ((address, port),) = opened(asked, 1)
             page = chromium.new_page()
+            page.set_default_timeout(1000 * DEADLINE_S)
             page.goto(address)
             page.get_by_role("button", name="Find sensors").first.click()
             entry = page.locator(".found li", has_text=UNIT)
@@ -120,6 +121,7 @@ def test_from_the_start_menu_to_traces_and_to_the_end(
             second = opened(asked, 2)[1]
             assert second[1] == port
             other = chromium.new_page()
+            other.set_default_timeout(1000 * DEADLINE_S)
             other.goto(second[0])
             expect(other.get_by_role("button", name="Quit")).to_be_visible()
 

@@ -165,6 +165,39 @@ async def test_an_indication_ends_with_the_link(probe: Probe) -> None:
         assert sending.result() is False
 
 
+@pytest.mark.parametrize("end", ["drop", "power_off", "disconnect"])
+async def test_an_indication_that_arrived_was_sent_whatever_its_confirmation(
+    probe: Probe, end: str
+) -> None:
+    got: list[bytes] = []
+
+    async def hang_after_putting_out() -> list[asyncio.Task[bool]]:
+        values = b"unconfirmed", b"behind it"
+        sending = [asyncio.ensure_future(probe.peripheral.notify(probe.event, v)) for v in values]
+        for _ in values:
+            await asyncio.sleep(0)
+        probe.peripheral.stalled = True
+        return sending
+
+    async with BleakClient(probe.address) as client:
+        await client.start_notify(EVENT, lambda _, data: got.append(bytes(data)))
+        sending = probe.radio.world.await_(hang_after_putting_out())
+        await until(lambda: got)
+        assert not any(each.done() for each in sending), "the confirmation was held up"
+        match end:
+            case "drop":
+                probe.drop()
+            case "power_off":
+                # Who switches it off ends the senders next.
+                probe.power_off()
+                assert all(each.done() for each in sending)
+            case _:
+                await client.disconnect()
+        await until(lambda: all(each.done() for each in sending))
+    assert got == [b"unconfirmed"]
+    assert [each.result() for each in sending] == [True, False]
+
+
 async def test_giving_up_to_connect_leaves_no_connection(probe: Probe) -> None:
     device = await BleakScanner.find_device_by_name("Probe 1", timeout=20)
     assert device

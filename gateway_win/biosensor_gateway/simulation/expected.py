@@ -49,11 +49,15 @@ class LossTolerance:
         Besides, when the connection broke or the device forgot to send.
     over_restart
         By data name, in place of `over_break` when the device was restarted.
+    by_arrival
+        Whether what comes first behind a break is placed by when it came: the agent then takes
+        what holds a packet up beside the break for a part of it, or for the end of it.
     """
 
     always: Mapping[str, int] = field(default_factory=dict[str, int])
     over_break: int = 0
     over_restart: Mapping[str, int] = field(default_factory=dict[str, int])
+    by_arrival: bool = False
 
     def of(self, data_name: str, *, is_break: bool, is_restart: bool) -> int:
         """Return so many samples of one stream; a restart is a break, too."""

@@ -13,6 +13,7 @@ from bumble.gatt import Characteristic, ClientCharacteristicConfigurationBits, S
 from bumble.keys import MemoryKeyStore
 
 from biosensor_gateway.simulation.advertising import pack_advertisement, pack_name
+from biosensor_gateway.simulation.indications import Indications
 from biosensor_gateway.simulation.protection import (
     protect_subscriptions,
     protected_characteristics,
@@ -90,6 +91,7 @@ class Peripheral:
         self._dropped = False
         self._breaking = False
         self._stalled = False
+        self._indications = Indications(self._can_indicate)
         self._advertisement = pack_advertisement(self._uuids, manufacturer_data or {})
 
     @property
@@ -168,6 +170,7 @@ class Peripheral:
             await self._radio.power_off(transceiver, device)
             if self._connection:
                 self._on_disconnection(self._connection)
+            await self._indications.ended()
 
     def subscribed(self, characteristic: Characteristic[bytes]) -> bool:
         """Whether the host wants notifications or indications of this."""
@@ -185,7 +188,8 @@ class Peripheral:
         Returns
         -------
         bool
-            Whether it was sent; a host that stays connected gets it for certain.
+            Whether it was sent; a host that stays connected gets it for certain, and of an
+            indication that is cut off only the confirmation is missing.
 
         Raises
         ------
@@ -204,7 +208,7 @@ class Peripheral:
             )
             connection.send_l2cap_pdu(att.ATT_CID, bytes(notification))
             return True
-        return await self._indicate(connection, characteristic, value)
+        return await self._indications.send(connection, characteristic, value)
 
     def set_advertising(self, on: bool) -> None:
         """Advertise, when not connected, or do not."""
@@ -250,19 +254,9 @@ class Peripheral:
         else:
             transceiver.lose_links()
 
-    async def _indicate(
-        self, connection: Connection, characteristic: Characteristic[bytes], value: bytes
-    ) -> bool:
-        server = connection.gatt_server
-        indicating = server.indicate_subscriber(connection, characteristic, value)
-        try:
-            await connection.cancel_on_disconnection(indicating)
-        except asyncio.CancelledError:
-            if self._connection is connection:
-                raise
-            server.on_disconnection(connection)
-            return False
-        return True
+    def _can_indicate(self, connection: Connection, characteristic: Characteristic[bytes]) -> bool:
+        is_linked = self._connection is connection and not self._breaking and not self._stalled
+        return is_linked and bool(self._subscription(characteristic) & _Bits.INDICATION)
 
     def _subscription(self, characteristic: Characteristic[bytes]) -> int:
         if not self._device or not self._connection:
@@ -289,5 +283,6 @@ class Peripheral:
             return
         self._connection = None
         self._breaking = False
+        self._indications.give_up()
         for callback in list(self.on_disconnected):
             callback()

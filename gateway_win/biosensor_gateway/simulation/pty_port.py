@@ -147,7 +147,8 @@ class PtyPort:
         """Throw away what is buffered and what no host has read."""
         self._unsent.clear()
         if sys.platform != "win32":
-            termios.tcflush(handle, termios.TCIOFLUSH)
+            # All that the host has written was heard; what there is now is another one's.
+            termios.tcflush(handle, termios.TCOFLUSH)
 
     def _flush(self, handle: int) -> None:
         """Send of what is buffered as much as there is room for."""

@@ -14,9 +14,9 @@ import pytest
 
 from biosensor_common.naming import source_id
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.agent import status_file
 from biosensor_gateway.devices.registry import declaration
 from tests.bench.processes import Processes
+from tests.faults.agent import fresh_status
 from tests.faults.scenarios.figures import Record
 from tests.faults.scenarios.ledger import TruthLedger
 from tests.faults.scenarios.length import is_long
@@ -70,7 +70,7 @@ def truth_of(lab: LabProcess) -> dict[str, Samples]:
 
 
 def counters_of(state: Path) -> dict[str, dict[str, Any]]:
-    devices = status_file.read_status(state)["devices"]
+    devices = fresh_status(state)["devices"]
     return {key: counters for device in devices for key, counters in device["streams"].items()}
 
 

@@ -23,6 +23,7 @@ from tests.faults.scenarios.figures import Record
 from tests.faults.scenarios.stage import is_streaming, lab_of, wait_until, write_settings
 from tests.faults.scenarios.xdf import load
 from tests.rigs.lab_client import Samples
+from tests.rigs.priority import before_others
 from tests.system.lab_recorder import recording
 
 LIMIT_S = 0.005
@@ -32,7 +33,7 @@ BUSY = 3
 DROP_S = 2.0
 # A clock is as good as it gets from the tenth second on.
 SETTLE_S = 11.0
-BEFORE_S, AFTER_S = 4.0, 6.0
+BEFORE_S, AFTER_S = 4.0, SETTLE_S + 4.0
 STREAMS = {
     4: ("empatica_e4", "st"),
     64: ("empatica_e4", "bvp"),
@@ -64,6 +65,14 @@ class Recording(NamedTuple):
         return np.abs(self.received.times - self.truth.times[self.places])
 
     @property
+    def settled_errors_s(self) -> NDArray[np.float64]:
+        """Those before the gap, and those from when the clock is as good behind it."""
+        true_s = self.truth.times[self.places]
+        last = int(np.argmax(np.diff(true_s)))
+        is_settled = (true_s <= true_s[last]) | (true_s >= true_s[last + 1] + SETTLE_S)
+        return self.errors_s[is_settled]
+
+    @property
     def gap_s(self) -> float:
         return float(np.diff(self.truth.times[self.places]).max())
 
@@ -76,6 +85,8 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Recording]
     with lab_of(SENSORS, folder) as lab:
         settings = write_settings(folder, lab, {name: name for name in SENSORS})
         with AgentProcess(folder, *settings, environment=lab.environment) as agent:
+            # When it reads a line is when the line came.
+            before_others(agent.pid)
             wait_until(lambda: is_streaming(agent), "streaming devices")
             time.sleep(SETTLE_S)
             with recording(folder / "dropout.xdf", sources):
@@ -101,13 +112,14 @@ def test_a_gap_moves_no_other_sample(
     recordings: dict[int, Recording], rate: int, figures: Record
 ) -> None:
     found, (name, data_name) = recordings[rate], STREAMS[rate]
-    worst_s = float(found.errors_s.max())
+    # Behind the gap one line anchors the clock at first, and its delay is anybody's guess.
+    worst_s = float(found.settled_errors_s.max())
     figures(
         FAULT,
         f"worst stamp error at {rate} Hz ({name}/{data_name})",
         f"< {1000 * LIMIT_S:g} ms",
-        f"{1000 * worst_s:.2f} ms, of which pyxdf moved {1000 * found.moved_s:.2f} ms; "
-        f"gap of {found.gap_s:.1f} s",
+        f"{1000 * worst_s:.2f} ms, right behind the gap {1000 * found.errors_s.max():.2f} ms, "
+        f"of which pyxdf moved {1000 * found.moved_s:.2f} ms; gap of {found.gap_s:.1f} s",
     )
     assert found.gap_s >= DROP_S
     assert found.moved_s < LIMIT_S

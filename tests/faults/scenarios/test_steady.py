@@ -19,9 +19,9 @@ import numpy as np
 import pylsl
 import pytest
 
-from biosensor_gateway.agent import status_file
 from tests.bench.processes import Process
 from tests.bench.slope import fit
+from tests.faults.agent import fresh_status
 from tests.faults.expectations import SENSORS, is_by_agent, numeric_streams, source, steady_streams
 from tests.faults.scenarios.figures import Record
 from tests.faults.scenarios.ledger import CounterLedger, DrainedRecorder, TruthLedger
@@ -111,7 +111,7 @@ class Books:
 
     def counters(self) -> Mapping[str, Mapping[str, Any]]:
         """What the agent says of each stream."""
-        devices = status_file.read_status(self._state)["devices"]
+        devices = fresh_status(self._state)["devices"]
         return {key: value for device in devices for key, value in device["streams"].items()}
 
     def truths(self) -> Truths:

@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import Self
 
 from tests.rigs.hosts.lan import Host
+from tests.rigs.priority import before_others
 from tests.rigs.windows.pc import WindowsPc
 from tests.rigs.windows.program import RunningProgram
 
@@ -47,6 +48,8 @@ class InstalledAgent:
     def __enter__(self) -> Self:
         self._prefix.end()
         self._program = RunningProgram(self._prefix, self._pc.program, self._pc.user_folder)
+        # It starts Wine's server, which so has the same priority.
+        before_others(self._program.pid)
         return self
 
     def __exit__(

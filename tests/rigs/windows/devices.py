@@ -17,12 +17,14 @@ from typing import Any
 
 from tests.rigs.hosts.dialogue import Dialogue
 from tests.rigs.lab import Lab
+from tests.rigs.priority import before_others
 from tests.rigs.windows.clocks import read_clocks
 
 PERIOD_S = 0.02
 
 
 def main() -> None:
+    before_others()
     with ExitStack() as stack:
         # Each has its own signals, so that no stream can be taken for another's.
         devices = [

@@ -162,11 +162,19 @@ def _await_all(pair: Pair, devices: SteeredProgram, steady: Collection[str], tim
 def _behind(
     pair: Pair, devices: SteeredProgram, steady: Collection[str], time_s: float
 ) -> dict[str, float]:
-    """Seconds that streams still lack of a Unix time, by source_id."""
+    """Seconds that streams and their topics still lack of a Unix time, by source_id and name."""
     clocks = Clocks(**devices.ask("clocks"))
     unix_minus_stamp_s = clocks.unix_minus_lsl - clocks.windows_minus_lsl
-    streams = pair.observe().streams
+    observation = pair.observe()
+    streams = observation.streams
     newest = {s: float(streams[s].stamps[-1]) + unix_minus_stamp_s for s in steady}
+    # Those of standard messages have a stamp, and what the node is behind with others shows there.
+    stems = tuple(f"{pair.expected[source].topic}_" for source in steady)
+    newest |= {
+        name: float(topic.stamps[-1]) / 1e9
+        for name, topic in observation.topics.items()
+        if name.startswith(stems) and topic.stamps.any()
+    }
     return {s: round(time_s - came_s, 1) for s, came_s in newest.items() if came_s < time_s}
 
 

@@ -121,6 +121,11 @@ class RunningProgram:
         self._reader.join(_LAST_WORDS_S)
 
     @property
+    def pid(self) -> int:
+        """Of the process that has become the program: what leads to it begins no other."""
+        return self._process.pid
+
+    @property
     def is_running(self) -> bool:
         """Whether it has not ended."""
         return self._process.poll() is None
@@ -140,7 +145,7 @@ class RunningProgram:
         return self._said.decode(errors="replace")
 
     def status(self) -> dict[str, Any]:
-        """What it says of itself; empty before it has said anything."""
+        """What it says of itself; empty if it has said nothing of late."""
         assert self.is_running, self.said()
         try:
             return status_file.read_status(self._folder)
@@ -148,9 +153,17 @@ class RunningProgram:
             return {}
 
     def device(self, sensor: str) -> dict[str, Any]:
-        """What it says of one device; empty before it has said anything."""
+        """What it says of one device; empty if it has said nothing of late."""
         devices: list[dict[str, Any]] = self.status().get("devices", [])
         return {each["sensor"]: each for each in devices}.get(sensor, {})
+
+    def report(self) -> dict[str, Any]:
+        """What it says of itself, once it says something."""
+        deadline = time.monotonic() + DEADLINE_S
+        while not (status := self.status()):
+            assert time.monotonic() < deadline, f"it says nothing: {self.said()}"
+            time.sleep(_POLL_S)
+        return status
 
     def wait_for_state(self, sensor: str, state: str) -> None:
         """Wait until a device is in a state."""
@@ -159,7 +172,8 @@ class RunningProgram:
     def log(self) -> list[dict[str, Any]]:
         """Everything that it has logged, as records."""
         path = self._folder / LOG_FILE_NAME
-        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+        # The last line may be half written; what is behind the last end of a line is no record.
+        lines = path.read_bytes().split(b"\n")[:-1] if path.exists() else []
         return [json.loads(line) for line in lines]
 
     def _read(self) -> None:

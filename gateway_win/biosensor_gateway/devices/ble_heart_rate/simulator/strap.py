@@ -214,9 +214,10 @@ class Strap:
 
     async def _power_off(self) -> None:
         _call(self.on_power_off)
+        # What is on the air now still arrives, and who has sent it notes so.
+        await self.peripheral.power_off()
         for task in self._tasks:
             task.cancel()
-        await self.peripheral.power_off()
 
     def _reset(self) -> None:
         self.crystal = Crystal(self.peripheral.clock, self._drift_ppm)

@@ -11,7 +11,7 @@ from websockets.asyncio.connection import broadcast
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.protocol import State
 
-from biosensor_gateway.simulation.async_serial import serial_port
+from biosensor_gateway.simulation.patient_port import PatientPort
 from biosensor_gateway.simulation.tcp_port import LOOPBACK, KeptPort, break_off
 
 _BUFFER_BYTES = 4096
@@ -54,7 +54,7 @@ class Serial:
 
     def __init__(self, *, tcp: bool | None = None) -> None:
         options = {} if tcp is None else {"tcp": tcp}
-        self._port = serial_port(
+        self._port = PatientPort(
             lambda _: None, lambda: None, buffer_bytes=_BUFFER_BYTES, **options
         )
         self.write = self._port.write

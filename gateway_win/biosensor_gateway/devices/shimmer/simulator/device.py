@@ -29,10 +29,10 @@ from biosensor_gateway.devices.shimmer.simulator.wire import (
     Opcode,
     in_unknown_kind,
 )
-from biosensor_gateway.simulation.async_serial import AsyncSerialPort, serial_port
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, lasting
 from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.patient_port import PatientPort
 from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
@@ -95,7 +95,7 @@ class SimulatedShimmer(VirtualDevice):
         self._tcp = tcp
         self._crystal = Crystal(world.clock, self.specimen.drift_ppm)
         self._started_s = self.world.clock()
-        self._port: AsyncSerialPort | None = None
+        self._port: PatientPort | None = None
         self._notes = Notes(self.truth)
         self._streams = Streams(world.clock, self._send, self._notes.kept_back)
         self._worn = True
@@ -138,7 +138,7 @@ class SimulatedShimmer(VirtualDevice):
     async def _start(self) -> None:
         self._crystal = Crystal(self.world.clock, self._crystal.drift_ppm)
         self._started_s = self.world.clock()
-        self._port = serial_port(
+        self._port = PatientPort(
             self._heard, self._link_lost, buffer_bytes=_TX_QUEUE_BYTES, tcp=self._tcp
         )
         self._port.open()

@@ -7,6 +7,6 @@ EXPECTED = Expected(
     contact=Contact("quality", 1, off=-1.0),
     without_contact=("bpm",),
     by_agent=frozenset({"quality"}),
-    # Each connection begins a new series, which is placed by time.
-    loss_tolerance=LossTolerance(over_break=2),
+    # Each connection begins a new series, which is placed by its arrival.
+    loss_tolerance=LossTolerance(over_break=2, by_arrival=True),
 )

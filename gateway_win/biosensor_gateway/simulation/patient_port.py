@@ -1,0 +1,100 @@
+"""A serial port that lets its host read what it was sent before the link breaks.
+
+What a host has not yet read is lost when a port hangs up. Of a busy one that is as much as it
+is behind, and of a device that stops measuring then nobody can know how much that was.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import Callable
+
+from biosensor_gateway.simulation.async_serial import serial_port
+
+_CHECK_S = 0.02
+"""So long the system may take before it says of what was written that it is unread."""
+_PATIENCE_S = 1.0
+
+
+class PatientPort:
+    """The device's end of a serial port, as `AsyncSerialPort` is; for the loop's thread.
+
+    Parameters
+    ----------
+    heard, left, buffer_bytes, tcp
+        As for `serial_port`.
+    """
+
+    def __init__(
+        self,
+        heard: Callable[[bytes], None],
+        left: Callable[[], None],
+        *,
+        buffer_bytes: int,
+        tcp: bool = sys.platform == "win32",
+    ) -> None:
+        self._heard, self._left = heard, left
+        self._port = serial_port(self._hear, self._leave, buffer_bytes=buffer_bytes, tcp=tcp)
+        self._loop = asyncio.get_running_loop()
+        self._hanging_up: asyncio.TimerHandle | None = None
+        self._written_s = self._deadline_s = 0.0
+        self._opens_again = False
+
+    @property
+    def name(self) -> str:
+        """What a host opens; the same over hang-ups."""
+        return self._port.name
+
+    def open(self) -> None:
+        """Become reachable, at once or as soon as it has hung up."""
+        if self._hanging_up is None:
+            self._port.open()
+        else:
+            self._opens_again = True
+
+    def write(self, data: bytes) -> bool:
+        """Take the whole of ``data`` without blocking; False without host or room."""
+        taken = self._hanging_up is None and self._port.write(data)
+        if taken:
+            self._written_s = self._loop.time()
+        return taken
+
+    def drained(self) -> bool:
+        """Tell whether nothing is left that a host could still read, as far as is known."""
+        return self._port.drained()
+
+    def hang_up(self) -> None:
+        """Neither take nor hear anything more, and hang up once the host has read all.
+
+        One that does not read for a second loses the rest.
+        """
+        self._opens_again = False
+        if self._hanging_up is None:
+            self._deadline_s = self._loop.time() + _PATIENCE_S
+            self._hang_up_if_read()
+
+    def dispose(self) -> None:
+        """Hang up at once and remove what is left of the port; it cannot be opened again."""
+        if self._hanging_up is not None:
+            self._hanging_up.cancel()
+        self._port.dispose()
+
+    def _hang_up_if_read(self) -> None:
+        now_s = self._loop.time()
+        is_read = now_s >= self._written_s + _CHECK_S and self._port.drained()
+        if not is_read and now_s < self._deadline_s:
+            self._hanging_up = self._loop.call_later(_CHECK_S, self._hang_up_if_read)
+            return
+        self._hanging_up = None
+        self._port.hang_up()
+        if self._opens_again:
+            self._port.open()
+
+    def _hear(self, data: bytes) -> None:
+        if self._hanging_up is None:
+            self._heard(data)
+
+    def _leave(self) -> None:
+        if self._hanging_up is None:
+            self._left()
