@@ -116,7 +116,7 @@ def heard(tmp_path_factory: pytest.TempPathFactory) -> Heard:
         every = sorted(set[str]().union(*keys()))
         listeners = [stack.enter_context(part(host, "hear", *every)) for host in (north, south)]
         # Until the two routers have found each other and know who listens.
-        time.sleep(3.0)
+        time.sleep(6.0)
         speaker = stack.enter_context(part(north, "say", str(PERIOD_S), *every))
         time.sleep(2.0)
         link.cut()
@@ -124,7 +124,7 @@ def heard(tmp_path_factory: pytest.TempPathFactory) -> Heard:
         link.heal()
         time.sleep(HEALED_S)
         said = int(told(speaker))
-        time.sleep(2.0)
+        time.sleep(4.0)
         near, far = (json.loads(told(each)) for each in listeners)
     return Heard(said, near, far)
 
