@@ -1,4 +1,4 @@
-"""What a virtual Bluetooth LE device sends so that its host has to confirm it."""
+"""Indications of a virtual Bluetooth LE device: what its host has to confirm."""
 
 from __future__ import annotations
 
