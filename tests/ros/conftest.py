@@ -335,11 +335,20 @@ def start_node() -> Iterator[Callable[..., RunningNode]]:
 
 
 @pytest.fixture
-def flow() -> Iterator[Callable[..., Flow]]:
+def kept() -> Iterator[list[object]]:
+    """Keep what is to end behind all flows: LSL has crashed where outlets end while others push."""
+    held: list[object] = []
+    yield held
+    held.clear()
+
+
+@pytest.fixture
+def flow(kept: list[object]) -> Iterator[Callable[..., Flow]]:
     """Let samples flow until the end of the test."""
     begun: list[Flow] = []
 
     def begin(outlet: pylsl.StreamOutlet, rate: float) -> Flow:
+        kept.append(outlet)
         begun.append(Flow(outlet, rate))
         return begun[-1]
 

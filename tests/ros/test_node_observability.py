@@ -183,10 +183,11 @@ def test_the_status_of_the_node_warns_once_that_stamped_topics_are_missing(
     del outlets
 
 
-def test_levels_follow_what_happens_to_a_stream(ros: Ros, flow: Begin) -> None:
+def test_levels_follow_what_happens_to_a_stream(ros: Ros, flow: Begin, kept: list[object]) -> None:
     names = ("steady", "quiet", "slow", "lossy", "clock", "clock_ends", "late", "rare")
     topics = {name: f"/biosensors/{name}/EEG" for name in names}
     outlets = {name: foreign(name, 0.0 if name == "rare" else 100.0) for name in names}
+    kept.extend(outlets.values())
     ros.attached(*topics.values())
     flows = {name: flow(outlets[name], 80.0 if name == "slow" else 100.0) for name in names[:4]}
     begun = time.monotonic()
