@@ -10,7 +10,8 @@ from collections.abc import Callable, Generator
 import pytest
 from pylsl import local_clock
 
-from biosensor_gateway.transports.udp_port import Address, UdpPort
+from biosensor_gateway.transports.receiving import Address
+from biosensor_gateway.transports.udp_port import UdpPort
 
 LOCAL = "127.0.0.1"
 DEADLINE_S = 30.0

@@ -12,13 +12,12 @@ from collections.abc import Callable
 
 from pylsl import local_clock
 
+from biosensor_gateway.transports.receiving import Address, Receiver
+
 _LOOK_S = 0.2
 """Within this time the reading ends."""
 _BUFFER_BYTES = 1 << 20
 """What the system keeps for an agent that does not run."""
-_LARGEST = 65536
-
-Address = tuple[str, int]
 
 
 class UdpPort:
@@ -73,17 +72,16 @@ class UdpPort:
         OSError
             The port is gone.
         """
-        # Room that is made for each datagram and cut to it lets a process grow by the hour.
-        room = memoryview(bytearray(_LARGEST))
+        receiver = Receiver(self._socket)
         with self._socket:
             while not self._closing:
                 try:
-                    size, address = self._socket.recvfrom_into(room)
+                    data, sender = receiver.read_from()
                 except (TimeoutError, ConnectionResetError):
                     # Windows tells so that something which was sent elsewhere did not arrive.
                     continue
                 if not self._closing:
-                    take(bytes(room[:size]), local_clock(), (address[0], address[1]))
+                    take(data, local_clock(), sender)
 
     def end(self) -> None:
         """Let the reading end, and the port with it."""

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.devices.emotibit.driver.packets import Packet, Tag, read, write
-from biosensor_gateway.transports.udp_port import Address
+from biosensor_gateway.transports.receiving import Address
 
 ADVERTISING_PORT = 3131
 BROADCAST_VARIABLE = "BIOSENSOR_GATEWAY_BROADCAST"

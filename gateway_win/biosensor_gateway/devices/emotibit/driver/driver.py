@@ -35,7 +35,7 @@ from biosensor_gateway.devices.emotibit.driver.packets import Packet, Tag
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.early import Early
-from biosensor_gateway.transports.udp_port import Address
+from biosensor_gateway.transports.receiving import Address
 
 PATIENCE_S = 3.0
 _LOCAL_TIME = "%Y-%m-%d_%H-%M-%S-%f"

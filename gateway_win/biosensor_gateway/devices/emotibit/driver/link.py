@@ -26,7 +26,8 @@ from biosensor_gateway.devices.emotibit.driver.advertising import (
     Nearby,
 )
 from biosensor_gateway.devices.emotibit.driver.packets import Read, Tag, read, write
-from biosensor_gateway.transports.udp_port import Address, UdpPort
+from biosensor_gateway.transports.receiving import Address
+from biosensor_gateway.transports.udp_port import UdpPort
 
 CONNECT_LIMIT_S = 5.0
 PING_EVERY_S = 1.0
