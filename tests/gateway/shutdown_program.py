@@ -9,6 +9,9 @@ interpreter shuts down. It needs the standard library and structlog alone. WORD 
     It says ``starting`` and takes a minute to start.
 ``late``
     It waits after ``returned`` until RECORD says ``go on``, and says ``gone on``.
+``behind``
+    Threads have told its loop more than the loop's socket holds; it says ``behind``, and the loop
+    is held up for another second.
 ``window``
     On Windows it is not ``running`` before there is the window that hears of the session's end.
 """
@@ -27,6 +30,7 @@ RECORD = Path(sys.argv[1])
 CLOSING_S = float(sys.argv[2]) if len(sys.argv) > 2 else 0.0
 WORD = sys.argv[3] if len(sys.argv) > 3 else ""
 STARTING_S = 60.0
+TOLD, BEHIND_S = 100_000, 1.0
 
 
 def record(line: str) -> None:
@@ -45,10 +49,20 @@ def wait_for_window() -> None:
             time.sleep(0.01)
 
 
+def fall_behind() -> None:
+    loop = asyncio.get_running_loop()
+    for _ in range(TOLD):
+        loop.call_soon_threadsafe(int)
+    record("behind")
+    time.sleep(BEHIND_S)
+
+
 async def work() -> None:
     if WORD == "window":
         await asyncio.to_thread(wait_for_window)
     record("running")
+    if WORD == "behind":
+        fall_behind()
     try:
         await asyncio.Event().wait()
     finally:

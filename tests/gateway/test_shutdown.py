@@ -121,6 +121,17 @@ def test_a_request_before_it_runs_ends_it_without_a_word(
     assert start.said == ""
 
 
+@ANY_REQUEST
+def test_a_request_is_not_lost_where_the_loop_is_behind(
+    start: Started, number: signal.Signals
+) -> None:
+    process = start(word="behind", first="behind")
+    process.send_signal(number)
+    assert process.wait(DEADLINE_S) == 0
+    assert start.story == ["running", "behind", *WHOLE_STORY[1:]]
+    assert start.said == ""
+
+
 def test_a_terminal_that_is_closed_is_a_request(start: Started) -> None:
     ours, terminal = os.openpty()
     process = start(under=("setsid", "--ctty"), terminal=terminal)

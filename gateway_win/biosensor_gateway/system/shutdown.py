@@ -50,7 +50,7 @@ async def until_signalled(main_task: Callable[[], Coroutine[Any, Any, None]]) ->
         with contextlib.suppress(RuntimeError):
             loop.call_soon_threadsafe(stop)
 
-    with _signals_call(stop, stop_from_any_thread, deaf_afterwards=task.cancelling):
+    with _signals_call(stop_from_any_thread, deaf_afterwards=task.cancelling):
         if sys.platform == "win32":
             from biosensor_gateway.system import windows_shutdown
 
@@ -61,30 +61,22 @@ async def until_signalled(main_task: Callable[[], Coroutine[Any, Any, None]]) ->
 
 @contextlib.contextmanager
 def _signals_call(
-    stop: Callable[[], None],
-    stop_from_any_thread: Callable[[], None],
-    *,
-    deaf_afterwards: Callable[[], object],
+    stop_from_any_thread: Callable[[], None], *, deaf_afterwards: Callable[[], object]
 ) -> Generator[None]:
-    """Have signals call ``stop``; afterwards they do what they did before, or nothing."""
+    """Have signals call it; afterwards they do what they did before, or nothing."""
     before = {number: signal.getsignal(number) for number in _requests()}
-    loop = asyncio.get_running_loop()
     if sys.platform == "win32":
         # The loop asks to be told when it need not be woken any more, which is no trouble.
         signal.set_wakeup_fd(signal.set_wakeup_fd(-1), warn_on_full_buffer=False)
     for number in before:
-        if sys.platform == "win32":
-            # Runs between bytecodes of the main thread, so the loop has to be woken.
-            signal.signal(number, lambda _number, _frame: stop_from_any_thread())
-        else:
-            loop.add_signal_handler(number, stop)
+        # Runs between bytecodes of the main thread, so the loop has to be woken. The loop's own
+        # handlers get a signal through a socket, which threads fill that have much to tell a loop
+        # that is behind: the signal would be lost.
+        signal.signal(number, lambda _number, _frame: stop_from_any_thread())
     try:
         yield
     finally:
         for number, handler in before.items():
-            if sys.platform != "win32":
-                # The loop would do it when it closes, and undo what comes next.
-                loop.remove_signal_handler(number)
             # What is ignored stays ignored while the interpreter shuts down.
             signal.signal(number, signal.SIG_IGN if deaf_afterwards() else handler)
 
