@@ -39,6 +39,8 @@ _lsl_config.write_text(
 os.environ["LSLAPICFG"] = str(_lsl_config)
 os.environ["ROS_DOMAIN_ID"] = str(_slot)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+# What crashes, or is aborted because it hangs, says where.
+os.environ["PYTHONFAULTHANDLER"] = "1"
 # Jazzy's messages do not check their fields otherwise.
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 # Who looks for devices of the Wi-Fi asks the whole network otherwise.

@@ -85,11 +85,21 @@ class Programs:
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
         try:
-            codes = {name: process.wait(DEADLINE_S) for name, process in self._processes}
+            codes = {name: self._ended(process) for name, process in self._processes}
         finally:
             for _, process in self._processes:
                 process.kill()
+                process.wait()
         assert set(codes.values()) <= {0}, (codes, [self.log(p) for _, p in self._processes])
+
+    def _ended(self, process: subprocess.Popen[bytes]) -> int:
+        try:
+            return process.wait(DEADLINE_S)
+        except subprocess.TimeoutExpired:
+            # What each of its threads does then stands at the end of its log.
+            process.send_signal(signal.SIGABRT)
+            process.wait(DEADLINE_S)
+            pytest.fail(f"not ended within {DEADLINE_S:.0f} s: {self.log(process)}")
 
 
 @pytest.fixture

@@ -29,6 +29,7 @@ from rclpy.timer import Timer
 
 DEADLINE_S, QUEUE = 30.0, 20_000
 NODE = "/lsl_to_ros"
+OWN_TOPICS = ("/diagnostics", "/lsl_to_ros/streams")
 
 
 @dataclass(frozen=True, slots=True)
@@ -309,7 +310,9 @@ def ros(listener: Ros, default_context: None) -> Iterator[Ros]:
 def node(listener: Ros, request: pytest.FixtureRequest) -> Iterator[RunningNode]:
     """One node, with a module's ``NODE_ARGUMENTS``; none of its tests may end or break it."""
     # One that was killed stays in the graph until its lease is over.
-    listener.until(lambda: not listener.publishers("/diagnostics"), "the end of earlier nodes")
+    listener.until(
+        lambda: not any(map(listener.publishers, OWN_TOPICS)), "the end of earlier nodes"
+    )
     # By name: pytest leaves the type of a module open.
     running = RunningNode(*getattr(getattr(request, "module", None), "NODE_ARGUMENTS", ()))
     listener.report()
