@@ -154,7 +154,7 @@ def test_without_a_labrecorder_it_says_so(agent: CommandLine, tmp_path: Path) ->
         assert "EnableRCS" in sentence(agent("record", *command, "--port", port))
     known = agent("record", "status", "--port", port, "--json")
     assert (known.code, known.json["answers"]) == (1, False)
-    assert "EnableRCS" in known.json["problem"]
+    assert "EnableRCS" in known.json["problems"][0]["text"]
 
 
 @pytest.mark.parametrize(

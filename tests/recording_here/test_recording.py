@@ -21,7 +21,8 @@ import pyxdf
 
 from biosensor_gateway.recording.here.errors import RecorderError, RecorderReason
 from biosensor_gateway.recording.here.memory import RecorderFolder
-from biosensor_gateway.recording.here.recording import Recording, Standing
+from biosensor_gateway.recording.here.recording import Recording
+from biosensor_gateway.recording.here.results import StandingHere
 from biosensor_gateway.recording.labrecorder.file_name import BidsLabels, Place
 from biosensor_gateway.recording.labrecorder.starting import Order
 from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream
@@ -40,10 +41,10 @@ def order(folder: Path, **more: Any) -> Order:
     return Order(Place(folder, labels=BIDS), growth_s=60.0, **more)
 
 
-def standing(recording: Recording) -> Standing:
+def standing(recording: Recording) -> StandingHere:
     found = recording.standing()
     assert found is not None
-    json.dumps(asdict(found), allow_nan=False)
+    json.dumps(asdict(found), allow_nan=False, default=str)
     return found
 
 
@@ -62,7 +63,7 @@ def test_a_stream_that_stops_is_said_and_one_that_comes_back_too(
     recording = Recording(state)
     assert recording.standing() is None
     begun = recording.start(order(tmp_path), sources.presence)
-    assert begun.file == str(tmp_path / NAME.format(run=1))
+    assert begun.file == tmp_path / NAME.format(run=1)
     assert {each.name for each in begun.streams} == {"chest", "wrist"}
     with pytest.raises(RecorderError) as caught:
         recording.start(order(tmp_path), sources.presence)
@@ -85,12 +86,12 @@ def test_a_stream_that_stops_is_said_and_one_that_comes_back_too(
     assert codes(recording) == {}
 
     ended = recording.stop()
-    json.dumps(asdict(ended), allow_nan=False)
+    json.dumps(asdict(ended), allow_nan=False, default=str)
     assert (ended.streams, ended.with_samples) == (2, 2)
     found = [each for each in ended.verdict.findings if each.level is Level.ERROR]
     assert (ended.verdict.colour, found) == (Colour.AMBER, [])
     assert {each.code for each in ended.verdict.findings} >= {"gaps"}
-    read = loaded(Path(ended.file))
+    read = loaded(ended.file)
     assert read["chest-id"] > read["wrist-id"] > before
     assert recording.standing() is None
     with pytest.raises(RecorderError) as caught:
@@ -109,8 +110,8 @@ def test_a_name_that_is_taken_counts_up_or_refuses(
         recording.start(order(tmp_path), sources.presence, counts_up=False)
     assert caught.value.reason is RecorderReason.EXISTS
     begun = recording.start(order(tmp_path), sources.presence)
-    assert begun.file == str(tmp_path / NAME.format(run=2))
-    assert Path(recording.stop().file) == tmp_path / NAME.format(run=2)
+    assert begun.file == tmp_path / NAME.format(run=2)
+    assert recording.stop().file == tmp_path / NAME.format(run=2)
     assert taken.read_bytes() == b"of somebody"
 
 
@@ -210,7 +211,7 @@ def test_a_recording_outlives_who_began_it(state: Path, tmp_path: Path) -> None:
     assert first is not None
     wait_until(lambda: _bytes(recording) > first.bytes, "it goes on")
     ended = recording.stop()
-    assert set(loaded(Path(ended.file))) == {"chest-id", "wrist-id"}
+    assert set(loaded(ended.file)) == {"chest-id", "wrist-id"}
 
 
 def _bytes(recording: Recording) -> int:
@@ -229,7 +230,7 @@ def test_a_killed_keeper_closes_the_file(sources: Sources, state: Path, tmp_path
     wait_until(lambda: not recording.is_running, "the lock is given back")
     ended = recording.stop()
     assert any("keeper was killed" in each for each in ended.warnings)
-    assert set(loaded(Path(ended.file))) == {"chest-id", "wrist-id"}
+    assert set(loaded(ended.file)) == {"chest-id", "wrist-id"}
 
 
 def test_a_keeper_that_its_service_ends_closes_the_file(
@@ -246,7 +247,7 @@ def test_a_keeper_that_its_service_ends_closes_the_file(
     for process in (program, keeper):
         process.terminate()
     wait_until(lambda: not recording.is_running, "it has ended")
-    assert set(loaded(Path(recording.stop().file))) == {"chest-id", "wrist-id"}
+    assert set(loaded(recording.stop().file)) == {"chest-id", "wrist-id"}
 
 
 def test_a_full_disk_is_said_though_the_program_says_nothing(

@@ -12,13 +12,14 @@ import typer
 from biosensor_gateway.cli import recording_here
 from biosensor_gateway.cli.loading import settings_or_defaults
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
-from biosensor_gateway.cli.recording_here import as_text, look_for, warn
+from biosensor_gateway.cli.recording_here import look_for
+from biosensor_gateway.cli.recording_words import as_text, start_text, stop_text, warn, window_text
+from biosensor_gateway.recording.here.recording import Recording
 from biosensor_gateway.recording.labrecorder.file_name import MAX_RUN, BidsLabels, Place
 from biosensor_gateway.recording.labrecorder.remote import DEFAULT_PORT, RemoteControl
-from biosensor_gateway.recording.labrecorder.situation import Situation, situation
-from biosensor_gateway.recording.labrecorder.starting import GROWTH_S, Order, Started
+from biosensor_gateway.recording.labrecorder.standing import standing as window_standing
+from biosensor_gateway.recording.labrecorder.starting import GROWTH_S, Order
 from biosensor_gateway.recording.labrecorder.starting import start as start_recording
-from biosensor_gateway.recording.labrecorder.stopping import Stopped
 from biosensor_gateway.recording.labrecorder.stopping import stop as stop_recording
 from biosensor_gateway.settings.places import state_folder
 
@@ -116,12 +117,12 @@ def start(
     order = Order(place, all_streams, only_ours, allow_missing, timeout)
     loaded = settings_or_defaults(settings)
     if here or not (window or host or port or recording_here.has_window(_LOCAL, DEFAULT_PORT)):
-        recording_here.start(order, loaded, counts_up=run is None, as_json=as_json)
-        return
-    with RemoteControl(host or _LOCAL, port or DEFAULT_PORT) as remote:
-        started = start_recording(remote, order, partial(look_for, loaded), state_folder())
+        started = recording_here.start(order, loaded, counts_up=run is None)
+    else:
+        with RemoteControl(host or _LOCAL, port or DEFAULT_PORT) as remote:
+            started = start_recording(remote, order, partial(look_for, loaded), state_folder())
     warn(started.warnings, silent=as_json)
-    typer.echo(as_text(started) if as_json else _start_text(started))
+    typer.echo(as_text(started) if as_json else start_text(started))
 
 
 def _labels(
@@ -135,16 +136,6 @@ def _labels(
     return BidsLabels(participant, run=run or 1, **given)
 
 
-def _start_text(started: Started) -> str:
-    streams = f"{len(started.streams)} streams seen from here"
-    if not started.verified:
-        return f"LabRecorder was told to record ({streams}); not verified"
-    return (
-        f"recording to {started.file}: {started.bytes} bytes and growing "
-        f"after {started.took_s:.1f} s ({streams})"
-    )
-
-
 @app.command("stop")
 def stop(
     file: FileOption = None,
@@ -154,22 +145,12 @@ def stop(
 ) -> None:
     """End the recording, and see its file closed; exit code 1 if it is not."""
     if not (host or port) and recording_here.is_of(file):
-        recording_here.stop(as_json=as_json)
-        return
-    with RemoteControl(host or _LOCAL, port or DEFAULT_PORT) as remote:
-        stopped = stop_recording(remote, file, state_folder())
+        stopped = Recording(state_folder()).stop()
+    else:
+        with RemoteControl(host or _LOCAL, port or DEFAULT_PORT) as remote:
+            stopped = stop_recording(remote, file, state_folder())
     warn(stopped.warnings, silent=as_json)
-    typer.echo(as_text(stopped) if as_json else _stop_text(stopped))
-
-
-def _stop_text(stopped: Stopped) -> str:
-    if not stopped.verified:
-        return "LabRecorder was told to stop; not verified"
-    return (
-        f"{stopped.file} is closed: {stopped.bytes} bytes, {stopped.streams} streams, "
-        f"{stopped.with_samples} of them with samples; look closer with: "
-        f"biosensor-gateway xdf check {stopped.file}"
-    )
+    typer.echo(as_text(stopped) if as_json else stop_text(stopped))
 
 
 @app.command("status")
@@ -190,27 +171,9 @@ def status(
         recording_here.status(watch=watch, as_json=as_json)
         return
     host, port = host or _LOCAL, port or DEFAULT_PORT
-    known = situation(host, port, file, state_folder())
-    if as_json:
-        typer.echo(as_text(known, answers=known.answers))
-    else:
-        typer.echo(f"{host}:{port}: {known.problem or 'LabRecorder answers'}")
-        typer.echo(_recording_text(known))
+    known = window_standing(host, port, file, state_folder())
+    typer.echo(as_text(known) if as_json else window_text(f"{host}:{port}", known))
     if watch and known.file is not None and known.recording:
         recording_here.watch_file(known.file, as_json=as_json)
     if not known.answers:
         raise typer.Exit(1)
-
-
-def _recording_text(known: Situation) -> str:
-    if known.file is None:
-        return (
-            "whether it records is not known: it cannot be asked, and no file is known here "
-            "(name it with --file)"
-        )
-    if known.is_closed:
-        return f"not recording to {known.file}: it is closed, {known.streams} streams"
-    if known.recording:
-        return f"recording to {known.file}: it grows, {known.streams} streams so far"
-    size = f"{known.bytes} bytes, not closed" if known.bytes else "empty or not there"
-    return f"{known.file} does not grow ({size}): most likely it is not being recorded"

@@ -14,8 +14,8 @@ import platformdirs
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.page.models import NewRecording, Outcome, RecordingView, VerdictView
 from biosensor_gateway.page.session import Session
-from biosensor_gateway.recording.here.recording import Begun, Recording
-from biosensor_gateway.recording.here.stopping import Ended
+from biosensor_gateway.recording.here.recording import Recording
+from biosensor_gateway.recording.here.results import StartedHere, StoppedHere
 from biosensor_gateway.recording.labrecorder.file_name import BidsLabels, Place
 from biosensor_gateway.recording.labrecorder.starting import Order
 from biosensor_gateway.recording.labrecorder.streams import Presence, expected_devices, look
@@ -117,7 +117,7 @@ class Recorder:
     def _tell_busy(self, what: str) -> None:
         self._session.recording = self._session.recording.model_copy(update={"busy": what})
 
-    def _start(self, wanted: NewRecording, labels: BidsLabels) -> Begun:
+    def _start(self, wanted: NewRecording, labels: BidsLabels) -> StartedHere:
         folder = Path(wanted.folder).expanduser() if wanted.folder else self._folder
         if not folder.is_absolute():
             message = f"the folder {wanted.folder!r} is not a whole path, such as {self._folder}"
@@ -145,7 +145,7 @@ class Recorder:
         return view.model_copy(
             update={
                 "is_running": standing.recording,
-                "file": standing.file,
+                "file": str(standing.file),
                 "elapsed_s": max(0.0, time.time() - standing.started),
                 "bytes": 0 if sight is None else sight.bytes,
                 "streams": 0 if sight is None else len(sight.streams),
@@ -154,7 +154,7 @@ class Recorder:
         )
 
 
-def _view(ended: Ended) -> VerdictView:
+def _view(ended: StoppedHere) -> VerdictView:
     verdict = ended.verdict
     return VerdictView(
         colour=str(verdict.colour.value),

@@ -3,44 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from biosensor_common.lsl_config import LslOverrides
-from biosensor_gateway.recording.here.errors import RecorderError, RecorderReason
-from biosensor_gateway.recording.here.growth import Growth, Sight
+from biosensor_gateway.recording.growing.growth import Growth
 from biosensor_gateway.recording.here.memory import RecorderFolder
-from biosensor_gateway.recording.here.starting import Begun, begin
-from biosensor_gateway.recording.here.stopping import Ended, end
+from biosensor_gateway.recording.here.results import StandingHere, StartedHere, StoppedHere
+from biosensor_gateway.recording.here.starting import begin
+from biosensor_gateway.recording.here.stopping import end
+from biosensor_gateway.recording.labrecorder.results import By
 from biosensor_gateway.recording.labrecorder.starting import Order
 from biosensor_gateway.recording.labrecorder.streams import Presence
 from biosensor_gateway.recording.xdf.findings import Finding, Level
-
-
-@dataclass(frozen=True, slots=True)
-class Standing:
-    """How a recording stands, as plain values.
-
-    Attributes
-    ----------
-    recording
-        Whether it goes on.
-    started
-        Unix time in s.
-    required
-        source_ids of the streams that it must have.
-    sight
-        What is in the file so far; None if it cannot be read.
-    problems
-        What is wrong, the worst first.
-    """
-
-    recording: bool
-    file: str
-    started: float
-    required: tuple[str, ...]
-    sight: Sight | None
-    problems: tuple[Finding, ...]
 
 
 class Recording:
@@ -78,7 +52,7 @@ class Recording:
         lsl: LslOverrides | None = None,
         *,
         counts_up: bool = True,
-    ) -> Begun:
+    ) -> StartedHere:
         """Begin to record; all streams are open when this returns.
 
         Parameters
@@ -102,7 +76,7 @@ class Recording:
         """
         return begin(self._state, order, look, lsl or LslOverrides(), counts_up=counts_up)
 
-    def stop(self) -> Ended:
+    def stop(self) -> StoppedHere:
         """End it, see the file closed, and judge it. Takes some seconds.
 
         Raises
@@ -112,7 +86,7 @@ class Recording:
         """
         return end(self._folder)
 
-    def standing(self, silent: tuple[str, ...] = ()) -> Standing | None:
+    def standing(self, silent: tuple[str, ...] = ()) -> StandingHere | None:
         """Look at it; None if there is none, or it was ended.
 
         Parameters
@@ -134,10 +108,16 @@ class Recording:
             findings.append(Finding(Level.ERROR, "unreadable", "", text))
         if is_running:
             findings += growth.problems(kept.required, silent)
-        return Standing(
+        streams = () if sight is None else sight.streams
+        return StandingHere(
+            by=By.GATEWAY,
             recording=is_running,
-            file=kept.file,
+            file=Path(kept.file),
             started=kept.started,
+            bytes=0 if sight is None else sight.bytes,
+            streams=len(streams),
+            with_samples=sum(each.samples > 0 for each in streams),
+            is_closed=sight is not None and sight.is_closed,
             required=kept.required,
             sight=sight,
             problems=tuple(findings),
@@ -156,6 +136,3 @@ class Recording:
             # As its service did, or the computer.
             return "the recording was ended from outside; see its verdict: record stop"
         return "the recording's keeper was killed, and the recording ended with it"
-
-
-__all__ = ["Begun", "Ended", "RecorderError", "RecorderReason", "Recording", "Standing"]

@@ -7,7 +7,6 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
@@ -16,8 +15,10 @@ from biosensor_gateway.recording.here.keeper import END_S, launch
 from biosensor_gateway.recording.here.memory import Job, Kept, RecorderFolder
 from biosensor_gateway.recording.here.place import candidates, take_file
 from biosensor_gateway.recording.here.program import find_program
+from biosensor_gateway.recording.here.results import StartedHere
 from biosensor_gateway.recording.here.said import EVERYTHING, Said, predicate
 from biosensor_gateway.recording.labrecorder.recording_file import size_of
+from biosensor_gateway.recording.labrecorder.results import By
 from biosensor_gateway.recording.labrecorder.starting import Order, what_is_missing
 from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream, titles
 from biosensor_gateway.recording.xdf.container import RecordingError
@@ -30,29 +31,6 @@ _LEAST_FREE_BYTES = 10_000_000
 _NO_STREAM_CODE = 2
 
 
-@dataclass(frozen=True, slots=True)
-class Begun:
-    """A recording that runs, as plain values.
-
-    Attributes
-    ----------
-    took_s
-        Until all streams were open.
-    streams
-        What is recorded.
-    foreign
-        Those of them that are not of this agent.
-    warnings
-        Sentences.
-    """
-
-    file: str
-    took_s: float
-    streams: tuple[VisibleStream, ...]
-    foreign: tuple[VisibleStream, ...]
-    warnings: tuple[str, ...]
-
-
 def begin(
     state: Path,
     order: Order,
@@ -60,7 +38,7 @@ def begin(
     lsl: LslOverrides,
     *,
     counts_up: bool,
-) -> Begun:
+) -> StartedHere:
     """Begin a recording; see `Recording.start`."""
     folder, program = RecorderFolder(state), find_program()
     files = candidates(order.place, is_run_given=not counts_up)
@@ -81,8 +59,11 @@ def begin(
         failed.pop_all()
     recorded = tuple(each for each in wanted if each not in missed)
     foreign = tuple(each for each in recorded if each in presence.foreign)
-    return Begun(
-        file=str(file),
+    return StartedHere(
+        by=By.GATEWAY,
+        verified=True,
+        file=file,
+        bytes=size_of(file) or 0,
         took_s=time.monotonic() - begun,
         streams=recorded,
         foreign=foreign,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
@@ -13,10 +12,12 @@ from biosensor_gateway.recording.here.errors import RecorderError, RecorderReaso
 from biosensor_gateway.recording.here.keeper import END_S
 from biosensor_gateway.recording.here.memory import Kept, RecorderFolder
 from biosensor_gateway.recording.here.program import PROGRAM_NAME
+from biosensor_gateway.recording.here.results import StoppedHere
 from biosensor_gateway.recording.here.said import Said
 from biosensor_gateway.recording.labrecorder.recording_file import Glance, wait_until_closed
+from biosensor_gateway.recording.labrecorder.results import By
 from biosensor_gateway.recording.xdf.expectation import ExpectedStream
-from biosensor_gateway.recording.xdf.verdict import Verdict, check
+from biosensor_gateway.recording.xdf.verdict import check
 
 _MARGIN_S = 10.0
 _STILL_S = 0.5
@@ -24,28 +25,7 @@ _STILL_S = 0.5
 _CLOSING_S = 30.0
 
 
-@dataclass(frozen=True, slots=True)
-class Ended:
-    """A recording that was ended, and its file closed; as plain values.
-
-    Attributes
-    ----------
-    streams, with_samples
-        Number of streams in the file, and of those that hold samples.
-    took_s
-        Until the file was found closed.
-    """
-
-    file: str
-    bytes: int
-    streams: int
-    with_samples: int
-    took_s: float
-    verdict: Verdict
-    warnings: tuple[str, ...]
-
-
-def end(folder: RecorderFolder) -> Ended:
+def end(folder: RecorderFolder) -> StoppedHere:
     """End a recording; see `Recording.stop`."""
     begun = time.monotonic()
     if folder.is_kept():
@@ -64,8 +44,10 @@ def end(folder: RecorderFolder) -> Ended:
         raise RecorderError(RecorderReason.NOT_CLOSED, _not_closed(kept, seen, said))
     took_s = time.monotonic() - begun
     expected = [ExpectedStream(each, each) for each in kept.required]
-    return Ended(
-        file=kept.file,
+    return StoppedHere(
+        by=By.GATEWAY,
+        verified=True,
+        file=file,
         bytes=seen.bytes,
         streams=len(seen.streams),
         with_samples=len(seen.with_samples),

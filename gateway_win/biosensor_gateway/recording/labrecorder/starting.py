@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from biosensor_gateway.recording.labrecorder.recording_file import (
     wait_for_growth,
 )
 from biosensor_gateway.recording.labrecorder.remote import RemoteControl
+from biosensor_gateway.recording.labrecorder.results import By, Started
 from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream, titles
 
 GROWTH_S = 30.0
@@ -48,29 +49,6 @@ class Order:
     only_ours: bool = False
     allow_missing: bool = False
     growth_s: float = GROWTH_S
-
-
-@dataclass(frozen=True, slots=True)
-class Started:
-    """A recording that was started.
-
-    Attributes
-    ----------
-    file
-        None if it cannot be reached from this computer; then nothing is verified.
-    bytes
-        Its size when it was seen to grow.
-    took_s
-        From the command until then.
-    """
-
-    verified: bool
-    file: Path | None
-    bytes: int
-    took_s: float
-    streams: tuple[VisibleStream, ...]
-    foreign: tuple[VisibleStream, ...]
-    warnings: tuple[str, ...]
 
 
 def start(
@@ -109,20 +87,21 @@ def start(
     file = target.files[0] if target.files else None
     kept = Remembered(remote.host, remote.port, str(file or ""), time.time())
     problem = remember(state, kept)
+    took_s = 0.0
     if target.folder is None:
-        warnings += (_unverified(remote), *([problem] if problem else []))
-        return Started(False, None, 0, 0.0, presence.visible, presence.foreign, tuple(warnings))
-    file = wait_for_growth(target, before, order.growth_s)
-    took_s = time.monotonic() - begun
-    if file is None:
-        raise LabRecorderError(LabRecorderReason.NO_GROWTH, _no_growth(target, order.growth_s))
-    # Only now its name is certain.
-    problem = remember(state, replace(kept, file=str(file)))
+        file = None
+        warnings.append(_unverified(remote))
+    else:
+        file = _require_growth(target, before, order.growth_s)
+        took_s = time.monotonic() - begun
+        # Only now its name is certain.
+        problem = remember(state, replace(kept, file=str(file)))
     warnings += [problem] if problem else []
     return Started(
-        verified=True,
+        by=By.WINDOW,
+        verified=file is not None,
         file=file,
-        bytes=size_of(file) or 0,
+        bytes=0 if file is None else size_of(file) or 0,
         took_s=took_s,
         streams=presence.visible,
         foreign=presence.foreign,
@@ -208,6 +187,13 @@ def _unverified(remote: RemoteControl) -> str:
         f"LabRecorder runs on another computer ({remote.host}), and its answer says nothing: look "
         "at its window whether it records, or give --folder, a folder that both computers see"
     )
+
+
+def _require_growth(target: Target, before: Mapping[Path, int], limit_s: float) -> Path:
+    file = wait_for_growth(target, before, limit_s)
+    if file is None:
+        raise LabRecorderError(LabRecorderReason.NO_GROWTH, _no_growth(target, limit_s))
+    return file
 
 
 def _no_growth(target: Target, limit_s: float) -> str:

@@ -3,42 +3,19 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 from biosensor_gateway.recording.labrecorder.errors import LabRecorderError, LabRecorderReason
 from biosensor_gateway.recording.labrecorder.memory import forget, recall
 from biosensor_gateway.recording.labrecorder.recording_file import Glance, glance, wait_until_closed
 from biosensor_gateway.recording.labrecorder.remote import RemoteControl
+from biosensor_gateway.recording.labrecorder.results import By, Stopped
 
 STOP_REPLY_S = 60.0
 """Stopping waits up to five seconds for each of its threads."""
 STILL_S = 2.0
 """LabRecorder takes in samples twice a second."""
 CLOSING_S = 30.0
-
-
-@dataclass(frozen=True, slots=True)
-class Stopped:
-    """A recording that was ended.
-
-    Attributes
-    ----------
-    file
-        None if it is not known, or not within reach; then nothing is verified.
-    streams, with_samples
-        Number of streams in the file, and of those that hold samples.
-    took_s
-        From the command until the file was found closed.
-    """
-
-    verified: bool
-    file: Path | None
-    bytes: int
-    streams: int
-    with_samples: int
-    took_s: float
-    warnings: tuple[str, ...]
 
 
 def stop(remote: RemoteControl, file: Path | None, state: Path) -> Stopped:
@@ -67,7 +44,17 @@ def stop(remote: RemoteControl, file: Path | None, state: Path) -> Stopped:
     remote.command("stop", STOP_REPLY_S)
     if file is None:
         forget(state)
-        return Stopped(False, None, 0, 0, 0, 0.0, (_unknown(remote),))
+        return Stopped(
+            by=By.WINDOW,
+            verified=False,
+            file=None,
+            bytes=0,
+            streams=0,
+            with_samples=0,
+            took_s=0.0,
+            verdict=None,
+            warnings=(_unknown(remote),),
+        )
     seen = wait_until_closed(file, STILL_S, CLOSING_S)
     if seen is None:
         message = f"{file} still grows {CLOSING_S:g} s after LabRecorder was told to stop"
@@ -77,12 +64,14 @@ def stop(remote: RemoteControl, file: Path | None, state: Path) -> Stopped:
     forget(state)
     warnings = (f"{file} had been closed before",) if was_closed else ()
     return Stopped(
+        by=By.WINDOW,
         verified=True,
         file=file,
         bytes=seen.bytes,
         streams=len(seen.streams),
         with_samples=len(seen.with_samples),
         took_s=time.monotonic() - begun,
+        verdict=None,
         warnings=warnings,
     )
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from biosensor_common.quantities import ChannelFormat
-from biosensor_gateway.recording.here.growing_file import GrowingFile
-from biosensor_gateway.recording.here.growing_stream import GrowingStream, StreamProgress
+from biosensor_gateway.recording.growing.file import GrowingFile
+from biosensor_gateway.recording.growing.stream import GrowingStream, StreamProgress
 from biosensor_gateway.recording.xdf.container import ChunkError, Tag
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.header import parse_stream_header

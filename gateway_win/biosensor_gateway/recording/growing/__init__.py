@@ -1,0 +1,1 @@
+"""Watches a recording while it is written, whoever writes it."""
