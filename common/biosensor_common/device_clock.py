@@ -140,7 +140,9 @@ class DeviceClock:
             self._envelope = None
             self._reanchors += 1
 
-    def observe(self, device_s: float, arrival_s: float, kind: str = "") -> Reanchor | None:
+    def observe(
+        self, device_s: float, arrival_s: float, kind: str = "", own_delay_s: float = 0.0
+    ) -> Reanchor | None:
         """Take in one packet.
 
         Parameters
@@ -153,6 +155,9 @@ class DeviceClock:
         kind : str
             Which kind of packets it is of, if those of one kind keep their order: then
             the first one that is behind tells at once that the clock was set back.
+        own_delay_s : float
+            How long the packet may have waited for this computer, in seconds: a delay of so
+            much is no sign that the device's clock was set.
 
         Returns
         -------
@@ -172,7 +177,7 @@ class DeviceClock:
         x = device_s - self._device_origin
         y = (arrival_s - self._lsl_origin) - x
         distance = y - self._envelope.at(x)
-        self._note_late(x, distance, arrival_s, self._envelope)
+        self._note_late(x, distance, arrival_s, self._envelope, own_delay_s)
         jump = self._jump(x, distance, (x + y) - self._mapping.at(x), kind)
         if jump is not None:
             return self._reanchor(self._envelope, device_s, *jump)
@@ -218,11 +223,14 @@ class DeviceClock:
             newest_s=newest_lsl,
         )
 
-    def _note_late(self, x: float, distance: float, arrival_s: float, line: LowerEnvelope) -> None:
+    def _note_late(
+        self, x: float, distance: float, arrival_s: float, line: LowerEnvelope, own_delay_s: float
+    ) -> None:
         is_behind = x < self._newest - BACKWARD_LIMIT_S
         slightly_s = max(SLIGHTLY_ABOVE_LIMIT_S, SLIGHTLY_ABOVE_DELAYS * line.mean_delay)
-        self._late.add(distance, STAYED_ABOVE_LIMIT_S, arrival_s, behind=is_behind)
-        self._slightly_late.add(distance, slightly_s, arrival_s)
+        limit_s = STAYED_ABOVE_LIMIT_S + own_delay_s
+        self._late.add(distance, limit_s, arrival_s, behind=is_behind)
+        self._slightly_late.add(distance, slightly_s + own_delay_s, arrival_s)
 
     def _jump(
         self, x: float, distance: float, delay: float, kind: str

@@ -154,6 +154,20 @@ def test_a_way_that_is_busy_for_a_while_is_no_step(delay_s: float, swells_s: flo
         assert clock.observe(elapsed, elapsed + OFFSET_S + way) is None
 
 
+@pytest.mark.parametrize("delay_s", [0.15, 0.3, 0.9])
+def test_what_waits_for_a_busy_computer_is_no_step(delay_s: float) -> None:
+    def jumps(own_delay_s: float) -> int:
+        clock, rng = settled(), random.Random(1)
+        for packet in range(600, 900):
+            elapsed = packet / RATE_HZ
+            arrival = elapsed + OFFSET_S + delay_s + rng.uniform(0.0, 0.05)
+            clock.observe(elapsed, arrival, own_delay_s=own_delay_s)
+        return clock.state.reanchors
+
+    assert jumps(own_delay_s=delay_s) == 0
+    assert jumps(own_delay_s=0.02) == 1
+
+
 def test_a_delay_beyond_any_stall_reanchors_at_once() -> None:
     late_s = LONGEST_DELAY_S + 0.5
     clock = settled()

@@ -68,6 +68,18 @@ def test_stamps_never_run_backwards_when_the_device_clock_does(
     assert sink.clock_state.reanchors == 2
 
 
+@pytest.mark.parametrize(("loop_lag_s", "reanchors"), [(0.0, 1), (0.1, 0)])
+def test_what_waits_for_a_busy_event_loop_is_no_step_of_the_device_clock(
+    sink: DeviceSink, loop_lag_s: float, reanchors: int
+) -> None:
+    sink.loop_lag = lambda: loop_lag_s
+    begin = pylsl.local_clock() - 20.0
+    for packet in range(200):
+        late_s = 0.3 if packet > 100 else 0.0
+        sink.observe(DEVICE_S + 0.1 * packet, begin + 0.1 * packet + late_s)
+    assert sink.clock_state.reanchors == reanchors
+
+
 @pytest.mark.parametrize("value", [0, 71])
 def test_a_value_is_sent(sink: DeviceSink, value: int) -> None:
     sink.observe(DEVICE_S, pylsl.local_clock())

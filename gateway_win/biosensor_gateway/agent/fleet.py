@@ -14,6 +14,7 @@ from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
 from biosensor_gateway.streaming.events.device import device_facts
+from biosensor_gateway.system.loop_lag import LoopLag
 
 _log = structlog.get_logger("biosensor_gateway.agent")
 
@@ -54,6 +55,7 @@ class Fleet:
         self._tasks: dict[Device, asyncio.Task[None]] = {}
         self._announcer: Announcer | None = None
         self._feed: Feed | None = None
+        self._lag = LoopLag()
         self._broken: asyncio.Queue[BaseException] = asyncio.Queue()
 
     def __iter__(self) -> Iterator[Device]:
@@ -61,7 +63,7 @@ class Fleet:
 
     def start(self, announcer: Announcer, feed: Feed) -> None:
         """Begin with all devices; announce what happens to them, and feed what they measure."""
-        self._announcer, self._feed = announcer, feed
+        self._announcer, self._feed, self._lag = announcer, feed, LoopLag()
         for device in self:
             self._begin(device)
 
@@ -73,7 +75,11 @@ class Fleet:
         Exception
             What ended a supervisor, which nothing should.
         """
-        raise await self._broken.get()
+        measuring = asyncio.create_task(self._lag.run())
+        try:
+            raise await self._broken.get()
+        finally:
+            measuring.cancel()
 
     async def change(
         self, entries: Iterable[DeviceSettings], before_start: Callable[[], None]
@@ -116,6 +122,7 @@ class Fleet:
         assert self._feed is not None
         device.announce_to(self._announcer)
         self._feed.watch(device.sink)
+        device.sink.loop_lag = self._lag.seconds
         task = asyncio.create_task(device.supervisor.run())
         task.add_done_callback(self._note_end)
         self._tasks[device] = task
