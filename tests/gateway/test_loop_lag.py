@@ -8,7 +8,7 @@ from collections.abc import AsyncGenerator
 
 import pytest
 
-from biosensor_gateway.system.loop_lag import KEPT_S, MOST_S, TICK_S, LoopLag
+from biosensor_gateway.system.loop_lag import KEPT_S, MOST_S, TICK_S, TURNS, LoopLag
 
 HELD_S = 0.3
 
@@ -46,3 +46,4 @@ async def test_it_is_forgotten_that_it_was_late(lag: LoopLag) -> None:
 async def test_a_stall_counts_as_far_as_a_busy_computer_would(lag: LoopLag) -> None:
     hold_up(2 * MOST_S)
     assert lag.seconds() == MOST_S
+    assert lag.packet_delay_s() == TURNS * MOST_S

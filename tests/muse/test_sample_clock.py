@@ -50,6 +50,15 @@ def test_samples_that_wait_for_each_other_are_apart_all_the_same() -> None:
     assert np.sqrt(np.mean(np.diff(settled) ** 2)) < 1e-3
 
 
+def test_what_waits_for_a_busy_computer_moves_no_stamp() -> None:
+    clock, late_s = SampleClock(64.0), 0.3
+    for packet in range(400):
+        is_late = packet >= 200
+        last, measured_s = packet * 6 + 5, 1000.0 + (packet * 6 + 5) / 64
+        clock.observe((last, measured_s + late_s * is_late), own_delay_s=late_s * is_late)
+        assert clock.times([last])[0] == pytest.approx(measured_s, abs=0.002)
+
+
 def test_a_host_that_slept_does_not_change_the_rate() -> None:
     waits_s = np.random.default_rng(4).uniform(0, 0.01, 1000)
     asleep = slice(500, 600)

@@ -122,7 +122,7 @@ class Fleet:
         assert self._feed is not None
         device.announce_to(self._announcer)
         self._feed.watch(device.sink)
-        device.sink.loop_lag = self._lag.seconds
+        device.sink.own_delay = self._lag.packet_delay_s
         task = asyncio.create_task(device.supervisor.run())
         task.add_done_callback(self._note_end)
         self._tasks[device] = task

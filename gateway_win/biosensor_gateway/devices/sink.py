@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Protocol
 
 from biosensor_common.device_clock import ClockState
@@ -25,9 +25,12 @@ class Sink(Protocol):
     ----------
     dropped_bytes
         Bytes that made no valid message; drivers add to it.
+    own_delay
+        Tells for how many seconds a packet may have had to wait for this computer lately.
     """
 
     dropped_bytes: int
+    own_delay: Callable[[], float]
 
     @property
     def identity(self) -> DeviceIdentity:

@@ -24,8 +24,6 @@ from biosensor_gateway.streaming.silence import Silence, StreamWatch
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 from biosensor_gateway.system.device_log import DeviceLog, Once
 
-TURNS = 3
-"""Of the event loop, which a packet may wait for: a virtual device's, to be read, to be noted."""
 DEVICE_RESTARTED = "device_restarted"
 """Cause of a re-anchor that a driver asks for."""
 
@@ -56,8 +54,8 @@ class DeviceSink:
         outlets exist.
     charge
         What is known of its battery.
-    loop_lag
-        Tells for how many seconds something due has had to wait for the event loop lately.
+    own_delay
+        Tells for how many seconds a packet may have had to wait for this computer lately.
     """
 
     def __init__(
@@ -71,7 +69,7 @@ class DeviceSink:
         self.tap: Callable[[str, ArrayLike, Sequence[float]], None] | None = None
         self.silent: frozenset[str] = frozenset()
         self.charge = Charge(spec)
-        self.loop_lag: Callable[[], float] = lambda: 0.0
+        self.own_delay: Callable[[], float] = lambda: 0.0
         self._clock = DeviceClock()
         self._outlets = DeviceOutlets(identity, spec, clock)
         self._stamps: defaultdict[str, MonotonicStamps] = defaultdict(MonotonicStamps)
@@ -178,7 +176,7 @@ class DeviceSink:
 
         If packets of a kind keep their order, its name helps; see :meth:`DeviceClock.observe`.
         """
-        jump = self._clock.observe(device_s, arrival_s, kind, TURNS * self.loop_lag())
+        jump = self._clock.observe(device_s, arrival_s, kind, self.own_delay())
         if jump is not None:
             self._jumps.note(jump.reason.value, jump.size_s)
 

@@ -9,6 +9,8 @@ from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 TICK_S = 0.05
 KEPT_S = 1.0
 """How long the longest delay counts, at least; at most twice as long."""
+TURNS = 3
+"""Of the loop, which a packet may wait for: a virtual device's, to be read, to be noted."""
 MOST_S = 0.5
 """What is held up for longer is a stall, and not a busy computer."""
 
@@ -35,6 +37,10 @@ class LoopLag:
         """Return the longest delay of the last second or two, with what is overdue now."""
         overdue_s = self._clock() - self._due
         return min(MOST_S, max(overdue_s, self._longest_s, self._longest_before_s))
+
+    def packet_delay_s(self) -> float:
+        """Return for how long a packet that comes now may have waited for the loop."""
+        return TURNS * self.seconds()
 
     async def run(self) -> None:
         """Measure until cancelled."""

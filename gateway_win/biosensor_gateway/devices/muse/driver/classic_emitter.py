@@ -46,7 +46,8 @@ class _Numbered:
         place = self.series.place(number, arrival_s)
         if place.is_anew:
             self._clock.restart()
-        self._clock.observe((place.first + self._samples - 1, arrival_s))
+        last = place.first + self._samples - 1, arrival_s
+        self._clock.observe(last, own_delay_s=self._sink.own_delay())
         times = self._clock.times(range(place.first, place.first + self._samples))
         if place.lost:
             self._log.warning(

@@ -56,14 +56,15 @@ class SampleClock:
         self._points.clear()
         self._clock = DeviceClock()
 
-    def observe(self, *handed_on: Point) -> None:
+    def observe(self, *handed_on: Point, own_delay_s: float = 0.0) -> None:
         """Note when samples were handed on together, of each packet the last one.
 
-        The earliest one tells: the others had to wait for it.
+        The earliest one tells: the others had to wait for it. What they may have waited for this
+        computer is as :meth:`DeviceClock.observe` has it.
         """
         index, read_s = min(handed_on, key=lambda each: each[1] - self._counted_s(each[0]))
         counted_s = self._counted_s(index)
-        if self._clock.observe(counted_s, read_s) is not None:
+        if self._clock.observe(counted_s, read_s, own_delay_s=own_delay_s) is not None:
             self._points.clear()
         if read_s - self._clock.to_lsl(counted_s) > LATE_S:
             return
