@@ -120,9 +120,9 @@ class Stopped:
     by: By
     verified: bool
     file: Path | None
-    bytes: int
-    streams: int
-    with_samples: int
-    took_s: float
+    bytes: int = 0
+    streams: int = 0
+    with_samples: int = 0
+    took_s: float = 0.0
     verdict: Verdict | None
     warnings: tuple[str, ...]

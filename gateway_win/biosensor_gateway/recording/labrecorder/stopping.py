@@ -44,17 +44,8 @@ def stop(remote: RemoteControl, file: Path | None, state: Path) -> Stopped:
     remote.command("stop", STOP_REPLY_S)
     if file is None:
         forget(state)
-        return Stopped(
-            by=By.WINDOW,
-            verified=False,
-            file=None,
-            bytes=0,
-            streams=0,
-            with_samples=0,
-            took_s=0.0,
-            verdict=None,
-            warnings=(_unknown(remote),),
-        )
+        warnings = (_unknown(remote),)
+        return Stopped(by=By.WINDOW, verified=False, file=None, verdict=None, warnings=warnings)
     seen = wait_until_closed(file, STILL_S, CLOSING_S)
     if seen is None:
         message = f"{file} still grows {CLOSING_S:g} s after LabRecorder was told to stop"
