@@ -54,6 +54,11 @@ class Link:
         self.dropped += arrives.count(False)
         self._samples.extend([self._stamp] * arrives.count(True))
 
+    def pushed_unattached(self, count: int) -> None:
+        """Push samples while nobody is there."""
+        self._pushed += count
+        self._stamp += float(count > 0)
+
     def report(self, lost: int = 0) -> None:
         self.lost += lost
         self._reports.append((self._pushed, self.lost, self._stamp))
@@ -219,6 +224,49 @@ def test_what_an_outlet_sends_before_it_is_attached_again_is_lost() -> None:
     again.push([False] * 3)
     again.settle()
     assert again.comparison.losses == Losses(device=0, transport=3)
+
+
+def test_a_report_from_before_the_stream_is_attached_says_nothing_of_what_came_between() -> None:
+    link = Link(100)
+    link.report()
+    link.deliver_all()
+    link.pushed_unattached(32)
+    link.push([True])
+    link.deliver_all()
+    assert link.comparison.losses is None
+    link.settle()
+    assert (link.comparison.before, link.comparison.losses) == (132, Losses(device=0, transport=0))
+
+
+def test_a_slow_stream_needs_one_report_after_its_first_sample() -> None:
+    link = Link(100)
+    link.report()
+    link.push([True])
+    link.report(lost=2)
+    link.deliver_all()
+    assert (link.comparison.before, link.comparison.losses) == (100, Losses(device=2, transport=0))
+
+
+@given(counts=st.lists(st.integers(0, 5), max_size=5), events=events)
+def test_nothing_that_was_sent_to_nobody_is_ever_lost(
+    counts: list[int], events: list[Push | Report | Deliver]
+) -> None:
+    link = Link(0)
+    for count in counts:
+        link.pushed_unattached(count)
+        link.report()
+    link.deliver_all()
+    for event in events:
+        match event:
+            case Push(arrives):
+                link.push([True] * len(arrives))
+            case Report():
+                link.report()
+            case Deliver(samples, reports):
+                link.deliver(samples, reports)
+        assert link.comparison.losses in {None, Losses(device=0, transport=0)}
+    link.settle()
+    assert link.comparison.before == sum(counts)
 
 
 def test_what_was_sent_before_the_node_was_there_is_told_and_not_lost() -> None:

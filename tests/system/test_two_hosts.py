@@ -152,7 +152,7 @@ def test_the_node_kept_every_inlet_and_lost_nothing_with_the_cut(crossing: Cross
     assert "is gone" not in crossing.node_log
     facts = crossing.observation.facts_at(crossing.cut.end)
     by_devices = counters.lost_by_devices(
-        crossing.observation.counters, Span(0.0, crossing.cut.end + MARGIN_S)
+        crossing.observation.counters, crossing.cut.end + MARGIN_S
     )
     for source, place in crossing.expected.items():
         lost = facts[place.topic]["lost"]

@@ -25,12 +25,10 @@ def canonical(counters: Mapping[str, Mapping[str, Any]]) -> str:
     return json.dumps(floats, sort_keys=True)
 
 
-def lost_by_devices(reports: Recording, span: Span) -> dict[str, float]:
-    """Count what the agent says was lost in a time before it came to LSL, by source_id."""
-    first, last = _first_and_last(reports, span)
-    before = {source: entry["lost"] for source, entry in first.items()}
-    lost = {source: entry["lost"] - before.get(source, 0) for source, entry in last.items()}
-    return {source: count for source, count in lost.items() if count}
+def lost_by_devices(reports: Recording, until_s: float) -> dict[str, float]:
+    """Count what the agent says was lost before it came to LSL since it began, by source_id."""
+    _, last = _first_and_last(reports, Span(0.0, until_s))
+    return {source: entry["lost"] for source, entry in last.items()}
 
 
 def _first_and_last(

@@ -58,6 +58,7 @@ class CountersComparison:
         self._recent: deque[float] = deque(maxlen=_RECENT)
         self._base: int | None = None
         self._before: int | None = None
+        self._at_least_before = 0
         self._waiting: deque[_Report] = deque(maxlen=_WAITING)
         self._device = self._transport = 0
         # What was lost of outlets that have ended.
@@ -134,6 +135,11 @@ class CountersComparison:
             self._waiting.popleft()
             if later == _RECENT:
                 continue
+            if self._base is None and later == self._pulled:
+                # Reports may come before the stream is attached: what was pushed between
+                # this one and the first sample is in no count yet.
+                self._at_least_before = report.pushed
+                continue
             if self._base is None:
                 self._base = self._before = missing
             self._transport = missing - self._base
@@ -141,7 +147,9 @@ class CountersComparison:
 
     def _is_complete(self, missing: int) -> bool:
         """Whether no more samples of the newest stamp can be on their way."""
-        if self._base is None or not self._is_known:
+        if self._base is None:
+            return missing <= self._at_least_before
+        if not self._is_known:
             return False
         return missing - self._base <= self._transport
 
