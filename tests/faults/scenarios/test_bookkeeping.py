@@ -42,6 +42,22 @@ def test_values_that_stay_the_same_are_taken_without_a_gap() -> None:
     assert (ledger.received, ledger.lost, ledger.settled_s) == (50, 0, TIMES[59])
 
 
+SLOW = Samples(np.arange(100.0, 130.0, 5.0), np.array([[71.0], [72], [73], [72], [71], [72]]))
+
+
+def test_what_is_sent_every_few_seconds_may_be_late_by_more_than_one_of_them() -> None:
+    ledger = TruthLedger()
+    late_s = np.array([4.6, 5.8, 0.8, 0.0])
+    ledger.settle(Recorded(SLOW.times[2:] + late_s, SLOW.values[2:], SLOW.times[2:]), SLOW)
+    assert (ledger.received, ledger.lost) == (4, 0)
+
+
+def test_what_is_sent_every_few_seconds_is_refused_if_it_was_never_sent() -> None:
+    never = np.array([[73.0], [70]])
+    with pytest.raises(UnknownSampleError):
+        TruthLedger().settle(Recorded(SLOW.times[3:5], never, SLOW.times[3:5]), SLOW)
+
+
 def test_what_was_sent_before_the_first_sample_is_not_lost() -> None:
     ledger = TruthLedger()
     ledger.settle(came(50, 51), TRUTH)
