@@ -6,7 +6,7 @@ import json
 import statistics
 import tempfile
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +16,16 @@ from tests.bench.processes import PORT_RANGE, BenchError, Process, Processes
 from tests.rigs.lab_client import LabProcess, settings_toml
 
 SENSORS = one_of_each()
+OF_A_LAB = (
+    "ble_heart_rate",
+    "emotiv_insight",
+    "empatica_e4",
+    "polar_h10",
+    "shimmer3_gsr",
+    "vernier_respiration_belt",
+    "zephyr",
+)
+"""As many as the requirements name, whatever else there is a driver for."""
 _CONNECT_S = 60.0
 _SETTLE_S = 5.0
 
@@ -48,11 +58,15 @@ class AgentLoad:
 
 
 @contextmanager
-def streaming_agent(port_range: int = PORT_RANGE) -> Generator[tuple[Process, Processes]]:
+def streaming_agent(
+    port_range: int = PORT_RANGE, sensors: Sequence[str] = SENSORS
+) -> Generator[tuple[Process, Processes]]:
     """Run the agent in the block, with every device streaming; see `agent_role`.
 
     Parameters
     ----------
+    sensors
+        Of which it has a virtual device each.
     port_range
         Of LSL, for its outlets and those of programs beside it: four ports for each.
 
@@ -61,12 +75,12 @@ def streaming_agent(port_range: int = PORT_RANGE) -> Generator[tuple[Process, Pr
     BenchError
         If a device does not stream, or the agent does not end well.
     """
-    devices = [{"key": name, "sensor": name, "options": {"kept": 0}} for name in SENSORS]
+    devices = [{"key": name, "sensor": name, "options": {"kept": 0}} for name in sensors]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         with LabProcess(devices, folder) as lab, Processes(folder, port_range) as processes:
             settings = folder / "settings.toml"
-            settings.write_text(settings_toml(lab, {each: each for each in SENSORS}))
+            settings.write_text(settings_toml(lab, {each: each for each in sensors}))
             processes.environment |= lab.environment
             processes.environment["BIOSENSOR_GATEWAY_STATE"] = str(folder)
             agent = processes.start("tests.bench.agent_role", str(settings))

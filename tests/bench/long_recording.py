@@ -24,22 +24,12 @@ from biosensor_common.naming import AGENT, lsl_name, source_id
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, StreamSpec
 from biosensor_gateway.recording.xdf.framing import BOUNDARY, MAGIC, Tag, framed
+from tests.bench.agent_load import OF_A_LAB
 from tests.rigs.headers import declared_streams
 
 BEGIN_S = 50_000.0
 _UNIX_NS = 1_790_000_000_000_000_000
 _STEP_S, _OFFSET_S, _BOUNDARY_S = 0.5, 5.0, 10.0
-# As many as the requirement names, whatever else there is a driver for.
-_OF_A_LAB = (
-    "ble_heart_rate",
-    "emotiv_insight",
-    "empatica_e4",
-    "polar_h10",
-    "shimmer3_gsr",
-    "vernier_respiration_belt",
-    "zephyr",
-    AGENT,
-)
 _EEG_HZ, _EEG_CHANNELS = 500.0, 32
 # What has no rate comes as often as hearts beat.
 _IRREGULAR_HZ = 1.0
@@ -150,7 +140,7 @@ def _texts(stamps: NDArray[np.float64]) -> bytes:
 
 def _sensors() -> Iterator[Made]:
     for sensor, stream in declared_streams():
-        if sensor not in _OF_A_LAB:
+        if sensor not in {*OF_A_LAB, AGENT}:
             continue
         assert not isinstance(stream.rate, FromDevice)
         # The generic heart rate sensor is no eighth one, but stands in for the other brands.
