@@ -16,16 +16,6 @@ from tests.bench.processes import PORT_RANGE, BenchError, Process, Processes
 from tests.rigs.lab_client import LabProcess, settings_toml
 
 SENSORS = one_of_each()
-OF_A_LAB = (
-    "ble_heart_rate",
-    "emotiv_insight",
-    "empatica_e4",
-    "polar_h10",
-    "shimmer3_gsr",
-    "vernier_respiration_belt",
-    "zephyr",
-)
-"""As many as the requirements name, whatever else there is a driver for."""
 _CONNECT_S = 60.0
 _SETTLE_S = 5.0
 

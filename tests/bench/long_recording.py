@@ -24,8 +24,8 @@ from biosensor_common.naming import AGENT, lsl_name, source_id
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, StreamSpec
 from biosensor_gateway.recording.xdf.framing import BOUNDARY, MAGIC, Tag, framed
-from tests.bench.agent_load import OF_A_LAB
 from tests.rigs.headers import declared_streams
+from tests.rigs.turns import OF_A_LAB
 
 BEGIN_S = 50_000.0
 _UNIX_NS = 1_790_000_000_000_000_000

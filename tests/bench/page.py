@@ -12,12 +12,13 @@ from typing import Any
 
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from tests.bench.agent_load import OF_A_LAB, streaming_agent
+from tests.bench.agent_load import streaming_agent
 from tests.bench.effort import Effort
 from tests.bench.figures import Figure, Measurement, Target
 from tests.bench.page_reader import PageReader
 from tests.bench.processes import Process, Processes
 from tests.rigs.chromium import OPTIONS
+from tests.rigs.turns import OF_A_LAB
 
 _SETTLE_S = 5.0
 ADDRESS = re.compile(r"http://\S+")

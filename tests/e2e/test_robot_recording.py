@@ -1,4 +1,4 @@
-"""A robot's topics, sent by ``ros_to_lsl``, beside all sensors in one file of LabRecorder."""
+"""A robot's topics, sent by ``ros_to_lsl``, beside seven sensors in one file of LabRecorder."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from std_msgs.msg import String
 from biosensor_common.clock_pair import read_clock_pair
 from biosensor_common.naming import NODE
 from biosensor_common.ros_clock import NS_PER_S
-from biosensor_gateway.demo.virtual_devices import one_of_each
 from tests.faults.scenarios.length import is_long
 from tests.rigs.lab_client import LabProcess, settings_toml
 from tests.rigs.lab_recorder import LabRecorder
@@ -32,6 +31,7 @@ from tests.rigs.recorded_robot import (
     told_lost,
 )
 from tests.rigs.robot import JOINTS, PARTS
+from tests.rigs.turns import OF_A_LAB
 
 RECORD_S = 60.0 if is_long() else 15.0
 STAMP_LIMIT_S = 0.001
@@ -49,7 +49,7 @@ def _texts(stream: Stream) -> list[str]:
 def lab(tmp_path: Path) -> Any:
     devices = [
         {"key": name, "sensor": name, "options": {"seed": number}}
-        for number, name in enumerate(one_of_each())
+        for number, name in enumerate(OF_A_LAB)
     ]
     with LabProcess(devices, tmp_path) as running:
         yield running
@@ -65,7 +65,7 @@ def test_a_robot_stands_beside_the_sensors_in_one_recording(
 ) -> None:
     for name, value in lab.environment.items():
         monkeypatch.setenv(name, value)
-    programs.agent(settings_toml(lab, {name: name for name in one_of_each()}))
+    programs.agent(settings_toml(lab, {name: name for name in OF_A_LAB}))
     topics = ", ".join([*(each.topic for each in PARTS), "/trial"])
     node = programs.start(
         "lsl_to_ros.ros_to_lsl.node",
@@ -77,7 +77,7 @@ def test_a_robot_stands_beside_the_sensors_in_one_recording(
     robot = programs.start("tests.rigs.robot", str(sent))
 
     resolver = pylsl.ContinuousResolver()
-    wanted = {*one_of_each(), *ROBOT}
+    wanted = {*OF_A_LAB, *ROBOT}
 
     def are_there() -> bool:
         names = [info.name() for info in resolver.results()]

@@ -14,6 +14,16 @@ from biosensor_common.spec import FromDevice
 from biosensor_gateway.devices.registry import declaration
 
 MOST = 8
+OF_A_LAB = (
+    "ble_heart_rate",
+    "emotiv_insight",
+    "empatica_e4",
+    "polar_h10",
+    "shimmer3_gsr",
+    "vernier_respiration_belt",
+    "zephyr",
+)
+"""As many as the requirements name for a lab, whatever else there is a driver for."""
 _UNKNOWN_HZ = 50.0
 
 
