@@ -55,10 +55,10 @@ def streaming_agent(
 
     Parameters
     ----------
-    sensors
-        Of which it has a virtual device each.
     port_range
         Of LSL, for its outlets and those of programs beside it: four ports for each.
+    sensors
+        Of which it has a virtual device each.
 
     Raises
     ------

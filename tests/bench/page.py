@@ -15,7 +15,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from tests.bench.agent_load import streaming_agent
 from tests.bench.effort import Effort
 from tests.bench.figures import Figure, Measurement, Target
-from tests.bench.page_reader import PageReader
+from tests.bench.page_reader import read_in_place_of
 from tests.bench.processes import Process, Processes
 from tests.rigs.chromium import OPTIONS
 from tests.rigs.turns import OF_A_LAB
@@ -108,7 +108,7 @@ def _round(agent: Process, processes: Processes, browser: Browser, effort: Effor
     server_percent = 100 * (server.cpu_s - cpu_s) / elapsed_s
     # One picture more or less depends on when counting begins.
     pictures_hz = round((_pictures(page) - pictures) / elapsed_s, 1)
-    with PageReader(page):
+    with read_in_place_of(page):
         time.sleep(_SETTLE_S)
         undrawn_ms = _p99_ms(agent, effort.agent_s)
     measured = PageRound(
