@@ -214,6 +214,8 @@ def test_who_has_withdrawn_stays_so_when_the_entry_comes_back(
         )
         settings()
         assert reload().out == f"zephyr/{unit} was removed\n"
+        # Or what the status file tells may be of the entry that is gone.
+        until(lambda: devices(tmp_path) == {})
         settings(Entry(unit, port))
         assert reload().out == f"zephyr/{unit} was added\n"
         until(lambda: devices(tmp_path).get(unit, {}).get("state") == "streaming")
