@@ -29,7 +29,7 @@ MARKED = $(shell grep -rl --include='test_*.py' 'pytest.mark.$(1)' tests | sort)
 MANY_PROGRAMS := tests/e2e tests/faults tests/faults/scenarios tests/peers tests/ros
 
 .PHONY: demo test test-system tests tests-of-parts tests-of-programs system-tests tests-alone
-.PHONY: faults fuzz installer check bench format docs docs-site pictures lock venv-ros venv-dev venv-peers
+.PHONY: explore faults fuzz installer check bench format docs docs-site pictures lock venv-ros venv-dev venv-peers
 
 demo: venv-ros
 	.venv/bin/biosensor-gateway demo $(if $(SECONDS),--seconds $(SECONDS))
@@ -57,6 +57,10 @@ system-tests: venv-peers installer
 
 tests-alone: venv-dev
 	$(RUN) pytest -m alone $(call MARKED,alone)
+
+# Each property with examples of its own, other ones each time.
+explore: venv-dev
+	$(RUN) pytest --hypothesis-profile=explore -m "not system and not alone" $(SIDE_BY_SIDE) -n 2 $(shell grep -rl '@given' tests)
 
 faults: venv-dev
 	BIOSENSOR_GATEWAY_FAULTS=long $(if $(LONG),BIOSENSOR_GATEWAY_STEADY_S=43200) $(RUN) pytest tests/faults

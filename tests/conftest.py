@@ -17,7 +17,9 @@ from tests.slots import lsl_ports, take_slot
 pytest_plugins = ["tests.time_spent.plugin"]
 
 # How long an example takes says more of who else works on this machine.
-settings.register_profile("tests", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+_ANY_TIME = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("tests", _ANY_TIME, derandomize=True)
+settings.register_profile("explore", _ANY_TIME, max_examples=1000)
 settings.load_profile("tests")
 
 _folder = Path(tempfile.mkdtemp(prefix="biosensor-gateway-tests-"))
