@@ -43,15 +43,17 @@ SLOPE_LIMIT = 250e-6
 SLOPE_STEP = 10e-6
 SLOPES = tuple(step * SLOPE_STEP for step in range(-40, 41))
 """What is averaged over: beyond the limit on both sides, or the average would shy away from it."""
-USUAL_SLOPE = 50e-6
-"""Half of all slopes are smaller: it takes two clocks, and each may be off by some tens of ppm."""
-POWER = 1 / 3
+USUAL_SLOPE = 20e-6
+"""SD of the slopes of good crystals: it takes two clocks, each of which may be off."""
+UNUSUAL_SHARE = 0.2
+"""So many of all slopes may be anything: a poor crystal's must not be pulled back."""
+POWER = 0.31
 """Of the likelihood: over a real radio, three half seconds tell as much as one would if delays were
 independent. Above it the line turns too soon, below it large drifts are followed late."""
 NEAR_S = 1.0
 """Points further above the line say nothing of it, and so must not shift the middle, either."""
-DELAY_FLOOR_S = 1e-3
-"""Added to the mean delay, so that two points never claim to know the slope."""
+DELAY_FLOOR_S = 1e-4
+"""Added to the mean delay: no computer tells an arrival more exactly."""
 DELAY_CEILING_S = 0.1
 """Largest mean delay assumed: a longer one is not a radio's jitter, but packets that are
 held back and come together, of which the last is hardly late."""
@@ -157,7 +159,8 @@ class LowerEnvelope:
         middle = (near or self._x)[len(near) // 2]
         hull = [(x - middle, y) for x, y in self._hull()]
         heights = [min(y - slope * u for u, y in hull) for slope in SLOPES]
-        density = POWER * count / (self._mean_delay + DELAY_FLOOR_S)
+        # Through two of them goes the line, whatever their delays.
+        density = POWER * max(count - 2, 0) / (self._mean_delay + DELAY_FLOOR_S)
         logs = [
             density * height + log for height, log in zip(heights, self._log_prior, strict=True)
         ]
@@ -183,11 +186,10 @@ class LowerEnvelope:
 
 
 def _log_prior(drift: float) -> float:
-    """Return the logarithm of a Cauchy distribution's density, up to a constant.
-
-    Most crystals are good; one that is not may be off by anything, and must not be pulled back.
-    """
-    return -math.log1p((drift / USUAL_SLOPE) ** 2)
+    """Return the logarithm of the density of a normal and a uniform distribution, mixed."""
+    usual = math.exp(-0.5 * (drift / USUAL_SLOPE) ** 2) / (USUAL_SLOPE * math.sqrt(2 * math.pi))
+    unusual = 1 / (SLOPES[-1] - SLOPES[0])
+    return math.log((1 - UNUSUAL_SHARE) * usual + UNUSUAL_SHARE * unusual)
 
 
 def _mean_delay(heights: Sequence[float]) -> float:

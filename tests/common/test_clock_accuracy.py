@@ -1,6 +1,6 @@
 """The first minute of every drift, way and packet rate that `make bench` tabulates.
 
-RMS limits hold over all runs of a row together; a single run may be half as bad again.
+RMS limits hold over all runs of a row together; a single run may be three quarters as bad again.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def test_stamps_from_the_tenth_second_on(rate_hz: int, name: str) -> None:
     if rate_hz in STAMP_TARGETS:
         limit_ms = STAMP_TARGETS[rate_hz].limit
         assert row.stamp_rms_ms < limit_ms
-        assert row.worst_stamp_rms_ms < 1.5 * limit_ms
+        assert row.worst_stamp_rms_ms < 1.75 * limit_ms
         assert row.worst_packet_spacing_rms_ms < SPACING_LIMIT_MS
         # Without anything removed: what "0 to 100 ms" costs at most at 4 packets a second.
         assert row.largest_error_ms < 15.0

@@ -71,9 +71,9 @@ def test_stamps_keep_to_the_edge_of_the_whole_minute(minutes: dict[str, Floats])
         f" nothing removed {np.median(whole_ms):.2f} and {max(whole_ms):.2f},"
         f" at most {max(np.abs(errors).max() for errors in errors_ms):.2f}"
     )
-    assert np.median(rms_ms) < 0.7
-    assert max(rms_ms) < 1.5
-    assert max(whole_ms) < 2.5
+    assert np.median(rms_ms) < 0.6
+    assert max(rms_ms) < 1.0
+    assert max(whole_ms) < 2.0
 
 
 def test_and_so_do_they_if_the_minute_is_turned_round(minutes: dict[str, Floats]) -> None:
@@ -86,5 +86,5 @@ def test_and_so_do_they_if_the_minute_is_turned_round(minutes: dict[str, Floats]
         rms_ms.append(_errors_ms(device[order], arrival[order]).std())
 
     print(f"\nRMS {np.median(rms_ms):.2f} ms in the median, {max(rms_ms):.2f} in the worst")
-    assert np.median(rms_ms) < 0.7
-    assert max(rms_ms) < 2.0
+    assert np.median(rms_ms) < 0.5
+    assert max(rms_ms) < 1.5

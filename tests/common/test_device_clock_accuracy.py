@@ -4,8 +4,8 @@ Figures count from 10 s to 120 s after the first packet; of the first minute alo
 of other ways, `test_clock_accuracy` tells. Stamp RMS is without its mean (the constant
 delay); spacing is measured for 128 samples a second and for one sample a packet. Limits
 hold over all runs together; what the first packets happen to show decides a single run,
-which may do worse: of 200 others at 10/s with uniform delays 7 % passed 1 ms, the worst
-with 1.5 ms.
+which may do worse: of 200 others at 10/s with uniform delays 20 % passed 1 ms, the worst
+with 2.0 ms.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def test_stamps_and_spacing_after_ten_seconds(
     assert all_runs.largest_error_ms < error_limit_ms
     if stamp_rms_limit_ms is not None:
         assert all_runs.stamp_rms_ms < stamp_rms_limit_ms
-        assert all_runs.worst_stamp_rms_ms < 1.5 * stamp_rms_limit_ms
+        assert all_runs.worst_stamp_rms_ms < 1.75 * stamp_rms_limit_ms
 
 
 @pytest.mark.parametrize("drift_ppm", DRIFTS_PPM)
