@@ -60,7 +60,7 @@ tests-alone: venv-dev
 
 # Each property with examples of its own, other ones each time.
 explore: venv-dev
-	$(RUN) pytest --hypothesis-profile=explore -m "not system and not alone" $(SIDE_BY_SIDE) -n 2 $(shell grep -rl '@given' tests)
+	$(RUN) pytest --hypothesis-profile=explore -m "not system and not alone" --dist loadfile -n 2 $(shell grep -rl --include='test_*.py' '@given' tests)
 
 faults: venv-dev
 	BIOSENSOR_GATEWAY_FAULTS=long $(if $(LONG),BIOSENSOR_GATEWAY_STEADY_S=43200) $(RUN) pytest tests/faults

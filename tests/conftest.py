@@ -19,7 +19,7 @@ pytest_plugins = ["tests.time_spent.plugin"]
 # How long an example takes says more of who else works on this machine.
 _ANY_TIME = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("tests", _ANY_TIME, derandomize=True)
-settings.register_profile("explore", _ANY_TIME, max_examples=1000)
+settings.register_profile("explore", _ANY_TIME, derandomize=False, max_examples=1000)
 settings.load_profile("tests")
 
 _folder = Path(tempfile.mkdtemp(prefix="biosensor-gateway-tests-"))
