@@ -28,7 +28,7 @@ class Hole(NamedTuple):
     Attributes
     ----------
     begin_s, end_s
-        When the last before them and the first after them were sent (Unix time).
+        Times of the last before them and the first after them in the reference (Unix time).
     """
 
     missing: int

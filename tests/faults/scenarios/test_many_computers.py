@@ -45,6 +45,10 @@ WORN: Mapping[str, Sequence[str]] = (
     else {p: (s,) for p, s in zip(PCS, ONE_EACH, strict=True)}
 )
 
+# From the time of a sample to its receipt: a packet holds those of a second, and is on its way
+# over the link and through a node.
+ON_ITS_WAY_S = 1.5
+
 Holes = Mapping[Stream, Hole | None]
 
 
@@ -95,8 +99,11 @@ def _fault(judged: Judged, what: str) -> str:
 
 
 def _overlaps(hole: Hole, dead: Span) -> bool:
-    """Whether samples are missing around a time in which a program was dead, and nowhere else."""
-    return hole.begin_s <= dead.end and hole.end_s >= dead.start
+    """Whether samples are missing around a time in which a program was dead, and nowhere else.
+
+    With a program dies what it had in hand, which was measured before.
+    """
+    return hole.begin_s <= dead.end and hole.end_s >= dead.start - ON_ITS_WAY_S
 
 
 def test_all_streams_are_found(judged: Judged, figures: Record) -> None:
