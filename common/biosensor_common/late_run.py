@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Patience:
-    """For how long late packets pass for a stall.
+    """For how long late packets pass for a stall, once they are not less and less late.
 
     Attributes
     ----------
@@ -44,20 +44,28 @@ class LateRun:
         self._count = 0
         self._least_of_second = math.inf
         self._largest_least = -math.inf
+        # Of the packet with which patience began.
+        self._settled = math.inf
 
     def add(self, late_s: float, limit_s: float, arrival_s: float, *, behind: bool = False) -> None:
-        """Take in a packet; one that is not late by more than the limit ends the run."""
+        """Take in a packet; one that is not late by more than the limit ends the run.
+
+        One that is less late than all before it, by more than the limit, is of a backlog that
+        catches up: patience begins anew with it.
+        """
         if late_s <= limit_s:
             self.least = math.inf
             self._count = 0
             return
         if self._count == 0:
             self.began_behind = behind
-            self._since = self._second = arrival_s
+            self._second, self._settled = arrival_s, math.inf
             self._least_of_second, self._largest_least = math.inf, -math.inf
         elif arrival_s - self._second >= 1.0:
             self._largest_least = max(self._largest_least, self._least_of_second)
             self._second, self._least_of_second = arrival_s, math.inf
+        if late_s < self._settled - limit_s:
+            self._settled, self._since, self._count = late_s, arrival_s, 0
         self._until = arrival_s
         self._count += 1
         self._least_of_second = min(self._least_of_second, late_s)

@@ -292,6 +292,33 @@ def test_what_waited_is_late_though_its_kinds_come_one_after_the_other(stall_s: 
     assert abs(error_at(clock, 74.0 + stall_s)) < 0.005
 
 
+@pytest.mark.parametrize("stall_s", [20.0, 60.0, 80.0])
+@pytest.mark.parametrize("pace", [1.25, 2.0, 8.0])
+def test_a_backlog_that_takes_long_to_catch_up_is_no_step(stall_s: float, pace: float) -> None:
+    """What waited comes by way of another process, `pace` times as fast as it was measured."""
+    clock = settled()
+    end_s = 60.0 + stall_s * pace / (pace - 1) + 10.0
+    for packet in range(600, round(end_s * RATE_HZ)):
+        elapsed = packet / RATE_HZ
+        passed_on = 60.0 + stall_s + (elapsed - 60.0) / pace
+        assert clock.observe(elapsed, max(elapsed, passed_on) + OFFSET_S) is None
+    assert abs(error_at(clock, end_s)) < 0.01
+
+
+@pytest.mark.parametrize("step", [-0.8, -5.0])
+def test_a_clock_that_was_set_while_a_backlog_came_is_found(step: float) -> None:
+    clock, jumps = settled(), list[Reanchor]()
+    for packet in range(600, 1100):
+        elapsed = packet / RATE_HZ
+        device = elapsed + step if elapsed > 65.0 else elapsed
+        jump = clock.observe(device, max(elapsed, 80.0 + (elapsed - 60.0) / 8) + OFFSET_S)
+        if jump is not None:
+            jumps.append(jump)
+    (jump,) = jumps
+    assert jump.reason is ReanchorReason.STAYED_ABOVE
+    assert abs(error_at(clock, 109.0, step)) < 0.01
+
+
 def test_samples_of_one_packet_are_evenly_spaced() -> None:
     clock = DeviceClock()
     rng = random.Random(6)
