@@ -35,9 +35,8 @@ def match(received: Recorded, truth: Samples, near_s: float = NEAR_S) -> Places:
     runs: list[Places] = []
     position = place = 0
     while position < len(got):
-        head = got[position : position + _LOOK_AHEAD]
         apart_s = truth.times[place:] - received.times[position]
-        place += _best(head, sent[place:], apart_s, near_s)
+        place += _best(got[position:], sent[place:], apart_s, near_s)
         length = _common(got[position:], sent[place:])
         if not length:
             what = f"{got[position].tolist()} at {received.times[position]:.3f}"
@@ -84,9 +83,14 @@ def _period_s(truth: Samples) -> float:
     return float(np.median(np.diff(truth.times)))
 
 
-def _best(head: _Values, sent: _Values, apart_s: Floats, near_s: float) -> int:
-    """The place nearest in time among those where most of *head* fits; 0 if there is none."""
-    near = np.flatnonzero(np.abs(apart_s) < near_s)
+def _best(got: _Values, sent: _Values, apart_s: Floats, near_s: float) -> int:
+    """The place nearest in time among those where the most of the next fit; 0 if there is none.
+
+    From there on all that is got must have room: a heart that beats alike every 20 s fits in
+    three places of a minute that came at once.
+    """
+    head, room = got[:_LOOK_AHEAD], max(0, len(sent) - len(got) + 1)
+    near = np.flatnonzero(np.abs(apart_s[:room]) < near_s)
     # Most of them begin otherwise already, which is seen at one look.
     begin = near[_same(sent[near], head[:1])].tolist()
     fitting = (

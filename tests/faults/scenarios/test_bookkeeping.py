@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.faults.matching import UnknownSampleError
+from tests.faults.matching import UnknownSampleError, match
 from tests.faults.recorder import Recorded
 from tests.faults.scenarios.figures import NAME, FigureTable, Properties, recorder
 from tests.faults.scenarios.ledger import CounterLedger, TruthLedger
@@ -43,6 +43,12 @@ def test_values_that_stay_the_same_are_taken_without_a_gap() -> None:
 
 
 SLOW = Samples(np.arange(100.0, 130.0, 5.0), np.array([[71.0], [72], [73], [72], [71], [72]]))
+
+
+def test_of_values_that_repeat_themselves_those_are_taken_behind_which_the_rest_has_room() -> None:
+    alike = Samples(np.arange(100.0, 163.0), np.tile(np.arange(21.0), 3)[:, None])
+    all_at_once = Recorded(np.full(60, 165.0), alike.values[3:], np.full(60, 165.0))
+    assert match(all_at_once, alike, near_s=70.0).tolist() == list(range(3, 63))
 
 
 def test_what_is_sent_every_few_seconds_may_be_late_by_more_than_one_of_them() -> None:
