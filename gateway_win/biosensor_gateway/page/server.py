@@ -11,7 +11,6 @@ import contextlib
 import logging
 import math
 import signal
-import socket
 import sys
 from collections.abc import AsyncGenerator, Callable, Coroutine, Generator, Iterable, Mapping
 from contextlib import AbstractAsyncContextManager
@@ -27,6 +26,7 @@ from starlette.types import ASGIApp
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.page.front import Front
 from biosensor_gateway.page.guard import DOOR, OPENS_ONCE, Guard, Keys
+from biosensor_gateway.page.listening import listening_at
 from biosensor_gateway.page.running import ADDRESS, IS_SHARED, SETTINGS, only_server
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ class PageServer:
         """
         with (
             only_server(self._folder) as self._unfound,
-            socket.create_server((HOST, 0)) as listening,
+            listening_at(HOST, 0) as listening,
             as_file(files("biosensor_gateway.page") / "static") as self._pages,
         ):
             self._port: int = listening.getsockname()[1]

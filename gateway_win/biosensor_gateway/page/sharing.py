@@ -20,6 +20,7 @@ from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.page.beside import ServerBeside
 from biosensor_gateway.page.certificate import Certificate, own_certificate
 from biosensor_gateway.page.guard import DOOR, Guard, ViewKeys
+from biosensor_gateway.page.listening import listening_at
 from biosensor_gateway.page.live import live
 from biosensor_gateway.page.models import ShareView, StatusView
 from biosensor_gateway.page.session import Session
@@ -131,7 +132,7 @@ async def _serve(server: uvicorn.Server, listening: socket.socket) -> None:
 @contextlib.contextmanager
 def _listening(port: int) -> Generator[socket.socket]:
     try:
-        listening = socket.create_server((EVERYWHERE, port))
+        listening = listening_at(EVERYWHERE, port)
     except OSError as error:
         message = (
             f"other computers cannot look on: TCP {port} cannot be opened "

@@ -16,6 +16,7 @@ from biosensor_gateway.page.experiments.app import Experiments
 from biosensor_gateway.page.experiments.guard import ExperimentGuard
 from biosensor_gateway.page.experiments.sending import Sending
 from biosensor_gateway.page.experiments.token import experiment_token
+from biosensor_gateway.page.listening import listening_at
 from biosensor_gateway.page.marker_models import ExperimentsView
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.settings.web_markers import WebMarkerSettings
@@ -64,7 +65,7 @@ class ExperimentServer:
                 origins=list(wanted.settings.origins)
             )
             try:
-                with socket.create_server((HOST, wanted.settings.port)) as listening:
+                with listening_at(HOST, wanted.settings.port) as listening:
                     await self._serve(wanted, listening)
             except OSError as error:
                 view.problem = _in_use(wanted.settings.port, error)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import socket
 from collections.abc import AsyncGenerator, Callable
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -18,6 +17,7 @@ from starlette.applications import Starlette
 
 from biosensor_gateway.page.front import Front
 from biosensor_gateway.page.guard import DOOR, Keys
+from biosensor_gateway.page.listening import listening_at
 from biosensor_gateway.page.server import HOST, cancelled, guarded, raise_error_of, responsive
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ class NetworkServer:
             Whatever `on_ready` has raised.
         """
         with (
-            socket.create_server((HOST, 0)) as listening,
+            listening_at(HOST, 0) as listening,
             as_file(files("biosensor_gateway.page") / "static") as pages,
         ):
             port: int = listening.getsockname()[1]

@@ -62,7 +62,8 @@ export class Live {
   connect() {
     this.socket = new WebSocket(`${location.protocol.replace("http", "ws")}//${location.host}/live`);
     this.socket.binaryType = "arraybuffer";
-    this.socket.onopen = () => this.ask();
+    // Without a stream there is nothing to ask for, and the server has other things to load first.
+    this.socket.onopen = () => this.view.streams.length && this.ask();
     this.socket.onmessage = ({ data }) => {
       if (typeof data === "string") this.onState(JSON.parse(data));
       else this.read(data);
