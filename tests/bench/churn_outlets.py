@@ -11,6 +11,7 @@ import time
 
 import pylsl
 
+from biosensor_common.lsl_outlet import LslOutlet
 from tests.bench.child import Orders, say
 from tests.bench.samples import CHANNELS, CONTENT_TYPE, FILLER, stream_names, values_of
 
@@ -22,7 +23,7 @@ class Rotation:
 
     def __init__(self, streams: int) -> None:
         self._names = stream_names(streams)
-        self._running: dict[str, pylsl.StreamOutlet] = {}
+        self._running: dict[str, LslOutlet] = {}
         self._step = 0
 
     def step(self) -> None:
@@ -32,7 +33,7 @@ class Rotation:
         # Dropping the only reference closes the outlet.
         if self._running.pop(name, None) is None:
             info = pylsl.StreamInfo(name, CONTENT_TYPE, CHANNELS, RATE_HZ, "float32", name)
-            self._running[name] = pylsl.StreamOutlet(info)
+            self._running[name] = LslOutlet(info)
 
     def push(self, values: list[float]) -> None:
         """Push a sample on every stream that runs."""

@@ -14,6 +14,7 @@ import pylsl
 
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl_header import read_header
+from biosensor_common.lsl_outlet import LslOutlet
 from biosensor_gateway.features.choosing import Taken, choose
 from biosensor_gateway.features.errors import FeatureError
 from biosensor_gateway.features.headers import is_feature, stream_info
@@ -53,7 +54,7 @@ class Sender:
 
     def __init__(self, source: Source) -> None:
         self._outlets = {
-            each.name: pylsl.StreamOutlet(stream_info(source, each)) for each in source.features
+            each.name: LslOutlet(stream_info(source, each)) for each in source.features
         }
 
     def send(self, events: Sequence[Event], correction_s: float) -> None:

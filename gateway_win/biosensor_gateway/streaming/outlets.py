@@ -19,6 +19,7 @@ from biosensor_common.description_xml import append_children
 from biosensor_common.device_clock import LONGEST_DELAY_S
 from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
 from biosensor_common.lsl_header import describe
+from biosensor_common.lsl_outlet import LslOutlet
 from biosensor_common.quantities import ChannelFormat, waits_for_receivers
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, StreamSpec
 from biosensor_gateway.streaming.counters import Counters
@@ -95,7 +96,7 @@ class Outlet:
             self.source_id,
         )
         append_children(lsl_info.desc(), describe(stream, identity, info))
-        self._outlet = pylsl.StreamOutlet(lsl_info)
+        self._outlet = LslOutlet(lsl_info)
         # What a device says once or rarely, and what holds until it says otherwise.
         self._waits = waits_for_receivers(
             stream.content_type, is_regular=stream.is_regular, is_state=stream.is_state

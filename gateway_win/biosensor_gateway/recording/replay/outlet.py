@@ -13,6 +13,7 @@ import pylsl
 from numpy.typing import NDArray
 from pylsl.lib import lib
 
+from biosensor_common.lsl_outlet import LslOutlet
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.replay import Replay, mark_as_replay
 from biosensor_gateway.recording.contents.stream import Samples
@@ -73,9 +74,7 @@ class Block(Protocol):
 
 
 class _Texts:
-    def __init__(
-        self, outlet: pylsl.StreamOutlet, values: Texts, stamps: NDArray[np.float64]
-    ) -> None:
+    def __init__(self, outlet: LslOutlet, values: Texts, stamps: NDArray[np.float64]) -> None:
         self._outlet, self._values, self._stamps = outlet, values, stamps
 
     def push(self, begin: int, end: int) -> None:
@@ -92,7 +91,7 @@ class _Numbers:
 
     def __init__(
         self,
-        outlet: pylsl.StreamOutlet,
+        outlet: LslOutlet,
         values: NDArray[Any],
         stamps: NDArray[np.float64],
         form: ChannelFormat,
@@ -112,6 +111,7 @@ class _Numbers:
             self._stamps_at + begin * self._stamps.itemsize,
             1,
         )
+        self._outlet.note_push()
 
 
 class _Tapped:
@@ -168,7 +168,7 @@ class PlayedOutlet:
         self.tap: Tap | None = None
         try:
             info = _info(played_description(header, source_id, replay))
-            self._outlet, self._format = pylsl.StreamOutlet(info), header.format
+            self._outlet, self._format = LslOutlet(info), header.format
         except RuntimeError as error:
             message = f"LSL cannot offer the stream {header.name!r} ({error})"
             raise ReplayError(ReplayReason.NO_OUTLET, message) from error

@@ -21,6 +21,7 @@ from rclpy.node import Node
 from biosensor_common.clock_pair import ClockPair, measure_clock_pair
 from biosensor_common.description_xml import append_children
 from biosensor_common.lsl_header import describe
+from biosensor_common.lsl_outlet import LslOutlet
 from biosensor_common.naming import NODE, lsl_name, source_id
 from biosensor_common.quantities import ChannelFormat, ContentType, MessageType, Unit
 from biosensor_common.ros_clock import NS_PER_S, STEP_NS
@@ -82,7 +83,7 @@ class ClockPairs:
             return False
         return abs(_offset_ns(pair) - _offset_ns(told)) > STEP_NS
 
-    def _tell(self, outlet: pylsl.StreamOutlet, pair: ClockPair) -> None:
+    def _tell(self, outlet: LslOutlet, pair: ClockPair) -> None:
         self._told, self._due_s = pair, pair.lsl_s + HEARTBEAT_S
         event = {
             "event": "heartbeat",
@@ -98,7 +99,7 @@ def _offset_ns(pair: ClockPair) -> int:
     return pair.unix_ns - round(pair.lsl_s * NS_PER_S)
 
 
-def _outlet(node: Node, warn: Callable[[str], None]) -> pylsl.StreamOutlet | None:
+def _outlet(node: Node, warn: Callable[[str], None]) -> LslOutlet | None:
     try:
         return events_outlet(node, "lsl_to_ros")
     except RuntimeError as error:
@@ -106,7 +107,7 @@ def _outlet(node: Node, warn: Callable[[str], None]) -> pylsl.StreamOutlet | Non
         return None
 
 
-def events_outlet(node: Node, model: str) -> pylsl.StreamOutlet:
+def events_outlet(node: Node, model: str) -> LslOutlet:
     """Offer a node's own stream of events; `model` is the program that has it.
 
     Raises
@@ -124,7 +125,7 @@ def events_outlet(node: Node, model: str) -> pylsl.StreamOutlet:
         source_id(identity, EVENTS.data_name),
     )
     append_children(info.desc(), describe(EVENTS, identity, DeviceInfo(model=model)))
-    return pylsl.StreamOutlet(info)
+    return LslOutlet(info)
 
 
 def unit_of(hostname: str, node: Node) -> str:

@@ -23,6 +23,7 @@ import pylsl
 
 from biosensor_common import naming
 from biosensor_common.description_xml import append_children
+from biosensor_common.lsl_outlet import LslOutlet
 from biosensor_common.quantities import ChannelFormat, ContentType
 from lsl_to_ros.ros_to_lsl.channels import Channel
 from lsl_to_ros.ros_to_lsl.publisher_clock import ClockState
@@ -90,7 +91,7 @@ class SampleOutlet:
     """An outlet of numbers, as they stand in a layout."""
 
     def __init__(self, name: str, origin: Origin, channels: Sequence[Channel], rate: float) -> None:
-        self._outlet = pylsl.StreamOutlet(sample_info(name, origin, channels, rate))
+        self._outlet = LslOutlet(sample_info(name, origin, channels, rate))
         self.pushed = 0
 
     def push(self, values: Sequence[float], stamp: float) -> None:
@@ -120,7 +121,7 @@ class MarkerOutlet:
         _fill(node, label="marker", unit="none", type=ContentType.MARKERS.value)
         _describe(description, origin, can_drop_samples=False)
         append_children(info.desc(), description)
-        self._outlet = pylsl.StreamOutlet(info)
+        self._outlet = LslOutlet(info)
         self._had_consumers = False
         self.pushed = 0
 
