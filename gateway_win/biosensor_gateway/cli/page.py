@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +11,7 @@ from typing import Annotated
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
+from biosensor_common.heap import limit_arenas
 from biosensor_gateway.cli.later_log import LaterLog
 from biosensor_gateway.cli.network_page import serve_network
 from biosensor_gateway.cli.options import SettingsOption
@@ -156,6 +158,8 @@ def _serve(
             typer.echo(f"  {server.share.fingerprint[:47]}")
         typer.echo("Press Ctrl-C to end the page; the agent goes on.")
 
+    # It loads and looks in threads that come and go, for as long as the page is open.
+    limit_arenas(os.environ)
     with LaterLog(page_folder(folder)) as log:
         try:
             server = PageServer(folder, settings, ready, log.open, end_after_s, share_port)
