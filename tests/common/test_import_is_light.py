@@ -12,8 +12,8 @@ from importlib import import_module
 from pkgutil import walk_packages
 import biosensor_common
 for module in walk_packages(biosensor_common.__path__, "biosensor_common."):
-    # This one is a part of a program of its own, which asks LSL.
-    if module.name != "biosensor_common.doctor.survey":
+    # The one is a part of a program of its own, which asks LSL; the other is of pylsl's kind.
+    if module.name not in ("biosensor_common.doctor.survey", "biosensor_common.lsl_outlet"):
         import_module(module.name)
 print(*sys.modules)
 """

@@ -1,4 +1,4 @@
-"""Where a server of the page listens."""
+"""The sockets at which servers of the page listen."""
 
 from __future__ import annotations
 
