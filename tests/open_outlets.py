@@ -1,13 +1,16 @@
-"""Outlets of this process that are still open."""
+"""Outlets of this process that are still open, and how those of tests end."""
 
 from __future__ import annotations
 
 import gc
 import sys
+import time
 import weakref
 from functools import cache
 
 import pylsl
+
+from biosensor_common.lsl_outlet import REST_S
 
 _OF_THE_LAST_FAILURE = ("last_type", "last_value", "last_traceback", "last_exc")
 _made: list[tuple[weakref.ref[pylsl.StreamOutlet], str]] = []
@@ -15,8 +18,8 @@ _made: list[tuple[weakref.ref[pylsl.StreamOutlet], str]] = []
 
 @cache
 def watch_outlets() -> None:
-    """Note every outlet that is made from now on."""
-    make = pylsl.StreamOutlet.__init__
+    """Note every outlet that is made from now on, and end those of tests at rest, as ours are."""
+    make, destroy = pylsl.StreamOutlet.__init__, pylsl.StreamOutlet.__del__
 
     def noting(
         self: pylsl.StreamOutlet, info: pylsl.StreamInfo, *arguments: int, **named: int
@@ -24,7 +27,14 @@ def watch_outlets() -> None:
         make(self, info, *arguments, **named)
         _made.append((weakref.ref(self), info.source_id() or info.name()))
 
+    def rested(self: pylsl.StreamOutlet) -> None:
+        # Those of our programs wait by themselves.
+        if type(self) is pylsl.StreamOutlet:
+            time.sleep(REST_S)
+        destroy(self)
+
     pylsl.StreamOutlet.__init__ = noting
+    pylsl.StreamOutlet.__del__ = rested
 
 
 def outlets_of(source_id: str) -> list[pylsl.StreamOutlet]:
