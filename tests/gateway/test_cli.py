@@ -234,6 +234,13 @@ def test_a_damaged_status_file_fails(run: Run, state: Path) -> None:
     assert str(state) in one_sentence(run("status"), 1)
 
 
+def test_status_says_what_became_of_samples_in_a_persons_words(run: Run, state: Path) -> None:
+    write_status(state, DEVICE)
+    *_, titles, row = run("status").out.strip().splitlines()
+    assert re.findall(r"\w+", titles) == ["stream", "sent", "lost", "refused", "paused"]
+    assert row.split()[1:] == ["4711", "63", "5", "8"]
+
+
 def test_status_for_scripts_is_json(run: Run, state: Path) -> None:
     write_status(state, DEVICE)
     outcome = run("status", "--json")

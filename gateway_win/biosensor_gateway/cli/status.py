@@ -14,6 +14,9 @@ from biosensor_gateway.cli.screen import console, say, table_of_names
 from biosensor_gateway.cli.status_words import device_sentence, restart_sentences
 from biosensor_gateway.settings.places import state_folder
 
+COUNTERS = {"sent": "pushed", "lost": "lost", "refused": "refused", "paused": "withheld"}
+"""What became of a stream's samples, in the words of a person and in those of the status."""
+
 
 def status(
     watch: Annotated[bool, typer.Option("--watch", help="Go on showing it, until Ctrl-C.")] = False,
@@ -50,9 +53,8 @@ def _print_status(current: dict[str, Any]) -> None:
         )
     for device in current["devices"]:
         say(device_sentence(device))
-        columns = ("pushed", "lost", "refused", "withheld")
         rows = [
-            (source_id, *(str(counters[column]) for column in columns))
+            (source_id, *(str(counters[counter]) for counter in COUNTERS.values()))
             for source_id, counters in device["streams"].items()
         ]
-        terminal.print(table_of_names(("stream", *columns), rows, terminal.width))
+        terminal.print(table_of_names(("stream", *COUNTERS), rows, terminal.width))
