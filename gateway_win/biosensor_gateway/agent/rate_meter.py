@@ -22,13 +22,18 @@ class RateMeter:
             self._seen.clear()
         if not self._seen or pushed > self._seen[-1][0]:
             self._seen.append((pushed, last_stamp))
+            # Nobody need ask for the rate, as of a stream that has none.
+            self._forget(last_stamp)
 
     def rate_hz(self, now: float) -> float | None:
         """Return the rate at an LSL time; None while nothing comes."""
-        while len(self._seen) > 2 and now - self._seen[0][1] > RATE_OVER_S:
-            self._seen.popleft()
+        self._forget(now)
         if not self._seen or now - self._seen[-1][1] > STALE_AFTER_S:
             self._seen.clear()
             return None
         (first, since), (newest, until) = self._seen[0], self._seen[-1]
         return (newest - first) / (until - since) if until > since else None
+
+    def _forget(self, now: float) -> None:
+        while len(self._seen) > 2 and now - self._seen[0][1] > RATE_OVER_S:
+            self._seen.popleft()
