@@ -27,6 +27,7 @@ _PARAMETERS: dict[str, dict[str, Any]] = {
     "odd_nothing": {"topics": [""], "session_id": "a"},
     "odd_two_of_one_name": {"topics": ["/a/b", "/c"], "/c.name": "a-b"},
     "odd_not_among": {"topics": ["/a"], "/b.rate": 1},
+    "odd_two_slashes": {"topics": ["/a//b"]},
     "odd_option": {"topics": ["/a"], "/a.rat": 1},
     "odd_name": {"topics": ["/a"], "/a.name": "a b"},
     "odd_kind": {"topics": ["/a"], "/a.fields": "position"},

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import Any, cast
 from xml.etree import ElementTree as ET
 
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.validate_full_topic_name import validate_full_topic_name
@@ -106,7 +107,11 @@ def _is_of_ros(value: object) -> bool:
 
 def _resolve(topic: str) -> str:
     full = expand_topic_name(topic, "ros_to_lsl", "/arm")
-    validate_full_topic_name(full)
+    try:
+        validate_full_topic_name(full)
+    except InvalidTopicNameException as error:
+        # A node's own resolving makes a RuntimeError of it; without a node, rclpy has two classes.
+        raise ValueError(str(error)) from error
     return full
 
 

@@ -70,7 +70,7 @@ def read_requests(node: Node, resolve: Callable[[str], str]) -> Requests:
     Parameters
     ----------
     resolve
-        Full name of a topic.
+        Full name of a topic; raises RuntimeError, TypeError or ValueError where there is none.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def requests_of(given: Mapping[str, Any], resolve: Callable[[str], str]) -> Requ
     given
         By name, with ROS's values.
     resolve
-        Full name of a topic.
+        Full name of a topic; raises RuntimeError, TypeError or ValueError where there is none.
     """
     topics = _topics(_value(given, TOPICS, NODE_OPTIONS[TOPICS]))
     for name in given:
