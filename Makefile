@@ -2,7 +2,7 @@
 # make test                checks and tests; needs no root, no ROS, no second step
 # make test-system         what needs root or system packages (tests/system/packages.txt)
 # make faults [LONG=1]     every fault as long as in a lab; LONG: 12 hours of steady streaming
-# make fuzz [SECONDS=60]   every parser, with inputs that nobody thought of
+# make fuzz [SECONDS=60 SEED=0]  every parser, with inputs that nobody thought of
 # make installer           the Windows installer, built under Wine (needs the same packages)
 # make docs                what documents show of the code: tables of sensors, topics, decisions
 # make docs-site           the documents as a site, in build/site
@@ -66,7 +66,7 @@ faults: venv-dev
 	BIOSENSOR_GATEWAY_FAULTS=long $(if $(LONG),BIOSENSOR_GATEWAY_STEADY_S=43200) $(RUN) pytest tests/faults
 
 fuzz: venv-dev
-	$(RUN) tests.fuzz --seconds $(or $(SECONDS),60)
+	$(RUN) tests.fuzz --seconds $(or $(SECONDS),60) --seed $(or $(SEED),0)
 
 installer: venv-dev
 	$(RUN) installer.wine

@@ -1,4 +1,4 @@
-"""``python -m tests.fuzz [--seconds N] [--blind] [TARGET...]``; ``--help`` says more."""
+"""``python -m tests.fuzz [--seconds N] [--seed N] [--blind] [TARGET...]``; ``--help`` says more."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ def _arguments() -> argparse.Namespace:
     arguments = argparse.ArgumentParser(prog="tests.fuzz", description=__doc__)
     arguments.add_argument("targets", metavar="TARGET", nargs="*", help=f"of {', '.join(NAMES)}")
     arguments.add_argument("--seconds", type=float, default=DEFAULT_SECONDS, help="for all, in all")
+    arguments.add_argument("--seed", type=int, default=0, help="of what is drawn; 0: another one")
     arguments.add_argument("--corpus", type=Path, help="what to begin with")
     arguments.add_argument("--finds", type=Path, default=FINDS, help="where finds and logs go")
     arguments.add_argument("--blind", action="store_true", help="hypothesis instead of atheris")
@@ -44,7 +45,14 @@ def main() -> int:
     names = list(given.targets) or list(NAMES)
     print(f"{len(names)} targets, {given.seconds:g} s in all, by {engine}", flush=True)
     outcomes: list[Outcome] = []
-    campaign = run(names, given.seconds, given.finds, corpus=given.corpus, blind=given.blind)
+    campaign = run(
+        names,
+        given.seconds,
+        given.finds,
+        corpus=given.corpus,
+        blind=given.blind,
+        seed=given.seed,
+    )
     for outcome in campaign:
         print(_line(outcome), flush=True)
         outcomes.append(outcome)

@@ -38,20 +38,22 @@ _TOKENS = tokens()
 _ODD_BYTES = (0x00, 0x01, 0x02, 0x0A, 0x20, 0x7F, 0x80, 0xFE, 0xFF)
 
 
-def fuzz(target: Target, finds: Path, corpora: Sequence[Path], until: float) -> int:
+def fuzz(target: Target, finds: Path, corpora: Sequence[Path], until: float, first: int = 0) -> int:
     """Try the corpora, then mutations of them; return 1 with the first find, else 0.
 
     Parameters
     ----------
     until
         Unix time; one batch is tried in any case.
+    first
+        Seed of the first batch; 0 for another one in each run.
     """
     known = [path.read_bytes() for folder in corpora for path in inputs(folder)]
     tried = _Tried(target, finds / RUNNING)
     try:
         for data in known:
             tried(data)
-        number = begun = time.time_ns()
+        number = begun = first or time.time_ns()
         while number == begun or time.time() < until:
             _try_batch(tried, known, number)
             number += 1

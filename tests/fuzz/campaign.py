@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -61,6 +62,7 @@ def run(
     *,
     corpus: Path | None = None,
     blind: bool = False,
+    seed: int = 0,
 ) -> Iterator[Outcome]:
     """Fuzz each target for its share of the time that is left; start-up counts.
 
@@ -72,25 +74,47 @@ def run(
         Where the inputs to begin with are, a folder for each target; None for its own.
     blind
         Use hypothesis even where atheris runs.
+    seed
+        Of what is drawn; 0 for another one in each run.
     """
+    engine = _engine(seed, blind=blind)
     end = time.time() + seconds
     for place, name in enumerate(names):
         share = max(0.0, end - time.time()) / (len(names) - place)
         known = corpus_of(name) if corpus is None else corpus / name.rpartition(".")[2]
-        yield _try(name, share, folder / name, known, blind=blind)
+        yield _try(name, share, folder / name, known, engine)
 
 
-def _try(name: str, seconds: float, finds: Path, corpus: Path, *, blind: bool) -> Outcome:
+class _Engine(NamedTuple):
+    """How its process is started."""
+
+    options: Sequence[str]
+    environment: Mapping[str, str]
+
+
+def _engine(seed: int, *, blind: bool) -> _Engine:
+    # Sets of text have another order in each process, and so have the places that are reached.
+    order = {"PYTHONHASHSEED": str(seed)} if seed else {}
+    options = ["--seed", str(seed), *(["--blind"] if blind else [])]
+    return _Engine(options, os.environ | order)
+
+
+def _try(name: str, seconds: float, finds: Path, corpus: Path, engine: _Engine) -> Outcome:
     finds.mkdir(parents=True, exist_ok=True)
     old = set(inputs(finds))
     begin = time.time()
     command = [sys.executable, "-m", "tests.fuzz.engine", name, str(finds), str(corpus)]
-    command += ["--until", repr(begin + seconds), *(["--blind"] if blind else [])]
+    command += ["--until", repr(begin + seconds), *engine.options]
     log = finds / "log.txt"
     with log.open("wb") as output:
         try:
             code = subprocess.run(
-                command, stdout=output, stderr=output, timeout=seconds + _GRACE_S, check=False
+                command,
+                stdout=output,
+                stderr=output,
+                timeout=seconds + _GRACE_S,
+                check=False,
+                env=engine.environment,
             ).returncode
         except subprocess.TimeoutExpired:
             code = None

@@ -31,7 +31,9 @@ def has_atheris() -> bool:
     return importlib.util.find_spec("atheris") is not None
 
 
-def _guided(fuzzer: Any, name: str, finds: Path, corpora: list[Path], until: float) -> None:
+def _guided(
+    fuzzer: Any, name: str, finds: Path, corpora: list[Path], until: float, seed: int
+) -> None:
     """Run libFuzzer, which ends this process, with an exit code other than 0 for a find."""
     with fuzzer.instrument_imports(include=list(GUIDES)):
         target = load(name)
@@ -45,6 +47,7 @@ def _guided(fuzzer: Any, name: str, finds: Path, corpora: list[Path], until: flo
         f"-dict={DICTIONARY}",
         f"-timeout={MAX_SECONDS_AN_INPUT}",
         f"-rss_limit_mb={_MAX_MEGABYTES}",
+        f"-seed={seed}",
         "-print_final_stats=1",
     ]
     fuzzer.Setup([sys.argv[0], *options, str(grown), *map(str, corpora)], telling(target.check))
@@ -52,11 +55,11 @@ def _guided(fuzzer: Any, name: str, finds: Path, corpora: list[Path], until: flo
         fuzzer.Fuzz()
 
 
-def _blind(target: Target, finds: Path, corpora: list[Path], until: float) -> int:
+def _blind(target: Target, finds: Path, corpora: list[Path], until: float, seed: int) -> int:
     from tests.fuzz import blind  # noqa: PLC0415 - only this engine needs hypothesis
 
     with strictly():
-        return blind.fuzz(target, finds, corpora, until)
+        return blind.fuzz(target, finds, corpora, until, seed)
 
 
 def main() -> int:
@@ -66,16 +69,17 @@ def main() -> int:
     arguments.add_argument("finds", type=Path)
     arguments.add_argument("corpora", type=Path, nargs="+")
     arguments.add_argument("--until", type=float, default=0.0, help="unix time")
+    arguments.add_argument("--seed", type=int, default=0, help="0: another one in each run")
     arguments.add_argument("--blind", action="store_true", help="without coverage")
     given = arguments.parse_args()
     finds = cast("Path", given.finds).resolve()
     finds.mkdir(parents=True, exist_ok=True)
     corpora = [folder for folder in cast("list[Path]", given.corpora) if folder.is_dir()]
     if given.blind or not has_atheris():
-        return _blind(load(given.target), finds, corpora, given.until)
+        return _blind(load(given.target), finds, corpora, given.until, given.seed)
     # It comes without types, and not for every platform.
     fuzzer: Any = importlib.import_module("atheris")
-    _guided(fuzzer, given.target, finds, corpora, given.until)
+    _guided(fuzzer, given.target, finds, corpora, given.until, given.seed)
     return 0
 
 
