@@ -1,4 +1,4 @@
-"""Sixty-four streams of which only the chunks are read: loss, CPU and memory of the node."""
+"""Many streams of which only the chunks are read: loss, CPU and memory of the node."""
 
 from __future__ import annotations
 
@@ -10,14 +10,37 @@ from pathlib import Path
 
 from tests.bench.effort import Effort
 from tests.bench.figures import Figure, Measurement, Target
-from tests.bench.processes import CpuMeter, Processes
+from tests.bench.processes import CpuMeter, Processes, ports_for
 from tests.bench.receivers import Receivers
 from tests.bench.ros_receiver import Wish
 from tests.bench.samples import Passage, passage, topic_of
-from tests.bench.senders import Senders
+from tests.bench.senders import STREAMS_PER_PROCESS, Senders
 
-STREAMS = 64
-_LOST, _CPU, _MEMORY = Target(0), Target(60.0), Target(250.0)
+_LOST = Target(0)
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What is sent, and what the node may take for it.
+
+    Attributes
+    ----------
+    block
+        See `Offer`.
+    per_process
+        Streams of one sender.
+    """
+
+    streams: int
+    block: int
+    per_process: int
+    cpu: Target
+    memory: Target
+
+
+USUAL = Case(64, 1, STREAMS_PER_PROCESS, Target(60.0), Target(250.0))
+MANY = Case(256, 8, 32, Target(75.0), Target(500.0))
+"""Two cores have no room for the senders of this many that wake up for each sample."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,14 +69,30 @@ class Load:
 
 def measure(effort: Effort) -> Measurement:
     """Measure once: there is no floor to compare with."""
-    sys.stderr.write(f"  {STREAMS} streams\n")
-    return _measurement(_load(effort.chunks_s, effort.settle_s))
+    return _measured(USUAL, effort)
 
 
-def _load(seconds: float, settle_s: float) -> Load:
-    with tempfile.TemporaryDirectory() as name, Processes(Path(name)) as processes:
+def measure_many(effort: Effort) -> Measurement:
+    """Measure four times as many, with samples in blocks."""
+    return _measured(MANY, effort)
+
+
+def _measured(case: Case, effort: Effort) -> Measurement:
+    sys.stderr.write(f"  {case.streams} streams\n")
+    return _measurement(case, _load(case, effort.chunks_s, effort.settle_s))
+
+
+def _load(case: Case, seconds: float, settle_s: float) -> Load:
+    ports = ports_for(case.streams)
+    with tempfile.TemporaryDirectory() as name, Processes(Path(name), ports) as processes:
         node = processes.start_node()
-        senders = Senders(processes, STREAMS, frugal=True)
+        senders = Senders(
+            processes,
+            case.streams,
+            per_process=case.per_process,
+            frugal=True,
+            block=case.block,
+        )
         topics = [f"{topic_of(each)}_chunk" for each in senders.names]
         wish = Wish(topics, senders.count(seconds), "", chunks=True)
         receivers = Receivers(processes, wish)
@@ -73,20 +112,20 @@ def _load(seconds: float, settle_s: float) -> Load:
         return Load(result, node_cpu, memory_mb, threads, subscriber_cpu, sent.cpu_percent, *late)
 
 
-def _measurement(load: Load) -> Measurement:
+def _measurement(case: Case, load: Load) -> Measurement:
     lost_note = f"of {load.passage.sent}, {load.passage.repeated} repeated"
     late = f"pushed {load.late_p99_ms:.2f} ms late (p99)"
     figures = [
         Figure("lost", load.passage.lost, "", _LOST, lost_note),
-        Figure("CPU of lsl_to_ros", load.node_cpu_percent, "%", _CPU, "of one core"),
+        Figure("CPU of lsl_to_ros", load.node_cpu_percent, "%", case.cpu, "of one core"),
         Figure(
             "memory of lsl_to_ros",
             load.node_memory_mb,
             "MB",
-            _MEMORY,
+            case.memory,
             f"resident, {load.node_threads} threads",
         ),
         Figure("CPU of the subscriber", load.subscriber_cpu_percent, "%"),
         Figure("busiest sender", load.sender_cpu_percent, "%", note=late),
     ]
-    return Measurement(f"{STREAMS} streams, only chunks read", figures, asdict(load))
+    return Measurement(f"{case.streams} streams, only chunks read", figures, asdict(load))

@@ -19,6 +19,7 @@ _PATIENCE_S = 30.0
 # An outlet takes two ports of TCP and two of UDP, so 100 would not find enough of them
 # between those of other sessions on this machine. One beyond the range is not found.
 PORT_RANGE = 256
+_PORTS_PER_OUTLET = 4
 _FIRST_PORT, _LAST_PORT = 20_000, 32_000
 _LSL_CONFIG = """\
 [lab]
@@ -38,13 +39,18 @@ class BenchError(Exception):
     """A process of the benchmark did not do its part."""
 
 
+def ports_for(outlets: int) -> int:
+    """Return a range of ports in which so many outlets find theirs."""
+    return max(PORT_RANGE, _PORTS_PER_OUTLET * outlets)
+
+
 def isolated_environment(folder: Path, port_range: int = PORT_RANGE) -> dict[str, str]:
     """Return an environment whose LSL session and ROS domain nobody else is in.
 
     Parameters
     ----------
     port_range
-        Ports of LSL; four times as many as there are outlets are enough.
+        Ports of LSL; `ports_for` tells how many are enough.
     """
     config = folder / "lsl_api.cfg"
     base_port = random.choice(range(_FIRST_PORT, _LAST_PORT, port_range))

@@ -45,7 +45,7 @@ class Senders:
         Of each stream.
     per_process
         Streams in one process.
-    frugal
+    frugal, block
         See `Offer`.
 
     Attributes
@@ -62,7 +62,9 @@ class Senders:
         per_process: int = STREAMS_PER_PROCESS,
         *,
         frugal: bool = False,
+        block: int = 1,
     ) -> None:
+        self._block = block
         self._folder = processes.folder
         self.names = stream_names(streams)
         self._children: list[Process] = []
@@ -70,7 +72,9 @@ class Senders:
             # The processes take turns: within a stream's share of the period, or all of it.
             share = first / streams if frugal else first / per_process / streams
             names = self.names[first : first + per_process]
-            offer = Offer(names, rate_hz, offset_s=share / rate_hz, frugal=frugal)
+            offer = Offer(
+                names, rate_hz, offset_s=block * share / rate_hz, frugal=frugal, block=block
+            )
             self._children.append(processes.start(*offer.as_arguments()))
 
     def expect_up(self) -> float:
@@ -83,11 +87,12 @@ class Senders:
         files = [Path(self._folder, f"sent{i}.npy") for i in range(len(self._children))]
         meters = [CpuMeter(child) for child in self._children]
         for child, file in zip(self._children, files, strict=True):
-            child.tell(f"{count} {file}")
+            child.tell(f"{count // self._block} {file}")
         for child in self._children:
             child.expect("sent", seconds + _PATIENCE_S)
         cpu_percent = max(meter.percent() for meter in meters)
-        sent, due = np.concatenate([np.load(file) for file in files], axis=1)
+        times = np.concatenate([np.load(file) for file in files], axis=1)
+        sent, due = times.repeat(self._block, axis=2)
         late_p50, late_p99 = np.percentile(1e3 * (sent - due), (50, 99))
         return Sent(sent, float(late_p50), float(late_p99), cpu_percent)
 

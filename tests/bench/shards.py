@@ -12,14 +12,17 @@ from pathlib import Path
 
 from tests.bench.effort import Effort
 from tests.bench.figures import Figure, Measurement, Target
-from tests.bench.processes import Processes
+from tests.bench.processes import Processes, ports_for
 from tests.bench.receivers import Receivers
 from tests.bench.ros_receiver import Wish
 from tests.bench.rounds import in_rounds
 from tests.bench.samples import Passage, passage, topic_of
-from tests.bench.senders import Senders
+from tests.bench.senders import STREAMS_PER_PROCESS, Senders
 
 STREAMS = (8, 16, 32)
+MANY, BLOCK, PER_PROCESS = (64, 128), 8, 32
+"""More streams, of which samples come in blocks from fewer processes: two cores have no room for
+this many senders that wake up for each sample."""
 PROCESSES = (1, 2)
 _LOST = Target(0)
 _SUBSCRIBERS = 2
@@ -55,24 +58,36 @@ class Leg:
 
 def measure(effort: Effort) -> Measurement:
     """Measure both in turn, with every number of streams."""
+    return _measured("the node on one process and on two, every sample read", STREAMS, 1, effort)
+
+
+def measure_many(effort: Effort) -> Measurement:
+    """Measure more streams, with samples in blocks."""
+    title = f"the node on one process and on two, {BLOCK} samples sent at once"
+    return _measured(title, MANY, BLOCK, effort)
+
+
+def _measured(title: str, numbers: Sequence[int], block: int, effort: Effort) -> Measurement:
     legs = {
         f"{streams} streams, {processes} process{'es' * (processes > 1)}": partial(
-            _leg, streams, processes
+            _leg, streams, processes, block
         )
-        for streams in STREAMS
+        for streams in numbers
         for processes in PROCESSES
     }
     rounds = in_rounds(legs, effort.rounds, effort.sixteen_s, effort.settle_s)
-    figures = [figure for title, each in rounds.items() for figure in _figures(title, each)]
-    details = {title: [asdict(leg) for leg in each] for title, each in rounds.items()}
-    return Measurement("the node on one process and on two, every sample read", figures, details)
+    figures = [figure for name, each in rounds.items() for figure in _figures(name, each)]
+    details = {name: [asdict(leg) for leg in each] for name, each in rounds.items()}
+    return Measurement(title, figures, details)
 
 
-def _leg(streams: int, count: int, seconds: float, settle_s: float) -> Leg:
-    with tempfile.TemporaryDirectory() as name, Processes(Path(name)) as processes:
+def _leg(streams: int, count: int, block: int, seconds: float, settle_s: float) -> Leg:
+    ports = ports_for(streams)
+    with tempfile.TemporaryDirectory() as name, Processes(Path(name), ports) as processes:
         node = processes.start_node("--ros-args", "-p", f"processes:={count}")
         # What the senders take is not left for the node.
-        senders = Senders(processes, streams, frugal=True)
+        per_process = STREAMS_PER_PROCESS if block == 1 else PER_PROCESS
+        senders = Senders(processes, streams, per_process=per_process, frugal=True, block=block)
         wish = Wish([topic_of(each) for each in senders.names], senders.count(seconds), "")
         receivers = Receivers(processes, wish, _SUBSCRIBERS)
         senders.expect_up()
