@@ -14,7 +14,7 @@ from tests.bench.processes import CpuMeter, Processes, ports_for
 from tests.bench.receivers import Receivers
 from tests.bench.ros_receiver import Wish
 from tests.bench.samples import Passage, passage, topic_of
-from tests.bench.senders import STREAMS_PER_PROCESS, Senders
+from tests.bench.senders import BLOCK, BLOCK_STREAMS_PER_PROCESS, STREAMS_PER_PROCESS, Senders
 
 _LOST = Target(0)
 
@@ -25,10 +25,8 @@ class Case:
 
     Attributes
     ----------
-    block
-        See `Offer`.
-    per_process
-        Streams of one sender.
+    block, per_process
+        See `Senders`.
     """
 
     streams: int
@@ -39,8 +37,7 @@ class Case:
 
 
 USUAL = Case(64, 1, STREAMS_PER_PROCESS, Target(60.0), Target(250.0))
-MANY = Case(256, 8, 32, Target(75.0), Target(500.0))
-"""Two cores have no room for the senders of this many that wake up for each sample."""
+MANY = Case(256, BLOCK, BLOCK_STREAMS_PER_PROCESS, Target(75.0), Target(500.0))
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,9 @@ from tests.bench.processes import CpuMeter, Process, Processes
 from tests.bench.samples import RATE_HZ, stream_names
 
 STREAMS_PER_PROCESS = 8
+BLOCK, BLOCK_STREAMS_PER_PROCESS = 8, 32
+"""Samples sent at once, and by how few processes, where two cores have no room for all the senders
+that wake up for each sample."""
 _PATIENCE_S = 60.0
 
 

@@ -17,12 +17,10 @@ from tests.bench.receivers import Receivers
 from tests.bench.ros_receiver import Wish
 from tests.bench.rounds import in_rounds
 from tests.bench.samples import Passage, passage, topic_of
-from tests.bench.senders import STREAMS_PER_PROCESS, Senders
+from tests.bench.senders import BLOCK, BLOCK_STREAMS_PER_PROCESS, STREAMS_PER_PROCESS, Senders
 
 STREAMS = (8, 16, 32)
-MANY, BLOCK, PER_PROCESS = (64, 128), 8, 32
-"""More streams, of which samples come in blocks from fewer processes: two cores have no room for
-this many senders that wake up for each sample."""
+MANY = (64, 128)
 PROCESSES = (1, 2)
 _LOST = Target(0)
 _SUBSCRIBERS = 2
@@ -86,7 +84,7 @@ def _leg(streams: int, count: int, block: int, seconds: float, settle_s: float) 
     with tempfile.TemporaryDirectory() as name, Processes(Path(name), ports) as processes:
         node = processes.start_node("--ros-args", "-p", f"processes:={count}")
         # What the senders take is not left for the node.
-        per_process = STREAMS_PER_PROCESS if block == 1 else PER_PROCESS
+        per_process = STREAMS_PER_PROCESS if block == 1 else BLOCK_STREAMS_PER_PROCESS
         senders = Senders(processes, streams, per_process=per_process, frugal=True, block=block)
         wish = Wish([topic_of(each) for each in senders.names], senders.count(seconds), "")
         receivers = Receivers(processes, wish, _SUBSCRIBERS)
