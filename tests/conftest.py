@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import asyncio
 import atexit
 import os
 import shutil
 import tempfile
 import uuid
+from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 from tests.slots import lsl_ports, take_slot
+from tests.tiers.tier import Tier, tier_of
 
-pytest_plugins = ["tests.time_spent.plugin"]
+pytest_plugins = ["tests.time_spent.plugin", "tests.tiers.plugin"]
 
 # How long an example takes says more of who else works on this machine.
 _ANY_TIME = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -49,6 +52,35 @@ os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 os.environ["BIOSENSOR_GATEWAY_BROADCAST"] = "127.0.0.1"
 os.environ["BIOSENSOR_GATEWAY_STATE"] = str(_folder / "state")
 os.environ["BIOSENSOR_GATEWAY_SETTINGS"] = str(_folder / "settings.toml")
+
+
+def pytest_asyncio_loop_factories(
+    item: pytest.Item,
+) -> Mapping[str, Callable[[], asyncio.AbstractEventLoop]]:
+    """Let the loops of unit tests go by virtual time, and those of others by the system's."""
+    from tests.rigs.virtual_time import (  # noqa: PLC0415 - LSL comes later
+        SwitchableLoop,
+        virtual_loop,
+    )
+
+    return {"loop": virtual_loop if tier_of(item) is Tier.UNIT else SwitchableLoop}
+
+
+@pytest.fixture(autouse=True)
+def _unit_tests_have_neither_lsl_nor_dbus(  # pyright: ignore[reportUnusedFunction]
+    request: pytest.FixtureRequest,
+) -> Generator[None]:
+    """Let the agent's outlets be objects in memory, and let there be no bus to ask for BlueZ."""
+    from biosensor_gateway.streaming import outlets  # noqa: PLC0415 - LSL comes later
+    from tests.rigs.memory_outlet import MemoryOutlet  # noqa: PLC0415
+
+    # Not the test's own monkeypatch, which would then be undone after all of its fixtures.
+    with pytest.MonkeyPatch.context() as patch:
+        if tier_of(request.node) is Tier.UNIT:
+            patch.setattr(outlets, "LslOutlet", MemoryOutlet)
+            patch.setenv("DBUS_SYSTEM_BUS_ADDRESS", "none")
+            patch.setenv("DBUS_SESSION_BUS_ADDRESS", "none")
+        yield
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -28,8 +28,8 @@ def watch_outlets() -> None:
         _made.append((weakref.ref(self), info.source_id() or info.name()))
 
     def rested(self: pylsl.StreamOutlet) -> None:
-        # Those of our programs wait by themselves.
-        if type(self) is pylsl.StreamOutlet:
+        # Those of our programs wait by themselves; one that was refused was never made.
+        if type(self) is pylsl.StreamOutlet and hasattr(self, "obj"):
             time.sleep(REST_S)
         destroy(self)
 

@@ -19,9 +19,7 @@ from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
 from tests.every_sensor.acme_band import SENSOR as SOMEBODY_ELSES
-from tests.rigs.virtual_time import pytest_asyncio_loop_factories, virtual_time
-
-__all__ = ["pytest_asyncio_loop_factories"]
+from tests.rigs.virtual_time import virtual_time
 
 NAMES = (
     *virtual_names(),

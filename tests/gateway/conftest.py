@@ -26,9 +26,9 @@ from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.system.logs import flush_logs
 from tests.open_outlets import outlets_of
-from tests.rigs.virtual_time import pytest_asyncio_loop_factories, virtual_clock
+from tests.rigs.virtual_time import virtual_clock
 
-__all__ = ["pytest_asyncio_loop_factories", "virtual_clock"]
+__all__ = ["virtual_clock"]
 
 DEADLINE_S = 30.0
 _POLL_S = 0.01

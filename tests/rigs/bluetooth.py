@@ -21,7 +21,7 @@ from biosensor_gateway.simulation.radio import MAX_MTU, Radio
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 from tests.rigs.polling import until
-from tests.rigs.virtual_time import pytest_asyncio_loop_factories, virtual_clock, virtual_time
+from tests.rigs.virtual_time import virtual_clock, virtual_time
 
 if TYPE_CHECKING:
     from tests.rigs.bluez import FakeBluez
@@ -31,7 +31,6 @@ __all__ = [
     "bluez",
     "clock",
     "host_mtu",
-    "pytest_asyncio_loop_factories",
     "radio",
     "rig",
     "virtual_clock",

@@ -12,7 +12,7 @@ import asyncio
 import math
 import selectors
 import threading
-from collections.abc import AsyncGenerator, Callable, Generator, Mapping
+from collections.abc import AsyncGenerator, Callable, Generator
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager
 from contextvars import Context
@@ -21,6 +21,8 @@ from typing import NamedTuple, TypeVar, TypeVarTuple
 
 import pytest
 from pylsl import local_clock
+
+from tests.tiers.guard import GUARD
 
 _T = TypeVar("_T")
 _Ts = TypeVarTuple("_Ts")
@@ -66,7 +68,9 @@ class VirtualTime:
             self._waits[me] = _Wait(until_s, is_over)
             self._pass_on(me)
             while self._at_work != me:
-                if not self._changed.wait(_OUTSIDE_S):
+                with GUARD.allowance():
+                    has_changed = self._changed.wait(_OUTSIDE_S)
+                if not has_changed:
                     self._choose()
             del self._waits[me]
 
@@ -148,6 +152,11 @@ class SwitchableLoop(asyncio.SelectorEventLoop):
         clock = self._waiting.clock
         return super().time() if clock is None else clock()
 
+    @property
+    def clock(self) -> VirtualTime | None:
+        """The clock it goes by; None for the system's."""
+        return self._waiting.clock
+
     def switch(self, clock: VirtualTime | None) -> None:
         """Go by a clock from now on; None for the system's."""
         self._waiting.clock = clock
@@ -204,9 +213,13 @@ class _WorldLoop(SwitchableLoop):
 
 @contextmanager
 def virtual_time() -> Generator[VirtualTime]:
-    """Let the running loop, a :class:`SwitchableLoop`, go by a clock of its own meanwhile."""
-    clock, loop = VirtualTime(), asyncio.get_running_loop()
+    """Let the running loop, a :class:`SwitchableLoop`, go by a virtual clock meanwhile."""
+    loop = asyncio.get_running_loop()
     assert isinstance(loop, SwitchableLoop)
+    if loop.clock is not None:
+        yield loop.clock
+        return
+    clock = VirtualTime()
     loop.switch(clock)
     yield clock
     loop.switch(None)
@@ -219,6 +232,8 @@ async def virtual_clock() -> AsyncGenerator[VirtualTime]:
         yield clock
 
 
-def pytest_asyncio_loop_factories() -> Mapping[str, Callable[[], asyncio.AbstractEventLoop]]:
-    """Give the tests of a folder, whose conftest imports this, loops that can be switched."""
-    return {"switchable": SwitchableLoop}
+def virtual_loop() -> SwitchableLoop:
+    """Make a loop that goes by a virtual clock from its beginning."""
+    loop = SwitchableLoop()
+    loop.switch(VirtualTime())
+    return loop

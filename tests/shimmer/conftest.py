@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from tests.rigs.virtual_time import pytest_asyncio_loop_factories, virtual_clock
+from tests.rigs.virtual_time import virtual_clock
 
-__all__ = ["pytest_asyncio_loop_factories", "virtual_clock"]
+__all__ = ["virtual_clock"]

@@ -10,9 +10,9 @@ from biosensor_gateway.simulation.bleak_backend import virtual_bluetooth
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.world import World
 from tests.rigs.probe import Probe
-from tests.rigs.virtual_time import pytest_asyncio_loop_factories, virtual_clock, virtual_time
+from tests.rigs.virtual_time import virtual_clock, virtual_time
 
-__all__ = ["pytest_asyncio_loop_factories", "virtual_clock"]
+__all__ = ["virtual_clock"]
 
 
 @pytest.fixture

@@ -1,0 +1,34 @@
+"""The tier of a test, by its marks."""
+
+from __future__ import annotations
+
+import re
+from enum import StrEnum
+
+import pytest
+
+_MARK_OF_A_FILE = re.compile(r"^pytestmark = .*?$(?:\n    .*$)*", re.MULTILINE)
+_MARKS = {"seam": "seams", "nightly": "nightly", "system": "nightly", "alone": "nightly"}
+
+
+class Tier(StrEnum):
+    """What a test may use, and when it runs; see tests/README.md."""
+
+    UNIT = "unit"
+    SEAMS = "seams"
+    NIGHTLY = "nightly"
+
+
+def tier_of(item: pytest.Item) -> Tier:
+    """Return the tier of a test: *unit* unless a mark says otherwise."""
+    return next(
+        (Tier(tier) for mark, tier in _MARKS.items() if item.get_closest_marker(mark)), Tier.UNIT
+    )
+
+
+def may_hold(text: str, tier: Tier) -> bool:
+    """Tell from a file's text whether it may have tests of a tier, without importing it."""
+    if tier is Tier.UNIT:
+        of_file = _MARK_OF_A_FILE.search(text)
+        return of_file is None or not any(f"mark.{mark}" in of_file[0] for mark in _MARKS)
+    return any(f"mark.{mark}" in text for mark, its_tier in _MARKS.items() if its_tier == tier)
