@@ -1,13 +1,15 @@
 # make demo [SECONDS=20]   the pair end to end, with a virtual device of every kind
-# make test                checks and tests; needs no root, no ROS, no second step
-# make test-system         what needs root or system packages (tests/system/packages.txt)
-# make faults [LONG=1]     every fault as long as in a lab; LONG: 12 hours of steady streaming
+# make test                the unit tests; needs no root and no system package
+# make check               style, types, imports, documents
+# make seams               each joint of real parts (root, tests/system/packages.txt)
+# make nightly             everything else, in parts that can be resumed: build/nightly.md
 # make fuzz [SECONDS=60 SEED=0]  every parser, with inputs that nobody thought of
-# make installer           the Windows installer, built under Wine (needs the same packages)
+# make explore             every property, with new examples
+# make installer           the Windows installer, built under Wine
 # make docs                what documents show of the code: tables of sensors, topics, decisions
 # make docs-site           the documents as a site, in build/site
 # make pictures            the pictures of the demo and of the page, from real runs
-# make check, make bench, make format, make lock
+# make bench, make format, make lock
 SHELL := /bin/sh
 PYTHON_FILES := common gateway_win installer ros_side tests typings
 RUN := .venv/bin/python -m
@@ -19,51 +21,28 @@ export PYTHONPYCACHEPREFIX := $(CURDIR)/build/bytecode
 # Not --quiet, which would silence the warnings that strict mode counts. The theme tells of MkDocs 2.0;
 # the lock has 1.6.
 DOCS_SITE := NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
-# Most of their time tests wait for devices that stream in real time, so that several workers
-# fit on two cores; each has an LSL session and a ROS domain of its own. The longest files come
-# first, as tests/budget.toml has them, else the last of them would run alone for minutes.
-SIDE_BY_SIDE := --dist loadfile --no-loadscope-reorder --hold-budget
-# The files of the few tests with a marker; to look through all of them takes a while.
-MARKED = $(shell grep -rl --include='test_*.py' 'pytest.mark.$(1)' tests | sort)
-# These run many programs each, and four at a time would be late by their own load.
-MANY_PROGRAMS := tests/e2e tests/faults tests/faults/scenarios tests/peers tests/ros
+# Tests of real parts wait most of their time, so that three fit on two cores; each process has an
+# LSL session and a ROS domain of its own.
+SIDE_BY_SIDE := -n 3 --dist loadfile --no-loadscope-reorder
 
-.PHONY: demo test test-system tests tests-of-parts tests-of-programs system-tests tests-alone
-.PHONY: explore faults fuzz installer check bench format docs docs-site pictures lock venv-ros venv-dev venv-peers
+.PHONY: demo test seams nightly explore fuzz installer check bench format docs docs-site pictures
+.PHONY: lock venv-ros venv-dev venv-peers
 
 demo: venv-ros
 	.venv/bin/biosensor-gateway demo $(if $(SECONDS),--seconds $(SECONDS))
 
-test: check tests
-	$(RUN) pytest -m "alone and not system" $(call MARKED,alone)
-	@echo
-	@echo "Not run here, only by 'make test-system' (needs root and system packages):"
-	@$(RUN) pytest -m system --collect-only -qq $(call MARKED,system) | sed 's/^/  /'
+test: venv-dev
+	$(RUN) pytest --tier unit -n auto
 
-test-system: system-tests
-	$(RUN) pytest -m "alone and system" $(call MARKED,alone)
+seams: venv-dev
+	$(RUN) pytest --tier seams $(SIDE_BY_SIDE)
 
-# The parts of the two, as .ci/run takes them.
-tests: tests-of-parts tests-of-programs
-
-tests-of-parts: venv-dev
-	$(RUN) pytest -m "not system and not alone" $(SIDE_BY_SIDE) -n 5 $(MANY_PROGRAMS:%=--ignore=%)
-
-tests-of-programs: venv-peers
-	$(RUN) pytest -m "not system and not alone" $(SIDE_BY_SIDE) -n 3 $(MANY_PROGRAMS)
-
-system-tests: venv-peers installer
-	$(RUN) pytest -m "system and not alone" $(SIDE_BY_SIDE) -n 3 $(call MARKED,system)
-
-tests-alone: venv-dev
-	$(RUN) pytest -m alone $(call MARKED,alone)
+nightly: venv-peers
+	$(RUN) tests.nightly
 
 # Each property with examples of its own, other ones each time.
 explore: venv-dev
-	$(RUN) pytest --hypothesis-profile=explore -m "not system and not alone" --dist loadfile -n 2 $(shell grep -rl --include='test_*.py' '@given' tests)
-
-faults: venv-dev
-	BIOSENSOR_GATEWAY_FAULTS=long $(if $(LONG),BIOSENSOR_GATEWAY_STEADY_S=43200) $(RUN) pytest tests/faults
+	$(RUN) pytest --tier unit --hypothesis-profile=explore -n auto $(shell grep -rl --include='test_*.py' '@given' tests)
 
 fuzz: venv-dev
 	$(RUN) tests.fuzz --seconds $(or $(SECONDS),60) --seed $(or $(SEED),0)
