@@ -19,9 +19,12 @@ from tests.rigs.truth import assert_once_and_in_order
 if TYPE_CHECKING:
     from tests.rigs.bluez import FakeBluez
 
+pytestmark = pytest.mark.nightly
+
 NAMES = [name for name in one_of_each() if virtual_class(name).on_air]
 
 
+@pytest.mark.seam
 @ON_BLUEZ
 @pytest.mark.parametrize("name", NAMES)
 async def test_an_adapter_that_is_switched_off_is_waited_for(

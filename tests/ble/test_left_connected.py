@@ -18,7 +18,7 @@ from tests.rigs.bluetooth import ON_BLUEZ, Bluetooth
 from tests.rigs.probe import SERIAL, Probe
 from tests.rigs.probe_link import DEADLINE_S, choice, generic_choice
 
-pytestmark = [ON_BLUEZ, pytest.mark.usefixtures("hurry")]
+pytestmark = [pytest.mark.nightly, ON_BLUEZ, pytest.mark.usefixtures("hurry")]
 
 
 @contextmanager
@@ -54,6 +54,7 @@ async def _nobody_listens() -> None:
             await asyncio.sleep(0.05)
 
 
+@pytest.mark.seam
 @pytest.mark.parametrize("device", ["", "Probe 1"])
 async def test_a_device_that_a_killed_program_left_is_freed(
     listener: subprocess.Popen[str], probe: Probe, device: str

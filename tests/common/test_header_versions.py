@@ -76,6 +76,7 @@ def test_what_a_header_of_0_1_0_leaves_unsaid_is_what_is_said_today(name: str) -
     assert header == read_header(present()[name])
 
 
+@pytest.mark.nightly
 def test_a_reader_of_0_1_0_reads_the_present_headers_as_its_own() -> None:
     today = {name: xml for name, xml in present().items() if name in FROZEN}
     assert "<role>" in "".join(today.values())

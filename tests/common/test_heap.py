@@ -11,7 +11,10 @@ import pytest
 from biosensor_common.heap import ARENAS
 from tests.rigs.arenas import count_arenas
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="glibc's arenas")
+pytestmark = [
+    pytest.mark.nightly,
+    pytest.mark.skipif(sys.platform != "linux", reason="glibc's arenas"),
+]
 
 THREADS = 6
 # Threads that each take memory, hold it, and wait until all have.

@@ -2,7 +2,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import biosensor_common
+
+pytestmark = pytest.mark.nightly
 
 HEAVY = {"numpy", "pylsl", "rclpy"}
 IMPORT_EVERYTHING = """
@@ -19,6 +23,7 @@ print(*sys.modules)
 """
 
 
+@pytest.mark.seam
 def test_every_module_needs_the_standard_library_only() -> None:
     # Without site (-S) nothing that was installed can be imported at all.
     root = Path(biosensor_common.__path__[0]).parent

@@ -54,6 +54,7 @@ def received() -> Iterator[dict[str, str]]:
     outlets.clear()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "stream"), [pytest.param(n, s, id=f"{n}/{s.data_name}") for n, s in declared_streams()]
 )

@@ -41,6 +41,7 @@ def _outlet() -> LslOutlet:
     return LslOutlet(pylsl.StreamInfo("ends", "Test", 1, 100.0, "float32", "ends"))
 
 
+@pytest.mark.seam
 @pytest.mark.parametrize("push", PUSHES.values(), ids=PUSHES)
 def test_it_ends_some_time_after_the_last_push(
     push: Callable[[LslOutlet], None], ended_s: list[float]
@@ -54,6 +55,7 @@ def test_it_ends_some_time_after_the_last_push(
     assert ended_s[0] >= pushed_s + 0.9 * REST_S
 
 
+@pytest.mark.nightly
 def test_one_that_pushed_nothing_lately_does_not_wait(
     ended_s: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,6 +8,8 @@ import pytest
 
 from biosensor_common.outflow import Outflow
 
+pytestmark = pytest.mark.nightly
+
 DEADLINE_S = 30.0
 
 
@@ -83,6 +85,7 @@ def test_a_held_output_ends_nobody_s_patience_twice(held: Held) -> None:
     held.is_released.set()
 
 
+@pytest.mark.seam
 def test_lines_of_many_threads_stay_whole_and_each_in_its_order() -> None:
     lines: list[bytes] = []
     outflow = Outflow("disk", lines.append)

@@ -25,6 +25,7 @@ def plant(folder: Path, name: str, word: str) -> Path:
     return program
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("entry", CURRENT)
 def test_what_lies_in_the_current_folder_is_not_started(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, entry: str

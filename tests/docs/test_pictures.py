@@ -40,11 +40,13 @@ def test_the_demo_is_shown_without_what_is_beside_it() -> None:
     assert reason.endswith("nobody presses the button")
 
 
+@pytest.mark.nightly
 def test_a_program_prints_into_a_terminal_of_the_pictures_width() -> None:
     code = "import os, sys; print(sys.stdout.isatty(), os.get_terminal_size().columns)"
     assert printed([sys.executable, "-c", code]).split() == ["True", str(COLUMNS)]
 
 
+@pytest.mark.nightly
 def test_a_program_that_fails_is_not_drawn() -> None:
     with pytest.raises(subprocess.CalledProcessError):
         printed([sys.executable, "-c", "raise SystemExit(1)"])

@@ -22,6 +22,7 @@ Run = Callable[..., "Outcome"]
 LIMIT_S = 20.0
 
 
+@pytest.mark.seam
 @pytest.mark.alone
 def test_all_checks_end_within_the_limit(run: Run) -> None:
     watch = Stopwatch()
@@ -39,6 +40,7 @@ def test_all_checks_end_within_the_limit(run: Run) -> None:
     assert outcome.code == (0 if content["good"] else 1)
 
 
+@pytest.mark.nightly
 def test_only_what_is_asked_for_is_looked_at(run: Run) -> None:
     content = run("--json", "--only", "host_name", "--only", "clock").json
     assert content["checks"] == ["host_name", "clock"]
@@ -51,6 +53,7 @@ def test_an_unknown_check_is_a_usage_error(run: Run) -> None:
     assert "weather" in outcome.out
 
 
+@pytest.mark.nightly
 def test_an_error_is_exit_code_1(run: Run, tmp_path: Path) -> None:
     broken = tmp_path / "broken.toml"
     broken.write_text("[lsl]\nsession = 1\n")
@@ -59,12 +62,14 @@ def test_an_error_is_exit_code_1(run: Run, tmp_path: Path) -> None:
     assert "[ERROR]" in outcome.out
 
 
+@pytest.mark.nightly
 def test_the_text_is_ascii_marked(run: Run) -> None:
     out = run("--only", "versions").out
     assert out.startswith("Program\n  [ok]      versions: ")
     assert out.endswith(" s: no problem found\n")
 
 
+@pytest.mark.nightly
 def test_the_agent_does_not_load_it() -> None:
     code = (
         "import sys, biosensor_gateway.agent.agent; "
@@ -74,6 +79,7 @@ def test_the_agent_does_not_load_it() -> None:
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.nightly
 def test_the_command_s_help_loads_nothing_heavy() -> None:
     code = (
         "import sys, biosensor_gateway.doctor.table, biosensor_common.doctor.runner, "
@@ -84,6 +90,7 @@ def test_the_command_s_help_loads_nothing_heavy() -> None:
     assert done.stdout.strip() == "set()"
 
 
+@pytest.mark.nightly
 def test_the_output_suits_a_western_console(tmp_path: Path) -> None:
     path = tmp_path / "g\u0142adki\u2603.toml"
     path.write_text("[[device]]\nsensor = 1\n")

@@ -42,6 +42,7 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
     return write
 
 
+@pytest.mark.nightly
 def test_programs_that_are_not_there_or_hang(
     install: Install, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -51,6 +52,7 @@ def test_programs_that_are_not_there_or_hang(
     assert programs.succeeds("slow") is None
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["ufw", "firewalld"])
 def test_a_firewall_of_linux_is_named_with_its_command(
     examine: Examine,
@@ -68,6 +70,7 @@ def test_a_firewall_of_linux_is_named_with_its_command(
     assert found.fix == command
 
 
+@pytest.mark.nightly
 def test_sleep_of_the_desktop(examine: Examine, context: Context, install: Install) -> None:
     install("systemctl", "echo static")
     install("gsettings", "echo \"'suspend'\"")
@@ -168,10 +171,12 @@ def test_a_chrony_that_does_not_answer(said: str) -> None:
     assert clock.tracking(said) is None
 
 
+@pytest.mark.nightly
 def test_the_clock_of_this_computer_is_judged(examine: Examine, context: Context) -> None:
     assert len(examine(context, "clock")) == 1
 
 
+@pytest.mark.nightly
 def test_checks_of_other_systems_say_nothing(examine: Examine, context: Context) -> None:
     assert not examine(context, "windows_firewall")
 
@@ -198,6 +203,7 @@ def test_the_rule_for_windows(monkeypatch: pytest.MonkeyPatch) -> None:
     assert r'program="C:\Program Files\Biosensor Gateway\x.exe"' in firewall_rules.windows(PORTS)
 
 
+@pytest.mark.nightly
 def test_a_finding_is_above_ok_only_with_a_remedy(examine: Examine, context: Context) -> None:
     for name in ("power", "clock", "linux_firewall", "host_name"):
         assert all(each.fix for each in above_ok(examine(context, name)))

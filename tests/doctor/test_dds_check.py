@@ -54,6 +54,7 @@ def examined() -> list[Finding]:
     return findings
 
 
+@pytest.mark.seam
 def test_nodes_find_each_other_and_ours_is_missed() -> None:
     found = examined()
     assert "rmw_fastrtps_cpp" in only(found, "a node of this computer is found here in ").what
@@ -62,6 +63,7 @@ def test_nodes_find_each_other_and_ours_is_missed() -> None:
     assert f"(domain {os.environ['ROS_DOMAIN_ID']}, 0 other nodes)" in missed.what
 
 
+@pytest.mark.nightly
 def test_our_node_is_there(stay: Stay) -> None:
     stay("lsl_to_ros")
     stay("camera")
@@ -69,6 +71,7 @@ def test_our_node_is_there(stay: Stay) -> None:
     assert (there.level, there.what.endswith(", 2 nodes in all)")) == (Level.OK, True)
 
 
+@pytest.mark.nightly
 def test_our_node_twice_is_an_error(stay: Stay) -> None:
     stay("lsl_to_ros")
     stay("lsl_to_ros")
@@ -84,6 +87,7 @@ def test_one_node_in_each_namespace_is_right() -> None:
     )
 
 
+@pytest.mark.nightly
 def test_discovery_that_is_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")
     monkeypatch.setattr(dds, "SEARCH_S", 3.0)
@@ -97,6 +101,7 @@ def test_discovery_that_is_switched_off(monkeypatch: pytest.MonkeyPatch) -> None
     assert f"sudo ufw allow {first}:{first + 249}/udp" in found.fix
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("variable", "value"),
     [("ROS_STATIC_PEERS", "10.0.0.1,10.0.0.2"), ("RMW_IMPLEMENTATION", "rmw_nope")],
@@ -110,6 +115,7 @@ def test_a_node_that_cannot_start(
     assert (found.level, variable in found.fix or "variables" in found.fix) == (Level.ERROR, True)
 
 
+@pytest.mark.nightly
 def test_a_node_ends_gently() -> None:
     """One that is only killed is listed by others for many seconds."""
     with Probe("stay", LIFE_S, command=PROBE, name="short") as node:
@@ -157,11 +163,13 @@ def test_variables_that_are_ignored_are_not_judged() -> None:
     assert not [each for each in judge(variables) if "has no address" in each.what]
 
 
+@pytest.mark.nightly
 def test_a_computer_without_ros_is_not_judged(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rclpy", None)
     assert not examined()
 
 
+@pytest.mark.nightly
 def test_the_agent_s_doctor_has_it_where_ros_is() -> None:
     assert set(ROS_CHECKS) < set(AGENT_CHECKS)
     for missing in ("rclpy", "lsl_to_ros"):
@@ -176,6 +184,7 @@ def test_the_agent_s_doctor_has_it_where_ros_is() -> None:
         assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.nightly
 def test_the_node_s_doctor_is_a_program() -> None:
     def run(*arguments: str) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "lsl_to_ros.doctor", *arguments]

@@ -66,6 +66,7 @@ def free_port() -> int:
 # ---- Bluetooth -------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_bluetooth_that_is_on(
     examine: Examine, configured: Configured, world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -76,6 +77,7 @@ def test_bluetooth_that_is_on(
     assert (found.level, "1 device was heard" in found.what) == (Level.OK, True)
 
 
+@pytest.mark.nightly
 def test_on_windows_it_says_what_was_not_seen_with_a_real_device(
     examine: Examine, configured: Configured, world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -89,6 +91,7 @@ def test_on_windows_it_says_what_was_not_seen_with_a_real_device(
     assert unseen.what == bluetooth.UNSEEN_ON_WINDOWS
 
 
+@pytest.mark.nightly
 def test_silence_where_a_device_is_needed_is_a_note(
     examine: Examine, configured: Configured, world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -99,6 +102,7 @@ def test_silence_where_a_device_is_needed_is_a_note(
         assert not above_ok(examine(configured(""), "bluetooth"))
 
 
+@pytest.mark.nightly
 def test_no_bluetooth_is_an_error_only_for_who_needs_it(
     examine: Examine, configured: Configured, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -114,6 +118,7 @@ def test_no_bluetooth_is_an_error_only_for_who_needs_it(
 # ---- serial ports ----------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_a_port_that_is_there(examine: Examine, configured: Configured) -> None:
     master, slave = os.openpty()
     try:
@@ -124,6 +129,7 @@ def test_a_port_that_is_there(examine: Examine, configured: Configured) -> None:
     assert (found.level, "may be opened" in found.what) == (Level.OK, True)
 
 
+@pytest.mark.nightly
 def test_a_port_that_is_not_there(examine: Examine, configured: Configured) -> None:
     (found,) = examine(configured(ZEPHYR.format("/dev/rfcomm77")), "serial")
     assert found.level is Level.ERROR
@@ -131,12 +137,14 @@ def test_a_port_that_is_not_there(examine: Examine, configured: Configured) -> N
     assert "biosensor-gateway scan" in found.fix
 
 
+@pytest.mark.nightly
 def test_a_device_that_is_not_paired(examine: Examine, configured: Configured) -> None:
     (found,) = examine(configured(ZEPHYR.format("00:07:80:5A:3E:7E")), "serial")
     assert found.level is Level.WARNING
     assert "bluetoothctl pair 00:07:80:5A:3E:7E" in found.fix
 
 
+@pytest.mark.nightly
 def test_disabled_devices_are_not_looked_at(examine: Examine, configured: Configured) -> None:
     text = ZEPHYR.format("/dev/rfcomm77") + "enabled = false\n"
     assert not above_ok(examine(configured(text), "serial"))
@@ -174,6 +182,7 @@ def _as_nobody(path: Path) -> str:
 # ---- services --------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_an_e4_server_that_runs_and_one_that_does_not(
     examine: Examine, configured: Configured, world: World, free_port: int
 ) -> None:
@@ -185,6 +194,7 @@ def test_an_e4_server_that_runs_and_one_that_does_not(
     assert "E4 streaming server" in down.fix
 
 
+@pytest.mark.nightly
 def test_cortex_with_its_certificate_and_without(
     examine: Examine, configured: Configured, world: World
 ) -> None:
@@ -198,6 +208,7 @@ def test_cortex_with_its_certificate_and_without(
     assert only(no_file, "/no/such.pem").level is Level.ERROR
 
 
+@pytest.mark.nightly
 def test_secrets_of_services(
     examine: Examine, configured: Configured, free_port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -225,6 +236,7 @@ def cortex(world: World, monkeypatch: pytest.MonkeyPatch) -> Generator[SteeredCo
         yield service
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("licence", "streams"),
     [
@@ -251,6 +263,7 @@ def test_what_a_licence_does_not_cover_is_named(
     assert len(found) == max(1, len(streams))
 
 
+@pytest.mark.nightly
 def test_who_is_not_logged_in_is_an_error_and_who_cannot_be_asked_a_note(
     examine: Examine, configured: Configured, cortex: SteeredCortex, free_port: int
 ) -> None:
@@ -263,6 +276,7 @@ def test_who_is_not_logged_in_is_an_error_and_who_cannot_be_asked_a_note(
     assert (found.level, "--only services" in found.fix) == (Level.NOTE, True)
 
 
+@pytest.mark.nightly
 def test_without_secrets_or_a_licensed_sensor_nothing_is_asked(
     examine: Examine, configured: Configured, free_port: int
 ) -> None:
@@ -271,6 +285,7 @@ def test_without_secrets_or_a_licensed_sensor_nothing_is_asked(
     assert examine(configured(POLAR), "licences") == []
 
 
+@pytest.mark.nightly
 def test_labrecorder_s_remote_control(examine: Examine, context: Context, free_port: int) -> None:
     away = replace(context, lab_recorder_port=free_port)
     assert [each.level for each in examine(away, "services")] == [Level.NOTE]

@@ -20,6 +20,8 @@ from tests.doctor.conftest import above_ok, only
 if TYPE_CHECKING:
     from tests.doctor.conftest import Examine
 
+pytestmark = pytest.mark.nightly
+
 CONFIG = "[multicast]\nResolveScope = machine\n[log]\nlevel = -2\n"
 ROOT = Path(__file__).parents[2]
 
@@ -43,6 +45,7 @@ def frozen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return program
 
 
+@pytest.mark.seam
 def test_a_stream_is_found_by_unicast(examine: Examine, context: Context, session: str) -> None:
     del session
     found = examine(context, "discovery")

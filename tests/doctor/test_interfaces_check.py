@@ -37,11 +37,13 @@ def show(examine: Examine, context: Context, monkeypatch: pytest.MonkeyPatch) ->
     return examined
 
 
+@pytest.mark.nightly
 def test_this_computer_is_described(examine: Examine, context: Context) -> None:
     assert examine(context, "interfaces")
     assert "127.0.0.1" in [each for one in interfaces.interfaces() for each in one.addresses]
 
 
+@pytest.mark.nightly
 def test_a_network_is_all_right(show: Show) -> None:
     found = show(LO, CABLE, way="10.77.0.1")
     assert [each.what for each in found] == [
@@ -51,6 +53,7 @@ def test_a_network_is_all_right(show: Show) -> None:
     assert not above_ok(found)
 
 
+@pytest.mark.nightly
 def test_no_network_and_how_to_live_with_it(show: Show, lsl_file: Callable[[str], Path]) -> None:
     lsl_file("")
     (found,) = show(LO)
@@ -61,6 +64,7 @@ def test_no_network_and_how_to_live_with_it(show: Show, lsl_file: Callable[[str]
     assert found.level is Level.OK
 
 
+@pytest.mark.nightly
 def test_multicast_by_a_virtual_adapter_is_said(show: Show) -> None:
     found = above_ok(show(LO, CABLE, DOCKER, way="172.17.0.1"))
     assert [(each.level, "docker0" in each.what) for each in found] == [
@@ -69,11 +73,13 @@ def test_multicast_by_a_virtual_adapter_is_said(show: Show) -> None:
     ]
 
 
+@pytest.mark.nightly
 def test_several_networks_are_a_note(show: Show) -> None:
     (found,) = above_ok(show(CABLE, RADIO, way="10.77.0.1"))
     assert (found.level, found.what[:11]) == (Level.NOTE, "2 networks:")
 
 
+@pytest.mark.nightly
 def test_a_cable_between_two_computers_is_a_note(show: Show) -> None:
     found = only(above_ok(show(DOCKER, CABLE)), "prefers no way for multicast")
     assert found.level is Level.NOTE

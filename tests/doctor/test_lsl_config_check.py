@@ -18,6 +18,8 @@ from tests.doctor.conftest import above_ok, only
 if TYPE_CHECKING:
     from tests.doctor.conftest import Examine
 
+pytestmark = pytest.mark.nightly
+
 Write = Callable[[str], Path]
 Configured = Callable[[str], Context]
 

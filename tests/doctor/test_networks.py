@@ -85,6 +85,7 @@ def levels(findings: list[dict[str, Any]]) -> list[str]:
     return [each["level"] for each in findings]
 
 
+@pytest.mark.seam
 def test_no_network(tmp_path: Path) -> None:
     with Host("lab-pc") as host:
         before = doctor(host, tmp_path)

@@ -21,6 +21,8 @@ from tests.doctor.outlets import Offered
 if TYPE_CHECKING:
     from tests.doctor.conftest import Examine
 
+pytestmark = pytest.mark.nightly
+
 TCP, UDP = socket.SOCK_STREAM, socket.SOCK_DGRAM
 COUNT = 40
 

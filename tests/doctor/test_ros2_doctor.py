@@ -82,6 +82,7 @@ def said(api: Any, **options: bool) -> tuple[Any, list[str]]:
     return outcome, [str(each.message) for each in shown]
 
 
+@pytest.mark.nightly
 def test_errors_and_warnings_are_counted_and_shown_with_why_and_fix(
     api: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -94,6 +95,7 @@ def test_errors_and_warnings_are_counted_and_shown_with_why_and_fix(
     ]
 
 
+@pytest.mark.nightly
 def test_warnings_fail_only_where_they_are_included(
     api: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -104,6 +106,7 @@ def test_warnings_fail_only_where_they_are_included(
     assert said(api, include_warnings=True)[0] == ({"biosensors"}, 1, 1)
 
 
+@pytest.mark.nightly
 def test_a_check_that_fails_stops_no_other(api: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     bad = error("broken", "it matters", "mend it")
     gone = "biosensor_common.doctor.checks.no_such_module"
@@ -123,6 +126,7 @@ def test_a_check_that_fails_stops_no_other(api: Any, monkeypatch: pytest.MonkeyP
     assert "python3 -m lsl_to_ros.doctor --only raises" in shown[0]
 
 
+@pytest.mark.nightly
 def test_the_report_has_everything_and_is_of_the_same_run(
     api: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -147,6 +151,7 @@ def test_the_report_has_everything_and_is_of_the_same_run(
     assert not api.generate_reports(points, categories={"network"})
 
 
+@pytest.mark.nightly
 def test_the_real_checks_run_in_it(api: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     have(monkeypatch, *(each for each in CHECKS if each.name in {"versions", "lsl_config"}))
     (report,) = api.generate_reports(entry_points()["ros2doctor.report"])
@@ -159,6 +164,7 @@ def test_the_node_s_table_is_the_common_one_and_its_own() -> None:
     assert set(CHECKS) == {*COMMON_CHECKS, *ROS_CHECKS}
 
 
+@pytest.mark.nightly
 def test_it_needs_neither_ros2doctor_nor_the_agent() -> None:
     hidden = ("ros2doctor", "biosensor_gateway", "pydantic", "structlog", "typer")
     code = (

@@ -30,6 +30,7 @@ def raising(_: Context) -> Iterator[Finding]:
     raise ZeroDivisionError("a mistake")
 
 
+@pytest.mark.nightly
 def test_findings_are_in_the_order_of_the_checks_whoever_is_first() -> None:
     first = threading.Event()
 
@@ -49,6 +50,7 @@ def test_findings_are_in_the_order_of_the_checks_whoever_is_first() -> None:
     assert report.is_good
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("problem", [ZeroDivisionError("no"), SystemExit(3), KeyboardInterrupt()])
 def test_a_check_that_raises_is_a_finding(problem: BaseException) -> None:
     def fails(_: Context) -> Iterator[Finding]:
@@ -63,6 +65,7 @@ def test_a_check_that_raises_is_a_finding(problem: BaseException) -> None:
     assert "biosensor-gateway doctor --only fails" in failed.fix
 
 
+@pytest.mark.nightly
 def test_a_check_that_cannot_be_imported_is_a_finding() -> None:
     report = run(Check("no_such_module", Category.PROGRAM, ""), made("good", good))
     failed, there = report.findings
@@ -70,6 +73,7 @@ def test_a_check_that_cannot_be_imported_is_a_finding() -> None:
     assert there.level is Level.OK
 
 
+@pytest.mark.nightly
 def test_a_check_that_hangs_is_a_finding_behind_what_it_found() -> None:
     release = threading.Event()
 
@@ -90,6 +94,7 @@ def test_a_check_that_hangs_is_a_finding_behind_what_it_found() -> None:
     assert not report.is_good
 
 
+@pytest.mark.nightly
 def test_checks_that_hang_wait_at_the_same_time() -> None:
     release = threading.Event()
 

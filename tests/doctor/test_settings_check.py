@@ -12,6 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pytest
+
 from biosensor_common.doctor.finding import Level
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.doctor.context import Context, read_context
@@ -19,6 +21,8 @@ from tests.doctor.conftest import POLAR, above_ok, only
 
 if TYPE_CHECKING:
     from tests.doctor.conftest import Examine
+
+pytestmark = pytest.mark.nightly
 
 DEADLINE_S = 30.0
 

@@ -29,6 +29,7 @@ def judged(*seen: SurveyedStream) -> list[Finding]:
     return above_ok(list(stream_rules.judge(seen)))
 
 
+@pytest.mark.nightly
 def test_nothing_is_there(
     examine: Examine, context: Context, session: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -39,6 +40,7 @@ def test_nothing_is_there(
     ]
 
 
+@pytest.mark.seam
 def test_real_streams_with_real_mistakes(
     examine: Examine, context: Context, session: str, offer: Callable[..., None]
 ) -> None:
@@ -75,6 +77,7 @@ def test_real_streams_with_real_mistakes(
     assert bad["of the format int64"].what.endswith(": whole")
 
 
+@pytest.mark.nightly
 def test_more_streams_than_lsl_asks_for(
     examine: Examine, context: Context, session: str, offer: Callable[..., None]
 ) -> None:
@@ -87,6 +90,7 @@ def test_more_streams_than_lsl_asks_for(
     assert "biosensor-gateway config lsl" in far.fix
 
 
+@pytest.mark.nightly
 def test_what_the_agent_offers_and_nobody_sees(
     examine: Examine, context: Context, session: str
 ) -> None:
@@ -99,6 +103,7 @@ def test_what_the_agent_offers_and_nobody_sees(
     assert found.level is Level.ERROR
 
 
+@pytest.mark.nightly
 def test_what_there_is_to_see_is_read_as_the_agent_reads_it(
     context: Context, session: str, offer: Callable[..., None]
 ) -> None:

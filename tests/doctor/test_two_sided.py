@@ -85,6 +85,7 @@ def test_a_code_is_six_digits_however_it_is_typed() -> None:
             read_code(text)
 
 
+@pytest.mark.nightly
 def test_what_is_not_sealed_by_the_other_one_is_not_taken() -> None:
     key, words = b"k" * 32, {"do": "send"}
     one, other = socket.socketpair()
@@ -106,6 +107,7 @@ def test_what_is_not_sealed_by_the_other_one_is_not_taken() -> None:
             answered.receive(WAIT_S)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "line",
     [b"[1]\n", b"no json\n", b"\xff\xfe\n", b"[" * 1000 + b"\n", b"x" * (MAX_GREETING + 1) + b"\n"],
@@ -119,6 +121,7 @@ def test_a_stranger_is_held_to_small_lines_of_json(line: bytes) -> None:
     assert refused.value.reason is ProtocolReason.GARBAGE
 
 
+@pytest.mark.nightly
 def test_a_line_without_end_is_not_kept() -> None:
     with connected() as (channel, other):
         channel.secure(b"k" * 32, b"asking", b"answering")
@@ -140,6 +143,7 @@ def test_a_line_without_end_is_not_kept() -> None:
         flooding.join(WAIT_S)
 
 
+@pytest.mark.nightly
 def test_who_is_silent_or_slow_or_gone_is_not_waited_for() -> None:
     with connected() as (channel, other):
         ended = threading.Event()
@@ -160,6 +164,7 @@ def test_who_is_silent_or_slow_or_gone_is_not_waited_for() -> None:
     assert (slow.value.reason, gone.value.reason) == (TransportReason.SILENT, TransportReason.LOST)
 
 
+@pytest.mark.nightly
 def test_both_sides_have_to_know_the_code(
     handshaken: Callable[[str, str], tuple[Channel, Channel]],
 ) -> None:
@@ -170,6 +175,7 @@ def test_both_sides_have_to_know_the_code(
         handshaken("012345", "012346")
 
 
+@pytest.mark.nightly
 def test_who_only_claims_to_know_the_code_is_not_told_anything() -> None:
     """The one who asks goes on only with somebody who has proved it, too."""
     with connected() as (channel, other), ThreadPoolExecutor(1) as pool:
@@ -183,6 +189,7 @@ def test_who_only_claims_to_know_the_code_is_not_told_anything() -> None:
         assert isinstance(asked.exception(WAIT_S), CredentialError)
 
 
+@pytest.mark.nightly
 def test_another_version_is_told_from_another_program() -> None:
     for greeting, reason, part in (
         ({"speak": handshake.LANGUAGE, "version": 2}, ProtocolReason.UNSUPPORTED, "version 2 of"),
@@ -199,6 +206,7 @@ def test_another_version_is_told_from_another_program() -> None:
         assert part in str(refused.value)
 
 
+@pytest.mark.nightly
 def test_guessing_ends_soon(session: str) -> None:
     del session
     with answering() as (answerer, outcome, said):
@@ -214,6 +222,7 @@ def test_guessing_ends_soon(session: str) -> None:
         asking.ask(Context(guide=GUIDE), AGENT, OTHER, answerer.port, answerer.code)
 
 
+@pytest.mark.nightly
 def test_nobody_is_waited_for_for_ever(session: str, monkeypatch: pytest.MonkeyPatch) -> None:
     del session
     monkeypatch.setattr(handshake, "GREETING_S", 0.2)
@@ -241,6 +250,7 @@ WRONG: list[tuple[tuple[str, ...], object]] = [
 ]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("path", "value"), WRONG)
 def test_what_the_other_one_claims_is_read_with_care(
     outcome: Ends, path: tuple[str, ...], value: object
@@ -272,6 +282,7 @@ def outcome(tmp_path_factory: pytest.TempPathFactory) -> Generator[Ends]:
         yield here, there
 
 
+@pytest.mark.seam
 def test_both_sides_on_this_computer(outcome: Ends) -> None:
     here, there = outcome
     assert (here.computer.program, there.computer.program) == (AGENT, NODE)
@@ -289,6 +300,7 @@ def test_both_sides_on_this_computer(outcome: Ends) -> None:
     assert levels == {Level.OK, Level.NOTE}
 
 
+@pytest.mark.nightly
 def test_the_streams_of_this_computer_are_its_own(session: str, offer: Callable[..., None]) -> None:
     offer(Offered("ecg", "ecg-1"))
     with answering() as (answerer, _, _):

@@ -16,6 +16,8 @@ from tests.doctor.conftest import above_ok, only
 if TYPE_CHECKING:
     from tests.doctor.conftest import Examine
 
+pytestmark = pytest.mark.nightly
+
 
 def test_what_runs_here(examine: Examine, context: Context) -> None:
     found = examine(context, "versions")

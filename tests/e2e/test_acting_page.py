@@ -96,6 +96,7 @@ def strap(listener: Any) -> Strap:
     return Strap(listener)
 
 
+@pytest.mark.nightly
 def test_a_score_is_how_far_a_person_is_from_their_rest(
     start: Start, strap: Strap, listener: Any, wait_until: Callable[..., None]
 ) -> None:
@@ -116,6 +117,7 @@ def test_a_score_is_how_far_a_person_is_from_their_rest(
     assert scores[0].data == pytest.approx((80.0 - 70.0) / spread)
 
 
+@pytest.mark.nightly
 def test_the_tree_is_fast_only_while_the_person_is_known_to_be_calm(
     start: Start, strap: Strap, listener: Any, wait_until: Callable[..., None]
 ) -> None:
@@ -141,6 +143,7 @@ def test_the_tree_is_fast_only_while_the_person_is_known_to_be_calm(
     comes(0.3, "slow when the newest one is of long ago")
 
 
+@pytest.mark.nightly
 def test_a_namespace_puts_a_person_where_ros4hri_looks(
     programs: Any, listener: Any, wait_until: Callable[..., None]
 ) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import BatteryState
@@ -19,6 +20,8 @@ from biosensor_gateway.devices.registry import declaration
 from tests.bags import made
 from tests.rigs.lab_recorder import LabRecorder
 from tests.rigs.zephyr import SteeredBioHarness
+
+pytestmark = pytest.mark.nightly
 
 RECORD_S = 8.0
 # The recorder's measurements of clocks between two programs on one computer, and the agent's

@@ -13,6 +13,8 @@ import pytest
 from biosensor_gateway.demo.demonstration import CHUNK_LENGTH
 from biosensor_gateway.demo.expectation import demo_devices, expected_topics
 
+pytestmark = pytest.mark.nightly
+
 # A chunk of 4 Hz takes eight of them, and finding and connecting all devices twenty on a busy
 # computer.
 SECONDS = 40

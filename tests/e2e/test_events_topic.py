@@ -6,9 +6,12 @@ import json
 from collections.abc import Callable
 from typing import Any
 
+import pytest
 from std_msgs.msg import String
 
 from tests.rigs.zephyr import SteeredBioHarness
+
+pytestmark = pytest.mark.nightly
 
 
 def test_events_are_a_topic_of_strings(

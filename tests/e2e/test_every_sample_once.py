@@ -12,12 +12,15 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from std_msgs.msg import Float32, Float32MultiArray
 
 from biosensor_gateway.devices.zephyr.simulator.synthetic import SyntheticSource
 from biosensor_gateway.devices.zephyr.simulator.wire import Packet
 from tests.rigs.zephyr import SteeredBioHarness
+
+pytestmark = pytest.mark.nightly
 
 Values = NDArray[np.float32]
 

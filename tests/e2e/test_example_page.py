@@ -28,7 +28,7 @@ _BLOCK = re.compile(r'^```(\w+) title="([^"]+)"\n(.*?)^```$', re.MULTILINE | re.
 # They run until they are told to end; all others end by themselves.
 _STAYS = re.compile(r"biosensor-gateway run|robot\.py|lsl_to_ros")
 
-pytestmark = pytest.mark.timeout(400)
+pytestmark = [pytest.mark.nightly, pytest.mark.timeout(400)]
 
 
 class Line(NamedTuple):

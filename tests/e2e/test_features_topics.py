@@ -10,10 +10,13 @@ from typing import Any
 
 import numpy as np
 import pylsl
+import pytest
 import pyxdf
 from std_msgs.msg import Float32, Float32MultiArray
 
 from tests.rigs.lab_recorder import LabRecorder
+
+pytestmark = pytest.mark.nightly
 
 # What the features are computed of, and what the topics and the recording are compared by.
 WANTED = {"ecg", "acc", "beats", "hr_live", "ecg_sqi", "activity_live"}

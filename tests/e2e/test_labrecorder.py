@@ -17,6 +17,8 @@ from biosensor_gateway.devices.zephyr.simulator.synthetic import SyntheticSource
 from tests.rigs.lab_recorder import LabRecorder
 from tests.rigs.zephyr import SteeredBioHarness
 
+pytestmark = pytest.mark.nightly
+
 RECORD_S = 12.0
 # A BioHarness 3 has no skin sensor, so this stream is there and stays empty.
 EMPTY = {"st"}
@@ -35,6 +37,7 @@ def _record(path: Path, count: int) -> dict[str, dict[str, Any]]:
     return {_data_name(stream): stream for stream in streams}
 
 
+@pytest.mark.seam
 def test_labrecorder_records_what_the_agent_declares(
     programs: Any,
     wait_until: Callable[..., None],

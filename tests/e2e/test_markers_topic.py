@@ -7,13 +7,17 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
+import pytest
 from std_msgs.msg import String
 
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.agent import control
 from biosensor_gateway.settings.places import state_folder
 
+pytestmark = pytest.mark.nightly
 
+
+@pytest.mark.seam
 def test_a_marker_is_a_string_with_its_text(
     programs: Any, listener: Any, wait_until: Callable[..., None]
 ) -> None:

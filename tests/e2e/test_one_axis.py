@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from sensor_msgs.msg import Imu
 
 from biosensor_common.naming import AGENT
@@ -16,6 +17,8 @@ from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.contents.wall_clock import find_wall_clock
 from tests.rigs.lab_recorder import LabRecorder
 
+pytestmark = pytest.mark.nightly
+
 # Longer than a heartbeat of the node, and the recorder's clock offsets come every 5 s.
 RECORD_S = 11.0
 SAME_NS = 1_000_000
@@ -23,6 +26,7 @@ SAME_NS = 1_000_000
 STREAMS = len([*declaration("emotiv_insight").streams, *declaration(AGENT).streams]) + 1
 
 
+@pytest.mark.seam
 def test_wall_time_of_the_recording_is_the_stamp_of_the_topic(
     programs: Any, listener: Any, wait_until: Callable[..., None], tmp_path: Path
 ) -> None:

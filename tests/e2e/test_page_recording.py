@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+import pytest
 import pyxdf
 from numpy.typing import NDArray
 from playwright.sync_api import Page, expect
@@ -17,6 +18,8 @@ from std_msgs.msg import Float32, Float32MultiArray, String
 
 from tests.rigs.chromium import chromium
 from tests.rigs.zephyr import SteeredBioHarness
+
+pytestmark = pytest.mark.nightly
 
 RECORD_S = 6.0
 DEADLINE_MS = 60_000

@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 from rcl_interfaces.srv import GetParameters
 
+pytestmark = pytest.mark.nightly
+
 # The fields of a ParameterValue by its type's number.
 FIELDS = {
     1: "bool_value",
@@ -75,6 +77,7 @@ def read_parameters(
     return read
 
 
+@pytest.mark.seam
 @pytest.mark.parametrize("namespace", ["/", "/lab"])
 def test_the_node_takes_every_value_of_the_example(
     read_parameters: ReadParameters, namespace: str

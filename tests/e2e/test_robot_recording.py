@@ -33,6 +33,8 @@ from tests.rigs.recorded_robot import (
 from tests.rigs.robot import JOINTS, PARTS
 from tests.rigs.turns import OF_A_LAB
 
+pytestmark = pytest.mark.nightly
+
 RECORD_S = 60.0 if is_long() else 15.0
 STAMP_LIMIT_S = 0.001
 ROBOT = ("joint_states", "odom", "wrench", "robot-event", "trial")

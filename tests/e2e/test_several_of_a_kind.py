@@ -22,6 +22,8 @@ from std_msgs.msg import Float32
 
 from tests.rigs.lab_client import LabProcess
 
+pytestmark = pytest.mark.nightly
+
 Values = NDArray[np.float32]
 
 UNITS = {"A": "AAAA0001", "B": "BBBB0002"}

@@ -53,7 +53,10 @@ print(json.dumps({
 """
 DEVICE = f'[[device]]\nsensor = "{SENSOR}"\nunit = "1"\nport = "/dev/ttyACM0"\n'
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="its port is a pseudo-terminal")
+pytestmark = [
+    pytest.mark.nightly,
+    pytest.mark.skipif(sys.platform == "win32", reason="its port is a pseudo-terminal"),
+]
 
 
 def as_package(site: Path) -> None:

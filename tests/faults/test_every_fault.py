@@ -38,7 +38,7 @@ BEATS = frozenset({"ibi"})
 """Irregular streams whose samples have a moment of their own on the body."""
 
 pytestmark = [
-    # The first test of a kind lets it happen to all devices.
+    pytest.mark.nightly,  # The first test of a kind lets it happen to all devices.
     pytest.mark.timeout(400),
     pytest.mark.skipif(
         sys.platform != "linux" or not shutil.which("dbus-daemon"),

@@ -23,7 +23,10 @@ from biosensor_gateway.system.logs import LOG_FILE_NAME
 DEADLINE_S = 30.0
 ECG_PERIOD_S = 1 / 130
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="kills by signals")
+pytestmark = [
+    pytest.mark.nightly,
+    pytest.mark.skipif(sys.platform == "win32", reason="kills by signals"),
+]
 
 
 def _until(condition: Callable[[], object], what: str) -> None:

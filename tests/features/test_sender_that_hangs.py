@@ -25,7 +25,10 @@ print("up", flush=True)
 time.sleep(600)
 """
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="stops a process by a signal")
+pytestmark = [
+    pytest.mark.nightly,
+    pytest.mark.skipif(sys.platform == "win32", reason="stops a process by a signal"),
+]
 
 
 class Noted:
@@ -39,6 +42,7 @@ class Noted:
         raise AssertionError(sentence)
 
 
+@pytest.mark.seam
 def test_another_stream_is_taken_while_one_does_not_say_what_it_is(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

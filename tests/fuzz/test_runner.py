@@ -12,6 +12,8 @@ from tests.fuzz import campaign, hanging, planted
 from tests.fuzz.contract import load, strictly
 from tests.fuzz.engine import has_atheris
 
+pytestmark = pytest.mark.nightly
+
 PLANTED = "tests.fuzz.planted"
 # A find ends the run; only a busy machine needs more than two seconds.
 PATIENCE_S = 60
@@ -67,6 +69,7 @@ def test_a_hang_is_a_find_and_its_input_is_kept(
     assert outcome.find.read_bytes() == hanging.HARMFUL
 
 
+@pytest.mark.seam
 def test_sound_code_passes_and_figures_are_told(tmp_path: Path) -> None:
     done = run("--seconds=2", f"--finds={tmp_path}", "ble_heart_rate", "polar_control")
     assert done.returncode == 0, done.stdout + done.stderr

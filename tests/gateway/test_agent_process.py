@@ -35,6 +35,8 @@ from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
 from biosensor_gateway.streaming.sink import DeviceSink
 from tests.rigs.zephyr import SteeredBioHarness
 
+pytestmark = pytest.mark.nightly
+
 ENDED_WITHIN_S = 15.0
 OPENING_TAKES_A_MINUTE = """
 import time, serial
@@ -78,6 +80,7 @@ def end(process: subprocess.Popen[bytes], number: signal.Signals, folder: Path) 
     assert "Traceback" not in (folder / "stderr.txt").read_text()
 
 
+@pytest.mark.seam
 @BOTH_SIGNALS
 def test_it_ends_while_streaming_and_its_streams_vanish(
     cli_process: StartCli,
@@ -177,6 +180,7 @@ def status(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.seam
 def test_status_follows_a_virtual_device_from_start_to_kill(
     cli_process: StartCli, until: Until, tmp_path: Path
 ) -> None:

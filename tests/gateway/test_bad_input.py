@@ -19,6 +19,8 @@ from biosensor_common.errors import ConfigError
 from biosensor_gateway.agent import status_file
 from tests.rigs.zephyr import SteeredBioHarness
 
+pytestmark = pytest.mark.nightly
+
 # What a serial line of 115200 baud carries in a twentieth of a second.
 GARBAGE_BYTES, GARBAGE_EVERY_S = 576, 0.05
 

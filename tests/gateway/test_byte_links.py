@@ -129,6 +129,7 @@ def test_half_an_address_is_a_wrong_setting(port: str) -> None:
     assert caught.value.reason is ConfigReason.WRONG_VALUE
 
 
+@pytest.mark.seam
 async def test_every_byte_passes_both_ways(peer: Peer, link: ByteLink) -> None:
     peer.connection.sendall(ALL_BYTES * 100)
     assert await receive(link, 25600) == ALL_BYTES * 100
@@ -140,6 +141,7 @@ async def test_every_byte_passes_both_ways(peer: Peer, link: ByteLink) -> None:
     await closing
 
 
+@pytest.mark.nightly
 async def test_what_was_written_before_closing_is_sent_though_bytes_are_unread(
     peer: Peer, link: ByteLink
 ) -> None:
@@ -151,6 +153,7 @@ async def test_what_was_written_before_closing_is_sent_though_bytes_are_unread(
     await closing
 
 
+@pytest.mark.nightly
 async def test_bytes_carry_the_lsl_time_of_their_arrival(peer: Peer, link: ByteLink) -> None:
     before = local_clock()
     peer.connection.sendall(b"x")
@@ -162,6 +165,7 @@ async def test_bytes_carry_the_lsl_time_of_their_arrival(peer: Peer, link: ByteL
     assert before <= arrival < after - 0.5
 
 
+@pytest.mark.nightly
 async def test_commands_are_sent_at_once_and_a_dead_peer_is_noticed(
     peer: Peer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -180,6 +184,7 @@ async def test_commands_are_sent_at_once_and_a_dead_peer_is_noticed(
     await close(link)
 
 
+@pytest.mark.nightly
 async def test_a_hang_up_is_told_after_everything_that_had_arrived(
     peer: Peer, link: ByteLink
 ) -> None:
@@ -192,6 +197,7 @@ async def test_a_hang_up_is_told_after_everything_that_had_arrived(
         assert f"127.0.0.1:{peer.port}: the link was cut" in str(error)
 
 
+@pytest.mark.seam
 async def test_a_reset_ends_a_waiting_read(peer: Peer, link: ByteLink) -> None:
     reading = asyncio.create_task(read_error(link))
     await asyncio.sleep(0.05)
@@ -201,6 +207,7 @@ async def test_a_reset_ends_a_waiting_read(peer: Peer, link: ByteLink) -> None:
     assert (await reading).reason is TransportReason.LOST
 
 
+@pytest.mark.nightly
 async def test_a_quiet_link_stays_open(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(socket_link, "WRITE_TIMEOUT_S", 0.02)
     link = TcpLink("127.0.0.1", peer.port)
@@ -211,6 +218,7 @@ async def test_a_quiet_link_stays_open(peer: Peer, monkeypatch: pytest.MonkeyPat
     await close(link)
 
 
+@pytest.mark.nightly
 async def test_a_write_that_nobody_takes_ends_the_link(
     peer: Peer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -223,6 +231,7 @@ async def test_a_write_that_nobody_takes_ends_the_link(
     await close(link)
 
 
+@pytest.mark.nightly
 async def test_closing_waits_neither_for_a_write_nor_for_the_other_side(
     peer: Peer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -236,6 +245,7 @@ async def test_closing_waits_neither_for_a_write_nor_for_the_other_side(
     await close(link)
 
 
+@pytest.mark.nightly
 async def test_a_link_can_be_closed_in_every_state(peer: Peer) -> None:
     await close(TcpLink("127.0.0.1", peer.port))
     link = TcpLink("127.0.0.1", peer.port)
@@ -246,6 +256,7 @@ async def test_a_link_can_be_closed_in_every_state(peer: Peer) -> None:
     await close(link)
 
 
+@pytest.mark.nightly
 async def test_nobody_listening_is_absent(peer: Peer) -> None:
     peer.listener.close()
     error = await open_error(TcpLink("127.0.0.1", peer.port))
@@ -294,6 +305,7 @@ def slow_connection(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> Generator[th
     may_connect.set()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("is_stopped", [False, True])
 async def test_a_connection_that_comes_too_late_is_not_held(
     peer: Peer, slow_connection: threading.Event, monkeypatch: pytest.MonkeyPatch, is_stopped: bool
@@ -389,6 +401,7 @@ async def test_a_system_without_bluetooth_sockets_has_no_bluetooth(
     assert error.reason is TransportReason.UNAVAILABLE
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("bluetooth")
 async def test_a_bluetooth_connection_carries_bytes_and_times_as_the_others(
     monkeypatch: pytest.MonkeyPatch,

@@ -79,6 +79,7 @@ def test_config_path_says_where_the_settings_are(run: Run, settings: Path) -> No
     assert run("config", "path") == (0, f"{settings}\n", "")
 
 
+@pytest.mark.nightly
 def test_a_letter_that_the_output_does_not_have_is_escaped() -> None:
     named = subprocess.run(
         [sys.executable, "-m", "biosensor_gateway.cli", "config", "path"],
@@ -117,6 +118,7 @@ def test_other_settings_can_be_named(run: Run, settings: Path, tmp_path: Path) -
     assert not settings.exists()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("command", [("config", "check"), ("run",)])
 def test_without_settings_it_says_how_to_make_them(
     run: Run, settings: Path, command: tuple[str, ...]
@@ -126,6 +128,7 @@ def test_without_settings_it_says_how_to_make_them(
     assert "config init" in sentence
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("command", [("config", "check"), ("run",)])
 @pytest.mark.parametrize(
     ("text", "words"),
@@ -150,6 +153,7 @@ def test_wrong_settings_are_refused_with_file_and_line(
     assert "Traceback" not in outcome.err
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["toaster", "zephyr,toaster", "all,toaster", "all, toaster"])
 def test_a_virtual_device_that_does_not_exist_is_named(run: Run, name: str) -> None:
     sentence = one_sentence(run("run", "--simulate", name), 2)
@@ -160,6 +164,7 @@ def test_a_virtual_device_that_does_not_exist_is_named(run: Run, name: str) -> N
 ALL = [name for name in sensor_names() if sensor(name).virtual]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("names", "expected"),
     [(["all"], ALL), (["zephyr", "zephyr"], ["zephyr"]), (["all", "zephyr"], ALL)],
@@ -169,6 +174,7 @@ def test_each_virtual_device_runs_once(names: list[str], expected: list[str]) ->
         assert [device.sensor for device in settings.devices] == expected
 
 
+@pytest.mark.nightly
 def test_people_wear_virtual_devices_of_their_own() -> None:
     names = ["all@P01", "polar_h10@P02", "zephyr:recording@P02", "polar_h10@P01"]
     with simulate.simulated_settings(names) as settings:
@@ -179,11 +185,13 @@ def test_people_wear_virtual_devices_of_their_own() -> None:
     assert first != second
 
 
+@pytest.mark.nightly
 def test_a_name_that_no_participant_can_have_is_refused(run: Run) -> None:
     sentence = one_sentence(run("run", "--simulate", f"polar_h10@{'x' * 33}"), 2)
     assert "is no participant: use at most 32" in sentence
 
 
+@pytest.mark.nightly
 def test_a_virtual_device_says_which_package_it_needs(
     cli_process: Callable[..., Any], tmp_path: Path
 ) -> None:
@@ -204,6 +212,7 @@ def test_status_of_an_agent_that_is_gone_fails(run: Run, state: Path) -> None:
     assert re.search(r"\b9\d s ago", one_sentence(run("status"), 1))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("command", ["status", "clocks"])
 def test_an_agent_that_was_killed_streams_no_more(run: Run, state: Path, command: str) -> None:
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as agent:

@@ -101,6 +101,7 @@ def test_a_report_of_an_older_agent_has_no_age(run: Run, state: Path) -> None:
     assert run("clocks").code == 0
 
 
+@pytest.mark.nightly
 def test_watching_reports_every_second_until_ctrl_c(cli_process: StartCli, tmp_path: Path) -> None:
     with cli_process(tmp_path, "run", "--simulate", "zephyr"):
         waiting = [sys.executable, "-m", "biosensor_gateway.cli", "wait-ready"]

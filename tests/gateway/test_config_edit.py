@@ -41,6 +41,7 @@ def lines(notes: Path) -> list[str]:
     return notes.read_text().splitlines()
 
 
+@pytest.mark.nightly
 def test_the_first_time_the_settings_are_written(run: Run, settings: Path, programs: Path) -> None:
     notes = install(programs, "xdg-open")
     assert run("config", "edit") == (0, f"wrote {settings}\n", "")
@@ -51,6 +52,7 @@ def test_the_first_time_the_settings_are_written(run: Run, settings: Path, progr
     assert settings.read_text() == "# mine\n"
 
 
+@pytest.mark.nightly
 def test_other_settings_can_be_named(
     run: Run, settings: Path, programs: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -61,6 +63,7 @@ def test_other_settings_can_be_named(
     assert not settings.exists()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("variables", "arguments"),
     [
@@ -94,6 +97,7 @@ def test_without_an_editor_the_path_is_said(run: Run, settings: Path, programs: 
     assert settings.exists()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("editor_", ["missing", "failing", "'open"])
 def test_an_editor_that_fails_is_named_with_the_path(
     run: Run, settings: Path, programs: Path, monkeypatch: pytest.MonkeyPatch, editor_: str
@@ -115,6 +119,7 @@ def test_a_file_that_cannot_be_written_is_one_sentence(run: Run, programs: Path)
     assert not notes.exists()
 
 
+@pytest.mark.nightly
 def test_macos_opens_a_text_editor(
     run: Run, settings: Path, programs: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

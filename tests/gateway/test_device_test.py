@@ -32,6 +32,8 @@ from biosensor_gateway.transports import ble_choice
 if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome
 
+pytestmark = pytest.mark.nightly
+
 Run = Callable[..., "Outcome"]
 
 

@@ -61,6 +61,7 @@ def loaded(*arguments: str, expected: int = 0) -> set[str]:
     return set(ended.stderr.split())
 
 
+@pytest.mark.seam
 @pytest.mark.parametrize(
     ("option", "more"), [("--version", {"rich"}), ("--help", {"pygments", "rich.markdown"})]
 )
@@ -71,6 +72,7 @@ def test_the_first_look_imports_no_command(option: str, more: set[str]) -> None:
     assert {name for name in modules if name.startswith("biosensor_gateway")} <= OURS
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["run", "stop", "pause", "resume", "status", "demo"])
 def test_the_help_of_a_command_imports_no_agent(name: str) -> None:
     # Typer itself takes pydantic for each argument; run heeds signals from its first moment on.
@@ -78,6 +80,7 @@ def test_the_help_of_a_command_imports_no_agent(name: str) -> None:
     assert not ((HEAVY | {"pygments", "rich.markdown"}) - known) & loaded(name, "--help")
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("command", ["stop", "pause zephyr", "resume zephyr", "status"])
 def test_who_asks_the_agent_imports_none(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

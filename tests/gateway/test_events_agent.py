@@ -13,10 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import pylsl
+import pytest
 
 from biosensor_common import naming
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import status_file
+
+pytestmark = pytest.mark.nightly
 
 DEADLINE_S = 30.0
 SOURCE = naming.source_id(DeviceIdentity("gateway", socket.gethostname()), "events")

@@ -74,6 +74,7 @@ def opened(sink: DeviceSink, announcer: NotedAnnouncer) -> None:
     announcer.take()
 
 
+@pytest.mark.nightly
 def test_connections_are_counted_and_tell_the_firmware(
     sink: DeviceSink, events: DeviceEvents, announcer: NotedAnnouncer
 ) -> None:
@@ -87,6 +88,7 @@ def test_connections_are_counted_and_tell_the_firmware(
     ]
 
 
+@pytest.mark.nightly
 def test_what_a_device_decides_is_announced_when_it_changes(
     sink: DeviceSink, announcer: NotedAnnouncer, events: DeviceEvents
 ) -> None:
@@ -102,6 +104,7 @@ def test_what_a_device_decides_is_announced_when_it_changes(
     ]
 
 
+@pytest.mark.nightly
 def test_participant_and_label_are_said_where_they_are_set(announcer: NotedAnnouncer) -> None:
     sink = DeviceSink(DeviceIdentity(H10, "U1", "p01", "left"), declaration(H10))
     events = follow(sink, announcer)
@@ -119,6 +122,7 @@ def test_participant_and_label_are_said_where_they_are_set(announcer: NotedAnnou
     ]
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("events")
 def test_jumps_of_the_clock_are_announced(sink: DeviceSink, announcer: NotedAnnouncer) -> None:
     opened(sink, announcer)
@@ -133,6 +137,7 @@ def test_jumps_of_the_clock_are_announced(sink: DeviceSink, announcer: NotedAnno
     assert "seconds" not in restart
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("events")
 def test_a_storm_of_jumps_is_a_handful_of_events(
     sink: DeviceSink, announcer: NotedAnnouncer
@@ -147,6 +152,7 @@ def test_a_storm_of_jumps_is_a_handful_of_events(
     assert sum(told) == sink.clock_state.reanchors == 499
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("events")
 def test_on_and_off_body_are_announced_when_they_change(
     sink: DeviceSink, announcer: NotedAnnouncer
@@ -162,6 +168,7 @@ def test_on_and_off_body_are_announced_when_they_change(
     ]
 
 
+@pytest.mark.nightly
 def test_of_a_pause_nothing_is_said_that_was_measured(
     sink: DeviceSink, announcer: NotedAnnouncer, events: DeviceEvents
 ) -> None:
@@ -189,6 +196,7 @@ def test_of_a_pause_nothing_is_said_that_was_measured(
     assert announcer.take() == []
 
 
+@pytest.mark.nightly
 def test_a_pause_ends_a_gap_and_a_device_that_is_away_then_begins_one(
     sink: DeviceSink, announcer: NotedAnnouncer, events: DeviceEvents
 ) -> None:
@@ -206,6 +214,7 @@ def test_a_pause_ends_a_gap_and_a_device_that_is_away_then_begins_one(
     assert start["at"] == pytest.approx(resumed["send_from"], abs=1e-6)
 
 
+@pytest.mark.nightly
 def test_a_pause_from_before_the_start_is_announced_as_such(
     sink: DeviceSink, announcer: NotedAnnouncer
 ) -> None:
@@ -214,6 +223,7 @@ def test_a_pause_from_before_the_start_is_announced_as_such(
     assert announcer.take() == [{"event": "paused", "kept": True}]
 
 
+@pytest.mark.nightly
 def test_a_broken_connection_is_a_gap_with_all_that_is_missing(
     sink: DeviceSink, announcer: NotedAnnouncer, events: DeviceEvents
 ) -> None:

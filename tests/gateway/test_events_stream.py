@@ -77,6 +77,7 @@ async def announcing(
         await announcer.end()
 
 
+@pytest.mark.seam
 async def test_whoever_begins_to_receive_gets_a_sign_of_life_at_once(
     inlet: OpenInlet, eventually: Eventually
 ) -> None:
@@ -136,6 +137,7 @@ async def test_signs_of_life_go_on_in_the_period(
     assert all(5.0 - 1e-4 < each < 5.0 + TICK_S + 1e-4 for each in periods)
 
 
+@pytest.mark.nightly
 async def test_heartbeats_can_be_switched_off(
     inlet: OpenInlet, eventually: Eventually, virtual_clock: Clock
 ) -> None:
@@ -156,6 +158,7 @@ async def test_heartbeats_can_be_switched_off(
         assert set(heard.kinds()) == {"paused", "agent_stopped"}
 
 
+@pytest.mark.nightly
 async def test_the_last_word_is_heard_though_the_outlet_goes(
     inlet: OpenInlet, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -173,6 +176,7 @@ async def test_the_last_word_is_heard_though_the_outlet_goes(
         assert heard.events[-1][0]["event"] == "agent_stopped"
 
 
+@pytest.mark.nightly
 async def test_stamps_never_run_back_and_the_text_says_when_it_was(
     inlet: OpenInlet, eventually: Eventually
 ) -> None:
@@ -203,6 +207,7 @@ async def test_an_agent_that_starts_says_its_version(
     )
 
 
+@pytest.mark.nightly
 async def test_nothing_that_fails_in_it_reaches_the_data(
     inlet: OpenInlet,
     eventually: Eventually,

@@ -52,6 +52,7 @@ def answer(terminal: Terminal, prompt: str, text: str | bytes) -> None:
     terminal.until(lambda seen: seen != asked)
 
 
+@pytest.mark.seam
 def test_it_leads_from_nothing_to_a_stream_and_knows_the_way_the_next_time(tmp_path: Path) -> None:
     settings = tmp_path / "config" / "settings.toml"
     with at_terminal(program("polar_h10"), environment(tmp_path)) as terminal:
@@ -79,6 +80,7 @@ def test_it_leads_from_nothing_to_a_stream_and_knows_the_way_the_next_time(tmp_p
         assert terminal.exit_code() == 0
 
 
+@pytest.mark.nightly
 def test_whoever_has_no_sensor_gets_virtual_ones_and_no_settings(tmp_path: Path) -> None:
     with at_terminal([*_plain(), "run"], environment(tmp_path)) as terminal:
         answer(terminal, MENU, "2")
@@ -93,6 +95,7 @@ def test_whoever_has_no_sensor_gets_virtual_ones_and_no_settings(tmp_path: Path)
     assert not (tmp_path / "config").exists()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("typed", "code"), [("3\n", 0), ("\x03", 0), ("\x04", 2)], ids=["End", "Ctrl-C", "Ctrl-D"]
 )
@@ -105,6 +108,7 @@ def test_it_can_be_left(tmp_path: Path, typed: str, code: int) -> None:
     assert not (tmp_path / "config").exists()
 
 
+@pytest.mark.nightly
 def test_whoever_asks_is_asked_although_the_settings_have_a_device(tmp_path: Path) -> None:
     settings = tmp_path / "config" / "settings.toml"
     settings.parent.mkdir()
@@ -117,6 +121,7 @@ def test_whoever_asks_is_asked_although_the_settings_have_a_device(tmp_path: Pat
         assert terminal.exit_code() == 0
 
 
+@pytest.mark.nightly
 def test_settings_that_are_wrong_are_said_and_nobody_is_asked(tmp_path: Path) -> None:
     settings = tmp_path / "config" / "settings.toml"
     settings.parent.mkdir()

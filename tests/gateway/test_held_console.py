@@ -25,6 +25,8 @@ from tests.rigs.held_console import HeldConsole
 from tests.rigs.stopwatch import Stopwatch
 from tests.rigs.zephyr import SteeredBioHarness
 
+pytestmark = pytest.mark.nightly
+
 DEADLINE_S = 30.0
 PATIENCE_S = 10.0
 ANSWERED_S = 1.0
@@ -143,6 +145,7 @@ def test_a_signal_ends_it_while_the_console_is_held(
         assert not console.takes_output
 
 
+@pytest.mark.seam
 def test_a_released_console_shows_all_that_was_said_meanwhile_and_the_last_lines(
     tmp_path: Path, until: Until, unit: str
 ) -> None:

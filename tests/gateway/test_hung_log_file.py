@@ -22,6 +22,8 @@ from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.system import log_outputs
 from biosensor_gateway.system.logs import LOG_FILE_NAME, configure_logs
 
+pytestmark = pytest.mark.nightly
+
 DEADLINE_S = 30.0
 LINES, PADDING = 4000, "x" * 400
 HELD = "the log file takes no output"

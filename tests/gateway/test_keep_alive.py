@@ -54,11 +54,13 @@ def kept(folder: Path, *ends: str) -> tuple[int, list[str], list[str]]:
     return done.returncode, done.stdout.splitlines(), log.read_text().splitlines()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("code", [0, 2])
 def test_what_ends_as_it_should_is_not_started_again(tmp_path: Path, code: int) -> None:
     assert kept(tmp_path, str(code)) == (code, [], ["0 "])
 
 
+@pytest.mark.nightly
 def test_what_dies_is_started_again_at_once_and_then_after_a_while(tmp_path: Path) -> None:
     code, told, lives = kept(tmp_path, "SIGKILL", "1", "0")
     assert code == 0
@@ -69,6 +71,7 @@ def test_what_dies_is_started_again_at_once_and_then_after_a_while(tmp_path: Pat
     assert lives == ["0 ", "1 killed by SIGKILL", "2 exit code 1"]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("request_to_end", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_request_to_end_reaches_the_program(
     tmp_path: Path, request_to_end: signal.Signals

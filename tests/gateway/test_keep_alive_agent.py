@@ -32,7 +32,10 @@ AFTER_S = 4.0
 Until = Callable[[Callable[[], bool]], None]
 StartCli = Callable[..., AbstractContextManager["Popen[bytes]"]]
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="kills by signals")
+pytestmark = [
+    pytest.mark.nightly,
+    pytest.mark.skipif(sys.platform == "win32", reason="kills by signals"),
+]
 
 
 def status(folder: Path) -> dict[str, Any]:
@@ -73,6 +76,7 @@ def standby_of(keeper: Popen[bytes], agent: int) -> int:
     return others[0] if others else 0
 
 
+@pytest.mark.seam
 def test_a_killed_agent_comes_back_says_so_and_ends_when_asked(
     cli_process: StartCli, until: Until, tmp_path: Path
 ) -> None:

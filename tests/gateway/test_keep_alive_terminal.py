@@ -8,8 +8,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import psutil
+import pytest
 
 from tests.rigs.terminal import at_terminal
+
+pytestmark = pytest.mark.nightly
 
 RUN = [sys.executable, "-m", "biosensor_gateway.cli", "run", "--keep-alive"]
 MENU = "Type a number, then Enter [1]:"

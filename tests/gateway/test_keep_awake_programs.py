@@ -124,6 +124,7 @@ def events(logs: list[Any]) -> list[str]:
     return [entry["event"].split(";")[0] for entry in logs]
 
 
+@pytest.mark.seam
 @BOTH
 def test_the_program_runs_while_it_is_held_and_not_longer(
     programs: Programs, keep_awake: MakeKeepAwake, until: Until, platform: str
@@ -144,6 +145,7 @@ def test_the_program_runs_while_it_is_held_and_not_longer(
     assert logs[0]["way"] == PLATFORMS[platform]
 
 
+@pytest.mark.nightly
 @BOTH
 def test_a_program_that_refuses_is_quoted(
     programs: Programs, keep_awake: MakeKeepAwake, until: Until, platform: str
@@ -156,6 +158,7 @@ def test_a_program_that_refuses_is_quoted(
     assert len(programs.calls) == 2
 
 
+@pytest.mark.nightly
 def test_a_program_that_is_killed_is_noticed(
     programs: Programs, keep_awake: MakeKeepAwake, until: Until
 ) -> None:
@@ -167,6 +170,7 @@ def test_a_program_that_is_killed_is_noticed(
     assert logs[-1]["error"] == "it ended by itself"
 
 
+@pytest.mark.nightly
 def test_a_program_that_cannot_be_started_is_a_refusal(
     programs: Programs, keep_awake: MakeKeepAwake, tmp_path: Path
 ) -> None:
@@ -212,6 +216,7 @@ while True:
 """
 
 
+@pytest.mark.nightly
 @BOTH
 def test_the_program_ends_with_a_process_that_is_killed(
     programs: Programs, until: Until, platform: str
@@ -254,6 +259,7 @@ needs_linux = pytest.mark.skipif(
 )
 
 
+@pytest.mark.nightly
 @needs_linux
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_an_agent_that_streams_keeps_the_computer_awake_until_it_ends(
@@ -272,6 +278,7 @@ def test_an_agent_that_streams_keeps_the_computer_awake_until_it_ends(
     assert told.count(LET_GO) == (1 if number == signal.SIGTERM else 0)
 
 
+@pytest.mark.nightly
 @needs_linux
 def test_an_agent_whose_device_is_absent_keeps_nothing_awake(
     cli_process: StartCli, programs: Programs, until: Until, tmp_path: Path
@@ -283,6 +290,7 @@ def test_an_agent_whose_device_is_absent_keeps_nothing_awake(
     assert programs.calls == []
 
 
+@pytest.mark.nightly
 @needs_linux
 def test_the_settings_switch_it_off(
     cli_process: StartCli,

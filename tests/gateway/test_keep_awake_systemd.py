@@ -19,10 +19,13 @@ from structlog.testing import capture_logs
 from biosensor_gateway.system.keep_awake import KeepAwake, system_inhibitor
 from tests.rigs.bluez.private_bus import PrivateBus
 
-pytestmark = pytest.mark.skipif(
-    not (shutil.which("dbus-daemon") and shutil.which("systemd-inhibit")),
-    reason="dbus-daemon and systemd-inhibit are needed",
-)
+pytestmark = [
+    pytest.mark.nightly,
+    pytest.mark.skipif(
+        not (shutil.which("dbus-daemon") and shutil.which("systemd-inhibit")),
+        reason="dbus-daemon and systemd-inhibit are needed",
+    ),
+]
 
 Eventually = Callable[[Callable[[], bool]], Awaitable[None]]
 StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]

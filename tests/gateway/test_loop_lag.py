@@ -26,6 +26,7 @@ async def lag() -> AsyncGenerator[LoopLag]:
     running.cancel()
 
 
+@pytest.mark.nightly
 async def test_a_loop_that_is_held_up_is_late(lag: LoopLag) -> None:
     hold_up(HELD_S)
     # What comes meanwhile is taken in before the lag is measured again.
@@ -34,6 +35,7 @@ async def test_a_loop_that_is_held_up_is_late(lag: LoopLag) -> None:
     assert HELD_S - TICK_S <= lag.seconds() <= MOST_S
 
 
+@pytest.mark.nightly
 async def test_it_is_forgotten_that_it_was_late(lag: LoopLag) -> None:
     hold_up(HELD_S)
     deadline = time.monotonic() + 30.0
@@ -43,6 +45,7 @@ async def test_it_is_forgotten_that_it_was_late(lag: LoopLag) -> None:
     assert time.monotonic() >= deadline - 30.0 + KEPT_S
 
 
+@pytest.mark.nightly
 async def test_a_stall_counts_as_far_as_a_busy_computer_would(lag: LoopLag) -> None:
     hold_up(2 * MOST_S)
     assert lag.seconds() == MOST_S

@@ -94,6 +94,7 @@ def test_a_file_for_two_computers_gives_their_reason() -> None:
     assert "Without a network adapter" not in file.text
 
 
+@pytest.mark.nightly
 def test_liblsl_reads_the_file(tmp_path: Path) -> None:
     for number, text in enumerate(("", OWN, OWN.replace("\n", "\r\n"), OWN.rstrip())):
         path = tmp_path / f"{number}.cfg"
@@ -139,6 +140,7 @@ def test_peers_that_liblsl_would_overlook_are_put_right() -> None:
     assert "KnownPeers = {127.0.0.1}\n" in adapted("[lab]\nKnownPeers = 127.0.0.1\n").text
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("text", "line", "words"),
     [

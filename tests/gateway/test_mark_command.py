@@ -66,6 +66,7 @@ def agent(
         yield process
 
 
+@pytest.mark.seam
 def test_what_is_marked_undone_and_listed(
     agent: subprocess.Popen[bytes], inlet: OpenInlet, until: Until, tmp_path: Path
 ) -> None:
@@ -125,6 +126,7 @@ def test_what_is_marked_undone_and_listed(
     assert "she moved" not in (tmp_path / LOG_FILE_NAME).read_text()
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("agent")
 def test_other_buttons_hold_after_a_reload(tmp_path: Path) -> None:
     assert control.ask(tmp_path, "markers") == {"markers": [], "buttons": ["baseline", "task"]}
@@ -141,6 +143,7 @@ def test_other_buttons_hold_after_a_reload(tmp_path: Path) -> None:
     assert control.ask(tmp_path, "markers")["buttons"] == ["rest"]
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("agent")
 def test_two_long_texts_fit_into_a_request_and_a_list(tmp_path: Path) -> None:
     # Twelve bytes a letter, as JSON has them.

@@ -87,6 +87,7 @@ async def heard_desk(desk: Desk, inlet: OpenInlet, eventually: Eventually) -> De
     return await listened_to(desk, inlet, eventually)
 
 
+@pytest.mark.nightly
 async def test_a_marker_says_all_of_itself(heard_desk: Desk, eventually: Eventually) -> None:
     now = heard_desk.stream.clock()
     at = now - 2.5
@@ -116,6 +117,7 @@ async def test_a_marker_says_all_of_itself(heard_desk: Desk, eventually: Eventua
     assert heard_desk.heard[0][1] == pytest.approx(at, abs=1e-6)
 
 
+@pytest.mark.nightly
 async def test_stamps_never_run_back_and_the_text_says_when_it_was(
     heard_desk: Desk, eventually: Eventually
 ) -> None:
@@ -130,6 +132,7 @@ async def test_stamps_never_run_back_and_the_text_says_when_it_was(
     assert [each["lsl_time"] for each in heard_desk.pull()] == pytest.approx(times, abs=1e-6)
 
 
+@pytest.mark.nightly
 async def test_an_undo_marks_and_deletes_nothing(heard_desk: Desk, eventually: Eventually) -> None:
     for name in ("a", "b", "c"):
         await heard_desk.ask("mark", marker=name)
@@ -224,6 +227,7 @@ async def test_an_id_is_a_whole_number(desk: Desk, number: object) -> None:
     assert (await desk.refusal("undo-marker", id=number)).reason is ConfigReason.WRONG_VALUE
 
 
+@pytest.mark.nightly
 async def test_the_longest_marker_arrives_whole(heard_desk: Desk, eventually: Eventually) -> None:
     longest = "\U0001f600" * MAX_TEXT
     await heard_desk.ask("mark", marker=longest, note=longest)
@@ -232,6 +236,7 @@ async def test_the_longest_marker_arrives_whole(heard_desk: Desk, eventually: Ev
     assert (marker["marker"], marker["note"]) == (longest, longest)
 
 
+@pytest.mark.seam
 async def test_whoever_begins_to_receive_gets_a_marker_at_once(
     desk: Desk, inlet: OpenInlet, eventually: Eventually
 ) -> None:
@@ -258,6 +263,7 @@ async def test_whoever_begins_to_receive_gets_a_marker_at_once(
     assert [marker["id"] for marker, _ in desk.heard] == [1, 2]
 
 
+@pytest.mark.nightly
 async def test_whoever_gets_another_marker_first_gets_only_that(
     heard_desk: Desk, eventually: Eventually
 ) -> None:
@@ -268,6 +274,7 @@ async def test_whoever_gets_another_marker_first_gets_only_that(
     assert [each["marker"] for each in heard_desk.pull()] == ["m", "n"]
 
 
+@pytest.mark.nightly
 async def test_a_marker_that_nobody_receives_is_said(
     desk: Desk, inlet: OpenInlet, eventually: Eventually
 ) -> None:
@@ -303,6 +310,7 @@ async def test_without_a_stream_markers_are_refused_and_nothing_else_fails(
     assert desk.stream.counters == {}
 
 
+@pytest.mark.nightly
 async def test_the_last_marker_is_heard_though_the_outlet_goes(
     inlet: OpenInlet, eventually: Eventually, monkeypatch: pytest.MonkeyPatch
 ) -> None:

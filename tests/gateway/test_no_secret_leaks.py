@@ -34,6 +34,8 @@ from biosensor_gateway.system.logs import LOG_FILE_NAME, configure_logs, flush_l
 from tests.emotiv_insight.steering import SteeredCortex
 from tests.rigs import file_keyring
 
+pytestmark = pytest.mark.nightly
+
 CLIENT_ID, CLIENT_SECRET = "planted-id-3c80f1", "planted-secret-77ab02"
 WRONG_SECRET = "planted-wrong-5e19d4"
 # Tokens of the virtual Cortex.

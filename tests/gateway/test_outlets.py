@@ -63,6 +63,7 @@ def attach_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "ATTACH_TIME_S", 0.0)
 
 
+@pytest.mark.seam
 @pytest.mark.parametrize(
     ("data_name", "samples"),
     [
@@ -88,6 +89,7 @@ def test_values_and_stamps_arrive_as_they_were_pushed(
     assert outlet.counters == Counters(pushed=3, last_stamp=stamps[-1])
 
 
+@pytest.mark.nightly
 def test_one_channel_needs_no_second_dimension(unit: str, inlet: OpenInlet) -> None:
     outlet = outlet_of(unit, "ecg")
     reader = inlet(outlet.source_id)
@@ -95,6 +97,7 @@ def test_one_channel_needs_no_second_dimension(unit: str, inlet: OpenInlet) -> N
     assert pull(reader, 3)[0] == [[1.0], [2.0], [3.0]]
 
 
+@pytest.mark.seam
 def test_text_arrives(unit: str, inlet: OpenInlet) -> None:
     outlet = outlet_of(unit, "counters", "gateway")
     reader = inlet(outlet.source_id)
@@ -152,6 +155,7 @@ def test_an_integer_stream_takes_no_gaps_even_if_it_is_regular(unit: str) -> Non
     assert "integer" in (outlet.push([70, NAN], now(0, 0.25)) or "")
 
 
+@pytest.mark.nightly
 def test_a_refusal_takes_nothing_from_what_follows(unit: str, inlet: OpenInlet) -> None:
     outlet = outlet_of(unit, "ecg")
     reader = inlet(outlet.source_id)
@@ -175,6 +179,7 @@ def text_of(element: Element, path: str) -> str | None:
     return None if found is None else found.text
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("stream", SPEC.streams, ids=lambda stream: stream.data_name)
 def test_a_stream_describes_itself(unit: str, inlet: OpenInlet, stream: StreamSpec) -> None:
     identity = DeviceIdentity("zephyr", unit, participant="p01", label=f"l{unit[:6]}")
@@ -220,6 +225,7 @@ def device(unit: str) -> Generator[DeviceOutlets]:
 RATES = {"bpm": 0.1, "force": 10.0}
 
 
+@pytest.mark.nightly
 def test_outlets_survive_a_second_opening(device: DeviceOutlets, inlet: OpenInlet) -> None:
     device.open(DeviceInfo(), RATES)
     force, reader = device["force"], inlet(device["force"].source_id)
@@ -232,6 +238,7 @@ def test_outlets_survive_a_second_opening(device: DeviceOutlets, inlet: OpenInle
     assert device.counters[force.source_id].lost == 7
 
 
+@pytest.mark.nightly
 def test_only_the_outlet_whose_rate_changed_is_rebuilt_under_its_source_id(
     device: DeviceOutlets, inlet: OpenInlet
 ) -> None:
@@ -258,6 +265,7 @@ def test_expected_outlets_are_kept_if_the_device_is_as_it_was(device: DeviceOutl
     assert device["force"] is force
 
 
+@pytest.mark.nightly
 def test_expected_outlets_are_replaced_if_the_device_is_another(
     device: DeviceOutlets, inlet: OpenInlet
 ) -> None:
@@ -279,6 +287,7 @@ def test_nothing_is_expected_without_the_rates_that_a_device_sets(device: Device
     assert device.counters == {}
 
 
+@pytest.mark.nightly
 def test_the_declaration_fills_what_the_device_does_not_say(
     device: DeviceOutlets, inlet: OpenInlet
 ) -> None:
@@ -292,6 +301,7 @@ def test_the_declaration_fills_what_the_device_does_not_say(
     assert text_of(acquisition, "serial_number") == "0K2"
 
 
+@pytest.mark.seam
 def test_closing_makes_the_streams_vanish(
     device: DeviceOutlets, visible: Callable[[str], bool], until: Callable[..., None]
 ) -> None:
@@ -303,6 +313,7 @@ def test_closing_makes_the_streams_vanish(
     assert device.counters == {}
 
 
+@pytest.mark.seam
 def test_states_wait_for_a_receiver(unit: str, inlet: OpenInlet) -> None:
     outlet = outlet_of(unit, "bat")
     stamps = now(0.0, 0.1)
@@ -316,6 +327,7 @@ def test_states_wait_for_a_receiver(unit: str, inlet: OpenInlet) -> None:
     assert outlet.counters == Counters(pushed=2, last_stamp=stamps[-1])
 
 
+@pytest.mark.nightly
 def test_states_leave_time_to_attach(
     unit: str, inlet: OpenInlet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -328,6 +340,7 @@ def test_states_leave_time_to_attach(
     assert outlet.counters.pushed == 0
 
 
+@pytest.mark.nightly
 def test_waiting_states_come_before_later_ones(unit: str, inlet: OpenInlet) -> None:
     outlet = outlet_of(unit, "bat")
     stamps = now(0.0, 0.1)
@@ -343,6 +356,7 @@ def test_what_is_no_state_does_not_wait(unit: str) -> None:
     assert outlet.counters.pushed == 1
 
 
+@pytest.mark.nightly
 def test_a_declared_state_waits_whatever_its_type(unit: str) -> None:
     stream = replace(SPEC.stream("posture"), is_state=True)
     outlet = Outlet(stream, DeviceIdentity("zephyr", unit), INFO)
@@ -350,6 +364,7 @@ def test_a_declared_state_waits_whatever_its_type(unit: str) -> None:
     assert (outlet.counters.pushed, outlet.counters.waited) == (0, 1)
 
 
+@pytest.mark.seam
 def test_after_a_kill_samples_wait_for_those_who_return(
     unit: str, inlet: OpenInlet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -367,6 +382,7 @@ def test_after_a_kill_samples_wait_for_those_who_return(
     assert outlet.counters.pushed == 1001
 
 
+@pytest.mark.nightly
 def test_who_returns_first_does_not_take_it_from_the_others(
     unit: str, inlet: OpenInlet, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -39,6 +39,7 @@ def test_other_systems_have_none() -> None:
     assert not is_own_window()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("typed", ["\n", "\x03", "\x04"], ids=["Enter", "Ctrl-C", "Ctrl-D"])
 def test_what_fails_can_be_read(tmp_path: Path, typed: str) -> None:
     (tmp_path / "settings.toml").write_text("[lsl\n")
@@ -50,6 +51,7 @@ def test_what_fails_can_be_read(tmp_path: Path, typed: str) -> None:
     assert "Traceback" not in terminal.screen.text
 
 
+@pytest.mark.nightly
 def test_a_double_click_leads(tmp_path: Path) -> None:
     with at_terminal(program(), environment(tmp_path)) as terminal:
         terminal.until_seen("Type a number, then Enter [1]:")
@@ -58,6 +60,7 @@ def test_a_double_click_leads(tmp_path: Path) -> None:
     assert CLOSE not in terminal.screen.text
 
 
+@pytest.mark.nightly
 def test_what_ends_well_closes(tmp_path: Path) -> None:
     with at_terminal(program("config", "path"), environment(tmp_path)) as terminal:
         assert terminal.exit_code() == 0

@@ -20,6 +20,8 @@ from biosensor_gateway.agent.pauses.store import PAUSED_FILE
 from biosensor_gateway.system.logs import LOG_FILE_NAME
 from tests.rigs.zephyr import SteeredBioHarness
 
+pytestmark = pytest.mark.nightly
+
 NO_AGENT = "biosensor-gateway: no agent is running; start one with: biosensor-gateway run\n"
 DEADLINE_S = 30.0
 # More than can wait in an inlet while the commands run.
@@ -67,6 +69,7 @@ def run(tmp_path: Path, harness: SteeredBioHarness, unit: str) -> tuple[str, ...
     return "run", "--settings", str(path)
 
 
+@pytest.mark.seam
 def test_a_participant_withdraws_and_comes_back(
     cli_process: StartCli,
     until: Until,

@@ -26,6 +26,8 @@ from tests.rigs.bluetooth import virtual_world
 from tests.rigs.driver_run import Run, streaming
 from tests.rigs.polling import until
 
+pytestmark = pytest.mark.nightly
+
 __all__ = ["virtual_world"]
 
 ECG_RATE_HZ = 130.0

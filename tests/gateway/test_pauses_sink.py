@@ -52,6 +52,7 @@ def pulled(reader: pylsl.StreamInlet, until: Until, last: object) -> list[object
     return values
 
 
+@pytest.mark.nightly
 def test_not_one_sample_of_a_pause_is_sent(
     sink: DeviceSink, inlet: OpenInlet, until: Until
 ) -> None:
@@ -75,6 +76,7 @@ def test_not_one_sample_of_a_pause_is_sent(
     assert counted.last_stamp == guard_ends_s + 0.1
 
 
+@pytest.mark.nightly
 def test_withheld_samples_do_not_move_the_stamps_of_those_after(
     sink: DeviceSink, inlet: OpenInlet
 ) -> None:
@@ -97,6 +99,7 @@ def test_samples_of_several_channels_are_withheld_whole(
     assert counters(sink, "acc") == Counters(withheld=len(rows))
 
 
+@pytest.mark.nightly
 def test_text_is_withheld_as_well(sink: DeviceSink, inlet: OpenInlet, until: Until) -> None:
     reader = inlet(source(sink, "tag"))
     now = pylsl.local_clock()
@@ -112,6 +115,7 @@ def test_text_is_withheld_as_well(sink: DeviceSink, inlet: OpenInlet, until: Unt
     assert (counters(sink, "tag").pushed, counters(sink, "tag").withheld) == (2, 3)
 
 
+@pytest.mark.nightly
 def test_states_that_wait_for_a_receiver_are_withdrawn_too(
     monkeypatch: pytest.MonkeyPatch, unit: str, inlet: OpenInlet, until: Until
 ) -> None:

@@ -197,6 +197,7 @@ async def test_what_cannot_be_kept_is_done_and_said(tmp_path: Path) -> None:
     assert len(store.load(tmp_path)) == 1
 
 
+@pytest.mark.nightly
 async def test_an_answer_does_not_wait_for_what_is_slow(tmp_path: Path) -> None:
     sink = DeviceSink(LEFT, declaration(LEFT.sensor))
     commands = PauseCommands(tmp_path, lambda: [sink]).commands

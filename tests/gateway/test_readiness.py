@@ -85,6 +85,7 @@ def test_waited_for_is_what_the_fault_suite_knows_to_be_steady(name: str) -> Non
     assert list(steady_streams(described, frozenset())) == expected
 
 
+@pytest.mark.nightly
 def test_ready_is_when_all_counters_advance(state: Path) -> None:
     with reporting(state, lambda n: [device(streams=streams(n, *STEADY))]):
         outcome = wait_until_ready(state, DEADLINE_S)
@@ -92,6 +93,7 @@ def test_ready_is_when_all_counters_advance(state: Path) -> None:
     assert (outcome.devices, outcome.streams, outcome.missing) == (1, 3, ())
 
 
+@pytest.mark.nightly
 def test_a_state_alone_is_not_believed(state: Path) -> None:
     with reporting(state, lambda _: [device(streams=streams(4711, *STEADY))]):
         outcome = wait_until_ready(state, SHORT_S)
@@ -100,6 +102,7 @@ def test_a_state_alone_is_not_believed(state: Path) -> None:
     assert outcome.waited_s >= SHORT_S
 
 
+@pytest.mark.nightly
 def test_one_silent_stream_is_enough_and_is_named(state: Path) -> None:
     silent = streams(0, ACC)
     with reporting(state, lambda n: [device(streams=streams(n, ECG, BREATHING) | silent)]):
@@ -110,6 +113,7 @@ def test_one_silent_stream_is_enough_and_is_named(state: Path) -> None:
         assert wait_until_ready(state, DEADLINE_S, [ACC]).ready
 
 
+@pytest.mark.nightly
 def test_a_stream_that_is_enabled_again_is_missing_until_it_flows(state: Path) -> None:
     error = "connected, but no data of acc for 6 s; enabling again"
 
@@ -122,6 +126,7 @@ def test_a_stream_that_is_enabled_again_is_missing_until_it_flows(state: Path) -
         assert wait_until_ready(state, DEADLINE_S, ["acc"]).ready
 
 
+@pytest.mark.nightly
 def test_what_stopped_advancing_is_not_ready(state: Path) -> None:
     begun = time.monotonic()
 
@@ -136,6 +141,7 @@ def test_what_stopped_advancing_is_not_ready(state: Path) -> None:
     assert (("zephyr (1)", (ACC,))) in [each[:2] for each in missing(outcome)]
 
 
+@pytest.mark.nightly
 def test_a_device_that_is_away_is_named_with_its_error(state: Path) -> None:
     away = device(unit="2", participant="p01", label="left", state="discovering",
                   error="COM7: there is no such port")  # fmt: skip
@@ -146,18 +152,21 @@ def test_a_device_that_is_away_is_named_with_its_error(state: Path) -> None:
     assert why == "discovering - COM7: there is no such port"
 
 
+@pytest.mark.nightly
 def test_a_connection_that_is_lost_is_not_ready_whatever_was_counted(state: Path) -> None:
     with reporting(state, lambda n: [device(streams=streams(n, *STEADY), state="connecting")]):
         ((_, _, why),) = missing(wait_until_ready(state, SHORT_S))
     assert why == "connecting"
 
 
+@pytest.mark.nightly
 def test_a_paused_device_is_not_ready(state: Path) -> None:
     with reporting(state, lambda _: [device(streams=streams(9, *STEADY), paused=True)]):
         ((_, _, why),) = missing(wait_until_ready(state, SHORT_S))
     assert "resume" in why
 
 
+@pytest.mark.nightly
 def test_a_strap_is_ready_by_what_waits_for_its_first_receiver(state: Path) -> None:
     def report(number: int) -> list[dict[str, Any]]:
         quality = {"pushed": 0, "waited": number, "nominal_hz": 0.0}
@@ -167,6 +176,7 @@ def test_a_strap_is_ready_by_what_waits_for_its_first_receiver(state: Path) -> N
         assert wait_until_ready(state, DEADLINE_S).ready
 
 
+@pytest.mark.nightly
 def test_a_stream_that_the_settings_switched_off_is_not_waited_for(state: Path) -> None:
     def report(number: int) -> list[dict[str, Any]]:
         silent = {source: each | {"silent": True} for source, each in streams(0, STEADY[0]).items()}
@@ -177,12 +187,14 @@ def test_a_stream_that_the_settings_switched_off_is_not_waited_for(state: Path) 
     assert (outcome.ready, outcome.streams) == (True, len(STEADY) - 1)
 
 
+@pytest.mark.nightly
 def test_another_agent_s_counts_are_not_compared(state: Path) -> None:
     """One that is restarted every time begins with a higher count, but never counts on."""
     with reporting(state, lambda n: [device(streams=streams(n, *STEADY))], process=lambda n: n + 1):
         assert [each[1] for each in missing(wait_until_ready(state, SHORT_S))] == [STEADY]
 
 
+@pytest.mark.nightly
 def test_without_an_agent_it_waits_and_says_so(state: Path) -> None:
     begun = time.monotonic()
     ((name, _, why),) = missing(wait_until_ready(state, 1.0))
@@ -190,6 +202,7 @@ def test_without_an_agent_it_waits_and_says_so(state: Path) -> None:
     assert "no agent is running" in why
 
 
+@pytest.mark.nightly
 def test_an_agent_without_devices_is_never_ready(state: Path) -> None:
     with reporting(state, lambda _: []):
         ((_, _, why),) = missing(wait_until_ready(state, 1.0))
@@ -202,6 +215,7 @@ def away(state: Path) -> Generator[None]:
         yield
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("away")
 def test_the_command_says_what_is_missing_and_fails(run: Run) -> None:
     outcome = run("wait-ready", "--timeout", "1")

@@ -13,7 +13,11 @@ from contextlib import AbstractContextManager
 from os import environ
 from pathlib import Path
 
+import pytest
+
 from biosensor_gateway.agent import status_file
+
+pytestmark = pytest.mark.nightly
 
 StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
 

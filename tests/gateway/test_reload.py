@@ -20,6 +20,8 @@ from biosensor_common.errors import ConfigError
 from biosensor_gateway.agent import status_file
 from tests.rigs.zephyr import SteeredBioHarness
 
+pytestmark = pytest.mark.nightly
+
 ALL_SAMPLES = 1 << 16
 RATE_HZ = 250.0
 
@@ -109,6 +111,7 @@ def events(inlet: pylsl.StreamInlet) -> list[dict[str, Any]]:
     return [json.loads(text) for (text,) in texts]
 
 
+@pytest.mark.seam
 def test_what_is_the_same_streams_on_without_a_gap(
     cli_process: StartCli,
     until: Until,

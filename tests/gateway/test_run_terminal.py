@@ -15,6 +15,8 @@ from biosensor_gateway.agent import control
 from biosensor_gateway.system.logs import LOG_FILE_NAME
 from tests.rigs.terminal import at_terminal
 
+pytestmark = pytest.mark.nightly
+
 PROGRAM = [sys.executable, "-m", "biosensor_gateway.cli"]
 RUN = [*PROGRAM, "run", "--simulate", "zephyr"]
 FOOT = "More, in another window: biosensor-gateway status"
@@ -33,6 +35,7 @@ def ask(folder: Path, command: str) -> None:
     control.ask(folder, command, {"device": "zephyr"}, 30.0)
 
 
+@pytest.mark.seam
 def test_a_table_is_renewed_in_place_below_the_log_and_ctrl_c_ends_it(tmp_path: Path) -> None:
     with at_terminal(RUN, environment(tmp_path)) as terminal:
         # Before the device's clock is found, stamps and so the rate may be wrong.

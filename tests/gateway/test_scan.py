@@ -79,6 +79,7 @@ def lines_about(outcome: Outcome, title: str) -> list[str]:
     return [line for line in outcome.out.splitlines() if line.startswith(f"{title}: ")]
 
 
+@pytest.mark.nightly
 def test_for_scripts_it_is_json_of_one_form(run: Run) -> None:
     found = sections(run("scan", "--simulate", ",".join(STRAPS), "--seconds", "2", "--json"))
     services = [declaration(name).title for name in sensor_names() if driver(name).find is not None]
@@ -100,6 +101,7 @@ def test_for_scripts_it_is_json_of_one_form(run: Run) -> None:
     assert all(-127 < strength < 0 for strength in strengths)
 
 
+@pytest.mark.nightly
 def test_for_people_it_shows_the_lines_that_the_settings_file_takes(
     run: Run, settings: Path
 ) -> None:
@@ -117,6 +119,7 @@ def test_for_people_it_shows_the_lines_that_the_settings_file_takes(
     }
 
 
+@pytest.mark.nightly
 def test_what_no_driver_knows_is_named(run: Run, world: World, radio: Radio) -> None:
     lamp = Peripheral(radio, "A0:9E:1A:00:00:01", "Lamp", rssi_dbm=-61)
     world.await_(lamp.power_on([]))
@@ -125,6 +128,7 @@ def test_what_no_driver_knows_is_named(run: Run, world: World, radio: Radio) -> 
     assert "  not known to any driver: Lamp (A0:9E:1A:00:00:01, -61 dBm)\n" in outcome.out
 
 
+@pytest.mark.nightly
 def test_two_of_a_kind_are_two_devices(run: Run, world: World, radio: Radio) -> None:
     with (
         SimulatedPolarH10(world, radio, address="A0:9E:1A:00:00:01", device_id="AAAA0001"),
@@ -134,6 +138,7 @@ def test_two_of_a_kind_are_two_devices(run: Run, world: World, radio: Radio) -> 
     assert {device["settings"]["unit"] for device in found} == {"AAAA0001", "BBBB0002"}
 
 
+@pytest.mark.nightly
 def test_two_of_a_name_are_told_apart_by_address(run: Run, world: World, radio: Radio) -> None:
     name, addresses = "Strap", ("C8:25:00:00:00:01", "C8:25:00:00:00:02")
     with (
@@ -148,6 +153,7 @@ def test_two_of_a_name_are_told_apart_by_address(run: Run, world: World, radio: 
     ) in outcome.out
 
 
+@pytest.mark.nightly
 def test_macos_has_identifiers_that_hold_for_one_computer() -> None:
     identifier = "6F8D4C1E-0B7A-4D3C-9E52-1A2B3C4D5E6F"
     strap = Found("any", "Strap", {"unit": "1", "device": identifier})
@@ -157,6 +163,7 @@ def test_macos_has_identifiers_that_hold_for_one_computer() -> None:
     assert search.advice(search.Section(BLUETOOTH, (address,))) == []
 
 
+@pytest.mark.nightly
 def test_a_radio_that_is_off_is_one_line(run: Run, world: World, radio: Radio) -> None:
     with SimulatedPolarH10(world, radio):
         radio.available = False
@@ -169,6 +176,7 @@ def test_a_radio_that_is_off_is_one_line(run: Run, world: World, radio: Radio) -
     assert f"{BLUETOOTH}: {found[BLUETOOTH]['problem']}" == line
 
 
+@pytest.mark.nightly
 def test_what_a_service_lacks_is_one_line_each(run: Run, radio: Radio) -> None:
     outcome = run("scan", "--seconds", "1")
     assert (outcome.code, outcome.err) == (0, "")
@@ -178,6 +186,7 @@ def test_what_a_service_lacks_is_one_line_each(run: Run, radio: Radio) -> None:
     assert "28000" in server
 
 
+@pytest.mark.nightly
 def test_a_headset_is_found_where_the_settings_say_that_its_service_is(
     run: Run, world: World, radio: Radio, settings: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -204,6 +213,7 @@ def test_a_headset_is_found_where_the_settings_say_that_its_service_is(
         assert len(load_settings(settings, settings_models()).devices) == 1
 
 
+@pytest.mark.nightly
 def test_a_search_that_breaks_ends_no_other(
     run: Run, radio: Radio, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -218,6 +228,7 @@ def test_a_search_that_breaks_ends_no_other(
     assert outcome.err.count("\n") == 1
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("arguments", "text", "words"),
     [
@@ -244,6 +255,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabProcess]:
         yield running
 
 
+@pytest.mark.nightly
 def test_an_agent_connects_to_all_that_was_found(
     lab: LabProcess,
     tmp_path: Path,
@@ -288,6 +300,7 @@ cli.main()
 """
 
 
+@pytest.mark.nightly
 def test_ctrl_c_ends_a_scan_without_a_traceback(lab: LabProcess) -> None:
     command = [sys.executable, "-c", LISTENING, "scan", "--seconds", "60"]
     process = subprocess.Popen(

@@ -127,6 +127,7 @@ def one_sentence(outcome: Outcome, code: int) -> str:
     return outcome.err
 
 
+@pytest.mark.seam
 def test_set_asks_for_each_and_shows_none(
     store: Path, at_terminal: Callable[..., Terminal]
 ) -> None:
@@ -140,6 +141,7 @@ def test_set_asks_for_each_and_shows_none(
     assert "in the keyring" in terminal.shown
 
 
+@pytest.mark.nightly
 def test_set_asks_again_for_what_is_empty(
     store: Path, at_terminal: Callable[..., Terminal]
 ) -> None:
@@ -157,6 +159,7 @@ def test_set_asks_again_for_what_is_empty(
     assert list(file_keyring.entries(store).values()) == [CLIENT_ID]
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("no_keyring")
 def test_set_without_a_keyring_is_one_sentence(at_terminal: Callable[..., Terminal]) -> None:
     terminal = at_terminal("set", SENSOR)

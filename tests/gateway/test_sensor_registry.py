@@ -86,6 +86,7 @@ def test_an_unknown_sensor_is_refused_with_the_known_names() -> None:
     assert all(name in str(error) for name in BUILT_IN)
 
 
+@pytest.mark.nightly
 def test_a_list_of_sensors_imports_no_driver_and_no_virtual_device() -> None:
     script = """
 import sys

@@ -76,6 +76,7 @@ async def open_error(port: str) -> TransportError:
     return caught.value
 
 
+@pytest.mark.seam
 async def test_every_byte_value_passes_both_ways(
     pty: Pty, link: SerialLink, eventually: Eventually
 ) -> None:
@@ -93,6 +94,7 @@ async def test_every_byte_value_passes_both_ways(
     assert bytes(heard) == ALL_BYTES
 
 
+@pytest.mark.nightly
 async def test_what_was_written_before_closing_is_sent(pty: Pty, link: SerialLink) -> None:
     link.write(b"stop, ")
     link.write(b"please")
@@ -100,6 +102,7 @@ async def test_what_was_written_before_closing_is_sent(pty: Pty, link: SerialLin
     assert pty.heard() == b"stop, please"
 
 
+@pytest.mark.nightly
 async def test_bytes_carry_the_lsl_time_of_their_arrival(pty: Pty, link: SerialLink) -> None:
     before = local_clock()
     os.write(pty.master, b"x")
@@ -111,12 +114,14 @@ async def test_bytes_carry_the_lsl_time_of_their_arrival(pty: Pty, link: SerialL
     assert before <= arrival < after - 0.5
 
 
+@pytest.mark.nightly
 async def test_a_port_that_is_not_there_is_absent(tmp_path: Path) -> None:
     error = await open_error(str(tmp_path / "ttyUSB9"))
     assert error.reason is TransportReason.ABSENT
     assert "no such port" in str(error)
 
 
+@pytest.mark.nightly
 async def test_a_file_that_is_no_port_is_not_called_missing(tmp_path: Path) -> None:
     path = tmp_path / "notes.txt"
     path.touch()
@@ -134,6 +139,7 @@ def held_by_another_program(port: str) -> Generator[None]:
         yield
 
 
+@pytest.mark.nightly
 async def test_a_port_that_another_program_holds_is_busy(pty: Pty) -> None:
     with held_by_another_program(pty.port):
         error = await open_error(pty.port)
@@ -222,6 +228,7 @@ async def is_free(port: str) -> bool:
     return True
 
 
+@pytest.mark.nightly
 async def test_a_port_that_does_not_open_in_time_is_absent_and_not_held_later(
     pty: Pty, slow_port: threading.Event, monkeypatch: pytest.MonkeyPatch, eventually: Eventually
 ) -> None:
@@ -236,6 +243,7 @@ async def test_a_port_that_does_not_open_in_time_is_absent_and_not_held_later(
     assert await is_free(pty.port)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("opened_before_the_stop", [False, True])
 async def test_a_stop_while_opening_leaves_no_port_open(
     pty: Pty,
@@ -263,6 +271,7 @@ async def test_a_stop_while_opening_leaves_no_port_open(
     assert await is_free(pty.port)
 
 
+@pytest.mark.seam
 async def test_a_hang_up_is_told_after_everything_that_had_arrived(
     pty: Pty, monkeypatch: pytest.MonkeyPatch, eventually: Eventually
 ) -> None:
@@ -289,6 +298,7 @@ async def test_a_hang_up_is_told_after_everything_that_had_arrived(
     await close(link)
 
 
+@pytest.mark.nightly
 async def test_a_hang_up_between_two_reads_loses_no_byte(
     pty: Pty, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -306,6 +316,7 @@ async def test_a_hang_up_between_two_reads_loses_no_byte(
     await close(link)
 
 
+@pytest.mark.nightly
 async def test_a_hang_up_ends_a_waiting_read(pty: Pty, link: SerialLink) -> None:
     reading = asyncio.create_task(link.read())
     await asyncio.sleep(0.05)
@@ -314,6 +325,7 @@ async def test_a_hang_up_ends_a_waiting_read(pty: Pty, link: SerialLink) -> None
         await asyncio.wait_for(reading, CLOSED_WITHIN_S)
 
 
+@pytest.mark.nightly
 async def test_a_write_that_nobody_takes_ends_the_link(
     pty: Pty, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -327,6 +339,7 @@ async def test_a_write_that_nobody_takes_ends_the_link(
     await close(link)
 
 
+@pytest.mark.nightly
 async def test_closing_does_not_wait_for_a_write_that_nobody_takes(
     pty: Pty, monkeypatch: pytest.MonkeyPatch, eventually: Eventually
 ) -> None:
@@ -342,6 +355,7 @@ async def test_closing_does_not_wait_for_a_write_that_nobody_takes(
     pty.hang_up()
 
 
+@pytest.mark.nightly
 async def test_a_link_can_be_closed_in_every_state(pty: Pty) -> None:
     never_opened = SerialLink(pty.port)
     await close(never_opened)
@@ -357,6 +371,7 @@ async def test_a_link_can_be_closed_in_every_state(pty: Pty) -> None:
     await close(after_a_loss)
 
 
+@pytest.mark.nightly
 async def test_a_closed_port_is_free_at_once(pty: Pty) -> None:
     for _ in range(20):
         link = SerialLink(pty.port)
@@ -365,6 +380,7 @@ async def test_a_closed_port_is_free_at_once(pty: Pty) -> None:
         await close(link)
 
 
+@pytest.mark.nightly
 async def test_a_read_that_the_system_aborts_is_the_end_of_the_link(
     pty: Pty, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -112,6 +112,7 @@ def addresses(found: list[SerialPort]) -> dict[str, SerialPort]:
     return {port.remote_address: port for port in found if port.remote_address}
 
 
+@pytest.mark.nightly
 async def test_bluez_tells_the_paired_devices_with_a_serial_service(bluez: ObjectTree) -> None:
     known = (
         device(SHIMMER, "Shimmer3-BBCC"),
@@ -129,10 +130,12 @@ async def test_bluez_tells_the_paired_devices_with_a_serial_service(bluez: Objec
     }
 
 
+@pytest.mark.nightly
 async def test_a_bluez_without_devices_has_no_ports(bluez: ObjectTree) -> None:
     assert addresses(await ports.serial_ports()) == {}
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("address", ["nonsense", "unix:path=nowhere", "tcp:host=127.0.0.1,port=1"])
 async def test_without_a_bus_the_ports_are_listed_without_names(
     monkeypatch: pytest.MonkeyPatch, address: str
@@ -142,6 +145,7 @@ async def test_without_a_bus_the_ports_are_listed_without_names(
     assert await ports.serial_ports() == [SerialPort("ttyUSB7")]
 
 
+@pytest.mark.nightly
 async def test_on_a_bus_without_bluez_there_are_no_names(monkeypatch: pytest.MonkeyPatch) -> None:
     if not shutil.which("dbus-daemon"):
         pytest.skip("dbus-daemon is needed")

@@ -51,6 +51,7 @@ def test_each_word_of_the_command_is_escaped() -> None:
     assert line.endswith(r' "run" "--settings" "a b/$$HOME/100%%/\"x\"\\y.toml"')
 
 
+@pytest.mark.nightly
 def test_without_a_manager_the_unit_is_there_and_one_sentence_says_what_to_do(
     config: Path, run: Callable[..., Outcome]
 ) -> None:

@@ -74,6 +74,7 @@ def start(tmp_path: Path, until: Until) -> Generator[Started]:
         process.wait()
 
 
+@pytest.mark.seam
 @ANY_REQUEST
 def test_a_request_closes_everything(start: Started, number: signal.Signals) -> None:
     process = start()
@@ -83,6 +84,7 @@ def test_a_request_closes_everything(start: Started, number: signal.Signals) -> 
     assert start.said == ""
 
 
+@pytest.mark.nightly
 @ANY_REQUEST
 def test_further_requests_cut_nothing_short(start: Started, number: signal.Signals) -> None:
     process = start(closing_s=1.0)
@@ -96,6 +98,7 @@ def test_further_requests_cut_nothing_short(start: Started, number: signal.Signa
     assert start.said == ""
 
 
+@pytest.mark.nightly
 @ANY_REQUEST
 def test_nothing_is_cut_short_after_the_loop_has_closed(
     start: Started, number: signal.Signals
@@ -110,6 +113,7 @@ def test_nothing_is_cut_short_after_the_loop_has_closed(
     assert start.said == ""
 
 
+@pytest.mark.nightly
 @ANY_REQUEST
 def test_a_request_before_it_runs_ends_it_without_a_word(
     start: Started, number: signal.Signals
@@ -121,6 +125,7 @@ def test_a_request_before_it_runs_ends_it_without_a_word(
     assert start.said == ""
 
 
+@pytest.mark.nightly
 @ANY_REQUEST
 def test_a_request_is_not_lost_where_the_loop_is_behind(
     start: Started, number: signal.Signals
@@ -132,6 +137,7 @@ def test_a_request_is_not_lost_where_the_loop_is_behind(
     assert start.said == ""
 
 
+@pytest.mark.nightly
 def test_a_terminal_that_is_closed_is_a_request(start: Started) -> None:
     ours, terminal = os.openpty()
     process = start(under=("setsid", "--ctty"), terminal=terminal)
@@ -142,6 +148,7 @@ def test_a_terminal_that_is_closed_is_a_request(start: Started) -> None:
     assert start.said == ""
 
 
+@pytest.mark.seam
 def test_under_nohup_it_outlives_its_terminal(start: Started) -> None:
     process = start(under=("nohup",))
     process.send_signal(signal.SIGHUP)

@@ -129,6 +129,7 @@ BAD_FAULTS = (
 )
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("fault", BAD_FAULTS)
 def test_a_fault_that_makes_no_sense_ends_the_command(run: Run, fault: str) -> None:
     code, out, err = run("run", "--simulate", "polar_h10", "--fault", fault)
@@ -137,6 +138,7 @@ def test_a_fault_that_makes_no_sense_ends_the_command(run: Run, fault: str) -> N
     assert err.count("\n") == 1
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("simulated", "fault", "who"),
     [
@@ -216,6 +218,7 @@ def device(world: World) -> Generator[Recording]:
         yield living
 
 
+@pytest.mark.nightly
 def test_a_scheduled_fault_begins_and_ends_by_itself(device: Recording, until: Until) -> None:
     device.schedule(Fault(FaultKind.DROP, SHORT_S), SHORT_S)
     until(lambda: len(device.told) == 2)
@@ -223,11 +226,13 @@ def test_a_scheduled_fault_begins_and_ends_by_itself(device: Recording, until: U
     assert device.thread_names == {"virtual devices"}
 
 
+@pytest.mark.nightly
 def test_a_scheduled_fault_does_not_begin_before_its_time(device: Recording) -> None:
     device.schedule(Fault(FaultKind.DROP, 1.0), 3600.0)
     assert device.told == []
 
 
+@pytest.mark.nightly
 def test_an_endless_fault_ends_when_it_is_cleared(device: Recording) -> None:
     device.apply(Fault(FaultKind.STALL, inf))
     assert device.told == ["begin stall inf"]
@@ -237,6 +242,7 @@ def test_an_endless_fault_ends_when_it_is_cleared(device: Recording) -> None:
     assert device.told == ["begin stall inf", "end stall"]
 
 
+@pytest.mark.nightly
 def test_a_cleared_fault_does_not_end_twice(device: Recording, until: Until) -> None:
     device.apply(Fault(FaultKind.DROP, SHORT_S))
     device.clear(FaultKind.DROP)
@@ -245,12 +251,14 @@ def test_a_cleared_fault_does_not_end_twice(device: Recording, until: Until) -> 
     assert device.told == ["begin drop 0.05", "end drop", "begin stall 0.1", "end stall"]
 
 
+@pytest.mark.nightly
 def test_a_fault_that_comes_again_ends_first(device: Recording) -> None:
     for seconds in (10.0, 20.0):
         device.apply(Fault(FaultKind.OFF_BODY, seconds))
     assert device.told == ["begin off_body 10", "end off_body", "begin off_body 20"]
 
 
+@pytest.mark.nightly
 def test_different_faults_do_not_end_each_other(device: Recording) -> None:
     device.apply(Fault(FaultKind.DROP, inf))
     device.apply(Fault(FaultKind.OFF_BODY, inf))
@@ -258,6 +266,7 @@ def test_different_faults_do_not_end_each_other(device: Recording) -> None:
     assert device.told == ["begin drop inf", "begin off_body inf", "end drop"]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", [FaultKind.LOW_BATTERY, FaultKind.DRIFT, FaultKind.GARBAGE])
 def test_what_acts_at_once_has_no_end(device: Recording, kind: FaultKind, until: Until) -> None:
     device.apply(Fault(kind, 0.0))
@@ -267,6 +276,7 @@ def test_what_acts_at_once_has_no_end(device: Recording, kind: FaultKind, until:
     assert device.told == [f"begin {kind.value} 0", "begin drop 0.05", "end drop"]
 
 
+@pytest.mark.nightly
 def test_late_answers_last_longer_than_they_are_late(
     device: Recording, until: Until, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -275,6 +285,7 @@ def test_late_answers_last_longer_than_they_are_late(
     until(lambda: device.told == ["begin late 3600", "end late"])
 
 
+@pytest.mark.nightly
 def test_a_device_has_no_faults_but_its_own(device: Recording) -> None:
     refusal = Fault(FaultKind.REFUSE, 1.0)
     with pytest.raises(ValueError, match="recording cannot have the fault refuse"):
@@ -284,6 +295,7 @@ def test_a_device_has_no_faults_but_its_own(device: Recording) -> None:
     assert device.told == []
 
 
+@pytest.mark.seam
 def test_a_virtual_device_that_is_dropped_streams_again(
     cli_process: StartCli, until: Until, tmp_path: Path
 ) -> None:

@@ -96,6 +96,7 @@ def test_the_folder_is_made_and_nothing_is_left_in_it(tmp_path: Path) -> None:
     assert list(folder.iterdir()) == []
 
 
+@pytest.mark.nightly
 def test_a_second_one_is_told_which_runs_and_what_to_do(tmp_path: Path) -> None:
     with program(HOLDER, str(tmp_path)) as holder:
         error = refusal(tmp_path)
@@ -109,11 +110,13 @@ def test_a_second_one_is_told_which_runs_and_what_to_do(tmp_path: Path) -> None:
         pass
 
 
+@pytest.mark.nightly
 def test_each_folder_has_an_agent_of_its_own(tmp_path: Path) -> None:
     with program(HOLDER, str(tmp_path / "one")), single_instance(tmp_path / "other"):
         assert is_held(tmp_path / "one")
 
 
+@pytest.mark.seam
 def test_a_killed_one_blocks_nobody(tmp_path: Path) -> None:
     with program(HOLDER, str(tmp_path)) as holder:
         holder.kill()
@@ -124,6 +127,7 @@ def test_a_killed_one_blocks_nobody(tmp_path: Path) -> None:
         assert is_held(tmp_path)
 
 
+@pytest.mark.nightly
 def test_waiting_ends_with_the_agent(tmp_path: Path) -> None:
     with program(HOLDER, str(tmp_path)) as holder:
         assert holder.stdin is not None
@@ -138,6 +142,7 @@ def test_the_lock_is_given_back_by_an_agent_that_fails(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.nightly
 def test_never_two_at_a_time_though_the_file_comes_and_goes(tmp_path: Path) -> None:
     command = [sys.executable, "-c", CONTENDER, str(tmp_path), "100"]
     contenders = [subprocess.Popen(command) for _ in range(4)]
@@ -145,6 +150,7 @@ def test_never_two_at_a_time_though_the_file_comes_and_goes(tmp_path: Path) -> N
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.nightly
 def test_looking_whether_one_runs_keeps_none_from_starting(tmp_path: Path) -> None:
     with program(ONLOOKER, str(tmp_path)):
         for _ in range(100):

@@ -36,6 +36,7 @@ def times(count: int, start_s: float = DEVICE_S) -> list[float]:
     return [start_s + ECG_PERIOD_S * index for index in range(count)]
 
 
+@pytest.mark.seam
 def test_device_times_become_lsl_stamps(sink: DeviceSink, inlet: OpenInlet) -> None:
     reader = inlet(f"zephyr-{sink.identity.unit}-ecg")
     arrival = pylsl.local_clock()
@@ -50,6 +51,7 @@ def test_device_times_become_lsl_stamps(sink: DeviceSink, inlet: OpenInlet) -> N
     assert counters(sink, "ecg").pushed == 63
 
 
+@pytest.mark.nightly
 def test_stamps_never_run_backwards_when_the_device_clock_does(
     sink: DeviceSink, inlet: OpenInlet
 ) -> None:

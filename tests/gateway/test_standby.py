@@ -100,6 +100,7 @@ def kept(tmp_path: Path, until: Until) -> Generator[Kept]:
     made.close()
 
 
+@pytest.mark.seam
 def test_the_standby_takes_over_and_has_a_standby_then(kept: Kept) -> None:
     keeper = kept.start()
     standby = kept.wait_for("stands by", 1)
@@ -114,6 +115,7 @@ def test_the_standby_takes_over_and_has_a_standby_then(kept: Kept) -> None:
     assert not lives(another)
 
 
+@pytest.mark.nightly
 def test_for_a_standby_that_has_died_a_new_program_is_started(kept: Kept, until: Until) -> None:
     kept.start()
     standby = kept.wait_for("stands by", 1)
@@ -127,6 +129,7 @@ def test_for_a_standby_that_has_died_a_new_program_is_started(kept: Kept, until:
     assert again.split()[0] != standby
 
 
+@pytest.mark.nightly
 def test_a_standby_that_cannot_be_started_keeps_nobody_from_coming_back(kept: Kept) -> None:
     keeper = kept.start(before=NO_STANDBY)
     kill(int(kept.wait_for("runs", 1).split()[0]))
@@ -136,6 +139,7 @@ def test_a_standby_that_cannot_be_started_keeps_nobody_from_coming_back(kept: Ke
     assert kept.story("stands by") == []
 
 
+@pytest.mark.nightly
 def test_a_standby_ends_with_its_keeper(kept: Kept, until: Until) -> None:
     keeper = kept.start()
     kept.wait_for("runs", 1)
@@ -145,6 +149,7 @@ def test_a_standby_ends_with_its_keeper(kept: Kept, until: Until) -> None:
     assert len(kept.story("runs")) == 1
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("request_to_end", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_request_to_end_ends_the_standby_as_well(
     kept: Kept, request_to_end: signal.Signals
@@ -158,6 +163,7 @@ def test_a_request_to_end_ends_the_standby_as_well(
     assert len(kept.story("runs")) == 1
 
 
+@pytest.mark.nightly
 def test_who_dies_soon_has_no_standby(kept: Kept) -> None:
     kept.tell_program("fail")
     keeper = kept.start(standby_after_s=60.0)
@@ -179,6 +185,7 @@ def waiting(kept: Kept, state: Path, until: Until) -> Process:
     return keeper
 
 
+@pytest.mark.nightly
 def test_status_says_when_it_is_started_again(
     waiting: Process, run: Callable[..., Outcome]
 ) -> None:
@@ -190,6 +197,7 @@ def test_status_says_when_it_is_started_again(
     assert waiting.poll() is None
 
 
+@pytest.mark.nightly
 def test_stop_ends_who_waits(
     waiting: Process, kept: Kept, run: Callable[..., Outcome], state: Path
 ) -> None:
@@ -203,6 +211,7 @@ def test_stop_ends_who_waits(
     assert len(kept.story("runs")) == 1
 
 
+@pytest.mark.nightly
 def test_who_is_not_stopped_goes_on_and_says_no_more(
     kept: Kept, tmp_path: Path, until: Until
 ) -> None:
@@ -216,6 +225,7 @@ def test_who_is_not_stopped_goes_on_and_says_no_more(
     assert keeper.wait(DEADLINE_S) == 0
 
 
+@pytest.mark.nightly
 def test_what_a_killed_keeper_has_left_is_no_promise(
     waiting: Process, run: Callable[..., Outcome], state: Path
 ) -> None:
@@ -228,6 +238,7 @@ def test_what_a_killed_keeper_has_left_is_no_promise(
         assert outcome.err.startswith("biosensor-gateway: no agent is running; start one with")
 
 
+@pytest.mark.nightly
 def test_where_nothing_can_be_written_it_waits_all_the_same(kept: Kept, tmp_path: Path) -> None:
     in_the_way = tmp_path / "state"
     in_the_way.touch()

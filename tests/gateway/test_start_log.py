@@ -34,6 +34,7 @@ def logged(folder: Path) -> dict[str, Any]:
     return json.loads(line)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
@@ -56,12 +57,14 @@ def test_wrong_settings_are_in_the_file_as_on_the_console(
     assert outcome.err == f"biosensor-gateway: {entry['event']}\n"
 
 
+@pytest.mark.nightly
 def test_the_file_of_another_agent_is_left_alone(run: Run, state: Path) -> None:
     with single_instance(state):
         assert run("run", "--simulate", "zephyr").code == 2
         assert not (state / LOG_FILE_NAME).exists()
 
 
+@pytest.mark.nightly
 def test_old_files_are_not_rotated_away(run: Run, state: Path) -> None:
     state.mkdir()
     full = state / LOG_FILE_NAME
@@ -72,6 +75,7 @@ def test_old_files_are_not_rotated_away(run: Run, state: Path) -> None:
     assert [each.name for each in state.iterdir() if each.name.startswith(full.name)] == [full.name]
 
 
+@pytest.mark.nightly
 def test_a_mistake_of_ours_is_there_with_its_traceback(
     cli_process: StartCli, tmp_path: Path
 ) -> None:
@@ -84,6 +88,7 @@ def test_a_mistake_of_ours_is_there_with_its_traceback(
     assert "RuntimeError: a mistake in the agent" in (tmp_path / "stderr.txt").read_text()
 
 
+@pytest.mark.nightly
 def test_a_folder_that_cannot_be_written_changes_nothing(
     run: Run, settings: Path, state: Path
 ) -> None:

@@ -50,6 +50,7 @@ def test_a_file_is_made_and_replaced(path: Path, durable: bool) -> None:
         assert names(path) == [path.name]
 
 
+@pytest.mark.nightly
 def test_what_was_there_stays_if_it_cannot_be_replaced(path: Path, refuse: Refuse) -> None:
     state_file.replace(path, "old")
     refuse("replace", 1000)
@@ -59,6 +60,7 @@ def test_what_was_there_stays_if_it_cannot_be_replaced(path: Path, refuse: Refus
     assert names(path) == [path.name]
 
 
+@pytest.mark.nightly
 def test_a_reader_at_that_moment_only_delays(path: Path, refuse: Refuse) -> None:
     state_file.replace(path, "old")
     refuse("replace", 2)
@@ -67,6 +69,7 @@ def test_a_reader_at_that_moment_only_delays(path: Path, refuse: Refuse) -> None
     assert state_file.read(path) == "new"
 
 
+@pytest.mark.nightly
 def test_a_file_that_must_not_be_read_is_said(path: Path, refuse: Refuse) -> None:
     state_file.replace(path, "text")
     refuse("read_text", 1000)

@@ -18,6 +18,8 @@ from biosensor_common.errors import GatewayError
 from biosensor_gateway.agent import control
 from tests.rigs.terminal import at_terminal
 
+pytestmark = pytest.mark.nightly
+
 PROGRAM = [sys.executable, "-m", "biosensor_gateway.cli"]
 WATCH = [*PROGRAM, "status", "--watch"]
 ROW = re.compile(r"^Zephyr BioHarness 3 +(\w+) +\S+", re.MULTILINE)

@@ -22,6 +22,8 @@ from biosensor_gateway.agent.control import CONTROL_FILE, TIME_LIMIT_S
 from biosensor_gateway.agent.single_instance import LOCK_FILE, is_held
 from biosensor_gateway.system.logs import LOG_FILE_NAME
 
+pytestmark = pytest.mark.nightly
+
 DEADLINE_S = 30.0
 NO_AGENT = "biosensor-gateway: no agent is running; start one with: biosensor-gateway run\n"
 RUN = ("run", "--simulate", "zephyr")
@@ -78,6 +80,7 @@ def said(folder: Path) -> str:
     return (folder / "stderr.txt").read_text()
 
 
+@pytest.mark.seam
 def test_stop_ends_the_agent_as_ctrl_c_does(
     cli_process: StartCli, until: Until, tmp_path: Path
 ) -> None:
@@ -122,6 +125,7 @@ def test_an_agent_that_is_still_starting_is_stopped_as_well(
         assert agent.wait(DEADLINE_S) == 0
 
 
+@pytest.mark.seam
 def test_a_second_agent_is_refused_and_the_first_goes_on(
     cli_process: StartCli, until: Until, tmp_path: Path
 ) -> None:

@@ -13,6 +13,8 @@ from pylsl import local_clock
 from biosensor_gateway.transports.receiving import Address
 from biosensor_gateway.transports.udp_port import UdpPort
 
+pytestmark = pytest.mark.nightly
+
 LOCAL = "127.0.0.1"
 DEADLINE_S = 30.0
 
@@ -40,6 +42,7 @@ def port(received: list[Datagram]) -> Generator[UdpPort]:
     assert not reading.is_alive()
 
 
+@pytest.mark.seam
 def test_datagrams_come_whole_with_their_time_and_sender(
     port: UdpPort, received: list[Datagram], until: Until
 ) -> None:

@@ -107,6 +107,7 @@ def test_a_release_is_made_of_tags_and_by_hand() -> None:
     assert loaded["jobs"]["build"]["needs"] == "check"
 
 
+@pytest.mark.seam
 @pytest.mark.parametrize(("tag", "accepted"), [("", True), ("9.9.9", False)])
 def test_a_tag_must_be_the_version(tag: str, accepted: bool) -> None:
     (check,) = (
@@ -171,6 +172,7 @@ def test_the_script_of_the_installer_reads_what_it_is_given() -> None:
     assert {name for name in given if f"${{{name}}}" not in NSIS} == set()
 
 
+@pytest.mark.seam
 def test_the_bundle_is_completed_by_options_that_exist() -> None:
     asked = subprocess.run(
         [sys.executable, "-m", "installer.bundle", "--help"],
@@ -203,6 +205,7 @@ def test_files_that_are_named_exist() -> None:
     assert [path for path in named if not path.is_file()] == []
 
 
+@pytest.mark.seam
 def test_version_and_names_come_from_one_place() -> None:
     asked = re.findall(r"'(from installer\.layout import \w+; print\(.+?\))'\)", BUILD)
     printed: list[str] = []

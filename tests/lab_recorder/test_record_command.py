@@ -16,6 +16,8 @@ from biosensor_gateway.devices.registry import declaration
 from tests.lab_recorder.conftest import CommandLine, Outcome
 from tests.lab_recorder.remote_control import LabRecorderPeer
 
+pytestmark = pytest.mark.nightly
+
 Record = Callable[..., Outcome]
 
 OURS = {f"zephyr-virtual-{stream.data_name}" for stream in declaration("zephyr").streams}
@@ -44,6 +46,7 @@ def foreign() -> Generator[pylsl.StreamOutlet]:
     del outlet
 
 
+@pytest.mark.seam
 def test_it_records_until_it_is_stopped(record: Record, tmp_path: Path) -> None:
     folder = tmp_path / "data"
     begun = record("start", "--folder", str(folder), "--participant", "P07", "--task", "Walk",

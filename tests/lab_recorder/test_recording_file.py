@@ -49,6 +49,7 @@ def written(path: Path, first: bytes, block: bytes) -> Generator[None]:
         writer.join()
 
 
+@pytest.mark.nightly
 def test_a_file_that_gets_samples_grows(tmp_path: Path) -> None:
     path = tmp_path / "a.xdf"
     with written(path, HEAD, MORE):
@@ -56,6 +57,7 @@ def test_a_file_that_gets_samples_grows(tmp_path: Path) -> None:
         assert grows(path, DEADLINE_S)
 
 
+@pytest.mark.nightly
 def test_headers_alone_are_no_recording(tmp_path: Path) -> None:
     path = tmp_path / "a.xdf"
     with written(path, HEAD, stream_header(2, "two")):
@@ -70,6 +72,7 @@ def test_a_file_that_stays_as_it_is_does_not_grow(tmp_path: Path, content: bytes
     assert not grows(path, 0.5)
 
 
+@pytest.mark.nightly
 def test_in_a_folder_what_was_there_before_is_left_alone(tmp_path: Path) -> None:
     old = tmp_path / "old.xdf"
     old.write_bytes(HEAD + MORE + footer(1, 2))

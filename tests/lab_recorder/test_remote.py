@@ -47,6 +47,7 @@ def reason_of(port: int, line: str = "update", limit_s: float = DEADLINE_S) -> L
     return caught.value
 
 
+@pytest.mark.seam
 def test_each_command_waits_for_the_answer_to_the_one_before(recorder: LabRecorderPeer) -> None:
     with RemoteControl(LOCAL, recorder.port) as remote:
         for line in ("update", "select none", "gibberish", "filename {task:A}"):
@@ -55,6 +56,7 @@ def test_each_command_waits_for_the_answer_to_the_one_before(recorder: LabRecord
     assert recorder.lines == ["update", "select none", "gibberish", "filename {task:A}"]
 
 
+@pytest.mark.nightly
 def test_nobody_there_is_said_with_what_to_do() -> None:
     with socket.create_server((LOCAL, 0)) as server:
         port = server.getsockname()[1]
@@ -71,6 +73,7 @@ def test_a_host_that_cannot_be_found_is_unreachable(host: str) -> None:
     assert caught.value.reason is LabRecorderReason.UNREACHABLE
 
 
+@pytest.mark.nightly
 def test_a_message_box_is_suspected_behind_silence(tmp_path: Path) -> None:
     root = tmp_path / "a file, so no folder can be made"
     root.touch()
@@ -81,6 +84,7 @@ def test_a_message_box_is_suspected_behind_silence(tmp_path: Path) -> None:
     assert "window" in str(error)
 
 
+@pytest.mark.nightly
 def test_another_answer_is_no_labrecorder(serve: Serve) -> None:
     def greet(client: socket.socket) -> None:
         client.recv(100)
@@ -92,6 +96,7 @@ def test_another_answer_is_no_labrecorder(serve: Serve) -> None:
     assert "220 mail" in str(error)
 
 
+@pytest.mark.nightly
 def test_an_end_of_the_connection_is_no_answer(serve: Serve) -> None:
     def hang_up(client: socket.socket) -> None:
         client.recv(100)

@@ -20,6 +20,8 @@ from biosensor_gateway.recording.xdf.salvage.outcome import Outcome, salvage, sa
 from tests.rigs.lab_recorder import PROGRAM
 from tests.xdf.checking import load_by_pyxdf
 
+pytestmark = pytest.mark.nightly
+
 RATE_HZ, PER_PUSH, PUSH_S = 100, 25, 0.25
 # Clock offsets come every 5 s, boundaries every 10 s, and the file grows by blocks of 8 KiB.
 ENOUGH_BYTES = 40_000
@@ -89,6 +91,7 @@ def _loaded(path: Path) -> dict[str, dict[str, Any]]:
     return {stream["info"]["name"][0]: stream for stream in load_by_pyxdf(path)}
 
 
+@pytest.mark.seam
 def test_all_that_can_be_read_is_kept(killed: Path, outcome: Outcome) -> None:
     before = {each.header.name: each for each in read_recording(killed).streams}
     assert outcome.written is not None

@@ -15,7 +15,10 @@ from tests.page.axe import violations
 from tests.page.conftest import Server
 from tests.page.test_window import OpenWindow
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="halts a program by a signal")
+pytestmark = [
+    pytest.mark.nightly,
+    pytest.mark.skipif(sys.platform == "win32", reason="halts a program by a signal"),
+]
 
 RATE = re.compile(r"^\d+(\.\d)? bpm$")
 NOTHING = "\u2013"

@@ -49,6 +49,7 @@ class Taken:
         ]
 
 
+@pytest.mark.seam
 async def test_it_is_what_a_recorder_gets_to_the_last_bit(programs: Programs) -> None:
     programs.start("run", "--simulate", "zephyr")
     taken = Taken(programs)
@@ -80,6 +81,7 @@ async def test_it_is_what_a_recorder_gets_to_the_last_bit(programs: Programs) ->
         await asyncio.gather(following, return_exceptions=True)
 
 
+@pytest.mark.nightly
 async def test_it_goes_on_with_the_agent_that_comes_after_a_kill(programs: Programs) -> None:
     process = programs.start("run", "--simulate", "zephyr")
     taken = Taken(programs)
@@ -97,6 +99,7 @@ async def test_it_goes_on_with_the_agent_that_comes_after_a_kill(programs: Progr
         await asyncio.gather(following, return_exceptions=True)
 
 
+@pytest.mark.nightly
 def test_readers_that_do_not_read_cost_the_agent_nothing(programs: Programs) -> None:
     programs.start("run", "--simulate", "zephyr")
     stuck: list[socket.socket] = []

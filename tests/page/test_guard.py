@@ -16,6 +16,8 @@ from websockets.typing import Origin
 
 from tests.page.conftest import Answer, Programs, Server
 
+pytestmark = pytest.mark.nightly
+
 JSON = {"Content_Type": "application/json"}
 FOREIGN = "http://evil.example"
 
@@ -43,6 +45,7 @@ def own(server: Server) -> dict[str, str]:
     return {**JSON, "Origin": server.origin}
 
 
+@pytest.mark.seam
 def test_the_way_in_opens_once_and_gives_a_cookie_that_scripts_cannot_read(
     server: Server, door: Answer
 ) -> None:
@@ -56,6 +59,7 @@ def test_the_way_in_opens_once_and_gives_a_cookie_that_scripts_cannot_read(
     assert server.request("GET", "/door", "").status == 403
 
 
+@pytest.mark.seam
 @pytest.mark.parametrize("path", ["/", "/page.css", "/api/v1/status", "/api/v1/openapi.json"])
 def test_nothing_is_shown_without_the_cookie(server: Server, cookie: str, path: str) -> None:
     assert server.request("GET", path, "").status == 401
@@ -77,6 +81,7 @@ def test_a_foreign_name_for_this_computer_is_refused(
     assert server.request("GET", "/door?token=x", "", Host=name).status == 421
 
 
+@pytest.mark.seam
 @pytest.mark.parametrize(
     "headers",
     [

@@ -17,6 +17,8 @@ from tests.page.conftest import DEADLINE_S, Server
 from tests.rigs import file_keyring
 from tests.rigs.wristbands import LOCATED
 
+pytestmark = pytest.mark.nightly
+
 HEADSET = '[[device]]\nsensor = "emotiv_insight"\nunit = "A"\n'
 TEXT = "n0body-may-read-this"
 

@@ -6,10 +6,13 @@ import re
 import socket
 from pathlib import Path
 
+import pytest
+
 import biosensor_gateway.page
 from biosensor_gateway.page.listening import listening_at
 
 
+@pytest.mark.nightly
 def test_an_accepted_connection_sends_at_once() -> None:
     with (
         listening_at("127.0.0.1", 0) as listening,

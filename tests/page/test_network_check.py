@@ -14,6 +14,8 @@ from biosensor_common.doctor.two_sided.remedies import ANSWER_PORT
 from tests.page.axe import violations
 from tests.page.conftest import DEADLINE_S, Programs, Server
 
+pytestmark = pytest.mark.nightly
+
 OTHER = "127.0.0.2"
 ANSWER = "network-check/answer"
 OpenWindow = Callable[..., Page]

@@ -14,6 +14,8 @@ from playwright.sync_api import Locator, Page, expect
 from tests.page.conftest import DEADLINE_S, Programs, Server
 from tests.page.test_window import OpenWindow, violations
 
+pytestmark = pytest.mark.nightly
+
 NAME = "<img src=x onerror=alert(1)>\n\u202e"
 SHOWN = "<img src=x onerror=alert(1)>\\n\\u202e"
 OTHERS: list[dict[str, Any]] = [

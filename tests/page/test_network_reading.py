@@ -97,6 +97,7 @@ def reading() -> Generator[Reading]:
             running.reader.stop()
 
 
+@pytest.mark.seam
 def test_it_is_what_was_sent_in_the_channels_that_were_asked_for(reading: Reading) -> None:
     device = reading.wait("amplifier", SeenState.LISTED)
     (stream,) = device.streams
@@ -126,6 +127,7 @@ def test_it_is_what_was_sent_in_the_channels_that_were_asked_for(reading: Readin
     assert stream.measured_hz == pytest.approx(250, rel=0.05)
 
 
+@pytest.mark.nightly
 def test_streams_of_strangers_do_no_harm(reading: Reading) -> None:
     shown = readable(NAME)
     assert shown == "<script>\\u202e\\n'; drop"
@@ -142,6 +144,7 @@ def test_streams_of_strangers_do_no_harm(reading: Reading) -> None:
     assert unix.age_s < 5
 
 
+@pytest.mark.nightly
 def test_text_is_read_as_text(reading: Reading) -> None:
     (stream,) = reading.wait("experiment").streams
     reading.reader.wanted = frozenset({stream.source_id})
@@ -152,6 +155,7 @@ def test_text_is_read_as_text(reading: Reading) -> None:
     assert not reading.count(stream.source_id)
 
 
+@pytest.mark.nightly
 def test_of_very_many_streams_few_are_received(reading: Reading) -> None:
     def many() -> list[str]:
         devices = reading.reader.view.devices

@@ -11,6 +11,8 @@ import pytest
 from biosensor_common.errors import ConfigError, TransportError, TransportReason
 from biosensor_gateway.page.network_page.server import NetworkServer
 
+pytestmark = pytest.mark.nightly
+
 
 @pytest.fixture(autouse=True)
 def _signals() -> Iterator[None]:

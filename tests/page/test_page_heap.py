@@ -12,7 +12,10 @@ from biosensor_common.heap import ARENAS
 from tests.page.conftest import Server
 from tests.rigs.arenas import count_arenas
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="glibc's arenas")
+pytestmark = [
+    pytest.mark.nightly,
+    pytest.mark.skipif(sys.platform != "linux", reason="glibc's arenas"),
+]
 
 
 def test_it_has_few_arenas(server: Server, window: Callable[..., Page]) -> None:

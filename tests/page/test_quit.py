@@ -15,6 +15,8 @@ from tests.page.axe import violations
 from tests.page.conftest import DEADLINE_S, Programs, Server
 from tests.rigs.zephyr import SteeredBioHarness
 
+pytestmark = pytest.mark.nightly
+
 SETTINGS = """
 [[device]]
 sensor = "zephyr"
@@ -80,6 +82,7 @@ def test_the_page_alone_ends_and_the_agent_streams_on(server: Server, window: Op
     assert is_held(server.programs.folder)
 
 
+@pytest.mark.seam
 def test_everything_ends_and_the_recording_is_closed_first(
     server: Server, window: OpenWindow, harness: SteeredBioHarness, tmp_path: Path
 ) -> None:

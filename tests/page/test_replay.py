@@ -23,6 +23,7 @@ from tests.replay import files
 LONG_S = 600.0
 
 
+@pytest.mark.nightly
 def test_a_recording_is_played_marked_and_ended(
     server: Server, window: OpenWindow, tmp_path: Path
 ) -> None:
@@ -78,6 +79,7 @@ def test_a_recording_is_played_marked_and_ended(
     expect(over).to_have_count(0)
 
 
+@pytest.mark.nightly
 def test_a_replay_ends_with_the_page(server: Server, tmp_path: Path) -> None:
     recording = files.write(tmp_path / "a.xdf", files.regular(1, "alone", 4.0, LONG_S))
     cookie = server.enter()

@@ -20,6 +20,8 @@ from biosensor_gateway.page.running import ADDRESS, ask_for_window, page_folder
 from tests.page.conftest import DEADLINE_S, STARTED, Programs, Server
 from tests.rigs.chromium import OPTIONS
 
+pytestmark = pytest.mark.nightly
+
 expect.set_options(1000 * DEADLINE_S)
 OpenWindow = Callable[..., Page]
 NO_SENSOR = "No sensor is set up yet"
@@ -34,6 +36,7 @@ def until(holds: Callable[[], object], expected: str) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.seam
 def test_a_second_start_opens_another_window_of_the_same_server(
     server: Server, window: OpenWindow
 ) -> None:

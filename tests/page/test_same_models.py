@@ -6,8 +6,12 @@ import json
 import time
 from typing import Any, cast
 
+import pytest
+
 from biosensor_gateway.agent.status import AgentStatus, DeviceFacts, StreamStatus
 from tests.page.conftest import DEADLINE_S, Server
+
+pytestmark = pytest.mark.nightly
 
 Entries = dict[str, Any]
 # Counted, or measured anew each second; all else stays the same while all is well.

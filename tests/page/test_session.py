@@ -15,6 +15,8 @@ from playwright.sync_api import Page, expect
 from tests.page.conftest import DEADLINE_S, Server
 from tests.rigs.zephyr import SteeredBioHarness
 
+pytestmark = pytest.mark.nightly
+
 SETTINGS = """
 [markers]
 buttons = ["baseline", "task"]
@@ -43,6 +45,7 @@ def recorded(folder: Path) -> dict[str, Any]:
     return {each["info"]["name"][0]: each for each in streams}
 
 
+@pytest.mark.seam
 def test_a_session_with_markers_and_a_sensor_that_drops_out(
     server: Server,
     window: Callable[..., Page],

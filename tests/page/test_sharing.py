@@ -69,6 +69,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Generator[SharedServer]:
     programs.end()
 
 
+@pytest.mark.seam
 def test_all_is_seen_and_nothing_can_be_pressed(shared: SharedServer, window: OpenWindow) -> None:
     host = window()
     host.goto(shared.address)
@@ -105,6 +106,7 @@ def test_all_is_seen_and_nothing_can_be_pressed(shared: SharedServer, window: Op
     )
 
 
+@pytest.mark.nightly
 def test_only_who_has_the_address_looks_on(shared: SharedServer) -> None:
     for path in ("/", "/page.css", "/api/v1/status"):
         assert shared.ask(path).status == 401
@@ -123,6 +125,7 @@ def test_only_who_has_the_address_looks_on(shared: SharedServer) -> None:
     assert shared.ask("/api/v1/status", cookie, Sec_Fetch_Site="cross-site").status == 403
 
 
+@pytest.mark.nightly
 def test_the_two_ways_in_do_not_open_each_other(shared: SharedServer) -> None:
     cookie = shared.enter_view()
     value = cookie.partition("=")[2]
@@ -136,6 +139,7 @@ def test_the_two_ways_in_do_not_open_each_other(shared: SharedServer) -> None:
         pass
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("method", "path"),
     [
@@ -164,6 +168,7 @@ def test_nothing_can_be_changed_and_no_more_be_read(
     assert answer.status in {404, 405}
 
 
+@pytest.mark.nightly
 def test_a_socket_of_another_page_is_refused(shared: SharedServer) -> None:
     context = ssl.create_default_context()
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
@@ -179,6 +184,7 @@ def test_a_socket_of_another_page_is_refused(shared: SharedServer) -> None:
         assert '"agent"' in str(socket_.recv(DEADLINE_S))
 
 
+@pytest.mark.nightly
 def test_its_certificate_is_the_one_that_is_shown_and_stays(shared: SharedServer) -> None:
     pem = ssl.get_server_certificate((shared.host, shared.view_port))
     digest = hashlib.sha256(ssl.PEM_cert_to_DER_cert(pem)).hexdigest().upper()
@@ -200,6 +206,7 @@ def test_a_certificate_is_made_anew_where_it_does_not_serve(tmp_path: Path) -> N
     assert own_certificate(tmp_path, ["192.0.2.7"]).fingerprint.count(":") == 31
 
 
+@pytest.mark.nightly
 def test_what_cannot_be_shared_is_said(programs: Programs) -> None:
     def refused(*arguments: str) -> str:
         command = [sys.executable, "-m", "biosensor_gateway.cli", "page", "--no-open", *arguments]

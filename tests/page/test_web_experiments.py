@@ -17,6 +17,8 @@ from tests.page.axe import violations
 from tests.page.conftest import DEADLINE_S
 from tests.page.web_lab import MarkerReader, WebLab, until
 
+pytestmark = pytest.mark.nightly
+
 expect.set_options(1000 * DEADLINE_S)
 OpenWindow = Callable[..., Page]
 
@@ -204,6 +206,7 @@ def test_a_page_from_a_file_marks_where_that_is_allowed(
     assert reader.find("from a file")["source"] == "null"
 
 
+@pytest.mark.seam
 def test_the_example_is_run_by_a_participant(
     lab: WebLab, reader: MarkerReader, window: OpenWindow
 ) -> None:

@@ -22,6 +22,8 @@ from biosensor_gateway.page.experiments.guard import MAX_SOCKETS, SOCKET
 from tests.page.conftest import DEADLINE_S
 from tests.page.web_lab import Answer, MarkerReader, WebLab, until
 
+pytestmark = pytest.mark.nightly
+
 FOREIGN = "http://evil.example"
 
 

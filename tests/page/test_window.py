@@ -19,6 +19,8 @@ from tests.page.axe import violations
 from tests.page.conftest import DEADLINE_S, Server
 from tests.rigs.wristbands import LOCATED
 
+pytestmark = pytest.mark.nightly
+
 LEFT, RIGHT = "9ff167", "9ff168"
 
 expect.set_options(1000 * DEADLINE_S)
@@ -40,6 +42,7 @@ def picture(spark: Locator) -> str:
     return spark.evaluate("canvas => canvas.toDataURL()")
 
 
+@pytest.mark.seam
 def test_from_nothing_to_traces_of_virtual_sensors(server: Server, window: OpenWindow) -> None:
     page = window()
     page.goto(server.address)

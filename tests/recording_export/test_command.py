@@ -8,12 +8,17 @@ import re
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.recording_export.study import study
 from tests.rigs.terminal import at_terminal
 from tests.xdf import xdf_file as made
 from tests.xdf.conftest import Command
 
+pytestmark = pytest.mark.nightly
 
+
+@pytest.mark.seam
 def test_a_person_is_cut_out(tmp_path: Path) -> None:
     command = Command(tmp_path)
     options = ("--to", "csv-long", "--to", "ledalab", "--without", "P1", "--until", "0:15")

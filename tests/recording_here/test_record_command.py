@@ -12,6 +12,8 @@ from tests.lab_recorder.conftest import CommandLine, Outcome
 from tests.recording_here.conftest import Sources
 from tests.rigs.lsl_streams import wait_until
 
+pytestmark = pytest.mark.nightly
+
 Record = Callable[..., Outcome]
 
 
@@ -26,6 +28,7 @@ def record(state: Path) -> Record:
     return run
 
 
+@pytest.mark.seam
 def test_it_records_until_it_is_stopped(record: Record, sources: Sources, tmp_path: Path) -> None:
     start = ("start", "--here", "--folder", str(tmp_path), "--participant", "P07")
     begun = record(*start, "--json")

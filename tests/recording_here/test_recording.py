@@ -31,6 +31,8 @@ from biosensor_gateway.recording.xdf.verdict import Colour
 from tests.recording_here.conftest import Sources
 from tests.rigs.lsl_streams import wait_until
 
+pytestmark = pytest.mark.nightly
+
 BIDS = BidsLabels("P07", task="Walk")
 NAME = "sub-P07/ses-S001/beh/sub-P07_ses-S001_task-Walk_run-{run:03}_beh.xdf"
 
@@ -115,6 +117,7 @@ def test_a_name_that_is_taken_counts_up_or_refuses(
     assert taken.read_bytes() == b"of somebody"
 
 
+@pytest.mark.seam
 def test_a_required_stream_that_is_missing_refuses(
     sources: Sources, state: Path, tmp_path: Path
 ) -> None:
@@ -164,6 +167,7 @@ def test_where_nothing_can_be_written_it_says_so(
         assert caught.value.reason is RecorderReason.UNWRITABLE
 
 
+@pytest.mark.seam
 def test_a_killed_program_is_said_with_what_it_said(
     sources: Sources, state: Path, tmp_path: Path
 ) -> None:
@@ -219,6 +223,7 @@ def _bytes(recording: Recording) -> int:
     return 0 if sight is None else sight.bytes
 
 
+@pytest.mark.seam
 def test_a_killed_keeper_closes_the_file(sources: Sources, state: Path, tmp_path: Path) -> None:
     recording = Recording(state)
     recording.start(order(tmp_path), sources.presence)

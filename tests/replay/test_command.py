@@ -32,6 +32,7 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
 
 
+@pytest.mark.nightly
 def test_nothing_is_played_while_the_real_stream_is_there(long: Path) -> None:
     outlet = pylsl.StreamOutlet(pylsl.StreamInfo("slow", "Test", 2, 4.0, "float32", "slow-id"))
     with playing(long) as replay:
@@ -47,6 +48,7 @@ def test_nothing_is_played_while_the_real_stream_is_there(long: Path) -> None:
     del outlet
 
 
+@pytest.mark.seam
 def test_at_another_speed_rate_and_stamps_are_those_of_the_replay(long: Path) -> None:
     options = ("--speed", "50", "--until", "1:40", "--wait-for-consumers", "--as-original")
     with playing(long, *options, "--streams", "whole*") as replay:
@@ -68,6 +70,7 @@ def test_at_another_speed_rate_and_stamps_are_those_of_the_replay(long: Path) ->
     assert "200 samples were sent" in replay.said
 
 
+@pytest.mark.nightly
 def test_a_loop_begins_again_is_not_played_twice_and_ends_by_ctrl_c(tmp_path: Path) -> None:
     file = files.write(tmp_path / "short.xdf", files.texts(1, "marks", [0.0, 0.1, 0.3]))
     with playing(file, "--loop", "--wait-for-consumers") as replay:
@@ -85,6 +88,7 @@ def test_a_loop_begins_again_is_not_played_twice_and_ends_by_ctrl_c(tmp_path: Pa
     assert re.search(r"Ended at 0:00:0\d of 0:00:00 of round \d+\.\n\d+ samples", replay.said)
 
 
+@pytest.mark.nightly
 def test_a_wrong_wish_is_one_sentence(long: Path) -> None:
     with playing(long, "--streams", "none*") as replay:
         assert replay.ended() == 2
@@ -107,6 +111,7 @@ def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
     assert refused.value.reason is BagReason.NOT_A_BAG
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("wish", [Wish(begin="9:00:00"), Wish(["slow"], "0.2", "0.21")])
 def test_where_nothing_is_nothing_is_played(long: Path, wish: Wish) -> None:
     with opened(long) as contents, pytest.raises(ReplayError) as caught:
@@ -116,6 +121,7 @@ def test_where_nothing_is_nothing_is_played(long: Path, wish: Wish) -> None:
     assert caught.value.reason is ReplayReason.EMPTY
 
 
+@pytest.mark.nightly
 def test_a_bag_is_played_by_way_of_a_recording(long: Path, tmp_path: Path) -> None:
     exported = export(
         long, Task(["mcap"], Wish(["slow"], "", "20"), Clock.LSL, tmp_path), _unwatched

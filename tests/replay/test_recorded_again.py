@@ -20,6 +20,8 @@ from tests.replay import files
 from tests.replay.playing import playing
 from tests.rigs.lab_recorder import LabRecorder
 
+pytestmark = pytest.mark.nightly
+
 SECONDS = 5.0
 STREAMS = 7
 # Doubles of a few thousand seconds are exact to a picosecond; the rest is room for arithmetic.
@@ -58,6 +60,7 @@ def again(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.seam
 def test_every_sample_is_the_same_at_the_same_distance(source: Path, again: Path) -> None:
     with open_contents(source) as before, open_contents(again) as after:
         pairs = [(each, _played(each, after.streams)) for each in before.streams]
@@ -71,6 +74,7 @@ def test_every_sample_is_the_same_at_the_same_distance(source: Path, again: Path
             assert _samples(played)[1] == _samples(each)[1], each.header.name
 
 
+@pytest.mark.seam
 def test_the_description_is_the_same_but_for_the_replay(source: Path, again: Path) -> None:
     with open_contents(source) as before, open_contents(again) as after:
         for each in before.streams:

@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pylsl
+import pytest
 from std_msgs.msg import Float32MultiArray
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
+
+pytestmark = pytest.mark.nightly
 
 TOPIC = "/biosensors/backlog/EEG"
 # The publisher's queue holds the messages of half a minute, at 50 Hz those of 1500 samples.

@@ -28,6 +28,8 @@ from tests.rigs.recorded_topics import Clocks, RecordedPublisher, header_of
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros
 
+pytestmark = pytest.mark.nightly
+
 HEADER = header_of("zephyr", "ecg", rate=100.0)
 ON = StreamSettings(raw=True, chunk=True, chunk_length=4)
 
@@ -70,6 +72,7 @@ def make(ros: Ros) -> Make:
     return setup
 
 
+@pytest.mark.seam
 def test_every_sample_goes_out_at_once_and_in_its_chunk(make: Make) -> None:
     it = make()
     it.send(1, 2, 3, 4, 5)
@@ -86,6 +89,7 @@ def test_a_block_is_no_different(make: Make) -> None:
     assert it.counters.received == 5
 
 
+@pytest.mark.seam
 @pytest.mark.parametrize("as_block", [False, True])
 def test_a_chunk_never_spans_a_gap(make: Make, as_block: bool) -> None:
     it = make()
@@ -101,6 +105,7 @@ def test_a_chunk_never_spans_a_gap(make: Make, as_block: bool) -> None:
     assert (it.counters.discarded, it.counters.missing) == (3, 9)
 
 
+@pytest.mark.seam
 @settings(
     deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )

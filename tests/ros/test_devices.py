@@ -23,6 +23,8 @@ from tests.rigs.recorded_topics import Clocks, header_of
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros
 
+pytestmark = pytest.mark.nightly
+
 SETTINGS = StreamSettings(raw=True, chunk=True, chunk_length=8)
 Named = tuple[str, Bridge]
 
@@ -85,6 +87,7 @@ def test_its_clock_is_what_the_agent_tells_of_it(lab: Lab) -> None:
     }
 
 
+@pytest.mark.seam
 def test_a_device_is_described_by_what_its_streams_tell(lab: Lab) -> None:
     lab.tell("zephyr", BATTERY, 55.5)
     lab.tell("zephyr", header_of("zephyr", "rssi"), -61)
@@ -106,6 +109,7 @@ def test_a_device_is_described_by_what_its_streams_tell(lab: Lab) -> None:
     }
 
 
+@pytest.mark.seam
 def test_each_device_has_a_status_of_its_own(lab: Lab) -> None:
     lab.tell("p01/zephyr_left", BATTERY, 5)
     lab.tell("p01/zephyr_right", BATTERY, 50)

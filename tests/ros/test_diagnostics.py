@@ -34,6 +34,8 @@ from tests.rigs.set_clock import SetClock
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
 
+pytestmark = pytest.mark.nightly
+
 COUNTERS = "/biosensors/gateway/counters"
 NAME = TopicName("p01/biosensors/zephyr_left", "acc")
 HEADER = header_of("zephyr", "acc", participant="p01", label="left", rate=100.0, chunk="acc")
@@ -103,6 +105,7 @@ def values(status: DiagnosticStatus) -> dict[str, str]:
     return {entry.key: entry.value for entry in status.values}
 
 
+@pytest.mark.seam
 def test_a_streaming_stream_is_ok(stream: Stream) -> None:
     stream.clocks.correction = 12.5
     status = stream.receive(0.5).look(spread=0.25)
@@ -161,6 +164,7 @@ def test_an_irregular_stream_may_be_silent(irregular: Stream) -> None:
     assert (status.level, status.message) == (DiagnosticStatus.OK, "streaming")
 
 
+@pytest.mark.seam
 def test_a_shared_name_is_an_error(stream: Stream) -> None:
     stream.receive(0.0)
     stream.topic = TopicName("biosensors/zephyr_U1", "acc", conflict=True)
@@ -200,6 +204,7 @@ def test_lost_samples_are_a_warning_for_a_while(irregular: Stream) -> None:
     assert irregular.pass_time(1.0).receive(0.0).look().level == DiagnosticStatus.OK
 
 
+@pytest.mark.seam
 def test_what_is_lost_is_counted_estimated_or_unknown_but_never_made_up(
     ros: Ros, clock: SetClock
 ) -> None:

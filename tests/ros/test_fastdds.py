@@ -161,6 +161,7 @@ def shared_memory(*before: str, **variables: str) -> list[str]:
     return json.loads(done.stdout)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("variable", ["ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"])
 def test_fast_dds_does_as_it_is_told(variable: str) -> None:
     local = {variable: LOCAL.get(variable, "1")}
@@ -178,6 +179,7 @@ def test_with_multicast_it_does_as_it_is_told_too(range_: str) -> None:
     assert shared_memory(*alone, ROS_AUTOMATIC_DISCOVERY_RANGE=range_)
 
 
+@pytest.mark.nightly
 def test_it_hears_answers_although_each_program_answers_once(tmp_path: Path) -> None:
     quiet = tmp_path / "quiet.xml"
     quiet.write_text(QUIET)

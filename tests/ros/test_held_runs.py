@@ -26,6 +26,8 @@ from tests.rigs.recorded_topics import Clocks, RecordedPublisher, header_of
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros
 
+pytestmark = pytest.mark.nightly
+
 SETTINGS = StreamSettings(raw=True, chunk=True, chunk_length=4)
 OFFSET_S = 12.5
 

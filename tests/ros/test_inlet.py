@@ -24,6 +24,8 @@ from tests.rigs.lsl_streams import (
     wait_until,
 )
 
+pytestmark = pytest.mark.nightly
+
 
 @pytest.fixture
 def warnings() -> list[str]:
@@ -41,6 +43,7 @@ def lsl_inlets(monkeypatch: pytest.MonkeyPatch) -> list[pylsl.StreamInlet]:
     return keep_lsl_inlets(monkeypatch)
 
 
+@pytest.mark.seam
 @pytest.mark.parametrize(
     ("channel_format", "dtype", "sample"),
     [
@@ -69,6 +72,7 @@ def test_numbers_of_every_format_come_as_they_are(
     assert receiver.stamps == [5.0 + number for number in range(count)]
 
 
+@pytest.mark.seam
 @pytest.mark.parametrize("count", [1, 3])
 def test_text_is_decoded(open_inlet: Open, count: int) -> None:
     source = Source("string", 3)

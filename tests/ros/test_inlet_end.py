@@ -24,6 +24,8 @@ from tests.rigs.lsl_streams import (
     wait_until,
 )
 
+pytestmark = pytest.mark.nightly
+
 
 @pytest.fixture
 def warnings() -> list[str]:
@@ -52,6 +54,7 @@ def is_lost(lsl: pylsl.StreamInlet) -> bool:
     return False
 
 
+@pytest.mark.seam
 @pytest.mark.parametrize("count", [0, 1, 23])
 def test_what_lsl_drops_when_an_outlet_dies_is_counted(
     open_inlet: Open, lsl_inlets: list[pylsl.StreamInlet], warnings: list[str], count: int
@@ -121,6 +124,7 @@ def test_a_receiver_that_fails_ends_the_inlet_with_a_word(
     assert "by nothing" in sentence
 
 
+@pytest.mark.seam
 def test_a_stream_that_ends_before_it_is_open_is_lost(warnings: list[str]) -> None:
     source = Source()
     found = source.find()

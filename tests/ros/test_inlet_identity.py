@@ -27,6 +27,7 @@ def open_inlet(warnings: list[str]) -> Iterator[Open]:
         yield open_
 
 
+@pytest.mark.seam
 def test_an_own_stream_has_its_header(open_inlet: Open, warnings: list[str]) -> None:
     identity = DeviceIdentity("polar_h10", "U1", participant="p01", label="left")
     outlet = Outlet(declaration("polar_h10").stream("acc"), identity, DeviceInfo())
@@ -42,6 +43,7 @@ def test_an_own_stream_has_its_header(open_inlet: Open, warnings: list[str]) -> 
     assert warnings == []
 
 
+@pytest.mark.nightly
 def test_another_programs_stream_has_the_generic_one(open_inlet: Open) -> None:
     source = Source("int16", 3, 100.0)
     inlet = open_inlet(source.find())
@@ -50,6 +52,7 @@ def test_another_programs_stream_has_the_generic_one(open_inlet: Open) -> None:
     assert (len(inlet.header.labels), inlet.header.rate) == (3, 100.0)
 
 
+@pytest.mark.nightly
 def test_an_unusable_description_is_said_and_the_stream_is_an_unknown_one(
     open_inlet: Open, warnings: list[str]
 ) -> None:
@@ -69,6 +72,7 @@ def info(name: str = "cap", kind: str = "EEG", source_id: str = "id") -> pylsl.S
     return pylsl.StreamInfo(name, kind, 4, 100.0, "float32", source_id)
 
 
+@pytest.mark.seam
 def test_another_programs_stream_continues_under_the_same_id_name_and_type(
     open_inlet: Open,
 ) -> None:
@@ -79,6 +83,7 @@ def test_another_programs_stream_continues_under_the_same_id_name_and_type(
         assert not inlet.continues_as(other)
 
 
+@pytest.mark.nightly
 def test_an_own_stream_continues_under_its_id_alone(open_inlet: Open) -> None:
     outlet = Outlet(
         declaration("zephyr").stream("ecg"), DeviceIdentity("zephyr", "U1"), DeviceInfo()
@@ -89,6 +94,7 @@ def test_an_own_stream_continues_under_its_id_alone(open_inlet: Open) -> None:
     assert not inlet.continues_as(info())
 
 
+@pytest.mark.nightly
 def test_without_an_id_nothing_is_the_same_stream(open_inlet: Open) -> None:
     source = Source(info=info(name="nameless", source_id=""))
     (found,) = pylsl.resolve_byprop("name", "nameless", timeout=DEADLINE_S)
@@ -96,6 +102,7 @@ def test_without_an_id_nothing_is_the_same_stream(open_inlet: Open) -> None:
     assert not open_inlet(found).continues_as(info(name="nameless", source_id=""))
 
 
+@pytest.mark.nightly
 def test_a_query_is_answered_from_the_whole_description(open_inlet: Open) -> None:
     described = info(source_id="described")
     described.desc().append_child("biosensor-like").append_child_value("participant", "p01")

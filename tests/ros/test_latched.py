@@ -22,6 +22,8 @@ from biosensor_gateway.streaming.outlets import Outlet
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
 
+pytestmark = pytest.mark.nightly
+
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -58,6 +60,7 @@ def push_on(
     return outlet, topic
 
 
+@pytest.mark.seam
 @pytest.mark.parametrize(
     ("sensor_name", "data_name", "kind", "last"),
     [

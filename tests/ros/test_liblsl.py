@@ -73,6 +73,7 @@ def test_the_clock_is_that_of_lsl() -> None:
     assert before <= between <= after
 
 
+@pytest.mark.nightly
 def test_what_an_inlet_holds_is_counted_until_it_is_pulled() -> None:
     info = pylsl.StreamInfo("held", "Test", 1, 0.0, "float32", "held-1")
     outlet = pylsl.StreamOutlet(info)

@@ -145,6 +145,7 @@ def test_what_is_no_warning_is_limited_too(log: LimitedLog, recorder: Recorder) 
     assert recorder.levels == ["info", "warning"]
 
 
+@pytest.mark.nightly
 def test_the_loggers_of_rclpy_write_it(ros: Ros, capfd: pytest.CaptureFixture[str]) -> None:
     log = LimitedLog(ros.node.get_logger())
     log.warn("100 % of {x} was lost")

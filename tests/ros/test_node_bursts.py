@@ -22,6 +22,8 @@ from tests.rigs import rcl_subscriber
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
 
+pytestmark = pytest.mark.nightly
+
 # Sensor, data name, samples that come at once: a Polar H10's packet, and a BioHarness's.
 DEVICES = (("polar_h10", "ecg", 73), ("zephyr", "ecg", 63))
 QUEUES = ((5, "reliable"), (10, "reliable"), (5, "best_effort"), (10, "best_effort"))

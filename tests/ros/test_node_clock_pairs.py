@@ -42,6 +42,7 @@ class _Named:
         return self._domain
 
 
+@pytest.mark.nightly
 def test_there_is_one_stream_of_pairs_also_in_simulated_time_and_no_topic_of_it(
     ros: Ros, start_node: Callable[..., RunningNode]
 ) -> None:

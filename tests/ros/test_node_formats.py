@@ -27,7 +27,7 @@ from biosensor_gateway.streaming.outlets import Outlet
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
 
-pytestmark = pytest.mark.usefixtures("node")
+pytestmark = [pytest.mark.nightly, pytest.mark.usefixtures("node")]
 
 RATE = 100.0
 FORMATS: list[tuple[str, type[Any], list[float]]] = [
@@ -51,6 +51,7 @@ def dimensions(message: Any) -> list[tuple[str, int, int]]:
     return [(one.label, one.size, one.stride) for one in message.layout.dim]
 
 
+@pytest.mark.seam
 def test_no_number_loses_precision_neither_raw_nor_in_chunks(ros: Ros) -> None:
     opened: list[tuple[pylsl.StreamOutlet, list[Any], list[Any]]] = []
     for format_, kind, _ in FORMATS:
@@ -101,6 +102,7 @@ def test_no_value_keeps_its_place_raw_and_in_chunks(ros: Ros) -> None:
     assert ros.set("Chunk_Length", 128) == ""
 
 
+@pytest.mark.seam
 def test_text_arrives_as_it_was_and_several_channels_as_a_list(ros: Ros) -> None:
     one, several = foreign("one_text", 1, 0.0, "string"), foreign("texts", 4, RATE, "string")
     topics = ["/biosensors/one_text/EEG", "/biosensors/texts/EEG"]

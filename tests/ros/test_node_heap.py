@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 # Threads that the agent begins before, for its console and its log, keep theirs.
 BEFORE_AGENT = 7
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="glibc's arenas")
+pytestmark = [
+    pytest.mark.nightly,
+    pytest.mark.skipif(sys.platform != "linux", reason="glibc's arenas"),
+]
 
 
 def test_the_node_has_few_arenas(ros: Ros, start_node: Callable[..., RunningNode]) -> None:

@@ -17,6 +17,8 @@ from tests.rigs.held_console import HeldConsole
 if TYPE_CHECKING:
     from tests.ros.conftest import Flow, Ros
 
+pytestmark = pytest.mark.nightly
+
 DEADLINE_S, RATE = 30.0, 100.0
 # ROS itself says more in a second than a terminal keeps.
 COMMAND = [sys.executable, "-m", "lsl_to_ros.node", "--ros-args", "--log-level", "debug"]

@@ -16,7 +16,7 @@ from std_msgs.msg import Float32MultiArray, String
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
 
-pytestmark = pytest.mark.usefixtures("node")
+pytestmark = [pytest.mark.nightly, pytest.mark.usefixtures("node")]
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 STREAMS = "/lsl_to_ros/streams"

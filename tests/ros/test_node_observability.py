@@ -21,7 +21,7 @@ from biosensor_gateway.streaming.outlets import Outlet
 if TYPE_CHECKING:
     from tests.ros.conftest import Flow, Ros, RunningNode, Status
 
-pytestmark = pytest.mark.usefixtures("node")
+pytestmark = [pytest.mark.nightly, pytest.mark.usefixtures("node")]
 
 Begin = Callable[..., "Flow"]
 
@@ -183,6 +183,7 @@ def test_the_status_of_the_node_warns_once_that_stamped_topics_are_missing(
     del outlets
 
 
+@pytest.mark.seam
 def test_levels_follow_what_happens_to_a_stream(ros: Ros, flow: Begin, kept: list[object]) -> None:
     names = ("steady", "quiet", "slow", "lossy", "clock", "clock_ends", "late", "rare")
     topics = {name: f"/biosensors/{name}/EEG" for name in names}
@@ -253,6 +254,7 @@ def test_streams_that_claim_one_name_are_an_error(ros: Ros) -> None:
     del same, units
 
 
+@pytest.mark.seam
 def test_the_list_of_streams_says_where_each_comes_from_and_goes_to(ros: Ros) -> None:
     identity = DeviceIdentity("polar_h10", "H9", participant="p03", label="belt")
     ours, other = declared(identity, "ecg"), foreign("listed", 25.0)

@@ -16,7 +16,7 @@ from std_msgs.msg import Float32MultiArray
 if TYPE_CHECKING:
     from tests.ros.conftest import Flow, Ros, RunningNode
 
-pytestmark = pytest.mark.usefixtures("node")
+pytestmark = [pytest.mark.nightly, pytest.mark.usefixtures("node")]
 
 # A busy computer need publish only half of it.
 RATE_HZ, QUEUED = 8000.0, 30

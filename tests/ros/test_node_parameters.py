@@ -17,7 +17,7 @@ from biosensor_gateway.streaming.outlets import Outlet
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, Status
 
-pytestmark = pytest.mark.usefixtures("node")
+pytestmark = [pytest.mark.nightly, pytest.mark.usefixtures("node")]
 
 LENGTH = 4
 BOOL, INTEGER, DOUBLE, STRING, STRINGS = 1, 2, 3, 4, 9
@@ -96,6 +96,7 @@ def defaults(ros: Ros) -> Iterator[None]:
     assert ros.set("Chunk_Enable", value=True) == ""
 
 
+@pytest.mark.seam
 def test_sensor_enable_silences_everything_and_chunk_enable_the_chunks(ros: Ros) -> None:
     belt = Belt(ros, "everything")
     ros.until(belt.is_attached, "the belt")
@@ -117,6 +118,7 @@ def test_sensor_enable_silences_everything_and_chunk_enable_the_chunks(ros: Ros)
     belt.settle()
 
 
+@pytest.mark.seam
 def test_the_most_specific_key_wins_also_if_it_was_set_before_the_stream_came(ros: Ros) -> None:
     assert ros.set("Sensor_Enable", value=False) == ""
     assert ros.set("specific.polar_h10_left.Sensor_Enable", value=True) == ""

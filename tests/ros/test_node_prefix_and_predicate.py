@@ -24,7 +24,7 @@ from biosensor_gateway.streaming.outlets import Outlet
 if TYPE_CHECKING:
     from tests.ros.conftest import Flow, Ros, RunningNode
 
-pytestmark = pytest.mark.usefixtures("node")
+pytestmark = [pytest.mark.nightly, pytest.mark.usefixtures("node")]
 
 Begin = Callable[..., "Flow"]
 
@@ -183,6 +183,7 @@ def other_session(tmp_path: Path) -> Iterator[None]:
         yield
 
 
+@pytest.mark.seam
 @pytest.mark.usefixtures("other_session")
 def test_two_nodes_share_the_streams_of_their_session_without_overlap(
     ros: Ros, start_node: Callable[..., RunningNode], flow: Begin

@@ -14,6 +14,8 @@ from std_msgs.msg import Float32MultiArray
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
 
+pytestmark = pytest.mark.nightly
+
 Start = Callable[..., "RunningNode"]
 
 PARAMETERS = """
@@ -83,6 +85,7 @@ def test_bad_values_of_a_parameter_file_are_said_and_ignored(
     assert "Traceback" not in node.log
 
 
+@pytest.mark.seam
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_the_node_cleanly_while_samples_flow(
     ros: Ros, start_node: Start, number: signal.Signals

@@ -22,7 +22,7 @@ NODE_ARGUMENTS = ("--ros-args", "-p", f"processes:={PROCESSES}")
 STREAMS, RATE_HZ = 12, 100.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
-pytestmark = pytest.mark.usefixtures("node")
+pytestmark = [pytest.mark.nightly, pytest.mark.usefixtures("node")]
 
 
 def info(name: str, source_id: str = "") -> pylsl.StreamInfo:
@@ -42,6 +42,7 @@ def for_process(index: int, words: str) -> str:
     )
 
 
+@pytest.mark.seam
 def test_every_stream_comes_once_and_all_is_told_as_of_one_node(
     ros: Ros, flow: Callable[..., Flow]
 ) -> None:

@@ -19,7 +19,7 @@ from biosensor_gateway.streaming.outlets import Outlet
 if TYPE_CHECKING:
     from tests.ros.conftest import Flow, Ros
 
-pytestmark = pytest.mark.usefixtures("node")
+pytestmark = [pytest.mark.nightly, pytest.mark.usefixtures("node")]
 
 KEPT = 3
 OVERRIDES = {
@@ -122,6 +122,7 @@ def test_a_late_subscriber_gets_the_battery_and_the_list_of_streams(ros: Ros) ->
     assert not rates
 
 
+@pytest.mark.seam
 def test_overrides_hold_for_raw_and_chunk_topics_and_for_diagnostics(
     ros: Ros, flow: Callable[..., Flow]
 ) -> None:

@@ -18,7 +18,7 @@ from tests.rigs.stopwatch import Stopwatch
 if TYPE_CHECKING:
     from tests.ros.conftest import Flow, Ros
 
-pytestmark = pytest.mark.usefixtures("node")
+pytestmark = [pytest.mark.nightly, pytest.mark.usefixtures("node")]
 
 Begin = Callable[..., "Flow"]
 

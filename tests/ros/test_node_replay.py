@@ -21,7 +21,7 @@ from tests.replay import files
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros
 
-pytestmark = pytest.mark.usefixtures("node")
+pytestmark = [pytest.mark.nightly, pytest.mark.usefixtures("node")]
 
 RATE_HZ, SECONDS = 128.0, 1.5
 TOPIC = "/P1/biosensors/polar_h10/ecg"

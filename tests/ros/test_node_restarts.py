@@ -20,6 +20,8 @@ from tests.rigs.stopwatch import Stopwatch
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
 
+pytestmark = pytest.mark.nightly
+
 Start = Callable[..., "RunningNode"]
 
 # 2 s are required, and measured by the benchmark; a slow machine gets more here.

@@ -24,7 +24,7 @@ from tests.rigs.stopwatch import Stopwatch
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
 
-pytestmark = pytest.mark.usefixtures("node")
+pytestmark = [pytest.mark.nightly, pytest.mark.usefixtures("node")]
 
 # The requirement: a stream flows again so soon after its outlet is there.
 RETURN_S = 2.0
@@ -102,6 +102,7 @@ def foreign(name: str, source_id: str) -> pylsl.StreamOutlet:
     return pylsl.StreamOutlet(pylsl.StreamInfo(name, "EEG", 1, 0.0, "float32", source_id))
 
 
+@pytest.mark.seam
 def test_an_outlet_that_returns_is_attached_again(ros: Ros) -> None:
     topic = "/back/biosensors/polar_h10/ecg"
     assert ros.set("back.polar_h10.Chunk_Length", 4) == ""

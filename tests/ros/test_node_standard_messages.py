@@ -18,7 +18,7 @@ from biosensor_gateway.streaming.outlets import Outlet
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros
 
-pytestmark = pytest.mark.usefixtures("node")
+pytestmark = [pytest.mark.nightly, pytest.mark.usefixtures("node")]
 
 HEADSET = DeviceIdentity("emotiv_insight", "INSIGHT-1")
 WRISTBAND = DeviceIdentity("empatica_e4", "A01234", participant="p01", label="left")

@@ -24,7 +24,7 @@ from biosensor_gateway.streaming.outlets import Outlet
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
 
-pytestmark = pytest.mark.usefixtures("node")
+pytestmark = [pytest.mark.nightly, pytest.mark.usefixtures("node")]
 
 
 def foreign(name: str, kind: str, channels: int, rate: float, format_: str) -> pylsl.StreamOutlet:
@@ -41,6 +41,7 @@ def layout(message: Any) -> list[tuple[str, int, int]]:
     return [(dim.label, dim.size, dim.stride) for dim in message.layout.dim]
 
 
+@pytest.mark.seam
 def test_chunks_hold_what_the_raw_topic_holds_whatever_their_length(ros: Ros) -> None:
     outlet = foreign("lengths", "EEG", 2, 100.0, "float32")
     topic = "/biosensors/lengths/EEG"
@@ -108,6 +109,7 @@ def test_text_that_is_not_utf_8_neither_stops_nor_loses_anything(ros: Ros) -> No
     assert [message.data for message in heard] == ["before", "caf\xe9", "caf\xe9"]
 
 
+@pytest.mark.seam
 def test_no_stamp_stops_a_stream(ros: Ros) -> None:
     outlet = foreign("stamps", "EEG", 1, 100.0, "float32")
     raw = ros.listen(Float32MultiArray, "/biosensors/stamps/EEG")
@@ -119,6 +121,7 @@ def test_no_stamp_stops_a_stream(ros: Ros) -> None:
     assert [message.data[0] for message in raw] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
 
 
+@pytest.mark.seam
 def test_declared_streams_have_their_declared_types(ros: Ros) -> None:
     cases: list[tuple[str, str, type[Any], list[float], Callable[[Any], Any]]] = [
         ("zephyr", "hr", UInt8, [72], lambda message: message.data),

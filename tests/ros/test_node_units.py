@@ -18,7 +18,7 @@ from biosensor_gateway.streaming.outlets import Outlet
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
 
-pytestmark = pytest.mark.usefixtures("node")
+pytestmark = [pytest.mark.nightly, pytest.mark.usefixtures("node")]
 
 
 def declared(sensor_name: str, data: str, unit: str, who: str = "", label: str = "") -> Outlet:
@@ -164,6 +164,7 @@ def test_data_of_one_unit_never_appears_under_the_topic_of_another(ros: Ros) -> 
             assert "label" in status.message
 
 
+@pytest.mark.seam
 def test_labels_and_participants_keep_devices_of_a_kind_apart(ros: Ros) -> None:
     places = [("", "left"), ("", "right"), ("p01", ""), ("p02", ""), ("p01", "left")]
     topics = [

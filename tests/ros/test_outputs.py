@@ -34,6 +34,8 @@ from tests.rigs.recorded_topics import Clocks, header_of
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros
 
+pytestmark = pytest.mark.nightly
+
 
 @pytest.fixture
 def publishers(ros: Ros) -> Iterator[TopicPublishers]:
@@ -150,6 +152,7 @@ def hear(ros: Ros, publisher: TopicPublisher, kind: type[Any]) -> list[Any]:
     return heard
 
 
+@pytest.mark.seam
 @pytest.mark.parametrize(
     ("kind", "samples"),
     [
@@ -172,6 +175,7 @@ def test_subscribers_get_what_was_written_as_bytes(
     assert data == samples.tolist()
 
 
+@pytest.mark.seam
 def test_subscribers_get_chunks(ros: Ros, publishers: TopicPublishers) -> None:
     publisher = publishers.open("bytes/chunk", Float32MultiArray)
     heard = hear(ros, publisher, Float32MultiArray)

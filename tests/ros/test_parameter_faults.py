@@ -168,6 +168,7 @@ def make_node(ros: Ros) -> Iterator[MakeNode]:
         node.destroy_node()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "default"),
     [(TOPIC_PREFIX, "biosensors"), (STREAM_PREDICATE, ""), (SESSION_ID, ""), (KNOWN_PEERS, [""])],
@@ -178,6 +179,7 @@ def test_defaults(make_node: MakeNode, name: str, default: Any) -> None:
     assert node.has_parameter(name)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -191,6 +193,7 @@ def test_what_a_file_says_holds(make_node: MakeNode, name: str, value: Any) -> N
     assert node_parameters.declare(make_node(**{name: value}), name) == value
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "value", "default"),
     [
@@ -210,6 +213,7 @@ def test_a_bad_value_of_a_file_gives_way_to_the_default(
     assert node.get_parameter(name).value == default
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -230,6 +234,7 @@ def test_bad_values_of_a_file_are_said_when_all_are_looked_at(
     assert capfd.readouterr().err.count(name) == 1
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("name", "value"), [(TOPIC_PREFIX, 3), (STREAM_PREDICATE, True)])
 def test_the_type_cannot_be_changed_while_the_node_runs(
     make_node: MakeNode, name: str, value: Any
@@ -241,6 +246,7 @@ def test_the_type_cannot_be_changed_while_the_node_runs(
     assert "type" in result.reason
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("name", "value"), [(SESSION_ID, "x"), (KNOWN_PEERS, ["x"])])
 def test_what_lsl_reads_once_is_read_only(make_node: MakeNode, name: str, value: Any) -> None:
     node = make_node()
@@ -249,6 +255,7 @@ def test_what_lsl_reads_once_is_read_only(make_node: MakeNode, name: str, value:
     assert not result.successful
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("name", "value"), [(n, v) for n, v in GOOD if n.startswith(QOS)])
 def test_rclpy_opens_a_topic_with_every_override_that_passes(
     make_node: MakeNode, name: str, value: Any

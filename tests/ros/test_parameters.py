@@ -64,10 +64,12 @@ def test_the_most_specific_prefix_comes_first() -> None:
     ]
 
 
+@pytest.mark.nightly
 def test_defaults_are_those_of_the_original_framework(make_node: MakeNode) -> None:
     assert Parameters(make_node()).settings(PLAIN, "ecg", "ecg") == DEFAULT
 
 
+@pytest.mark.seam
 def test_each_more_specific_key_wins(make_node: MakeNode) -> None:
     node = make_node()
     parameters = Parameters(node)
@@ -93,6 +95,7 @@ def test_each_more_specific_key_wins(make_node: MakeNode) -> None:
         assert lengths() == expected
 
 
+@pytest.mark.nightly
 def test_a_chunk_needs_both_enables(make_node: MakeNode) -> None:
     node = make_node()
     parameters = Parameters(node)
@@ -102,6 +105,7 @@ def test_a_chunk_needs_both_enables(make_node: MakeNode) -> None:
         assert (settings.raw, settings.chunk) == (sensor_on, False)
 
 
+@pytest.mark.nightly
 def test_a_chunk_with_a_name_of_its_own_has_parameters_of_its_own(make_node: MakeNode) -> None:
     node = make_node()
     parameters = Parameters(node)
@@ -112,6 +116,7 @@ def test_a_chunk_with_a_name_of_its_own_has_parameters_of_its_own(make_node: Mak
     assert not parameters.settings(PLAIN, "br", "").raw
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("prefix", ["", "zephyr__", "p01__zephyr__", "zephyr__ecg__"])
 @pytest.mark.parametrize(
     ("key", "value"),
@@ -136,6 +141,7 @@ def test_a_wrong_value_is_refused_with_a_reason_and_changes_nothing(
     assert parameters.settings(PLAIN, "ecg", "ecg") == DEFAULT
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "name", ["zephyr__Sensor_Enabled", "zephyr__ecg__length", "Sensor_Enabled", "chunk_length"]
 )
@@ -148,6 +154,7 @@ def test_a_misspelt_name_is_refused(make_node: MakeNode, name: str) -> None:
     assert not node.has_parameter(name.replace("__", "."))
 
 
+@pytest.mark.nightly
 def test_other_parameters_of_a_node_are_left_alone(make_node: MakeNode) -> None:
     node = make_node(topic_prefix="x", qos_overrides__any__depth=3)
     Parameters(node)
@@ -155,6 +162,7 @@ def test_other_parameters_of_a_node_are_left_alone(make_node: MakeNode) -> None:
     assert node.get_parameter("qos_overrides.any.depth").value == 3
 
 
+@pytest.mark.nightly
 def test_bad_values_of_a_file_are_dropped_and_the_good_ones_hold(make_node: MakeNode) -> None:
     node = make_node(
         Chunk_Length=0, zephyr__Chunk_Length=7, zephyr__ecg__Chunk_Enable="no", Chunk_Lenght=9
@@ -169,6 +177,7 @@ def test_bad_values_of_a_file_are_dropped_and_the_good_ones_hold(make_node: Make
     assert parameters.settings(PLAIN, "ecg", "ecg") == settings
 
 
+@pytest.mark.nightly
 def test_a_streams_keys_are_listed_without_being_set(make_node: MakeNode) -> None:
     node = make_node(zephyr__ecg__Chunk_Length=9)
     parameters = Parameters(node)
@@ -182,6 +191,7 @@ def test_a_streams_keys_are_listed_without_being_set(make_node: MakeNode) -> Non
     assert not parameters.settings(PLAIN, "ecg", "ecg").chunk
 
 
+@pytest.mark.nightly
 def test_a_value_that_was_set_can_be_unset_again(make_node: MakeNode) -> None:
     node = make_node(zephyr__Chunk_Length=7)
     parameters = Parameters(node)
@@ -192,6 +202,7 @@ def test_a_value_that_was_set_can_be_unset_again(make_node: MakeNode) -> None:
     assert parameters.settings(PLAIN, "ecg", "ecg").chunk_length == 7
 
 
+@pytest.mark.seam
 def test_no_value_of_several_is_taken_if_one_is_refused(make_node: MakeNode) -> None:
     node: Any = make_node()
     parameters = Parameters(node)
@@ -202,6 +213,7 @@ def test_no_value_of_several_is_taken_if_one_is_refused(make_node: MakeNode) -> 
     assert parameters.settings(PLAIN, "ecg", "ecg") == DEFAULT
 
 
+@pytest.mark.nightly
 def test_a_listener_hears_of_every_change_and_of_no_other(make_node: MakeNode) -> None:
     node = make_node()
     parameters = Parameters(node)

@@ -22,6 +22,8 @@ from tests.rigs.lsl_streams import DEADLINE_S
 if TYPE_CHECKING:
     from tests.ros.conftest import Flow, Ros, RunningNode, Status
 
+pytestmark = pytest.mark.nightly
+
 PROCESSES = 3
 RATE_HZ = 100.0
 SAID_OF_HUNG = (
@@ -106,6 +108,7 @@ def status(ros: Ros, name: str) -> Status:
     return found
 
 
+@pytest.mark.seam
 def test_a_killed_process_comes_back_with_its_streams(
     ros: Ros, start: Start, flow: Callable[..., Flow]
 ) -> None:

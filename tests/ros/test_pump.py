@@ -12,6 +12,8 @@ from lsl_to_ros.lsl.inlets import Inlet, InletState
 from lsl_to_ros.lsl.readers import MOST_FOLLOWERS, Pump
 from tests.rigs.lsl_streams import Collector, Open, Source, inlets, thread_count, wait_until
 
+pytestmark = pytest.mark.nightly
+
 
 class Stream(NamedTuple):
     source: Source
@@ -134,6 +136,7 @@ def test_an_inlet_that_is_not_open_yet_is_left_alone(streams: Streams) -> None:
     streams.settle()
 
 
+@pytest.mark.seam
 def test_no_sample_is_lost_however_often_readers_come_and_go(streams: Streams) -> None:
     for _ in range(MOST_FOLLOWERS + 2):
         streams.add()

@@ -17,6 +17,8 @@ from lsl_to_ros.lsl.discovery import Discovery
 from lsl_to_ros.lsl.inlets import Inlet, InletState
 from tests.rigs.lsl_streams import DEADLINE_S, Collector, wait_until
 
+pytestmark = pytest.mark.nightly
+
 # Longer than the resolver remembers, and less than a test may take.
 FORGET_S, PATIENCE_S, HELD_S = 1.0, 1.0, 3.0
 
@@ -148,6 +150,7 @@ def test_what_a_starved_sender_sends_on_its_connection_is_not_lost(
     assert (node.gone, len(node.warnings)) == ([], 1)
 
 
+@pytest.mark.seam
 def test_a_connection_that_brings_nothing_is_given_up_for_one_that_does(
     node: Node, sender: Sender
 ) -> None:

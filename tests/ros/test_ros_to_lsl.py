@@ -22,6 +22,8 @@ from std_msgs.msg import Empty, Float64, String
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
 
+pytestmark = pytest.mark.nightly
+
 MODULE = "lsl_to_ros.ros_to_lsl.node"
 DEADLINE_S = 30.0
 BEST_EFFORT = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -112,6 +114,7 @@ def joints(*names: str) -> JointState:
     return stamped_now(JointState(name=list(names), position=array("d", range(len(names)))))
 
 
+@pytest.mark.seam
 def test_joints_are_a_stream_with_their_names_and_a_new_one_when_they_change(
     ros: Ros, streams: Streams, start_node: Start
 ) -> None:
@@ -144,6 +147,7 @@ def ros_value(ros: Ros, topic: str, key: str) -> str:
     return status[key] if status is not None else ""
 
 
+@pytest.mark.seam
 def test_a_marker_that_is_published_once_is_in_the_stream_at_its_time(
     ros: Ros, streams: Streams, start_node: Start
 ) -> None:
@@ -270,6 +274,7 @@ def test_a_type_that_is_not_installed_is_said_and_the_others_go_on(
     assert node.is_running
 
 
+@pytest.mark.seam
 def test_what_is_wrong_ends_it_with_one_sentence(start_node: Start) -> None:
     simulated = start_node(*arguments("/a", "use_sim_time:=true"), module=MODULE)
     unreadable = start_node("--ros-args", "-p", "topics:=[", module=MODULE)

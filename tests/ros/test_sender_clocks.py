@@ -13,6 +13,8 @@ from biosensor_common.sender_clocks import PERIOD_S, ClockInlet, Measurement, Se
 from lsl_to_ros.lsl.inlets import Inlet
 from tests.rigs.lsl_streams import Collector, Open, Source, inlets, thread_count, wait_until
 
+pytestmark = pytest.mark.nightly
+
 STEADY_S = 0.5
 
 
@@ -63,6 +65,7 @@ def threads_at_rest(sources: Iterable[Source]) -> int:
     return count
 
 
+@pytest.mark.seam
 def test_a_senders_clock_is_said_once_and_measured_again_and_again(
     open_inlet: Open, watch: Watch, monkeypatch: pytest.MonkeyPatch
 ) -> None:

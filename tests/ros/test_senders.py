@@ -18,6 +18,8 @@ from tests.faults.agent import AgentProcess
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode
 
+pytestmark = pytest.mark.nightly
+
 TOPICS = tuple(f"/biosensors/zephyr/{name}" for name in ("ecg", "hr", "bat"))
 COUNTERS = "/biosensors/gateway/counters"
 SILENT = "nothing has come for"

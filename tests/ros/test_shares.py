@@ -71,6 +71,7 @@ def test_parameters_and_names_are_not_handed_on(given: tuple[str, ...], left: li
     assert for_further(given, "n") == left
 
 
+@pytest.mark.nightly
 def test_a_process_that_cannot_be_started_is_told_and_tried_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -89,6 +90,7 @@ def test_a_process_that_cannot_be_started_is_told_and_tried_again(
     child.wait(0.0)
 
 
+@pytest.mark.nightly
 def test_only_time_in_which_the_first_process_runs_is_silence(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

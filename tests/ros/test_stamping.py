@@ -17,6 +17,8 @@ from tests.rigs.recorded_topics import Clocks
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros
 
+pytestmark = pytest.mark.nightly
+
 STAMPS = [
     *(0.0, 1.0, 12345.678901234, -1.0, -1e5, 1e5, 3e8),
     *(2.0**31, -(2.0**31), 3e9, 1.7e12, 1.7e18, 9.3e18, 1e300, -1e300),

@@ -138,6 +138,7 @@ def test_a_sensor_that_this_version_has_never_heard_of_has_them_too() -> None:
     assert set(standard_messages_of(charge)) == {"accumulator_state"}
 
 
+@pytest.mark.nightly
 def test_orientation_and_acceleration_are_in_si_units(ros: Ros) -> None:
     sample = [0.5, 0.25, -0.5, 0.125, 1.0, -2.0, 0.5, 30.0, -40.0, 50.0]
     (message,) = Wire(ros, MOTION, Imu).send(sample)
@@ -154,6 +155,7 @@ def quaternion(message: Any) -> tuple[float, float, float, float]:
     return at.x, at.y, at.z, at.w
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("missing", [range(4), [0], [1], [2], [3]])
 def test_an_orientation_that_was_not_measured_is_said_to_be_missing(ros: Ros, missing: Any) -> None:
     sample = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 30.0, -40.0, 50.0]
@@ -166,6 +168,7 @@ def test_an_orientation_that_was_not_measured_is_said_to_be_missing(ros: Ros, mi
     assert message.linear_acceleration.z == G
 
 
+@pytest.mark.nightly
 def test_the_channels_of_motion_are_found_by_their_roles(ros: Ros) -> None:
     turned = replace(MOTION, roles=MOTION.roles[::-1], units=MOTION.units[::-1])
     sample = [float(number) for number in range(10)]
@@ -176,6 +179,7 @@ def test_the_channels_of_motion_are_found_by_their_roles(ros: Ros) -> None:
     assert field.magnetic_field.z == pytest.approx(9e-6, rel=1e-12)
 
 
+@pytest.mark.nightly
 def test_the_magnetic_field_is_in_tesla(ros: Ros) -> None:
     sample = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 30.0, -40.0, math.nan]
     (message,) = Wire(ros, MOTION, MagneticField).send(sample)
@@ -205,6 +209,7 @@ def check_battery(message: Any, charge: float) -> None:
     assert list(message.cell_voltage) == list(message.cell_temperature) == []
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("percent", [0.0, 1.0, 55.0, 99.5, 100.0])
 def test_a_battery_is_a_fraction(ros: Ros, percent: float) -> None:
     (message,) = Wire(ros, BATTERY, BatteryState).send([percent])
@@ -212,6 +217,7 @@ def test_a_battery_is_a_fraction(ros: Ros, percent: float) -> None:
     assert (message.location, message.serial_number) == ("left", "U1")
 
 
+@pytest.mark.nightly
 def test_the_headsets_battery_is_in_its_status(ros: Ros) -> None:
     status = dict.fromkeys(DEVICE.labels, 4.0) | {"Battery": 3.0, "BatteryPercent": 87.0}
     (message,) = Wire(ros, DEVICE, BatteryState).send(list(status.values()))
@@ -221,12 +227,14 @@ def test_the_headsets_battery_is_in_its_status(ros: Ros) -> None:
     assert math.isnan(message.percentage)
 
 
+@pytest.mark.nightly
 def test_a_temperature_is_in_degrees_celsius(ros: Ros) -> None:
     first, second = Wire(ros, SKIN, Temperature).send([33.5], [math.nan])
     assert (first.temperature, first.variance) == (33.5, 0.0)
     assert math.isnan(second.temperature)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("header", "kind"),
     [(SKIN, Temperature), (BATTERY, BatteryState), (MOTION, Imu), (MOTION, MagneticField)],
@@ -242,6 +250,7 @@ def test_every_message_says_where_and_when_it_was_measured(
     assert [message.header for message in messages] == expected
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("channel_format", [ChannelFormat.INT16, ChannelFormat.DOUBLE64])
 @pytest.mark.parametrize(
     ("header", "kind"),

@@ -151,6 +151,7 @@ def test_a_failed_import_fails_the_build(final: list[Instruction]) -> None:
     ]
 
 
+@pytest.mark.nightly
 def test_the_entry_point_becomes_the_command(tmp_path: Path) -> None:
     (tmp_path / "setup.bash").write_text("export SOURCED=yes\n")
     script = tmp_path / "entrypoint.sh"
@@ -166,6 +167,7 @@ def test_the_entry_point_becomes_the_command(tmp_path: Path) -> None:
     assert process.returncode == 7
 
 
+@pytest.mark.nightly
 def test_without_a_workspace_the_entry_point_says_so(tmp_path: Path) -> None:
     script = tmp_path / "entrypoint.sh"
     script.write_text(

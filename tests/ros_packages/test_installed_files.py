@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.nightly
+
 PACKAGE = Path(__file__).parents[2] / "ros_side" / "lsl_to_ros"
 SHARE = Path("share", "lsl_to_ros")
 MARKER = Path("share", "ament_index", "resource_index", "packages", "lsl_to_ros")
@@ -30,6 +32,7 @@ def _files(folder: Path) -> set[Path]:
     }
 
 
+@pytest.mark.seam
 def test_the_share_folder_has_every_launch_and_configuration_file(installed: Path) -> None:
     sources = {
         Path(folder, name) for folder in ("launch", "config") for name in _files(PACKAGE / folder)
@@ -40,5 +43,6 @@ def test_the_share_folder_has_every_launch_and_configuration_file(installed: Pat
         assert (installed / SHARE / path).read_bytes() == (PACKAGE / path).read_bytes()
 
 
+@pytest.mark.seam
 def test_nothing_else_is_installed_but_ament_s_marker(installed: Path) -> None:
     assert {path for path in _files(installed) if SHARE not in path.parents} == {MARKER}

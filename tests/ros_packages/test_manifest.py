@@ -13,6 +13,8 @@ from importlib import metadata
 from pathlib import Path
 from xml.etree import ElementTree
 
+import pytest
+
 PACKAGE = Path(__file__).parents[2] / "ros_side" / "lsl_to_ros"
 SOURCES = sorted([*(PACKAGE / "lsl_to_ros").rglob("*.py"), *(PACKAGE / "launch").glob("*.py")])
 # Import names whose rosdep key is another.
@@ -52,6 +54,7 @@ def test_the_manifest_names_what_is_imported_and_nothing_else() -> None:
     assert _named() == {"exec_depend": sorted(keys)}
 
 
+@pytest.mark.nightly
 def test_the_node_can_be_imported_without_what_is_optional() -> None:
     # None in sys.modules makes an import fail as that of a missing package does.
     hide = "".join(f"sys.modules[{name!r}] = None; " for name in OPTIONAL)

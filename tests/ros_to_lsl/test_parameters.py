@@ -43,6 +43,7 @@ def flat(values: dict[str, Any], before: str = "") -> dict[str, Any]:
     return found
 
 
+@pytest.mark.nightly
 def test_a_topic_needs_no_more_than_its_name(make_node: MakeNode) -> None:
     requests = read(make_node, {"topics": ["/robot/odom", "joint_states"]}, namespace="/arm")
     assert requests == Requests(
@@ -53,6 +54,7 @@ def test_a_topic_needs_no_more_than_its_name(make_node: MakeNode) -> None:
     )
 
 
+@pytest.mark.nightly
 def test_the_example_is_read_as_its_comments_say(make_node: MakeNode) -> None:
     (content,) = yaml.safe_load(EXAMPLE.read_text()).values()
     requests = read(make_node, flat(content["ros__parameters"]))
@@ -71,6 +73,7 @@ def test_the_example_has_every_parameter() -> None:
     assert all(f" {name}:" in text or f"#{name}:" in text for name in TOPIC_OPTIONS)
 
 
+@pytest.mark.nightly
 def test_simulated_time_can_be_stamped_by_arrival(make_node: MakeNode) -> None:
     given = {"topics": ["/a"], "use_sim_time": True, "stamps": "arrival"}
     assert read(make_node, given).by_arrival
@@ -112,6 +115,7 @@ WRONG: list[tuple[dict[str, Any], ConfigReason, str]] = [
 ]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("given", "reason", "words"), WRONG, ids=lambda each: str(each)[:40])
 def test_what_is_wrong_is_said_in_one_sentence(
     make_node: MakeNode, given: dict[str, Any], reason: ConfigReason, words: str

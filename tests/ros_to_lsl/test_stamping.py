@@ -25,6 +25,7 @@ def ros_time(make_node: MakeNode) -> RosTime:
     return RosTime(make_node("stamping"))
 
 
+@pytest.mark.nightly
 def test_a_header_comes_first_then_the_source_then_the_arrival(ros_time: RosTime) -> None:
     stamping = MessageStamping(ros_time, has_header=True, by_arrival=False)
     now = time.time_ns()
@@ -37,12 +38,14 @@ def test_a_header_comes_first_then_the_source_then_the_arrival(ros_time: RosTime
     assert list(stamping.sources.values()) == [1, 1, 1]
 
 
+@pytest.mark.nightly
 def test_text_has_no_header(ros_time: RosTime) -> None:
     stamping = MessageStamping(ros_time, has_header=False, by_arrival=False)
     assert stamping.expected is StampSource.SOURCE
     assert stamping.choose(String(), info(time.time_ns())) is StampSource.SOURCE
 
 
+@pytest.mark.nightly
 def test_arrival_alone_can_be_asked_for(ros_time: RosTime) -> None:
     stamping = MessageStamping(ros_time, has_header=True, by_arrival=True)
     # As simulated time would have it.
@@ -53,6 +56,7 @@ def test_arrival_alone_can_be_asked_for(ros_time: RosTime) -> None:
     assert not stamping.wrong_clocks
 
 
+@pytest.mark.nightly
 def test_a_wall_time_becomes_the_lsl_time_of_that_moment(ros_time: RosTime) -> None:
     stamping = MessageStamping(ros_time, has_header=True, by_arrival=False)
     before = pylsl.local_clock()
@@ -62,6 +66,7 @@ def test_a_wall_time_becomes_the_lsl_time_of_that_moment(ros_time: RosTime) -> N
     assert before - 5e-5 < lsl_s < after + 5e-5
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("wrong_s", [-3600.0, 12.0, 300_000_000.0])
 def test_stamps_of_a_wrong_clock_are_not_used(ros_time: RosTime, wrong_s: float) -> None:
     stamping = MessageStamping(ros_time, has_header=True, by_arrival=False)
@@ -76,6 +81,7 @@ def test_stamps_of_a_wrong_clock_are_not_used(ros_time: RosTime, wrong_s: float)
     assert stamping.wrong_clocks == {StampSource.HEADER: pytest.approx(-wrong_s, abs=0.01)}
 
 
+@pytest.mark.nightly
 def test_a_computer_whose_clock_is_wrong_is_stamped_by_arrival(ros_time: RosTime) -> None:
     stamping = MessageStamping(ros_time, has_header=True, by_arrival=False)
     now = time.time_ns()
@@ -89,6 +95,7 @@ def test_a_computer_whose_clock_is_wrong_is_stamped_by_arrival(ros_time: RosTime
     assert not stamping.wrong_clocks
 
 
+@pytest.mark.nightly
 def test_stamps_never_run_back(ros_time: RosTime) -> None:
     stamping = MessageStamping(ros_time, has_header=True, by_arrival=False)
     now = time.time_ns()

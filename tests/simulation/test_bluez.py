@@ -34,10 +34,13 @@ from tests.rigs.bluez import FakeBluez
 from tests.rigs.polling import until
 from tests.rigs.probe import COMPANY, EVENT, FLOW, NOTE, REFUSAL, SECRET, SERIAL, Probe
 
-pytestmark = pytest.mark.skipif(
-    sys.platform != "linux" or not shutil.which("dbus-daemon"),
-    reason="a Linux with dbus-daemon is needed",
-)
+pytestmark = [
+    pytest.mark.nightly,
+    pytest.mark.skipif(
+        sys.platform != "linux" or not shutil.which("dbus-daemon"),
+        reason="a Linux with dbus-daemon is needed",
+    ),
+]
 
 
 @pytest.fixture
@@ -88,6 +91,7 @@ async def found() -> BLEDevice:
     return device
 
 
+@pytest.mark.seam
 async def test_everything_advertised_is_heard(bluez: FakeBluez, probe: Probe) -> None:
     heard: list[AdvertisementData] = []
     async with BleakScanner(lambda _, data: heard.append(data)) as scanner:
@@ -114,6 +118,7 @@ async def test_what_does_not_change_is_told_seldom_unless_asked_for(
         await until(lambda: len(every) > 10)
 
 
+@pytest.mark.seam
 async def test_gatt(bluez: FakeBluez, probe: Probe) -> None:
     got: list[bytes] = []
     gone: list[BleakClient] = []

@@ -14,7 +14,10 @@ import pytest
 from biosensor_gateway.simulation.patient_port import PatientPort
 from tests.rigs.polling import until
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are needed")
+pytestmark = [
+    pytest.mark.nightly,
+    pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are needed"),
+]
 
 DATA = bytes(range(256)) * 8
 BUFFER_BYTES = 4096

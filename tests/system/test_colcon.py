@@ -111,6 +111,7 @@ def test_what_runs_is_what_colcon_has_built(built: Workspace) -> None:
     assert origins["biosensor_gateway"] is None
 
 
+@pytest.mark.seam
 def test_all_packages_are_in_ament_s_index_with_their_files(built: Workspace) -> None:
     for name in PACKAGES:
         share = built.install / name / "share"

@@ -75,6 +75,7 @@ def _wait_for(subscriber: Program, number: int) -> None:
         time.sleep(0.1)
 
 
+@pytest.mark.seam
 def test_a_subscriber_gets_stamped_samples(
     workspace: Workspace, start: Callable[..., Program]
 ) -> None:

@@ -75,6 +75,7 @@ def _columns(said: str, folder: Folder) -> list[str]:
     return line.split()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("distribution", [(), ("-p", "xdist", "-n", "2")], ids=["one", "workers"])
 def test_each_folder_has_its_seconds_and_how_busy_it_was(
     suite: Path, distribution: tuple[str, ...]
@@ -90,6 +91,7 @@ def test_each_folder_has_its_seconds_and_how_busy_it_was(
     assert "test_waiting.py::test_elsewhere" not in said.partition("slowest")[2]
 
 
+@pytest.mark.nightly
 def test_more_than_the_budget_is_said_and_much_more_fails_where_it_is_held(suite: Path) -> None:
     much_less = SLEEPY / FAILS_ABOVE / 2
     (suite / BUDGET).write_text(f"[test]\nwaiting = {much_less}\nbusy = 1000\n")
@@ -101,6 +103,7 @@ def test_more_than_the_budget_is_said_and_much_more_fails_where_it_is_held(suite
     assert code == pytest.ExitCode.TESTS_FAILED, said
 
 
+@pytest.mark.nightly
 def test_no_two_heavy_files_run_at_a_time(suite: Path) -> None:
     """They are all one worker's, where whole files are distributed."""
     files = [f"tests/busy/test_heavy_{letter}.py" for letter in "abc"]

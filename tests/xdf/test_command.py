@@ -9,11 +9,14 @@ import pytest
 from tests.xdf import xdf_file as x
 from tests.xdf.conftest import Command
 
+pytestmark = pytest.mark.nightly
+
 TIMES = [1000 + k / 10 for k in range(300)]
 GOOD = x.xdf(*x.regular(1, "belt", TIMES, 10.0))
 GAP = x.xdf(*x.regular(1, "belt", TIMES[:100] + TIMES[130:], 10.0))
 
 
+@pytest.mark.seam
 def test_a_good_recording(command: Command) -> None:
     code, printed, said = command(str(command.recording), content=GOOD)
     assert (code, said) == (0, "")

@@ -28,6 +28,8 @@ from biosensor_gateway.streaming.outlets import Outlet
 from tests.rigs.lab_recorder import LabRecorder
 from tests.xdf.checking import codes, load_by_pyxdf
 
+pytestmark = pytest.mark.nightly
+
 AGENT = DeviceIdentity("gateway", socket.gethostname())
 NAME = lsl_name(AGENT, "markers")
 TICK_S, TICKS = 0.25, 48

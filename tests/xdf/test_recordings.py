@@ -28,6 +28,8 @@ from tests.rigs.lab_recorder import LabRecorder
 from tests.xdf.checking import codes, load_by_pyxdf, text_of
 from tests.xdf.xdf_file import chunk_ends
 
+pytestmark = pytest.mark.nightly
+
 RECORD_S = 12.5
 STREAMS = 9
 ECG_HZ, GAP_SAMPLES, STEP_S = 130, 260, 0.1
@@ -150,6 +152,7 @@ def _stream(report: Report, name: str) -> Measured:
     return measured
 
 
+@pytest.mark.seam
 def test_every_sample_is_read_that_pyxdf_reads(report: Report, folder: Path) -> None:
     theirs = load_by_pyxdf(folder / "whole.xdf")
     assert [each.name for each in report.streams] == [s["info"]["name"][0] for s in theirs]
@@ -195,6 +198,7 @@ def test_whose_streams_they_are(report: Report) -> None:
     }
 
 
+@pytest.mark.seam
 def test_values_and_offsets(report: Report) -> None:
     deduced = _stream(report, f"deduced-{NAME}")
     assert deduced.figures.nan_shares == (1.0, 1.0)

@@ -32,6 +32,7 @@ WHOLE = b"".join(x.two_streams())
 CUT = WHOLE[: len(WHOLE) // 2]
 
 
+@pytest.mark.nightly
 def test_a_cut_recording(command: Command) -> None:
     target = command.recording.with_name("study_salvaged.xdf")
     code, printed, said = command(str(command.recording), content=CUT, command="salvage")
@@ -50,6 +51,7 @@ def test_a_cut_recording(command: Command) -> None:
     assert len(said.splitlines()) == 1
 
 
+@pytest.mark.nightly
 def test_a_whole_recording(command: Command) -> None:
     code, printed, said = command(str(command.recording), content=WHOLE, command="salvage")
     assert (code, said) == (0, "")
@@ -57,6 +59,7 @@ def test_a_whole_recording(command: Command) -> None:
     assert len(printed.splitlines()) == 1
 
 
+@pytest.mark.nightly
 def test_json_says_the_same(command: Command, tmp_path: Path) -> None:
     other = tmp_path / "other.xdf"
     options = ("--json", "--output", str(other))
@@ -70,6 +73,7 @@ def test_json_says_the_same(command: Command, tmp_path: Path) -> None:
     assert told["lost_bytes"] == damage["end"] - damage["start"]
 
 
+@pytest.mark.nightly
 def test_what_is_no_recording_is_a_wrong_command(command: Command, tmp_path: Path) -> None:
     missing = str(tmp_path / "none.xdf")
     for path, content in ((missing, None), (str(command.recording), b"no")):
@@ -79,6 +83,7 @@ def test_what_is_no_recording_is_a_wrong_command(command: Command, tmp_path: Pat
     assert [each.name for each in tmp_path.iterdir()] == ["study.xdf"]
 
 
+@pytest.mark.nightly
 def test_nothing_to_salvage_fails(command: Command, tmp_path: Path) -> None:
     code, printed, said = command(str(command.recording), content=CUT[:100], command="salvage")
     assert (code, printed) == (1, "")
@@ -86,6 +91,7 @@ def test_nothing_to_salvage_fails(command: Command, tmp_path: Path) -> None:
     assert [each.name for each in tmp_path.iterdir()] == ["study.xdf"]
 
 
+@pytest.mark.nightly
 def test_it_fits_a_terminal_of_80_columns() -> None:
     name = "participant-0123-left-upper-arm-polar_h10-" + "E621E1F8-C36C-495A-93FC-0C247A3E6E5F"
     stamps = [100 + k / 10 for k in range(300)]

@@ -50,7 +50,7 @@ TOPICS = {
     for name in ("zephyr", "empatica_e4")
 }
 
-pytestmark = pytest.mark.timeout(240)
+pytestmark = [pytest.mark.nightly, pytest.mark.timeout(240)]
 
 
 class Aftermath(NamedTuple):

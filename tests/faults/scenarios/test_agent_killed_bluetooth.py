@@ -31,10 +31,13 @@ ECG = source(STRAP, "ecg")
 # An agent and its first scan take five seconds on a computer that is busy.
 DEADLINE_S = 20.0
 
-pytestmark = pytest.mark.skipif(
-    sys.platform != "linux" or not shutil.which("dbus-daemon"),
-    reason="a Linux with dbus-daemon is needed",
-)
+pytestmark = [
+    pytest.mark.nightly,
+    pytest.mark.skipif(
+        sys.platform != "linux" or not shutil.which("dbus-daemon"),
+        reason="a Linux with dbus-daemon is needed",
+    ),
+]
 
 
 def test_a_device_that_was_left_connected_streams_again(tmp_path: Path, figures: Record) -> None:

@@ -28,7 +28,7 @@ ROUNDS = 100 if length.is_long() else 10
 RATE_HZ = 500.0
 PUSH_S = 0.02
 
-pytestmark = pytest.mark.timeout(ROUNDS * 10 + 60)
+pytestmark = [pytest.mark.nightly, pytest.mark.timeout(ROUNDS * 10 + 60)]
 
 
 def test_those_that_come_after_them_hear_the_node(tmp_path: Path, figures: Record) -> None:

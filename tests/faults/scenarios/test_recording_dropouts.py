@@ -43,7 +43,7 @@ STREAMS = {
 SENSORS = tuple(dict.fromkeys(name for name, _ in STREAMS.values()))
 FAULT = "2 s radio drop-out, LabRecorder, pyxdf's defaults"
 
-pytestmark = pytest.mark.timeout(240)
+pytestmark = [pytest.mark.nightly, pytest.mark.timeout(240)]
 
 
 class Recording(NamedTuple):

@@ -50,6 +50,7 @@ POOL = 4
 Truths = Mapping[str, Mapping[str, Samples]]
 
 pytestmark = [
+    pytest.mark.nightly,
     pytest.mark.timeout(SECONDS * 1.5 + 300),
     pytest.mark.skipif(sys.platform != "linux", reason="reads /proc"),
 ]
