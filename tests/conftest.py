@@ -15,6 +15,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from tests.slots import lsl_ports, take_slot
+from tests.tiers.guard import GUARD
 from tests.tiers.tier import Tier, tier_of
 
 pytest_plugins = ["tests.time_spent.plugin", "tests.tiers.plugin"]
@@ -54,16 +55,18 @@ os.environ["BIOSENSOR_GATEWAY_STATE"] = str(_folder / "state")
 os.environ["BIOSENSOR_GATEWAY_SETTINGS"] = str(_folder / "settings.toml")
 
 
-def pytest_asyncio_loop_factories(
-    item: pytest.Item,
-) -> Mapping[str, Callable[[], asyncio.AbstractEventLoop]]:
+def pytest_asyncio_loop_factories() -> Mapping[str, Callable[[], asyncio.AbstractEventLoop]]:
     """Let the loops of unit tests go by virtual time, and those of others by the system's."""
+    return {"loop": _loop}
+
+
+def _loop() -> asyncio.AbstractEventLoop:
     from tests.rigs.virtual_time import (  # noqa: PLC0415 - LSL comes later
         SwitchableLoop,
         virtual_loop,
     )
 
-    return {"loop": virtual_loop if tier_of(item) is Tier.UNIT else SwitchableLoop}
+    return virtual_loop() if GUARD.is_active else SwitchableLoop()
 
 
 @pytest.fixture(autouse=True)

@@ -18,7 +18,7 @@ def board_settings(**fields: Any) -> BrainFlowSettings:
     """Settings of the synthetic board, unless the fields say otherwise."""
     if not (ENVIRONMENT / ".installed").exists():
         # A skip would pass where nothing was tried.
-        pytest.fail("BrainFlow is not installed: run `make test`, or `make venv-peers` first")
+        pytest.fail("BrainFlow is not installed: run `make venv-peers` first")
     python = str(ENVIRONMENT / "bin" / "python")
     named = {"sensor": "brainflow", "unit": "1", "board": "SYNTHETIC_BOARD", "python": python}
     return BrainFlowSettings.model_validate(named | fields)

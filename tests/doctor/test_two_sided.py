@@ -282,7 +282,7 @@ def outcome(tmp_path_factory: pytest.TempPathFactory) -> Generator[Ends]:
         yield here, there
 
 
-@pytest.mark.seam
+@pytest.mark.nightly
 def test_both_sides_on_this_computer(outcome: Ends) -> None:
     here, there = outcome
     assert (here.computer.program, there.computer.program) == (AGENT, NODE)

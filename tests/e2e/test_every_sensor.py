@@ -202,7 +202,7 @@ def _flat(messages: list[Any]) -> Floats:
 
 # Seven devices, agent, node, recorder and subscriber take 1.6 processors, and the stamps of what a
 # device does not stamp itself are as late as its reader: so nothing beside, and sensors in turns.
-@pytest.mark.seam
+@pytest.mark.nightly
 @pytest.mark.alone
 def test_every_sensor_from_device_to_ros(
     sensors: tuple[str, ...],

@@ -69,7 +69,7 @@ def test_a_hang_is_a_find_and_its_input_is_kept(
     assert outcome.find.read_bytes() == hanging.HARMFUL
 
 
-@pytest.mark.seam
+@pytest.mark.nightly
 def test_sound_code_passes_and_figures_are_told(tmp_path: Path) -> None:
     done = run("--seconds=2", f"--finds={tmp_path}", "ble_heart_rate", "polar_control")
     assert done.returncode == 0, done.stdout + done.stderr

@@ -46,7 +46,7 @@ def foreign() -> Generator[pylsl.StreamOutlet]:
     del outlet
 
 
-@pytest.mark.seam
+@pytest.mark.nightly
 def test_it_records_until_it_is_stopped(record: Record, tmp_path: Path) -> None:
     folder = tmp_path / "data"
     begun = record("start", "--folder", str(folder), "--participant", "P07", "--task", "Walk",

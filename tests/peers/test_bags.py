@@ -21,7 +21,7 @@ STAMPS = [20.0 + n / 250 for n in range(500)]
 
 def _read(bag: Path) -> dict[str, Any]:
     if not (ENVIRONMENT / ".installed").exists():
-        pytest.fail("the peers are not installed: run `make test`, or tests/peers/install.sh first")
+        pytest.fail("the peers are not installed: run `make venv-peers` first")
     (file,) = bag.glob("*.mcap")
     line = [ENVIRONMENT / "bin" / "python", PEERS / "bag_reads.py", file]
     ended = subprocess.run(line, capture_output=True, text=True, timeout=DEADLINE_S, check=False)

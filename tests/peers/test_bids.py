@@ -19,7 +19,7 @@ from tests.recording_export.bids_shapes import BEGIN_S, SHAPES, numbers, times
 def _run(program: str, *arguments: str) -> str:
     # A skip would pass where nothing was tried.
     if not (ENVIRONMENT / ".installed").exists():
-        pytest.fail("the peers are not installed: run `make test`, or tests/peers/install.sh first")
+        pytest.fail("the peers are not installed: run `make venv-peers` first")
     line = [str(ENVIRONMENT / "bin" / program), *arguments]
     done = subprocess.run(line, capture_output=True, text=True, timeout=DEADLINE_S, check=False)
     assert done.stdout, done.stderr

@@ -36,7 +36,7 @@ def read(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
     """The study in all formats, as others read it; by one process, for it loads a lot."""
     # A skip would pass where nothing was tried.
     if not (ENVIRONMENT / ".installed").exists():
-        pytest.fail("the peers are not installed: run `make test`, or tests/peers/install.sh first")
+        pytest.fail("the peers are not installed: run `make venv-peers` first")
     path = tmp_path_factory.mktemp("export") / "study.xdf"
     path.write_bytes(study())
     formats = ("csv", "csv-long.gz", "kubios", "ledalab")

@@ -32,7 +32,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Recordings:
     """Signals, and events that others found in them; of one process, for it loads a lot."""
     # A skip would pass where nothing was tried.
     if not (ENVIRONMENT / ".installed").exists():
-        pytest.fail("the peers are not installed: run `make test`, or tests/peers/install.sh first")
+        pytest.fail("the peers are not installed: run `make venv-peers` first")
     path = tmp_path_factory.mktemp("features") / "recordings.npz"
     command = [ENVIRONMENT / "bin" / "python", PEERS / "features_reads.py", path]
     done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S, check=False)

@@ -53,7 +53,7 @@ def laboratory(tmp_path: Path, sensor: str, **options: Any) -> Generator[LabProc
     """One virtual device with a drifting crystal and a radio that delays."""
     # A skip would pass where nothing was tried.
     if not (ENVIRONMENT / ".installed").exists():
-        pytest.fail("the peers are not installed: run `make test`, or tests/peers/install.sh first")
+        pytest.fail("the peers are not installed: run `make venv-peers` first")
     options = {"seed": 7, "jitter_s": 0.02, "drift_ppm": DRIFT_PPM, **options}
     with LabProcess([{"key": KEY, "sensor": sensor, "options": options}], tmp_path) as lab:
         yield lab

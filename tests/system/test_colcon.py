@@ -55,7 +55,10 @@ def linked_workspace(toolchain: Toolchain, tmp_path_factory: pytest.TempPathFact
     return Workspace.build(tmp_path_factory.mktemp("linked-workspace"), toolchain, linked=True)
 
 
-@pytest.fixture(params=["workspace", "linked_workspace"], ids=["copied", "symlinked"])
+@pytest.fixture(
+    params=["workspace", pytest.param("linked_workspace", marks=pytest.mark.nightly)],
+    ids=["copied", "symlinked"],
+)
 def built(request: pytest.FixtureRequest) -> Workspace:
     return request.getfixturevalue(request.param)
 

@@ -79,6 +79,11 @@ class Guard:
         self._wrap_libraries()
         self._test = test
 
+    @property
+    def is_active(self) -> bool:
+        """Whether a unit test is running."""
+        return self._test is not None
+
     def end(self) -> list[str]:
         """Stop refusing and return what was refused since :meth:`begin`."""
         self._test = None

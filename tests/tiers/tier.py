@@ -20,10 +20,15 @@ class Tier(StrEnum):
 
 
 def tier_of(item: pytest.Item) -> Tier:
-    """Return the tier of a test: *unit* unless a mark says otherwise."""
-    return next(
-        (Tier(tier) for mark, tier in _MARKS.items() if item.get_closest_marker(mark)), Tier.UNIT
-    )
+    """Return the tier of a test: *unit* unless a mark says otherwise.
+
+    A test's own mark counts before that of its file, and that of a parameter before both.
+    """
+    for node in reversed(item.listchain()):
+        tiers = [_MARKS[mark.name] for mark in node.own_markers if mark.name in _MARKS]
+        if tiers:
+            return Tier(tiers[-1])
+    return Tier.UNIT
 
 
 def may_hold(text: str, tier: Tier) -> bool:
