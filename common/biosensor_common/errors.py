@@ -35,6 +35,8 @@ class TransportReason(Enum):
     """The link stands but no byte arrives."""
     UNAVAILABLE = "unavailable"
     """This machine lacks the radio or service."""
+    EXHAUSTED = "exhausted"
+    """The system lets the program open no more files."""
 
 
 @unique

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import AsyncGenerator, Awaitable, Callable, Generator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -196,7 +196,7 @@ async def test_what_the_system_says_becomes_a_reason_and_an_advice(
     def refuse(*_arguments: Any, **_options: Any) -> None:
         raise raised
 
-    monkeypatch.setattr(module.serial, "Serial", refuse)
+    monkeypatch.setattr(module, "Port", refuse)
     error = await open_error("COM3")
     assert error.reason is reason
     assert words in str(error)
@@ -206,15 +206,40 @@ async def test_what_the_system_says_becomes_a_reason_and_an_advice(
 def slow_port(monkeypatch: pytest.MonkeyPatch) -> Generator[threading.Event]:
     """Ports open only once the event is set."""
     may_open = threading.Event()
-    at_once = serial.Serial
+    at_once = module.Port
 
     def slow(*arguments: Any, **options: Any) -> serial.Serial:
         may_open.wait(CLOSED_WITHIN_S)
         return at_once(*arguments, **options)
 
-    monkeypatch.setattr(module.serial, "Serial", slow)
+    monkeypatch.setattr(module, "Port", slow)
     yield may_open
     may_open.set()
+
+
+@pytest.mark.seam
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems wait by select")
+async def test_a_port_opened_beside_a_thousand_files_is_read_and_written(
+    pty: Pty, eventually: Eventually
+) -> None:
+    # select takes no descriptor above 1023, and each stream takes some.
+    with ExitStack() as stack:
+        while (held := os.open(os.devnull, os.O_RDONLY)) < 1024:
+            stack.callback(os.close, held)
+        stack.callback(os.close, held)
+        link = SerialLink(pty.port)
+        await link.open()
+    os.write(pty.master, ALL_BYTES)
+    assert await receive(link, 256) == ALL_BYTES
+    link.write(ALL_BYTES)
+    heard = bytearray()
+
+    def has_heard_all() -> bool:
+        heard.extend(pty.heard())
+        return bytes(heard) == ALL_BYTES
+
+    await eventually(has_heard_all)
+    await close(link)
 
 
 async def is_free(port: str) -> bool:
@@ -276,14 +301,14 @@ async def test_a_hang_up_is_told_after_everything_that_had_arrived(
     pty: Pty, monkeypatch: pytest.MonkeyPatch, eventually: Eventually
 ) -> None:
     taken = bytearray()
-    read = serial.Serial.read
+    read = module.Port.read
 
-    def noted(port: serial.Serial, size: int = 1) -> bytes:
+    def noted(port: Any, size: int = 1) -> bytes:
         data = read(port, size)
         taken.extend(data)
         return data
 
-    monkeypatch.setattr(serial.Serial, "read", noted)
+    monkeypatch.setattr(module.Port, "read", noted)
     link = SerialLink(pty.port)
     await link.open()
     os.write(pty.master, ALL_BYTES)
@@ -391,7 +416,7 @@ async def test_a_read_that_the_system_aborts_is_the_end_of_the_link(
         return ports[0]
 
     make = serial.Serial
-    monkeypatch.setattr(module.serial, "Serial", opened)
+    monkeypatch.setattr(module, "Port", opened)
     link = SerialLink(pty.port)
     await link.open()
     # What Windows does to a pending read when a device is pulled out.

@@ -10,6 +10,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import TextIO
 
+from biosensor_common.open_files import raise_limit
+
 __all__ = ["main"]
 
 BEGUN_S = time.perf_counter()
@@ -33,6 +35,8 @@ def main() -> None:
 
 def _run() -> None:
     _say_anything()
+    # First, so that whatever is started from here inherits it.
+    raise_limit()
     if len(sys.argv) == 1:
         _lead_after_a_double_click()
     if sys.argv[1:2] == [KEEP_RECORDING]:

@@ -9,7 +9,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
+import os
 import re
+import select
+import sys
+from typing import TYPE_CHECKING
 
 import serial
 from pylsl import local_clock
@@ -18,6 +22,9 @@ from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.transports.link import Received
 from biosensor_gateway.transports.threads import in_daemon_thread
 from biosensor_gateway.transports.traffic import Traffic
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer as Buffer
 
 USUAL_BAUD_RATE = 115200
 OPEN_TIMEOUT_S = 20.0
@@ -47,6 +54,52 @@ _OPEN_REASONS: dict[int | None, tuple[TransportReason, str]] = {
     errno.EACCES: (TransportReason.DENIED, "no permission; add yourself to the group dialout"),
     errno.EPERM: (TransportReason.DENIED, "no permission; add yourself to the group dialout"),
 }
+
+
+class _PolledPort(serial.Serial):
+    """Waits by poll, on Linux: select takes no descriptor above 1023.
+
+    An agent with some 60 streams has more than that, so pyserial's own port could not be read.
+    """
+
+    def read(self, size: int = 1, /) -> bytes:
+        """Read so many bytes; fewer only if the read is cancelled. There is no time limit."""
+        handle, cancelled, data = self.fileno(), self.pipe_abort_read_r, bytearray()
+        if cancelled is None:
+            raise serial.PortNotOpenError
+        while len(data) < size:
+            if cancelled in _ready({handle: select.POLLIN, cancelled: select.POLLIN}):
+                os.read(cancelled, 1000)
+                break
+            with contextlib.suppress(BlockingIOError):
+                part = os.read(handle, size - len(data))
+                if not part:
+                    raise serial.SerialException("the device is gone")
+                data += part
+        return bytes(data)
+
+    def write(self, b: Buffer, /) -> int:
+        """Write all within the port's time limit."""
+        handle, rest = self.fileno(), memoryview(b)
+        total, deadline_s = len(rest), local_clock() + WRITE_TIMEOUT_S
+        while rest:
+            with contextlib.suppress(BlockingIOError):
+                rest = rest[os.write(handle, rest) :]
+            if rest and not _ready({handle: select.POLLOUT}, deadline_s - local_clock()):
+                raise serial.SerialTimeoutException("the device takes nothing")
+        return total
+
+
+def _ready(events: dict[int, int], limit_s: float | None = None) -> set[int]:
+    """Wait until something has happened on a descriptor; return on which."""
+    poll = select.poll()
+    for descriptor, event in events.items():
+        poll.register(descriptor, event)
+    limit_ms = None if limit_s is None else max(0.0, 1000 * limit_s)
+    return {descriptor for descriptor, _ in poll.poll(limit_ms)}
+
+
+Port = _PolledPort if sys.platform == "linux" else serial.Serial
 
 
 class SerialLink:
@@ -98,7 +151,7 @@ class SerialLink:
             self._port.close()
 
     def _open_port(self) -> serial.Serial:
-        port = serial.Serial(
+        port = Port(
             self._name,
             self._baudrate,
             timeout=None,

@@ -27,6 +27,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
+from biosensor_common.open_files import raise_limit
 from biosensor_common.quantities import MessageType
 from biosensor_common.terminal import columns
 from lsl_to_ros.accounts.rates import RateMeter
@@ -168,6 +169,7 @@ def summary(rows: dict[str, Row], expected: dict[str, str]) -> tuple[str, bool]:
 
 def main() -> None:
     """Show the table until SIGINT or for a time; exit code 1 if an expected topic had no data."""
+    raise_limit()
     parser = argparse.ArgumentParser(description="A live table of all biosensor topics.")
     parser.add_argument("--seconds", type=float, help="counted from the first sample")
     parser.add_argument("--expect", type=Path, help="JSON file of topics to wait for")

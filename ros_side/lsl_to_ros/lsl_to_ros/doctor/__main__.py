@@ -11,6 +11,7 @@ from biosensor_common.doctor.runner import run_checks
 from biosensor_common.doctor.two_sided import command
 from biosensor_common.doctor.two_sided.facts import NODE
 from biosensor_common.doctor.two_sided.remedies import ANSWER_PORT
+from biosensor_common.open_files import raise_limit
 from biosensor_common.terminal import columns
 from lsl_to_ros.doctor.guide import GUIDE
 from lsl_to_ros.doctor.table import CHECKS
@@ -18,6 +19,7 @@ from lsl_to_ros.doctor.table import CHECKS
 
 def main() -> int:
     """Say what is wrong; the exit code is 1 if there are errors."""
+    raise_limit()
     parser = argparse.ArgumentParser("python3 -m lsl_to_ros.doctor", description=__doc__)
     names = [check.name for check in CHECKS]
     parser.add_argument("--only", action="append", choices=names, help="run this check only")

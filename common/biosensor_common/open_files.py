@@ -1,0 +1,116 @@
+"""Raises this process's limit of open files, and says how many LSL streams fit below it.
+
+Linux as it is installed lets a program open 1024 files, and macOS 256, unless the program itself
+asks for more. docs/measurements.md has the descriptors of an outlet and of an inlet.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from biosensor_common.errors import TransportError, TransportReason
+
+if sys.platform != "win32":  # resource exists only there
+    import resource
+
+OUTLET = 20
+"""Descriptors of an outlet: up to 17, and one for each of some receivers."""
+INLET = 12
+"""Descriptors of an inlet: up to 11.4, its clock included."""
+RESERVE = 64
+"""Descriptors that are no stream's: log, state, ports of devices, clients, children."""
+MOST = 65536
+"""More than any lab needs. Containers allow a billion, and programs that close every descriptor
+before they start another program would then do nothing else for minutes."""
+
+# macOS refuses more than OPEN_MAX even where it names no hard limit.
+_OPEN_MAX = 10240
+_FIX = {
+    "linux": "sudo prlimit --pid $$ --nofile=65536:65536",
+    "darwin": "sudo launchctl limit maxfiles 65536 200000",
+}
+
+
+def raise_limit() -> None:
+    """Let this process, and those that it starts, open as many files as the system allows."""
+    if sys.platform == "win32":
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    for wanted in wanted_limits(soft, hard):
+        try:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+        except (OSError, ValueError):
+            continue
+        return
+
+
+def wanted_limits(soft: int, hard: int) -> list[int]:
+    """Return the limits to try, the best first; none if the present one cannot be bettered.
+
+    Parameters
+    ----------
+    soft, hard
+        The limits in force; a negative one stands for none.
+    """
+    most = MOST if hard < 0 else min(hard, MOST)
+    if soft < 0:
+        return []
+    return [each for each in (most, _OPEN_MAX) if soft < each <= most]
+
+
+def limit() -> int | None:
+    """Return how many files this process may have open; None where nothing is said."""
+    if sys.platform == "win32":
+        return None
+    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return None if soft < 0 else soft
+
+
+def opened() -> int:
+    """Return how many files this process has open; as many as it may where none is left."""
+    try:
+        # The list itself takes one.
+        return sum(1 for _ in Path("/dev/fd").iterdir()) - 1
+    except OSError:
+        return limit() or 0
+
+
+def room(each: int) -> int | None:
+    """Return how many more streams of so many descriptors fit; None where there is no limit."""
+    most = limit()
+    return None if most is None else fitting(most - opened(), each)
+
+
+def fitting(free: int, each: int) -> int:
+    """Return how many streams fit into free descriptors, without the reserve."""
+    return max(0, (free - RESERVE) // each)
+
+
+def require(each: int, what: str) -> None:
+    """Make sure that there is room for one more stream.
+
+    Raises
+    ------
+    TransportError
+        ``EXHAUSTED``, with the command that makes room.
+    """
+    most = limit()
+    # The reserve is what programs use; half of it has to be left for that.
+    if most is not None and most - opened() < each + RESERVE // 2:
+        raise exhausted(f"{what} is left out")
+
+
+def exhausted(what: str) -> TransportError:
+    """Return the error of a stream that does not fit."""
+    return TransportError(TransportReason.EXHAUSTED, f"{what}: {reason()}; {fix()}")
+
+
+def reason() -> str:
+    """Say what limits the streams of this process."""
+    return f"this computer lets a program open {limit()} files, and each LSL stream takes some"
+
+
+def fix() -> str:
+    """Say which command lets a program open more."""
+    return f"run in this terminal: {_FIX.get(sys.platform, _FIX['linux'])}, then start it again"

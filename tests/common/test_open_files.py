@@ -1,0 +1,71 @@
+"""The limit of open files: which one is asked for, and how many streams fit below it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from biosensor_common import open_files
+from biosensor_common.errors import TransportError, TransportReason
+from biosensor_common.open_files import INLET, MOST, OUTLET, RESERVE, fitting, wanted_limits
+
+
+@pytest.mark.parametrize(
+    ("soft", "hard", "wanted"),
+    [
+        (1024, 1_048_576, [MOST, 10240]),
+        (1024, 4096, [4096]),
+        (1024, 1024, []),
+        # macOS: no hard limit, but more than OPEN_MAX may be refused.
+        (256, -1, [MOST, 10240]),
+        # Somebody wants more already.
+        (200_000, 1_048_576, []),
+        (-1, -1, []),
+        (12_000, 20_000, [20_000]),
+    ],
+)
+def test_the_limit_is_raised_as_far_as_the_system_allows_and_streams_need(
+    soft: int, hard: int, wanted: list[int]
+) -> None:
+    assert wanted_limits(soft, hard) == wanted
+
+
+def test_streams_fit_beside_what_the_program_itself_opens() -> None:
+    assert fitting(RESERVE + 3 * OUTLET - 1, OUTLET) == 2
+    assert fitting(RESERVE + 3 * INLET, INLET) == 3
+    assert fitting(0, OUTLET) == 0
+
+
+def test_what_does_not_fit_is_an_error_with_the_command_that_makes_room(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(open_files, "limit", lambda: 200)
+    monkeypatch.setattr(open_files, "opened", lambda: 200 - RESERVE // 2 - OUTLET)
+    open_files.require(OUTLET, "the stream Polar-ECG")
+    monkeypatch.setattr(open_files, "opened", lambda: 200 - RESERVE // 2 - OUTLET + 1)
+    with pytest.raises(
+        TransportError, match=r"Polar-ECG is left out.* 200 files.*run in"
+    ) as caught:
+        open_files.require(OUTLET, "the stream Polar-ECG")
+    assert caught.value.reason is TransportReason.EXHAUSTED
+
+
+RAISED = """
+import resource, subprocess, sys
+from biosensor_common.open_files import raise_limit
+resource.setrlimit(resource.RLIMIT_NOFILE, (100, 300))
+raise_limit()
+print(resource.getrlimit(resource.RLIMIT_NOFILE))
+subprocess.run(["sh", "-c", "ulimit -Sn"])
+"""
+
+
+@pytest.mark.seam
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such limit")
+def test_a_program_and_those_that_it_starts_may_open_as_many_files_as_the_system_allows() -> None:
+    run = subprocess.run(
+        [sys.executable, "-u", "-c", RAISED], capture_output=True, text=True, check=True
+    )
+    assert run.stdout.split("\n")[:2] == ["(300, 300)", "300"]
