@@ -4,6 +4,8 @@
 #   requirements/compile.sh --upgrade   take the newest of everything
 set -eu
 cd "$(dirname "$0")/.."
+# The system's certificates, not uv's own.
+export UV_SYSTEM_CERTS=1
 
 # lock LOCK OPTION ...
 lock() {

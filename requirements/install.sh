@@ -23,9 +23,13 @@ fi
 
 if ! [ -x .uv/bin/uv ]; then
     "$python" -m venv --clear .uv
-    .uv/bin/pip install --quiet --require-hashes -r requirements/uv.txt
+    bring_uv() { .uv/bin/pip install --quiet --require-hashes -r requirements/uv.txt; }
+    # pip has certificates of its own before 24.2, which a proxy that looks into connections has not.
+    certificates=$("$python" -c 'import ssl; at = ssl.get_default_verify_paths(); print(at.cafile or at.capath or "")')
+    bring_uv 2>/dev/null || PIP_CERT="${PIP_CERT:-$certificates}" bring_uv
 fi
-export UV_PYTHON_DOWNLOADS=never UV_LINK_MODE=copy
+# The system's certificates, too, not uv's own.
+export UV_PYTHON_DOWNLOADS=never UV_LINK_MODE=copy UV_SYSTEM_CERTS=1
 [ -x .venv/bin/python ] || .uv/bin/uv venv --quiet --python "$("$python" -c 'import sys; print(sys.executable)')" .venv
 .uv/bin/uv pip install --quiet --python .venv/bin/python --require-hashes -r "$lock"
 .uv/bin/uv pip install --quiet --python .venv/bin/python --no-deps --editable .

@@ -14,7 +14,7 @@ if ! [ -x .uv/bin/uv ] || ! [ -x .venv/bin/python ]; then
     exit 1
 fi
 echo "Setting up .venv-peers from $lock ..." >&2
-export UV_PYTHON_DOWNLOADS=never UV_LINK_MODE=copy
+export UV_PYTHON_DOWNLOADS=never UV_LINK_MODE=copy UV_SYSTEM_CERTS=1
 .uv/bin/uv venv --quiet --clear --python .venv/bin/python .venv-peers
 .uv/bin/uv pip install --quiet --python .venv-peers/bin/python \
     --require-hashes --only-binary :all: -r "$lock"
