@@ -11,6 +11,8 @@ import numpy as np
 import pylsl
 from numpy.typing import NDArray
 
+from biosensor_common.open_files import OUTLET, require
+
 REST_S = 0.02
 """From the last push to the end of an outlet. LSL's own thread has begun to send by then; liblsl
 1.18 hangs for ever, or crashes, if an outlet ends at that very moment: see
@@ -18,9 +20,19 @@ docs/liblsl-closing-outlets.md."""
 
 
 class LslOutlet(pylsl.StreamOutlet):
-    """An outlet that, to be destroyed, waits until what was pushed last is on its way."""
+    """An outlet that, to be destroyed, waits until what was pushed last is on its way.
+
+    Raises
+    ------
+    TransportError
+        ``EXHAUSTED``, if the system lets the process open no more files.
+    """
 
     _pushed_s = -math.inf
+
+    def __init__(self, info: pylsl.StreamInfo) -> None:
+        require(OUTLET, f"the stream {info.name()}")
+        super().__init__(info)
 
     def push_sample(
         self, x: Sequence[Any] | NDArray[Any], timestamp: float = 0.0, pushthrough: bool = True

@@ -87,6 +87,13 @@ def fitting(free: int, each: int) -> int:
     return max(0, (free - RESERVE) // each)
 
 
+def has_room(descriptors: int) -> bool:
+    """Whether this process may open so many more files, and some for itself."""
+    most = limit()
+    # The reserve is what programs use; half of it has to be left for that.
+    return most is None or most - opened() >= descriptors + RESERVE // 2
+
+
 def require(each: int, what: str) -> None:
     """Make sure that there is room for one more stream.
 
@@ -95,9 +102,7 @@ def require(each: int, what: str) -> None:
     TransportError
         ``EXHAUSTED``, with the command that makes room.
     """
-    most = limit()
-    # The reserve is what programs use; half of it has to be left for that.
-    if most is not None and most - opened() < each + RESERVE // 2:
+    if not has_room(each):
         raise exhausted(f"{what} is left out")
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from biosensor_common.doctor import firewall_rules, programs
-from biosensor_common.doctor.checks import clock
+from biosensor_common.doctor.checks import clock, open_files
 from biosensor_common.doctor.finding import Level
 from biosensor_common.doctor.lsl_api_file import Ports
 from biosensor_gateway.doctor.checks import power, windows_firewall
@@ -50,6 +50,24 @@ def test_programs_that_are_not_there_or_hang(
     install("slow", "exec sleep 60")
     monkeypatch.setattr(programs, "TIME_LIMIT_S", 0.2)
     assert programs.succeeds("slow") is None
+
+
+@pytest.mark.parametrize(
+    ("limit", "streams", "level", "words"),
+    [
+        (None, 500, Level.OK, "does not limit"),
+        (65536, 108, Level.OK, "65536 files, which is enough to send 3273 streams"),
+        (1024, 20, Level.NOTE, "1024 files, which is enough to send 48 streams, or to receive 80"),
+        (1024, 60, Level.ERROR, "the streams of the settings are 60"),
+    ],
+)
+def test_the_limit_of_open_files_is_judged_by_the_streams_that_fit(
+    limit: int | None, streams: int, level: Level, words: str
+) -> None:
+    finding = open_files.judge(limit, streams)
+    assert finding.level is level
+    assert words in finding.what
+    assert level is Level.OK or "then start it again" in finding.fix
 
 
 @pytest.mark.nightly

@@ -27,6 +27,7 @@ from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.agent import Agent
 from biosensor_gateway.agent.device import Device
 from biosensor_gateway.agent.fleet import Fleet
+from biosensor_gateway.agent.room import Room
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected
@@ -281,7 +282,8 @@ async def test_if_a_supervisor_itself_dies_everything_is_closed_and_it_is_said(
         {
             DeviceSettings(sensor="gateway", unit=sink.identity.unit): Device(supervisor, sink)
             for supervisor, sink in supervisors
-        }
+        },
+        Room(None),
     )
     with pytest.raises(RuntimeError, match="a mistake in the supervisor"):
         await asyncio.wait_for(agent.run(), ENDED_WITHIN_S)

@@ -174,6 +174,7 @@ def test_the_status_of_the_node_warns_once_that_stamped_topics_are_missing(
     assert status.values == {
         "streams": str(others),
         "streams_refused": "1",
+        "streams_left_out": "0",
         "clock_steps": "0",
         "stamped_topics": "no",
         "liblsl": str(pylsl.library_version()),

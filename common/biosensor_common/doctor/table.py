@@ -16,5 +16,6 @@ COMMON_CHECKS = (
     Check("ports", Category.NETWORK, "the ports of LSL"),
     Check("linux_firewall", Category.NETWORK, "ufw and firewalld"),
     Check("host_name", Category.NETWORK, "the name of this computer"),
+    Check("open_files", Category.COMPUTER, "how many files, and so streams, a program may open"),
     Check("clock", Category.COMPUTER, "what keeps the clock right"),
 )

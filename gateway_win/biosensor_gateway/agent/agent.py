@@ -22,6 +22,7 @@ from biosensor_gateway.agent.known_streams import KnownStreams
 from biosensor_gateway.agent.marking import MarkerCommands
 from biosensor_gateway.agent.pauses.commands import PauseCommands
 from biosensor_gateway.agent.reloading import ReadSettings, Reloading
+from biosensor_gateway.agent.room import Room
 from biosensor_gateway.agent.snapshot import snapshot
 from biosensor_gateway.agent.status_writer import StatusWriter
 from biosensor_gateway.settings.models import GatewaySettings
@@ -73,8 +74,9 @@ class Agent:
             people = f"LSL's own settings are heeded: {taken_over}"
             _log.info("LSL configuration taken over", file=str(taken_over), for_people=people)
         enabled = [device for device in settings.devices if device.enabled]
-        self.devices = Fleet({each: Device.from_settings(each) for each in enabled})
-        self._known = KnownStreams(folder, self._sinks)
+        devices = {each: Device.from_settings(each) for each in enabled}
+        self.devices = Fleet(devices, Room.here())
+        self._known = KnownStreams(folder, self._sinks_with_room)
         self._pauses = PauseCommands(folder, self._sinks)
         self._markers = MarkerStream()
         self._marking = MarkerCommands(self._markers, settings.markers)
@@ -98,6 +100,7 @@ class Agent:
 
     async def run(self) -> None:
         """Stream until cancelled, then close every device and outlet."""
+        self.devices.make_room()
         self._known.expect()
         counters = own_outlet("counters")
         self._markers.open()
@@ -128,6 +131,9 @@ class Agent:
 
     def _sinks(self) -> list[DeviceSink]:
         return [device.sink for device in self.devices]
+
+    def _sinks_with_room(self) -> list[DeviceSink]:
+        return [device.sink for device in self.devices.with_room]
 
     async def _change(self, settings: GatewaySettings) -> FleetChanges:
         self._marking.settings = settings.markers

@@ -57,6 +57,11 @@ class Device:
         return device_name(self.sink.identity)
 
     @property
+    def streams(self) -> int:
+        """How many streams its declaration has."""
+        return len(self.sink.spec.streams)
+
+    @property
     def state(self) -> str:
         """Where it is on its way to streaming, or ``paused``."""
         return "paused" if self.sink.is_paused else self.supervisor.state.value

@@ -5,11 +5,14 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import structlog
 
+from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.agent.device import Device
 from biosensor_gateway.agent.feed import Feed
+from biosensor_gateway.agent.room import Room
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
@@ -48,10 +51,13 @@ class Fleet:
     ----------
     devices
         To begin with, by their entry of the settings.
+    room
+        Has the streams that fit into this process.
     """
 
-    def __init__(self, devices: Mapping[DeviceSettings, Device]) -> None:
+    def __init__(self, devices: Mapping[DeviceSettings, Device], room: Room) -> None:
         self._devices = dict(devices)
+        self._room = room
         self._tasks: dict[Device, asyncio.Task[None]] = {}
         self._announcer: Announcer | None = None
         self._feed: Feed | None = None
@@ -66,6 +72,25 @@ class Fleet:
         self._announcer, self._feed, self._lag = announcer, feed, LoopLag()
         for device in self:
             self._begin(device)
+
+    def make_room(self) -> None:
+        """Reserve room for the streams of all devices; say which are left out.
+
+        Raises
+        ------
+        TransportError
+            ``EXHAUSTED``, if no device has room.
+        """
+        left_out = self._room.share_out({each.name: each.streams for each in self})
+        if left_out and not self.with_room:
+            raise TransportError(TransportReason.EXHAUSTED, left_out)
+        if left_out:
+            _log.warning(left_out)
+
+    @property
+    def with_room(self) -> list[Device]:
+        """The devices whose streams fit into this process."""
+        return [device for device in self if self._room.has(device.name)]
 
     async def run(self) -> None:
         """Wait until cancelled.
@@ -122,6 +147,7 @@ class Fleet:
         assert self._feed is not None
         device.announce_to(self._announcer)
         self._feed.watch(device.sink)
+        device.supervisor.admit = partial(self._room.take, device.name, device.streams)
         device.sink.own_delay = self._lag.packet_delay_s
         task = asyncio.create_task(device.supervisor.run())
         task.add_done_callback(self._note_end)
@@ -139,6 +165,7 @@ class Fleet:
         await asyncio.gather(*ending.values(), return_exceptions=True)
         for device in ending:
             device.close(self._announcer)
+            self._room.give_back(device.name)
             self._announce(EventKind.DEVICE_REMOVED, device)
 
     def _announce(self, kind: EventKind, device: Device) -> None:

@@ -46,7 +46,7 @@ class KnownStreams:
     folder
         The state folder.
     sinks
-        Tells those of all devices.
+        Returns those of all devices whose streams fit into this process.
     """
 
     def __init__(self, folder: Path, sinks: Callable[[], Iterable[DeviceSink]]) -> None:

@@ -65,6 +65,8 @@ class Supervisor:
     ----------
     on_drop
         Called with the reason, in one word, as soon as a connection has ended by itself.
+    admit
+        Called before each connection; raises what forbids it.
     """
 
     def __init__(
@@ -77,6 +79,7 @@ class Supervisor:
         self._sink = sink
         self._on_state = on_state
         self.on_drop: Callable[[str], None] = lambda reason: None
+        self.admit: Callable[[], None] = lambda: None
         self._names = {"sensor": sink.identity.sensor, "unit": sink.identity.unit}
         self._delay_s = BACKOFF_FIRST_S
         self.state = State.DISCOVERING
@@ -103,6 +106,7 @@ class Supervisor:
         driver: Driver | None = None
         started: float | None = None
         try:
+            self.admit()
             driver = self._make_driver()
             self._enter(State.CONNECTING)
             connected = await driver.connect()

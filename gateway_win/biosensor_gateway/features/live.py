@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 import pylsl
 
-from biosensor_common.errors import SpecError
+from biosensor_common.errors import SpecError, TransportError
 from biosensor_common.lsl_header import read_header
 from biosensor_common.lsl_outlet import LslOutlet
 from biosensor_gateway.features.choosing import Taken, choose
@@ -203,7 +203,13 @@ class Live:
         self._waiting = [each for each in self._waiting if each.source.identity in young]
         infos = {id(each.source.header): each.info for each in ready}
         for source in choose((each.source for each in ready), self._taken):
-            self._stages.append(_Stage(source, infos[id(source.header)], self._asking))
+            try:
+                stage = _Stage(source, infos[id(source.header)], self._asking)
+            except TransportError as error:
+                # No more files may be opened.
+                self._told.refused(str(error))
+                continue
+            self._stages.append(stage)
             self._told.found(source)
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from itertools import count
 from time import monotonic
 from typing import NamedTuple
 
 import pylsl
 
+from biosensor_common import open_files
 from biosensor_common.errors import SpecError
 from biosensor_common.naming import NODE
 from biosensor_common.quantities import ContentType
@@ -62,6 +63,7 @@ class Discovery:
         self._left_out: dict[str, float] = {}
         self._refused: set[str] = set()
         self._warned: set[str] = set()
+        self._crowded_out: dict[str, str] = {}
         self._rivals = Rivals(warn)
 
     @property
@@ -73,6 +75,11 @@ class Discovery:
     def refused(self) -> int:
         """How many of the present streams cannot be used."""
         return len(self._refused)
+
+    @property
+    def crowded_out(self) -> Collection[str]:
+        """Names of the present streams for which this process may open no more files."""
+        return self._crowded_out.values()
 
     def set_predicate(self, predicate: str) -> None:
         """Serve other streams from now on.
@@ -154,6 +161,8 @@ class Discovery:
 
     def _open(self, info: pylsl.StreamInfo) -> list[Inlet]:
         """Open an inlet; return those that it replaces."""
+        if not self._has_room(info):
+            return []
         try:
             inlet = Inlet(info, self._warn)
         except SpecError as error:
@@ -164,6 +173,24 @@ class Discovery:
         self._inlets[inlet.uid] = inlet
         self._left_out.pop(inlet.uid, None)
         return replaced
+
+    def _has_room(self, info: pylsl.StreamInfo) -> bool:
+        """Whether an inlet fits beside those that are there and those that are being opened."""
+        uid = info.uid()
+        opening = sum(each.state is InletState.OPENING for each in self.inlets)
+        has_room = open_files.has_room((1 + opening) * open_files.INLET)
+        if has_room:
+            self._crowded_out.pop(uid, None)
+            return True
+        if opening:
+            # They have some of their files already, and there may be room when they have all.
+            self._not_before[uid] = monotonic() + RETRY_S
+            return False
+        self._not_before[uid] = monotonic() + RETRY_FAILED_S
+        if uid not in self._crowded_out:
+            self._crowded_out[uid] = info.name()
+            self._warn(str(open_files.exhausted(f"the stream {info.name()} is left out")))
+        return False
 
     def _is_new(self, uid: str) -> bool:
         if uid in self._inlets or uid in self._refused:
@@ -202,7 +229,7 @@ class Discovery:
 
     def _forget_all_but(self, found: Mapping[str, pylsl.StreamInfo]) -> None:
         known = found.keys() | self._inlets.keys()
-        for record in (self._not_before, self._left_out, self._order):
+        for record in (self._not_before, self._left_out, self._order, self._crowded_out):
             for uid in record.keys() - known:
                 del record[uid]
         self._refused.intersection_update(found)

@@ -20,6 +20,7 @@ from rclpy.node import Node
 
 from biosensor_common.clock_pair import ClockPair, measure_clock_pair
 from biosensor_common.description_xml import append_children
+from biosensor_common.errors import TransportError
 from biosensor_common.lsl_header import describe
 from biosensor_common.lsl_outlet import LslOutlet
 from biosensor_common.naming import NODE, lsl_name, source_id
@@ -102,7 +103,7 @@ def _offset_ns(pair: ClockPair) -> int:
 def _outlet(node: Node, warn: Callable[[str], None]) -> LslOutlet | None:
     try:
         return events_outlet(node, "lsl_to_ros")
-    except RuntimeError as error:
+    except (RuntimeError, TransportError) as error:
         warn(f"recordings will not tell the time of this computer: LSL offers no stream ({error})")
         return None
 
@@ -114,6 +115,8 @@ def events_outlet(node: Node, model: str) -> LslOutlet:
     ------
     RuntimeError
         pylsl's, if LSL offers no stream.
+    TransportError
+        ``EXHAUSTED``, if the process may open no more files.
     """
     identity = DeviceIdentity(NODE, unit_of(socket.gethostname(), node))
     info = pylsl.StreamInfo(

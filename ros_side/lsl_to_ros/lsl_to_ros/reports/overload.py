@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from biosensor_common import open_files
 from lsl_to_ros.accounts.load import LoadFacts
 from lsl_to_ros.lsl.share import ALL, Share
 from lsl_to_ros.parameters.node import MAX_PROCESSES, PROCESSES
+
+_MOST_NAMED = 5
 
 
 def overload(load: LoadFacts, process: Share = ALL) -> str:
@@ -23,6 +26,14 @@ def overload(load: LoadFacts, process: Share = ALL) -> str:
             f" computer busy; end some, or {relief}"
         )
     return ""
+
+
+def crowded_out(streams: Sequence[str]) -> str:
+    """Say which streams are left out because no more files may be opened; empty if none is."""
+    if not streams:
+        return ""
+    named = ", ".join(streams[:_MOST_NAMED]) + ", ..." * (len(streams) > _MOST_NAMED)
+    return str(open_files.exhausted(f"{len(streams)} streams are left out ({named})"))
 
 
 def name_of(process: Share) -> str:

@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from lsl_to_ros.lsl.share import Share
 from lsl_to_ros.reports.diagnostics import status
-from lsl_to_ros.reports.overload import overload
+from lsl_to_ros.reports.overload import crowded_out, overload
 from lsl_to_ros.reports.survey import Part
 
 
@@ -73,6 +73,7 @@ def node_status(
         "queue_age_s": f"{max(part.load.age_s for part in parts):.3f}",
         "streams": str(streams),
         "streams_refused": str(sum(part.refused for part in parts)),
+        "streams_left_out": str(sum(len(part.crowded_out) for part in parts)),
         **values,
         "liblsl": str(pylsl.library_version()),
         "processes": str(len(processes)),
@@ -106,7 +107,8 @@ def _judge(facts: ProcessFacts) -> tuple[bytes, str]:
         return DiagnosticStatus.ERROR, facts.trouble
     load = facts.part.load if facts.part else None
     too_much = overload(load, facts.share) if load else ""
-    reason = "; ".join(each for each in (too_much, facts.trouble) if each)
+    left_out = crowded_out(facts.part.crowded_out) if facts.part else ""
+    reason = "; ".join(each for each in (too_much, left_out, facts.trouble) if each)
     return (DiagnosticStatus.WARN if reason else DiagnosticStatus.OK), reason
 
 

@@ -29,6 +29,8 @@ class Part:
     ----------
     streams, refused
         How many it has, and how many it cannot use.
+    crowded_out
+        Names of streams for which it may open no more files.
     statuses, devices
         Of its streams, and of their devices as far as these streams tell.
     """
@@ -36,6 +38,7 @@ class Part:
     load: LoadFacts
     streams: int
     refused: int
+    crowded_out: Sequence[str]
     statuses: Sequence[DiagnosticStatus]
     devices: Sequence[DiagnosticStatus]
 
@@ -91,7 +94,9 @@ class Survey:
             if route.bridge is not None
         ]
         devices = list(device_statuses(bridges))
-        return Part(load, len(routes), self._discovery.refused, statuses, devices)
+        discovery = self._discovery
+        crowded_out = sorted(discovery.crowded_out)
+        return Part(load, len(routes), discovery.refused, crowded_out, statuses, devices)
 
     def _stream_status(self, route: Route) -> DiagnosticStatus | None:
         if route.bridge is None or route.topic is None:

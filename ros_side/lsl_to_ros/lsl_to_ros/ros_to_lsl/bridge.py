@@ -75,7 +75,10 @@ class Bridge:
         self._said_wrong: set[StampSource] = set()
         if request.send_as in (SendAs.MARKERS, SendAs.JSON):
             # Before anybody publishes: a recorder must see it before the first event.
-            self._marker_outlet()
+            try:
+                self._marker_outlet()
+            except GatewayError as error:
+                self._fail(error)
 
     @property
     def streams(self) -> Mapping[str, int]:

@@ -1,0 +1,71 @@
+"""Gives the streams that fit into this process to devices, in the order of the settings."""
+
+from __future__ import annotations
+
+from biosensor_common import open_files
+from biosensor_common.errors import TransportError
+
+_OWN_STREAMS = 3
+"""Counters, events and markers."""
+
+
+class Room:
+    """Knows which devices have room for their streams.
+
+    Parameters
+    ----------
+    fits
+        How many streams fit; None where nothing limits them.
+    """
+
+    def __init__(self, fits: int | None) -> None:
+        self._fits = fits
+        self._taken: dict[str, int] = {}
+
+    @classmethod
+    def here(cls) -> Room:
+        """Return the room of this process, which has opened no stream yet."""
+        fits = open_files.room(open_files.OUTLET)
+        return cls(None if fits is None else max(0, fits - _OWN_STREAMS))
+
+    def take(self, device: str, streams: int) -> None:
+        """Take room for the streams of a device, unless it has it.
+
+        Raises
+        ------
+        TransportError
+            ``EXHAUSTED``, if they do not fit.
+        """
+        others = sum(self._taken.values()) - self._taken.get(device, 0)
+        if self._fits is not None and others + streams > self._fits:
+            raise open_files.exhausted(f"its {streams} streams are left out")
+        self._taken[device] = streams
+
+    def has(self, device: str) -> bool:
+        """Whether a device has room."""
+        return device in self._taken
+
+    def give_back(self, device: str) -> None:
+        """Free the room of a device."""
+        self._taken.pop(device, None)
+
+    def share_out(self, devices: dict[str, int]) -> str:
+        """Take room for all devices, by name and number of streams, as far as there is some.
+
+        Returns
+        -------
+        str
+            How many streams fit and which devices are left out; empty if all have room.
+        """
+        left_out: list[str] = []
+        for device, streams in devices.items():
+            try:
+                self.take(device, streams)
+            except TransportError:
+                left_out.append(f"{device} ({streams})")
+        if not left_out:
+            return ""
+        return (
+            f"{self._fits} streams fit, and {sum(devices.values())} are wanted; left out are "
+            f"{', '.join(left_out)}: {open_files.reason()}; {open_files.fix()}"
+        )
