@@ -27,7 +27,7 @@ from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.agent import Agent
 from biosensor_gateway.agent.device import Device
 from biosensor_gateway.agent.fleet import Fleet
-from biosensor_gateway.agent.room import Room
+from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected

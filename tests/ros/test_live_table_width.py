@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import json
 
+from std_msgs.msg import String
+
+from biosensor_common.quantities import MessageType
 from biosensor_gateway.devices.registry import declaration, declaration_names
 from lsl_to_ros.fitting import fitted, widths
+from lsl_to_ros.live_table import Row, render
 
 WIDTH = 100
 HEADINGS = ("topic", "type", "Hz", "nominal", "last value", "age s", "lost")
@@ -46,5 +50,19 @@ def test_a_long_participant_shortens_the_name_last() -> None:
     assert any(each[0].endswith("force_chunk") for each in lines)
 
 
-def test_without_a_terminal_nothing_is_cut() -> None:
-    assert fitted(table(""), None) == table("")
+def test_a_table_that_fits_is_not_cut() -> None:
+    assert fitted(table(""), 200) != table("")
+    assert fitted(table(""), 1000) == table("")
+
+
+def test_without_a_terminal_the_table_fits_a_log() -> None:
+    topics = table("")[1:]
+    rows = [
+        Row(each[0].removesuffix("_chunk"), MessageType.STRING, 7, last=String(data=EVENT))
+        for each in topics
+    ]
+    rows.append(Row("/biosensors/gateway/counters", MessageType.DIAGNOSTIC_ARRAY))
+    lines = render(rows).splitlines()
+    assert max(map(len, lines)) <= WIDTH
+    assert lines[0].startswith("topic in /biosensors/ ")
+    assert all(each.endswith("unknown") for each in lines[1:])

@@ -22,7 +22,6 @@ from biosensor_gateway.agent.known_streams import KnownStreams
 from biosensor_gateway.agent.marking import MarkerCommands
 from biosensor_gateway.agent.pauses.commands import PauseCommands
 from biosensor_gateway.agent.reloading import ReadSettings, Reloading
-from biosensor_gateway.agent.room import Room
 from biosensor_gateway.agent.snapshot import snapshot
 from biosensor_gateway.agent.status_writer import StatusWriter
 from biosensor_gateway.settings.models import GatewaySettings
@@ -32,6 +31,7 @@ from biosensor_gateway.streaming.events.announcer import Announcer
 from biosensor_gateway.streaming.markers import MarkerStream
 from biosensor_gateway.streaming.outlets import Outlet, configure_lsl
 from biosensor_gateway.streaming.own_outlets import own_outlet
+from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.keep_alive import restart_facts
 from biosensor_gateway.system.keep_awake import KeepAwake, system_inhibitor

@@ -12,11 +12,11 @@ import structlog
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.agent.device import Device
 from biosensor_gateway.agent.feed import Feed
-from biosensor_gateway.agent.room import Room
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
 from biosensor_gateway.streaming.events.device import device_facts
+from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.system.loop_lag import LoopLag
 
 _log = structlog.get_logger("biosensor_gateway.agent")

@@ -13,19 +13,22 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
 from biosensor_common.errors import TransportError, TransportReason
-from biosensor_gateway.demo.expectation import demo_devices, expected_topics
+from biosensor_gateway.demo.expectation import expected_topics, fitting_devices
 from biosensor_gateway.settings.places import STATE_VARIABLE
+from biosensor_gateway.streaming.room import Room
 
 # Short enough that the slowest chunk, of the wristband's 4 Hz, fills in eight seconds.
 CHUNK_LENGTH = 32
 STOP_TIMEOUT_S = 10.0
 _POLL_S = 0.2
+# In whose place the agent has the files of its virtual devices.
+_KEPT_STREAMS = 3
 
 
 def run(seconds: float | None) -> int:
@@ -39,23 +42,39 @@ def run(seconds: float | None) -> int:
     Returns
     -------
     int
-        0 if every topic that the virtual devices can fill received data, else 1.
+        0 if every topic that the virtual devices can fill received data, 3 if the computer is too
+        busy for some of them so far, else 1.
 
     Raises
     ------
     TransportError
-        ``UNAVAILABLE``, if this installation lacks rclpy.
+        ``UNAVAILABLE``, if this installation lacks rclpy; ``EXHAUSTED``, if the system lets a
+        program open too few files for any device.
     """
     if find_spec("rclpy") is None:
         message = "the demo needs rclpy: pip install 'biosensor-gateway[ros]' (Linux x86-64)"
         raise TransportError(TransportReason.UNAVAILABLE, message)
+    devices, left_out = fitting_devices(Room.here(_KEPT_STREAMS))
+    if not devices:
+        raise TransportError(TransportReason.EXHAUSTED, left_out)
+    if left_out:
+        sys.stderr.write(f"{left_out}\n")
+    code = _show(seconds, devices)
+    if left_out:
+        sys.stderr.write(f"{left_out}\n")
+    # Not all that there is was shown.
+    return code or (1 if left_out else 0)
+
+
+def _show(seconds: float | None, devices: Mapping[str, str]) -> int:
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="biosensor-demo-")))
         expected = folder / "expected.json"
-        expected.write_text(json.dumps(expected_topics(seconds, CHUNK_LENGTH)), encoding="utf-8")
+        topics = expected_topics(seconds, CHUNK_LENGTH, devices)
+        expected.write_text(json.dumps(topics), encoding="utf-8")
         servers = {
             name: stack.enter_context(_process(name, command, folder))
-            for name, command in _servers().items()
+            for name, command in _servers(devices.values()).items()
         }
         options = ["--expect", str(expected)]
         if seconds is not None:
@@ -67,9 +86,9 @@ def run(seconds: float | None) -> int:
         return _wait(table, servers, folder)
 
 
-def _servers() -> dict[str, Sequence[str]]:
+def _servers(devices: Iterable[str]) -> dict[str, Sequence[str]]:
     return {
-        "agent": ("biosensor_gateway.cli", "run", "--simulate", ",".join(demo_devices().values())),
+        "agent": ("biosensor_gateway.cli", "run", "--simulate", ",".join(devices)),
         "node": ("lsl_to_ros.node", "--ros-args", "-p", f"Chunk_Length:={CHUNK_LENGTH}"),
     }
 

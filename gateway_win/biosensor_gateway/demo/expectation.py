@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
+
 from biosensor_common.spec import FromDevice, StreamSpec
 from biosensor_gateway.demo.virtual_devices import virtual_class
 from biosensor_gateway.devices.registry import declaration, sensor, sensor_names
 from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
+from biosensor_gateway.streaming.room import Room
 
 # From the first sample of any device until every other one is found and connected.
 CONNECT_S = 9.0
@@ -22,7 +25,16 @@ def demo_devices() -> dict[str, str]:
     }
 
 
-def expected_topics(seconds: float | None, chunk_length: int) -> dict[str, str]:
+def fitting_devices(room: Room) -> tuple[dict[str, str], str]:
+    """Return the devices whose streams fit into one process, and a sentence on the others."""
+    devices = demo_devices()
+    said = room.share_out({name: len(declaration(name).streams) for name in devices})
+    return {name: called for name, called in devices.items() if room.has(name)}, said
+
+
+def expected_topics(
+    seconds: float | None, chunk_length: int, devices: Container[str] | None = None
+) -> dict[str, str]:
     """Return by topic: empty text, or why it will have received nothing.
 
     Parameters
@@ -31,12 +43,16 @@ def expected_topics(seconds: float | None, chunk_length: int) -> dict[str, str]:
         Counted from the first sample of any device; None has no end.
     chunk_length
         Samples in a chunk.
+    devices
+        Sensors whose virtual devices run; None for all.
     """
     limit = float("inf") if seconds is None else seconds - CONNECT_S
     expected: dict[str, str] = {}
     for name, called in demo_devices().items():
+        runs = devices is None or name in devices
         for topic, filled in _of_sensor(name, virtual_class(called), chunk_length).items():
-            expected[f"/biosensors/{name}/{topic}"] = _reason(filled, limit)
+            reason = _reason(filled, limit) if runs else "its device is left out"
+            expected[f"/biosensors/{name}/{topic}"] = reason
     return expected
 
 

@@ -1,4 +1,4 @@
-"""Fits the live table into the width of a terminal."""
+"""Fits the live table into a width."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ _PREFIX = "/biosensors/"
 _LEAST_VALUE, _LEAST_TOPIC = 12, 20
 
 
-def fitted(lines: Sequence[Line], width: int | None) -> Sequence[Line]:
+def fitted(lines: Sequence[Line], width: int) -> Sequence[Line]:
     """Return the lines of a table, the headings first, so that they fit.
 
     What all topics begin with goes to the heading, types become short, then values; names
-    come last. Without a width, and where the table fits, nothing changes.
+    come last. Where the table fits, nothing changes.
     """
-    if width is None or _total(lines) <= width:
+    if _total(lines) <= width:
         return lines
     headings, *rows = lines
     lines = [(f"topic in {_PREFIX}", *headings[1:]), *(_brief(row) for row in rows)]
@@ -39,7 +39,11 @@ def _total(lines: Sequence[Line]) -> int:
 
 def _brief(row: Line) -> Line:
     topic, kind, *others = row
-    return (topic.removeprefix(_PREFIX), kind.replace("MultiArray", "[]"), *others)
+    return (
+        topic.removeprefix(_PREFIX),
+        kind.replace("MultiArray", "[]").replace("Array", "[]"),
+        *others,
+    )
 
 
 def _narrowed(

@@ -2,6 +2,9 @@
 
 ``python -m lsl_to_ros.live_table [--seconds N] [--expect FILE]``. FILE is JSON:
 topic names with an empty text where data is expected, else the reason why not.
+
+Exit codes: 0 all expected topics had data, 1 one had none, 3 the computer is too busy and they
+have not come yet.
 """
 
 from __future__ import annotations
@@ -11,7 +14,7 @@ import json
 import signal
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -30,14 +33,18 @@ from rclpy.subscription import Subscription
 from biosensor_common.open_files import raise_limit
 from biosensor_common.quantities import MessageType
 from biosensor_common.terminal import columns
+from lsl_to_ros.accounts.lateness import ProcessorWait, Waiting
 from lsl_to_ros.accounts.rates import RateMeter
 from lsl_to_ros.fitting import fitted, widths
+from lsl_to_ros.reports.processes import COMPUTER_BUSY
 from lsl_to_ros.taking import MessageInfo, RosMessage, TakenElsewhere, Taker, nobody
 from lsl_to_ros.topics.messages import CLASSES
 
-FIRST_SAMPLE_TIMEOUT_S = 30.0
 REFRESH_S = 1.0
 QUEUE_DEPTH = 1000
+WIDTH = 100
+"""Columns where there is no terminal: in a pipe or a log."""
+EXIT_MISSING, EXIT_BUSY = 1, 3
 _CLEAR = "\x1b[H\x1b[J"
 _HEADINGS = ("topic", "type", "Hz", "nominal", "last value", "age s", "lost")
 
@@ -80,13 +87,13 @@ class Row:
 class LiveTable(Node):
     """Subscribes to every topic that ``lsl_to_ros`` publishes."""
 
-    def __init__(self) -> None:
+    def __init__(self, waiting: Waiting) -> None:
         super().__init__("biosensor_live_table")
+        self._waiting = waiting
         # An executor of rclpy is too slow for so many topics: it would show wrong rates.
         self._taker = Taker(self, self._fail)
         self._group = TakenElsewhere()
         self.rows: dict[str, Row] = {}
-        self.first_sample: float | None = None
         self.create_subscription(DiagnosticArray, "/diagnostics", self._take_facts, 10)
         # By the node's own clock it would rest for as long as that is set back.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -117,12 +124,13 @@ class LiveTable(Node):
         row.received += 1
         row.newest = monotonic()
         row.last = message
-        if self.first_sample is None:
-            self.first_sample = row.newest
+        if row.received == 1:
+            self._waiting.came(row.topic, row.newest)
 
     def _take_facts(self, array: DiagnosticArray) -> None:
         for status in array.status:
             facts = {item.key: item.value for item in status.values}
+            self._waiting.is_busy |= facts.get(COMPUTER_BUSY) == "true"
             for name in (facts.get("topic"), facts.get("chunk_topic")):
                 row = self.rows.get(name or "")
                 if row is not None:
@@ -145,9 +153,9 @@ def _shown(message: Any, unit: str) -> str:  # noqa: ANN401 - any message
 
 
 def render(rows: Sequence[Row], width: int | None = None) -> str:
-    """Format the table, a line a topic; a width is that of the terminal to fit in."""
+    """Format the table, a line a topic, so that it fits the width of the terminal."""
     cells = [_HEADINGS, *(row.cells() for row in sorted(rows, key=lambda row: row.topic))]
-    lines = fitted(cells, width)
+    lines = fitted(cells, width or WIDTH)
     sizes = widths(lines)
     return "\n".join(
         "  ".join(text.ljust(size) for text, size in zip(line, sizes, strict=True)).rstrip()
@@ -155,26 +163,45 @@ def render(rows: Sequence[Row], width: int | None = None) -> str:
     )
 
 
-def summary(rows: dict[str, Row], expected: dict[str, str]) -> tuple[str, bool]:
-    """Say which topics received nothing and whether that was to be expected."""
-    lines: list[str] = []
-    complete = True
-    for topic, reason in expected.items():
-        if topic in rows and rows[topic].received:
-            continue
-        complete = complete and bool(reason)
-        lines.append(f"{topic}: {f'not expected, {reason}' if reason else 'MISSING'}")
-    return "\n".join(lines), complete
+def summary(
+    waiting: Waiting, reasons: Mapping[str, str], now_s: float
+) -> tuple[Sequence[str], int]:
+    """Say which topics had no data, and why; return the lines and the exit code.
+
+    Parameters
+    ----------
+    waiting
+        What has come.
+    reasons
+        By topic, why it was not expected; empty if it was.
+    """
+    # Without a time to fill up in, nothing can be said to be missing.
+    is_over = waiting.asked_s is not None
+    late = waiting.late(now_s) if is_over else []
+    missing = [each for each in waiting.outstanding if each not in late]
+    lines = [
+        f"{topic}: not expected, {reason}"
+        for topic, reason in reasons.items()
+        if reason and not waiting.has(topic)
+    ]
+    lines += [f"{topic}: MISSING" for topic in missing]
+    lines += [f"{topic}: not yet" for topic in late]
+    if late:
+        lines.append(f"this computer is too busy: {len(late)} topics have not come yet")
+    if missing and is_over:
+        return lines, EXIT_MISSING
+    return lines, EXIT_BUSY if late else 0
 
 
 def main() -> None:
-    """Show the table until SIGINT or for a time; exit code 1 if an expected topic had no data."""
+    """Show the table until SIGINT or for a time; see the module for the exit codes."""
     raise_limit()
     parser = argparse.ArgumentParser(description="A live table of all biosensor topics.")
     parser.add_argument("--seconds", type=float, help="counted from the first sample")
     parser.add_argument("--expect", type=Path, help="JSON file of topics to wait for")
     options = parser.parse_args()
-    expected: dict[str, str] = json.loads(options.expect.read_text()) if options.expect else {}
+    reasons: dict[str, str] = json.loads(options.expect.read_text()) if options.expect else {}
+    expected = [topic for topic, reason in reasons.items() if not reason]
     stopping = threading.Event()
 
     def stop(_number: int, _frame: FrameType | None) -> None:
@@ -183,51 +210,45 @@ def main() -> None:
     signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGTERM, stop)
     rclpy.init(args=None, signal_handler_options=SignalHandlerOptions.NO)
-    node = LiveTable()
+    waiting = Waiting(expected, monotonic(), options.seconds)
+    node = LiveTable(waiting)
     try:
-        _spin(node, options.seconds, stopping)
+        _spin(node, waiting, stopping)
     finally:
         node.stop()
         node.destroy_node()
         rclpy.shutdown()
-    raise SystemExit(_conclude(node, options.seconds, expected))
+    raise SystemExit(_conclude(node, waiting, reasons))
 
 
-def _spin(node: LiveTable, seconds: float | None, stopping: threading.Event) -> None:
+def _spin(node: LiveTable, waiting: Waiting, stopping: threading.Event) -> None:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    started = shown = monotonic()
+    processor = ProcessorWait()
+    shown = monotonic()
     while not stopping.is_set():
         executor.spin_once(timeout_sec=0.1)
         now = monotonic()
-        if now >= _end(node.first_sample, started, seconds):
-            break
         if now - shown >= REFRESH_S:
             shown = now
+            waiting.is_busy |= processor.is_long()
             # Rendered in any case: the rates are measured from one look to the next.
             table = render(list(node.rows.values()), columns(sys.stdout))
             if sys.stdout.isatty():
                 sys.stdout.write(f"{_CLEAR}{table}\n")
                 sys.stdout.flush()
+        if now >= waiting.end_s:
+            break
     executor.shutdown()
 
 
-def _end(first_sample: float | None, started: float, seconds: float | None) -> float:
-    if first_sample is None:
-        return started + FIRST_SAMPLE_TIMEOUT_S
-    return float("inf") if seconds is None else first_sample + seconds
-
-
-def _conclude(node: LiveTable, seconds: float | None, expected: dict[str, str]) -> int:
+def _conclude(node: LiveTable, waiting: Waiting, reasons: Mapping[str, str]) -> int:
     sys.stdout.write(render(list(node.rows.values()), columns(sys.stdout)) + "\n")
-    if node.first_sample is None:
-        sys.stdout.write(f"nothing received within {FIRST_SAMPLE_TIMEOUT_S:.0f} s\n")
-        return 1
-    missing, complete = summary(node.rows, expected)
-    if missing:
-        sys.stdout.write(missing + "\n")
-    # Without a time to fill up in, nothing can be said to be missing.
-    return 0 if complete or seconds is None else 1
+    if not waiting.has_begun:
+        sys.stdout.write(f"nothing received within {waiting.first_limit_s:.0f} s\n")
+    lines, code = summary(waiting, reasons, monotonic())
+    sys.stdout.write("".join(f"{line}\n" for line in lines))
+    return code if waiting.has_begun or code else EXIT_MISSING
 
 
 if __name__ == "__main__":

@@ -13,6 +13,9 @@ from lsl_to_ros.reports.diagnostics import status
 from lsl_to_ros.reports.overload import crowded_out, overload
 from lsl_to_ros.reports.survey import Part
 
+COMPUTER_BUSY = "computer_busy"
+"""Whether other programs keep data waiting in the node, ``true`` or ``false``."""
+
 
 @dataclass(frozen=True, slots=True)
 class ProcessFacts:
@@ -71,6 +74,7 @@ def node_status(
     facts = {
         "cpu_percent": f"{100 * sum(shares):.0f}" if len(shares) == len(parts) else "",
         "queue_age_s": f"{max(part.load.age_s for part in parts):.3f}",
+        COMPUTER_BUSY: str(any(part.load.is_late for part in parts)).lower(),
         "streams": str(streams),
         "streams_refused": str(sum(part.refused for part in parts)),
         "streams_left_out": str(sum(len(part.crowded_out) for part in parts)),

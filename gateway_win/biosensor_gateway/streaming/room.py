@@ -23,10 +23,13 @@ class Room:
         self._taken: dict[str, int] = {}
 
     @classmethod
-    def here(cls) -> Room:
-        """Return the room of this process, which has opened no stream yet."""
+    def here(cls, kept: int = 0) -> Room:
+        """Return the room of this process, which has opened no stream yet.
+
+        Some more streams are `kept` out of it, in place of other files that will be opened.
+        """
         fits = open_files.room(open_files.OUTLET)
-        return cls(None if fits is None else max(0, fits - _OWN_STREAMS))
+        return cls(None if fits is None else max(0, fits - _OWN_STREAMS - kept))
 
     def take(self, device: str, streams: int) -> None:
         """Take room for the streams of a device, unless it has it.
