@@ -163,9 +163,7 @@ def render(rows: Sequence[Row], width: int | None = None) -> str:
     )
 
 
-def summary(
-    waiting: Waiting, reasons: Mapping[str, str], now_s: float
-) -> tuple[Sequence[str], int]:
+def summary(waiting: Waiting, reasons: Mapping[str, str]) -> tuple[Sequence[str], int]:
     """Say which topics had no data, and why; return the lines and the exit code.
 
     Parameters
@@ -175,22 +173,21 @@ def summary(
     reasons
         By topic, why it was not expected; empty if it was.
     """
-    # Without a time to fill up in, nothing can be said to be missing.
-    is_over = waiting.asked_s is not None
-    late = waiting.late(now_s) if is_over else []
-    missing = [each for each in waiting.outstanding if each not in late]
     lines = [
         f"{topic}: not expected, {reason}"
         for topic, reason in reasons.items()
         if reason and not waiting.has(topic)
     ]
-    lines += [f"{topic}: MISSING" for topic in missing]
-    lines += [f"{topic}: not yet" for topic in late]
-    if late:
-        lines.append(f"this computer is too busy: {len(late)} topics have not come yet")
-    if missing and is_over:
-        return lines, EXIT_MISSING
-    return lines, EXIT_BUSY if late else 0
+    outstanding = waiting.outstanding
+    # Nothing shows there what is late and what is broken.
+    word = "not yet" if waiting.is_busy else "MISSING"
+    lines += [f"{topic}: {word}" for topic in outstanding]
+    if waiting.is_busy and outstanding:
+        lines.append(f"this computer is too busy: {len(outstanding)} topics have not come yet")
+    # Without a time to fill up in, nothing can be said to be missing.
+    if waiting.asked_s is None or not outstanding:
+        return lines, 0
+    return lines, EXIT_BUSY if waiting.is_busy else EXIT_MISSING
 
 
 def main() -> None:
@@ -246,7 +243,7 @@ def _conclude(node: LiveTable, waiting: Waiting, reasons: Mapping[str, str]) -> 
     sys.stdout.write(render(list(node.rows.values()), columns(sys.stdout)) + "\n")
     if not waiting.has_begun:
         sys.stdout.write(f"nothing received within {waiting.first_limit_s:.0f} s\n")
-    lines, code = summary(waiting, reasons, monotonic())
+    lines, code = summary(waiting, reasons)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     return code if waiting.has_begun or code else EXIT_MISSING
 

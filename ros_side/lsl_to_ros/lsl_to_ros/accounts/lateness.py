@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
@@ -81,28 +81,6 @@ class Waiting:
         patience_s = BUSY_PATIENCE_S if self.is_busy else PATIENCE_S
         later_s = min(newest_s + patience_s, first_s + MOST_TIMES * self.asked_s)
         return max(first_s + self.asked_s, later_s)
-
-    def late(self, now_s: float) -> list[str]:
-        """Return the outstanding topics that are only late.
-
-        On a busy computer these are all but those of a device from which others came long ago.
-        """
-        if not self.is_busy:
-            return []
-        long_ago_s = now_s - (MOST_TIMES - 1) * (self.asked_s or inf)
-        begun = _first_of_devices(dict(self._came_s))
-        return [each for each in self.outstanding if begun.get(_device(each), inf) > long_ago_s]
-
-
-def _first_of_devices(came_s: Mapping[str, float]) -> dict[str, float]:
-    begun: dict[str, float] = {}
-    for topic, at_s in came_s.items():
-        begun[_device(topic)] = min(at_s, begun.get(_device(topic), inf))
-    return begun
-
-
-def _device(topic: str) -> str:
-    return topic.rpartition("/")[0]
 
 
 class ProcessorWait:
