@@ -30,7 +30,18 @@ if ! [ -x .uv/bin/uv ]; then
 fi
 # The system's certificates, too, not uv's own.
 export UV_PYTHON_DOWNLOADS=never UV_LINK_MODE=copy UV_SYSTEM_CERTS=1
+cache=$(.uv/bin/uv cache dir)
+# Where the home folder cannot be written, nobody else shares it.
+mkdir -p "$cache" 2>/dev/null && [ -w "$cache" ] || export UV_CACHE_DIR="$PWD/.uv/cache"
 [ -x .venv/bin/python ] || .uv/bin/uv venv --quiet --python "$("$python" -c 'import sys; print(sys.executable)')" .venv
 .uv/bin/uv pip install --quiet --python .venv/bin/python --require-hashes -r "$lock"
 .uv/bin/uv pip install --quiet --python .venv/bin/python --no-deps --editable .
+# Python before 3.13 reads these lines in the locale's encoding, and stops at a path with other letters.
+for lines in .venv/lib/python3.*/site-packages/*biosensor_gateway*.pth; do
+    at="$PWD" awk '{
+        if (index($0, ENVIRON["at"] "/") == 1) $0 = "../../../.." substr($0, length(ENVIRON["at"]) + 1)
+        print
+    }' "$lines" >"$lines.new"
+    mv "$lines.new" "$lines"
+done
 echo "$wanted" >"$stamp"
