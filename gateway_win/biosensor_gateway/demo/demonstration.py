@@ -111,8 +111,8 @@ def _process(name: str, command: Sequence[str], folder: Path) -> Generator[subpr
 
 def _environment(folder: Path) -> Mapping[str, str]:
     # A try-out stays on this machine unless the user says otherwise, and beside the user's
-    # own agent, whose state folder is taken.
-    local = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    # own agent, whose state folder is taken. It leaves nothing behind, nor needs a home folder.
+    local = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_LOG_DIR": str(folder / "ros")}
     return {**local, **os.environ, STATE_VARIABLE: str(folder / "state")}
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import signal
 import sys
 import threading
@@ -36,6 +37,7 @@ from biosensor_common.terminal import columns
 from lsl_to_ros.accounts.lateness import ProcessorWait, Waiting
 from lsl_to_ros.accounts.rates import RateMeter
 from lsl_to_ros.fitting import fitted, widths
+from lsl_to_ros.log_folder import ensure_log_folder
 from lsl_to_ros.reports.processes import COMPUTER_BUSY
 from lsl_to_ros.taking import MessageInfo, RosMessage, TakenElsewhere, Taker, nobody
 from lsl_to_ros.topics.messages import CLASSES
@@ -206,6 +208,9 @@ def main() -> None:
 
     signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGTERM, stop)
+    elsewhere = ensure_log_folder(os.environ)
+    if elsewhere:
+        sys.stderr.write(f"{elsewhere}\n")
     rclpy.init(args=None, signal_handler_options=SignalHandlerOptions.NO)
     waiting = Waiting(expected, monotonic(), options.seconds)
     node = LiveTable(waiting)

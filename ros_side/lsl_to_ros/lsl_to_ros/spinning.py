@@ -21,6 +21,7 @@ from biosensor_common.errors import ConfigError
 from biosensor_common.relay import console_relayed
 from biosensor_common.terminal import columns, wrapped
 from lsl_to_ros import fastdds
+from lsl_to_ros.log_folder import ensure_log_folder
 
 Make = Callable[[threading.Event], tuple[Node, Callable[[], None]]]
 
@@ -52,6 +53,7 @@ def run(program: str, make: Make) -> None:
 
 
 def _spin(make: Make, refuse: Callable[[str], NoReturn]) -> None:
+    elsewhere = ensure_log_folder(os.environ)
     fastdds.configure(os.environ, Path.cwd(), get_rmw_implementation_identifier())
     # Our own handlers: rclpy's end spin by an exception that ros2 run shows as a failure.
     try:
@@ -74,6 +76,8 @@ def _spin(make: Make, refuse: Callable[[str], NoReturn]) -> None:
         return
     except ConfigError as error:
         refuse(str(error))
+    if elsewhere:
+        node.get_logger().warning(elsewhere)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:

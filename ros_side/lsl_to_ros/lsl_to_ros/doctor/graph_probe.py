@@ -26,6 +26,7 @@ from rclpy.utilities import get_rmw_implementation_identifier
 
 from biosensor_common.doctor.serving import Request, answer, serve
 from lsl_to_ros import fastdds
+from lsl_to_ros.log_folder import ensure_log_folder
 
 PREFIX = "_biosensor_doctor_"
 """Of the names of these nodes; ROS's tools do not list what begins with an underscore."""
@@ -80,6 +81,7 @@ def _look(request: Request) -> None:
 def _node(name: str) -> Generator[Any]:
     # As the node itself starts, so that what holds for it holds here.
     fastdds.configure(os.environ, Path.cwd(), get_rmw_implementation_identifier())
+    ensure_log_folder(os.environ)
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = rclpy.create_node(name)
