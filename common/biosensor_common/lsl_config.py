@@ -73,7 +73,16 @@ def home_config_file(home: Path) -> Path:
 def user_config_file(environment: Mapping[str, str], home: Path, folder: Path) -> Path | None:
     """Find the file that liblsl itself would read."""
     places = config_places(environment, home, folder)
-    return next((path for path in places if path.is_file()), None)
+    return next((path for path in places if is_there(path)), None)
+
+
+def is_there(path: Path) -> bool:
+    """Whether there is a file that this program may read."""
+    try:
+        return path.is_file()
+    except OSError:
+        # In a folder that may not be looked into, where liblsl finds none, either.
+        return False
 
 
 def effective_config(user_file: Path | None, overrides: LslOverrides) -> str:

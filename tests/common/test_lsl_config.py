@@ -86,3 +86,11 @@ def test_a_damaged_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=str(path)) as raised:
         effective_config(path, LslOverrides())
     assert raised.value.reason is ConfigReason.UNREADABLE
+
+
+def test_a_place_that_may_not_be_looked_into_has_no_file(tmp_path: Path) -> None:
+    own = tmp_path / "lsl_api.cfg"
+    own.touch()
+    # Not even root can ask for a name that long.
+    hidden = {"LSLAPICFG": str(tmp_path / ("x" * 300))}
+    assert user_config_file(hidden, tmp_path / ("x" * 300), tmp_path) == own

@@ -75,6 +75,14 @@ def test_what_does_not_come_on_a_busy_computer_is_late() -> None:
     )
 
 
+def test_who_ends_it_early_is_told_what_has_not_come() -> None:
+    stopped = waiting(is_busy=True, ecg=120.0)
+    stopped.is_cut_short = True
+    lines, code = summary(stopped, ALL)
+    assert code == EXIT_MISSING
+    assert lines[-2:] == [f"{HR}: not yet", f"{ACC}: not yet"]
+
+
 def test_without_an_end_nothing_is_a_failure() -> None:
     lines, code = summary(waiting(asked_s=None, ecg=FIRST_S), ALL)
     assert code == 0

@@ -69,7 +69,11 @@ def is_held(folder: Path, lock_file: str = LOCK_FILE) -> bool:
 
 def wait_until_free(folder: Path, timeout_s: float, lock_file: str = LOCK_FILE) -> bool:
     """Wait until no agent runs with a state folder; return whether that came in time."""
-    if not (folder / lock_file).exists():
+    try:
+        if not (folder / lock_file).exists():
+            return True
+    except OSError:
+        # Nobody has a lock where none can be.
         return True
     lock = _lock(folder / lock_file)
     try:

@@ -6,17 +6,21 @@ the settings are wrong.
 
 from __future__ import annotations
 
+import errno
 import sys
 from typing import Annotated
 
 import typer
 from typer.core import TyperGroup
 
+from biosensor_common import open_files
 from biosensor_common.errors import ConfigError, GatewayError, SpecError, SpecReason
 from biosensor_gateway.cli.quick_help import QuickGroup
 from biosensor_gateway.cli.table import COMMANDS
 
 EXIT_FAILED, EXIT_USAGE = 1, 2
+
+_REFUSED = frozenset({errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC})
 
 _root = typer.Typer(
     cls=QuickGroup,
@@ -46,9 +50,28 @@ def main() -> None:
         _fail(error, EXIT_USAGE if is_mistyped else EXIT_FAILED)
     except GatewayError as error:
         _fail(error, EXIT_FAILED)
+    except OSError as error:
+        sentence = refusal(error)
+        if not sentence:
+            raise
+        _fail(sentence, EXIT_FAILED)
 
 
-def _fail(error: GatewayError, code: int) -> None:
+def refusal(error: OSError) -> str:
+    """Say what the system refuses; empty if it is something that should not happen."""
+    if error.errno in (errno.EMFILE, errno.ENFILE):
+        return f"no more files can be opened: {open_files.reason()}; {open_files.fix()}"
+    if error.errno not in _REFUSED or error.filename is None:
+        return ""
+    from biosensor_gateway.settings.places import SETTINGS_VARIABLE, STATE_VARIABLE  # only then
+
+    return (
+        f"{error.filename}: {error.strerror}; have it allowed, or let {STATE_VARIABLE} name another "
+        f"folder and {SETTINGS_VARIABLE} another file"
+    )
+
+
+def _fail(error: GatewayError | str, code: int) -> None:
     sys.stderr.write(f"biosensor-gateway: {error}\n")
     raise SystemExit(code)
 

@@ -182,14 +182,15 @@ def summary(waiting: Waiting, reasons: Mapping[str, str]) -> tuple[Sequence[str]
     ]
     outstanding = waiting.outstanding
     # Nothing shows there what is late and what is broken.
-    word = "not yet" if waiting.is_busy else "MISSING"
+    word = "not yet" if waiting.is_busy or waiting.is_cut_short else "MISSING"
     lines += [f"{topic}: {word}" for topic in outstanding]
-    if waiting.is_busy and outstanding:
+    if waiting.is_busy and outstanding and not waiting.is_cut_short:
         lines.append(f"this computer is too busy: {len(outstanding)} topics have not come yet")
     # Without a time to fill up in, nothing can be said to be missing.
     if waiting.asked_s is None or not outstanding:
         return lines, 0
-    return lines, EXIT_BUSY if waiting.is_busy else EXIT_MISSING
+    is_late = waiting.is_busy and not waiting.is_cut_short
+    return lines, EXIT_BUSY if is_late else EXIT_MISSING
 
 
 def main() -> None:
@@ -241,6 +242,7 @@ def _spin(node: LiveTable, waiting: Waiting, stopping: threading.Event) -> None:
                 sys.stdout.flush()
         if now >= waiting.end_s:
             break
+    waiting.is_cut_short = stopping.is_set()
     executor.shutdown()
 
 

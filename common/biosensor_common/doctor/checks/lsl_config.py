@@ -12,7 +12,7 @@ from biosensor_common.doctor.context import Context
 from biosensor_common.doctor.finding import Finding, error, note, ok, warning
 from biosensor_common.doctor.lsl_api_file import LslApiFile
 from biosensor_common.errors import ConfigError
-from biosensor_common.lsl_config import DEFAULT_PORT_RANGE, LSL_SESSION, config_places
+from biosensor_common.lsl_config import DEFAULT_PORT_RANGE, LSL_SESSION, config_places, is_there
 
 _SAME_SESSION = "LSL programs see only streams of their own session."
 
@@ -42,13 +42,13 @@ def _places(used: Path | None) -> Iterator[Finding]:
     else:
         yield ok(f"LSL programs started here read {used}")
     named = os.environ.get("LSLAPICFG")
-    if named and not Path(named).is_file():
+    if named and not is_there(Path(named)):
         yield warning(
             f"the environment variable LSLAPICFG names {named}, which is not there",
             "LSL goes on to the other places, silently.",
             "correct it where it is set, or remove it: the variable LSLAPICFG",
         )
-    ignored = [place for place in places if place.is_file() and not _is_same(place, used)]
+    ignored = [place for place in places if is_there(place) and not _is_same(place, used)]
     if ignored:
         yield note(
             f"LSL does not read {', '.join(str(each) for each in ignored)}",

@@ -35,12 +35,15 @@ class Waiting:
         How long to wait from the first sample on; None for ever.
     is_busy
         Whether other programs have kept the computer busy.
+    is_cut_short
+        Whether it was ended before it was over.
     """
 
     expected: Collection[str]
     started_s: float
     asked_s: float | None
     is_busy: bool = False
+    is_cut_short: bool = False
     _came_s: dict[str, float] = field(default_factory=dict[str, float])
 
     def came(self, topic: str, now_s: float) -> None:
