@@ -27,12 +27,12 @@ from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.agent import Agent
 from biosensor_gateway.agent.device import Device
 from biosensor_gateway.agent.fleet import Fleet
-from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
+from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.streaming.sink import DeviceSink
 from tests.rigs.zephyr import SteeredBioHarness
 

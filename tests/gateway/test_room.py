@@ -15,10 +15,10 @@ from biosensor_common.errors import TransportError, TransportReason
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.device import Device
 from biosensor_gateway.agent.fleet import Fleet
-from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.streaming.sink import DeviceSink
 
 ENDS_WITHIN_S = 60.0

@@ -66,8 +66,8 @@ def refusal(error: OSError) -> str:
     from biosensor_gateway.settings.places import SETTINGS_VARIABLE, STATE_VARIABLE  # only then
 
     return (
-        f"{error.filename}: {error.strerror}; have it allowed, or let {STATE_VARIABLE} name another "
-        f"folder and {SETTINGS_VARIABLE} another file"
+        f"{error.filename}: {error.strerror}; have it allowed, or let {STATE_VARIABLE} name "
+        f"another folder and {SETTINGS_VARIABLE} another file"
     )
 
 
