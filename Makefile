@@ -47,6 +47,9 @@ explore: venv-dev
 fuzz: venv-dev
 	$(RUN) tests.fuzz --seconds $(or $(SECONDS),60) --seed $(or $(SEED),0)
 
+nightly: venv-peers
+	$(RUN) tests.nightly $(if $(PART),--part $(PART)) $(if $(AGAIN),--again)
+
 installer: venv-dev
 	$(RUN) installer.wine
 

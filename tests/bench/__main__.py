@@ -1,4 +1,4 @@
-"""``python -m tests.bench [--quick] [--only NAME...] [--json FILE]``."""
+"""``python -m tests.bench [--quick] [--only NAME...] [--skip NAME...] [--json FILE]``."""
 
 from __future__ import annotations
 
@@ -87,10 +87,13 @@ def main() -> None:
     arguments = argparse.ArgumentParser(prog="tests.bench", description=__doc__)
     arguments.add_argument("--quick", action="store_true", help="short and rough")
     arguments.add_argument("--only", nargs="+", choices=list(MEASUREMENTS), metavar="NAME")
+    arguments.add_argument("--skip", nargs="+", choices=list(MEASUREMENTS), metavar="NAME")
     arguments.add_argument("--json", type=Path, default=Path("build/bench.json"), metavar="FILE")
     options = arguments.parse_args()
     configure_logs(LogSettings(level="error"), None)
-    run, failures = _run(options.only or list(MEASUREMENTS), QUICK if options.quick else FULL)
+    chosen = options.only or list(MEASUREMENTS)
+    names = [name for name in chosen if name not in (options.skip or ())]
+    run, failures = _run(names, QUICK if options.quick else FULL)
     report.show(run)
     report.write(run, options.json)
     if failures:

@@ -34,7 +34,9 @@ OF_ALL_SENSORS = (
     "tests/ble/**/*.py",
     "tests/contracts/**/*.py",
     "tests/time_spent/**/*.py",
-    "tests/budget.toml",
+    "tests/time_spent/*.toml",
+    "tests/nightly/*.py",
+    "tests/nightly/*.toml",
     "installer/**/*.py",
     "installer/*.nsi",
     "installer/*.spec",
@@ -44,8 +46,6 @@ NAMED_ON_PURPOSE = {
     "common/biosensor_common/known_senders.py": {"emotiv"},
     # The extra of the sensor that needs one, by the name of what it brings.
     "pyproject.toml": {"brainflow"},
-    # Folders of tests that take longer than another sensor's.
-    "tests/budget.toml": {"emotiv_insight", "empatica_e4"},
 }
 
 

@@ -1,1 +1,1 @@
-"""Where the time of a run went, and how much of it each folder of tests may take."""
+"""Where the time of a run went, and which files begin or take turns."""

@@ -1,19 +1,10 @@
-"""Seconds by test and by folder, and what they may come to."""
+"""Seconds by test and by folder."""
 
 from __future__ import annotations
 
-import tomllib
 from collections import defaultdict
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
-FAILS_ABOVE = 3.0
-"""Times its budget from which a folder fails a run that holds it.
-
-A machine on which others work, too, made the same folders take up to twice as long; a limit
-within that would fail for the machine, and whoever saw that would just run it again.
-"""
 SYSTEM = "system"
 ORDINARY = "test"
 
@@ -69,57 +60,3 @@ class Account:
         """The tests that took longest."""
         tests = sorted(self._tests.items(), key=lambda item: -item[1][1].seconds)
         return [(test, spent) for test, (_, spent) in tests[:most]]
-
-
-class Budget:
-    """Seconds that folders may take.
-
-    Parameters
-    ----------
-    seconds
-        By folder; one that is not there may take any time.
-    longest
-        Files of tests that take minutes, as paths; a run begins with them.
-    heavy
-        Those of which no two may run at a time.
-    """
-
-    def __init__(
-        self, seconds: dict[Folder, float], longest: Sequence[str] = (), heavy: Sequence[str] = ()
-    ) -> None:
-        self._seconds = seconds
-        self.longest = tuple(longest)
-        self.heavy = frozenset(heavy)
-
-    @classmethod
-    def read(cls, path: Path) -> Budget:
-        """Read a file with the tables ``test`` and ``system``; without it, nothing is limited."""
-        if not path.exists():
-            return cls({})
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-        seconds = {
-            Folder(name, part): float(limit)
-            for part in (ORDINARY, SYSTEM)
-            for name, limit in content.get(part, {}).items()
-        }
-        # A sensor says in its folder what it emits; who adds one need not touch this file.
-        for sensor in path.parent.glob("*/streams.json"):
-            seconds.setdefault(Folder(sensor.parent.name, ORDINARY), float(content["sensor"]))
-        return cls(seconds, content.get("longest", ()), content.get("heavy", ()))
-
-    @property
-    def folders(self) -> set[Folder]:
-        """Those that have one."""
-        return set(self._seconds)
-
-    def of(self, folder: Folder) -> float | None:
-        """Seconds of a folder, None if it has no budget."""
-        return self._seconds.get(folder)
-
-    def exceeded(self, folders: dict[Folder, Spent], times: float = 1.0) -> dict[Folder, float]:
-        """Return the folders that took more than so many times their budget, with that budget."""
-        return {
-            folder: seconds
-            for folder, spent in folders.items()
-            if (seconds := self.of(folder)) is not None and spent.seconds > times * seconds
-        }

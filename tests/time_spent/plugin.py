@@ -1,4 +1,4 @@
-"""A plugin of pytest that says at the end of each run where its time went.
+"""A plugin of pytest that reports where the time of a run went, and begins with the longest files.
 
 Processors and seconds are those of the process that ran the test and of the programs that
 it started and that have ended; a program counts where it ends.
@@ -7,6 +7,7 @@ it started and that have ended; a program counts where it ends.
 from __future__ import annotations
 
 import os
+import tomllib
 from collections.abc import Generator
 from pathlib import Path
 from typing import Any
@@ -15,22 +16,13 @@ import pytest
 from xdist.remote import Producer
 from xdist.scheduler.protocol import Scheduling
 
-from tests.time_spent.account import FAILS_ABOVE, ORDINARY, SYSTEM, Account, Budget, Folder
+from tests.time_spent.account import ORDINARY, SYSTEM, Account, Folder
 from tests.time_spent.scheduling import TurnsOfTheHeavy
 
 SLOWEST = 30
 SHORTEST_S = 0.5
-BUDGET = Path("tests/budget.toml")
-_OPTION = "--hold-budget"
+ORDER = Path("tests/time_spent/order.toml")
 _BUSY, _FOLDER = "time_spent_busy_s", "time_spent_folder"
-
-
-def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption(
-        _OPTION,
-        action="store_true",
-        help=f"fail if a folder takes over {FAILS_ABOVE:g} times its budget in {BUDGET}",
-    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -42,14 +34,15 @@ class TimeSpent:
 
     def __init__(self, config: pytest.Config) -> None:
         self._root = config.rootpath
-        self._holds = bool(config.getoption(_OPTION))
         self._account = Account()
-        self._budget = Budget.read(config.rootpath / BUDGET)
+        order = _order(config.rootpath / ORDER)
+        self._longest = order.get("longest", [])
+        self._heavy = frozenset(order.get("heavy", []))
         self._busy_s = 0.0
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
         """Begin with what takes longest: else one worker does that at last, and alone."""
-        rank = {file: place for place, file in enumerate(self._budget.longest)}
+        rank = {file: place for place, file in enumerate(self._longest)}
 
         def place(item: pytest.Item) -> int:
             return rank.get(item.path.relative_to(self._root).as_posix(), len(rank))
@@ -62,7 +55,7 @@ class TimeSpent:
     ) -> Scheduling | None:
         if config.getoption("dist") != "loadfile":
             return None
-        return TurnsOfTheHeavy(config, log, self._budget.heavy)
+        return TurnsOfTheHeavy(config, log, self._heavy)
 
     def pytest_runtest_logstart(self) -> None:
         self._busy_s = _busy_s()
@@ -86,10 +79,6 @@ class TimeSpent:
             folder = Folder(*noted[_FOLDER])
             self._account.add(report.nodeid, folder, report.duration, noted[_BUSY])
 
-    def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        if self._fails() and session.exitstatus == pytest.ExitCode.OK:
-            session.exitstatus = pytest.ExitCode.TESTS_FAILED
-
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         folders = self._account.folders()
         if not folders:
@@ -100,39 +89,20 @@ class TimeSpent:
             f"{os.cpu_count()} processors, load {load:.1f} at the end; "
             "'busy' is the number of processors at work while the tests ran"
         )
-        terminalreporter.write_line(f"{'folder':<28}{'tests':>7}{'s':>9}{'busy':>7}{'budget':>9}")
+        terminalreporter.write_line(f"{'folder':<28}{'tests':>7}{'s':>9}{'busy':>7}")
         for folder, spent in folders.items():
-            seconds = self._budget.of(folder)
-            allowed = "-" if seconds is None else f"{seconds:.0f}"
             terminalreporter.write_line(
-                f"{folder!s:<28}{spent.tests:>7}{spent.seconds:>9.1f}{spent.busy:>7.2f}{allowed:>9}"
+                f"{folder!s:<28}{spent.tests:>7}{spent.seconds:>9.1f}{spent.busy:>7.2f}"
             )
-        self._say_slowest(terminalreporter)
-        self._say_exceeded(terminalreporter)
-
-    def _say_slowest(self, terminalreporter: pytest.TerminalReporter) -> None:
         slowest = [each for each in self._account.slowest(SLOWEST) if each[1].seconds > SHORTEST_S]
         if slowest:
             terminalreporter.write_line(f"the {len(slowest)} slowest (seconds, busy):")
         for test, spent in slowest:
             terminalreporter.write_line(f"{spent.seconds:>8.1f}{spent.busy:>6.2f}  {test}")
 
-    def _say_exceeded(self, terminalreporter: pytest.TerminalReporter) -> None:
-        folders = self._account.folders()
-        for folder, seconds in self._budget.exceeded(folders).items():
-            terminalreporter.write_line(
-                f"OVER BUDGET: {folder} took {folders[folder].seconds:.0f} s of {seconds:.0f} s: "
-                f"shorten its tests, or give it more in {BUDGET} and say there why.",
-                red=True,
-                bold=True,
-            )
-        if self._fails():
-            terminalreporter.write_line(
-                f"FAILED: over {FAILS_ABOVE:g} times its budget is no busy machine.", red=True
-            )
 
-    def _fails(self) -> bool:
-        return self._holds and bool(self._budget.exceeded(self._account.folders(), FAILS_ABOVE))
+def _order(path: Path) -> dict[str, list[str]]:
+    return tomllib.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
 
 
 def _busy_s() -> float:
