@@ -1,0 +1,66 @@
+"""What a system cannot have is skipped with a reason; what it lacks by mistake is an error."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.nightly.parts import ROOT
+from tests.rigs.not_here import reasons
+
+PLUGIN = """
+from tests.rigs.not_here import NotHere
+
+def pytest_configure(config):
+    config.pluginmanager.register(NotHere({"absent_here": "there is none"}))
+"""
+FILES = {
+    "conftest.py": PLUGIN,
+    "whole/conftest.py": "import absent_here\n",
+    "whole/test_whole.py": "def test_it(): pass\n",
+    "test_file.py": "from absent_here.part import thing\ndef test_it(): pass\n",
+    "test_later.py": "def test_it():\n    import absent_here\n",
+    "test_well.py": "def test_it(): pass\n",
+}
+
+
+def run(folder: Path, files: dict[str, str]) -> str:
+    for name, text in files.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(text)
+    ended = subprocess.run(
+        [sys.executable, "-m", "pytest", "-rs", "-p", "no:cacheprovider"],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=False,
+    )
+    return ended.stdout
+
+
+@pytest.mark.nightly
+def test_what_cannot_be_here_is_skipped_and_said(tmp_path: Path) -> None:
+    said = run(tmp_path, FILES)
+    assert "1 passed, 3 skipped" in said
+    for name in ("whole", "test_file.py", "test_later.py"):
+        assert re.search(
+            rf"{name}(:\d+)?: NOT RUN ON THIS SYSTEM: no absent_here, there is none", said
+        )
+
+
+@pytest.mark.nightly
+def test_what_is_missing_by_mistake_is_an_error(tmp_path: Path) -> None:
+    said = run(tmp_path, {**FILES, "test_file.py": "import forgotten\n"})
+    assert "1 error" in said
+    assert "No module named 'forgotten'" in said
+
+
+def test_nothing_is_left_out_where_everything_can_be_installed() -> None:
+    if sys.platform == "linux" and os.uname().machine == "x86_64":
+        assert reasons() == {}
