@@ -9,6 +9,7 @@
 # make docs                what documents show of the code: tables of sensors, topics, decisions
 # make docs-site           the documents as a site, in build/site
 # make pictures            the pictures of the demo and of the page, from real runs
+# make changelog [VERSION=]  the fragments of changelog.d joined into CHANGELOG.md; shown without a version
 # make bench, make format, make lock
 SHELL := /bin/sh
 PYTHON_FILES := common gateway_win installer ros_side tests typings
@@ -25,8 +26,8 @@ DOCS_SITE := NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
 # LSL session and a ROS domain of its own.
 SIDE_BY_SIDE := -n 3 --dist loadfile --no-loadscope-reorder
 
-.PHONY: demo test seams nightly explore fuzz installer check bench format docs docs-site pictures
-.PHONY: lock venv-ros venv-dev venv-peers
+.PHONY: demo test seams nightly explore fuzz installer check bench format docs docs-site changelog
+.PHONY: pictures lock venv-ros venv-dev venv-peers
 
 demo: venv-ros
 	.venv/bin/biosensor-gateway demo $(if $(SECONDS),--seconds $(SECONDS))
@@ -72,6 +73,9 @@ docs: venv-dev
 
 docs-site: venv-dev
 	$(DOCS_SITE)
+
+changelog: venv-dev
+	.venv/bin/towncrier build --version $(or $(VERSION),X.Y.Z) $(if $(VERSION),--yes,--draft)
 
 pictures: venv-dev
 	$(RUN) tests.docs.demo_picture docs/pictures/demo.svg

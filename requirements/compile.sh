@@ -31,3 +31,5 @@ printf 'pyinstaller>=6.16\ncyclonedx-python-lib>=11\n' |
         pyproject.toml - --extra simulate "$@"
 compile colcon requirements/colcon.in "$@"
 echo 'uv>=0.9' | compile uv - "$@"
+# Looks for known vulnerabilities of all of these: .github/workflows/advisories.yml.
+echo 'pip-audit>=2.9' | compile audit - "$@"

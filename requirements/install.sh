@@ -1,7 +1,7 @@
 #!/bin/sh
 # Makes .venv and installs one hashed lock into it, then this project (editable).
 #   requirements/install.sh LOCK        e.g. requirements/install.sh ros
-# Needs a Python 3.11-3.13 with venv; uv itself comes from PyPI by its own lock.
+# Needs a Python 3.11-3.14 with venv; uv itself comes from PyPI by its own lock.
 set -eu
 cd "$(dirname "$0")/.."
 lock="requirements/$1.txt"
@@ -11,13 +11,13 @@ if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$wanted" ]; then exit 0; fi
 
 echo "Setting up .venv from $lock ..." >&2
 # A name on PATH proves nothing: version-manager shims exist for Pythons that do not run.
-usable='import ensurepip, sys, venv; raise SystemExit(not (3, 11) <= sys.version_info[:2] <= (3, 13))'
+usable='import ensurepip, sys, venv; raise SystemExit(not (3, 11) <= sys.version_info[:2] <= (3, 14))'
 python=
-for candidate in "${PYTHON:-python3}" python3.12 python3.11 python3.13 /usr/bin/python3; do
+for candidate in "${PYTHON:-python3}" python3.12 python3.11 python3.13 python3.14 /usr/bin/python3; do
     if "$candidate" -c "$usable" >/dev/null 2>&1; then python=$candidate; break; fi
 done
 if [ -z "$python" ]; then
-    echo "No Python 3.11-3.13 with venv found: install one (Debian: apt install python3-venv) or set PYTHON." >&2
+    echo "No Python 3.11-3.14 with venv found: install one (Debian: apt install python3-venv) or set PYTHON." >&2
     exit 1
 fi
 

@@ -19,10 +19,13 @@ from tests.rigs.not_here import NotHere
 def pytest_configure(config):
     config.pluginmanager.register(NotHere({"absent_here": "there is none"}))
 """
+IMPORTS = ("--import-mode=importlib", "-o", "pythonpath=.")
 FILES = {
     "conftest.py": PLUGIN,
-    "whole/conftest.py": "import absent_here\n",
+    "whole/conftest.py": "import absent_here\nthing = 1\n",
     "whole/test_whole.py": "def test_it(): pass\n",
+    "whole_again/conftest.py": "from whole.conftest import thing\n",
+    "whole_again/test_whole_again.py": "def test_it(): pass\n",
     "test_file.py": "from absent_here.part import thing\ndef test_it(): pass\n",
     "test_later.py": "def test_it():\n    import absent_here\n",
     "test_well.py": "def test_it(): pass\n",
@@ -34,7 +37,7 @@ def run(folder: Path, files: dict[str, str]) -> str:
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text(text)
     ended = subprocess.run(
-        [sys.executable, "-m", "pytest", "-rs", "-p", "no:cacheprovider"],
+        [sys.executable, "-m", "pytest", "-rs", "-p", "no:cacheprovider", *IMPORTS],
         cwd=folder,
         env=os.environ | {"PYTHONPATH": str(ROOT), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"},
         stdout=subprocess.PIPE,
@@ -47,8 +50,8 @@ def run(folder: Path, files: dict[str, str]) -> str:
 @pytest.mark.nightly
 def test_what_cannot_be_here_is_skipped_and_said(tmp_path: Path) -> None:
     said = run(tmp_path, FILES)
-    assert "1 passed, 3 skipped" in said
-    for name in ("whole", "test_file.py", "test_later.py"):
+    assert "1 passed, 4 skipped" in said
+    for name in ("whole", "whole_again", "test_file.py", "test_later.py"):
         assert re.search(
             rf"{name}(:\d+)?: NOT RUN ON THIS SYSTEM: no absent_here, there is none", said
         )

@@ -58,7 +58,8 @@ class NotHere:
         self, collector: pytest.Collector
     ) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
         report = yield
-        self._skip(report, collector.path)
+        if self._skip(report, collector.path):
+            _forget(collector.path)
         return report
 
     @pytest.hookimpl(wrapper=True)
@@ -69,10 +70,20 @@ class NotHere:
         self._skip(report, item.path)
         return report
 
-    def _skip(self, report: Any, path: Path) -> None:
+    def _skip(self, report: Any, path: Path) -> bool:
         missing = _NO_MODULE.findall(str(report.longrepr)) if report.failed else []
         # Others may follow while the first one is handled; the last is what was raised.
-        if missing and missing[-1] in self._absent:
-            reason = f"NOT RUN ON THIS SYSTEM: no {missing[-1]}, {self._absent[missing[-1]]}"
-            report.outcome = "skipped"
-            report.longrepr = (str(path), 0, f"Skipped: {reason}")
+        if not missing or missing[-1] not in self._absent:
+            return False
+        reason = f"NOT RUN ON THIS SYSTEM: no {missing[-1]}, {self._absent[missing[-1]]}"
+        report.outcome = "skipped"
+        report.longrepr = (str(path), 0, f"Skipped: {reason}")
+        return True
+
+
+def _forget(path: Path) -> None:
+    """Remove the module that was imported in part, so that who imports it sees why it fails."""
+    file = str(path / "conftest.py" if path.is_dir() else path)
+    for name, module in tuple(sys.modules.items()):
+        if getattr(module, "__file__", None) == file:
+            del sys.modules[name]

@@ -1,0 +1,65 @@
+"""Each fragment of the changelog has a right name and text, and all are joined into one page."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+ROOT = Path(__file__).parents[2]
+FOLDER = ROOT / "changelog.d"
+PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+CONFIG = PROJECT["tool"]["towncrier"]
+TYPES = [each["directory"] for each in CONFIG["type"]]
+FRAGMENT = re.compile(rf"[a-z0-9]+(?:-[a-z0-9]+)*\.(?:{'|'.join(TYPES)})\.md")
+
+
+def wrongly_named(folder: Path) -> list[str]:
+    """Return the files that are neither fragments nor part of the house."""
+    names = sorted(path.name for path in folder.iterdir())
+    return [name for name in names if name not in CONFIG["ignore"] and not FRAGMENT.fullmatch(name)]
+
+
+def test_fragments_have_right_names() -> None:
+    assert wrongly_named(FOLDER) == []
+
+
+def test_a_wrong_name_is_found(tmp_path: Path) -> None:
+    for name in ("README.md", "good-one.fixed.md", "good.md", "Good.fixed.md", "good.mended.md"):
+        (tmp_path / name).touch()
+    assert wrongly_named(tmp_path) == ["Good.fixed.md", "good.md", "good.mended.md"]
+
+
+def test_fragments_are_a_few_sentences_and_no_list() -> None:
+    texts = {path.name: path.read_text(encoding="utf-8") for path in FOLDER.glob("*.*.md")}
+    whole = re.compile(r"[^-*#\n][^\n]*(?:\n[^\n]+)*[.:]\n")
+    assert [name for name, text in texts.items() if not whole.fullmatch(text)] == []
+
+
+def test_the_changelog_has_a_place_for_versions() -> None:
+    assert (ROOT / CONFIG["filename"]).read_text(encoding="utf-8").count(
+        CONFIG["start_string"]
+    ) == 1
+
+
+def test_fragments_are_joined_by_type(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fragments = tmp_path / CONFIG["directory"]
+    fragments.mkdir()
+    (fragments / "one.fixed.md").write_text("One is fixed,\nreally.\n")
+    (fragments / "two.added.md").write_text("Two is added.\n")
+    template = Path(CONFIG["template"])
+    (tmp_path / template).write_bytes((ROOT / template).read_bytes())
+    (tmp_path / "pyproject.toml").write_bytes((ROOT / "pyproject.toml").read_bytes())
+    monkeypatch.chdir(tmp_path)
+    (script,) = entry_points(group="console_scripts", name="towncrier")
+    arguments = ["build", "--draft", "--version", "1.2.3", "--date", "2026-01-31"]
+    drawn = CliRunner().invoke(script.load(), arguments, catch_exceptions=False)
+    assert drawn.output.partition("would be written.\n")[2].strip() == (
+        "## 1.2.3 - 2026-01-31\n\n### Added\n\n- Two is added.\n\n"
+        "### Fixed\n\n- One is fixed,\n  really."
+    ), drawn.output
