@@ -41,7 +41,8 @@ def workflow(name: str) -> dict[str, Any]:
 
 
 def steps(name: str, job: str) -> list[dict[str, Any]]:
-    return cast("list[dict[str, Any]]", workflow(name)["jobs"][job]["steps"])
+    # A job that calls another workflow has none.
+    return cast("list[dict[str, Any]]", workflow(name)["jobs"][job].get("steps", []))
 
 
 def commands(name: str) -> Iterator[str]:
@@ -56,7 +57,9 @@ def commands(name: str) -> Iterator[str]:
 def test_actions_are_pinned_by_commit(path: Path) -> None:
     used = re.findall(r"uses: *(.*)", path.read_text(encoding="utf-8"))
     assert used
-    assert [each for each in used if not PINNED_ACTION.fullmatch(each)] == []
+    others = [each for each in used if not each.startswith("./.github/workflows/")]
+    assert [each for each in others if not PINNED_ACTION.fullmatch(each)] == []
+    assert [each for each in used if each not in others and not (ROOT / each).is_file()] == []
 
 
 @pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
@@ -65,13 +68,13 @@ def test_a_job_may_do_nothing_that_it_does_not_name(path: Path) -> None:
     assert loaded["permissions"] == {}
     for job in loaded["jobs"].values():
         assert job["permissions"]
-        assert job["timeout-minutes"]
+        assert "uses" in job or job["timeout-minutes"]
 
 
 def test_only_the_job_that_publishes_may_write() -> None:
     writers = {
         (name, job): rights["permissions"]
-        for name in ("ci", "release")
+        for name in (path.stem for path in WORKFLOWS if path.stem != "docs")
         for job, rights in workflow(name)["jobs"].items()
         if rights["permissions"] != {"contents": "read"}
     }
@@ -103,7 +106,8 @@ def test_a_release_is_made_of_tags_and_by_hand() -> None:
     loaded = workflow("release")
     assert loaded["on"] == {"push": {"tags": ["v*"]}, "workflow_dispatch": None}
     assert loaded["jobs"]["release"]["if"] == "startsWith(github.ref, 'refs/tags/v')"
-    assert loaded["jobs"]["release"]["needs"] == "build"
+    assert loaded["jobs"]["release"]["needs"] == ["build", "nightly"]
+    assert loaded["jobs"]["nightly"]["uses"] == "./.github/workflows/nightly.yml"
     assert loaded["jobs"]["build"]["needs"] == "check"
 
 
@@ -145,9 +149,42 @@ def test_windows_is_built_and_tried_with_one_script_each() -> None:
 
 def test_pull_requests_run_what_a_change_must_pass() -> None:
     assert workflow("ci")["on"] == {"pull_request": None}
-    (command,) = commands("ci")
-    assert command.endswith(" .ci/run")
+    assert list(commands("ci"))[-1] == ".ci/run"
     assert (ROOT / ".ci" / "run").is_file()
+
+
+def test_unit_tests_run_on_each_python_of_the_project() -> None:
+    pythons = workflow("unit")["jobs"]["unit"]["strategy"]["matrix"]["python"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    allowed = SpecifierSet(project["requires-python"])
+    assert pythons == [f"3.{minor}" for minor in range(30) if f"3.{minor}" in allowed]
+    classifiers = [f"Programming Language :: Python :: {python}" for python in pythons]
+    assert [each for each in classifiers if each not in project["classifiers"]] == []
+
+
+def test_each_part_of_a_nightly_run_is_a_job_and_a_report_joins_them() -> None:
+    jobs = workflow("nightly")["jobs"]
+    assert (
+        jobs["part"]["strategy"]["matrix"]["part"] == "${{ fromJSON(needs.parts.outputs.names) }}"
+    )
+    run = "\n".join(commands("nightly"))
+    for command in ("--list --json", 'make nightly PART="$PART"', "--join"):
+        assert command in run
+    assert jobs["report"]["needs"] == "part"
+    kept = {
+        step["with"]["path"]
+        for step in steps("nightly", "part")
+        if "upload" in step.get("uses", "")
+    }
+    assert kept == {"build/nightly/"}
+
+
+def test_each_lock_is_looked_at_for_advisories() -> None:
+    (look,) = (command for command in commands("advisories") if "pip_audit" in command)
+    patterns = look.partition("for lock in ")[2].partition(";")[0].split()
+    looked_at = {path for pattern in patterns for path in ROOT.glob(pattern)}
+    locks = {path for path in ROOT.glob("*/*.txt") if path.parent.name == "requirements"}
+    assert locks | {ROOT / "tests" / "peers" / "peers.txt"} == looked_at
 
 
 # ---- build.ps1
