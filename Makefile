@@ -38,9 +38,6 @@ test: venv-dev
 seams: venv-dev
 	$(RUN) pytest --tier seams $(SIDE_BY_SIDE)
 
-nightly: venv-peers
-	$(RUN) tests.nightly
-
 # Each property with examples of its own, other ones each time.
 explore: venv-dev
 	$(RUN) pytest --tier unit --hypothesis-profile=explore -n auto $(shell grep -rl --include='test_*.py' '@given' tests)
