@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 
 from biosensor_common.doctor.serving import Request, answer, serve
+from biosensor_common.lsl.predicates import equals
 
 _PERIOD_S = 0.1
 
@@ -41,7 +42,8 @@ def _find(request: Request) -> None:
     import pylsl
 
     _configure(request)
-    found = pylsl.resolve_byprop("source_id", request["source_id"], 1, request["timeout_s"])
+    wanted = equals("source_id", request["source_id"])
+    found = pylsl.resolve_bypred(wanted, 1, request["timeout_s"])
     answer({"found": bool(found)})
 
 

@@ -16,6 +16,7 @@ from pylsl.lib import lib
 from biosensor_common.description_xml import read_xml
 from biosensor_common.doctor.surveyed_stream import SurveyedStream
 from biosensor_common.errors import SpecError
+from biosensor_common.lsl.predicates import equals
 
 MAX_EXAMINED = 256
 """So many streams are listened to; all are listed."""
@@ -79,7 +80,7 @@ def meet(source_id: str, search_s: float, listen_s: float) -> dict[str, Any]:
         ``found``; and if it was: ``received`` (whether a sample came), ``address`` (from where;
         empty if none did), ``offset_s`` and ``round_trip_s`` as of a `SurveyedStream`.
     """
-    infos = pylsl.resolve_byprop("source_id", source_id, 1, search_s)
+    infos = pylsl.resolve_bypred(equals("source_id", source_id), 1, search_s)
     if not infos:
         return {"found": False}
     seen = _described(infos[0])

@@ -13,6 +13,8 @@ import numpy as np
 import pylsl
 
 from biosensor_common.errors import SpecError, TransportError
+from biosensor_common.errors import SpecError
+from biosensor_common.lsl.predicates import any_of, equals
 from biosensor_common.lsl_header import read_header
 from biosensor_common.lsl_outlet import LslOutlet
 from biosensor_gateway.features.choosing import Taken, choose
@@ -149,8 +151,8 @@ class Live:
 
     def run(self, stopping: threading.Event) -> None:
         """Read and send until it is set."""
-        types = " or ".join(f"type='{each.value}'" for each in TYPES)
-        resolver = pylsl.ContinuousResolver(pred=types)
+        raw_streams = any_of(*(equals("type", each.value) for each in TYPES))
+        resolver = pylsl.ContinuousResolver(pred=raw_streams)
         count = 0
         try:
             while not stopping.wait(READ_S):

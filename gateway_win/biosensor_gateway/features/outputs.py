@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from biosensor_common.lsl.predicates import Predicate, any_of, ends_with
 from biosensor_common.quantities import ContentType, Unit
 from biosensor_common.spec import ChannelSpec, StreamSpec
 from biosensor_common.table import channels, hardware, raw
@@ -181,14 +182,9 @@ TYPES = (
 """Types of streams that features are computed of, the best source of beats first."""
 
 
-def resolver_query() -> str:
+def feature_streams() -> Predicate:
     """Return by which names liblsl finds streams of features, and no other one of ours."""
     features = [each for kind in TYPES for each in features_of(kind, "any", "none")]
     names = [each.stream.data_name for each in features if each.name != "sqi"]
     endings = dict.fromkeys([*(f"-{each}" for each in names), "_sqi"])
-    return " or ".join(_ends_with(each) for each in endings)
-
-
-def _ends_with(ending: str) -> str:
-    # XPath 1.0 has no function for it.
-    return f"substring(source_id, string-length(source_id) - {len(ending) - 1}) = '{ending}'"
+    return any_of(*(ends_with("source_id", each) for each in endings))

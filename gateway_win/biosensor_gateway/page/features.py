@@ -7,7 +7,7 @@ import contextlib
 
 from biosensor_common.errors import ConfigError
 from biosensor_gateway.agent.feed_frames import Samples
-from biosensor_gateway.features.outputs import resolver_query
+from biosensor_gateway.features.outputs import feature_streams
 from biosensor_gateway.page.network.models import SeenStreamView
 from biosensor_gateway.page.network.reader import Reader
 from biosensor_gateway.page.session import Session
@@ -46,7 +46,7 @@ class Features:
         with contextlib.suppress(ConfigError):
             lsl = self._session.loaded().lsl
             configure_lsl(lsl.overrides)
-        reader = await asyncio.to_thread(Reader, hand_over, resolver_query())
+        reader = await asyncio.to_thread(Reader, hand_over, feature_streams())
         try:
             while True:
                 self._look(reader)

@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pylsl
 import structlog
 
+from biosensor_common.lsl.predicates import Predicate
 from biosensor_common.sender_clocks import SenderClocks
 from biosensor_gateway.agent.feed_frames import Samples
 from biosensor_gateway.page.network.descriptions import Descriptions
@@ -37,8 +38,8 @@ class Reader:
     ----------
     on_samples
         Is given what was read, in the reader's thread.
-    query
-        Which streams are looked for, as liblsl has it; all by default.
+    wanted_streams
+        Which streams are looked for; all by default.
 
     Attributes
     ----------
@@ -48,11 +49,15 @@ class Reader:
         What there is to say of all streams, made twice a second.
     """
 
-    def __init__(self, on_samples: Callable[[list[Samples]], None], query: str = "") -> None:
+    def __init__(
+        self,
+        on_samples: Callable[[list[Samples]], None],
+        wanted_streams: Predicate | None = None,
+    ) -> None:
         self.wanted: frozenset[str] = frozenset()
         self.view = NetworkView()
         self._on_samples = on_samples
-        self._resolver = pylsl.ContinuousResolver(pred=query or None)
+        self._resolver = pylsl.ContinuousResolver(pred=wanted_streams)
         self._pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="network")
         self._listing = Listing()
         self._descriptions = Descriptions(self._pool)

@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
+from biosensor_common.lsl.predicates import Predicate, all_of, any_of, equals
 from biosensor_gateway.recording.labrecorder.streams import VisibleStream
 
-EVERYTHING = "true()"
 _FOUND, _MATCHING = "Found ", " matching '"
 _READY, _BEGUN = "Starting the recording", "Started data collection for stream "
 _MOST_SAID = 300
@@ -58,16 +58,8 @@ class Said:
         return words[-_MOST_SAID:] or "nothing"
 
 
-def predicate(streams: Sequence[VisibleStream]) -> str:
-    """Return what fits to these streams and no others, as LSL's resolver has it."""
-    return " or ".join(
-        f"(source_id={_quoted(each.source_id)} and name={_quoted(each.name)})" for each in streams
-    )
-
-
-def _quoted(text: str) -> str:
-    """Write a text for XPath, which knows no escapes."""
-    if '"' not in text:
-        return f'"{text}"'
-    parts = ", '\"', ".join(f'"{part}"' for part in text.split('"'))
-    return f"concat({parts})"
+def predicate(streams: Sequence[VisibleStream]) -> Predicate:
+    """Return what finds these streams and no others."""
+    ids = (equals("source_id", each.source_id) for each in streams)
+    names = (equals("name", each.name) for each in streams)
+    return any_of(*map(all_of, ids, names))

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from biosensor_common.lsl.predicates import EVERYTHING
 from biosensor_common.lsl_config import LslOverrides, effective_config, user_config_file
 from biosensor_gateway.recording.here.errors import RecorderError, RecorderReason
 from biosensor_gateway.recording.here.keeper import END_S, launch
@@ -16,7 +17,7 @@ from biosensor_gateway.recording.here.memory import Job, Kept, RecorderFolder
 from biosensor_gateway.recording.here.place import candidates, take_file
 from biosensor_gateway.recording.here.program import find_program
 from biosensor_gateway.recording.here.results import StartedHere
-from biosensor_gateway.recording.here.said import EVERYTHING, Said, predicate
+from biosensor_gateway.recording.here.said import Said, predicate
 from biosensor_gateway.recording.labrecorder.recording_file import size_of
 from biosensor_gateway.recording.labrecorder.results import By
 from biosensor_gateway.recording.labrecorder.starting import Order, what_is_missing

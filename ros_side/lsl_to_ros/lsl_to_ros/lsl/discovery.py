@@ -11,6 +11,15 @@ import pylsl
 
 from biosensor_common import open_files
 from biosensor_common.errors import SpecError
+from biosensor_common.lsl.predicates import (
+    EVERYTHING,
+    Predicate,
+    all_of,
+    any_of,
+    equals,
+    none_of,
+    of_user,
+)
 from biosensor_common.naming import NODE
 from biosensor_common.quantities import ContentType
 from lsl_to_ros.lsl.inlets import FROM_ROS, Inlet, InletState
@@ -52,9 +61,9 @@ class Discovery:
         self, warn: Callable[[str], None], predicate: str = "", share: Share = ALL
     ) -> None:
         self._warn = warn
-        self._predicate = predicate
+        self._predicate = _wanted(predicate)
         self._share = share
-        self._resolver = _resolver(predicate)
+        self._resolver = _resolver(self._predicate)
         self._inlets: dict[str, Inlet] = {}
         self._announced: set[str] = set()
         self._order: dict[str, int] = {}
@@ -88,10 +97,16 @@ class Discovery:
         ----------
         predicate
             LSL query; empty for all streams.
+
+        Raises
+        ------
+        SpecError
+            ``INVALID``, if a bracket or a quote in it has no partner.
         """
-        if predicate != self._predicate:
-            self._predicate = predicate
-            self._resolver = _resolver(predicate)
+        wanted = _wanted(predicate)
+        if wanted != self._predicate:
+            self._predicate = wanted
+            self._resolver = _resolver(wanted)
 
     def update(self) -> Changes:
         """Open inlets for new streams; return those that became ready or ended."""
@@ -244,15 +259,16 @@ def _is_of_a_node(info: pylsl.StreamInfo) -> bool:
     return name.startswith(f"{NODE}-") and info.source_id().endswith(name)
 
 
-def _asks_for_ros(predicate: str) -> bool:
+def _wanted(query: str) -> Predicate:
+    return of_user(query) if query else EVERYTHING
+
+
+def _asks_for_ros(predicate: Predicate) -> bool:
     return _ROS_BLOCK in predicate
 
 
-def _resolver(predicate: str) -> pylsl.ContinuousResolver:
+def _resolver(predicate: Predicate) -> pylsl.ContinuousResolver:
     """Look for what a predicate names, and for the counts of losses of all agents."""
-    parts = [f"({predicate})"] if predicate else []
-    if not _asks_for_ros(predicate):
-        parts.append(f"not({FROM_ROS})")
-    # In brackets, for liblsl puts its own condition on the session before it.
-    query = f"(({' and '.join(parts)}) or type='{ContentType.COUNTERS}')"
-    return pylsl.ContinuousResolver(pred=query, forget_after=FORGET_AFTER_S)
+    served = predicate if _asks_for_ros(predicate) else all_of(predicate, none_of(FROM_ROS))
+    counters = equals("type", ContentType.COUNTERS)
+    return pylsl.ContinuousResolver(pred=any_of(served, counters), forget_after=FORGET_AFTER_S)

@@ -12,6 +12,7 @@ from pylsl import util
 
 from biosensor_common.announcements import read_core
 from biosensor_common.errors import SpecError
+from biosensor_common.lsl.predicates import Predicate, all_of, has, none_of
 from biosensor_common.lsl_header import read_header
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.stream_header import StreamHeader, foreign_header
@@ -24,7 +25,7 @@ from lsl_to_ros.lsl.reading import Reading
 OPEN_TIMEOUT_S = 10.0
 LAST_ENTRY_S = 0.1
 # What ros_to_lsl sends is in ROS already; what is replayed from a recording of it is not.
-FROM_ROS = "desc/ros and not(desc/replay)"
+FROM_ROS = all_of(has("desc/ros"), none_of(has("desc/replay")))
 
 
 @unique
@@ -140,10 +141,10 @@ class Inlet:
         core = self.core
         return is_ours or (info.name(), info.type()) == (core.name, core.content_type)
 
-    def matches(self, query: str) -> bool:
-        """Whether the stream fits an LSL query; an empty one fits all."""
+    def matches(self, predicate: Predicate) -> bool:
+        """Whether the stream fits; True as long as it is not described."""
         info = self._full_info
-        return not query or info is None or matches_query(info, query)
+        return info is None or matches_query(info, predicate)
 
     def deliver_to(self, receiver: Receiver) -> None:
         """Let a receiver have what comes from now on, and what waits in the inlet.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import re
 from typing import Any, Self
 
 import numpy as np
@@ -12,7 +11,8 @@ from numpy.typing import NDArray
 from pylsl import util
 from pylsl.lib import lib
 
-_QUOTED = re.compile(r"'[^']*'|\"[^\"]*\"")
+from biosensor_common.errors import SpecError
+from biosensor_common.lsl.predicates import EVERYTHING, any_of, of_user
 
 # Calls through it keep the interpreter's lock. Giving it up takes longer than these
 # calls do, and the next of many reading threads would take it.
@@ -116,15 +116,7 @@ def matches_query(info: pylsl.StreamInfo, query: str) -> bool:
 def is_query(query: str) -> bool:
     """Whether liblsl can read a query (XPath 1.0 over the fields of a stream)."""
     any_stream = pylsl.StreamInfo("any", "any", 1, 0.0, "float32", "any")
-    is_closed = "\0" not in query and _has_balanced_brackets(query)
-    return is_closed and matches_query(any_stream, f"({query}) or true()")
-
-
-def _has_balanced_brackets(query: str) -> bool:
-    """Whether no bracket closes one that stands before the query."""
-    depth = 0
-    for character in _QUOTED.sub("", query):
-        depth += {"(": 1, ")": -1}.get(character, 0)
-        if depth < 0:
-            return False
-    return depth == 0
+    try:
+        return matches_query(any_stream, any_of(of_user(query), EVERYTHING))
+    except SpecError:
+        return False
