@@ -16,8 +16,8 @@ from importlib import import_module
 from pkgutil import walk_packages
 import biosensor_common
 for module in walk_packages(biosensor_common.__path__, "biosensor_common."):
-    # The one is a part of a program of its own, which asks LSL; the other is of pylsl's kind.
-    if module.name not in ("biosensor_common.doctor.survey", "biosensor_common.lsl_outlet"):
+    # The one is a part of a program of its own, which asks LSL; the others are of pylsl's kind.
+    if module.name.partition(".")[2] not in ("doctor.survey", "lsl.inlets", "lsl_outlet"):
         import_module(module.name)
 print(*sys.modules)
 """

@@ -65,6 +65,7 @@ def test_another_stream_is_taken_while_one_does_not_say_what_it_is(
             end = time.monotonic() + DEADLINE_S
             while not noted.names:
                 live.look(both)
+                live.read()
                 assert time.monotonic() < end, "the other one was waited for"
                 time.sleep(0.05)
         finally:

@@ -12,6 +12,8 @@ interpreter shuts down. It needs the standard library and structlog alone. WORD 
 ``behind``
     Threads have told its loop more than the loop's socket holds; it says ``behind``, and the loop
     is held up for another second.
+``hang``
+    A thread of it waits for ever, and is waited for once it is asked to end.
 ``window``
     On Windows it is not ``running`` before there is the window that hears of the session's end.
 """
@@ -21,15 +23,18 @@ from __future__ import annotations
 import asyncio
 import atexit
 import sys
+import threading
 import time
 from pathlib import Path
 
+from biosensor_common.ending import END_S
 from biosensor_gateway.system.shutdown import end_quietly_until_running, until_signalled
 
 RECORD = Path(sys.argv[1])
 CLOSING_S = float(sys.argv[2]) if len(sys.argv) > 2 else 0.0
 WORD = sys.argv[3] if len(sys.argv) > 3 else ""
 STARTING_S = 60.0
+ENDS_WITHIN_S = 0.2
 TOLD, BEHIND_S = 100_000, 1.0
 
 
@@ -67,6 +72,8 @@ async def work() -> None:
         await asyncio.Event().wait()
     finally:
         record("closing")
+        if WORD == "hang":
+            await asyncio.to_thread(threading.Event().wait)
         await asyncio.sleep(CLOSING_S)
         record("closed")
 
@@ -77,7 +84,7 @@ def main() -> None:
         record("starting")
         time.sleep(STARTING_S)
     atexit.register(record, "exiting")
-    asyncio.run(until_signalled(work))
+    asyncio.run(until_signalled(work, ends_within_s=ENDS_WITHIN_S if WORD == "hang" else END_S))
     record("returned")
     if WORD == "late":
         while "go on" not in RECORD.read_text(encoding="utf-8"):

@@ -137,6 +137,15 @@ def test_a_request_is_not_lost_where_the_loop_is_behind(
     assert start.said == ""
 
 
+@pytest.mark.seam
+def test_a_thread_that_hangs_holds_up_no_end(start: Started) -> None:
+    process = start(word="hang")
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(DEADLINE_S) == 1
+    assert start.story == ["running", "closing"]
+    assert start.said == "it has not ended by itself within 0.2 s, so it is ended now\n"
+
+
 @pytest.mark.nightly
 def test_a_terminal_that_is_closed_is_a_request(start: Started) -> None:
     ours, terminal = os.openpty()

@@ -16,6 +16,7 @@ from pylsl.lib import lib
 from biosensor_common.description_xml import read_xml
 from biosensor_common.doctor.surveyed_stream import SurveyedStream
 from biosensor_common.errors import SpecError
+from biosensor_common.lsl.inlets import unopened_inlet
 from biosensor_common.lsl.predicates import equals
 
 MAX_EXAMINED = 256
@@ -84,7 +85,7 @@ def meet(source_id: str, search_s: float, listen_s: float) -> dict[str, Any]:
     if not infos:
         return {"found": False}
     seen = _described(infos[0])
-    inlet = pylsl.StreamInlet(infos[0], max_buflen=1, recover=False)
+    inlet = unopened_inlet(infos[0])
     _measure_clock(inlet, seen, listen_s)
     received = _has_sample(inlet, listen_s)
     return {
@@ -146,7 +147,7 @@ def _listen(
 ) -> None:
     if time.monotonic() > deadline_s:
         return
-    inlet = pylsl.StreamInlet(info, max_buflen=1, recover=False)
+    inlet = unopened_inlet(info)
     try:
         _measure_clock(inlet, seen, limit_s)
         inlet.open_stream(limit_s)

@@ -1,1 +1,1 @@
-"""Says what all programs of the project ask of LSL in the same way."""
+"""Finds and opens streams of LSL in the same way in all programs."""

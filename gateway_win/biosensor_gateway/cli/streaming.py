@@ -31,6 +31,9 @@ from biosensor_gateway.system.quick_edit import quick_edit_off
 from biosensor_gateway.system.shutdown import until_signalled
 from biosensor_gateway.system.terminal import shows_colours
 
+_ENDS_WITHIN_S = 20.0
+"""Devices take their time to be closed, each with limits."""
+
 _log = structlog.get_logger("biosensor_gateway.cli")
 
 
@@ -134,7 +137,8 @@ def _run_agent(
             agent.on_status = LiveTable(panel, colours=shows_colours()).report
         controlled = partial(_run_controlled, agent, folder)
         with FeaturesBeside(loaded.lsl) if features else nullcontext():
-            asyncio.run(until_signalled(agent.run if unguarded else controlled))
+            work = agent.run if unguarded else controlled
+            asyncio.run(until_signalled(work, ends_within_s=_ENDS_WITHIN_S))
         if panel is not None:
             panel.close("Ended. Nothing is streamed any more.")
 

@@ -11,6 +11,7 @@ import sys
 import threading
 from io import FileIO
 
+from biosensor_common.ending import end_within
 from biosensor_gateway.features.live import Live
 from biosensor_gateway.features.sources import Source
 from biosensor_gateway.settings.models import LslSettings
@@ -31,6 +32,7 @@ def send_for_another() -> int:
     def read_to_the_end() -> None:
         asked.read()
         stopping.set()
+        end_within()
 
     threading.Thread(target=read_to_the_end, daemon=True).start()
     Live(_Telling()).run(stopping)

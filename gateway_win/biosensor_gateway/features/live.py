@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import socket
+import math
 import threading
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import pylsl
 
 from biosensor_common.errors import SpecError, TransportError
-from biosensor_common.errors import SpecError
+from biosensor_common.lsl.inlets import unopened_inlet
 from biosensor_common.lsl.predicates import any_of, equals
 from biosensor_common.lsl_header import read_header
 from biosensor_common.lsl_outlet import LslOutlet
 from biosensor_gateway.features.choosing import Taken, choose
 from biosensor_gateway.features.errors import FeatureError
 from biosensor_gateway.features.headers import is_feature, stream_info
+from biosensor_gateway.features.links import Link
 from biosensor_gateway.features.outputs import TYPES
 from biosensor_gateway.features.runs import Event
 from biosensor_gateway.features.sources import Source, judge
@@ -29,14 +29,11 @@ LOOK_EVERY = 25
 """Readings from one look at the network to the next."""
 SETTLED_S = 3.0
 """Streams of one device appear together; what comes later gets what is left to compute."""
+RIVAL_S = 7.0
+"""An outlet that has ended is found for some seconds more; after that two of them live."""
 _DESCRIPTION_S = 3.0
-_CLOCK_S, _CLOCK_EVERY_S = 1.0, 5.0
 _ASKING = 4
 """Threads that wait for other computers, so that reading does not."""
-_MOST_HELD = 4096
-"""Runs of events that wait for the first correction of their stamps."""
-_BUFFER_S = 360
-_MOST_SAMPLES = 8192
 
 
 class Told(Protocol):
@@ -68,57 +65,53 @@ class Sender:
                 outlet.push_chunk(values, [each.stamp + correction_s for each in own])
 
 
-class _Correction:
-    """What brings the stamps of one stream to the clock of this computer; asked in a thread."""
-
-    def __init__(self, inlet: pylsl.StreamInlet, asking: ThreadPoolExecutor) -> None:
-        self._inlet, self._asking = inlet, asking
-        self._asked: Future[float] | None = None
-        self._next_s = 0.0
-        self._last_s: float | None = None
-
-    def seconds(self, now_s: float) -> float | None:
-        """Return the last one that is known, None before the first; never waits."""
-        if self._asked is None and now_s >= self._next_s:
-            self._asked = self._asking.submit(self._inlet.time_correction, _CLOCK_S)
-            self._next_s = now_s + _CLOCK_EVERY_S
-        if self._asked is not None and self._asked.done():
-            # Where there is no answer the last one holds meanwhile: clocks drift slowly.
-            if self._asked.exception() is None:
-                self._last_s = self._asked.result()
-            self._asked = None
-        return self._last_s
-
-
 class _Stage:
-    """One source: its inlet, what computes, and what sends."""
+    """One source, over all outlets that it has one after the other."""
 
     def __init__(self, source: Source, info: pylsl.StreamInfo, asking: ThreadPoolExecutor) -> None:
-        self._inlet = pylsl.StreamInlet(info, max_buflen=_BUFFER_S, recover=bool(source.source_id))
-        # On one computer stamps stay as they are, to the last bit.
-        is_here = info.hostname() == socket.gethostname()
-        self._correction = None if is_here else _Correction(self._inlet, asking)
-        self._computer = source.new_computer()
-        self._sender = Sender(source)
-        self._held: deque[Sequence[Event]] = deque(maxlen=_MOST_HELD)
+        self.source = source
+        self.is_lost = False
+        self._sender: Sender | None = None
+        self._asking = asking
+        self._link = Link(source, info, asking)
+
+    @property
+    def uid(self) -> str:
+        """Of the newest outlet."""
+        return self._link.uid
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether it has ever received."""
+        return self._sender is not None
+
+    def follow(self, info: pylsl.StreamInfo) -> None:
+        """Go on with another outlet, whose header is the same."""
+        self._link.close()
+        self._link, self.is_lost = Link(self.source, info, self._asking), False
 
     def read(self, now_s: float) -> None:
-        """Take in what has come, and send what can be told by now."""
-        pulled: tuple[Any, Any] = self._inlet.pull_chunk(0.0, _MOST_SAMPLES)
-        samples, stamps = pulled
-        if stamps:
-            events = self._computer.take(
-                np.array(stamps, np.float64), np.array(samples, np.float64)
-            )
-            if events:
-                self._held.append(events)
-        seconds = 0.0 if self._correction is None else self._correction.seconds(now_s)
-        while self._held and seconds is not None:
-            self._sender.send(self._held.popleft(), seconds)
+        """Take in what has come, and send what can be told by now.
+
+        Raises
+        ------
+        RuntimeError
+            See `Link`.
+        TransportError
+            No more files may be opened.
+        """
+        if self.is_lost:
+            return
+        known = self._link.read(now_s)
+        if self._link.is_open:
+            # Not before: who receives features shall not find any of a stream that is gone.
+            self._sender = self._sender or Sender(self.source)
+            for events, seconds in known:
+                self._sender.send(events, seconds)
 
     def close(self) -> None:
         """Close the inlet."""
-        self._inlet.close_stream()
+        self._link.close()
 
 
 class _Seen:
@@ -142,12 +135,14 @@ class Live:
 
     def __init__(self, told: Told, clock: Callable[[], float] = pylsl.local_clock) -> None:
         self._told, self._clock = told, clock
-        self._known: set[str] = set()
+        # By uid: what it is called over restarts.
+        self._known: dict[str, str] = {}
         self._waiting: list[_Seen] = []
         self._taken: Taken = set()
-        self._stages: list[_Stage] = []
+        self._stages: dict[str, _Stage] = {}
         self._asking = ThreadPoolExecutor(_ASKING, thread_name_prefix="asking")
         self._described: list[tuple[pylsl.StreamInfo, Future[str]]] = []
+        self._rivals: dict[str, float] = {}
 
     def run(self, stopping: threading.Event) -> None:
         """Read and send until it is set."""
@@ -159,20 +154,22 @@ class Live:
                 if count % LOOK_EVERY == 0:
                     self.look(resolver.results())
                 count += 1
-                now_s = self._clock()
-                for stage in self._stages:
-                    stage.read(now_s)
+                self.read()
         finally:
             self._asking.shutdown(wait=False, cancel_futures=True)
-            for stage in self._stages:
+            for stage in self._stages.values():
                 stage.close()
 
     def look(self, infos: Sequence[pylsl.StreamInfo]) -> None:
         """Take note of what is on the network, and begin with what is described by now."""
+        present = {info.uid() for info in infos}
+        pending = {info.uid() for info, _ in self._described}
+        pending |= {each.info.uid() for each in self._waiting}
+        for uid in self._known.keys() - present - pending:
+            del self._known[uid]
         for info in infos:
-            key = info.source_id() or info.uid()
-            if key not in self._known:
-                self._known.add(key)
+            if info.uid() not in self._known and not self._is_held(info, present):
+                self._known[info.uid()] = _key(info)
                 self._described.append((info, self._asking.submit(_description, info)))
         told = [each for each in self._described if each[1].done()]
         self._described = [each for each in self._described if not each[1].done()]
@@ -180,12 +177,64 @@ class Live:
             self._judge(info, description)
         self._begin()
 
+    def read(self) -> None:
+        """Take in what has come of all streams, and send what can be told by now."""
+        now_s = self._clock()
+        for key, stage in list(self._stages.items()):
+            had_begun = stage.has_begun
+            try:
+                stage.read(now_s)
+            except RuntimeError:
+                self._lose(key, stage)
+            except TransportError as error:
+                # No more files may be opened: neither for an inlet nor for outlets.
+                self._told.refused(str(error))
+                self._give_up(key)
+            if stage.has_begun and not had_begun:
+                self._told.found(stage.source)
+
+    def _lose(self, key: str, stage: _Stage) -> None:
+        """Look for the stream again, whatever outlet it has then."""
+        stage.is_lost = True
+        self._known = {uid: each for uid, each in self._known.items() if each != key}
+        if not stage.has_begun:
+            self._give_up(key)
+
+    def _give_up(self, key: str) -> None:
+        """Leave its features to other streams of the device."""
+        stage = self._stages.pop(key)
+        stage.close()
+        source = stage.source
+        self._taken -= {(source.identity, each.stream.data_name) for each in source.features}
+
+    def _is_held(self, info: pylsl.StreamInfo, present: Container[str]) -> bool:
+        """Whether another outlet of this stream, or this one, is received."""
+        stage = self._stages.get(_key(info))
+        if stage is None or stage.is_lost:
+            return False
+        if info.uid() == stage.uid:
+            return True
+        if stage.uid in present:
+            self._note_rival(info)
+            return True
+        return False
+
+    def _note_rival(self, info: pylsl.StreamInfo) -> None:
+        """Say it once of an outlet that stays: one that has ended is still found for a while."""
+        since_s = self._rivals.setdefault(info.uid(), self._clock())
+        if self._clock() - since_s > RIVAL_S:
+            self._rivals[info.uid()] = math.inf
+            self._told.refused(
+                f"two streams {info.name()!r} share the source_id {info.source_id()!r}; that on "
+                f"{info.hostname()} is left out, so give it one of its own"
+            )
+
     def _judge(self, info: pylsl.StreamInfo, description: Future[str]) -> None:
         try:
             xml = description.result()
         except (TimeoutError, RuntimeError):
             # It may have ended; if not, the next look finds it again.
-            self._known.discard(info.source_id() or info.uid())
+            self._known.pop(info.uid(), None)
             return
         if is_feature(xml):
             return
@@ -194,8 +243,15 @@ class Live:
         except (FeatureError, SpecError) as error:
             self._told.refused(str(error))
             return
-        if source is not None:
-            self._waiting.append(_Seen(source, info, self._clock()))
+        if source is None:
+            return
+        stage = self._stages.get(_key(info))
+        if stage is not None and stage.source.header == source.header:
+            stage.follow(info)
+            return
+        if stage is not None:
+            self._give_up(_key(info))
+        self._waiting.append(_Seen(source, info, self._clock()))
 
     def _begin(self) -> None:
         """Begin with devices of which no new stream has appeared for a while."""
@@ -205,16 +261,15 @@ class Live:
         self._waiting = [each for each in self._waiting if each.source.identity in young]
         infos = {id(each.source.header): each.info for each in ready}
         for source in choose((each.source for each in ready), self._taken):
-            try:
-                stage = _Stage(source, infos[id(source.header)], self._asking)
-            except TransportError as error:
-                # No more files may be opened.
-                self._told.refused(str(error))
-                continue
-            self._stages.append(stage)
-            self._told.found(source)
+            info = infos[id(source.header)]
+            self._stages[_key(info)] = _Stage(source, info, self._asking)
+
+
+def _key(info: pylsl.StreamInfo) -> str:
+    """Return what names a stream over restarts, as far as it has a name."""
+    return info.source_id() or info.uid()
 
 
 def _description(info: pylsl.StreamInfo) -> str:
     """Return what the sender of a stream says of it; raises what liblsl does."""
-    return pylsl.StreamInlet(info, recover=False).info(_DESCRIPTION_S).as_xml()
+    return unopened_inlet(info).info(_DESCRIPTION_S).as_xml()

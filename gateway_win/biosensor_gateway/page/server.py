@@ -23,6 +23,7 @@ import uvicorn
 from starlette.applications import Starlette
 from starlette.types import ASGIApp
 
+from biosensor_common.ending import end_within
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.page.front import Front
 from biosensor_gateway.page.guard import DOOR, OPENS_ONCE, Guard, Keys
@@ -48,6 +49,8 @@ _OPTIONS: Mapping[str, Any] = {
     "ws_max_size": MAX_MESSAGE,
     "timeout_graceful_shutdown": 2,
 }
+_ENDS_WITHIN_S = 10.0
+"""Windows hear of the end, and a replay has its own time to end."""
 _SWITCH_S = 0.0005
 _REQUESTS = [signal.SIGINT, signal.SIGBREAK if sys.platform == "win32" else signal.SIGTERM]
 
@@ -219,7 +222,17 @@ def guarded(app: ASGIApp, port: int, keys: Keys) -> uvicorn.Server:
     # When it has ended by a signal, uvicorn raises that signal again.
     for number in _REQUESTS:
         signal.signal(number, _ignore)
-    return uvicorn.Server(config)
+    return _Server(config)
+
+
+class _Server(uvicorn.Server):
+    """Ends in time, whatever its threads wait for."""
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """Note the signal; see uvicorn."""
+        if not self.should_exit:
+            end_within(_ENDS_WITHIN_S)
+        super().handle_exit(sig, frame)
 
 
 @contextlib.contextmanager

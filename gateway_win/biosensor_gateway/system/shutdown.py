@@ -10,6 +10,8 @@ from collections.abc import Callable, Coroutine, Generator
 from types import FrameType
 from typing import Any, NoReturn
 
+from biosensor_common.ending import END_S, end_within
+
 
 def end_quietly_until_running() -> None:
     """Let a request that comes before `until_signalled` end the process, with exit code 0.
@@ -25,13 +27,22 @@ def end_quietly_until_running() -> None:
         signal.signal(number, end)
 
 
-async def until_signalled(main_task: Callable[[], Coroutine[Any, Any, None]]) -> None:
+async def until_signalled(
+    main_task: Callable[[], Coroutine[Any, Any, None]], *, ends_within_s: float = END_S
+) -> None:
     """Run a coroutine until it ends, or cancel it once and wait for its end when asked to stop.
 
     Requests are SIGINT (Ctrl-C), SIGTERM and, on POSIX, SIGHUP (the terminal is
     closed) unless it was ignored before, as under ``nohup``; on Windows Ctrl-Break,
     the console's close, logoff and shutdown. Later ones are ignored until exit. Must run
     in the main thread.
+
+    Parameters
+    ----------
+    main_task
+        Returns the coroutine.
+    ends_within_s
+        From the first request; the process is ended then, whatever it waits for.
 
     Raises
     ------
@@ -43,6 +54,7 @@ async def until_signalled(main_task: Callable[[], Coroutine[Any, Any, None]]) ->
 
     def stop() -> None:
         if not task.cancelling():
+            end_within(ends_within_s)
             task.cancel()
 
     def stop_from_any_thread() -> None:

@@ -17,6 +17,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import get_rmw_implementation_identifier
 
+from biosensor_common.ending import end_within
 from biosensor_common.errors import ConfigError
 from biosensor_common.relay import console_relayed
 from biosensor_common.terminal import columns, wrapped
@@ -65,6 +66,8 @@ def _spin(make: Make, refuse: Callable[[str], NoReturn]) -> None:
     stopping = threading.Event()
 
     def stop(_number: int, _frame: FrameType | None) -> None:
+        if not stopping.is_set():
+            end_within()
         stopping.set()
 
     for number in (signal.SIGINT, signal.SIGTERM):

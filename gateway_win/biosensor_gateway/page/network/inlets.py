@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import Executor
+
+from pylsl import util
 
 from biosensor_gateway.page.network.losses import is_counters
 from biosensor_gateway.page.network.receiver import CLOCK_WITHIN_S, Receiver
@@ -25,6 +28,8 @@ class Inlets:
     ----------
     close
         Closes one, somewhere where it may take its time.
+    pool
+        Opens them.
 
     Attributes
     ----------
@@ -32,9 +37,9 @@ class Inlets:
         How many streams are looked at and not received, because there are too many.
     """
 
-    def __init__(self, close: Callable[[Receiver], object]) -> None:
+    def __init__(self, close: Callable[[Receiver], object], pool: Executor) -> None:
         self.refused = 0
-        self._close = close
+        self._close, self._pool = close, pool
         self._wanted_s: dict[NetworkStream, float] = {}
 
     def update(
@@ -52,14 +57,16 @@ class Inlets:
             if stream.receiver is None and not self._has_to_wait(stream, now):
                 if open_now < MAX_INLETS:
                     open_now += 1
-                    self._open(stream, now)
+                    self._open(stream)
                 else:
                     self.refused += 1
             elif stream.receiver is not None and stream.receiver.age_s > _SETTLED_S:
                 stream.lost_s = None
 
-    def drop(self, stream: NetworkStream, now: float) -> None:
-        """Take note that a stream is lost."""
+    def drop(self, stream: NetworkStream, now: float, error: RuntimeError) -> None:
+        """Take note that a stream is lost, or that liblsl cannot open it."""
+        if not isinstance(error, util.LostError | util.TimeoutError):
+            stream.note = f"LSL cannot open it ({error})"
         stream.lost_s = now
         if stream.receiver is not None:
             self._close(stream.receiver)
@@ -79,10 +86,6 @@ class Inlets:
         is_unseen = now - stream.seen_s > _UNSEEN_S
         return stream.header is None or is_lost or is_unseen
 
-    def _open(self, stream: NetworkStream, now: float) -> None:
+    def _open(self, stream: NetworkStream) -> None:
         stream.received.begin(stream.core, is_ours=stream.is_ours)
-        try:
-            stream.receiver = Receiver(stream.info, stream.core)
-        except RuntimeError as error:
-            stream.lost_s = now
-            stream.note = f"LSL cannot open it ({error})"
+        stream.receiver = Receiver(stream.info, stream.core, self._pool)

@@ -27,6 +27,7 @@ LOOK_EVERY = 10
 CLOCKS_S = 30.0
 """Clocks drift by some milliseconds meanwhile; a pixel has eleven."""
 _THREADS = 8
+_STOP_S = 2.0
 
 _log = structlog.get_logger("biosensor_gateway.page")
 
@@ -61,7 +62,7 @@ class Reader:
         self._pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="network")
         self._listing = Listing()
         self._descriptions = Descriptions(self._pool)
-        self._inlets = Inlets(self._close)
+        self._inlets = Inlets(self._close, self._pool)
         self._viewer = Viewer()
         self._receivers: list[Receiver] = []
         self._clocks = SenderClocks(lambda: self._receivers, CLOCKS_S)
@@ -72,7 +73,8 @@ class Reader:
     def stop(self) -> None:
         """End all reading; inlets are closed on the way out."""
         self._stopping.set()
-        self._thread.join()
+        # liblsl may hold it; the process ends in spite of it.
+        self._thread.join(_STOP_S)
         self._clocks.stop()
         self._pool.shutdown(wait=False, cancel_futures=True)
 
@@ -111,8 +113,8 @@ class Reader:
         now = pylsl.local_clock()
         try:
             block = receiver.pull()
-        except RuntimeError:
-            self._inlets.drop(stream, now)
+        except RuntimeError as error:
+            self._inlets.drop(stream, now, error)
             return []
         if block is None:
             return []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Executor, Future
 from time import monotonic
 from typing import Any, NamedTuple
 
@@ -9,11 +10,13 @@ import numpy as np
 import pylsl
 from numpy.typing import NDArray
 
+from biosensor_common.lsl.inlets import open_inlet, unopened_inlet
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.stream_header import CoreFields
 
 CLOCK_WITHIN_S = 3.0
 """So long samples wait in liblsl for the first measurement of the sender's clock."""
+_OPEN_S = 5.0
 _BUFFER_S, _BUFFER_SAMPLES = 10, 200_000
 _MOST_SAMPLES, _MOST_VALUES = 8192, 1_000_000
 _MOST_TEXTS = 16
@@ -45,22 +48,19 @@ class Receiver:
         As a resolver gave it.
     core
         What that says.
-
-    Raises
-    ------
-    RuntimeError
-        If liblsl can open no inlet.
+    pool
+        Opens it; a sender that does not answer keeps the thread for some seconds.
     """
 
-    def __init__(self, info: pylsl.StreamInfo, core: CoreFields) -> None:
+    def __init__(self, info: pylsl.StreamInfo, core: CoreFields, pool: Executor) -> None:
         self.correction: float | None = None
         self._info = info
         self._is_text = core.format is ChannelFormat.STRING
         self._most = max(1, min(_MOST_SAMPLES, _MOST_VALUES // core.channel_count))
         self._opened_s = monotonic()
-        # liblsl would reattach to any stream of this source_id; which one follows is ours to say.
-        self._lsl = pylsl.StreamInlet(
-            info, max_buflen=_buffer_length(core.rate), recover=False, as_numpy=True
+        length = _buffer_length(core.rate)
+        self._opening: Future[pylsl.StreamInlet] = pool.submit(
+            open_inlet, info, _OPEN_S, length, as_numpy=True
         )
 
     @property
@@ -81,7 +81,7 @@ class Receiver:
         RuntimeError
             If liblsl can open none.
         """
-        return pylsl.StreamInlet(self._info, max_buflen=1, recover=False)
+        return unopened_inlet(self._info)
 
     def take_correction(self, correction: float) -> None:
         """Take in a measurement, in seconds to add to stamps."""
@@ -93,21 +93,22 @@ class Receiver:
         Raises
         ------
         RuntimeError
-            The stream is lost.
+            The stream is lost, or was not opened.
         """
+        if not self._opening.done():
+            return None
+        lsl = self._opening.result()
         if self.correction is None and self.age_s < CLOCK_WITHIN_S:
             return None
         # Only a pull finds out about a loss, so at least one sample is asked for.
-        most = _MOST_TEXTS if self._is_text else min(self._available(), self._most)
-        samples, stamps = self._lsl.pull_chunk(0.0, most)
+        most = _MOST_TEXTS if self._is_text else min(max(1, lsl.samples_available()), self._most)
+        samples, stamps = lsl.pull_chunk(0.0, most)
         return Block(samples, stamps) if len(stamps) else None
 
     def close(self) -> None:
         """End it; waits for liblsl's own threads."""
-        self._lsl.close_stream()
-
-    def _available(self) -> int:
-        return max(1, self._lsl.samples_available())
+        if not self._opening.cancel() and self._opening.exception() is None:
+            self._opening.result().close_stream()
 
 
 def _buffer_length(rate: float) -> int:

@@ -12,6 +12,7 @@ from pylsl import util
 
 from biosensor_common.announcements import read_core
 from biosensor_common.errors import SpecError
+from biosensor_common.lsl.inlets import unopened_inlet
 from biosensor_common.lsl.predicates import Predicate, all_of, has, none_of
 from biosensor_common.lsl_header import read_header
 from biosensor_common.quantities import ChannelFormat
@@ -19,7 +20,7 @@ from biosensor_common.stream_header import StreamHeader, foreign_header
 from lsl_to_ros.lsl.buffering import buffer_length
 from lsl_to_ros.lsl.corrections import Corrections
 from lsl_to_ros.lsl.delivery import Delivery, Receiver
-from lsl_to_ros.lsl.liblsl import clock_inlet, matches_query
+from lsl_to_ros.lsl.liblsl import matches_query
 from lsl_to_ros.lsl.reading import Reading
 
 OPEN_TIMEOUT_S = 10.0
@@ -214,7 +215,7 @@ class Inlet:
         RuntimeError
             If liblsl can open none.
         """
-        return clock_inlet(self.info)
+        return unopened_inlet(self.info)
 
     def take_correction(self, correction: float) -> None:
         """Take in a measurement of the sender's clock."""
@@ -224,8 +225,7 @@ class Inlet:
     def _open(self) -> None:
         length = buffer_length(self.core.rate)
         try:
-            # Recovery is ours: liblsl would reattach to a stream of another shape, or to none.
-            lsl = pylsl.StreamInlet(self.info, max_buflen=length, recover=False, as_numpy=True)
+            lsl = unopened_inlet(self.info, length, as_numpy=True)
         except RuntimeError as error:
             self._warn(f"{self.core}: it is ignored, for LSL cannot open it ({error})")
             self.state = InletState.REFUSED

@@ -91,17 +91,6 @@ class WaitingNumbers:
         return values // self._channels
 
 
-def clock_inlet(info: pylsl.StreamInfo) -> pylsl.StreamInlet:
-    """Open an inlet that is only asked for the sender's clock, never for data.
-
-    Raises
-    ------
-    RuntimeError
-        If liblsl can open none.
-    """
-    return pylsl.StreamInlet(info, max_buflen=1, recover=False)
-
-
 def matches_query(info: pylsl.StreamInfo, query: str) -> bool:
     """Whether a stream fits an LSL query, such as ``type='EEG' and starts-with(name,'p01')``.
 

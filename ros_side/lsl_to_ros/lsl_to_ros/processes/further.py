@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import threading
 from collections.abc import Iterable, Mapping
@@ -11,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from biosensor_common.ending import end_within
 from biosensor_common.spec import DeviceIdentity
 from lsl_to_ros.processes.link import Link, first_message
 from lsl_to_ros.processes.mail import AllClaims, Claims, Report, Settings, Setup, Topics
@@ -19,8 +19,6 @@ from lsl_to_ros.topics.register import Claim
 
 # Parameters and their services are those of the first process.
 _NO_SERVICE = Parameter("start_type_description_service", value=False)
-# Something hangs if it has not ended by then, and the streams would be published twice.
-ENDS_WITHIN_S = 5.0
 
 
 class _Names:
@@ -83,9 +81,8 @@ class FurtherProcess(Node):
         """Have news taken, and end with the first process; called by the link's threads."""
         if self._link.is_closed:
             self._stopping.set()
-            timer = threading.Timer(ENDS_WITHIN_S, os._exit, (1,))
-            timer.daemon = True
-            timer.start()
+            # Something hangs if it has not ended by then, and the streams would be published twice.
+            end_within()
         self._news.trigger()
 
     def _take_news(self) -> None:

@@ -1,0 +1,119 @@
+"""Receives one outlet of a stream, and computes the features of what it sends."""
+
+from __future__ import annotations
+
+import socket
+from collections import deque
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import pylsl
+
+from biosensor_common.lsl.inlets import open_inlet
+from biosensor_gateway.features.runs import Event
+from biosensor_gateway.features.sources import Source
+
+_OPEN_S = 5.0
+_CLOCK_S, _CLOCK_EVERY_S = 1.0, 5.0
+_MOST_HELD = 4096
+"""Runs of events that wait for the first correction of their stamps."""
+_BUFFER_S = 360
+_MOST_SAMPLES = 8192
+
+
+class _Correction:
+    """What brings the stamps of one stream to the clock of this computer; asked in a thread."""
+
+    def __init__(self, inlet: pylsl.StreamInlet, asking: ThreadPoolExecutor) -> None:
+        self._inlet, self._asking = inlet, asking
+        self._asked: Future[float] | None = None
+        self._next_s = 0.0
+        self._last_s: float | None = None
+
+    def seconds(self, now_s: float) -> float | None:
+        """Return the last one that is known, None before the first; never waits."""
+        if self._asked is None and now_s >= self._next_s:
+            self._asked = self._asking.submit(self._inlet.time_correction, _CLOCK_S)
+            self._next_s = now_s + _CLOCK_EVERY_S
+        if self._asked is not None and self._asked.done():
+            # Where there is no answer the last one holds meanwhile: clocks drift slowly.
+            if self._asked.exception() is None:
+                self._last_s = self._asked.result()
+            self._asked = None
+        return self._last_s
+
+
+class Link:
+    """One outlet of a source: its inlet, and what computes.
+
+    Parameters
+    ----------
+    source
+        What is computed of it.
+    info
+        As a resolver gave it.
+    asking
+        Its threads wait for the sender.
+
+    Attributes
+    ----------
+    uid
+        Of the outlet.
+    """
+
+    def __init__(self, source: Source, info: pylsl.StreamInfo, asking: ThreadPoolExecutor) -> None:
+        self.uid = info.uid()
+        self._asking = asking
+        self._opening = asking.submit(open_inlet, info, _OPEN_S, _BUFFER_S)
+        # On one computer stamps stay as they are, to the last bit.
+        self._is_here = info.hostname() == socket.gethostname()
+        self._correction: _Correction | None = None
+        self._computer = source.new_computer()
+        self._held: deque[Sequence[Event]] = deque(maxlen=_MOST_HELD)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it receives."""
+        return self._opening.done() and self._opening.exception() is None
+
+    def read(self, now_s: float) -> list[tuple[Sequence[Event], float]]:
+        """Take in what has come, without waiting.
+
+        Returns
+        -------
+        list
+            Events of which the time is known by now, each with the seconds to add to its stamps
+            for the clock of this computer.
+
+        Raises
+        ------
+        RuntimeError
+            The outlet is gone, or does not answer.
+        """
+        if not self._opening.done():
+            return []
+        inlet = self._opening.result()
+        pulled: tuple[Any, Any] = inlet.pull_chunk(0.0, _MOST_SAMPLES)
+        samples, stamps = pulled
+        if stamps:
+            events = self._computer.take(
+                np.array(stamps, np.float64), np.array(samples, np.float64)
+            )
+            if events:
+                self._held.append(events)
+        seconds = 0.0 if self._is_here else self._seconds(inlet, now_s)
+        known: list[tuple[Sequence[Event], float]] = []
+        while self._held and seconds is not None:
+            known.append((self._held.popleft(), seconds))
+        return known
+
+    def close(self) -> None:
+        """Close the inlet; one that is being opened closes by itself."""
+        if not self._opening.cancel() and self.is_open:
+            self._opening.result().close_stream()
+
+    def _seconds(self, inlet: pylsl.StreamInlet, now_s: float) -> float | None:
+        self._correction = self._correction or _Correction(inlet, self._asking)
+        return self._correction.seconds(now_s)

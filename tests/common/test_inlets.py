@@ -1,0 +1,65 @@
+"""Each inlet of the product is made in one place and opened with a limit."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+PRODUCT = ("common", "gateway_win", "ros_side")
+MAKER = "common/biosensor_common/lsl/inlets.py"
+# Each of them waits without a limit by default.
+WAITING = {"open_stream", "info", "time_correction"}
+PULLING = {"pull_chunk", "pull_sample"}
+
+
+def _calls(module: ast.Module) -> Iterator[tuple[str, ast.Call]]:
+    for node in ast.walk(module):
+        if isinstance(node, ast.Call):
+            name = getattr(node.func, "attr", getattr(node.func, "id", ""))
+            yield name, node
+
+
+def _modules() -> dict[str, list[tuple[str, ast.Call]]]:
+    return {
+        str(path.relative_to(ROOT)): list(_calls(ast.parse(text)))
+        for folder in PRODUCT
+        for path in (ROOT / folder).rglob("*.py")
+        if "build" not in path.parts and "nlet" in (text := path.read_text("utf-8"))
+    }
+
+
+def test_inlets_are_made_in_one_place_and_never_recover() -> None:
+    makers = [path for path, calls in _modules().items() if "StreamInlet" in dict(calls)]
+    assert [path for path in makers if path != MAKER] == []
+    (made,) = (call for name, call in _modules()[MAKER] if name == "StreamInlet")
+    assert {each.arg: ast.unparse(each.value) for each in made.keywords}["recover"] == "False"
+
+
+def test_nothing_is_asked_of_an_inlet_without_a_limit() -> None:
+    unlimited = [
+        f"{path}:{call.lineno}"
+        for path, calls in _modules().items()
+        for name, call in calls
+        if name in WAITING and not call.args and not call.keywords
+    ]
+    assert unlimited == []
+
+
+def test_who_makes_an_inlet_unopened_opens_it_before_a_pull() -> None:
+    unopened = {
+        path
+        for path, calls in _modules().items()
+        if "unopened_inlet" in (names := {name for name, _ in calls})
+        and names & PULLING
+        and "open_stream" not in names
+        # It makes one for the clock, and the one that it pulls from open.
+        and "open_inlet" not in {each.id for each in _names(path)}
+    }
+    assert unopened == set()
+
+
+def _names(path: str) -> Iterator[ast.Name]:
+    module = ast.parse((ROOT / path).read_text("utf-8"))
+    return (node for node in ast.walk(module) if isinstance(node, ast.Name))
