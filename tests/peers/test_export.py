@@ -25,7 +25,7 @@ FILES = {
     "table": ("csv", f"study_csv/{ECG}.csv"),
     "holes": ("csv", f"study_csv/{GSR}.csv"),
     "long": ("long", "study.csv.gz"),
-    "bdf": ("edf", f"study_edf/{ECG}_1.bdf"),
+    "bdf": ("edf", f"study_edf/{ECG}_run1.bdf"),
     "intervals": ("kubios", f"study_kubios/{RR}.txt"),
     "conductance": ("ledalab", f"study_ledalab/{GSR}.txt"),
 }

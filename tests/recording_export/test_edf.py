@@ -29,7 +29,7 @@ def _regular(values: np.ndarray, rate: float, stamps: np.ndarray) -> bytes:
 
 def test_each_run_is_a_file(exported: Exporting) -> None:
     (written,) = exported(study(), "edf", clock=Clock.WALL).written
-    files = [written.path / f"P1-polar_h10-U1-ecg_{n}.bdf" for n in (1, 2)]
+    files = [written.path / f"P1-polar_h10-U1-ecg_run{n}.bdf" for n in (1, 2)]
     opened = [read_bdf(each) for each in files]
     for part, made_of in zip(opened, np.split(ecg_values(2600)[:, 0], 2), strict=True):
         (signal,) = part.signals

@@ -23,7 +23,7 @@ def test_intervals_are_a_line_each(exported: Exporting) -> None:
 
 def test_an_ecg_is_cut_at_its_gaps(exported: Exporting) -> None:
     (written,) = exported(study(), "kubios").written
-    parts = [np.loadtxt(written.path / f"P1-polar_h10-U1-ecg_{n}.txt") for n in (1, 2)]
+    parts = [np.loadtxt(written.path / f"P1-polar_h10-U1-ecg_run{n}.txt") for n in (1, 2)]
     assert [len(each) for each in parts] == [1300, 1300]
     found = np.concatenate(parts).astype(np.float32)
     assert found.tolist() == ecg_values(2600)[:, 0].tolist()

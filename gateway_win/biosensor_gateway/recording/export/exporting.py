@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import shutil
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
@@ -210,9 +211,13 @@ def _targets(
         raise ConfigError(ConfigReason.WRONG_VALUE, message)
     for target in targets.values():
         if target.is_symlink() or target.exists():
-            message = f"{target} exists and is not overwritten; give another place with --output"
-            raise ConfigError(ConfigReason.EXISTS, message)
+            raise _in_the_way(target)
     return targets
+
+
+def _in_the_way(target: Path) -> ConfigError:
+    message = f"{target} exists and is not overwritten; give another place with --output"
+    return ConfigError(ConfigReason.EXISTS, message)
 
 
 def _require_space(chosen: Chosen, targets: dict[str, Path]) -> None:
@@ -260,10 +265,10 @@ def _write(
     try:
         with new_place(target, like=contents.path) as made:
             notes = exporter.write(chosen, order, made, watch(name, max(0.0, end_s - begin_s)))
-    except FileExistsError:
-        message = f"{target} exists and is not overwritten; give another place with --output"
-        raise ConfigError(ConfigReason.EXISTS, message) from None
     except OSError as error:
+        # What is in the way inside of it is no fault of the place.
+        if isinstance(error, FileExistsError) and os.path.lexists(target):
+            raise _in_the_way(target) from None
         raise _unwritable(target, error) from error
     return Written(name, target, _size(target), tuple(notes))
 

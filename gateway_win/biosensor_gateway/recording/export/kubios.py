@@ -8,6 +8,7 @@ formats").
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export.batches import batches
 from biosensor_gateway.recording.export.exporter import Order, Progress, SampleCount
-from biosensor_gateway.recording.export.names import file_names, numbered
+from biosensor_gateway.recording.export.names import FileNames
 from biosensor_gateway.recording.export.numbers import numbers
 from biosensor_gateway.recording.export.runs import MOST_RUNS, find_runs, pieces
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
@@ -39,11 +40,13 @@ class Kubios:
         target.mkdir()
         count = SampleCount(chosen, progress)
         notes: list[str] = []
-        for stream, name in zip(chosen.streams, file_names(chosen.streams), strict=True):
+        names = FileNames()
+        for stream in chosen.streams:
             if _is_of(stream, ContentType.RR):
+                (name,) = names.of(stream)
                 notes += _write_intervals(chosen, stream, target / f"{name}.txt")
             elif _is_of(stream, ContentType.ECG) and stream.header.is_regular:
-                notes += _write_ecg(chosen, stream, target / name)
+                notes += _write_ecg(chosen, stream, target, names)
             count.add(stream.sample_count)
         if not any(target.iterdir()):
             message = (
@@ -88,19 +91,20 @@ def _write_intervals(chosen: Chosen, stream: Stream, path: Path) -> Iterator[str
         yield f"{name}: beats of {missing_s:.0f} s in all are missing between the intervals"
 
 
-def _write_ecg(chosen: Chosen, stream: Stream, path: Path) -> Iterator[str]:
+def _write_ecg(chosen: Chosen, stream: Stream, folder: Path, names: FileNames) -> Iterator[str]:
     name = stream.header.name
     runs = find_runs(chosen, stream)
     if len(runs) > MOST_RUNS:
         yield f"{name}: left out, for it has more than {MOST_RUNS} gaps"
         return
-    parts = [path.with_name(f"{path.name}{n}.txt") for n in numbered(len(runs))]
+    files = [folder / f"{each}.txt" for each in names.of(stream, len(runs))]
     without = 0
-    for number, samples in pieces(chosen, stream):
-        values = np.asarray(samples.values)[:, 0]
-        without += int(np.count_nonzero(np.isnan(values)))
-        with parts[number].open("ab") as file:
-            file.writelines(each + b"\n" for each in numbers(values))
+    for number, parts in groupby(pieces(chosen, stream), key=lambda each: each[0]):
+        with files[number].open("xb") as file:
+            for _, samples in parts:
+                values = np.asarray(samples.values)[:, 0]
+                without += int(np.count_nonzero(np.isnan(values)))
+                file.writelines(each + b"\n" for each in numbers(values))
     rates = [run.rate_hz(stream.header.rate) for run in runs]
     if rates:
         told = ", ".join(f"{rate:.6g}" for rate in dict.fromkeys(rates[:3]))

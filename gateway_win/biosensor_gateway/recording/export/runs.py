@@ -59,10 +59,12 @@ def pieces(chosen: Chosen, stream: Stream) -> Iterator[tuple[int, Samples]]:
         cuts = np.flatnonzero((steps > longest_s) | (steps < 0))
         last_s = float(times[-1])
         for begin, end in zip([0, *cuts], [*cuts, len(times)], strict=True):
+            # Nothing is before a cut at the first sample of a batch.
+            if begin == end:
+                continue
             if begin in cuts:
                 number += 1
-            if begin < end:
-                yield number, _part(samples, int(begin), int(end))
+            yield number, _part(samples, int(begin), int(end))
 
 
 def find_runs(chosen: Chosen, stream: Stream) -> list[Run]:

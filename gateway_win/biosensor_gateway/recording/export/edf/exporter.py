@@ -20,7 +20,7 @@ from biosensor_gateway.recording.export.edf.layout import RATES_HZ, Channel, cha
 from biosensor_gateway.recording.export.edf.records import digital, records
 from biosensor_gateway.recording.export.exporter import Clock, Order, Progress, SampleCount
 from biosensor_gateway.recording.export.markers import markers
-from biosensor_gateway.recording.export.names import file_names, numbered, unique
+from biosensor_gateway.recording.export.names import FileNames, unique
 from biosensor_gateway.recording.export.runs import MOST_RUNS, Run, find_runs, pieces
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
@@ -51,14 +51,14 @@ class Edf:
         """See :class:`.Exporter`."""
         target.mkdir()
         job = _Job(chosen, order.clock, SampleCount(chosen, progress), sorted(markers(chosen)))
-        irregular = 0
-        for stream, name in zip(chosen.streams, file_names(chosen.streams), strict=True):
+        irregular, names = 0, FileNames()
+        for stream in chosen.streams:
             if stream.header.format is ChannelFormat.STRING:
                 continue
             if not stream.header.is_regular:
                 irregular += 1
                 continue
-            _write_stream(job, stream, target / name)
+            _write_stream(job, stream, target, names)
         if not any(target.iterdir()):
             message = (
                 f"{chosen.contents.path} holds no regular stream of numbers of what is wanted, "
@@ -71,7 +71,7 @@ class Edf:
         return job.notes
 
 
-def _write_stream(job: _Job, stream: Stream, path: Path) -> None:
+def _write_stream(job: _Job, stream: Stream, folder: Path, names: FileNames) -> None:
     name, runs = stream.header.name, find_runs(job.chosen, stream)
     if len(runs) > MOST_RUNS:
         job.notes.append(f"{name}: left out, for it has more than {MOST_RUNS} gaps")
@@ -84,7 +84,7 @@ def _write_stream(job: _Job, stream: Stream, path: Path) -> None:
     for number, samples in pieces(job.chosen, stream):
         holes.take(number, samples)
     job.notes += holes.notes()
-    files = [path.with_name(f"{path.name}{each}.bdf") for each in numbered(len(runs))]
+    files = [folder / f"{each}.bdf" for each in names.of(stream, len(runs))]
     left_out: set[str] = set()
     given = _Given(job.chosen, stream)
     for number, (run, file) in enumerate(zip(runs, files, strict=True)):

@@ -1,0 +1,91 @@
+"""Runs of a stream do not depend on where its batches begin, and their files never clash."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from edfio import read_bdf
+
+from biosensor_gateway.recording.export import batches
+from biosensor_gateway.recording.export.exporting import Outcome
+from tests.recording_export.conftest import Exporting
+from tests.recording_export.study import BEGIN_S
+from tests.xdf import xdf_file as made
+
+RATE, COUNT, CHUNK = 100.0, 60, 10
+GAP_S = 5.0
+
+
+def _stream(number: int, name: str, stamps: np.ndarray, first: float, kind: str = "ECG") -> bytes:
+    """One whose values are counted from `first`, in chunks."""
+    values = (first + np.arange(len(stamps), dtype=np.float32))[:, np.newaxis]
+    chunks = [
+        made.samples(
+            number, "float32", values[at : at + CHUNK].tolist(), list(stamps[at : at + CHUNK])
+        )
+        for at in range(0, len(values), CHUNK)
+    ]
+    header = made.stream_header(number, name, kind=kind, rate=RATE, source_id=f"{name}{number}")
+    return header + b"".join(chunks)
+
+
+def _stamps(gap_at: int | None = None, step_s: float = GAP_S) -> np.ndarray:
+    stamps = BEGIN_S + np.arange(COUNT) / RATE
+    if gap_at is not None:
+        stamps[gap_at:] += step_s
+    return stamps
+
+
+def _kubios(outcome: Outcome) -> dict[str, list[float]]:
+    (written,) = (each for each in outcome.written if each.format == "kubios")
+    return {
+        path.name: [float(each) for each in path.read_text().split()]
+        for path in written.path.iterdir()
+    }
+
+
+def _edf(outcome: Outcome) -> dict[str, list[float]]:
+    (written,) = (each for each in outcome.written if each.format == "edf")
+    return {
+        path.name: np.round(read_bdf(path).signals[0].data).tolist()
+        for path in written.path.iterdir()
+    }
+
+
+@pytest.mark.parametrize("step_s", [GAP_S, -GAP_S])
+@pytest.mark.parametrize("gap_at", [1, 9, 10, 19, 20, 21, 40, 59])
+def test_a_gap_may_be_at_the_begin_of_a_batch(
+    gap_at: int, step_s: float, exported: Exporting, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(batches, "BATCH", 2 * CHUNK)
+    content = made.xdf(_stream(1, "a", _stamps(gap_at, step_s), 0))
+    values = np.arange(COUNT, dtype=float).tolist()
+    runs = {"a_run1": values[:gap_at], "a_run2": values[gap_at:]}
+    outcome = exported(content, "edf", "kubios")
+    assert _kubios(outcome) == {f"{name}.txt": told for name, told in runs.items()}
+    # A record may be filled up behind the last sample.
+    written = {name: told[: len(runs[Path(name).stem])] for name, told in _edf(outcome).items()}
+    assert written == {f"{name}.bdf": told for name, told in runs.items()}
+
+
+def test_the_samples_of_two_streams_of_one_name_stay_apart(exported: Exporting) -> None:
+    content = made.xdf(
+        _stream(1, "ECG", _stamps(20), 0),
+        _stream(2, "ECG", _stamps(), 1000),
+        _stream(3, "ecg_RUN1", _stamps(), 2000),
+        _stream(4, "ECG_2", _stamps(30), 3000),
+    )
+    values = np.arange(COUNT, dtype=float)
+    expected = {
+        "ECG_run1": values[:20],
+        "ECG_run2": values[20:],
+        "ECG_2": values + 1000,
+        "ecg_RUN1_2": values + 2000,
+        "ECG_2_2_run1": values[:30] + 3000,
+        "ECG_2_2_run2": values[30:] + 3000,
+    }
+    outcome = exported(content, "edf", "kubios")
+    assert _kubios(outcome) == {f"{name}.txt": told.tolist() for name, told in expected.items()}
+    assert {Path(each).stem for each in _edf(outcome)} == expected.keys()
