@@ -22,6 +22,7 @@ from biosensor_gateway.recording.export.markers import markers
 from biosensor_gateway.recording.export.names import file_names
 from biosensor_gateway.recording.export.numbers import numbers
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
+from biosensor_gateway.recording.xdf.measuring import longest_step_s
 
 CODES = "markers.csv"
 """What the numbers of markers mean."""
@@ -76,7 +77,7 @@ def _write_stream(
     chosen: Chosen, order: Order, stream: Stream, happened: NDArray[np.float64], path: Path
 ) -> Iterator[str]:
     unit = stream.meaning.units[0]
-    without = together = 0
+    without = together = written = late = 0
     place, begin_s = 0, None
     with path.open("xb") as file:
         for samples in batches(chosen, stream):
@@ -90,7 +91,10 @@ def _write_stream(
                 begin_s = float(times[0])
                 place = int(np.searchsorted(happened[:, 0], begin_s))
             end = int(np.searchsorted(happened[:, 0], float(times[-1]), side="right"))
-            codes, lost = _at_samples(happened[place : max(place, end)], times)
+            here = happened[place : max(place, end)]
+            codes, lost = _at_samples(here, times)
+            late += _late(here, times, stream)
+            written += max(0, end - place)
             place, together = max(place, end), together + lost
             told = on_clock(chosen, order.clock, times)
             rows = zip(numbers(told), numbers(values), numbers(codes), strict=True)
@@ -103,11 +107,27 @@ def _write_stream(
         yield f"{stream.header.name}: its unit is {unit!r}, and Ledalab takes it for microsiemens"
     if without:
         yield f"{stream.header.name}: {without} samples have no value and are left out"
+    if outside := len(happened) - written:
+        yield (
+            f"{stream.header.name}: {outside} of the markers came before its first or after "
+            "its last sample, and are left out"
+        )
+    if late:
+        yield (
+            f"{stream.header.name}: {late} of the markers fell where samples are missing, and "
+            "stand at the next one"
+        )
     if together:
         yield (
             f"{stream.header.name}: {together} markers fall on a sample that has one already, "
             "and are left out"
         )
+
+
+def _late(happened: NDArray[np.float64], times: NDArray[np.float64], stream: Stream) -> int:
+    """Count the markers whose sample is later than the next one may be."""
+    places = np.minimum(np.searchsorted(times, happened[:, 0]), len(times) - 1)
+    return int(np.count_nonzero(times[places] - happened[:, 0] > longest_step_s(stream.header)))
 
 
 def _at_samples(

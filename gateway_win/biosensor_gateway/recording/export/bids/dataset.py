@@ -18,14 +18,11 @@ from biosensor_gateway.recording.export.bids.file_names import (
 )
 from biosensor_gateway.recording.export.bids.happening import Happening, happenings, is_left_out
 from biosensor_gateway.recording.export.bids.signals import BEHAVIOUR, Place, SignalWriter
-from biosensor_gateway.recording.export.bids.subjects import (
-    UNKNOWN,
-    find_subjects,
-    is_markers,
-)
+from biosensor_gateway.recording.export.bids.subjects import UNKNOWN, find_subjects
 from biosensor_gateway.recording.export.bids.tables import write_json
 from biosensor_gateway.recording.export.bids.timeline import timeline
 from biosensor_gateway.recording.export.exporter import Order, Progress, SampleCount
+from biosensor_gateway.recording.export.markers import is_markers
 from biosensor_gateway.recording.labrecorder.file_name import BidsLabels
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 

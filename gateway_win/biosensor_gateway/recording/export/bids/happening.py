@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -14,8 +14,8 @@ from biosensor_common.naming import AGENT, NODE
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.contents.wall_clock import EVENTS
 from biosensor_gateway.recording.export.bids.timeline import Timeline
+from biosensor_gateway.recording.export.markers import MARKERS, texts
 
-MARKERS = "markers"
 _LONGEST_NAME = 100
 # A marker that was told later is at most an hour late.
 _MOST_APART_S = 2 * 3600.0
@@ -78,8 +78,8 @@ def happenings(stream: Stream, samples: Samples, timeline: Timeline) -> Iterator
     kind = stream.header.data_name if identity is not None and identity.sensor == AGENT else ""
     onsets = timeline.since_zero(samples.times).tolist()
     for place, onset_s in enumerate(onsets):
-        texts = _texts(samples.values[place])
-        whole = texts[0] if len(texts) == 1 else json.dumps(texts, ensure_ascii=False)
+        told = texts(samples.values[place])
+        whole = told[0] if len(told) == 1 else json.dumps(told, ensure_ascii=False)
         happening = Happening(onset_s, "", whole)
         if kind:
             content = _content(happening.text)
@@ -88,7 +88,7 @@ def happenings(stream: Stream, samples: Samples, timeline: Timeline) -> Iterator
             _tell(happening, content)
             happening.onset_s = _told_onset(samples, place, content, timeline, onset_s)
         elif len(whole) <= _LONGEST_NAME:
-            happening.name = ", ".join(texts)
+            happening.name = ", ".join(told)
         yield happening
 
 
@@ -110,11 +110,6 @@ def _told_onset(
     if abs(told - stamp_s) > _MOST_APART_S:
         return onset_s
     return float(timeline.since_zero(np.array([time_s - stamp_s + told]))[0])
-
-
-def _texts(values: Iterable[str | np.generic]) -> list[str]:
-    """Return all channels of a sample, as texts."""
-    return [each if isinstance(each, str) else str(each.item()) for each in values]
 
 
 def _content(text: str) -> Mapping[str, Any]:

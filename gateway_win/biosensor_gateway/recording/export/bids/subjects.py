@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from biosensor_common.quantities import ChannelFormat, ContentType
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export.bids.file_names import labels
+from biosensor_gateway.recording.export.markers import is_markers
 
 UNKNOWN = "unknown"
 """Label of who was recorded, where nothing tells it."""
@@ -81,11 +81,3 @@ def find_subjects(chosen: Chosen, streams: Sequence[Stream], named: str) -> Subj
 def _people(streams: Sequence[Stream]) -> list[str]:
     named = [participant(each) for each in streams]
     return list(dict.fromkeys(each for each in named if each))
-
-
-def is_markers(stream: Stream) -> bool:
-    """Whether a stream tells what happened rather than what was measured."""
-    header = stream.header
-    is_text = header.format is ChannelFormat.STRING
-    kind = header.content_type.lower()
-    return is_text or (not header.is_regular and kind == ContentType.MARKERS.lower())

@@ -51,12 +51,14 @@ def _placed(
     told: Sequence[tuple[float, bytes]], records: int, record_s: float, start_s: float, room: int
 ) -> list[bytes] | None:
     """Return what stands in each record; None if there is not enough room for all."""
-    waiting = deque(told)
+    waiting, end_s = deque(told), records * record_s
     found: list[bytes] = []
     for number in range(records):
         is_last = number == records - 1
         content = _time(number * record_s + start_s) + b"\x14\x14\x00"
-        while waiting and (is_last or waiting[0][0] < (number + 1) * record_s):
+        until_s = (number + 1) * record_s
+        # What is after the file's end may stand anywhere, and shall not all stand in the last.
+        while waiting and (is_last or waiting[0][0] < until_s or waiting[0][0] >= end_s):
             if len(content) + len(waiting[0][1]) > room:
                 break
             content += waiting.popleft()[1]

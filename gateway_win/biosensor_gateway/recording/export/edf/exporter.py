@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,16 +9,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_common.quantities import ChannelFormat
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export.edf.annotations import Annotation, annotation_records
+from biosensor_gateway.recording.export.edf.happened import Span, dealt
 from biosensor_gateway.recording.export.edf.header import Facts, header
 from biosensor_gateway.recording.export.edf.holes import Holes
 from biosensor_gateway.recording.export.edf.layout import RATES_HZ, Channel, channel, layout
 from biosensor_gateway.recording.export.edf.records import digital, records
 from biosensor_gateway.recording.export.exporter import Clock, Order, Progress, SampleCount
-from biosensor_gateway.recording.export.markers import markers
+from biosensor_gateway.recording.export.markers import is_markers, markers
 from biosensor_gateway.recording.export.names import FileNames, unique
 from biosensor_gateway.recording.export.runs import MOST_RUNS, Run, find_runs, pieces
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
@@ -53,7 +52,7 @@ class Edf:
         job = _Job(chosen, order.clock, SampleCount(chosen, progress), sorted(markers(chosen)))
         irregular, names = 0, FileNames()
         for stream in chosen.streams:
-            if stream.header.format is ChannelFormat.STRING:
+            if is_markers(stream):
                 continue
             if not stream.header.is_regular:
                 irregular += 1
@@ -87,15 +86,53 @@ def _write_stream(job: _Job, stream: Stream, folder: Path, names: FileNames) -> 
     files = [folder / f"{each}.bdf" for each in names.of(stream, len(runs))]
     left_out: set[str] = set()
     given = _Given(job.chosen, stream)
-    for number, (run, file) in enumerate(zip(runs, files, strict=True)):
+    kept: list[tuple[int, Run, list[Channel]]] = []
+    for number, run in enumerate(runs):
         channels, without = _channels(stream, run)
         left_out |= set(without)
-        if channels:
-            _write_run(job, stream, run, channels, holes.found[number], given.of(number), file)
+        if channels and _has_rate(job, stream, run):
+            kept.append((number, run, channels))
+    happened = _dealt(job, stream, [run for _, run, _ in kept])
+    for (number, run, channels), dealt_out in zip(kept, happened, strict=True):
+        told = sorted([*dealt_out, *holes.found[number]])
+        _write_run(job, stream, run, channels, told, given.of(number), files[number])
         job.count.add(run.count)
     if left_out:
         labels = ", ".join(sorted(left_out))
         job.notes.append(f"{name}: without {labels}, whose values are beyond what EDF can hold")
+
+
+def _has_rate(job: _Job, stream: Stream, run: Run) -> bool:
+    """Whether EDF can hold the rate of a run."""
+    rate_hz = run.rate_hz(stream.header.rate)
+    if RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
+        return True
+    job.notes.append(f"{stream.header.name}: a run of {rate_hz:g} Hz left out")
+    return False
+
+
+def _dealt(job: _Job, stream: Stream, runs: Sequence[Run]) -> list[list[Annotation]]:
+    """Return what happened, as it stands in the file of each run."""
+    if not runs:
+        return []
+    spans = [Span(run.begin_s, run.begin_s + _length_s(stream, run)) for run in runs]
+    found, outside = dealt(job.happened, spans)
+    if outside:
+        job.notes.append(
+            f"{stream.header.name}: {outside} of the markers came outside of its samples; they "
+            "are annotations of the file before, or of the first, at times that it does not cover"
+        )
+    return [
+        [Annotation(time_s - run.begin_s, 0.0, text) for time_s, text in each]
+        for each, run in zip(found, runs, strict=True)
+    ]
+
+
+def _length_s(stream: Stream, run: Run) -> float:
+    """Return how long the file of a run is, with what fills it up."""
+    rate_hz = run.rate_hz(stream.header.rate)
+    plan = layout(run.count, rate_hz)
+    return plan.samples * plan.records / rate_hz
 
 
 class _Given:
@@ -136,17 +173,14 @@ def _write_run(
     stream: Stream,
     run: Run,
     channels: Sequence[Channel],
-    holes: Sequence[Annotation],
+    happened: Sequence[Annotation],
     values: Iterator[NDArray[np.generic]],
     path: Path,
 ) -> None:
     rate_hz = run.rate_hz(stream.header.rate)
-    if not RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
-        job.notes.append(f"{stream.header.name}: a run of {rate_hz:g} Hz left out")
-        return
     plan = layout(run.count, rate_hz)
     facts = _facts(job, stream, run)
-    told = sorted([*_told(job, run, plan.samples * plan.records / rate_hz, rate_hz), *holes])
+    told = sorted([*_of_file(run, _length_s(stream, run), rate_hz), *happened])
     texts, room = annotation_records(told, plan.records, plan.record_s, facts.start_s)
     with path.open("xb") as file:
         file.write(header(channels, plan, facts, room))
@@ -164,14 +198,9 @@ def _facts(job: _Job, stream: Stream, run: Run) -> Facts:
     return Facts(participant, equipment, begun_ns)
 
 
-def _told(job: _Job, run: Run, length_s: float, rate_hz: float) -> Iterator[Annotation]:
-    """Give what happened in a run, and what must be known of its file."""
+def _of_file(run: Run, length_s: float, rate_hz: float) -> Iterator[Annotation]:
+    """Give what must be known of the file of a run."""
     yield Annotation(0.0, 0.0, f"LSL time {run.begin_s:.6f} s")
-    first = bisect_left(job.happened, (run.begin_s, ""))
-    for time_s, text in job.happened[first:]:
-        if time_s >= run.begin_s + length_s:
-            break
-        yield Annotation(time_s - run.begin_s, 0.0, text)
     end_s = run.count / rate_hz
     if length_s - end_s > 0.5 / rate_hz:
         yield Annotation(end_s, length_s - end_s, "end of data, the rest is filled up")
