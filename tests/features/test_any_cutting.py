@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -106,3 +107,45 @@ def test_a_break_in_the_stamps_is_a_gap(place: int, length_s: float) -> None:
         if event.feature == "beats" and place < len(values) and not math.isnan(event.values[0]):
             before = event.stamp - event.values[0]
             assert not before < stamps[place] <= event.stamp
+
+
+@pytest.mark.parametrize("kind", SIGNALS)
+@given(cuts=CUTS, step_s=st.sampled_from([200_000.0, 3.0, -3.0, -200_000.0]))
+@settings(max_examples=8, deadline=None)
+def test_stamps_that_step_back_silence_nothing(kind: str, cuts: list[int], step_s: float) -> None:
+    values, rate = SIGNALS[kind]
+    columns = values.reshape(len(values), -1)
+    stamps = 1000 + np.arange(len(values)) / (rate or 1.25)
+    middle = len(values) // 2
+    if step_s > 0:
+        # One sample alone is stamped wrongly.
+        stamps[middle] += step_s
+    else:
+        stamps[middle:] += step_s
+    runs = new_runs(kind, rate, foreign=False)
+    bounds = sorted({0, *(each for each in cuts if each < len(values)), len(values)})
+    events: list[Event] = []
+    for begin, end in itertools.pairwise(bounds):
+        events += runs.take(stamps[begin:end], columns[begin:end])
+    alone = new_runs(kind, rate, foreign=False)
+    expected = alone.take(stamps[:middle], columns[:middle])
+    own = new_runs(kind, rate, foreign=False)
+    rest = slice(middle + (step_s > 0), None)
+    if step_s > 0:
+        expected += new_runs(kind, rate, foreign=False).take(
+            stamps[middle : middle + 1], columns[middle : middle + 1]
+        )
+    expected += own.take(stamps[rest], columns[rest])
+    assert runs.steps_back == 1
+    assert runs.left_out == 0
+    if rate:
+        assert _bits(events) == _bits(expected)
+    assert len(events) > LEAST[kind] / 2
+
+
+def test_a_late_sample_is_left_out_and_counted() -> None:
+    runs = new_runs("Accelerometer", 50.0, foreign=True)
+    stamps = np.array([10.0, 10.02, 10.01, 10.04, np.nan, 10.06])
+    runs.take(stamps, np.ones((6, 3)))
+    runs.take(np.array([9.5]), np.ones((1, 3)))
+    assert (runs.left_out, runs.steps_back) == (3, 0)

@@ -72,10 +72,11 @@ def compute_recording(file: Path, output: Path | None, *, print_json: bool) -> N
             "written": str(computed.written),
             "streams": computed.counts,
             "refused": computed.refused,
+            "remarks": computed.remarks,
         }
         typer.echo(json.dumps(content, indent=2))
         return
-    for sentence in computed.refused:
+    for sentence in (*computed.refused, *computed.remarks):
         say(printable(sentence))
     for name, count in computed.counts.items():
         say(printable(f"{name}: {count} samples"))

@@ -71,6 +71,7 @@ class Link:
         self._is_here = info.hostname() == socket.gethostname()
         self._correction: _Correction | None = None
         self._computer = source.new_computer()
+        self._told = 0
         self._held: deque[Sequence[Event]] = deque(maxlen=_MOST_HELD)
 
     @property
@@ -108,6 +109,13 @@ class Link:
         while self._held and seconds is not None:
             known.append((self._held.popleft(), seconds))
         return known
+
+    def remark(self) -> str:
+        """Say what is wrong with its stamps, at first and whenever it is twice as much."""
+        if self._computer.left_out <= self._told:
+            return ""
+        self._told = 2 * self._computer.left_out
+        return self._computer.remark()
 
     def close(self) -> None:
         """Close the inlet; one that is being opened closes by itself."""

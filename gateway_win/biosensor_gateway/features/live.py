@@ -44,7 +44,7 @@ class Told(Protocol):
         ...
 
     def refused(self, sentence: str) -> None:
-        """Nothing is computed of a stream."""
+        """Nothing is computed of a stream, or of some of its samples."""
         ...
 
 
@@ -108,6 +108,10 @@ class _Stage:
             self._sender = self._sender or Sender(self.source)
             for events, seconds in known:
                 self._sender.send(events, seconds)
+
+    def remark(self) -> str:
+        """See `Link`."""
+        return self._link.remark()
 
     def close(self) -> None:
         """Close the inlet."""
@@ -192,6 +196,8 @@ class Live:
                 self._give_up(key)
             if stage.has_begun and not had_begun:
                 self._told.found(stage.source)
+            if remark := stage.remark():
+                self._told.refused(remark)
 
     def _lose(self, key: str, stage: _Stage) -> None:
         """Look for the stream again, whatever outlet it has then."""

@@ -36,11 +36,14 @@ class Computed:
         Samples of each stream of a feature, by its LSL name.
     refused
         Why nothing was computed of a stream that looked as if it could be; sentences.
+    remarks
+        What was wrong with the stamps of others; sentences.
     """
 
     written: Path
     counts: dict[str, int]
     refused: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
 
 
 def compute(path: Path, target: Path) -> Computed:
@@ -67,14 +70,15 @@ def compute(path: Path, target: Path) -> Computed:
         try:
             with new_file(target, like=path) as file:
                 write = _write_csv if target.suffix == ".csv" else _write_xdf
-                counts = write(file, pairs, contents.begun)
+                remarks: list[str] = []
+                counts = write(file, pairs, contents.begun, remarks)
         except FileExistsError as error:
             message = f"{target} exists and is not overwritten; give another name with --output"
             raise FeatureError(FeatureReason.EXISTS, message) from error
         except OSError as error:
             message = f"cannot write {target}: {error.strerror or error}"
             raise FeatureError(FeatureReason.UNWRITABLE, message) from error
-        return Computed(target, counts, tuple(refused))
+        return Computed(target, counts, tuple(refused), tuple(remarks))
 
 
 _Pairs = Sequence[tuple[Stream, Source]]
@@ -97,10 +101,14 @@ def _sources(streams: Sequence[Stream]) -> tuple[_Pairs, list[str]]:
     return [(by_header[id(each.header)], each) for each in choose(found, set())], refused
 
 
-def _computed(stream: Stream, source: Source) -> Iterator[tuple[Samples, list[Event]]]:
+def _computed(
+    stream: Stream, source: Source, remarks: list[str]
+) -> Iterator[tuple[Samples, list[Event]]]:
     computer = source.new_computer()
     for samples in stream.blocks():
         yield samples, computer.take(samples.stamps, samples.values)
+    if remark := computer.remark():
+        remarks.append(remark)
 
 
 class _Written:
@@ -123,7 +131,7 @@ class _Written:
         return writing.samples(self.number, self._feature.stream.format, stamps, values)
 
 
-def _write_xdf(file: BinaryIO, pairs: _Pairs, begun: str) -> dict[str, int]:
+def _write_xdf(file: BinaryIO, pairs: _Pairs, begun: str, remarks: list[str]) -> dict[str, int]:
     writing.begin(file, begun, ())
     counts: dict[str, int] = {}
     number = 0
@@ -138,7 +146,7 @@ def _write_xdf(file: BinaryIO, pairs: _Pairs, begun: str) -> dict[str, int]:
             written.append(_Written(number, stream, feature))
             for taken_at, offset in stream.clock_offsets:
                 file.write(writing.clock_offset(number, taken_at, offset))
-        for _, events in _computed(stream, source):
+        for _, events in _computed(stream, source, remarks):
             file.writelines(each.chunk(events) for each in written)
         for name, each in zip(names, written, strict=True):
             file.write(writing.boundary() + writing.footer(each.number, each))
@@ -146,7 +154,7 @@ def _write_xdf(file: BinaryIO, pairs: _Pairs, begun: str) -> dict[str, int]:
     return counts
 
 
-def _write_csv(file: BinaryIO, pairs: _Pairs, _begun: str) -> dict[str, int]:
+def _write_csv(file: BinaryIO, pairs: _Pairs, _begun: str, remarks: list[str]) -> dict[str, int]:
     text = io.TextIOWrapper(file, "utf-8", newline="", write_through=True)
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["time_s", "stream", "channel", "unit", "value"])
@@ -155,7 +163,7 @@ def _write_csv(file: BinaryIO, pairs: _Pairs, _begun: str) -> dict[str, int]:
         known = {each.name: each for each in source.features}
         names = {name: stream_info(source, each).name() for name, each in known.items()}
         counts |= dict.fromkeys(names.values(), 0)
-        for samples, events in _computed(stream, source):
+        for samples, events in _computed(stream, source, remarks):
             to_recorder = _clock(stream, samples)
             for event in events:
                 name = names[event.feature]

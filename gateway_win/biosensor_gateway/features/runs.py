@@ -52,8 +52,10 @@ class Runs:
     """Gives each run of a stream a stage of its own, so that nothing is bridged.
 
     A run ends where a value is no number (or as large as none can be), a stamp does not follow the
-    one before it, or, in a regular stream, is further away than neighbours are. Samples of the
-    first two kinds are left out. What a stage had not decided by then is not decided.
+    ones before it, or, in a regular stream, is further away than neighbours are. Samples of the
+    first two kinds are left out, but where stamps step back by more than `STEP_BACK_S` a run
+    begins: the ones before were wrong, or the clock was set back. What a stage had not decided by
+    then is not decided.
 
     Parameters
     ----------
@@ -63,6 +65,13 @@ class Runs:
         Nominal, in Hz; 0 for an irregular stream, which has no gaps.
     foreign
         Whether stamps are another program's and may jitter.
+
+    Attributes
+    ----------
+    left_out
+        Samples so far whose stamps are no numbers or do not follow the ones before.
+    steps_back
+        How often stamps stepped back so far that a run began.
     """
 
     def __init__(self, make: Callable[[], Stage], rate: float, *, foreign: bool = False) -> None:
@@ -71,17 +80,22 @@ class Runs:
         self._longest_step = max(at.GAP_PERIODS / rate, jitter) if rate > 0 else np.inf
         self._stage: Stage | None = None
         self._last = -np.inf
+        self.left_out = self.steps_back = 0
 
     def take(self, stamps: Array, values: Array) -> list[Event]:
         """Take samples in, cut anyhow; shapes (n,) and (n, n_channels)."""
         events: list[Event] = []
         if not len(stamps):
             return events
-        latest = np.fmax.accumulate(np.concatenate([[self._last], stamps]))[:-1]
+        latest, steps_back = self._latest_before(stamps)
         with np.errstate(invalid="ignore"):
             is_value = (np.abs(values) <= at.LARGEST_VALUE).all(axis=1)
-            is_good = is_value & np.isfinite(stamps) & (stamps > latest)
+            follows = np.isfinite(stamps) & (stamps > latest)
+            is_good = is_value & follows
             begins = is_good & (stamps - latest > self._longest_step)
+        begins[steps_back] = is_good[steps_back]
+        self.left_out += int(np.count_nonzero(~follows))
+        self.steps_back += len(steps_back)
         cuts = np.flatnonzero(begins | (is_good != np.roll(is_good, 1)))
         bounds = sorted({0, *cuts.tolist(), len(stamps)})
         for begin, end in pairwise(bounds):
@@ -92,6 +106,21 @@ class Runs:
                 events += self._stage.take(stamps[begin:end], values[begin:end])
         self._last = float(np.fmax(latest[-1], stamps[-1]))
         return events
+
+    def _latest_before(self, stamps: Array) -> tuple[Array, list[int]]:
+        """Return the latest stamp before each since stamps stepped back, and where they did."""
+        latest = np.fmax.accumulate(np.concatenate([[self._last], stamps]))[:-1]
+        steps_back: list[int] = []
+        while True:
+            begin = steps_back[-1] + 1 if steps_back else 0
+            with np.errstate(invalid="ignore"):
+                found = np.flatnonzero(stamps[begin:] < latest[begin:] - at.STEP_BACK_S)
+            if not len(found):
+                return latest, steps_back
+            place = begin + int(found[0])
+            steps_back.append(place)
+            latest[place] = -np.inf
+            latest[place + 1 :] = np.fmax.accumulate(stamps[place:])[:-1]
 
 
 class Hops:

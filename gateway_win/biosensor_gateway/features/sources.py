@@ -68,6 +68,7 @@ class Computer:
 
     def __init__(self, source: Source) -> None:
         header = source.header
+        self._name = source.name
         self._columns, self._scale = source.columns, source.scale
         self._wanted = {each.name for each in source.features}
         self._runs = new_runs(header.content_type, header.rate, foreign=header.foreign)
@@ -78,6 +79,21 @@ class Computer:
         taken = numbers[:, self._columns.start : self._columns.stop]
         events = self._runs.take(stamps, taken * self._scale)
         return [each for each in events if each.feature in self._wanted]
+
+    @property
+    def left_out(self) -> int:
+        """How many samples were left out for their stamps, and how often these stepped back."""
+        return self._runs.left_out + self._runs.steps_back
+
+    def remark(self) -> str:
+        """Say what was wrong with the stamps so far; empty if nothing was."""
+        parts: list[str] = []
+        if count := self._runs.steps_back:
+            parts.append(f"its stamps stepped back {_times(count)}, where everything began again")
+        if count := self._runs.left_out:
+            samples = "1 sample was" if count == 1 else f"{count} samples were"
+            parts.append(f"{samples} left out, for stamps that did not follow the ones before")
+        return f"{self._name}: {'; '.join(parts)}" if parts else ""
 
 
 def judge(name: str, source_id: str, header: StreamHeader) -> Source | None:
@@ -100,6 +116,10 @@ def judge(name: str, source_id: str, header: StreamHeader) -> Source | None:
     data_name = _ros_name(header.data_name)
     features = features_of(kind, data_name, header.units[columns.start])
     return Source(name, source_id, header, _identity(header), features, columns, scale)
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
 
 
 def _columns(header: StreamHeader) -> range:

@@ -40,6 +40,9 @@ HOP_S = 0.1
 GAP_PERIODS, FOREIGN_JITTER_S = 1.5, 0.1
 """As in the node and in ``xdf check``: two samples further apart are not neighbours."""
 
+STEP_BACK_S = 1.0
+"""Stamps that step back by more begin again; a sample that is late by less is left out."""
+
 LARGEST_VALUE = 1e12
 """No unit of a body's signal has larger ones, and their squares are still numbers."""
 
