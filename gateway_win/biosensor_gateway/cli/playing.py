@@ -8,6 +8,7 @@ import threading
 from collections.abc import Generator
 from contextlib import contextmanager
 
+import typer
 from rich.console import Console
 from rich.live import Live
 from rich.text import Text
@@ -33,21 +34,25 @@ async def play(wanted: Wanted, lsl: LslSettings) -> None:
         If the file cannot be read, or what is wanted is not in it.
     ReplayError
         If it is not played, see its reasons.
+    typer.Exit
+        With code 1, after all, if a stream was left out.
     """
     configure_lsl(lsl.overrides)
     stopping = threading.Event()
     work = asyncio.get_running_loop().run_in_executor(None, _play, wanted, stopping)
     try:
-        await asyncio.shield(work)
+        if not await asyncio.shield(work):
+            raise typer.Exit(1)
     except asyncio.CancelledError:
         stopping.set()
         await work
         raise
 
 
-def _play(wanted: Wanted, stopping: threading.Event) -> None:
+def _play(wanted: Wanted, stopping: threading.Event) -> bool:
+    """Play; return whether all streams that were wanted were."""
     with wrong_recording(), prepared(wanted, _ALLOWED_BY) as player:
-        for sentence in words.damaged(player.damages):
+        for sentence in (*words.damaged(player.damages), *words.left_out(player)):
             say(sentence)
         if not stopping.is_set():
             say(words.begun(wanted.file.name, player, wanted.order.speed))
@@ -55,6 +60,7 @@ def _play(wanted: Wanted, stopping: threading.Event) -> None:
                 player.run(stopping)
         for sentence in words.ended(player, was_stopped=stopping.is_set()):
             say(sentence)
+        return not player.left_out
 
 
 @contextmanager

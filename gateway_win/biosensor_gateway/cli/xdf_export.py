@@ -75,7 +75,7 @@ def export_recording(
     else:
         for sentence in printing.sentences(outcome):
             say(sentence)
-    if outcome.damages or outcome.without:
+    if not outcome.is_whole:
         raise typer.Exit(1)
 
 

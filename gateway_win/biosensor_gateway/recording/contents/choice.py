@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from fnmatch import fnmatchcase
 
@@ -68,6 +68,23 @@ class Chosen:
     def merged(self) -> Iterator[tuple[Stream, Samples]]:
         """Give chunks of samples of all streams in the order of time."""
         return merged(self.streams, self.begin_s, self.end_s)
+
+
+def on_one_clock(chosen: Chosen) -> tuple[Chosen, tuple[Stream, ...]]:
+    """Leave out streams whose stamps are on no LSL clock, so that nothing says when they were.
+
+    Where there are no others they stay, on their own clock.
+
+    Returns
+    -------
+    tuple
+        What stays, and the streams that were left out.
+    """
+    away = tuple(each for each in chosen.streams if each.clock_error)
+    timed = tuple(each for each in chosen.streams if not each.clock_error)
+    if not away or not any(each.sample_count for each in timed):
+        return chosen, ()
+    return replace(chosen, streams=timed), away
 
 
 def choose(contents: Contents, wish: Wish) -> Chosen:

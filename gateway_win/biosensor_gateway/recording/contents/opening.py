@@ -28,8 +28,8 @@ class Contents:
         What could not be read; everything else can.
     begin_s, end_s
         Times of the first and the last sample on the recorder's LSL clock, in s; 0 where there
-        are none. What tells of a device may be older than the recording, and counts only if
-        there is nothing else.
+        are none. What tells of a device may be older than the recording, and stamps may be on no
+        LSL clock; such streams count only if there are no others.
     wall
         Time of day; None if nothing in the file tells it.
     """
@@ -69,11 +69,15 @@ def open_contents(path: Path) -> Generator[Contents]:
 def extent(streams: Sequence[Stream]) -> tuple[float, float]:
     """Return when the first and the last sample of some streams was recorded; 0 if there is none.
 
-    On the recorder's clock, in s. What devices had told of themselves long before counts only
-    where there is nothing else.
+    On the recorder's clock, in s. What devices had told of themselves long before, and what is
+    stamped on no LSL clock, counts only where there is nothing else.
     """
-    ends = [(each.header.may_be_older, found) for each in streams if (found := each.ends())]
-    bounds = [found for is_older, found in ends if not is_older] or [found for _, found in ends]
+    ends = [(_tells_when(each), found) for each in streams if (found := each.ends())]
+    bounds = [found for tells_when, found in ends if tells_when] or [found for _, found in ends]
     if not bounds:
         return 0.0, 0.0
     return min(first for first, _ in bounds), max(last for _, last in bounds)
+
+
+def _tells_when(stream: Stream) -> bool:
+    return not (stream.header.may_be_older or stream.clock_error)

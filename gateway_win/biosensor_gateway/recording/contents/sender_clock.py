@@ -5,7 +5,8 @@ own. A straight line through these offsets is what EEGLAB's and pyxdf's loaders 
 the `XDF specification <https://github.com/sccn/xdf/wiki/Specifications>`_ asks for. Here it is
 a robust one (Huber's weights, by iterated least squares), because a network that is busy for a
 moment makes single offsets wrong. Where the computer was started anew its clock begins anew:
-a line of its own follows.
+a line of its own follows. Stamps that are far from all measurements, such as unix time, get the
+offset and no drift.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ JUMP_S = 1.0
 """An offset that changes by more between two measurements belongs to a clock begun anew."""
 LEAST_FOR_DRIFT = 3
 """Fewer offsets say nothing about drift; their median holds for all times."""
+EXTRAPOLATED_S = 600.0
+"""So long before the first and after the last measurement the drift is taken to go on."""
 
 _ROUNDS = 20
 # Huber's: 95 % as efficient as least squares where errors are normal.
@@ -42,6 +45,22 @@ class _Line:
     middle: float
     offset: float
     slope: float
+
+    def offsets(self, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what to add to stamps; long before and after the run no drift is known."""
+        return self.offset + self.slope * (np.clip(stamps, *self._ends) - self.middle)
+
+    def stamps(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the stamps of times: what `offsets` makes of them added."""
+        stamps = self.middle + (times - self.middle - self.offset) / (1 + self.slope)
+        is_outside = stamps != np.clip(stamps, *self._ends)
+        if is_outside.any():
+            stamps[is_outside] = times[is_outside] - self.offsets(stamps[is_outside])
+        return stamps
+
+    @property
+    def _ends(self) -> tuple[float, float]:
+        return self.first - EXTRAPOLATED_S, self.last + EXTRAPOLATED_S
 
     def away(self, stamp: float) -> float:
         return max(self.first - stamp, stamp - self.last, 0.0)
@@ -87,7 +106,7 @@ class SenderClock:
             return stamps
         is_one = len(self._lines) == 1
         line = self._lines[0] if is_one else self._line(float(stamps[0]), offsets_before)
-        return stamps + (line.offset + line.slope * (stamps - line.middle))
+        return stamps + line.offsets(stamps)
 
     def to_sender(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the stream's own time of samples, in s: what :meth:`to_recorder` is given.
@@ -101,7 +120,7 @@ class SenderClock:
             return times
         first = float(times[0])
         line = min(self._lines, key=lambda each: each.away(first - each.offset))
-        return line.middle + (times - line.middle - line.offset) / (1 + line.slope)
+        return line.stamps(times)
 
     def _line(self, stamp: float, offsets_before: int) -> _Line:
         earlier = [line for line in self._lines if line.begin < offsets_before]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -15,6 +16,7 @@ from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_hea
 from biosensor_gateway.recording.contents.index import IndexedStream, Place
 from biosensor_gateway.recording.contents.sender_clock import SenderClock
 from biosensor_gateway.recording.xdf.header import RecordedHeader
+from biosensor_gateway.recording.xdf.measuring import clock_error
 from biosensor_gateway.recording.xdf.samples import Texts
 
 
@@ -112,6 +114,16 @@ class Stream:
             samples = Samples(times, block.stamps, block.values).picked(is_wanted)
             if len(samples):
                 yield samples
+
+    @cached_property
+    def clock_error(self) -> str:
+        """Why its stamps are on no LSL clock, as `xdf check` says it; empty if they are on one."""
+        stamps = self._indexed.end_stamps().ravel()
+        stamps = stamps[np.isfinite(stamps)]
+        if not len(stamps):
+            return ""
+        ends = (float(stamps.min()), float(stamps.max()))
+        return clock_error(self.header, self.clock_offsets, *ends)
 
     def _is_outside(self, place: Place, begin_s: float, end_s: float) -> bool:
         # Stamps in between may be outside of those of the ends, but not of a regular stream.

@@ -48,6 +48,12 @@ class Order:
     session: str = ""
 
 
+class Missing(str):
+    """A sentence of a format about a whole stream that is not in it, though it could be."""
+
+    __slots__ = ()
+
+
 class Exporter(Protocol):
     """A format."""
 
@@ -74,7 +80,7 @@ class Exporter(Protocol):
         Returns
         -------
         sequence of str
-            Sentences for the person: what the format could not take.
+            Sentences for the person: what the format could not take; `Missing` of a whole stream.
 
         Raises
         ------

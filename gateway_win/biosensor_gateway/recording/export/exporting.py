@@ -13,7 +13,7 @@ from pathlib import Path
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.recording.contents.choice import Chosen, Wish, choose
 from biosensor_gateway.recording.contents.opening import Contents, open_contents
-from biosensor_gateway.recording.export.exporter import Clock, Exporter, Order, Progress
+from biosensor_gateway.recording.export.exporter import Clock, Exporter, Missing, Order, Progress
 from biosensor_gateway.recording.export.formats import FORMATS, GROWTH, USUAL_GROWTH
 from biosensor_gateway.recording.xdf.container import Damage, RecordingError, RecordingReason
 from biosensor_gateway.system.new_place import new_place
@@ -64,6 +64,11 @@ class Written:
     size: int
     notes: tuple[str, ...]
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether all streams are in it that the format can hold."""
+        return not any(isinstance(each, Missing) for each in self.notes)
+
 
 @dataclass(frozen=True, slots=True)
 class NothingForIt:
@@ -101,6 +106,12 @@ class Outcome:
     damages: tuple[Damage, ...]
     clock_notes: tuple[str, ...]
     without: tuple[NothingForIt, ...] = ()
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all of the recording was written in all formats, as far as these can hold it."""
+        is_whole = all(each.is_whole for each in self.written)
+        return is_whole and not self.damages and not self.without
 
 
 def export(path: Path, task: Task, watch: Watch) -> Outcome:
@@ -188,6 +199,12 @@ def _clock_notes(chosen: Chosen, clock: Clock) -> Iterator[str]:
             f"the clock of {streams} was never measured ({', '.join(unmeasured[:3])}"
             f"{', ...' if len(unmeasured) > 3 else ''}): their stamps are as recorded"
         )
+    for each in chosen.streams:
+        if each.clock_error:
+            yield (
+                f"{each.header.name}: {each.clock_error}, so nothing says when it was against "
+                "the other streams"
+            )
 
 
 def _targets(

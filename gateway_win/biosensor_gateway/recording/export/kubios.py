@@ -17,7 +17,7 @@ from biosensor_common.quantities import ChannelFormat, ContentType, Unit
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export.batches import batches
-from biosensor_gateway.recording.export.exporter import Order, Progress, SampleCount
+from biosensor_gateway.recording.export.exporter import Missing, Order, Progress, SampleCount
 from biosensor_gateway.recording.export.names import FileNames
 from biosensor_gateway.recording.export.numbers import numbers
 from biosensor_gateway.recording.export.runs import MOST_RUNS, find_runs, pieces
@@ -65,7 +65,7 @@ def _is_of(stream: Stream, kind: ContentType) -> bool:
 def _write_intervals(chosen: Chosen, stream: Stream, path: Path) -> Iterator[str]:
     name, unit = stream.header.name, stream.meaning.units[0]
     if unit not in _IN_SECONDS:
-        yield f"{name}: left out, for its unit is {unit!r}, neither s nor ms"
+        yield Missing(f"{name}: left out, for its unit is {unit!r}, neither s nor ms")
         return
     left_out, missing_s, last_s = 0, 0.0, None
     with path.open("xb") as file:
@@ -95,7 +95,7 @@ def _write_ecg(chosen: Chosen, stream: Stream, folder: Path, names: FileNames) -
     name = stream.header.name
     runs = find_runs(chosen, stream)
     if len(runs) > MOST_RUNS:
-        yield f"{name}: left out, for it has more than {MOST_RUNS} gaps"
+        yield Missing(f"{name}: left out, for it has more than {MOST_RUNS} gaps")
         return
     files = [folder / f"{each}.txt" for each in names.of(stream, len(runs))]
     without = 0

@@ -17,7 +17,7 @@ import pylsl
 from numpy.typing import NDArray
 
 from biosensor_common.replay import Replay, recorded_source_id, replay_source_id
-from biosensor_gateway.recording.contents.choice import Chosen
+from biosensor_gateway.recording.contents.choice import Chosen, on_one_clock
 from biosensor_gateway.recording.contents.opening import extent
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.replay.errors import ReplayError, ReplayReason
@@ -92,6 +92,8 @@ class Player:
     ----------
     streams
         Those that are played, also such as hold nothing: a receiver may wait for them.
+    left_out
+        Those that are not played, for their stamps are on no LSL clock.
     lateness
         Of all samples that were sent.
 
@@ -102,6 +104,7 @@ class Player:
     """
 
     def __init__(self, chosen: Chosen, order: Order, file_hash: str) -> None:
+        chosen, self.left_out = on_one_clock(chosen)
         self._chosen, self._order = chosen, order
         self._file_hash = file_hash
         self.streams = chosen.streams

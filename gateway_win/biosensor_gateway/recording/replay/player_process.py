@@ -65,12 +65,12 @@ def _read_to_the_end(asked: FileIO, stopping: threading.Event) -> None:
 def _play(job: ReplayJob, stopping: threading.Event, teller: _Teller) -> list[str]:
     """Play to the end; return what is to be said of it."""
     with prepared(job.wanted, _ALLOWED_BY) as player:
-        damaged = list(words.damaged(player.damages))
+        known = [*words.damaged(player.damages), *words.left_out(player)]
         player.watch(teller.put)
-        with teller.following(player, damaged):
+        with teller.following(player, known):
             teller.tell(Told(progress=teller.progress, streams=played_streams(player, job.speed)))
             player.run(stopping)
-        return [*damaged, *words.ended(player, was_stopped=stopping.is_set())]
+        return [*known, *words.ended(player, was_stopped=stopping.is_set())]
 
 
 class _Teller:

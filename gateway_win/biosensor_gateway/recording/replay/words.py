@@ -28,6 +28,15 @@ def damaged(damages: Sequence[Damage]) -> Iterator[str]:
         yield f"warning: {len(damages) - _MOST_DAMAGES} more places cannot be read"
 
 
+def left_out(player: Player) -> Iterator[str]:
+    """Say which streams are not played, and why."""
+    for each in player.left_out:
+        yield (
+            f"warning: {each.header.name} is not played, for {each.clock_error}; --streams "
+            f"{each.header.name!r} plays it alone"
+        )
+
+
 def begun(file: str, player: Player, speed: float) -> str:
     """Say what is played."""
     progress = player.progress()

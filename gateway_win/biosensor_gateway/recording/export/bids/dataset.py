@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from biosensor_gateway.recording.contents.choice import Chosen
+from biosensor_gateway.recording.contents.choice import Chosen, on_one_clock
 from biosensor_gateway.recording.contents.merging import merged
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export.bids.describing import describe, sentences
@@ -21,7 +21,7 @@ from biosensor_gateway.recording.export.bids.signals import BEHAVIOUR, Place, Si
 from biosensor_gateway.recording.export.bids.subjects import UNKNOWN, find_subjects
 from biosensor_gateway.recording.export.bids.tables import write_json
 from biosensor_gateway.recording.export.bids.timeline import timeline
-from biosensor_gateway.recording.export.exporter import Order, Progress, SampleCount
+from biosensor_gateway.recording.export.exporter import Missing, Order, Progress, SampleCount
 from biosensor_gateway.recording.export.markers import is_markers
 from biosensor_gateway.recording.labrecorder.file_name import BidsLabels
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
@@ -50,6 +50,7 @@ class BidsDataset:
 
 class _Dataset:
     def __init__(self, chosen: Chosen, order: Order, root: Path, progress: Progress) -> None:
+        chosen, self._away = on_one_clock(chosen)
         self._chosen = chosen
         self._order = order
         self._root = root
@@ -80,7 +81,10 @@ class _Dataset:
             message = f"{path} holds nothing that BIDS has a place for"
             raise RecordingError(RecordingReason.EMPTY, message)
         describe(self._root, self._order.name, self._subjects, written)
-        return list(sentences(writer.remarks, self._subjects))
+        missing = [
+            Missing(f"{each.header.name}: left out, for {each.clock_error}") for each in self._away
+        ]
+        return [*missing, *sentences(writer.remarks, self._subjects)]
 
     def _places(self) -> dict[int, Place]:
         """Give each stream its place, by its number."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from biosensor_gateway.recording.export.bids.signals import Remarks
 from biosensor_gateway.recording.export.bids.subjects import SHARED, UNKNOWN, Subjects
 from biosensor_gateway.recording.export.bids.tables import write_json, write_rows, write_text
+from biosensor_gateway.recording.export.exporter import Missing
 
 BIDS_VERSION = "1.11.1"
 """The newest that the validator knows."""
@@ -83,7 +84,7 @@ def sentences(remarks: Remarks, subjects: Subjects) -> Iterator[str]:
     if remarks.without_samples:
         yield f"no samples, so no table: {_listed(remarks.without_samples)}"
     if remarks.without_table:
-        yield (
+        yield Missing(
             "stamps far from any rate, so no table of equal steps; "
             f"csv has them: {_listed(remarks.without_table)}"
         )

@@ -17,7 +17,7 @@ from biosensor_gateway.recording.export.edf.header import Facts, header
 from biosensor_gateway.recording.export.edf.holes import Holes
 from biosensor_gateway.recording.export.edf.layout import RATES_HZ, Channel, channel, layout
 from biosensor_gateway.recording.export.edf.records import digital, records
-from biosensor_gateway.recording.export.exporter import Clock, Order, Progress, SampleCount
+from biosensor_gateway.recording.export.exporter import Clock, Missing, Order, Progress, SampleCount
 from biosensor_gateway.recording.export.markers import is_markers, markers
 from biosensor_gateway.recording.export.names import FileNames, unique
 from biosensor_gateway.recording.export.runs import MOST_RUNS, Run, find_runs, pieces
@@ -73,7 +73,7 @@ class Edf:
 def _write_stream(job: _Job, stream: Stream, folder: Path, names: FileNames) -> None:
     name, runs = stream.header.name, find_runs(job.chosen, stream)
     if len(runs) > MOST_RUNS:
-        job.notes.append(f"{name}: left out, for it has more than {MOST_RUNS} gaps")
+        job.notes.append(Missing(f"{name}: left out, for it has more than {MOST_RUNS} gaps"))
         return
     if len(runs) > 1:
         job.notes.append(f"{name}: its gaps cut it into {len(runs)} files")

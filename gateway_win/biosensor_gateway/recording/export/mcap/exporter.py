@@ -18,7 +18,7 @@ from biosensor_gateway.recording.bag.recorded_streams import (
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.contents.wall_clock import WallClock
-from biosensor_gateway.recording.export.exporter import Order, Progress
+from biosensor_gateway.recording.export.exporter import Missing, Order, Progress
 from biosensor_gateway.recording.export.mcap.bag import Bag, new_bag
 from biosensor_gateway.recording.export.mcap.cdr import ENCAPSULATION, text
 from biosensor_gateway.recording.export.mcap.stream_topics import StreamTopics, names_of
@@ -121,7 +121,8 @@ class _Conversion:
         for stream in self._chosen.streams:
             topics, name = self._topics[stream.number], stream.header.name
             if missing := self._timeless.get(stream.number):
-                yield f"{missing} samples of {name} are not in it: their stamp is no time of day"
+                said = f"{missing} samples of {name} are not in it: their stamp is no time of day"
+                yield said if topics.written else Missing(said)
             if topics.unfit.count:
                 yield (
                     f"{topics.unfit.count} samples of {name} are on {topics.topics[0]} only: "
