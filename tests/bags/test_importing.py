@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from backports import zstd
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from typer.testing import CliRunner
 
@@ -234,6 +235,57 @@ def test_compressed_bags_are_read(tmp_path: Path, mode: CompressionMode) -> None
     import_bag(tmp_path / "a", tmp_path / "a.xdf")
     (stream,) = made.held(tmp_path / "a.xdf")
     assert np.asarray(stream.values)[:, 0].tolist() == list(range(100))
+
+
+def _counted(folder: Path, begin: int, end: int) -> Path:
+    """Return the only file of a bag of numbers from `begin` to before `end`."""
+    float64 = TYPES["std_msgs/msg/Float64"]
+    messages = [
+        ("/load", "std_msgs/msg/Float64", BEGIN_NS + number, float64(float(number)))
+        for number in range(begin, end)
+    ]
+    made.write_bag(folder, messages)
+    (file,) = folder.glob("*.mcap")
+    return file
+
+
+def _packed(file: Path, keeps: float = 1.0) -> bytes:
+    content = zstd.compress(file.read_bytes())
+    return content[: int(keeps * len(content))]
+
+
+def _split(folder: Path, *parts: bytes, packed: tuple[int, ...]) -> Path:
+    folder.mkdir()
+    for number, part in enumerate(parts):
+        suffix = ".mcap.zstd" if number in packed else ".mcap"
+        (folder / f"a_{number}{suffix}").write_bytes(part)
+    return folder
+
+
+def test_a_bag_may_be_packed_in_part(tmp_path: Path) -> None:
+    parts = [_counted(tmp_path / f"p{n}", 10 * n, 10 * n + 10) for n in range(3)]
+    contents = [_packed(parts[0]), parts[1].read_bytes(), _packed(parts[2])]
+    bag = _split(tmp_path / "a", *contents, packed=(0, 2))
+    # A recorder died while it packed this one.
+    (bag / "a_1.mcap.zstd").write_bytes(_packed(parts[1], 0.5))
+    imported = import_bag(bag, tmp_path / "a.xdf")
+    assert imported.damages == ()
+    (stream,) = made.held(tmp_path / "a.xdf")
+    assert np.asarray(stream.values)[:, 0].tolist() == list(range(30))
+    import_bag(bag / "a_2.mcap.zstd", tmp_path / "file.xdf")
+    (stream,) = made.held(tmp_path / "file.xdf")
+    assert np.asarray(stream.values)[:, 0].tolist() == list(range(20, 30))
+
+
+@pytest.mark.parametrize("content", [b"", b"nonsense", None])
+def test_of_a_packed_file_that_is_damaged_it_is_said(tmp_path: Path, content: bytes | None) -> None:
+    part = _counted(tmp_path / "part", 0, 10)
+    packed = _packed(part, 0.5) if content is None else content
+    bag = _split(tmp_path / "a", packed, part.read_bytes(), packed=(0,))
+    imported = import_bag(bag, tmp_path / "a.xdf")
+    assert any(each.startswith("a_0.mcap.zstd: ") for each in imported.damages)
+    ((_, count),) = imported.streams
+    assert count >= 10
 
 
 def _bag_file(folder: Path, count: int = 60_000) -> Path:

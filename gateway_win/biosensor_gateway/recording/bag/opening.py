@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from biosensor_gateway.recording.bag.errors import BagError, BagReason, MessageError
 from biosensor_gateway.recording.bag.mcap_file import read_mcap
 from biosensor_gateway.recording.bag.messages import Message, Note
 from biosensor_gateway.recording.bag.sqlite_file import read_sqlite
-from biosensor_gateway.recording.bag.unpacking import ZSTD_MAGIC, unpack_zstd
+from biosensor_gateway.recording.bag.unpacking import ZSTD_MAGIC, unpack_zstd, unpack_zstd_file
 
 _READERS: Mapping[str, Callable[[Path, Note], Iterator[Message]]] = {
     ".mcap": read_mcap,
     ".db3": read_sqlite,
 }
+_PACKED = ".zstd"
 _MOST_MESSAGE_BYTES = 1 << 28
 
 
@@ -32,18 +35,16 @@ def bag_files(path: Path) -> list[Path]:
     if not path.exists():
         raise BagError(BagReason.NOT_FOUND, f"there is no file or folder {path}")
     if not path.is_dir():
-        if path.suffix not in _READERS:
+        if _unpacked_path(path).suffix not in _READERS:
             message = f"{path} is no bag: that is a folder, or a file that ends in .mcap or .db3"
             raise BagError(BagReason.NOT_A_BAG, message)
         return [path]
-    files = [each for each in path.iterdir() if each.suffix in _READERS]
+    # A recorder that died while it packed a file has left both; the plain one comes last here.
+    found = {_unpacked_path(each): each for each in sorted(path.iterdir(), reverse=True)}
+    files = [each for plain, each in found.items() if plain.suffix in _READERS]
     if not files:
-        packed = any(each.suffix == ".zstd" for each in path.iterdir())
-        what = (
-            "whose files are compressed; unpack them by zstd" if packed else "without a bag's file"
-        )
-        raise BagError(BagReason.NOT_A_BAG, f"{path} is a folder {what}")
-    return sorted(files, key=_place)
+        raise BagError(BagReason.NOT_A_BAG, f"{path} is a folder without a bag's file")
+    return sorted(files, key=lambda each: _place(_unpacked_path(each)))
 
 
 def read_bag(path: Path, note: Note) -> Iterator[Message]:
@@ -61,14 +62,39 @@ def read_bag(path: Path, note: Note) -> Iterator[Message]:
     """
     for file in bag_files(path):
         try:
-            for message in _READERS[file.suffix](file, note):
-                if message.content.startswith(ZSTD_MAGIC):
-                    yield from _unpacked(message, note)
-                else:
-                    yield message
+            with _plain(file, note) as plain:
+                for message in _READERS[plain.suffix](plain, note):
+                    if message.content.startswith(ZSTD_MAGIC):
+                        yield from _unpacked(message, note)
+                    else:
+                        yield message
+        except BagError as error:
+            if file.suffix != _PACKED:
+                raise
+            # The reader knows the file that it was unpacked into alone.
+            note(f"{file.name}: nothing of it can be read ({error.reason.name.lower()})")
         except OSError as error:
             text = f"cannot read {file}: {error.strerror or error}"
             raise BagError(BagReason.UNREADABLE, text) from error
+
+
+def _unpacked_path(path: Path) -> Path:
+    return path.with_suffix("") if path.suffix == _PACKED else path
+
+
+@contextmanager
+def _plain(file: Path, note: Note) -> Generator[Path]:
+    """Give a file that can be read: itself, or what it holds packed, as far as that is whole."""
+    if file.suffix != _PACKED:
+        yield file
+        return
+    with TemporaryDirectory(prefix="biosensor-gateway-bag-") as folder:
+        plain = Path(folder, _unpacked_path(file).name)
+        try:
+            unpack_zstd_file(file, plain)
+        except MessageError as error:
+            note(f"{file.name}: {error}")
+        yield plain
 
 
 def _unpacked(message: Message, note: Note) -> Iterator[Message]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 from biosensor_gateway.recording.bag.errors import MessageError
@@ -23,6 +25,25 @@ def unpack_zstd(packed: bytes, most: int) -> bytes:
         return zstd.ZstdDecompressor().decompress(packed, max_length=most)
     except (zstd.ZstdError, EOFError, ValueError) as error:
         raise MessageError("it cannot be unpacked") from error
+
+
+def unpack_zstd_file(packed: Path, target: Path) -> None:
+    """Unpack a file of zstd into another one, piece by piece.
+
+    Raises
+    ------
+    MessageError
+        If it is none, or damaged; what came before is unpacked.
+    OSError
+        If one cannot be read or the other not be written.
+    """
+    zstd = _zstd()
+    with target.open("wb") as unpacked:
+        try:
+            with zstd.open(packed, "rb") as file:
+                shutil.copyfileobj(file, unpacked)
+        except (zstd.ZstdError, EOFError) as error:
+            raise MessageError("not all of it can be unpacked") from error
 
 
 def unpack_lz4(packed: bytes, most: int) -> bytes:
