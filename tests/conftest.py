@@ -14,11 +14,14 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.rigs.inherited_signals import let_programs_be_interrupted
 from tests.slots import lsl_ports, take_slot
 from tests.tiers.guard import GUARD
 from tests.tiers.tier import Tier, tier_of
 
-pytest_plugins = ["tests.time_spent.plugin", "tests.tiers.plugin"]
+pytest_plugins = ["tests.rigs.not_here", "tests.tiers.plugin", "tests.time_spent.plugin"]
+
+let_programs_be_interrupted()
 
 # How long an example takes says more of who else works on this machine.
 _ANY_TIME = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])

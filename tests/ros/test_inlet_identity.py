@@ -9,6 +9,7 @@ import pytest
 
 from biosensor_common.announcements import MAX_RATE_HZ, read_core
 from biosensor_common.errors import SpecError, SpecReason
+from biosensor_common.lsl.predicates import EVERYTHING, of_user
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
@@ -108,9 +109,9 @@ def test_a_query_is_answered_from_the_whole_description(open_inlet: Open) -> Non
     described.desc().append_child("biosensor-like").append_child_value("participant", "p01")
     source = Source(info=described)
     inlet = open_inlet(source.find())
-    assert inlet.matches("")
-    assert inlet.matches("type='EEG' and desc/biosensor-like/participant='p01'")
-    assert not inlet.matches("type='ECG'")
+    assert inlet.matches(EVERYTHING)
+    assert inlet.matches(of_user("type='EEG' and desc/biosensor-like/participant='p01'"))
+    assert not inlet.matches(of_user("type='ECG'"))
 
 
 @pytest.mark.parametrize(
