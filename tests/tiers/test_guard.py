@@ -108,7 +108,7 @@ async def test_loops_go_by_virtual_time() -> None:
     [
         ("def test_a() -> None: ...", {Tier.UNIT}),
         ("pytestmark = pytest.mark.nightly", {Tier.NIGHTLY}),
-        ("pytestmark = [\n    pytest.mark.skipif(1),\n    pytest.mark.system,\n]", {Tier.NIGHTLY}),
+        ("pytestmark = [\n    pytest.mark.skipif(1),\n    pytest.mark.nightly,\n]", {Tier.NIGHTLY}),
         ("@pytest.mark.seam\ndef test_a() -> None: ...", {Tier.UNIT, Tier.SEAMS}),
         ("pytestmark = pytest.mark.nightly\n@pytest.mark.seam\n", {Tier.SEAMS, Tier.NIGHTLY}),
     ],
