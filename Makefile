@@ -3,6 +3,7 @@
 # make check               style, types, imports, documents
 # make seams               each joint of real parts (root, tests/system/packages.txt)
 # make nightly             everything else, in parts that can be resumed: build/nightly.md
+# make faults [LONG=1]     every fault as long as in a lab
 # make fuzz [SECONDS=60 SEED=0]  every parser, with inputs that nobody thought of
 # make explore             every property, with new examples
 # make installer           the Windows installer, built under Wine
@@ -26,7 +27,7 @@ DOCS_SITE := NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
 # LSL session and a ROS domain of its own.
 SIDE_BY_SIDE := -n 3 --dist loadfile --no-loadscope-reorder
 
-.PHONY: demo test seams nightly explore fuzz installer check bench format docs docs-site changelog
+.PHONY: demo test seams nightly explore faults fuzz installer check bench format docs docs-site changelog
 .PHONY: pictures lock venv-ros venv-dev venv-peers
 
 demo: venv-ros
@@ -41,6 +42,10 @@ seams: venv-dev
 # Each property with examples of its own, other ones each time.
 explore: venv-dev
 	$(RUN) pytest --tier unit --hypothesis-profile=explore -n auto $(shell grep -rl --include='test_*.py' '@given' tests)
+
+# Each fault as long as in a lab, half an hour of steady streaming; LONG: twelve hours of it.
+faults: venv-dev
+	BIOSENSOR_GATEWAY_FAULTS=long $(if $(LONG),BIOSENSOR_GATEWAY_STEADY_S=43200) $(RUN) pytest --tier nightly tests/faults
 
 fuzz: venv-dev
 	$(RUN) tests.fuzz --seconds $(or $(SECONDS),60) --seed $(or $(SEED),0)

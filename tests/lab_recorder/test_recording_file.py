@@ -64,6 +64,7 @@ def test_headers_alone_are_no_recording(tmp_path: Path) -> None:
         assert wait_for_growth(Target(files=(path,)), {}, SHORT_S) is None
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("content", [b"", b"PK\3\4", HEAD + MORE])
 def test_a_file_that_stays_as_it_is_does_not_grow(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.xdf"
@@ -92,6 +93,7 @@ def test_what_is_not_there_does_not_grow(tmp_path: Path) -> None:
     assert not grows(tmp_path / "a.xdf", 0.0)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("content", "is_closed"),
     [
@@ -118,6 +120,7 @@ def test_a_recording_is_closed_once_all_its_streams_are(
     assert still.is_closed is is_closed
 
 
+@pytest.mark.nightly
 def test_what_goes_on_growing_is_not_closed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -329,6 +329,7 @@ def test_what_ros_fails_to_publish_is_counted_and_costs_nothing_else() -> None:
     assert len(bench.warnings) == 1
 
 
+@pytest.mark.nightly
 def test_what_waits_at_the_end_goes_out_in_order() -> None:
     pacer = Pacer(Pace(PER_MS), pytest.fail)
     sent, threads = list[int](), set[str]()
