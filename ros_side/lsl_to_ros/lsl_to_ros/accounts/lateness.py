@@ -11,8 +11,8 @@ from pathlib import Path
 FIRST_SAMPLE_TIMEOUT_S = 30.0
 MOST_TIMES = 3
 """So many times as long as asked it waits at most on a busy computer."""
-PATIENCE_S, BUSY_PATIENCE_S = 5.0, 20.0
-"""From one topic that comes late to the next."""
+PATIENCE_S, BUSY_PATIENCE_S = 5.0, 30.0
+"""From one topic that comes late to the next; an agent that was refused tries again within 30 s."""
 BUSY_SHARE = 0.5
 """Of the time in which this process was ready to run, it had to wait for a processor."""
 BUSY_LOAD = 3.0
