@@ -67,6 +67,8 @@ def test_what_does_not_come_on_a_busy_computer_is_late() -> None:
     assert code == EXIT_BUSY
     assert lines[-1] == "this computer is too busy: 2 topics have not come yet"
     assert not any("MISSING" in line for line in lines)
+    lines, _ = summary(waiting(is_busy=True, ecg=120.0, hr=121.0), ALL)
+    assert lines[-1] == "this computer is too busy: 1 topic has not come yet"
     # Nor is it missing where nothing has come at all.
     lines, code = summary(waiting(is_busy=True), ALL)
     assert (code, lines[-1]) == (

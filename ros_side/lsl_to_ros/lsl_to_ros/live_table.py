@@ -185,7 +185,8 @@ def summary(waiting: Waiting, reasons: Mapping[str, str]) -> tuple[Sequence[str]
     word = "not yet" if waiting.is_busy or waiting.is_cut_short else "MISSING"
     lines += [f"{topic}: {word}" for topic in outstanding]
     if waiting.is_busy and outstanding and not waiting.is_cut_short:
-        lines.append(f"this computer is too busy: {len(outstanding)} topics have not come yet")
+        late = "1 topic has" if len(outstanding) == 1 else f"{len(outstanding)} topics have"
+        lines.append(f"this computer is too busy: {late} not come yet")
     # Without a time to fill up in, nothing can be said to be missing.
     if waiting.asked_s is None or not outstanding:
         return lines, 0
