@@ -158,6 +158,11 @@ def _makes_predicates(module: ast.AST) -> bool:
     )
 
 
+def test_doctor_alone_looks_into_other_sessions() -> None:
+    using = [path.name for path, _ in _modules() if "IN_ANY_SESSION" in path.read_text("utf-8")]
+    assert using == ["survey.py"]
+
+
 def test_only_the_builder_makes_predicates() -> None:
     found = {
         str(path.relative_to(ROOT)): lines

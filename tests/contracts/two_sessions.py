@@ -19,7 +19,7 @@ from contextlib import suppress
 import pylsl
 
 from biosensor_common.doctor import probe, survey
-from biosensor_common.lsl.predicates import EVERYTHING
+from biosensor_common.lsl.predicates import EVERYTHING, IN_ANY_SESSION
 from biosensor_gateway.features.live import Live
 from biosensor_gateway.features.outputs import TYPES, feature_streams
 from biosensor_gateway.features.sources import Source
@@ -31,6 +31,7 @@ from biosensor_gateway.recording.replay.live import refuse_if_present
 from lsl_to_ros.lsl.discovery import Discovery
 
 WITHOUT_BRACKETS = "without brackets"
+ON_PURPOSE = "all sessions on purpose"
 LIMIT_S, LONGER_S, STEP_S = 60.0, 2.0, 0.1
 ENDINGS = ("ecg", "hr_live", "ecg_sqi")
 KINDS = (*TYPES, "GatewayCounters", "HR")
@@ -44,7 +45,8 @@ class _Watched(pylsl.ContinuousResolver):
 
     def __init__(self, *arguments: object, **options: object) -> None:
         super().__init__(*arguments, **options)  # type: ignore[arg-type]
-        self._case = threading.current_thread().name
+        is_for_all = options.get("pred") == IN_ANY_SESSION
+        self._case = threading.current_thread().name if not is_for_all else ON_PURPOSE
 
     def results(self) -> list[pylsl.StreamInfo]:
         infos = super().results()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import socket
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -17,7 +19,7 @@ from biosensor_common.doctor.surveyed_stream import SurveyedStream
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.doctor.context import Context
 from tests.doctor.conftest import above_ok, only
-from tests.doctor.outlets import Offered
+from tests.doctor.outlets import Offered, arguments, running
 
 if TYPE_CHECKING:
     from tests.doctor.conftest import Examine
@@ -75,6 +77,29 @@ def test_real_streams_with_real_mistakes(
     assert bad["without a source_id"].what.endswith(": empty")
     assert bad["with a source_id that pylsl made up"].what.endswith(": automatic")
     assert bad["of the format int64"].what.endswith(": whole")
+
+
+@pytest.mark.seam
+def test_a_source_id_is_in_another_session_too(
+    examine: Examine, context: Context, session: str, offer: Callable[..., None]
+) -> None:
+    offer(Offered("own", "same"), Offered("alone", "own-1"))
+    elsewhere = arguments(f"{session}-b", [Offered("theirs", "same"), Offered("other", "b-1")])
+    with running([sys.executable, *elsewhere], os.environ):
+        found = examine(context, "streams")
+    bad = only(found, "another LSL session")
+    assert bad.level is Level.ERROR
+    assert "has the source_id same, too: theirs on" in bad.what
+    assert f"in session '{session}-b'" in bad.what
+
+
+def test_each_source_id_of_another_session_is_an_error() -> None:
+    theirs = replace(GOOD, session="b", name="theirs")
+    found = list(stream_rules.judge_elsewhere([theirs, replace(theirs, source_id="id-2")]))
+    assert [each.level for each in found] == [Level.ERROR] * 2
+    assert found[0].what == (
+        "another LSL session has the source_id id-1, too: theirs on lab-pc in session 'b'"
+    )
 
 
 @pytest.mark.nightly

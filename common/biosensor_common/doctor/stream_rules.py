@@ -85,6 +85,18 @@ def _source_ids(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
         )
 
 
+def judge_elsewhere(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
+    """Judge streams of other sessions that have a source_id of the own one."""
+    for source_id, same in _grouped(streams, lambda each: each.source_id).items():
+        where = listed(sorted(f"{e.name} on {e.host} in session {e.session!r}" for e in same))
+        yield error(
+            f"another LSL session has the source_id {source_id}, too: {where}",
+            "LabRecorder and other programs that lose this stream go on with that one, whatever "
+            "its session: another person's data would follow in the same recording.",
+            "end the program there, or correct unit, label or participant of its device",
+        )
+
+
 def _empty_ids(streams: Sequence[SurveyedStream]) -> Iterator[Finding]:
     found = [each.name for each in streams if not each.source_id]
     if found:

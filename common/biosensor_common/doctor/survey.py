@@ -17,7 +17,7 @@ from biosensor_common.description_xml import read_xml
 from biosensor_common.doctor.surveyed_stream import SurveyedStream
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl.inlets import unopened_inlet
-from biosensor_common.lsl.predicates import equals
+from biosensor_common.lsl.predicates import IN_ANY_SESSION, equals
 
 MAX_EXAMINED = 256
 """So many streams are listened to; all are listed."""
@@ -51,10 +51,12 @@ def survey(search_s: float, listen_s: float, limit_s: float) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``streams``, each as a `SurveyedStream`.
+        ``streams``, each as a `SurveyedStream`, and ``elsewhere``: those of other sessions that
+        have a source_id of these.
     """
     deadline_s = time.monotonic() + limit_s
     resolver = pylsl.ContinuousResolver(forget_after=60.0)
+    of_all_sessions = pylsl.ContinuousResolver(pred=IN_ANY_SESSION, forget_after=60.0)
     time.sleep(search_s)
     infos = resolver.results()
     seen = [_described(info) for info in infos]
@@ -62,7 +64,19 @@ def survey(search_s: float, listen_s: float, limit_s: float) -> dict[str, Any]:
     with ThreadPoolExecutor(_THREADS) as pool:
         for info, each in zip(infos[:examined], seen[:examined], strict=True):
             pool.submit(_listen, info, each, listen_s, deadline_s)
-    return {"streams": [asdict(each) for each in seen]}
+    every = [_described(info) for info in of_all_sessions.results()]
+    return {
+        "streams": [asdict(each) for each in seen],
+        "elsewhere": [asdict(each) for each in _claimed(seen, every)],
+    }
+
+
+def _claimed(
+    seen: Sequence[SurveyedStream], every: Sequence[SurveyedStream]
+) -> list[SurveyedStream]:
+    sessions = {each.session for each in seen}
+    source_ids = {each.source_id for each in seen} - {""}
+    return [each for each in every if each.session not in sessions and each.source_id in source_ids]
 
 
 def list_streams(search_s: float) -> dict[str, Any]:
@@ -126,6 +140,7 @@ def _described(info: pylsl.StreamInfo) -> SurveyedStream:
         _FORMATS.get(info.channel_format(), "unknown"),
         [port for port in ports if port],
         data_port=_number(header, _DATA_PORT),
+        session=info.session_id(),
     )
 
 

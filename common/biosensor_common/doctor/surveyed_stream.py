@@ -23,6 +23,8 @@ class SurveyedStream:
         sample came.
     data_port
         TCP port of its data over IPv4; 0 if it has none.
+    session
+        LSL's, in which it is.
     """
 
     name: str
@@ -35,3 +37,4 @@ class SurveyedStream:
     round_trip_s: float | None = None
     stamp_error_s: float | None = None
     data_port: int = 0
+    session: str = ""

@@ -18,6 +18,8 @@ Field = Literal["name", "type", "source_id"]
 
 EVERYTHING = Predicate("(true())")
 NOTHING = Predicate("(false())")
+IN_ANY_SESSION = Predicate("false() or true()")
+"""Finds all streams of all sessions: on purpose without brackets."""
 
 _CLOSES = {")": "(", "]": "["}
 

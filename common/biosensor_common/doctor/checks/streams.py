@@ -19,15 +19,21 @@ _LISTENING_ENDS_S, _ENDS_S = 8.0, 18.0
 
 def examine(context: Context) -> Iterator[Finding]:
     """Look for streams as the program does, and judge them."""
-    streams = find(context)
+    streams, elsewhere = _survey(context)
     if not streams:
         yield ok("no LSL stream is there at the moment")
     yield from stream_rules.judge(streams)
+    yield from stream_rules.judge_elsewhere(elsewhere)
     yield from _unseen(context, streams)
 
 
 def find(context: Context) -> list[SurveyedStream]:
     """Return the streams of the program's session; this computer is asked directly, too."""
+    return _survey(context)[0]
+
+
+def _survey(context: Context) -> tuple[list[SurveyedStream], list[SurveyedStream]]:
+    """Return the streams of the session, and those of others that have a source_id of these."""
     config = context.config
     peers = lsl_text.value(config, "lab", "KnownPeers").strip("{}")
     names = dict.fromkeys((*(each.strip() for each in peers.split(",") if each.strip()), LOOPBACK))
@@ -40,7 +46,11 @@ def find(context: Context) -> list[SurveyedStream]:
         listen_s=LISTEN_S,
         listen_until_s=_LISTENING_ENDS_S,
     ) as probe:
-        return [SurveyedStream(**each) for each in probe.answer()["streams"]]
+        found = probe.answer()
+    streams, elsewhere = (
+        [SurveyedStream(**each) for each in found[key]] for key in ("streams", "elsewhere")
+    )
+    return streams, elsewhere
 
 
 def _unseen(context: Context, streams: Sequence[SurveyedStream]) -> Iterator[Finding]:

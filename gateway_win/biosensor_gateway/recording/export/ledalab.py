@@ -7,6 +7,7 @@ conductance in microsiemens, and the number of a marker at the sample where it f
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,13 @@ from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export.batches import batches
 from biosensor_gateway.recording.export.csv.tables import quoted
-from biosensor_gateway.recording.export.exporter import Order, Progress, SampleCount, on_clock
+from biosensor_gateway.recording.export.exporter import (
+    Missing,
+    Order,
+    Progress,
+    SampleCount,
+    on_clock,
+)
 from biosensor_gateway.recording.export.markers import markers
 from biosensor_gateway.recording.export.names import file_names
 from biosensor_gateway.recording.export.numbers import numbers
@@ -77,13 +84,13 @@ def _write_stream(
     chosen: Chosen, order: Order, stream: Stream, happened: NDArray[np.float64], path: Path
 ) -> Iterator[str]:
     unit = stream.meaning.units[0]
-    without = together = written = late = 0
+    told_of = _Told()
     place, begin_s = 0, None
     with path.open("xb") as file:
         for samples in batches(chosen, stream):
             values = np.asarray(samples.values)[:, 0]
             has_value = np.isfinite(values)
-            without += int(np.count_nonzero(~has_value))
+            told_of.without += int(np.count_nonzero(~has_value))
             times, values = samples.times[has_value], values[has_value]
             if not len(times):
                 continue
@@ -93,35 +100,49 @@ def _write_stream(
             end = int(np.searchsorted(happened[:, 0], float(times[-1]), side="right"))
             here = happened[place : max(place, end)]
             codes, lost = _at_samples(here, times)
-            late += _late(here, times, stream)
-            written += max(0, end - place)
-            place, together = max(place, end), together + lost
+            told_of.together += lost
+            told_of.late += _late(here, times, stream)
+            told_of.inside += len(here)
+            place = max(place, end)
             told = on_clock(chosen, order.clock, times)
             rows = zip(numbers(told), numbers(values), numbers(codes), strict=True)
             file.writelines(b"%b\t%b\t%b\n" % row for row in rows)
     if begin_s is None:
         path.unlink()
-        yield f"{stream.header.name}: left out, for it has no value"
+        yield Missing(f"{stream.header.name}: left out, for it has no value")
         return
     if unit not in _MICROSIEMENS:
         yield f"{stream.header.name}: its unit is {unit!r}, and Ledalab takes it for microsiemens"
-    if without:
-        yield f"{stream.header.name}: {without} samples have no value and are left out"
-    if outside := len(happened) - written:
-        yield (
-            f"{stream.header.name}: {outside} of the markers came before its first or after "
-            "its last sample, and are left out"
-        )
-    if late:
-        yield (
-            f"{stream.header.name}: {late} of the markers fell where samples are missing, and "
-            "stand at the next one"
-        )
-    if together:
-        yield (
-            f"{stream.header.name}: {together} markers fall on a sample that has one already, "
-            "and are left out"
-        )
+    for what in told_of.sentences(len(happened)):
+        yield f"{stream.header.name}: {what}"
+
+
+@dataclass(slots=True)
+class _Told:
+    """What a file does not have as it was: samples without a value, and markers."""
+
+    without: int = 0
+    inside: int = 0
+    late: int = 0
+    together: int = 0
+
+    def sentences(self, markers: int) -> Iterator[str]:
+        if self.without:
+            yield f"{self.without} samples have no value and are left out"
+        if outside := markers - self.inside:
+            yield (
+                f"{outside} of the markers came before its first or after its last sample, and "
+                "are left out"
+            )
+        if self.late:
+            yield (
+                f"{self.late} of the markers fell where samples are missing, and stand at the "
+                "next one"
+            )
+        if self.together:
+            yield (
+                f"{self.together} markers fall on a sample that has one already, and are left out"
+            )
 
 
 def _late(happened: NDArray[np.float64], times: NDArray[np.float64], stream: Stream) -> int:
