@@ -1,0 +1,171 @@
+"""Which outlet of a stream is received: in one session, one at a time, with one header."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from typing import Any, cast
+
+import pylsl
+import pytest
+from pylsl import util
+
+from biosensor_gateway.features import links
+from biosensor_gateway.features import live as live_module
+from biosensor_gateway.features.live import RIVAL_S, SETTLED_S, Live
+from biosensor_gateway.features.sources import Source
+
+FIRST, SECOND = "uid-1", "uid-2"
+
+
+class Outlet:
+    """Announces a stream, as a resolver's info does, and is what its inlet receives."""
+
+    def __init__(self, uid: str, source_id: str = "strap", unit: str = "microvolts") -> None:
+        self._uid, self._source_id = uid, source_id
+        info = pylsl.StreamInfo("strap", "ECG", 1, 130.0, "float32", source_id)
+        channel = info.desc().append_child("channels").append_child("channel")
+        channel.append_child_value("label", "ECG")
+        channel.append_child_value("unit", unit)
+        self.xml = info.as_xml()
+        self.is_gone = False
+        self.openings = self.closings = 0
+
+    def uid(self) -> str:
+        return self._uid
+
+    def source_id(self) -> str:
+        return self._source_id
+
+    def name(self) -> str:
+        return "strap"
+
+    def hostname(self) -> str:
+        return "elsewhere"
+
+    def pull_chunk(self, _timeout: float, _most: int) -> tuple[list[Any], list[float]]:
+        if self.is_gone:
+            raise util.LostError
+        return [], []
+
+    def time_correction(self, _timeout: float) -> float:
+        return 0.0
+
+    def close_stream(self) -> None:
+        self.closings += 1
+
+
+class Immediate:
+    """Runs what it is given at once."""
+
+    def submit(self, work: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        try:
+            future.set_result(work(*arguments))
+        except RuntimeError as error:
+            future.set_exception(error)
+        return future
+
+
+class Told:
+    def __init__(self) -> None:
+        self.sources: list[Source] = []
+        self.sentences: list[str] = []
+
+    def found(self, source: Source) -> None:
+        self.sources.append(source)
+
+    def refused(self, sentence: str) -> None:
+        self.sentences.append(sentence)
+
+
+class Watched:
+    """Features of streams that a test announces."""
+
+    def __init__(self) -> None:
+        self.told, self.now = Told(), 0.0
+        self.live = Live(self.told, lambda: self.now)
+        self.live._asking = Immediate()  # type: ignore[assignment]
+
+    def see(self, *outlets: Outlet, seconds: float = 2 * SETTLED_S) -> None:
+        """Have these announced for so long."""
+        for _ in range(3):
+            self.now += seconds / 3
+            self.live.look(cast("Sequence[pylsl.StreamInfo]", outlets))
+            self.live.read()
+
+
+@pytest.fixture
+def watched(monkeypatch: pytest.MonkeyPatch) -> Watched:
+    def opened(info: Any, _limit_s: float, _buffer_s: int) -> Any:
+        info.openings += 1
+        if info.is_gone:
+            raise util.TimeoutError
+        return info
+
+    monkeypatch.setattr(links, "open_inlet", opened)
+
+    def described(info: Outlet) -> str:
+        return info.xml
+
+    def sender(_source: Source) -> object:
+        return object()
+
+    monkeypatch.setattr(live_module, "_description", described)
+    monkeypatch.setattr(live_module, "Sender", sender)
+    return Watched()
+
+
+def test_a_stream_that_comes_back_is_gone_on_with(watched: Watched) -> None:
+    first, second = Outlet(FIRST), Outlet(SECOND)
+    watched.see(first)
+    first.is_gone = True
+    watched.see(first)
+    watched.see(second)
+    assert len(watched.told.sources) == 1
+    assert (second.openings, second.closings) == (1, 0)
+
+
+def test_the_same_outlet_is_opened_again_when_its_connection_is_lost(watched: Watched) -> None:
+    outlet = Outlet(FIRST)
+    watched.see(outlet)
+    outlet.is_gone = True
+    watched.live.read()
+    outlet.is_gone = False
+    watched.see(outlet)
+    assert outlet.openings == 2
+    assert len(watched.told.sources) == 1
+
+
+def test_another_header_is_another_source(watched: Watched) -> None:
+    first, second = Outlet(FIRST), Outlet(SECOND, unit="millivolts")
+    watched.see(first)
+    watched.see(second)
+    assert [each.header.units for each in watched.told.sources] == [
+        ("microvolts",),
+        ("millivolts",),
+    ]
+    assert first.closings == 1
+
+
+def test_of_two_that_live_the_first_stays_and_it_is_said_once(watched: Watched) -> None:
+    first, second = Outlet(FIRST), Outlet(SECOND)
+    watched.see(first)
+    watched.see(first, second, seconds=RIVAL_S / 2)
+    assert watched.told.sentences == []
+    watched.see(first, second, seconds=3 * RIVAL_S)
+    watched.see(first, second, seconds=3 * RIVAL_S)
+    (sentence,) = watched.told.sentences
+    assert "share the source_id 'strap'" in sentence
+    assert second.openings == 0
+
+
+def test_what_cannot_be_opened_holds_up_no_other_stream(watched: Watched) -> None:
+    gone, other = Outlet(FIRST), Outlet(SECOND, source_id="other")
+    gone.is_gone = True
+    watched.see(gone, other)
+    assert [each.source_id for each in watched.told.sources] == ["other"]
+    gone.is_gone = False
+    watched.see(gone, other)
+    watched.see(gone, other)
+    assert [each.source_id for each in watched.told.sources] == ["other", "strap"]
