@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from edfio import read_bdf
 
-from biosensor_gateway.recording.export import batches
+from biosensor_gateway.recording.export import batches, kubios, runs
+from biosensor_gateway.recording.export.edf import exporter as edf_exporter
 from biosensor_gateway.recording.export.exporting import Outcome
+from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from tests.recording_export.conftest import Exporting
 from tests.recording_export.study import BEGIN_S
 from tests.xdf import xdf_file as made
@@ -62,12 +64,12 @@ def test_a_gap_may_be_at_the_begin_of_a_batch(
     monkeypatch.setattr(batches, "BATCH", 2 * CHUNK)
     content = made.xdf(_stream(1, "a", _stamps(gap_at, step_s), 0))
     values = np.arange(COUNT, dtype=float).tolist()
-    runs = {"a_run1": values[:gap_at], "a_run2": values[gap_at:]}
+    parts = {"a_run1": values[:gap_at], "a_run2": values[gap_at:]}
     outcome = exported(content, "edf", "kubios")
-    assert _kubios(outcome) == {f"{name}.txt": told for name, told in runs.items()}
+    assert _kubios(outcome) == {f"{name}.txt": told for name, told in parts.items()}
     # A record may be filled up behind the last sample.
-    written = {name: told[: len(runs[Path(name).stem])] for name, told in _edf(outcome).items()}
-    assert written == {f"{name}.bdf": told for name, told in runs.items()}
+    written = {name: told[: len(parts[Path(name).stem])] for name, told in _edf(outcome).items()}
+    assert written == {f"{name}.bdf": told for name, told in parts.items()}
 
 
 def test_the_samples_of_two_streams_of_one_name_stay_apart(exported: Exporting) -> None:
@@ -89,3 +91,30 @@ def test_the_samples_of_two_streams_of_one_name_stay_apart(exported: Exporting) 
     outcome = exported(content, "edf", "kubios")
     assert _kubios(outcome) == {f"{name}.txt": told.tolist() for name, told in expected.items()}
     assert {Path(each).stem for each in _edf(outcome)} == expected.keys()
+
+
+@pytest.mark.parametrize("name", ["edf", "kubios"])
+def test_why_nothing_was_written_is_said(
+    name: str, exported: Exporting, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (runs, edf_exporter, kubios):
+        monkeypatch.setattr(module, "MOST_RUNS", 1)
+    stamps = _stamps(20)
+    stamps[40:] += GAP_S
+    with pytest.raises(RecordingError) as caught:
+        exported(made.xdf(_stream(1, "a", stamps, 0)), name)
+    assert caught.value.reason is RecordingReason.EMPTY
+    assert str(caught.value).endswith("; a: left out, for it has more than 1 gaps")
+
+
+def test_a_stream_that_is_left_out_makes_it_not_whole(
+    exported: Exporting, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (runs, edf_exporter):
+        monkeypatch.setattr(module, "MOST_RUNS", 1)
+    stamps = _stamps(20)
+    stamps[40:] += GAP_S
+    content = made.xdf(_stream(1, "a", stamps, 0), _stream(2, "b", _stamps(), 0))
+    outcome = exported(content, "edf")
+    assert not outcome.is_whole
+    assert _edf(outcome).keys() == {"b.bdf"}

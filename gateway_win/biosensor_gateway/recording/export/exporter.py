@@ -54,6 +54,11 @@ class Missing(str):
     __slots__ = ()
 
 
+def with_reasons(sentence: str, notes: Sequence[str]) -> str:
+    """Say also why streams were left out, where nothing else is left to say it."""
+    return "; ".join([sentence, *notes])
+
+
 class Exporter(Protocol):
     """A format."""
 

@@ -17,7 +17,13 @@ from biosensor_common.quantities import ChannelFormat, ContentType, Unit
 from biosensor_gateway.recording.contents.choice import Chosen
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export.batches import batches
-from biosensor_gateway.recording.export.exporter import Missing, Order, Progress, SampleCount
+from biosensor_gateway.recording.export.exporter import (
+    Missing,
+    Order,
+    Progress,
+    SampleCount,
+    with_reasons,
+)
 from biosensor_gateway.recording.export.names import FileNames
 from biosensor_gateway.recording.export.numbers import numbers
 from biosensor_gateway.recording.export.runs import MOST_RUNS, find_runs, pieces
@@ -53,7 +59,7 @@ class Kubios:
                 f"{chosen.contents.path} holds no intervals between beats and no ECG of what is "
                 "wanted, so nothing was written for Kubios"
             )
-            raise RecordingError(RecordingReason.EMPTY, message)
+            raise RecordingError(RecordingReason.EMPTY, with_reasons(message, notes))
         return notes
 
 

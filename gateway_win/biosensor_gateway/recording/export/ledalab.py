@@ -24,6 +24,7 @@ from biosensor_gateway.recording.export.exporter import (
     Progress,
     SampleCount,
     on_clock,
+    with_reasons,
 )
 from biosensor_gateway.recording.export.markers import markers
 from biosensor_gateway.recording.export.names import file_names
@@ -59,7 +60,7 @@ class Ledalab:
                 f"{chosen.contents.path} holds no skin conductance of what is wanted, "
                 "so nothing was written for Ledalab"
             )
-            raise RecordingError(RecordingReason.EMPTY, message)
+            raise RecordingError(RecordingReason.EMPTY, with_reasons(message, notes))
         if codes:
             lines = quoted([("code", "marker"), *((code, text) for text, code in codes.items())])
             (target / CODES).write_bytes(lines)

@@ -17,7 +17,14 @@ from biosensor_gateway.recording.export.edf.header import Facts, header
 from biosensor_gateway.recording.export.edf.holes import Holes
 from biosensor_gateway.recording.export.edf.layout import RATES_HZ, Channel, channel, layout
 from biosensor_gateway.recording.export.edf.records import digital, records
-from biosensor_gateway.recording.export.exporter import Clock, Missing, Order, Progress, SampleCount
+from biosensor_gateway.recording.export.exporter import (
+    Clock,
+    Missing,
+    Order,
+    Progress,
+    SampleCount,
+    with_reasons,
+)
 from biosensor_gateway.recording.export.markers import is_markers, markers
 from biosensor_gateway.recording.export.names import FileNames, unique
 from biosensor_gateway.recording.export.runs import MOST_RUNS, Run, find_runs, pieces
@@ -60,10 +67,10 @@ class Edf:
             _write_stream(job, stream, target, names)
         if not any(target.iterdir()):
             message = (
-                f"{chosen.contents.path} holds no regular stream of numbers of what is wanted, "
-                "so nothing was written as EDF"
+                f"{chosen.contents.path} holds no regular stream of numbers of what is wanted that "
+                "EDF can hold, so nothing was written as EDF"
             )
-            raise RecordingError(RecordingReason.EMPTY, message)
+            raise RecordingError(RecordingReason.EMPTY, with_reasons(message, job.notes))
         if irregular:
             streams = "1 stream" if irregular == 1 else f"{irregular} streams"
             job.notes.append(f"{streams} without a rate left out, which EDF cannot hold")
