@@ -6,6 +6,7 @@ asks for more. docs/measurements.md has the descriptors of an outlet and of an i
 
 from __future__ import annotations
 
+import errno
 import sys
 from pathlib import Path
 
@@ -72,8 +73,9 @@ def opened() -> int:
     try:
         # The list itself takes one.
         return sum(1 for _ in Path("/dev/fd").iterdir()) - 1
-    except OSError:
-        return limit() or 0
+    except OSError as error:
+        # Where the system has no such list, liblsl says itself when there is no room.
+        return (limit() or 0) if error.errno in {errno.EMFILE, errno.ENFILE} else 0
 
 
 def room(each: int) -> int | None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import sys
+from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
@@ -63,3 +66,17 @@ def test_a_program_may_open_as_many_files_as_the_system_allows() -> None:
         assert open_files.limit() == wanted_limits(100, before[1])[0]
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows does not limit open files so")
+@pytest.mark.parametrize(
+    ("number", "is_full"), [(errno.EMFILE, True), (errno.ENFILE, True), (errno.ENOENT, False)]
+)
+def test_a_system_that_does_not_list_open_files_refuses_no_stream(
+    monkeypatch: pytest.MonkeyPatch, number: int, is_full: bool
+) -> None:
+    def refused(_: Path) -> NoReturn:
+        raise OSError(number, "refused")
+
+    monkeypatch.setattr(Path, "iterdir", refused)
+    assert open_files.has_room(OUTLET) is not is_full
