@@ -79,13 +79,16 @@ def _unit_tests_have_neither_lsl_nor_dbus(  # pyright: ignore[reportUnusedFuncti
     """Let the agent's outlets be objects in memory, and let there be no bus to ask for BlueZ."""
     from biosensor_gateway.streaming import outlets  # noqa: PLC0415 - LSL comes later
     from tests.rigs.memory_outlet import MemoryOutlet  # noqa: PLC0415
+    from tests.rigs.patience import patience_without_limit  # noqa: PLC0415
 
+    if tier_of(request.node) is not Tier.UNIT:
+        yield
+        return
     # Not the test's own monkeypatch, which would then be undone after all of its fixtures.
-    with pytest.MonkeyPatch.context() as patch:
-        if tier_of(request.node) is Tier.UNIT:
-            patch.setattr(outlets, "LslOutlet", MemoryOutlet)
-            patch.setenv("DBUS_SYSTEM_BUS_ADDRESS", "none")
-            patch.setenv("DBUS_SESSION_BUS_ADDRESS", "none")
+    with pytest.MonkeyPatch.context() as patch, patience_without_limit():
+        patch.setattr(outlets, "LslOutlet", MemoryOutlet)
+        patch.setenv("DBUS_SYSTEM_BUS_ADDRESS", "none")
+        patch.setenv("DBUS_SESSION_BUS_ADDRESS", "none")
         yield
 
 
