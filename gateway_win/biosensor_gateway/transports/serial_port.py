@@ -16,9 +16,9 @@ import sys
 from typing import TYPE_CHECKING
 
 import serial
-from pylsl import local_clock
 
 from biosensor_common.errors import TransportError, TransportReason
+from biosensor_gateway.system.clock import LSL_CLOCK
 from biosensor_gateway.transports.link import Received
 from biosensor_gateway.transports.threads import in_daemon_thread
 from biosensor_gateway.transports.traffic import Traffic
@@ -81,11 +81,11 @@ class _PolledPort(serial.Serial):
     def write(self, b: Buffer, /) -> int:
         """Write all within the port's time limit."""
         handle, rest = self.fileno(), memoryview(b)
-        total, deadline_s = len(rest), local_clock() + WRITE_TIMEOUT_S
+        total, deadline_s = len(rest), LSL_CLOCK() + WRITE_TIMEOUT_S
         while rest:
             with contextlib.suppress(BlockingIOError):
                 rest = rest[os.write(handle, rest) :]
-            if rest and not _ready({handle: select.POLLOUT}, deadline_s - local_clock()):
+            if rest and not _ready({handle: select.POLLOUT}, deadline_s - LSL_CLOCK()):
                 raise serial.SerialTimeoutException("the device takes nothing")
         return total
 
@@ -172,7 +172,7 @@ class SerialLink:
     def _read_forever(self, port: serial.Serial) -> None:
         try:
             while not self._traffic.closing:
-                data, arrival = port.read(1), local_clock()
+                data, arrival = port.read(1), LSL_CLOCK()
                 if not data and not self._traffic.closing:
                     # It has no time limit: Windows ends it when the device is pulled out.
                     raise serial.SerialException("the system has ended the read")
@@ -180,7 +180,7 @@ class SerialLink:
                     waiting = port.in_waiting
                     # Not earlier: what comes while this thread waits for its turn would be
                     # stamped before it was sent, and the device's clock follows the earliest.
-                    arrival = local_clock()
+                    arrival = LSL_CLOCK()
                     data += port.read(waiting)
                 finally:
                     # Also when the link is cut between the two calls.

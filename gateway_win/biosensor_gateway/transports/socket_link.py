@@ -12,9 +12,8 @@ import contextlib
 import socket
 from collections.abc import Callable
 
-from pylsl import local_clock
-
 from biosensor_common.errors import TransportError
+from biosensor_gateway.system.clock import LSL_CLOCK
 from biosensor_gateway.transports.link import Received
 from biosensor_gateway.transports.receiving import Receiver
 from biosensor_gateway.transports.threads import in_daemon_thread
@@ -111,7 +110,7 @@ class SocketLink:
         try:
             while data := self._receive(receiver):
                 if not self._traffic.closing:
-                    self._traffic.deliver(data, local_clock())
+                    self._traffic.deliver(data, LSL_CLOCK())
             self._traffic.lost()
         except OSError as error:
             self._traffic.lost(error)

@@ -10,11 +10,11 @@ from collections import deque
 from typing import NamedTuple
 from urllib.parse import urlsplit
 
-from pylsl import local_clock
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidMessage, InvalidURI
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
+from biosensor_gateway.system.clock import LSL_CLOCK
 
 OPEN_TIMEOUT_S = 5.0
 PING_INTERVAL_S = 10.0
@@ -175,7 +175,7 @@ class WebSocketLink:
         try:
             while True:
                 message = await socket.recv()
-                arrival = local_clock()
+                arrival = LSL_CLOCK()
                 if isinstance(message, str):
                     self._keep(ReceivedText(message, arrival))
                 else:

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
-import threading
 from contextlib import suppress
-from functools import partial
 from typing import NamedTuple
 
 from biosensor_common.errors import (
@@ -105,11 +103,12 @@ class Link:
         try:
             here = _address_towards(self._host)
             self._server = await loop.create_server(lambda: _Control(self), here, 0)
-            data = self._data = UdpPort(here)
+            self._data = UdpPort(here)
         except OSError as error:
             message = f"{self.name}: no port for its data on this computer ({error})"
             raise TransportError(TransportReason.UNAVAILABLE, message) from error
-        threading.Thread(target=self._receive, args=(data, loop), daemon=True).start()
+        # That the device has gone, the control channel tells.
+        self._data.listen(self._take, lambda _: None)
 
     @property
     def payload(self) -> tuple[str, ...]:
@@ -189,11 +188,6 @@ class Link:
             return
         message = f"{self.name}: the link was cut; is it on, charged and in the Wi-Fi?"
         self._arrived.put_nowait(TransportError(TransportReason.LOST, message))
-
-    def _receive(self, data: UdpPort, loop: asyncio.AbstractEventLoop) -> None:
-        # The control channel tells that the device has gone; a loop that has ended reads nothing.
-        with suppress(OSError, RuntimeError):
-            data.read_forever(partial(loop.call_soon_threadsafe, self._take))
 
     def _take(self, data: bytes, arrival_s: float, address: Address) -> None:
         if address[0] == self._host:

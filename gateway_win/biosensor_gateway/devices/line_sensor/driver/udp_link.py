@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import errno
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.transports.link import Received
-from biosensor_gateway.transports.threads import in_daemon_thread
-from biosensor_gateway.transports.traffic import Traffic
+from biosensor_gateway.transports.receiving import Address
 from biosensor_gateway.transports.udp_port import UdpPort
 
 
@@ -21,7 +19,7 @@ class UdpLink:
     def __init__(self, port: int) -> None:
         self._port = port
         self._udp: UdpPort | None = None
-        self._traffic = Traffic(f"UDP port {port}", "is the network still there?")
+        self._incoming: asyncio.Queue[Received | TransportError] = asyncio.Queue()
 
     async def open(self) -> None:
         """Listen.
@@ -32,26 +30,26 @@ class UdpLink:
             ``BUSY``, ``DENIED`` or ``UNAVAILABLE``.
         """
         try:
-            udp = self._udp = UdpPort(port=self._port)
+            self._udp = UdpPort(port=self._port)
         except OSError as error:
             raise self._refusal(error) from error
-        self._traffic.start(lambda: self._read_forever(udp), lambda: None)
+        self._udp.listen(self._take, self._lost)
 
     async def read(self) -> Received:
         """Wait for the next datagram; raise ``LOST`` when the port is gone."""
-        return await self._traffic.read()
+        item = await self._incoming.get()
+        if isinstance(item, TransportError):
+            self._incoming.put_nowait(item)
+            raise item
+        return item
 
     async def send(self, text: str) -> None:
         """Do nothing: whom to send to is not known."""
 
     async def close(self) -> None:
         """Stop listening."""
-        self._traffic.closing = True
         if self._udp is not None:
-            self._udp.end()
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(1.0):
-                    await in_daemon_thread(self._traffic.join_reader)
+            await self._udp.close()
 
     def _refusal(self, error: OSError) -> TransportError:
         name = f"UDP port {self._port}"
@@ -64,8 +62,12 @@ class UdpLink:
         message = f"{name}: it cannot be had ({error.strerror or error})"
         return TransportError(TransportReason.UNAVAILABLE, message)
 
-    def _read_forever(self, udp: UdpPort) -> None:
-        try:
-            udp.read_forever(lambda data, arrival, _: self._traffic.deliver(data, arrival))
-        except OSError as error:
-            self._traffic.lost(error)
+    def _take(self, data: bytes, arrival_s: float, sender: Address) -> None:
+        del sender
+        self._incoming.put_nowait(Received(data, arrival_s))
+
+    def _lost(self, cause: OSError) -> None:
+        message = f"UDP port {self._port}: the link was cut; is the network still there?"
+        error = TransportError(TransportReason.LOST, message)
+        error.__cause__ = cause
+        self._incoming.put_nowait(error)
