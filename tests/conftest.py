@@ -16,7 +16,6 @@ from hypothesis import HealthCheck, settings
 
 from tests.rigs.inherited_signals import let_programs_be_interrupted
 from tests.slots import lsl_ports, take_slot
-from tests.tiers.guard import GUARD
 from tests.tiers.tier import Tier, tier_of
 
 pytest_plugins = ["tests.rigs.not_here", "tests.tiers.plugin", "tests.time_spent.plugin"]
@@ -54,39 +53,42 @@ os.environ["PYTHONFAULTHANDLER"] = "1"
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 # Who looks for devices of the Wi-Fi asks the whole network otherwise.
 os.environ["BIOSENSOR_GATEWAY_BROADCAST"] = "127.0.0.1"
+# Looking for the keyring of this computer starts programs, and would find its secrets.
+os.environ["PYTHON_KEYRING_BACKEND"] = "keyring.backends.fail.Keyring"
 os.environ["BIOSENSOR_GATEWAY_STATE"] = str(_folder / "state")
 os.environ["BIOSENSOR_GATEWAY_SETTINGS"] = str(_folder / "settings.toml")
 
 
-def pytest_asyncio_loop_factories() -> Mapping[str, Callable[[], asyncio.AbstractEventLoop]]:
-    """Let the loops of unit tests go by virtual time, and those of others by the system's."""
-    return {"loop": _loop}
+def pytest_asyncio_loop_factories(
+    item: pytest.Item,
+) -> Mapping[str, Callable[[], asyncio.AbstractEventLoop]]:
+    """Let the loops of unit tests go by virtual time, and those of others by the system's.
 
+    Which it is shows when the loop is made: a mark of a parameter is not known before.
+    """
+    from tests.rigs.virtual_time import loop_of_the_test  # noqa: PLC0415 - LSL comes later
 
-def _loop() -> asyncio.AbstractEventLoop:
-    from tests.rigs.virtual_time import (  # noqa: PLC0415 - LSL comes later
-        SwitchableLoop,
-        virtual_loop,
-    )
-
-    return virtual_loop() if GUARD.is_active else SwitchableLoop()
+    del item
+    return {"of the test": loop_of_the_test}
 
 
 @pytest.fixture(autouse=True)
-def _unit_tests_have_neither_lsl_nor_dbus(  # pyright: ignore[reportUnusedFunction]
+def _links_of_unit_tests_are_in_memory(  # pyright: ignore[reportUnusedFunction]
     request: pytest.FixtureRequest,
 ) -> Generator[None]:
-    """Let the agent's outlets be objects in memory, and let there be no bus to ask for BlueZ."""
-    from biosensor_gateway.streaming import outlets  # noqa: PLC0415 - LSL comes later
-    from tests.rigs.memory_outlet import MemoryOutlet  # noqa: PLC0415
-    from tests.rigs.patience import patience_without_limit  # noqa: PLC0415
-
+    """Sockets, serial ports, LSL outlets and all clocks; see tests/rigs/memory_links.py."""
     if tier_of(request.node) is not Tier.UNIT:
         yield
         return
-    # Not the test's own monkeypatch, which would then be undone after all of its fixtures.
-    with pytest.MonkeyPatch.context() as patch, patience_without_limit():
+    from biosensor_gateway.streaming import outlets  # noqa: PLC0415 - LSL comes later
+    from tests.rigs.memory_links import links_in_memory  # noqa: PLC0415 - see above
+    from tests.rigs.memory_outlet import MemoryOutlet  # noqa: PLC0415 - see above
+    from tests.rigs.patience import patience_without_limit  # noqa: PLC0415 - see above
+
+    # Not the fixture: made before all others, it would undo what tests patch after them.
+    with links_in_memory(), patience_without_limit(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(outlets, "LslOutlet", MemoryOutlet)
+        # No bus to ask for BlueZ.
         patch.setenv("DBUS_SYSTEM_BUS_ADDRESS", "none")
         patch.setenv("DBUS_SESSION_BUS_ADDRESS", "none")
         yield

@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 from bleak import BleakClient
 from bleak.exc import BleakDBusError, BleakError
-from pylsl import local_clock
 
 from biosensor_common.errors import (
     ProtocolError,
@@ -17,6 +16,7 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_gateway.simulation.radio import Radio
+from biosensor_gateway.system.clock import LSL_CLOCK
 from biosensor_gateway.transports import ble
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_errors import AttError
@@ -80,14 +80,14 @@ async def test_a_missing_characteristic_is_unsupported(link: BleLink) -> None:
 async def test_notifications_and_indications_come_in_order(link: BleLink, probe: Probe) -> None:
     await link.subscribe(FLOW)
     await link.subscribe(EVENT)
-    before = local_clock()
+    before = LSL_CLOCK()
     probe.notify(probe.flow, b"1", b"2")
     probe.notify(probe.event, b"3")
     received = [await link.next() for _ in range(3)]
     assert [(each.uuid, each.data) for each in received] == [
         (FLOW, b"1"), (FLOW, b"2"), (EVENT, b"3")
     ]  # fmt: skip
-    arrivals = [before, *(each.arrival for each in received), local_clock()]
+    arrivals = [before, *(each.arrival for each in received), LSL_CLOCK()]
     assert arrivals == sorted(arrivals)
 
 

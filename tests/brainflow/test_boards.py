@@ -22,6 +22,8 @@ from tests.brainflow.conftest import ENVIRONMENT, BoardRun, board_settings
 from tests.rigs.driver_run import NotedSink, supervised
 from tests.rigs.polling import until
 
+pytestmark = pytest.mark.nightly
+
 RATE_HZ = 250.0
 # A Python that imports BrainFlow takes its time to start on a busy machine.
 START_LIMIT_S = 60.0

@@ -1,4 +1,4 @@
-"""Any virtual device by its name, with what it lives in: those of Bluetooth LE outside time."""
+"""Any virtual device by its name, with what it lives in: outside time, but for real links."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
 from tests.every_sensor.acme_band import SENSOR as SOMEBODY_ELSES
-from tests.rigs.virtual_time import virtual_time
+from tests.rigs.virtual_time import VirtualTime, virtual_time
+from tests.tiers.tier import Tier, tier_of
 
 NAMES = (
     *virtual_names(),
-    # Its port is a pseudo-terminal.
+    # Its port is a pseudo-terminal where it is real.
     *([SOMEBODY_ELSES.spec.name] if sys.platform != "win32" else []),
 )
 
@@ -79,15 +80,33 @@ def name(request: pytest.FixtureRequest) -> Generator[str]:
         yield request.param
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Leave out, over real links, devices that have none, and what needs no device."""
+    items[:] = [
+        item for item in items if "test_on_real_links" not in item.nodeid or _has_link(item)
+    ]
+
+
+def _has_link(item: pytest.Item) -> bool:
+    assert isinstance(item, pytest.Function)
+    name = cast("str", item.callspec.params["name"])
+    return "world" in item.fixturenames and not class_of(name).on_air
+
+
 @pytest.fixture
-async def world(name: str) -> AsyncGenerator[World]:
-    """Outside time for who needs no socket and no terminal."""
-    if class_of(name).on_air:
+async def world(name: str, request: pytest.FixtureRequest) -> AsyncGenerator[World]:
+    """Outside time, unless bytes go by real links."""
+    if class_of(name).on_air or tier_of(request.node) is Tier.UNIT:
         with virtual_time() as clock, World(clock) as world:
             yield world
     else:
         with World() as world:
             yield world
+
+
+def is_outside_time(device: VirtualDevice) -> bool:
+    """Tell whether what it does takes as long on any computer."""
+    return isinstance(device.world.clock, VirtualTime)
 
 
 @pytest.fixture

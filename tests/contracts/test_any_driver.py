@@ -22,7 +22,7 @@ from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.streaming.silence import PATIENCE_S
 from biosensor_gateway.transports import ble_choice
-from tests.contracts.conftest import ON_AIR, class_of, every
+from tests.contracts.conftest import ON_AIR, class_of, every, is_outside_time
 from tests.rigs.driver_run import NotedSink, Run, connected, driver_maker, streaming
 from tests.rigs.polling import until
 from tests.rigs.truth import assert_once_and_in_order
@@ -124,14 +124,13 @@ async def test_data_that_nobody_can_read_are_a_state_and_a_reason(
     device: VirtualDevice, kind: FaultKind, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     name = measured(device)[0]
-    if not device.on_air:
+    if not is_outside_time(device):
         monkeypatch.setattr(reviving, "PATIENCE_S", 1.0)
     async with told_the_truth(device) as run:
         begin_s = run.sink.clock()
         device.apply(Fault(kind, LONG_S))
         await until(lambda: run.supervisor.state is not State.STREAMING)
-        if device.on_air:
-            # Outside time, it takes as long on any machine.
+        if is_outside_time(device):
             assert run.sink.clock() - begin_s <= PATIENCE_S + MESSAGE_S
         assert "bytes came that cannot be read" in str(run.supervisor.last_error)
         count = len(run.sink.rows[name])

@@ -7,11 +7,11 @@ from collections.abc import Generator, Sequence
 
 import numpy as np
 import pytest
-from pylsl import local_clock
 
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.emotibit.driver.emitter import EmotiBitEmitter
 from biosensor_gateway.devices.emotibit.driver.packets import NUMBERS, TIMES_MS, Packet, Tag
+from biosensor_gateway.system.clock import LSL_CLOCK
 from tests.emotibit.conftest import packet
 from tests.rigs.driver_run import NotedSink
 
@@ -22,7 +22,7 @@ class Sender:
     """An emitter, and packets with their numbers and times for it."""
 
     def __init__(self) -> None:
-        self.begin_s = local_clock() - 100
+        self.begin_s = LSL_CLOCK() - 100
         self.sink = NotedSink("emotibit")
         self.sink.open(DeviceInfo(), {"ppg": 25})
         self.emitter = EmotiBitEmitter(self.sink, 25)

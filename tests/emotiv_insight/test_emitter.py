@@ -6,13 +6,13 @@ import math
 from collections.abc import Generator
 from typing import Any
 
-import pylsl
 import pytest
 from structlog.testing import capture_logs
 
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.emotiv_insight.driver.emitter import EmotivEmitter
 from biosensor_gateway.devices.emotiv_insight.driver.protocol import Sample
+from biosensor_gateway.system.clock import LSL_CLOCK
 from tests.rigs.driver_run import NotedSink
 
 START_S = 1.7e9
@@ -45,7 +45,7 @@ def take(
     number: float = 0.0,
     others: dict[str, Any] | None = None,
 ) -> None:
-    emitter.take(Sample(stream, START_S + number, numbers, others or {}), pylsl.local_clock())
+    emitter.take(Sample(stream, START_S + number, numbers, others or {}), LSL_CLOCK())
 
 
 def row(sink: NotedSink, data_name: str) -> list[float | None]:
@@ -160,7 +160,7 @@ def test_a_sample_that_comes_twice_is_sent_once(emitter: EmotivEmitter, sink: No
 def test_a_gap_between_connections_is_an_estimate_if_the_headset_has_measured(
     emitter: EmotivEmitter, sink: NotedSink, stayed: bool
 ) -> None:
-    arrival = pylsl.local_clock() - 5
+    arrival = LSL_CLOCK() - 5
     emitter.take(Sample("eeg", START_S, EEG), arrival)
     with capture_logs() as logs:
         emitter.connected(128.0, 64.0, headset_stayed=stayed)

@@ -299,6 +299,7 @@ def logging_into(folder: Path) -> Generator[None]:
     structlog.reset_defaults()
 
 
+@pytest.mark.seam
 async def test_no_secret_shows_anywhere(
     cortex: ScriptedCortex,
     answers: Answers,

@@ -12,6 +12,7 @@ import pytest
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
 from tests.empatica_e4.steering import SteeredE4
+from tests.rigs.virtual_time import pause
 
 ID = "9ff167"
 LISTED = f"R device_list 1 | {ID} Empatica_E4\n"
@@ -26,7 +27,7 @@ def eventually(condition: Callable[[], object]) -> None:
     deadline = time.monotonic() + DEADLINE_S
     while not condition():
         assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.01)
+        pause(0.01)
 
 
 def until_accepted(line_client: Any, server: SteeredE4) -> Any:
@@ -37,7 +38,7 @@ def until_accepted(line_client: Any, server: SteeredE4) -> Any:
             return line_client(server.settings)
         except ConnectionRefusedError:
             assert time.monotonic() < deadline, "it did not open"
-            time.sleep(0.02)
+            pause(0.02)
 
 
 def assert_broken_off(client: Any) -> None:
@@ -194,6 +195,8 @@ def test_a_restart_resets_refuses_and_comes_up_under_another_locale(
             assert_broken_off(client)
             with pytest.raises(ConnectionRefusedError):
                 line_client(server.settings)
+        # Else the new reference might be a whole number of samples after the old one.
+        pause(STEP_S / 3)
         server.clear(FaultKind.RESTART)
         with line_client(server.settings) as again:
             assert again.ask("device_list") == LISTED

@@ -16,6 +16,7 @@ from biosensor_gateway.devices.empatica_e4.simulator.garbage import damaged_line
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
 from tests.empatica_e4.steering import SteeredE4
+from tests.rigs.virtual_time import pause
 
 ID = "9ff167"
 LISTED = f"R device_list 1 | {ID} Empatica_E4\n"
@@ -27,7 +28,7 @@ def eventually(condition: Callable[[], object]) -> None:
     deadline = time.monotonic() + DEADLINE_S
     while not condition():
         assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.01)
+        pause(0.01)
 
 
 def assert_broken_off(client: Any) -> None:

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pylsl import local_clock
 
 from biosensor_gateway.devices.empatica_e4.simulator import Timing
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
+from biosensor_gateway.system.clock import LSL_CLOCK
 from tests.empatica_e4.steering import SteeredE4
 
 STEPS_S = {
@@ -178,9 +178,9 @@ def test_a_button_press_is_a_line_without_value(world: World, line_client: Any) 
     with SteeredE4(world) as server, line_client(server.settings) as client:
         client.begin(streams="bvp tag")
         client.until_lines("E4_Bvp", 5)
-        before = local_clock()
+        before = LSL_CLOCK()
         server.press_button()
-        after = local_clock()
+        after = LSL_CLOCK()
         client.until_lines("E4_Tag", 1)
         (tag,) = client.lines("E4_Tag")
         (truth,) = server.truth.samples("tag").times
@@ -225,7 +225,7 @@ def test_nothing_arrives_before_it_is_measured_nor_out_of_order(
         while len(client.raw("E4_Bvp")) < 100:
             line = client.read()
             if line.startswith(b"E4_Bvp"):
-                arrivals.append(local_clock())
+                arrivals.append(LSL_CLOCK())
         stamps = [line.stamp for line in client.lines("E4_Bvp")][-len(arrivals) :]
         times = server.truth.samples("bvp").times[: len(client.raw("E4_Bvp"))][-len(arrivals) :]
     assert stamps == sorted(stamps)

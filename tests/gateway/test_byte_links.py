@@ -20,6 +20,8 @@ from biosensor_gateway.transports.serial_port import SerialLink
 from biosensor_gateway.transports.tcp_link import TcpLink
 from biosensor_gateway.transports.threads import in_daemon_thread
 
+pytestmark = pytest.mark.nightly
+
 ALL_BYTES = bytes(range(256))
 ENDED_WITHIN_S = 20.0
 ADDRESS = "00:06:66:AA:BB:CC"

@@ -21,6 +21,8 @@ from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.transports import serial_port as module
 from biosensor_gateway.transports.serial_port import SerialLink
 
+pytestmark = pytest.mark.nightly
+
 ALL_BYTES = bytes(range(256))
 CLOSED_WITHIN_S = 20.0
 HOLD_PORT = """

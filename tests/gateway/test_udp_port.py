@@ -1,24 +1,22 @@
-"""A UDP port that a thread reads."""
+"""A UDP port that a thread reads, and the one in memory that unit tests have in its place."""
 
 from __future__ import annotations
 
 import errno
 import socket
-import threading
-from collections.abc import Callable, Generator
+from collections.abc import AsyncGenerator
 
 import pytest
-from pylsl import local_clock
 
+from biosensor_gateway.system.clock import LSL_CLOCK
 from biosensor_gateway.transports.receiving import Address
 from biosensor_gateway.transports.udp_port import UdpPort
-
-pytestmark = pytest.mark.nightly
+from tests.rigs.memory_links import MemoryUdpPort
+from tests.rigs.polling import until
 
 LOCAL = "127.0.0.1"
 DEADLINE_S = 30.0
 
-Until = Callable[[Callable[[], bool]], None]
 Datagram = tuple[bytes, float, Address]
 
 
@@ -27,39 +25,41 @@ def received() -> list[Datagram]:
     return []
 
 
-@pytest.fixture
-def port(received: list[Datagram]) -> Generator[UdpPort]:
-    made = UdpPort(LOCAL)
+@pytest.fixture(params=["in memory", pytest.param("real", marks=pytest.mark.seam)])
+async def port(request: pytest.FixtureRequest, received: list[Datagram]) -> AsyncGenerator[UdpPort]:
+    made = MemoryUdpPort(LOCAL) if request.param == "in memory" else UdpPort(LOCAL)
 
     def take(data: bytes, arrival_s: float, sender: Address) -> None:
         received.append((data, arrival_s, sender))
 
-    reading = threading.Thread(target=made.read_forever, args=(take,))
-    reading.start()
+    def lost(error: OSError) -> None:
+        raise error
+
+    made.listen(take, lost)
     yield made
-    made.end()
-    reading.join(DEADLINE_S)
-    assert not reading.is_alive()
+    number = made.number
+    await made.close()
+    # It is free again at once.
+    UdpPort(LOCAL, number).end()
 
 
-@pytest.mark.seam
-def test_datagrams_come_whole_with_their_time_and_sender(
-    port: UdpPort, received: list[Datagram], until: Until
+async def test_datagrams_come_whole_with_their_time_and_sender(
+    port: UdpPort, received: list[Datagram]
 ) -> None:
-    begun_s = local_clock()
+    begun_s = LSL_CLOCK()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for data in (b"one", b"", b"three" * 1000):
             sender.sendto(data, (LOCAL, port.number))
-        until(lambda: len(received) == 3)
+        await until(lambda: len(received) == 3)
         address = sender.getsockname()[1]
     assert [data for data, _, _ in received] == [b"one", b"", b"three" * 1000]
-    times_s = [begun_s, *(arrival_s for _, arrival_s, _ in received), local_clock()]
+    times_s = [begun_s, *(arrival_s for _, arrival_s, _ in received), LSL_CLOCK()]
     assert times_s == sorted(times_s)
     assert {sender for _, _, sender in received} == {(LOCAL, address)}
 
 
-def test_answers_go_where_they_are_sent_and_to_nobody_do_no_harm(
-    port: UdpPort, received: list[Datagram], until: Until
+async def test_answers_go_where_they_are_sent_and_to_nobody_do_no_harm(
+    port: UdpPort, received: list[Datagram]
 ) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asker:
         asker.bind((LOCAL, 0))
@@ -70,11 +70,11 @@ def test_answers_go_where_they_are_sent_and_to_nobody_do_no_harm(
     for _ in range(3):
         port.send(b"nobody listens", gone)
     port.send(b"to itself", (LOCAL, port.number))
-    until(lambda: bool(received))
+    await until(lambda: bool(received))
     assert received[0][0] == b"to itself"
 
 
-def test_a_port_that_another_program_has_is_refused(port: UdpPort) -> None:
+async def test_a_port_that_another_program_has_is_refused(port: UdpPort) -> None:
     with pytest.raises(OSError, match=r".") as caught:
         UdpPort(LOCAL, port.number)
     assert caught.value.errno == errno.EADDRINUSE

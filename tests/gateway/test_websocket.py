@@ -10,7 +10,6 @@ import ssl
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from pathlib import Path
 
-import pylsl
 import pytest
 import trustme
 from cryptography import x509
@@ -20,6 +19,7 @@ from cryptography.x509.oid import NameOID
 from websockets.asyncio.server import Server, ServerConnection, serve
 
 from biosensor_common.errors import ConfigError, GatewayError, TransportError, TransportReason
+from biosensor_gateway.system.clock import LSL_CLOCK
 from biosensor_gateway.transports import websocket as module
 from biosensor_gateway.transports.websocket import WebSocketLink, tls_context
 
@@ -102,7 +102,7 @@ async def test_messages_go_both_ways_in_order_with_their_time_of_arrival(
         async for message in socket:
             await socket.send(message)
 
-    before = pylsl.local_clock()
+    before = LSL_CLOCK()
     async with linked(authority, ca_file, echo) as (link, _):
         for number in range(50):
             await link.send(f"message {number} ä")
@@ -111,7 +111,7 @@ async def test_messages_go_both_ways_in_order_with_their_time_of_arrival(
     arrivals = [each.arrival for each in received]
     assert before <= arrivals[0]
     assert arrivals == sorted(arrivals)
-    assert arrivals[-1] <= pylsl.local_clock()
+    assert arrivals[-1] <= LSL_CLOCK()
 
 
 @pytest.mark.nightly

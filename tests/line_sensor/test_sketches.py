@@ -23,7 +23,10 @@ HERE = Path(__file__).parent / "arduino"
 PAGES = Path(__file__).parents[2] / "docs" / "sensors" / "line_sensor"
 LOOKS = 50
 
-pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="there is no compiler")
+pytestmark = [
+    pytest.mark.nightly,
+    pytest.mark.skipif(shutil.which("g++") is None, reason="there is no compiler"),
+]
 
 
 def settings_in(sketch: Path) -> LineSettings:

@@ -115,7 +115,9 @@ def test_an_interruption_leaves_the_parts_that_have_ended(
 
 def test_tests_are_run_and_a_part_without_any_fails(project: Path) -> None:
     """By the project's own options, so in a folder of its own tests."""
-    table = '[[part]]\nname = "some"\ndoes = "tests"\ntests = ["tests/test_it.py"]\nonly = "seams"\n'
+    table = (
+        '[[part]]\nname = "some"\ndoes = "tests"\ntests = ["tests/test_it.py"]\nonly = "seams"\n'
+    )
     (project / "tests" / "nightly" / "parts.toml").write_text(table)
     (project / "tests" / "test_it.py").write_text(
         "import pytest\n\n@pytest.mark.seam\ndef test_it():\n    assert 1 == 2\n\n"

@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 from types import FrameType
 
+import pytest
+
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement
 from tests.polar_h10.conftest import Make
 from tests.rigs.bluetooth import ON_BUMBLE
@@ -44,6 +46,7 @@ def drawn_modules() -> set[str]:
     return set(re.findall(r"[\w/]+\.py", drawing))
 
 
+@pytest.mark.seam
 @ON_BUMBLE
 async def test_the_way_is_short_and_is_the_one_that_is_drawn(sensor: Make) -> None:
     way = Way()

@@ -2,7 +2,7 @@
 
 On ``bumble``, bleak has a backend of ours over the virtual radio. On ``bluez`` it is
 bleak's own Linux backend, which talks D-Bus to a fake BlueZ on the same radio. A test
-that uses `radio` runs on both; the marks say why one would not.
+that uses `radio` runs on both, each night; the marks say why one would not.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ __all__ = [
     "world",
 ]
 
-ON_BLUEZ = pytest.mark.parametrize("rig", ["bluez"])
+_BLUEZ = pytest.param("bluez", marks=pytest.mark.nightly)
+ON_BLUEZ = pytest.mark.parametrize("rig", [_BLUEZ])
 """For what only BlueZ does."""
 ON_BUMBLE = pytest.mark.parametrize("rig", ["bumble"])
 """For what BlueZ does otherwise, and for bleak calls that the test replaces on any rig."""
@@ -51,7 +52,7 @@ class Bluetooth(NamedTuple):
     bluez: FakeBluez | None = None
 
 
-@pytest.fixture(params=["bumble", "bluez"])
+@pytest.fixture(params=["bumble", _BLUEZ])
 def rig(request: pytest.FixtureRequest) -> str:
     name: str = request.param
     return name

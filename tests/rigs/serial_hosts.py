@@ -4,10 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Generic, Protocol, TypeVar
+
+from tests.rigs.memory_links import MemoryPort
+from tests.rigs.virtual_time import pause
 
 _DEADLINE_S = 30.0
 _POLL_S = 0.05
+
+
+def is_there(port: str) -> bool:
+    """Tell whether there is such a port, which may be one in memory."""
+    return Path(port).exists() or port in MemoryPort.tcp_ports
 
 
 class SerialHost(Protocol):
@@ -42,7 +51,7 @@ class SerialHosts(Generic[_HostT]):
                 self._hosts.append(self._make(port))
             except OSError:
                 assert time.monotonic() < deadline, "the port did not come back"
-                time.sleep(_POLL_S)
+                pause(_POLL_S)
             else:
                 return self._hosts[-1]
 

@@ -3,7 +3,8 @@
 Threads take turns: only when all of them wait, time moves on to whatever comes first. So half
 a minute of streaming takes as long as the work in it, and is the same each time. A job of
 :func:`asyncio.to_thread` takes no turn, but holds the time until it is done. It holds for
-what is in this process alone: nobody can tell a socket, a terminal or a bus to wait.
+what is in this process alone: nobody can tell a socket, a terminal or a bus to wait. Those of
+unit tests are in memory (memory_sockets.py, memory_links.py).
 """
 
 from __future__ import annotations
@@ -11,23 +12,27 @@ from __future__ import annotations
 import asyncio
 import math
 import selectors
+import socket
 import threading
-from collections.abc import AsyncGenerator, Callable, Generator
+import time
+from collections.abc import AsyncGenerator, Callable, Generator, Mapping
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager
 from contextvars import Context
-from time import monotonic
-from typing import NamedTuple, TypeVar, TypeVarTuple
+from typing import Any, NamedTuple, TypeVar, TypeVarTuple
 
 import pytest
 from pylsl import local_clock
 
+from biosensor_gateway.system.clock import LslClock
+from tests.rigs.memory_sockets import FIRST_NUMBER, ready, sockets_in_memory
 from tests.tiers.guard import GUARD
 
 _T = TypeVar("_T")
 _Ts = TypeVarTuple("_Ts")
 # Somebody who takes no turns, such as a thread of a library, may have what all wait for.
 _OUTSIDE_S = 0.001
+_MOMENT_S = 1e-9
 
 
 class _Wait(NamedTuple):
@@ -57,8 +62,8 @@ class VirtualTime:
     def wait_for(self, future: Future[_T], limit_s: float) -> _T:
         """Let the others work until one of them has the result."""
         # The limit is one of patience, in the system's time: the others may be slow, not late.
-        give_up_s = monotonic() + limit_s
-        self.wait(math.inf, lambda: future.done() or monotonic() > give_up_s)
+        give_up_s = time.monotonic() + limit_s
+        self.wait(math.inf, lambda: future.done() or time.monotonic() > give_up_s)
         return future.result(0.0)
 
     def wait(self, until_s: float, is_over: Callable[[], bool]) -> None:
@@ -73,6 +78,22 @@ class VirtualTime:
                 if not has_changed:
                     self._choose()
             del self._waits[me]
+
+    def wait_in_turn(self, limit_s: float | None, is_over: Callable[[], bool]) -> bool:
+        """Let the others work until something is so; return False where the time is over first.
+
+        For a call that blocks, in whatever thread: one that takes no turns takes none afterwards.
+        """
+        takes_turns = self._at_work == threading.get_ident()
+        self.wait(math.inf if limit_s is None else self._now_s + limit_s, is_over)
+        is_so = is_over()
+        if not takes_turns:
+            self.leave()
+        return is_so
+
+    def pass_a_moment(self) -> None:
+        """Let work take some time: what is due "now", but for a rounding, would never be."""
+        self._now_s += _MOMENT_S
 
     def come_in(self, job: object) -> None:
         """Take turns from now on; time is not held for the job any more."""
@@ -122,22 +143,68 @@ class VirtualTime:
 
 
 class _Selector(selectors.DefaultSelector):
-    """Waits by a clock, if it has one."""
+    """Waits by a clock, if it has one; also for sockets in memory."""
 
     def __init__(self) -> None:
         super().__init__()
         self.clock: VirtualTime | None = None
+        self._in_memory: dict[int, selectors.SelectorKey] = {}
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         """Return what is ready."""
         if self.clock is None:
             return super().select(timeout)
-        found = super().select(0)
+        found = self._ready()
         if found or (timeout is not None and timeout <= 0):
+            self.clock.pass_a_moment()
             return found
         until_s = math.inf if timeout is None else self.clock() + timeout
-        self.clock.wait(until_s, lambda: bool(super(_Selector, self).select(0)))
-        return super().select(0)
+        self.clock.wait(until_s, lambda: bool(self._ready()))
+        return self._ready()
+
+    def register(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:
+        """Watch a file."""
+        number = _number_of(fileobj)
+        if number < FIRST_NUMBER:
+            return super().register(fileobj, events, data)
+        if number in self._in_memory:
+            raise KeyError(f"{fileobj!r} is registered already")
+        key = self._in_memory[number] = selectors.SelectorKey(fileobj, number, events, data)
+        return key
+
+    def unregister(self, fileobj: Any) -> selectors.SelectorKey:
+        """Watch a file no longer."""
+        number = _number_of(fileobj)
+        if number < FIRST_NUMBER:
+            return super().unregister(fileobj)
+        return self._in_memory.pop(number)
+
+    def modify(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:
+        """Watch a file for other events."""
+        if _number_of(fileobj) < FIRST_NUMBER:
+            return super().modify(fileobj, events, data)
+        self.unregister(fileobj)
+        return self.register(fileobj, events, data)
+
+    def get_key(self, fileobj: Any) -> selectors.SelectorKey:
+        """Return what a file is watched for."""
+        return self.get_map()[_number_of(fileobj)]
+
+    def get_map(self) -> Mapping[Any, selectors.SelectorKey]:
+        """Return what all files are watched for, by their numbers."""
+        of_the_system = super().get_map() or {}
+        return {**of_the_system, **self._in_memory} if self._in_memory else of_the_system
+
+    def _ready(self) -> list[tuple[selectors.SelectorKey, int]]:
+        found = super().select(0)
+        for number, key in tuple(self._in_memory.items()):
+            if events := ready(number, key.events):
+                found.append((key, events))
+        return found
+
+
+def _number_of(fileobj: Any) -> int:
+    return fileobj if isinstance(fileobj, int) else fileobj.fileno()
 
 
 class SwitchableLoop(asyncio.SelectorEventLoop):
@@ -160,6 +227,12 @@ class SwitchableLoop(asyncio.SelectorEventLoop):
     def switch(self, clock: VirtualTime | None) -> None:
         """Go by a clock from now on; None for the system's."""
         self._waiting.clock = clock
+
+    async def getaddrinfo(self, *arguments: Any, **named: Any) -> Any:
+        """Return addresses; those in memory are known at once."""
+        if self._waiting.clock is None:
+            return await super().getaddrinfo(*arguments, **named)
+        return socket.getaddrinfo(*arguments, **named)
 
     def run_in_executor(
         self, executor: Executor | None, func: Callable[[*_Ts], _T], *args: *_Ts
@@ -232,8 +305,56 @@ async def virtual_clock() -> AsyncGenerator[VirtualTime]:
         yield clock
 
 
-def virtual_loop() -> SwitchableLoop:
-    """Make a loop that goes by a virtual clock from its beginning."""
+class _ClockOfTheTest:
+    """One clock for all loops, worlds and sockets of a test; made in its thread when asked for."""
+
+    def __init__(self) -> None:
+        self._clock: VirtualTime | None = None
+        self.is_on = False
+
+    def __call__(self) -> VirtualTime:
+        """Return it."""
+        if self._clock is None:
+            self._clock = VirtualTime()
+        return self._clock
+
+    @contextmanager
+    def everywhere(self) -> Generator[None]:
+        """Let all that goes by LSL's clock go by this one, and keep sockets in memory."""
+
+        def now_s(_: LslClock) -> float:
+            return self()()
+
+        def new_event_loop(_: LslClock) -> asyncio.AbstractEventLoop:
+            return self().new_event_loop()
+
+        def wait_for(_: LslClock, future: Future[Any], limit_s: float) -> object:
+            return self().wait_for(future, limit_s)
+
+        self._clock, self.is_on = None, True
+        with sockets_in_memory(self), pytest.MonkeyPatch.context() as patch:
+            patch.setattr(LslClock, "__call__", now_s)
+            patch.setattr(LslClock, "new_event_loop", new_event_loop)
+            patch.setattr(LslClock, "wait_for", wait_for)
+            yield
+        self._clock, self.is_on = None, False
+
+    def pause(self, seconds: float) -> None:
+        """Sleep by the clock of the test; by the system's where the test is real."""
+        if self.is_on:
+            self().wait_in_turn(seconds, lambda: False)
+        else:
+            time.sleep(seconds)
+
+
+clock_of_the_test = _ClockOfTheTest()
+"""The clock of the unit test that runs."""
+pause = clock_of_the_test.pause
+
+
+def loop_of_the_test() -> SwitchableLoop:
+    """Make a loop; that of a unit test goes by its virtual clock from its beginning."""
     loop = SwitchableLoop()
-    loop.switch(VirtualTime())
+    if clock_of_the_test.is_on:
+        loop.switch(clock_of_the_test())
     return loop

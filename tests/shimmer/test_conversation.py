@@ -7,7 +7,6 @@ from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager
 
 import pytest
-from pylsl import local_clock
 
 from biosensor_common.errors import (
     ProtocolError,
@@ -29,6 +28,7 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
     Status,
     StatusFlag,
 )
+from biosensor_gateway.system.clock import LSL_CLOCK
 from biosensor_gateway.transports.link import Received
 
 pytestmark = pytest.mark.usefixtures("virtual_clock")
@@ -70,7 +70,7 @@ class ScriptedLink:
 
     def send(self, data: bytes | None) -> None:
         if data != b"":
-            self._incoming.put_nowait(None if data is None else Received(data, local_clock()))
+            self._incoming.put_nowait(None if data is None else Received(data, LSL_CLOCK()))
 
     async def close(self) -> None:
         self.closed = True
@@ -279,11 +279,11 @@ async def test_a_poll_that_is_not_answered_or_refused_has_no_answer() -> None:
 
 async def test_a_device_that_was_left_streaming_is_stopped_and_its_data_thrown_away() -> None:
     talk = Talk(lambda command: b"" if command == commands.STOP_STREAMING else usual(command))
-    before = local_clock()
+    before = LSL_CLOCK()
     talk.link.send(bytes(100))
     until_s = await talk.conversation.open()
     assert until_s is not None
-    assert before <= until_s <= local_clock()
+    assert before <= until_s <= LSL_CLOCK()
     assert talk.heard == []
     assert await talk.conversation.ask(commands.GET_HARDWARE, Hardware) == Hardware(3)
     await talk.conversation.close()

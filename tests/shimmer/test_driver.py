@@ -34,7 +34,7 @@ AIR = {"pressure", "temp"}
 SAMPLES = 40
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def world() -> Generator[World]:
     with World() as made:
         yield made

@@ -82,7 +82,7 @@ def rows_of(*columns: Floats) -> Floats:
     return np.stack([column[:count] for column in columns], axis=1)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def world() -> Generator[World]:
     with World() as made:
         yield made
@@ -364,6 +364,7 @@ async def test_a_drifting_crystal_loses_nothing(streaming: Streaming) -> None:
     assert run.sink.clock_state.reanchors == 0
 
 
+@pytest.mark.seam
 async def test_a_device_that_was_left_streaming_is_stopped_first(world: World) -> None:
     with SimulatedShimmer3(world, firmware=(1, 1, 2), seed=16) as device:
         other = os.open(device.port, os.O_RDWR | os.O_NOCTTY)

@@ -10,12 +10,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import serial
-from pylsl import local_clock
 
 from biosensor_gateway.devices.shimmer3_gsr.simulator import SimulatedShimmer3
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
+from biosensor_gateway.system.clock import LSL_CLOCK
 from tests.rigs.serial_hosts import SerialHosts
+from tests.rigs.virtual_time import pause
 
 DEADLINE_S = 20.0
 RESISTORS_KOHM = (40.2, 287.0, 1000.0, 3300.0)
@@ -144,14 +145,14 @@ def settled(device: SimulatedShimmer3, data_name: str, count: int) -> None:
     deadline = time.monotonic() + DEADLINE_S
     while len(device.truth.samples(data_name).times) < count:
         assert time.monotonic() < deadline
-        time.sleep(0.01)
+        pause(0.01)
 
 
 def unsent(device: SimulatedShimmer3, data_name: str, more_than: int) -> None:
     deadline = time.monotonic() + DEADLINE_S
     while device.truth.unsent_count(data_name) <= more_than:
         assert time.monotonic() < deadline
-        time.sleep(0.01)
+        pause(0.01)
 
 
 def gaps(packets: list[Packet]) -> list[int]:
@@ -200,7 +201,7 @@ def test_what_is_decoded_is_the_truth(host: Host, device: SimulatedShimmer3) -> 
 def test_no_packet_leaves_before_it_was_measured(host: Host, device: SimulatedShimmer3) -> None:
     host.ask_all(*GSR_PPG_128_HZ, "07")
     host.packets(30)
-    heard_s = local_clock()
+    heard_s = LSL_CLOCK()
     settled(device, "gsr", 30)
     assert device.truth.samples("gsr").times[29] < heard_s
 
@@ -287,7 +288,7 @@ def test_a_host_that_leaves_ends_stream_and_modes(
     deadline = time.monotonic() + DEADLINE_S
     while device.streaming:
         assert time.monotonic() < deadline
-        time.sleep(0.01)
+        pause(0.01)
     again = hosts.connect(device.port)
     assert again.is_quiet()
     # The settings are in flash.
@@ -398,11 +399,11 @@ class TestFaults:
         device.apply(Fault(FaultKind.LATE, 0.3))
         host.until_hung_up()
         again = hosts.connect(device.port)
-        sent_s = local_clock()
+        sent_s = LSL_CLOCK()
         again.send("3f")
         again.send("72")
         assert again.take(7).hex() == "ff2503ff8a7120"
-        assert local_clock() - sent_s >= 0.3
+        assert LSL_CLOCK() - sent_s >= 0.3
         device.clear(FaultKind.LATE)
         assert again.is_quiet()
 

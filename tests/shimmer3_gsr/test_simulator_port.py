@@ -1,4 +1,4 @@
-"""The port under a virtual device in a loop, as a host sees it, on both kinds of it."""
+"""The port under a virtual device in a loop, as a host sees it, on all kinds of it."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import serial
 
 from biosensor_gateway.simulation.async_serial import AsyncSerialPort, serial_port
 from biosensor_gateway.simulation.world import World
+from tests.rigs.virtual_time import pause
 
 DEADLINE_S = 20.0
 BUFFER_BYTES = 256
@@ -44,7 +45,15 @@ class Device:
         self._world.call(self.port.dispose)
 
 
-@pytest.fixture(params=[False, True], ids=["pty", "tcp"])
+# What is in memory has to be as the real ones are.
+@pytest.fixture(
+    params=[
+        pytest.param(False, id="in memory"),
+        pytest.param(True, id="tcp in memory"),
+        pytest.param(False, id="pty", marks=pytest.mark.nightly),
+        pytest.param(True, id="tcp", marks=pytest.mark.nightly),
+    ]
+)
 def device(request: pytest.FixtureRequest) -> Iterator[Device]:
     with World() as world:
         running = Device(world, tcp=request.param)
@@ -61,7 +70,7 @@ def until(condition: Callable[[], bool]) -> None:
     deadline = time.monotonic() + DEADLINE_S
     while not condition():
         assert time.monotonic() < deadline
-        time.sleep(0.005)
+        pause(0.005)
 
 
 def greeted(device: Device) -> serial.SerialBase:

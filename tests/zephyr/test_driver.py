@@ -30,7 +30,7 @@ from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing
 from biosensor_gateway.devices.zephyr.simulator.synthetic import DEFAULT_CLOCK, SyntheticSource
 from biosensor_gateway.devices.zephyr.simulator.wire import Packet
 from biosensor_gateway.simulation.wearer import Wearer
-from biosensor_gateway.system.clock import Clock
+from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 from tests.rigs.driver_run import NotedSink, Run, supervised
 from tests.rigs.zephyr import ROOMY_BYTES, SteeredBioHarness, is_damaged
 
@@ -146,6 +146,7 @@ async def test_intervals_are_those_of_the_body() -> None:
     np.testing.assert_allclose(apart, received[1:], atol=0.065)
 
 
+@pytest.mark.seam
 async def test_an_inlet_gets_the_device_s_samples_at_their_times() -> None:
     async with streaming(SteeredBioHarness(SyntheticSource(seed=4))) as run:
         await eventually(run.sink.has_blocks("ecg"))
@@ -427,7 +428,7 @@ class Script:
         return sent
 
     def next_due(self) -> float:
-        return pylsl.local_clock() + 0.01
+        return LSL_CLOCK() + 0.01
 
     def hangs_up(self, now: float) -> bool:
         del now
@@ -497,6 +498,6 @@ async def test_a_device_whose_clock_was_never_set_is_stamped_by_arrival() -> Non
             await asyncio.sleep(0.1)
         await eventually(run.sink.has_blocks("ecg", blocks=5))
         stamp = run.sink.counted("ecg").last_stamp
-        assert abs(stamp - pylsl.local_clock()) < 5
+        assert abs(stamp - LSL_CLOCK()) < 5
     assert run.lost == {"ecg": 2 * 63}
     assert [block[0, 0] for block in run.sink.blocks["ecg"]] == [0, 1, 2, 5, 6]

@@ -1,4 +1,4 @@
-"""The virtual BioHarness on a real pseudo-terminal, heard through pyserial."""
+"""The virtual BioHarness, heard by a host of serial ports."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -17,7 +17,8 @@ from biosensor_gateway.devices.zephyr.simulator.recording import (
 )
 from biosensor_gateway.devices.zephyr.simulator.synthetic import SyntheticSource
 from biosensor_gateway.devices.zephyr.simulator.wire import Packet
-from tests.rigs.serial_hosts import SerialHosts
+from tests.rigs.serial_hosts import SerialHosts, is_there
+from tests.rigs.virtual_time import pause
 from tests.rigs.zephyr import ROOMY_BYTES, SteeredBioHarness, is_damaged
 
 DEADLINE_S = 8.0
@@ -151,9 +152,9 @@ def bench() -> Iterator[PluggedDevice]:
 
 def await_port(path: str) -> None:
     deadline = time.monotonic() + DEADLINE_S
-    while not Path(path).exists():
+    while not is_there(path):
         assert time.monotonic() < deadline
-        time.sleep(0.01)
+        pause(0.01)
 
 
 def fast(speed: float = 30.0) -> SyntheticSource:
@@ -164,7 +165,7 @@ def test_it_is_silent_until_the_host_speaks_and_never_answers_a_lifesign(
     bench: PluggedDevice,
 ) -> None:
     host = bench.start(SteeredBioHarness(fast(), lifesign_s=0.02))
-    time.sleep(0.1)
+    pause(0.1)
     host.listen()
     assert host.raw == b""
     host.send(LIFESIGN)
@@ -260,7 +261,7 @@ def test_a_recording_that_hangs_up_is_heard_to_its_end_and_begins_anew(
     source = RecordedSource(data, speed=100, on_end="hang_up")
     host = bench.start(SteeredBioHarness(source, buffer_bytes=ROOMY_BYTES))
     host.send(ENABLES)
-    time.sleep(0.8)  # a slow host: the device waits for it before it hangs up
+    pause(0.8)  # a slow host: the device waits for it before it hangs up
     with pytest.raises(OSError):
         host.until(lambda: False)
     await_port(bench.device.port)
@@ -283,10 +284,10 @@ def test_a_dropped_link_loses_whole_packets_and_forgets_the_enables(bench: Plugg
     host.until(lambda: len(host.of(Packet.ECG)) >= 3)
     bench.device.drop_link()
     before = len(bench.device.sent)
-    assert not Path(bench.device.port).exists()
+    assert not is_there(bench.device.port)
     with pytest.raises(OSError):
         host.until(lambda: False)
-    time.sleep(0.1)
+    pause(0.1)
     bench.device.restore_link()
     again = bench.connect()
     assert bench.device.enabled == frozenset()
@@ -318,7 +319,7 @@ def test_a_stalled_device_neither_hears_nor_speaks(bench: PluggedDevice) -> None
     host.until(lambda: len(host.of(Packet.ECG)) == sent)
     heard = host.raw
     host.send(ECG_OFF)
-    time.sleep(0.2)
+    pause(0.2)
     host.listen()
     assert host.raw == heard
     assert len(bench.device.sent) == sent
@@ -426,7 +427,7 @@ def test_a_host_that_says_nothing_is_forgotten(bench: PluggedDevice) -> None:
     host.ask(ECG_ON)
     host.until(lambda: bench.device.enabled == frozenset())
     sent = len(bench.device.sent)
-    time.sleep(0.1)
+    pause(0.1)
     assert len(bench.device.sent) == sent
     assert host.ask(ECG_ON) == ACK
 
@@ -439,17 +440,18 @@ def test_a_host_that_does_not_read_loses_whole_frames_and_blocks_nothing(
     deadline = time.monotonic() + DEADLINE_S
     while bench.device.dropped_frames < 100:
         assert time.monotonic() < deadline
-        time.sleep(0.01)
+        pause(0.01)
     host.send(DISABLES)
     while bench.device.enabled:
         assert time.monotonic() < deadline
-        time.sleep(0.01)
+        pause(0.01)
     sent = [out.data for out in bench.device.sent]
     host.until(lambda: len(host.frames) >= len(sent) + 5)
     assert host.junk == 0
     assert [heard.raw for heard in host.frames if heard.end == 3] == sent
 
 
+@pytest.mark.nightly
 def test_stopping_removes_the_port() -> None:
     with SteeredBioHarness() as device:
         port = Path(device.port)

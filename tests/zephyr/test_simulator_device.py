@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 import serial
 from numpy.typing import NDArray
-from pylsl import local_clock
 
 from biosensor_gateway.devices.zephyr.simulator.zephyr import SimulatedZephyr
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.truth import Samples
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
+from biosensor_gateway.system.clock import LSL_CLOCK
 from tests.rigs.serial_hosts import SerialHosts
+from tests.rigs.virtual_time import pause
 
 DEADLINE_S = 20.0
 ECG_ON = bytes.fromhex("021601015e03")
@@ -139,12 +140,12 @@ def settled(device: SimulatedZephyr, data_name: str, count: int) -> Samples:
     deadline = time.monotonic() + DEADLINE_S
     while len((found := device.truth.samples(data_name)).times) < count:
         assert time.monotonic() < deadline
-        time.sleep(0.01)
+        pause(0.01)
     return found
 
 
 def test_waveforms_of_the_truth_are_those_on_the_wire(host: Host, device: SimulatedZephyr) -> None:
-    began_s = local_clock()
+    began_s = LSL_CLOCK()
     for request in (ECG_ON, BREATHING_ON, ACC_ON):
         assert host.ask(request) == ACK
     scales = {ECG: ("ecg", 1, 250.0), BREATHING: ("breathing", 1, 1000 / 56), ACC: ("acc", 3, 50.0)}
@@ -156,7 +157,7 @@ def test_waveforms_of_the_truth_are_those_on_the_wire(host: Host, device: Simula
         np.testing.assert_allclose(truth.values[: len(expected)], expected)
         np.testing.assert_allclose(np.diff(truth.times), 1 / rate, atol=1e-6)
         # The first packet may have begun before it was asked for.
-        assert began_s - 1.1 < truth.times[0] <= truth.times[-1] < local_clock()
+        assert began_s - 1.1 < truth.times[0] <= truth.times[-1] < LSL_CLOCK()
 
 
 def test_intervals_of_the_truth_are_where_the_wire_turns_its_sign(hosts: SerialHosts[Host]) -> None:
@@ -241,7 +242,7 @@ def test_stall_is_a_gap_that_the_truth_counts(host: Host, device: SimulatedZephy
     deadline = time.monotonic() + DEADLINE_S
     while device.truth.unsent_count("ecg") < 3 * 63:
         assert time.monotonic() < deadline
-        time.sleep(0.01)
+        pause(0.01)
     device.clear(FaultKind.STALL)
     sequences = [each.sequence for each in host.wait_for(ECG, 6)]
     lost = sum(int(step) - 1 for step in np.diff(sequences) % 256)
@@ -272,10 +273,10 @@ def test_late_answers_come_late(
     device.apply(Fault(FaultKind.LATE, 0.5))
     host.until_hung_up()
     again = hosts.connect(device.settings["port"])
-    asked_s = local_clock()
+    asked_s = LSL_CLOCK()
     assert again.ask(ECG_ON) == ACK
     # Never before; how long after is the machine's matter.
-    assert local_clock() - asked_s >= 0.5
+    assert LSL_CLOCK() - asked_s >= 0.5
 
 
 def test_body_and_battery_show_in_the_summary(host: Host, device: SimulatedZephyr) -> None:
