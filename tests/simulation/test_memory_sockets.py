@@ -186,6 +186,8 @@ async def test_a_link_stamps_when_bytes_come(where: str) -> None:
         for data in (b"one", b"two"):
             await asyncio.sleep(0.5)
             writer.write(data)
+        writer.close()
+        await writer.wait_closed()
 
     server = await asyncio.start_server(speak, HERE, 0)
     link = byte_link(f"socket://{HERE}:{server.sockets[0].getsockname()[1]}")
@@ -200,3 +202,4 @@ async def test_a_link_stamps_when_bytes_come(where: str) -> None:
         assert min(waits_s) > 0
     await link.close()
     server.close()
+    await server.wait_closed()

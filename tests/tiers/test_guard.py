@@ -107,14 +107,14 @@ async def test_loops_go_by_virtual_time() -> None:
     ("text", "tiers"),
     [
         ("def test_a() -> None: ...", {Tier.UNIT}),
-        ("pytestmark = pytest.mark.nightly", {Tier.NIGHTLY}),
-        ("pytestmark = [\n    pytest.mark.skipif(1),\n    pytest.mark.nightly,\n]", {Tier.NIGHTLY}),
+        ("pytestmark = pytest.mark.nightly", set[Tier]()),
+        ("pytestmark = [\n    pytest.mark.skipif(1),\n    pytest.mark.nightly,\n]", set[Tier]()),
         ("@pytest.mark.seam\ndef test_a() -> None: ...", {Tier.UNIT, Tier.SEAMS}),
-        ("pytestmark = pytest.mark.nightly\n@pytest.mark.seam\n", {Tier.SEAMS, Tier.NIGHTLY}),
+        ("pytestmark = pytest.mark.nightly\n@pytest.mark.seam\n", {Tier.SEAMS}),
     ],
 )
 def test_files_without_tests_of_a_tier_are_not_imported(text: str, tiers: set[Tier]) -> None:
-    assert {tier for tier in Tier if may_hold(text, tier)} == tiers
+    assert {tier for tier in Tier if may_hold(text, tier)} == tiers | {Tier.NIGHTLY}
 
 
 BREAKS_THE_RULE = """
