@@ -179,7 +179,6 @@ def test_a_name_from_elsewhere_steers_no_terminal_and_no_line_is_too_long(
         assert "UDP 16572 to 16827" in text
 
 
-@pytest.mark.nightly
 def test_the_options_that_exclude_each_other(run: Callable[..., Outcome]) -> None:
     for arguments in (("--answer", "--with", "robot"), ("--answer", "--only", "ports")):
         outcome = run(*arguments)

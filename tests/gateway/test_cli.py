@@ -118,7 +118,6 @@ def test_other_settings_can_be_named(run: Run, settings: Path, tmp_path: Path) -
     assert not settings.exists()
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize("command", [("config", "check"), ("run",)])
 def test_without_settings_it_says_how_to_make_them(
     run: Run, settings: Path, command: tuple[str, ...]
@@ -128,7 +127,6 @@ def test_without_settings_it_says_how_to_make_them(
     assert "config init" in sentence
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize("command", [("config", "check"), ("run",)])
 @pytest.mark.parametrize(
     ("text", "words"),
@@ -153,7 +151,6 @@ def test_wrong_settings_are_refused_with_file_and_line(
     assert "Traceback" not in outcome.err
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["toaster", "zephyr,toaster", "all,toaster", "all, toaster"])
 def test_a_virtual_device_that_does_not_exist_is_named(run: Run, name: str) -> None:
     sentence = one_sentence(run("run", "--simulate", name), 2)
@@ -164,7 +161,6 @@ def test_a_virtual_device_that_does_not_exist_is_named(run: Run, name: str) -> N
 ALL = [name for name in sensor_names() if sensor(name).virtual]
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("names", "expected"),
     [(["all"], ALL), (["zephyr", "zephyr"], ["zephyr"]), (["all", "zephyr"], ALL)],
@@ -174,7 +170,6 @@ def test_each_virtual_device_runs_once(names: list[str], expected: list[str]) ->
         assert [device.sensor for device in settings.devices] == expected
 
 
-@pytest.mark.nightly
 def test_people_wear_virtual_devices_of_their_own() -> None:
     names = ["all@P01", "polar_h10@P02", "zephyr:recording@P02", "polar_h10@P01"]
     with simulate.simulated_settings(names) as settings:
@@ -185,7 +180,6 @@ def test_people_wear_virtual_devices_of_their_own() -> None:
     assert first != second
 
 
-@pytest.mark.nightly
 def test_a_name_that_no_participant_can_have_is_refused(run: Run) -> None:
     sentence = one_sentence(run("run", "--simulate", f"polar_h10@{'x' * 33}"), 2)
     assert "is no participant: use at most 32" in sentence

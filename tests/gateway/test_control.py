@@ -138,13 +138,11 @@ async def test_what_is_asked_is_done_and_answered(
     assert commands.noted == [arguments, {}]
 
 
-@pytest.mark.nightly
 async def test_many_ask_at_once(server: ControlServer, folder: Path, commands: Commands) -> None:
     answers = await asyncio.gather(*(asked(folder, "note") for _ in range(8)))
     assert sorted(answer["count"] for answer in answers) == list(range(1, 9))
 
 
-@pytest.mark.nightly
 async def test_the_file_is_the_user_s_alone_and_goes_with_the_agent(
     folder: Path, commands: Commands
 ) -> None:
@@ -163,7 +161,6 @@ async def test_the_file_is_the_user_s_alone_and_goes_with_the_agent(
     assert all(len(bytes.fromhex(token)) == 32 for token in tokens)
 
 
-@pytest.mark.nightly
 async def test_only_this_computer_is_listened_to(server: ControlServer, folder: Path) -> None:
     port = place(folder)["port"]
     # Every address of 127.0.0.0/8 is this computer's, so a listener on all of them would answer.
@@ -186,7 +183,6 @@ WRONG_TOKENS: list[Callable[[str], object]] = [
 ]
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize("wrong", WRONG_TOKENS)
 async def test_a_wrong_token_is_refused(
     server: ControlServer, folder: Path, commands: Commands, wrong: Callable[[str], object]
@@ -199,7 +195,6 @@ async def test_a_wrong_token_is_refused(
     assert commands.noted == []
 
 
-@pytest.mark.nightly
 async def test_without_a_token_one_does_not_even_learn_the_commands(
     server: ControlServer, folder: Path
 ) -> None:
@@ -209,7 +204,6 @@ async def test_without_a_token_one_does_not_even_learn_the_commands(
 NOISE = random.Random(1).randbytes(1000).replace(b"\n", b"") + b"\n"
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("sent", "words"),
     [
@@ -235,13 +229,11 @@ async def test_what_is_no_request_is_refused_with_a_sentence(
     assert await asked(folder, "note") == {"count": 1}
 
 
-@pytest.mark.nightly
 async def test_half_a_line_and_the_end_is_refused(server: ControlServer, folder: Path) -> None:
     told = problem_in(await reply_to(folder, b'{"token"', hang_up=True))
     assert told == "the line has no end"
 
 
-@pytest.mark.nightly
 async def test_half_a_line_and_silence_is_refused_and_disturbs_nobody(
     server: ControlServer, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -251,7 +243,6 @@ async def test_half_a_line_and_silence_is_refused_and_disturbs_nobody(
     assert problem_in(await silent) == "no whole line came within 4 s"
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize("more", [{}, {"command": 7}, {"command": "fly"}, {"command": ["note"]}])
 async def test_an_unknown_command_is_answered_with_the_known(
     server: ControlServer, folder: Path, more: dict[str, Any]
@@ -261,7 +252,6 @@ async def test_an_unknown_command_is_answered_with_the_known(
     assert told == "unknown command; known are: note, fail, break_, hang, odd"
 
 
-@pytest.mark.nightly
 async def test_arguments_are_an_object(
     server: ControlServer, folder: Path, commands: Commands
 ) -> None:
@@ -271,7 +261,6 @@ async def test_arguments_are_an_object(
     assert commands.noted == []
 
 
-@pytest.mark.nightly
 async def test_the_sentence_of_a_command_reaches_who_asked(
     server: ControlServer, folder: Path
 ) -> None:
@@ -281,7 +270,6 @@ async def test_the_sentence_of_a_command_reaches_who_asked(
     assert str(error) == "the agent refused fail: no such device"
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize("command", ["break_", "odd"])
 async def test_a_command_with_a_mistake_costs_itself_only(
     server: ControlServer, folder: Path, command: str
@@ -295,7 +283,6 @@ async def test_a_command_with_a_mistake_costs_itself_only(
     assert await asked(folder, "note") == {"count": 1}
 
 
-@pytest.mark.nightly
 async def test_a_command_that_hangs_is_given_up(
     server: ControlServer, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -304,7 +291,6 @@ async def test_a_command_that_hangs_is_given_up(
         await asyncio.to_thread(ask, folder, "hang", time_limit_s=DEADLINE_S)
 
 
-@pytest.mark.nightly
 async def test_too_many_connections_are_refused_until_there_is_room(
     server: ControlServer, folder: Path, eventually: Any
 ) -> None:
@@ -330,7 +316,6 @@ async def test_too_many_connections_are_refused_until_there_is_room(
     await task
 
 
-@pytest.mark.nightly
 async def test_who_asks_for_the_end_hears_of_it(folder: Path) -> None:
     ended = asyncio.Event()
 
@@ -344,7 +329,6 @@ async def test_who_asks_for_the_end_hears_of_it(folder: Path) -> None:
     assert await answer == {"process": 1}
 
 
-@pytest.mark.nightly
 async def test_a_silent_client_does_not_hold_up_the_end(folder: Path, commands: Commands) -> None:
     server = ControlServer(folder, commands)
     await server.__aenter__()
@@ -359,7 +343,6 @@ async def test_a_silent_client_does_not_hold_up_the_end(folder: Path, commands: 
     assert len(asyncio.all_tasks()) == 1
 
 
-@pytest.mark.nightly
 async def test_a_file_that_cannot_be_written_is_said(folder: Path, commands: Commands) -> None:
     (folder / CONTROL_FILE).mkdir()
     server = ControlServer(folder, commands)
@@ -382,7 +365,6 @@ def test_without_an_agent_it_says_how_to_start_one(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.nightly
 def test_what_a_killed_agent_left_is_no_agent(tmp_path: Path) -> None:
     # Another program has the port by now.
     with socket.create_server(("127.0.0.1", 0)) as other:
@@ -397,7 +379,6 @@ def test_what_a_killed_agent_left_is_no_agent(tmp_path: Path) -> None:
             other.accept()
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize(
     "content",
     [
@@ -425,7 +406,6 @@ def test_an_agent_whose_file_is_not_there_or_damaged_does_not_answer(
     assert str(folder) in str(error)
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize("is_listening", [True, False])
 def test_an_agent_that_is_stuck_does_not_answer(folder: Path, is_listening: bool) -> None:
     with socket.socket() as stuck:

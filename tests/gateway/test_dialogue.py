@@ -64,7 +64,6 @@ async def settle() -> None:
         await asyncio.sleep(0)
 
 
-@pytest.mark.nightly
 async def test_all_that_comes_is_heard_in_order_also_before_somebody_listens(
     device: Device,
 ) -> None:

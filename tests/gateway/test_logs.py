@@ -83,7 +83,6 @@ def at_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("variable", "value", "coloured"),
     [("NO_COLOR", "", True), ("NO_COLOR", "1", False), ("TERM", "dumb", False)],
@@ -105,7 +104,6 @@ def test_a_terminal_gets_colours(
 LOST = {"sensor": "zephyr", "unit": "B1", "data": "ecg", "count": 73, "estimated": True}
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("event", "facts", "line"),
     [
@@ -142,7 +140,6 @@ def test_a_terminal_gets_sentences_with_the_local_time_and_the_file_everything(
     assert shown == f"{stamp.astimezone():%H:%M:%S} {line}\n"
 
 
-@pytest.mark.nightly
 def test_on_request_a_terminal_gets_all_facts_too(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -152,7 +149,6 @@ def test_on_request_a_terminal_gets_all_facts_too(
     assert "a command came (command='stop', way='pipe')" in captured(capsys).err
 
 
-@pytest.mark.nightly
 def test_a_secret_does_not_reach_a_terminal(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -165,7 +161,6 @@ def test_a_secret_does_not_reach_a_terminal(
     assert shown.count("visible") == 2
 
 
-@pytest.mark.nightly
 def test_a_library_goes_the_same_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     configure_logs(LogSettings(), tmp_path)
     structlog.contextvars.bind_contextvars(device="strap")
@@ -177,7 +172,6 @@ def test_a_library_goes_the_same_way(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "scan took 3 s" in captured(capsys).err
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("settings", "verbose", "expected"),
     [
@@ -204,7 +198,6 @@ def test_the_level_decides_and_libraries_never_debug(
     assert [record["event"] for record in records(tmp_path)] == expected
 
 
-@pytest.mark.nightly
 def test_secrets_are_masked_in_both_outputs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -233,7 +226,6 @@ def test_secrets_are_masked_in_both_outputs(
         assert "7}" in output
 
 
-@pytest.mark.nightly
 def test_an_exception_is_one_line_on_the_console_and_whole_in_the_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -253,7 +245,6 @@ def test_an_exception_is_one_line_on_the_console_and_whole_in_the_file(
         assert record["exception"].endswith("RuntimeError: broken\nin two")
 
 
-@pytest.mark.nightly
 def test_a_name_from_outside_cannot_command_the_terminal(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -277,7 +268,6 @@ def test_full_files_are_rotated_and_the_oldest_dropped(tmp_path: Path) -> None:
     assert all(path.stat().st_size <= 10_000 for path in tmp_path.iterdir())
 
 
-@pytest.mark.nightly
 def test_a_second_call_replaces_the_first(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -293,7 +283,6 @@ def test_a_second_call_replaces_the_first(
     gc.collect()
 
 
-@pytest.mark.nightly
 def test_foreign_handlers_stay(tmp_path: Path) -> None:
     foreign = logging.NullHandler()
     logging.getLogger().addHandler(foreign)
@@ -302,7 +291,6 @@ def test_foreign_handlers_stay(tmp_path: Path) -> None:
     assert foreign in logging.getLogger().handlers
 
 
-@pytest.mark.nightly
 def test_a_folder_that_cannot_be_written_leaves_the_logging_as_it_was(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -315,7 +303,6 @@ def test_a_folder_that_cannot_be_written_leaves_the_logging_as_it_was(
     assert captured(capsys).err.count("still here") == 1
 
 
-@pytest.mark.nightly
 def test_without_a_console_the_file_is_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,8 +13,6 @@ from biosensor_common.outflow import Outflow
 from biosensor_gateway.system.panel import Line, Panel, Size
 from tests.rigs.terminal import Screen
 
-pytestmark = pytest.mark.nightly
-
 DEADLINE_S = 30.0
 
 

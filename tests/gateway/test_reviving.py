@@ -173,7 +173,6 @@ def announced(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[dict[str, Any]]]
     yield noted
 
 
-@pytest.mark.nightly
 async def test_what_falls_silent_is_enabled_again_and_said_until_it_comes(
     start: Start, eventually: Eventually, announced: list[dict[str, Any]]
 ) -> None:
@@ -230,7 +229,6 @@ async def test_what_cannot_be_enabled_costs_one_connection_and_leaves_a_reason(
     assert announced[-1]["event"] == "streams_back"
 
 
-@pytest.mark.nightly
 async def test_a_driver_without_the_hook_is_connected_anew(
     start: Start, eventually: Eventually
 ) -> None:

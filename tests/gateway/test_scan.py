@@ -153,7 +153,6 @@ def test_two_of_a_name_are_told_apart_by_address(run: Run, world: World, radio: 
     ) in outcome.out
 
 
-@pytest.mark.nightly
 def test_macos_has_identifiers_that_hold_for_one_computer() -> None:
     identifier = "6F8D4C1E-0B7A-4D3C-9E52-1A2B3C4D5E6F"
     strap = Found("any", "Strap", {"unit": "1", "device": identifier})
@@ -228,7 +227,6 @@ def test_a_search_that_breaks_ends_no_other(
     assert outcome.err.count("\n") == 1
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("arguments", "text", "words"),
     [

@@ -135,7 +135,6 @@ async def test_a_bluez_without_devices_has_no_ports(bluez: ObjectTree) -> None:
     assert addresses(await ports.serial_ports()) == {}
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize("address", ["nonsense", "unix:path=nowhere", "tcp:host=127.0.0.1,port=1"])
 async def test_without_a_bus_the_ports_are_listed_without_names(
     monkeypatch: pytest.MonkeyPatch, address: str

@@ -129,7 +129,6 @@ BAD_FAULTS = (
 )
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize("fault", BAD_FAULTS)
 def test_a_fault_that_makes_no_sense_ends_the_command(run: Run, fault: str) -> None:
     code, out, err = run("run", "--simulate", "polar_h10", "--fault", fault)
@@ -138,7 +137,6 @@ def test_a_fault_that_makes_no_sense_ends_the_command(run: Run, fault: str) -> N
     assert err.count("\n") == 1
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("simulated", "fault", "who"),
     [
@@ -226,13 +224,11 @@ def test_a_scheduled_fault_begins_and_ends_by_itself(device: Recording, until: U
     assert device.thread_names == {"virtual devices"}
 
 
-@pytest.mark.nightly
 def test_a_scheduled_fault_does_not_begin_before_its_time(device: Recording) -> None:
     device.schedule(Fault(FaultKind.DROP, 1.0), 3600.0)
     assert device.told == []
 
 
-@pytest.mark.nightly
 def test_an_endless_fault_ends_when_it_is_cleared(device: Recording) -> None:
     device.apply(Fault(FaultKind.STALL, inf))
     assert device.told == ["begin stall inf"]
@@ -251,14 +247,12 @@ def test_a_cleared_fault_does_not_end_twice(device: Recording, until: Until) -> 
     assert device.told == ["begin drop 0.05", "end drop", "begin stall 0.1", "end stall"]
 
 
-@pytest.mark.nightly
 def test_a_fault_that_comes_again_ends_first(device: Recording) -> None:
     for seconds in (10.0, 20.0):
         device.apply(Fault(FaultKind.OFF_BODY, seconds))
     assert device.told == ["begin off_body 10", "end off_body", "begin off_body 20"]
 
 
-@pytest.mark.nightly
 def test_different_faults_do_not_end_each_other(device: Recording) -> None:
     device.apply(Fault(FaultKind.DROP, inf))
     device.apply(Fault(FaultKind.OFF_BODY, inf))
@@ -285,7 +279,6 @@ def test_late_answers_last_longer_than_they_are_late(
     until(lambda: device.told == ["begin late 3600", "end late"])
 
 
-@pytest.mark.nightly
 def test_a_device_has_no_faults_but_its_own(device: Recording) -> None:
     refusal = Fault(FaultKind.REFUSE, 1.0)
     with pytest.raises(ValueError, match="recording cannot have the fault refuse"):

@@ -34,7 +34,6 @@ def logged(folder: Path) -> dict[str, Any]:
     return json.loads(line)
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
@@ -64,7 +63,6 @@ def test_the_file_of_another_agent_is_left_alone(run: Run, state: Path) -> None:
         assert not (state / LOG_FILE_NAME).exists()
 
 
-@pytest.mark.nightly
 def test_old_files_are_not_rotated_away(run: Run, state: Path) -> None:
     state.mkdir()
     full = state / LOG_FILE_NAME
@@ -88,7 +86,6 @@ def test_a_mistake_of_ours_is_there_with_its_traceback(
     assert "RuntimeError: a mistake in the agent" in (tmp_path / "stderr.txt").read_text()
 
 
-@pytest.mark.nightly
 def test_a_folder_that_cannot_be_written_changes_nothing(
     run: Run, settings: Path, state: Path
 ) -> None:

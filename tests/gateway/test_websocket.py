@@ -114,7 +114,6 @@ async def test_messages_go_both_ways_in_order_with_their_time_of_arrival(
     assert arrivals[-1] <= LSL_CLOCK()
 
 
-@pytest.mark.nightly
 async def test_large_and_fragmented_messages_are_whole_and_binary_ones_are_counted(
     authority: trustme.CA, ca_file: str
 ) -> None:
@@ -148,13 +147,11 @@ async def test_a_wrong_certificate_is_denied_and_the_advice_says_what_to_do(
     assert "set ca_file" in str(error)
 
 
-@pytest.mark.nightly
 async def test_nobody_is_trusted_without_a_file_or_the_system(authority: trustme.CA) -> None:
     async with serving(stay, identified(authority.issue_cert("localhost"))) as (_, url):
         assert (await refusal(url, "")).reason is TransportReason.DENIED
 
 
-@pytest.mark.nightly
 async def test_a_root_without_key_usage_is_good_enough_for_newer_pythons(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -232,7 +229,6 @@ async def test_an_impossible_url_is_a_wrong_setting(url: str, ca_file: str) -> N
     assert isinstance(await refusal(url, ca_file), ConfigError)
 
 
-@pytest.mark.nightly
 async def test_a_refused_connection_is_an_absent_service(
     unused_tcp_port: int, ca_file: str
 ) -> None:
@@ -263,13 +259,11 @@ async def answered_with(answer: bytes | None, ca_file: str) -> GatewayError:
         return error
 
 
-@pytest.mark.nightly
 async def test_what_speaks_no_tls_is_not_the_service(ca_file: str) -> None:
     error = await answered_with(b"HTTP/1.1 200 OK\r\n\r\n", ca_file)
     assert error.reason is TransportReason.UNAVAILABLE
 
 
-@pytest.mark.nightly
 async def test_who_hangs_up_or_keeps_silent_while_connecting_is_absent(
     ca_file: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -278,7 +272,6 @@ async def test_who_hangs_up_or_keeps_silent_while_connecting_is_absent(
     assert (await answered_with(None, ca_file)).reason is TransportReason.ABSENT
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize("code", [1000, 1001, 1011])
 async def test_a_close_is_a_loss_after_everything_that_was_said(
     authority: trustme.CA, ca_file: str, code: int
@@ -298,7 +291,6 @@ async def test_a_close_is_a_loss_after_everything_that_was_said(
             await link.send("too late")
 
 
-@pytest.mark.nightly
 async def test_an_abort_is_a_loss(authority: trustme.CA, ca_file: str) -> None:
     async def vanish(socket: ServerConnection) -> None:
         socket.transport.abort()
@@ -307,7 +299,6 @@ async def test_an_abort_is_a_loss(authority: trustme.CA, ca_file: str) -> None:
         assert (await end_of(link)).reason is TransportReason.LOST
 
 
-@pytest.mark.nightly
 async def test_a_peer_that_answers_no_ping_is_lost(
     authority: trustme.CA, ca_file: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -327,7 +318,6 @@ async def abort_all(server: Server) -> None:
         socket.transport.abort()
 
 
-@pytest.mark.nightly
 async def test_closing_does_not_wait_for_a_peer_that_reads_nothing(
     authority: trustme.CA, ca_file: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -346,7 +336,6 @@ async def test_closing_does_not_wait_for_a_peer_that_reads_nothing(
         await abort_all(server)
 
 
-@pytest.mark.nightly
 async def test_a_slow_consumer_neither_stalls_the_socket_nor_loses_its_pongs(
     authority: trustme.CA,
     ca_file: str,
@@ -377,7 +366,6 @@ async def test_a_slow_consumer_neither_stalls_the_socket_nor_loses_its_pongs(
         await link.send("still here")
 
 
-@pytest.mark.nightly
 async def test_no_proxy_is_asked(
     authority: trustme.CA,
     ca_file: str,
@@ -391,7 +379,6 @@ async def test_no_proxy_is_asked(
         await link.send("direct")
 
 
-@pytest.mark.nightly
 async def test_what_is_sent_is_in_no_log(
     authority: trustme.CA, ca_file: str, caplog: pytest.LogCaptureFixture
 ) -> None:

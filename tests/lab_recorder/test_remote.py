@@ -56,7 +56,6 @@ def test_each_command_waits_for_the_answer_to_the_one_before(recorder: LabRecord
     assert recorder.lines == ["update", "select none", "gibberish", "filename {task:A}"]
 
 
-@pytest.mark.nightly
 def test_nobody_there_is_said_with_what_to_do() -> None:
     with socket.create_server((LOCAL, 0)) as server:
         port = server.getsockname()[1]

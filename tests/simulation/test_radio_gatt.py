@@ -17,7 +17,6 @@ from tests.rigs.probe import EVENT, FLOW, NOTE, REFUSAL, SECRET, SERIAL, SERVICE
 CLIENT_CONFIGURATION = "00002902-0000-1000-8000-00805f9b34fb"
 
 
-@pytest.mark.nightly
 async def test_the_gatt_table_is_the_devices(probe: Probe) -> None:
     async with BleakClient(probe.address) as client:
         service = client.services.get_service(SERVICE)

@@ -68,7 +68,6 @@ def test_a_stream_of_a_sensor_may_be_empty() -> None:
     assert check(content, expected).is_good
 
 
-@pytest.mark.nightly
 def test_all_sensors_can_be_expected() -> None:
     with simulated_settings(["all"]) as settings:
         expected = {device.sensor: by_devices([device]) for device in settings.devices}
