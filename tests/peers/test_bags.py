@@ -13,6 +13,8 @@ from biosensor_gateway.recording.bag.importing import import_bag
 from tests.bags import made
 from tests.xdf import xdf_file
 
+pytestmark = pytest.mark.nightly
+
 PEERS = Path(__file__).parent
 ENVIRONMENT = PEERS.parents[1] / ".venv-peers"
 DEADLINE_S = 60.0

@@ -15,6 +15,8 @@ from biosensor_gateway.recording.export.exporting import Task, export
 from tests.peers.test_peers import DEADLINE_S, ENVIRONMENT, PEERS
 from tests.recording_export.bids_shapes import BEGIN_S, SHAPES, numbers, times
 
+pytestmark = pytest.mark.nightly
+
 
 def _run(program: str, *arguments: str) -> str:
     # A skip would pass where nothing was tried.

@@ -12,6 +12,8 @@ import pytest
 
 from tests.peers.test_peers import KEY, laboratory, peer, result
 
+pytestmark = pytest.mark.nightly
+
 DEVICE = "MD-V5-0000321"
 PORT = 3131
 """The client knows no other one."""

@@ -15,6 +15,8 @@ from biosensor_gateway.recording.export.exporter import Clock
 from biosensor_gateway.recording.export.exporting import Task, export
 from tests.recording_export.study import BEGIN_S, ecg_values, study
 
+pytestmark = pytest.mark.nightly
+
 PEERS = Path(__file__).parent
 ENVIRONMENT = PEERS.parents[1] / ".venv-peers"
 DEADLINE_S = 120.0

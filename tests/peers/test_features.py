@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from biosensor_gateway.features.runs import Event
 from tests.features.signals import events_of, stamps_of, values_of
 
+pytestmark = pytest.mark.nightly
+
 PEERS = Path(__file__).parent
 ENVIRONMENT = PEERS.parents[1] / ".venv-peers"
 DEADLINE_S = 200.0

@@ -24,6 +24,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from tests.rigs.lab_client import LabProcess, Samples
 
+pytestmark = pytest.mark.nightly
+
 PEERS = Path(__file__).parent
 ENVIRONMENT = PEERS.parents[1] / ".venv-peers"
 DEADLINE_S = 100.0

@@ -11,6 +11,8 @@ import serial
 
 from tests.peers.test_peers import KEY, Floats, assert_read, laboratory, peer, result
 
+pytestmark = pytest.mark.nightly
+
 GRAVITY_MS2 = 9.80665
 AXES = "XYZ"
 # Stream, the client's channels, block of the memory, units of it in one of the stream.
