@@ -182,7 +182,7 @@ def test_people_wear_virtual_devices_of_their_own() -> None:
 
 def test_a_name_that_no_participant_can_have_is_refused(run: Run) -> None:
     sentence = one_sentence(run("run", "--simulate", f"polar_h10@{'x' * 33}"), 2)
-    assert "is no participant: use at most 32" in sentence
+    assert "cannot be a participant's name: use 1 to 32 letters and digits" in sentence
 
 
 @pytest.mark.nightly

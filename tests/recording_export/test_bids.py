@@ -13,10 +13,12 @@ from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.recording.contents.choice import Wish, choose
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.export.bids.dataset import BidsDataset
-from biosensor_gateway.recording.export.bids.file_names import entities_of, label, labels
+from biosensor_gateway.recording.export.bids.file_names import labels
 from biosensor_gateway.recording.export.exporter import Clock, Order
 from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.participants import entities_of
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
+from biosensor_gateway.settings.names import label
 from tests.recording_export.bids_shapes import (
     SHAPES,
     h10,

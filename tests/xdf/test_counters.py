@@ -100,7 +100,7 @@ def test_without_counters_it_says_so() -> None:
 def test_a_stream_that_was_left_out() -> None:
     counted = [{**each, "other": each[ECG]} for each in _counted_each_second()]
     report = check(_file(STAMPS, [*counted]))
-    assert codes(report) == {("left-out", lsl_name(AGENT, "counters"))}
+    assert codes(report, Level.ERROR) == {("left-out", lsl_name(AGENT, "counters"))}
 
 
 def test_counters_of_another_computer_do_not_count() -> None:

@@ -13,6 +13,7 @@ from biosensor_gateway.cli.recordings import RecordingArgument, wrong_recording
 from biosensor_gateway.cli.screen import console, say, table_of_names
 from biosensor_gateway.cli.xdf_export import export_recording
 from biosensor_gateway.devices.registry import settings_models
+from biosensor_gateway.recording.xdf.event_rules import tells_devices
 from biosensor_gateway.recording.xdf.expectation import ExpectedStream, by_devices, by_name
 from biosensor_gateway.recording.xdf.judging import judge
 from biosensor_gateway.recording.xdf.printing import as_json, as_text
@@ -45,13 +46,16 @@ def check(
 ) -> None:
     """Say whether a recording can be trusted; exit code 1 if something is wrong with it.
 
-    Every stream of every enabled device of the settings is expected in it, as far as
-    there are settings. Errors are what is wrong or missing in the file; warnings and
-    notes do not change the exit code.
+    Expected are the devices that its agent names in it. Of a recording without an agent's
+    events, or with --settings, every stream of every enabled device of the settings is
+    expected. Errors are what is wrong or missing in the file; warnings and notes do not
+    change the exit code.
     """
-    expected = (*_by_settings(settings), *by_name(expect or ()))
     with wrong_recording():
         recording = read_recording(file)
+    # Today's settings say nothing of another day, on which others wore the sensors.
+    is_told = settings is None and tells_devices(recording)
+    expected = (*(() if is_told else _by_settings(settings)), *by_name(expect or ()))
     report = judge(recording, expected)
     typer.echo(as_json(report) if print_json else as_text(report))
     if not report.is_good:

@@ -16,16 +16,14 @@ from itertools import chain
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, NamedTuple, cast
 
-from pydantic import TypeAdapter, ValidationError
-
 from biosensor_common.errors import ConfigError, ConfigReason, SpecError, SpecReason
 from biosensor_gateway.devices.registry import driver, sensor, sensor_names
 from biosensor_gateway.settings.models import (
     DeviceSettings,
     GatewaySettings,
-    ShortText,
     environment_overrides,
 )
+from biosensor_gateway.settings.names import require_participant
 from biosensor_gateway.simulation.faults import Fault, ScheduledFault, parse_fault
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.wearer import someone
@@ -156,14 +154,6 @@ def _each(names: Iterable[str]) -> tuple[Wanted, ...]:
     return tuple(dict.fromkeys(chain.from_iterable(expanded)))
 
 
-def _check_participant(participant: str) -> None:
-    try:
-        TypeAdapter(ShortText).validate_python(participant)
-    except ValidationError:
-        message = f"{participant!r} is no participant: use at most 32 printable characters"
-        raise ConfigError(ConfigReason.WRONG_VALUE, message) from None
-
-
 def _start(wanted: Sequence[Wanted], stack: ExitStack) -> dict[Wanted, VirtualDevice]:
     """Switch them on: those of one participant on the same person, those of a kind apart."""
     scene = Scene(stack)
@@ -219,7 +209,8 @@ def simulated_settings(
     wanted = _each(names)
     for each in wanted:
         virtual_class(each.name)
-        _check_participant(each.participant)
+        if each.participant:
+            require_participant(each.participant)
     with ExitStack() as stack:
         devices = _start(wanted, stack)
         _schedule(scheduled, devices)

@@ -20,6 +20,7 @@ from pydantic_settings import (
 
 from biosensor_common.lsl_config import DEFAULT_PORT_RANGE, LslOverrides
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.settings.names import MAX_LENGTH
 from biosensor_gateway.settings.web_markers import WebMarkerSettings
 
 OVERRIDE_PREFIX = "BIOSENSOR_GATEWAY_"
@@ -55,9 +56,7 @@ def _all_different(names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
-_MAX_LENGTH = 32
-
-ShortText = Annotated[str, StringConstraints(max_length=_MAX_LENGTH), AfterValidator(_printable)]
+ShortText = Annotated[str, StringConstraints(max_length=MAX_LENGTH), AfterValidator(_printable)]
 """Printable text of at most 32 characters, for whatever ends up in stream names."""
 
 # macOS knows a Bluetooth device by a UUID.
@@ -71,7 +70,7 @@ UnitText = Annotated[
 _MAX_BUTTONS = 20
 
 ButtonText = Annotated[
-    str, StringConstraints(min_length=1, max_length=_MAX_LENGTH), AfterValidator(_printable)
+    str, StringConstraints(min_length=1, max_length=MAX_LENGTH), AfterValidator(_printable)
 ]
 """The same for a button, which has a name."""
 

@@ -8,19 +8,16 @@ remote control, not entered, so a BIDS name is set as a name with placeholders.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.settings.names import LABEL, require_participant
 
 SUFFIXES = (".xdf", ".xdfz")
 MAX_RUN = 1000
 """What the field in its window takes."""
-
-# BIDS allows nothing else in a label, https://bids-specification.readthedocs.io.
-_LABEL = re.compile(r"[A-Za-z0-9]+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +38,9 @@ class BidsLabels:
     modality: str = "beh"
 
     def __post_init__(self) -> None:
+        require_participant(self.participant)
         for name, value in self._labels().items():
-            if not _LABEL.fullmatch(value) and (value or name != "acquisition"):
+            if not LABEL.fullmatch(value) and (value or name != "acquisition"):
                 message = f"--{name} {value!r} is no BIDS label: use letters and digits only"
                 raise ConfigError(ConfigReason.WRONG_VALUE, message)
         if not 1 <= self.run <= MAX_RUN:

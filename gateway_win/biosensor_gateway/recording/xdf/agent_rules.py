@@ -59,7 +59,7 @@ def _compared(stream: Measured, run: Sequence[Reading], counters: Measured) -> M
 def _left_out(source_id: str, run: Sequence[Reading], name: str) -> Iterator[Finding]:
     if run[-1].pushed > run[0].pushed:
         text = f"the agent also had the stream {source_id}, which was not recorded"
-        yield Finding(Level.WARNING, "left-out", name, text)
+        yield Finding(Level.ERROR, "left-out", name, text)
 
 
 def _uncounted(streams: Sequence[Measured]) -> Iterator[Finding]:

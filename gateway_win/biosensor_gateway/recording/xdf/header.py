@@ -85,8 +85,12 @@ class RecordedHeader:
     @property
     def is_counters(self) -> bool:
         """Whether the capture agent counts its samples in this stream."""
-        is_agent = self.identity is not None and self.identity.sensor == AGENT
-        return is_agent and self.replay is None and self.data_name == "counters"
+        return self._is_agents("counters")
+
+    @property
+    def is_events(self) -> bool:
+        """Whether the capture agent says in this stream what happens to its devices."""
+        return self._is_agents("events")
 
     @property
     def is_recordable(self) -> bool:
@@ -97,6 +101,10 @@ class RecordedHeader:
     def is_regular(self) -> bool:
         """Whether samples are meant to be equidistant."""
         return self.rate > 0
+
+    def _is_agents(self, data_name: str) -> bool:
+        is_agent = self.identity is not None and self.identity.sensor == AGENT
+        return is_agent and self.replay is None and self.data_name == data_name
 
     def parsed(self) -> ET.Element:
         """Return the header as XML elements.

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
+from biosensor_gateway.recording.participants import Worn, compare, participant_of
 from biosensor_gateway.recording.xdf.agent_rules import compare_with_agent
 from biosensor_gateway.recording.xdf.container import Damage
+from biosensor_gateway.recording.xdf.event_rules import judge_devices
 from biosensor_gateway.recording.xdf.expectation import ExpectedStream
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.measuring import measure
@@ -26,11 +28,13 @@ def judge(recording: Recording, expected: Sequence[ExpectedStream] = ()) -> Repo
     findings = [
         *_damaged(recording),
         *_not_closed(recording),
+        *_other_participants(recording),
         *_missing(streams, expected),
         *_duplicates(streams),
         *_unaligned(streams),
         *_replayed(streams),
         *findings,
+        *judge_devices(streams, length),
         *(finding for each in streams for finding in judge_stream(each, length)),
     ]
     if not _has_footers(recording):
@@ -80,6 +84,15 @@ def _damage_text(damage: Damage, size: int) -> str:
         f"bytes {damage.start} to {damage.end} of {size} cannot be read ({damage.what}); "
         "what comes after was read"
     )
+
+
+def _other_participants(recording: Recording) -> Iterator[Finding]:
+    identities = (each.header.identity for each in recording.streams)
+    worn = [Worn.by(each) for each in identities if each is not None]
+    mismatch = compare(participant_of(recording.path), worn)
+    if mismatch is not None:
+        level = Level.ERROR if mismatch.is_all else Level.WARNING
+        yield Finding(level, "other-participants", "", mismatch.sentence)
 
 
 def _missing(measured: Sequence[Measured], expected: Sequence[ExpectedStream]) -> Iterator[Finding]:

@@ -1,7 +1,7 @@
 """Reads a recording: everything about its streams except the values themselves.
 
 The file is read once, chunk by chunk. Kept in memory are the stamps (8 bytes a
-sample) and the samples of the agent's counters; values are only searched for NaN.
+sample) and the samples of the agent's counters and events; values are only searched for NaN.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class RecordedStream:
     footer
         None if the recorder did not come to write it.
     texts
-        Samples of the agent's counters, with their text; empty for all other streams.
+        Samples of the agent's counters and events, with their text; empty for all other streams.
     """
 
     header: RecordedHeader
@@ -73,7 +73,7 @@ class RecordedStream:
         block = decode(chunk.body, self.header, last_stamp)
         self._stamps.frombytes(block.stamps.tobytes())
         self.nan_counts += block.nan_counts
-        if self.header.is_counters:
+        if self.header.is_counters or self.header.is_events:
             self.texts.extend(block.texts)
 
     def take_clock_offset(self, taken_at: float, offset: float) -> None:

@@ -11,11 +11,7 @@ from biosensor_gateway.recording.contents.merging import merged
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export.bids.describing import describe, sentences
 from biosensor_gateway.recording.export.bids.events import DESCRIBED, Events
-from biosensor_gateway.recording.export.bids.file_names import (
-    Entities,
-    entities_of,
-    labels,
-)
+from biosensor_gateway.recording.export.bids.file_names import Entities, labels
 from biosensor_gateway.recording.export.bids.happening import Happening, happenings, is_left_out
 from biosensor_gateway.recording.export.bids.signals import BEHAVIOUR, Place, SignalWriter
 from biosensor_gateway.recording.export.bids.subjects import UNKNOWN, find_subjects
@@ -24,6 +20,7 @@ from biosensor_gateway.recording.export.bids.timeline import timeline
 from biosensor_gateway.recording.export.exporter import Missing, Order, Progress, SampleCount
 from biosensor_gateway.recording.export.markers import is_markers
 from biosensor_gateway.recording.labrecorder.file_name import BidsLabels
+from biosensor_gateway.recording.participants import entities_of
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 
 _USUAL_TASK = "study"

@@ -2,33 +2,15 @@
 
 from __future__ import annotations
 
-import re
-import unicodedata
 from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from hashlib import sha256
 from pathlib import Path
 from typing import TypeVar
 
-_MOST_CHARACTERS = 40
-_HASH_CHARACTERS = 6
-_NOT_OF_A_LABEL = re.compile(r"[^0-9A-Za-z]+")
-_ENTITY = re.compile(r"(sub|ses|task|acq|run)-([0-9A-Za-z]+)")
+from biosensor_gateway.settings.names import label
 
 Key = TypeVar("Key", bound=Hashable)
-
-
-def label(text: str) -> str:
-    """Return letters and digits of a text: BIDS allows no other in its labels.
-
-    Letters lose their accents. Where nothing is left, or it is cut, it gets a hash of the text,
-    so that different ones stay different.
-    """
-    plain = _NOT_OF_A_LABEL.sub("", unicodedata.normalize("NFKD", text))
-    if plain and len(plain) <= _MOST_CHARACTERS:
-        return plain
-    return plain[: _MOST_CHARACTERS - _HASH_CHARACTERS] + _hash(text)
 
 
 def labels(names: Mapping[Key, Sequence[str]]) -> dict[Key, str]:
@@ -67,10 +49,6 @@ def _numbered(plain: str, taken: set[str]) -> str:
         number += 1
     taken.add(found.lower())
     return found
-
-
-def _hash(text: str) -> str:
-    return sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:_HASH_CHARACTERS]
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,15 +95,3 @@ class Entities:
         name = "_".join(f"{key}-{value}" for key, value in named.items() if value)
         folders = [f"{key}-{named[key]}" for key in ("sub", "ses") if named[key]]
         return Path(*folders, datatype, f"{name}_{suffix}")
-
-
-def entities_of(name: str) -> dict[str, str]:
-    """Return what a name says that is made as BIDS has it, by ``sub``, ``ses``, ``task`` ...
-
-    ``biosensor-gateway record`` and LabRecorder make such names; of others, it is empty.
-    """
-    matches = (_ENTITY.fullmatch(part) for part in name.split("_"))
-    found = {match[1]: match[2] for match in matches if match}
-    if not found.get("run", "0").isdigit():
-        del found["run"]
-    return found
