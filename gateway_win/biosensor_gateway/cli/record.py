@@ -83,6 +83,12 @@ def start(
     allow_missing: Annotated[
         bool, typer.Option("--allow-missing", help="Start although streams are missing.")
     ] = False,
+    other_participants: Annotated[
+        bool,
+        typer.Option(
+            "--other-participants", help="Start although others than PARTICIPANT wear the sensors."
+        ),
+    ] = False,
     timeout: Annotated[
         float, typer.Option(min=1, help="How many seconds the file may take to grow.")
     ] = GROWTH_S,
@@ -99,6 +105,9 @@ def start(
 ) -> None:
     """Start a recording, and see that it runs; exit code 1 if it does not.
 
+    A file that is called after somebody else than who wears the sensors is refused with exit
+    code 2.
+
     LabRecorder's window records if it is open here or --host names its computer, else this
     computer by itself, and goes on when this terminal is closed. Every stream is recorded:
     those that are not of this agent are named. A window cannot be asked, so only the file
@@ -114,7 +123,7 @@ def start(
         run,
     )
     place = Place(folder, recorder_folder, file, labels)
-    order = Order(place, all_streams, only_ours, allow_missing, timeout)
+    order = Order(place, all_streams, only_ours, allow_missing, timeout, other_participants)
     loaded = settings_or_defaults(settings)
     if here or not (window or host or port or recording_here.has_window(_LOCAL, DEFAULT_PORT)):
         started = recording_here.start(order, loaded, counts_up=run is None)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.settings.names import label
 
@@ -48,6 +49,17 @@ class Mismatch:
     others: tuple[str, ...]
     is_all: bool
     sentence: str
+
+
+class OtherParticipantsError(ConfigError):
+    """Nobody has confirmed that a file is to be called after somebody else than its sensors."""
+
+    def __init__(self, mismatch: Mismatch) -> None:
+        message = (
+            f"{mismatch.sentence}; correct one of them, or confirm it with --other-participants"
+        )
+        super().__init__(ConfigReason.WRONG_VALUE, message)
+        self.mismatch = mismatch
 
 
 def compare(named: str, worn: Iterable[Worn]) -> Mismatch | None:

@@ -20,7 +20,11 @@ from biosensor_gateway.recording.here.results import StartedHere
 from biosensor_gateway.recording.here.said import Said, predicate
 from biosensor_gateway.recording.labrecorder.recording_file import size_of
 from biosensor_gateway.recording.labrecorder.results import By
-from biosensor_gateway.recording.labrecorder.starting import Order, what_is_missing
+from biosensor_gateway.recording.labrecorder.starting import (
+    Order,
+    require_participant,
+    what_is_missing,
+)
 from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream, titles
 from biosensor_gateway.recording.xdf.container import RecordingError
 from biosensor_gateway.recording.xdf.recording import read_recording
@@ -48,6 +52,7 @@ def begin(
     ours = tuple(each for each in presence.visible if each not in presence.foreign)
     wanted = ours if order.only_ours else presence.visible
     _require_streams(presence, wanted, order)
+    require_participant(presence, order)
     file = take_file(files)
     with contextlib.ExitStack() as failed:
         failed.callback(_release, file)

@@ -20,6 +20,11 @@ from biosensor_gateway.recording.labrecorder.recording_file import (
 from biosensor_gateway.recording.labrecorder.remote import RemoteControl
 from biosensor_gateway.recording.labrecorder.results import By, Started
 from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream, titles
+from biosensor_gateway.recording.participants import (
+    OtherParticipantsError,
+    compare,
+    participant_of,
+)
 
 GROWTH_S = 30.0
 STILL_RECORDS_S = 10.0
@@ -40,6 +45,8 @@ class Order:
         Refuse if there are streams of others.
     allow_missing
         Start although streams are missing.
+    other_participants
+        Start although the file is called after somebody else than who wears the sensors.
     growth_s
         How long the file may take to grow.
     """
@@ -49,6 +56,14 @@ class Order:
     only_ours: bool = False
     allow_missing: bool = False
     growth_s: float = GROWTH_S
+    other_participants: bool = False
+
+    @property
+    def participant(self) -> str:
+        """Whose recording the file will say it is; empty if it says nobody."""
+        if self.place.labels is not None:
+            return self.place.labels.participant
+        return "" if self.place.file is None else participant_of(self.place.file)
 
 
 def start(
@@ -79,6 +94,7 @@ def start(
     _require_free(target)
     presence = look()
     _require_streams(presence, order)
+    require_participant(presence, order)
     warnings = [*_warnings(presence, order)]
     before, begun = sizes(target), time.monotonic()
     for command in ("update", "select all", target.command, "start"):
@@ -158,6 +174,19 @@ def what_is_missing(
             "do without with --allow-missing"
         )
     return None
+
+
+def require_participant(presence: Presence, order: Order) -> None:
+    """Refuse a file that is called after somebody else than who wears the sensors.
+
+    Raises
+    ------
+    OtherParticipantsError
+        Unless `order` confirms it.
+    """
+    mismatch = compare(order.participant, presence.worn)
+    if mismatch is not None and not order.other_participants:
+        raise OtherParticipantsError(mismatch)
 
 
 def _require_streams(presence: Presence, order: Order) -> None:

@@ -17,6 +17,7 @@ from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.declared_streams import declared_streams
 from biosensor_gateway.agent.status import DeclaredStream
 from biosensor_gateway.devices.registry import declared
+from biosensor_gateway.recording.participants import Worn
 from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.streaming.gateway import GATEWAY
 from biosensor_gateway.streaming.outlets import configure_lsl
@@ -55,11 +56,14 @@ class ExpectedDevice:
         What the agent says of it, if it does not stream.
     source_ids
         Of all its streams.
+    worn
+        Who wears it.
     """
 
     title: str
     why: str
     source_ids: frozenset[str]
+    worn: Worn
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,11 +78,14 @@ class Presence:
         Those of other programs, or of agents on other computers.
     missing
         One sentence part a device.
+    worn
+        Who wears the devices of which there is a stream.
     """
 
     visible: tuple[VisibleStream, ...]
     foreign: tuple[VisibleStream, ...]
     missing: tuple[str, ...]
+    worn: tuple[Worn, ...] = ()
 
 
 def expected_devices(settings: GatewaySettings, state: Path) -> tuple[ExpectedDevice, ...]:
@@ -118,7 +125,7 @@ def _expected(identity: DeviceIdentity, data_names: Iterable[str], why: str) -> 
     parts = (identity.participant, identity.sensor, identity.label)
     title = " ".join(part for part in parts if part) + f" ({identity.unit})"
     ids = frozenset(naming.source_id(identity, each) for each in data_names)
-    return ExpectedDevice(title, why, ids)
+    return ExpectedDevice(title, why, ids, Worn.by(identity))
 
 
 def look(settings: GatewaySettings, expected: Sequence[ExpectedDevice], own_host: str) -> Presence:
@@ -144,6 +151,7 @@ def look(settings: GatewaySettings, expected: Sequence[ExpectedDevice], own_host
         foreign=tuple(each for each in seen if each.source_id not in ours),
         missing=tuple(_missing(device, present) for device in expected
                       if not device.source_ids <= present),
+        worn=tuple(device.worn for device in expected if device.source_ids & present),
     )  # fmt: skip
 
 
