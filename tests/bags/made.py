@@ -20,7 +20,8 @@ from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.contents.opening import open_contents
 from biosensor_gateway.recording.export.exporter import Clock
-from biosensor_gateway.recording.export.exporting import Outcome, Task, export
+from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.outcome import Outcome
 from tests.xdf import xdf_file
 
 DATE = "2026-03-14T10:30:00+01:00"

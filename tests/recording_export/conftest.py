@@ -10,7 +10,8 @@ import pytest
 
 from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.export.exporter import Clock
-from biosensor_gateway.recording.export.exporting import Outcome, Task, export
+from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.outcome import Outcome
 
 Exporting = Callable[..., Outcome]
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_gateway.recording.export.edf.happened import Span, dealt
-from biosensor_gateway.recording.export.exporting import Outcome
+from biosensor_gateway.recording.export.outcome import Outcome
 from tests.recording_export.bids_tables import read
 from tests.recording_export.conftest import Exporting
 from tests.recording_export.study import BEGIN_S

@@ -10,7 +10,7 @@ from edfio import read_bdf
 
 from biosensor_gateway.recording.export import batches, kubios, runs
 from biosensor_gateway.recording.export.edf import exporter as edf_exporter
-from biosensor_gateway.recording.export.exporting import Outcome
+from biosensor_gateway.recording.export.outcome import Outcome
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from tests.recording_export.conftest import Exporting
 from tests.recording_export.study import BEGIN_S

@@ -27,6 +27,7 @@ from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.export import exporter, printing
 from biosensor_gateway.recording.export.exporting import Task, Watch, export
 from biosensor_gateway.recording.export.formats import FORMATS
+from biosensor_gateway.recording.participants import Whose
 
 
 def export_recording(
@@ -47,6 +48,14 @@ def export_recording(
         str, typer.Option(help="For bids; else from the recording's name, or study.")
     ] = "",
     session: Annotated[str, typer.Option(help="For bids; else from the recording's name.")] = "",
+    whose: Annotated[
+        Whose | None,
+        typer.Option(
+            help="Who is right where the recording's name says another participant than its "
+            "sensors.",
+            show_default=False,
+        ),
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -59,6 +68,9 @@ def export_recording(
 ) -> None:
     """Write a recording as others load it; exit code 1 if not all of it could be written.
 
+    Exit code 1 also if its name says another participant than its sensors, until --whose says
+    who is right.
+
     Times are as recorded, with the clock offsets applied, and never made
     regular. What can be read of a damaged recording is exported. No file
     is overwritten.
@@ -69,13 +81,13 @@ def export_recording(
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
     wish = Wish(streams or (), begin, end, participant, without)
     with wrong_recording(), _bars() as watch:
-        outcome = export(file, Task(to, wish, clock, output, task, session), watch)
+        outcome = export(file, Task(to, wish, clock, output, task, session, whose), watch)
     if print_json:
         typer.echo(printing.as_json(outcome))
     else:
         for sentence in printing.sentences(outcome):
             say(sentence)
-    if not outcome.is_whole:
+    if not outcome.is_certain:
         raise typer.Exit(1)
 
 

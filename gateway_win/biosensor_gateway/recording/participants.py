@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from enum import StrEnum, unique
 from pathlib import Path
 from typing import NamedTuple
 
@@ -49,6 +50,14 @@ class Mismatch:
     others: tuple[str, ...]
     is_all: bool
     sentence: str
+
+
+@unique
+class Whose(StrEnum):
+    """Who is right where a file's name says another participant than its sensors."""
+
+    SENSORS = "sensors"
+    NAME = "name"
 
 
 class OtherParticipantsError(ConfigError):

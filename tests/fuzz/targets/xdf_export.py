@@ -16,7 +16,8 @@ from unittest.mock import patch
 from biosensor_common.errors import GatewayError
 from biosensor_gateway.recording.contents.choice import Wish
 from biosensor_gateway.recording.contents.opening import open_contents
-from biosensor_gateway.recording.export.exporting import Outcome, Task, export
+from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.export.outcome import Outcome
 from tests.fuzz.contract import ensure
 from tests.fuzz.scratch import folder, written
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, BinaryIO
 
@@ -86,6 +86,14 @@ class Stream:
         self.clock_offsets = tuple(indexed.clock_offsets)
         self.sample_count = indexed.sample_count
         self.byte_count = indexed.byte_count
+
+    def take_wearer(self, participant: str) -> None:
+        """Have somebody else wear the sensor than its header says; nothing if it says nobody."""
+        identity = self.header.identity
+        if identity is not None and identity.participant:
+            worn = replace(identity, participant=participant)
+            self.header = replace(self.header, identity=worn)
+            self.meaning = replace(self.meaning, identity=worn)
 
     def blocks(self, begin_s: float = -np.inf, end_s: float = np.inf) -> Iterator[Samples]:
         """Give the samples of each chunk that has some from `begin_s` to before `end_s`.

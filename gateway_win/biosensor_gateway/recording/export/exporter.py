@@ -40,12 +40,15 @@ class Order:
         What to call it: the recording's name without its suffix.
     task, session
         What was recorded, for formats that tell it; empty for what `name` says.
+    participant
+        Whose all of it is, whatever the recorded events say; empty for what these say.
     """
 
     clock: Clock
     name: str
     task: str = ""
     session: str = ""
+    participant: str = ""
 
 
 class Missing(str):

@@ -13,9 +13,17 @@ from pathlib import Path
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.recording.contents.choice import Chosen, Wish, choose
 from biosensor_gateway.recording.contents.opening import Contents, open_contents
-from biosensor_gateway.recording.export.exporter import Clock, Exporter, Missing, Order, Progress
+from biosensor_gateway.recording.export.exporter import Clock, Exporter, Order, Progress
 from biosensor_gateway.recording.export.formats import FORMATS, GROWTH, USUAL_GROWTH
-from biosensor_gateway.recording.xdf.container import Damage, RecordingError, RecordingReason
+from biosensor_gateway.recording.export.outcome import NothingForIt, Outcome, Written
+from biosensor_gateway.recording.participants import (
+    Mismatch,
+    Whose,
+    Worn,
+    compare,
+    participant_of,
+)
+from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 from biosensor_gateway.system.new_place import new_place
 
 Watch = Callable[[str, float], Progress]
@@ -37,6 +45,8 @@ class Task:
         recording's folder.
     task, session
         What was recorded, for formats that tell it; empty for what the recording's name says.
+    whose
+        Who is right about the participant, its name or its sensors; None if nobody has said it.
     """
 
     formats: Sequence[str]
@@ -45,73 +55,7 @@ class Task:
     output: Path | None = None
     task: str = ""
     session: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Written:
-    """One format of a recording, as it lies on the disk.
-
-    Attributes
-    ----------
-    size
-        In bytes, of all files.
-    notes
-        What the format could not take, a sentence each.
-    """
-
-    format: str
-    path: Path
-    size: int
-    notes: tuple[str, ...]
-
-    @property
-    def is_whole(self) -> bool:
-        """Whether all streams are in it that the format can hold."""
-        return not any(isinstance(each, Missing) for each in self.notes)
-
-
-@dataclass(frozen=True, slots=True)
-class NothingForIt:
-    """A format for which the recording has nothing.
-
-    Attributes
-    ----------
-    why
-        A sentence for the person.
-    """
-
-    format: str
-    why: str
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """What became of a recording.
-
-    Attributes
-    ----------
-    streams
-        Name, source_id and number of samples in the file of what was chosen.
-    damages
-        What could not be read of the recording.
-    clock_notes
-        What is to be said of the times.
-    without
-        Formats that were asked for, and not written.
-    """
-
-    path: Path
-    streams: tuple[tuple[str, str, int], ...]
-    written: tuple[Written, ...]
-    damages: tuple[Damage, ...]
-    clock_notes: tuple[str, ...]
-    without: tuple[NothingForIt, ...] = ()
-
-    @property
-    def is_whole(self) -> bool:
-        """Whether all of the recording was written in all formats, as far as these can hold it."""
-        is_whole = all(each.is_whole for each in self.written)
-        return is_whole and not self.damages and not self.without
+    whose: Whose | None = None
 
 
 def export(path: Path, task: Task, watch: Watch) -> Outcome:
@@ -129,10 +73,13 @@ def export(path: Path, task: Task, watch: Watch) -> Outcome:
         of the formats, or a target cannot be written. What was complete by then stays.
     """
     with open_contents(path) as contents:
+        participant = participant_of(path) if task.whose is Whose.NAME else ""
+        for each in contents.streams if participant else ():
+            each.take_wearer(participant)
         chosen = choose(contents, task.wish)
         _require_samples(chosen)
         _require_clock(contents, task.clock)
-        order = Order(task.clock, bare_name(path), task.task, task.session)
+        order = Order(task.clock, bare_name(path), task.task, task.session, participant)
         exporters = {name: FORMATS[name]() for name in dict.fromkeys(task.formats)}
         targets = _targets(path, task.output, order.name, exporters)
         _require_space(chosen, targets)
@@ -145,7 +92,14 @@ def export(path: Path, task: Task, watch: Watch) -> Outcome:
             contents.damages,
             tuple(_clock_notes(chosen, task.clock)),
             without,
+            _mismatch(path, chosen) if task.whose is None else None,
         )
+
+
+def _mismatch(path: Path, chosen: Chosen) -> Mismatch | None:
+    identities = (each.header.identity for each in chosen.streams)
+    worn = [Worn.by(each) for each in identities if each is not None]
+    return compare(participant_of(path), worn)
 
 
 @contextmanager

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import asdict
 
-from biosensor_gateway.recording.export.exporting import Outcome
+from biosensor_gateway.recording.export.outcome import Outcome
 from biosensor_gateway.recording.xdf.container import Damage
 from biosensor_gateway.recording.xdf.printing import finite, printable
 
@@ -33,6 +33,7 @@ def as_json(outcome: Outcome) -> str:
             for each in outcome.written
         ],
         "without": [asdict(each) for each in outcome.without],
+        "mismatch": asdict(outcome.mismatch) if outcome.mismatch else None,
     }
     return json.dumps(finite(content), indent=2, allow_nan=False)
 
@@ -44,6 +45,11 @@ def sentences(outcome: Outcome) -> Iterator[str]:
     more = len(outcome.damages) - _MOST_DAMAGES
     if more > 0:
         yield f"{outcome.path}: {more} more places cannot be read"
+    if outcome.mismatch is not None:
+        yield (
+            f"{printable(outcome.mismatch.sentence)}: it is written as the sensors say; confirm "
+            "that with --whose sensors, or take the name with --whose name"
+        )
     yield from map(printable, outcome.clock_notes)
     for each in outcome.written:
         for note in each.notes:

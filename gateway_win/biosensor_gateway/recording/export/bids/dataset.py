@@ -114,6 +114,8 @@ class _Dataset:
         span = (self._chosen.begin_s, self._chosen.end_s)
         for stream, samples in merged(self._markers, *span):
             for happening in happenings(stream, samples, self._timeline):
+                if self._order.participant:
+                    happening.participant = ""
                 yield stream, happening
             self._count.add(len(samples))
 
