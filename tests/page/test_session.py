@@ -126,3 +126,53 @@ def test_what_cannot_be_recorded_is_said_and_nothing_is_written(
         session.get_by_role("button", name="Record").click()
         expect(page.locator(".toast")).to_contain_text(sentence)
     assert list(tmp_path.rglob("*.xdf")) == []
+
+
+@pytest.mark.seam
+def test_one_field_sets_the_sensors_and_the_file(
+    server: Server, window: Callable[..., Page], harness: SteeredBioHarness, tmp_path: Path
+) -> None:
+    server.programs.settings.write_text(SETTINGS.format(port=harness.port))
+    page = window()
+    page.goto(server.address)
+    page.get_by_role("button", name="Start streaming").click()
+    card = page.locator('[data-device="zephyr/A"]')
+    expect(card.get_by_text("streaming")).to_be_visible()
+
+    # It is who wears the sensors, until another name is typed, which outlives other views.
+    session = page.get_by_role("region", name="Recording")
+    participant = session.get_by_label("Participant now")
+    expect(participant).to_have_value("p01")
+    session.get_by_label("Folder").fill(str(tmp_path / "recordings"))
+    participant.fill("p02")
+    card.get_by_role("button", name="Traces and details").click()
+    page.get_by_role("button", name="Back to all devices").click()
+    page.reload()
+    expect(participant).to_have_value("p02")
+    expect(session.get_by_text("The sensors are worn by p01.")).to_be_visible()
+
+    session.get_by_role("button", name="Record", exact=True).click()
+    question = page.get_by_role("dialog", name="Who wears the sensors?")
+    expect(question).to_contain_text("The file is called p02, but its sensors are worn by p01.")
+    question.get_by_role("button", name="Go back").click()
+    expect(question).not_to_be_visible()
+    assert list(tmp_path.rglob("*.xdf")) == []
+    session.get_by_role("button", name="Record", exact=True).click()
+    question.get_by_role("button", name="Set all sensors to p02, and record").click()
+    expect(session.get_by_text("recording, all streams grow")).to_be_visible()
+    expect(page.get_by_role("heading", name="p02")).to_be_visible()
+
+    # A change of the settings that costs the file a sensor is asked about.
+    card.get_by_role("button", name="Traces and details").click()
+    page.get_by_label("Participant (a pseudonym)").fill("p03")
+    page.get_by_role("button", name="Save").click()
+    going_on = page.get_by_role("dialog", name="A recording goes on")
+    going_on.get_by_role("button", name="Go back").click()
+    page.get_by_role("button", name="Back to all devices").click()
+
+    session.get_by_role("button", name="Stop recording").click()
+    expect(session.locator(".verdict")).to_be_visible()
+    expect(session.get_by_text("but its sensors")).to_have_count(0)
+    (file,) = (tmp_path / "recordings").rglob("*.xdf")
+    assert file.name.startswith("sub-p02_")
+    assert "p02-zephyr-A-ecg" in recorded(tmp_path / "recordings")

@@ -103,6 +103,13 @@ def test_a_stream_that_was_left_out() -> None:
     assert codes(report, Level.ERROR) == {("left-out", lsl_name(AGENT, "counters"))}
 
 
+def test_the_streams_of_a_device_that_was_left_out_are_one_finding() -> None:
+    others = ("P2@polar_h10-ecg", "P2@polar_h10-acc")
+    counted = [{**each, **dict.fromkeys(others, each[ECG])} for each in _counted_each_second()]
+    text = text_of(check(_file(STAMPS, [*counted])), "left-out", lsl_name(AGENT, "counters"))
+    assert text == "the agent also had P2@polar_h10, of which ecg and acc were not recorded"
+
+
 def test_counters_of_another_computer_do_not_count() -> None:
     content = _file(STAMPS, [*_counted_each_second()])
     assert content.count(b"<hostname>host<") == 2

@@ -2,28 +2,19 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Mapping
-from typing import Any
-
 from fastapi import APIRouter, FastAPI
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.agent import control
-from biosensor_gateway.agent.single_instance import is_held
-from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.page.access import Access, add_access
-from biosensor_gateway.page.agent_process import start_agent
 from biosensor_gateway.page.device_log import add_device_log
 from biosensor_gateway.page.device_test import DeviceTester, add_device_test
+from biosensor_gateway.page.devices import add_devices, asked, started
 from biosensor_gateway.page.doctor import Doctor, add_doctor
 from biosensor_gateway.page.front import PREFIX
 from biosensor_gateway.page.marker_models import MarkerNumber, NewMarker
 from biosensor_gateway.page.marking import Marking
 from biosensor_gateway.page.models import (
-    DeviceChange,
     DeviceName,
-    NewDevice,
     NewRecording,
     Outcome,
     Problem,
@@ -38,7 +29,6 @@ from biosensor_gateway.page.refusals import add_refusals
 from biosensor_gateway.page.replaying import Replaying
 from biosensor_gateway.page.searching import Search
 from biosensor_gateway.page.session import Session
-from biosensor_gateway.settings import editing
 
 
 def add_api(
@@ -53,7 +43,7 @@ def add_api(
     router = APIRouter(prefix=PREFIX, responses={400: {"model": Problem}})
     _add_agent(router, session)
     _add_search(router, session)
-    _add_devices(router, session)
+    add_devices(router, session, recorder)
     _add_pauses(router, session)
     _add_recording(router, recorder)
     _add_markers(router, marking)
@@ -80,17 +70,17 @@ def _add_agent(router: APIRouter, session: Session) -> None:
         if not any(each.enabled for each in session.configured()):
             message = "the settings name no device yet; add one first"
             raise ConfigError(ConfigReason.WRONG_VALUE, message)
-        return _started(session, virtual=False)
+        return started(session, virtual=False)
 
     @router.post("/agent/try")
     async def start_virtual() -> Outcome:
         """Start the agent with virtual devices of every kind."""
-        return _started(session, virtual=True)
+        return started(session, virtual=True)
 
     @router.post("/agent/stop")
     async def stop() -> Outcome:
         """End the agent; every stream ends with it."""
-        await _asked(session, "stop", {})
+        await asked(session, "stop", {})
         return Outcome(sentence="The agent has been told to end.")
 
 
@@ -107,34 +97,6 @@ def _add_search(router: APIRouter, session: Session) -> None:
         """Search for devices in reach."""
         search.start()
         return search.view()
-
-
-def _add_devices(router: APIRouter, session: Session) -> None:
-    @router.post("/devices")
-    async def add(device: NewDevice) -> Outcome:
-        """Add a device to the settings, and have the agent stream it."""
-        worn = {"participant": device.participant, "label": device.label}
-        fields = {**device.settings, **{key: value for key, value in worn.items() if value}}
-        models = settings_models()
-        editing.add_device(session.settings, models, device.sensor, fields)
-        return await _applied(session, "is in the settings now")
-
-    @router.patch("/devices")
-    async def change(device: DeviceChange) -> Outcome:
-        """Change a device of the settings; it starts anew, the others stream on."""
-        fields = device.model_dump(exclude={"sensor", "unit"}, exclude_none=True)
-        # Empty is the same as not there, and shorter.
-        wanted = {key: None if value == "" else value for key, value in fields.items()}
-        models = settings_models()
-        editing.change_device(session.settings, models, device.sensor, device.unit, wanted)
-        return await _applied(session, "is changed in the settings")
-
-    @router.delete("/devices")
-    async def remove(device: DeviceName) -> Outcome:
-        """Take a device out of the settings; its streams end, the others go on."""
-        models = settings_models()
-        editing.remove_device(session.settings, models, device.sensor, device.unit)
-        return await _applied(session, "is no longer in the settings")
 
 
 def _add_pauses(router: APIRouter, session: Session) -> None:
@@ -175,29 +137,10 @@ def _add_markers(router: APIRouter, marking: Marking) -> None:
         return Outcome(sentence="The marker is marked as a mistake; it stays in the recording.")
 
 
-def _started(session: Session, *, virtual: bool) -> Outcome:
-    start_agent(session.folder, session.settings, virtual=virtual)
-    session.note_start()
-    return Outcome(sentence="The agent is starting.")
-
-
-async def _applied(session: Session, what: str) -> Outcome:
-    """Have the agent take the settings over; start it if none runs."""
-    if is_held(session.folder):
-        await _asked(session, "reload", {})
-    elif any(each.enabled for each in session.configured()):
-        _started(session, virtual=False)
-    return Outcome(sentence=f"The device {what}.")
-
-
 async def _switched(session: Session, command: str, device: DeviceName) -> Outcome:
-    answer = await _asked(session, command, {"device": f"{device.sensor}/{device.unit}"})
+    answer = await asked(session, command, {"device": f"{device.sensor}/{device.unit}"})
     problem = answer.get("problem")
     if problem and not answer.get("pending"):
         # It is done; only the next start of the agent does not know.
         return Outcome(sentence=f"Done, but it is not kept for the next start: {problem}.")
     return Outcome(sentence=f"The device is {command}d.")
-
-
-async def _asked(session: Session, command: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    return await asyncio.to_thread(control.ask, session.folder, command, arguments)

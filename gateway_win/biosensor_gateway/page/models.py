@@ -126,6 +126,8 @@ class StatusView(AgentFacts):
         What is wrong with the settings, one sentence for each line; empty if nothing is.
     configured
         How many devices the settings name.
+    one_wearer
+        Whether one person can wear all that are enabled, and be told apart by sensor and label.
     skipped
         Samples that this page was too slow to show; nothing of a recording.
     share
@@ -138,6 +140,7 @@ class StatusView(AgentFacts):
     settings_file: str = ""
     problem: str = ""
     configured: int = 0
+    one_wearer: bool = False
     skipped: int = 0
     devices: list[DeviceView] = Field(default_factory=list[DeviceView])
     recording: RecordingView = Field(default_factory=RecordingView)
@@ -157,10 +160,22 @@ class SearchView(BaseModel):
     done: bool = False
 
 
-class NewDevice(BaseModel):
-    """A device to add to the settings."""
+class SettingsChange(BaseModel):
+    """A change of the settings.
+
+    Attributes
+    ----------
+    while_recording
+        Whether it is wanted although a recording goes on.
+    """
 
     model_config = ConfigDict(extra="forbid", strict=True)
+
+    while_recording: bool = False
+
+
+class NewDevice(SettingsChange):
+    """A device to add to the settings."""
 
     sensor: str
     settings: dict[str, str | int | float | bool]
@@ -177,12 +192,22 @@ class DeviceName(BaseModel):
     unit: UnitText
 
 
-class DeviceChange(DeviceName):
+class DeviceRemoval(SettingsChange, DeviceName):
+    """Which device to take out of the settings."""
+
+
+class DeviceChange(SettingsChange, DeviceName):
     """What a device of the settings is to have; None leaves it as it is."""
 
     participant: ShortText | None = None
     label: ShortText | None = None
     enabled: bool | None = None
+
+
+class ParticipantNow(SettingsChange):
+    """Who is to wear all sensors of the settings."""
+
+    participant: str
 
 
 class NewRecording(BaseModel):
@@ -194,6 +219,10 @@ class NewRecording(BaseModel):
         Empty for the usual one.
     allow_missing
         Record although streams of the agent's devices are not there.
+    set_sensors
+        Have the participant wear all sensors first.
+    other_participants
+        Record although others than the participant wear the sensors.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True)
@@ -203,6 +232,8 @@ class NewRecording(BaseModel):
     task: str = "Default"
     folder: str = ""
     allow_missing: bool = False
+    set_sensors: bool = False
+    other_participants: bool = False
 
 
 class Outcome(BaseModel):
@@ -211,7 +242,30 @@ class Outcome(BaseModel):
     sentence: str
 
 
+class Choice(BaseModel):
+    """An answer to a question.
+
+    Attributes
+    ----------
+    words
+        For a button.
+    more
+        What the same request has then besides.
+    """
+
+    words: str
+    more: dict[str, bool]
+
+
 class Problem(BaseModel):
-    """Why a request was refused, in one sentence: what, where, what to do."""
+    """Why a request was refused, in one sentence: what, where, what to do.
+
+    Attributes
+    ----------
+    title, choices
+        Of a question; empty if nothing can be chosen.
+    """
 
     problem: str
+    title: str = ""
+    choices: list[Choice] = Field(default_factory=list[Choice])

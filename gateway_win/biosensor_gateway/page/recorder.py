@@ -5,20 +5,28 @@ from __future__ import annotations
 import asyncio
 import socket
 import time
-from collections.abc import Generator
+from collections.abc import Awaitable, Callable, Generator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import platformdirs
 
 from biosensor_common.errors import ConfigError, ConfigReason
-from biosensor_gateway.page.models import NewRecording, Outcome, RecordingView, VerdictView
+from biosensor_gateway.page.models import (
+    Choice,
+    NewRecording,
+    Outcome,
+    RecordingView,
+    VerdictView,
+)
+from biosensor_gateway.page.refusals import QuestionError
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.recording.here.recording import Recording
 from biosensor_gateway.recording.here.results import StartedHere, StoppedHere
 from biosensor_gateway.recording.labrecorder.file_name import BidsLabels, Place
 from biosensor_gateway.recording.labrecorder.starting import Order
 from biosensor_gateway.recording.labrecorder.streams import Presence, expected_devices, look
+from biosensor_gateway.recording.participants import Mismatch, OtherParticipantsError, compare
 
 LOOK_S = 1.0
 _FOLDER = "Biosensor recordings"
@@ -31,10 +39,15 @@ class Recorder:
     ----------
     session
         Its `recording` is kept up to date.
+    set_participant
+        Has somebody wear all sensors.
     """
 
-    def __init__(self, session: Session) -> None:
+    def __init__(
+        self, session: Session, set_participant: Callable[[str], Awaitable[object]]
+    ) -> None:
         self._session = session
+        self._set_participant = set_participant
         self._recording = Recording(session.folder)
         self._busy = ""
         self._looking = asyncio.Lock()
@@ -65,11 +78,19 @@ class Recorder:
         Raises
         ------
         ConfigError, RecorderError
-            Why nothing is recorded.
+            Why nothing is recorded; a `QuestionError` if others wear the sensors.
         """
         labels = BidsLabels(wanted.participant, wanted.session, wanted.task)
+        mismatch = compare(wanted.participant, self._session.worn())
+        if mismatch and not wanted.set_sensors and not wanted.other_participants:
+            raise self._question(mismatch)
         with self._doing("starting"):
-            begun = await asyncio.to_thread(self._start, wanted, labels)
+            if wanted.set_sensors:
+                await self._set_participant(wanted.participant)
+            try:
+                begun = await asyncio.to_thread(self._start, wanted, labels)
+            except OtherParticipantsError as error:
+                raise self._question(error.mismatch) from error
         self._verdict = None
         await self._show()
         warnings = "".join(f" Note: {each}." for each in begun.warnings)
@@ -128,8 +149,20 @@ class Recorder:
             message = f"cannot make the folder {folder}: {error.strerror or error}"
             raise ConfigError(ConfigReason.UNREADABLE, message) from error
         self._used.add(folder)
-        order = Order(Place(folder, labels=labels), allow_missing=wanted.allow_missing)
+        order = Order(
+            Place(folder, labels=labels),
+            allow_missing=wanted.allow_missing,
+            other_participants=wanted.other_participants,
+        )
         return self._recording.start(order, self._streams)
+
+    def _question(self, mismatch: Mismatch) -> QuestionError:
+        choices = [Choice(words="Record as it is", more={"other_participants": True})]
+        if self._session.can_be_one_persons:
+            words = f"Set all sensors to {mismatch.named}, and record"
+            choices.insert(0, Choice(words=words, more={"set_sensors": True}))
+        sentence = f"{mismatch.sentence[0].upper()}{mismatch.sentence[1:]}."
+        return QuestionError("Who wears the sensors?", sentence, choices)
 
     def _streams(self) -> Presence:
         settings = self._session.loaded()

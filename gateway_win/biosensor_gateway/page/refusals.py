@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 
-from biosensor_common.errors import ConfigReason, GatewayError, TransportReason
-from biosensor_gateway.page.models import Problem
+from biosensor_common.errors import ConfigError, ConfigReason, GatewayError, TransportReason
+from biosensor_gateway.page.models import Choice, Problem
 
 _CODES = {ConfigReason.NOT_FOUND: 404, ConfigReason.IN_USE: 409, TransportReason.BUSY: 409}
+
+
+class QuestionError(ConfigError):
+    """Somebody has to say first whether this is meant."""
+
+    def __init__(self, title: str, sentence: str, choices: Sequence[Choice]) -> None:
+        super().__init__(ConfigReason.IN_USE, sentence)
+        self.problem = Problem(problem=sentence, title=title, choices=[*choices])
 
 
 def add_refusals(app: FastAPI) -> None:
@@ -32,4 +42,5 @@ async def _refused(_request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, GatewayError)
     reason = error.reason
     code = _CODES.get(reason, 400) if isinstance(reason, ConfigReason | TransportReason) else 400
-    return JSONResponse(Problem(problem=str(error)).model_dump(), code)
+    problem = error.problem if isinstance(error, QuestionError) else Problem(problem=str(error))
+    return JSONResponse(problem.model_dump(), code)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent.single_instance import is_held
+from biosensor_gateway.agent.state import State
 from biosensor_gateway.agent.status import AgentStatus, DeviceStatus
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.page.marker_models import ExperimentsView, MarkersView
@@ -18,6 +19,7 @@ from biosensor_gateway.page.network.models import SeenStreamView
 from biosensor_gateway.page.replayed import Replayed
 from biosensor_gateway.page.traces import Traces
 from biosensor_gateway.page.view import Viewer
+from biosensor_gateway.recording.participants import Worn
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings
 
@@ -113,6 +115,20 @@ class Session:
         """Return the devices that the agent has, by sensor and unit."""
         return tuple((each.sensor, each.unit) for each in self._devices())
 
+    def worn(self) -> tuple[Worn, ...]:
+        """Return who wears the agent's devices."""
+        return tuple(Worn(f"{e.sensor}/{e.unit}", e.participant) for e in self._devices())
+
+    def streaming(self) -> frozenset[tuple[str, str]]:
+        """Return the devices that stream, by sensor and unit."""
+        state = State.STREAMING.value
+        return frozenset((e.sensor, e.unit) for e in self._devices() if e.state == state)
+
+    @property
+    def is_virtual(self) -> bool:
+        """Whether the agent's devices are virtual, and stand in no settings."""
+        return self._status is not None and self._status.virtual
+
     def sources(self) -> frozenset[str]:
         """Return the source_ids of the agent's streams."""
         return frozenset(source for device in self._devices() for source in device.streams)
@@ -128,6 +144,11 @@ class Session:
 
     def _devices(self) -> Sequence[DeviceStatus]:
         return () if self._status is None else self._status.devices
+
+    @property
+    def can_be_one_persons(self) -> bool:
+        """Whether one person can wear all devices of the settings that are enabled."""
+        return not self.is_virtual and _can_be_one_persons(self.configured())
 
     def loaded(self) -> GatewaySettings:
         """Return the settings; the usual ones if there is no file.
@@ -170,16 +191,17 @@ class Session:
         return AgentState.STARTING if is_coming else AgentState.ABSENT
 
     def _settings_facts(self) -> dict[str, Any]:
-        problem, configured = "", 0
+        problem, devices = "", ()
         try:
-            configured = len(self._load().devices)
+            devices = self._load().devices
         except ConfigError as error:
             if error.reason is not ConfigReason.NOT_FOUND:
                 problem = str(error)
         return {
             "settings_file": str(self.settings),
             "problem": problem,
-            "configured": configured,
+            "configured": len(devices),
+            "one_wearer": _can_be_one_persons(devices),
         }
 
     def _load(self) -> GatewaySettings:
@@ -196,6 +218,11 @@ class Session:
             # Else it keeps what was on the stack each time that it was raised.
             raise self._loaded[1].with_traceback(None)
         return self._loaded[1]
+
+
+def _can_be_one_persons(devices: Iterable[DeviceSettings]) -> bool:
+    places = [(each.sensor_name, each.label) for each in devices if each.enabled]
+    return 0 < len(places) == len(set(places))
 
 
 def _version(path: Path) -> tuple[int, int, int] | str:

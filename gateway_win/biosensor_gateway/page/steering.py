@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 
 from biosensor_gateway.page.api import add_api
+from biosensor_gateway.page.devices import worn_by
 from biosensor_gateway.page.experiments.server import ExperimentServer
 from biosensor_gateway.page.features import Features
 from biosensor_gateway.page.marking import Marking
@@ -32,7 +34,7 @@ class Steering:
 
     def __init__(self, service: Service) -> None:
         self._session = session = service.session
-        self._recorder = Recorder(session)
+        self._recorder = Recorder(session, partial(worn_by, session))
         self._marking = Marking(session)
         self._answer = NetworkAnswer(session.settings, session.folder)
         self._replaying = Replaying(session)

@@ -73,6 +73,21 @@ def change_device(
     _write(path, models, tomlkit.dumps(document))
 
 
+def set_participant(path: Path, models: Models, participant: str) -> None:
+    """Have one person wear all enabled devices of the settings, by one change of the file.
+
+    Raises
+    ------
+    ConfigError
+        As `add_device`; also if two devices could not be told apart then.
+    """
+    document, tables = _parsed(path)
+    for table in cast("list[dict[str, object]]", tables):
+        if table.get("enabled", True):
+            table["participant"] = participant
+    _write(path, models, tomlkit.dumps(document))
+
+
 def remove_device(path: Path, models: Models, sensor: str, unit: str) -> None:
     """Take a device out of the settings file.
 

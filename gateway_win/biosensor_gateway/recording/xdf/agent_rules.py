@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
+from biosensor_gateway.recording.participants import listed
 from biosensor_gateway.recording.xdf.counters import Reading, compare, parse_readings
 from biosensor_gateway.recording.xdf.findings import Finding, Level
+from biosensor_gateway.recording.xdf.header import RecordedHeader
 from biosensor_gateway.recording.xdf.report import Measured
 
 
@@ -34,8 +36,7 @@ def compare_with_agent(streams: Sequence[Measured]) -> tuple[list[Measured], lis
             places = _places(streams, source_id, header.hostname)
             for at in places:
                 compared[at] = _compared(streams[at], run, counters)
-            if not places:
-                findings += _left_out(source_id, run, header.name)
+        findings += _left_out(streams, readings, header)
     findings += _uncounted(streams)
     return compared, findings
 
@@ -56,10 +57,23 @@ def _compared(stream: Measured, run: Sequence[Reading], counters: Measured) -> M
     return replace(stream, counters=compare(run, stream.stream.stamps, end))
 
 
-def _left_out(source_id: str, run: Sequence[Reading], name: str) -> Iterator[Finding]:
-    if run[-1].pushed > run[0].pushed:
-        text = f"the agent also had the stream {source_id}, which was not recorded"
-        yield Finding(Level.ERROR, "left-out", name, text)
+def _left_out(
+    streams: Sequence[Measured], readings: Mapping[str, Sequence[Reading]], counters: RecordedHeader
+) -> Iterator[Finding]:
+    """Name what was pushed and not recorded, once for each device."""
+    of_device: dict[str, list[str]] = {}
+    for source_id, run in readings.items():
+        was_pushed = run[-1].pushed > run[0].pushed
+        if was_pushed and not _places(streams, source_id, counters.hostname):
+            # No other part of a source_id has this sign.
+            of_device.setdefault(source_id.rpartition("-")[0], []).append(source_id)
+    for device, ids in of_device.items():
+        if len(ids) == 1:
+            text = f"the agent also had the stream {ids[0]}, which was not recorded"
+        else:
+            names = listed(each.rpartition("-")[2] for each in ids)
+            text = f"the agent also had {device}, of which {names} were not recorded"
+        yield Finding(Level.ERROR, "left-out", counters.name, text)
 
 
 def _uncounted(streams: Sequence[Measured]) -> Iterator[Finding]:

@@ -47,11 +47,11 @@ def _left_out(own: Sequence[Measured], events: Measured) -> Iterator[Finding]:
         if not _CONNECTED & states.keys():
             how = ", ".join(STATE_WORDS.get(each, each) for each in states)
             text = f"{device} was never there ({how}), so nothing of it was recorded"
-            yield Finding(Level.WARNING, "absent", events.name, text)
+            yield Finding(Level.WARNING, "absent", "", text)
         elif not is_counted:
             # Else each of its streams is named that was left out.
             text = f"the agent also had {device}, of which nothing was recorded"
-            yield Finding(Level.ERROR, "left-out", events.name, text)
+            yield Finding(Level.ERROR, "left-out", "", text)
 
 
 def _removed(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterator[Finding]:
@@ -70,7 +70,7 @@ def _removed(own: Sequence[Measured], events: Measured, extent: Extent) -> Itera
             f"{identity.sensor}/{identity.unit}{who} was removed or renamed in the settings at "
             f"{extent.since_begin(at, events):.1f} s, and nothing of it was recorded since"
         )
-        yield Finding(Level.ERROR, "removed", events.name, text)
+        yield Finding(Level.ERROR, "removed", "", text)
 
 
 def _states(texts: Sequence[str]) -> Mapping[str, dict[str, None]]:

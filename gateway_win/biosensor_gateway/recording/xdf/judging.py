@@ -33,8 +33,8 @@ def judge(recording: Recording, expected: Sequence[ExpectedStream] = ()) -> Repo
         *_duplicates(streams),
         *_unaligned(streams),
         *_replayed(streams),
-        *findings,
         *judge_devices(streams, length),
+        *findings,
         *(finding for each in streams for finding in judge_stream(each, length)),
     ]
     if not _has_footers(recording):

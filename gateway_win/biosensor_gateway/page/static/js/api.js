@@ -1,4 +1,5 @@
 // Asks the server for something; a refusal is an Error whose message is the server's sentence.
+// If it is a question, `question` has what can be chosen.
 
 export async function ask(method, path, content) {
   const options = { method, headers: {} };
@@ -14,6 +15,10 @@ export async function ask(method, path, content) {
   }
   const isJson = (response.headers.get("content-type") ?? "").startsWith("application/json");
   const answer = isJson ? await response.json() : { problem: await response.text() };
-  if (!response.ok) throw new Error(answer.problem ?? `The request was refused (${response.status}).`);
+  if (!response.ok) {
+    const error = new Error(answer.problem ?? `The request was refused (${response.status}).`);
+    if (answer.choices?.length) error.question = answer;
+    throw error;
+  }
   return answer;
 }

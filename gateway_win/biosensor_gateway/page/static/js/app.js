@@ -7,6 +7,7 @@ import { Detail } from "./detail.js";
 import { Doctor } from "./doctor.js";
 import { Live } from "./live.js";
 import { Markers } from "./markers.js";
+import { Question } from "./question.js";
 import { Ended, Quit } from "./quit.js";
 import { Session } from "./recording.js";
 import { Replay, ReplayNotice } from "./replay.js";
@@ -58,6 +59,7 @@ function App() {
   const [isReplay, setReplay] = useState(false);
   const [isExamined, setExamined] = useState(false);
   const [told, setTold] = useState(null);
+  const [question, setQuestion] = useState(null);
   const live = useRef(null);
   useEffect(() => {
     live.current = new Live(setStatus);
@@ -80,6 +82,13 @@ function App() {
       setTold({ text: (await ask(method, path, content)).sentence });
       return true;
     } catch (error) {
+      if (error.question) {
+        clearTimeout(late);
+        setTold(null);
+        const more = await new Promise((answer) => setQuestion({ ...error.question, answer }));
+        setQuestion(null);
+        return more !== null && await act(method, path, { ...content, ...more });
+      }
       setTold({ text: error.message, isProblem: true });
       return false;
     } finally {
@@ -103,7 +112,7 @@ function App() {
       ${isEmpty && !isSetup && !isReplay && html`<${Welcome} act=${act} onSetup=${() => setSetup(true)} onReplay=${() => setReplay(true)} />`}
       ${status && !isEmpty && !device && html`
         <div class="pair">
-          <${Session} recording=${status.recording} act=${act} />
+          <${Session} status=${status} act=${act} />
           ${status.agent === "running" && html`<${Markers} markers=${status.markers} experiments=${status.experiments} act=${act} />`}
         </div>`}
       ${device
@@ -111,6 +120,7 @@ function App() {
         : html`<${Cards} live=${live.current} devices=${devices} onOpen=${setOpen} />`}
     </main>
     <footer class="small">${status?.settings_file && html`Settings: ${status.settings_file}`}</footer>
+    ${question && html`<${Question} question=${question} />`}
     <div aria-live="polite">${told && html`
       <p class="toast">${told.text} ${told.isProblem && html`<button onClick=${() => setTold(null)}>Close</button>`}</p>`}</div>`;
 }

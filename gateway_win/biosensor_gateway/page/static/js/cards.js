@@ -52,7 +52,8 @@ function headingOf(device) {
 }
 
 export function Cards({ live, devices, onOpen }) {
-  const headings = [...new Set(devices.map(headingOf))].sort();
+  // In the order of the settings: sorted by name, a card would go elsewhere when its wearer is renamed.
+  const headings = [...new Set(devices.map(headingOf))];
   return headings.map((heading) => html`
     <section key=${heading}>
       <h2>${heading}</h2>

@@ -1,8 +1,9 @@
 // The session bar: what is recorded, whether it is complete, and how good it was.
 
-import { html, useState } from "../vendor/preact-htm.js";
+import { html, useEffect, useState } from "../vendor/preact-htm.js";
+import { useKept } from "./kept.js";
 import { useOneAtATime } from "./one_at_a_time.js";
-import { clock } from "./words.js";
+import { clock, listed } from "./words.js";
 
 const COLOURS = { green: ["●", "good"], amber: ["◐", "warn"], red: ["▲", "bad"] };
 
@@ -47,34 +48,60 @@ function Verdict({ verdict }) {
     <div class="verdict">
       <p class="state ${tone}"><span aria-hidden="true">${sign}</span> ${verdict.sentence}</p>
       <p class="small soft file">${verdict.file}</p>
-      ${verdict.findings.length > 0 && html`<details><summary>What was found (${verdict.findings.length})</summary><ul class="small">${verdict.findings.map((each) => html`<li>${each}</li>`)}</ul></details>`}
+      ${verdict.findings.length > 0 && html`<details open=${verdict.colour === "red"}><summary>What was found (${verdict.findings.length})</summary><ul class="small">${verdict.findings.map((each) => html`<li>${each}</li>`)}</ul></details>`}
     </div>`;
 }
 
-function Begin({ recording, act, fields, setFields }) {
+const NAME = { required: true, pattern: "[A-Za-z0-9]+", title: "letters and digits" };
+
+// Whether the sensors are worn by whoever the next file is called after; if not, they can be set so.
+function Wearers({ status, people, participant, act }) {
+  const [isUnderWay, once] = useOneAtATime(act);
+  const set = () => once("PUT", "/participant", { participant });
+  const worn = people.length ? `The sensors are worn by ${listed(people)}.` : "No participant is set for the sensors.";
+  const isSame = status.devices.every((each) => each.participant === participant);
+  const isGroup = people.length > 1 && participant.toLowerCase().startsWith("group");
+  const isSettable = !status.virtual && status.one_wearer && new RegExp(`^(?:${NAME.pattern})$`).test(participant);
+  const isFine = isSame || isGroup || (!participant && people.length < 2);
+  if (!status.devices.length || (isFine && !isUnderWay)) return null;
+  return html`
+    <div class="buttons wearers small">
+      <span>${worn}${people.length > 1 && " For one file of several people, type a group, such as group01."}</span>
+      ${isSettable && !isSame && html`<button type="button" disabled=${isUnderWay} onClick=${set}>${isUnderWay ? "Waiting for the sensors …" : `Set all sensors to ${participant}`}</button>`}
+    </div>`;
+}
+
+function Begin({ status, act }) {
+  const { recording } = status;
+  const [fields, setFields] = useKept("recording", { participant: null, session: "S001", task: "Default", folder: "" });
   const [isLax, setLax] = useState(false);
   const [isUnderWay, once] = useOneAtATime(act);
+  const people = [...new Set(status.devices.map((each) => each.participant).filter(Boolean))];
+  // Until somebody types another one, it is who wears the sensors.
+  const participant = fields.participant ?? (people.length === 1 ? people[0] : "");
+  const isAsWorn = people.length === 1 && fields.participant === people[0];
+  useEffect(() => { if (isAsWorn) setFields({ ...fields, participant: null }); }, [isAsWorn]);
   const set = (name) => (event) => setFields({ ...fields, [name]: event.target.value });
   const begin = (event) => {
     event.preventDefault();
-    once("POST", "/recording/start", { ...fields, allow_missing: isLax });
+    once("POST", "/recording/start", { ...fields, participant, allow_missing: isLax });
   };
-  const box = (name, label, more = {}) => html`
-    <label>${label}<input type="text" value=${fields[name]} onInput=${set(name)} ...${more} /></label>`;
+  const box = (name, label, value, more = {}) => html`
+    <label>${label}<input type="text" value=${value} onInput=${set(name)} ...${more} /></label>`;
   return html`
     <form onSubmit=${begin}>
-      ${box("participant", "Participant (a pseudonym)", { required: true, pattern: "[A-Za-z0-9]+", title: "letters and digits" })}
-      ${box("session", "Session", { required: true, pattern: "[A-Za-z0-9]+", title: "letters and digits" })}
-      ${box("task", "Task", { required: true, pattern: "[A-Za-z0-9]+", title: "letters and digits" })}
-      ${box("folder", "Folder", { placeholder: recording.folder, size: 34 })}
+      ${box("participant", "Participant now (a pseudonym)", participant, { required: true })}
+      <${Wearers} status=${status} people=${people} participant=${participant} act=${act} />
+      ${box("session", "Session", fields.session, NAME)}
+      ${box("task", "Task", fields.task, NAME)}
+      ${box("folder", "Folder", fields.folder, { placeholder: recording.folder, size: 34 })}
       <button class="main" disabled=${isUnderWay}>${isUnderWay || recording.busy !== "" ? "Opening all streams …" : "Record"}</button>
       <label class="check"><input type="checkbox" checked=${isLax} onChange=${(event) => setLax(event.target.checked)} /> also without streams that are missing</label>
     </form>`;
 }
 
-export function Session({ recording, act }) {
-  // Here, so that the next recording of a person needs no typing.
-  const [fields, setFields] = useState({ participant: "", session: "S001", task: "Default", folder: "" });
+export function Session({ status, act }) {
+  const { recording } = status;
   return html`
     <section class="panel" aria-labelledby="session">
       <h2 id="session">Recording</h2>
@@ -82,7 +109,7 @@ export function Session({ recording, act }) {
         ${recording.file && !recording.verdict && html`
           <ul class="problems" role="alert">${recording.problems.map((each) => html`<li>${each}</li>`)}</ul>
           <button onClick=${() => act("POST", "/recording/stop")}>Close and check it</button>`}
-        <${Begin} recording=${recording} act=${act} fields=${fields} setFields=${setFields} />`}
+        <${Begin} status=${status} act=${act} />`}
       ${!recording.is_running && recording.verdict && html`<${Verdict} verdict=${recording.verdict} />`}
     </section>`;
 }

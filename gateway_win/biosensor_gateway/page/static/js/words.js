@@ -35,6 +35,11 @@ export function personOf(device) {
   return [device.participant, device.label].filter(Boolean).join(" · ");
 }
 
+// As a person lists them: P01, P02 and P03.
+export function listed(names) {
+  return [names.slice(0, -1).join(", "), names.at(-1)].filter(Boolean).join(" and ");
+}
+
 export function figure(value, unit) {
   if (value === null || value === undefined) return "–";
   if (unit === "boolean") return value > 0.5 ? "yes" : "no";

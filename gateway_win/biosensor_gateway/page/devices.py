@@ -1,0 +1,166 @@
+"""Changes the devices of the settings, and has the agent take them over."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from fastapi import APIRouter
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.agent import control
+from biosensor_gateway.agent.single_instance import is_held
+from biosensor_gateway.devices.registry import settings_models
+from biosensor_gateway.page.agent_process import start_agent
+from biosensor_gateway.page.models import (
+    Choice,
+    DeviceChange,
+    DeviceRemoval,
+    NewDevice,
+    Outcome,
+    ParticipantNow,
+    SettingsChange,
+)
+from biosensor_gateway.page.recorder import Recorder
+from biosensor_gateway.page.refusals import QuestionError
+from biosensor_gateway.page.session import Session
+from biosensor_gateway.settings import editing
+from biosensor_gateway.settings.names import require_participant
+
+BACK_WITHIN_S = 30.0
+"""A sensor that was renamed is connected again, which by Bluetooth takes some seconds."""
+_POLL_S = 0.1
+
+
+def add_devices(router: APIRouter, session: Session, recorder: Recorder) -> None:
+    """Add how devices come, change and go, and who wears them."""
+
+    @router.post("/devices")
+    async def add(device: NewDevice) -> Outcome:
+        """Add a device to the settings, and have the agent stream it."""
+        if device.participant:
+            require_participant(device.participant)
+        _ask_while_recording(recorder, device, "A sensor that is added now is not in it.")
+        worn = {"participant": device.participant, "label": device.label}
+        fields = {**device.settings, **{key: value for key, value in worn.items() if value}}
+        models = settings_models()
+        editing.add_device(session.settings, models, device.sensor, fields)
+        return await _applied(session, "is in the settings now")
+
+    @router.patch("/devices")
+    async def change(device: DeviceChange) -> Outcome:
+        """Change a device of the settings; it starts again, the others stream on."""
+        fields = _changed(session, device)
+        if fields.get("participant"):
+            require_participant(str(fields["participant"]))
+        if fields:
+            lost = "The sensor gets new streams, and from then on nothing of it is in the file."
+            _ask_while_recording(recorder, device, lost)
+        # Empty is the same as not there, and shorter.
+        wanted = {key: None if value == "" else value for key, value in fields.items()}
+        models = settings_models()
+        editing.change_device(session.settings, models, device.sensor, device.unit, wanted)
+        return await _applied(session, "is changed in the settings")
+
+    @router.delete("/devices")
+    async def remove(device: DeviceRemoval) -> Outcome:
+        """Take a device out of the settings; its streams end, the others go on."""
+        _ask_while_recording(recorder, device, "From then on nothing of the sensor is in the file.")
+        models = settings_models()
+        editing.remove_device(session.settings, models, device.sensor, device.unit)
+        return await _applied(session, "is no longer in the settings")
+
+    @router.put("/participant")
+    async def set_participant(wanted: ParticipantNow) -> Outcome:
+        """Have one person wear all sensors of the settings; wait until they stream again."""
+        lost = "All sensors get new streams, and from then on nothing of them is in the file."
+        _ask_while_recording(recorder, wanted, lost)
+        waited_for = await worn_by(session, wanted.participant)
+        if waited_for:
+            return Outcome(
+                sentence=f"All sensors are set to {wanted.participant}; not streaming yet: "
+                f"{', '.join(waited_for)}."
+            )
+        return Outcome(sentence=f"All sensors are worn by {wanted.participant} now.")
+
+
+async def worn_by(session: Session, participant: str) -> list[str]:
+    """Have a participant wear all sensors of the settings, and wait until they stream again.
+
+    Returns
+    -------
+    list of str
+        Those that streamed before and do not after `BACK_WITHIN_S`, as ``sensor/unit``.
+
+    Raises
+    ------
+    ConfigError
+        The name or the settings do not allow it.
+    """
+    require_participant(participant)
+    if session.is_virtual:
+        message = "virtual sensors stand in no settings; name who wears them with --simulate"
+        raise ConfigError(ConfigReason.WRONG_VALUE, message)
+    before = session.streaming()
+    editing.set_participant(session.settings, settings_models(), participant)
+    if not is_held(session.folder):
+        return []
+    await asked(session, "reload", {})
+    deadline = time.monotonic() + BACK_WITHIN_S
+    while missing := before - _streaming_for(session, participant):
+        if time.monotonic() > deadline:
+            break
+        await asyncio.sleep(_POLL_S)
+    return ["/".join(each) for each in sorted(missing)]
+
+
+def _streaming_for(session: Session, participant: str) -> frozenset[tuple[str, str]]:
+    own = {each.sensor for each in session.worn() if each.participant == participant}
+    return frozenset(each for each in session.streaming() if "/".join(each) in own)
+
+
+def _changed(session: Session, wanted: DeviceChange) -> dict[str, str | bool]:
+    """Return what is to be other than the settings have it."""
+    which = wanted.sensor, wanted.unit
+    found = [each for each in session.configured() if (each.sensor, each.unit) == which]
+    fields = wanted.model_dump(include={"participant", "label", "enabled"}, exclude_none=True)
+    if not found:
+        return fields
+    return {key: value for key, value in fields.items() if getattr(found[0], key) != value}
+
+
+def _ask_while_recording(recorder: Recorder, change: SettingsChange, lost: str) -> None:
+    """Ask whether a change is meant that costs a recording something.
+
+    Raises
+    ------
+    QuestionError
+        Unless nothing is recorded, or it is confirmed.
+    """
+    file = recorder.file_going_on
+    if file and not change.while_recording:
+        again = Choice(words="Change it all the same", more={"while_recording": True})
+        raise QuestionError("A recording goes on", f"It is recorded to {file}. {lost}", [again])
+
+
+def started(session: Session, *, virtual: bool) -> Outcome:
+    """Start the agent."""
+    start_agent(session.folder, session.settings, virtual=virtual)
+    session.note_start()
+    return Outcome(sentence="The agent is starting.")
+
+
+async def _applied(session: Session, what: str) -> Outcome:
+    """Have the agent take the settings over; start it if none runs."""
+    if is_held(session.folder):
+        await asked(session, "reload", {})
+    elif any(each.enabled for each in session.configured()):
+        started(session, virtual=False)
+    return Outcome(sentence=f"The device {what}.")
+
+
+async def asked(session: Session, command: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Have the agent do something, and return its answer."""
+    return await asyncio.to_thread(control.ask, session.folder, command, arguments)
