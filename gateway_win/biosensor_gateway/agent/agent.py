@@ -80,7 +80,7 @@ class Agent:
         self._pauses = PauseCommands(folder, self._sinks)
         self._markers = MarkerStream()
         self._marking = MarkerCommands(self._markers, settings.markers)
-        self._reloading = Reloading(settings, read_again, self._change)
+        self._reloading = Reloading(settings, read_again, self._change, self._preview)
         self._feed = Feed()
         self._heartbeat_s = settings.events.heartbeat_s
         self.on_status: Callable[[Mapping[str, Any]], None] = lambda status: None
@@ -90,7 +90,7 @@ class Agent:
     @property
     def commands(self) -> dict[str, Command]:
         """What a running agent can be asked for, besides its end."""
-        reload = {"reload": self._reloading.command}
+        reload = {"reload": self._reloading.command, "reload-preview": self._reloading.preview}
         return {**self._pauses.commands, **reload, **self._marking.commands}
 
     @property
@@ -138,6 +138,9 @@ class Agent:
     async def _change(self, settings: GatewaySettings) -> FleetChanges:
         self._marking.settings = settings.markers
         return await self.devices.change(settings.devices, self._pauses.take_over)
+
+    def _preview(self, settings: GatewaySettings) -> FleetChanges:
+        return self.devices.preview(settings.devices)
 
     def _states(self) -> dict[str, str]:
         return {device.name: device.state for device in self.devices}

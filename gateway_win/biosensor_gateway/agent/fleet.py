@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -12,6 +12,7 @@ import structlog
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.agent.device import Device
 from biosensor_gateway.agent.feed import Feed
+from biosensor_gateway.agent.pauses.selection import device_name
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
@@ -106,6 +107,14 @@ class Fleet:
         finally:
             measuring.cancel()
 
+    def preview(self, entries: Iterable[DeviceSettings]) -> FleetChanges:
+        """Say what `change` would do."""
+        wanted = [each for each in entries if each.enabled]
+        ending = [device.name for entry, device in self._devices.items() if entry not in wanted]
+        fresh = [device_name(each.identity) for each in wanted if each not in self._devices]
+        kept = [device.name for entry, device in self._devices.items() if entry in wanted]
+        return _changes(ending, fresh, kept)
+
     async def change(
         self, entries: Iterable[DeviceSettings], before_start: Callable[[], None]
     ) -> FleetChanges:
@@ -130,7 +139,7 @@ class Fleet:
         for device in fresh.values():
             self._announce(EventKind.DEVICE_ADDED, device)
             self._begin(device)
-        return _changes(ending, fresh.values(), kept.values())
+        return _changes(_names(ending), _names(fresh.values()), _names(kept.values()))
 
     async def close(self) -> None:
         """End all devices."""
@@ -176,13 +185,14 @@ class Fleet:
         _log.info(f"the device was {word}", sensor=identity.sensor, unit=identity.unit)
 
 
-def _changes(
-    ended: Iterable[Device], fresh: Iterable[Device], kept: Iterable[Device]
-) -> FleetChanges:
-    before, after = [each.name for each in ended], [each.name for each in fresh]
+def _names(devices: Iterable[Device]) -> list[str]:
+    return [each.name for each in devices]
+
+
+def _changes(before: Sequence[str], after: Sequence[str], kept: Iterable[str]) -> FleetChanges:
     return FleetChanges(
         added=tuple(name for name in after if name not in before),
         removed=tuple(name for name in before if name not in after),
         restarted=tuple(name for name in after if name in before),
-        kept=tuple(device.name for device in kept),
+        kept=tuple(kept),
     )

@@ -44,6 +44,8 @@ class Reloading:
         Reads them again; None if there is no file, as with virtual devices.
     change
         Takes over what can be.
+    preview
+        Says what `change` would do.
     """
 
     def __init__(
@@ -51,10 +53,11 @@ class Reloading:
         settings: GatewaySettings,
         read: ReadSettings | None,
         change: Callable[[GatewaySettings], Awaitable[FleetChanges]],
+        preview: Callable[[GatewaySettings], FleetChanges],
     ) -> None:
         self._started_with = self._newest = settings
         self._read = read
-        self._change = change
+        self._change, self._preview = change, preview
         self._busy = asyncio.Lock()
         self._task: asyncio.Task[FleetChanges] | None = None
 
@@ -73,13 +76,10 @@ class Reloading:
             that have changed and hold; ``later``: sections that hold from the agent's next start
             on; ``pending``: whether devices are still ending.
         """
-        if self._read is None:
-            message = "this agent runs virtual devices, which have no settings file"
-            raise ConfigError(ConfigReason.NOT_FOUND, message)
         if self._task is not None and not self._task.done():
             message = "the settings are being read again already; try again in some seconds"
             raise ConfigError(ConfigReason.IN_USE, message)
-        settings = await asyncio.to_thread(self._read)
+        settings = await self._read_again()
         self._task = asyncio.create_task(self._changed(settings))
         done, _ = await asyncio.wait({self._task}, timeout=ANSWERED_WITHIN_S)
         changes = self._task.result() if done else FleetChanges()
@@ -87,6 +87,16 @@ class Reloading:
         later = _different(self._started_with, settings, _sections() - _AT_ONCE)
         self._newest = settings
         return {**asdict(changes), "now": now, "later": later, "pending": not done}
+
+    async def preview(self, _arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Say which devices `command` would change, by the same names."""
+        return asdict(self._preview(await self._read_again()))
+
+    async def _read_again(self) -> GatewaySettings:
+        if self._read is None:
+            message = "this agent runs virtual devices, which have no settings file"
+            raise ConfigError(ConfigReason.NOT_FOUND, message)
+        return await asyncio.to_thread(self._read)
 
     async def _changed(self, settings: GatewaySettings) -> FleetChanges:
         async with self._busy:

@@ -7,9 +7,10 @@ import typer
 from biosensor_gateway.cli import editor, lsl_file
 from biosensor_gateway.cli.options import SettingsOption
 from biosensor_gateway.devices.registry import settings_models
+from biosensor_gateway.recording.here.recording import Recording
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings import template as settings_template
-from biosensor_gateway.settings.places import settings_path
+from biosensor_gateway.settings.places import settings_path, state_folder
 
 app = typer.Typer(help="The settings file.", no_args_is_help=True)
 app.command("lsl")(lsl_file.write_lsl_file)
@@ -32,6 +33,13 @@ def write_template(settings: SettingsOption = None) -> None:
 @app.command("edit")
 def edit(settings: SettingsOption = None) -> None:
     """Open the settings file in your editor; write it first if there is none."""
+    recorded = Recording(state_folder()).file_going_on
+    if recorded is not None:
+        warning = (
+            f"a recording goes on, to {recorded}: do not reload before it has ended, or it may "
+            "lose the devices that you change"
+        )
+        typer.echo(f"! {warning}", err=True)
     path = (settings or settings_path()).absolute()
     if not path.exists():
         settings_template.write_template(path, settings_models())

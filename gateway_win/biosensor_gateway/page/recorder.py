@@ -70,7 +70,7 @@ class Recorder:
     @property
     def file_going_on(self) -> str:
         """The one that is being recorded; empty if none is."""
-        return str(self._recording.file or "") if self._recording.is_running else ""
+        return str(self._recording.file_going_on or "")
 
     async def start(self, wanted: NewRecording) -> Outcome:
         """Begin to record.

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.agent.status import AgentStatus, DeviceStatus
@@ -117,7 +118,10 @@ class Session:
 
     def worn(self) -> tuple[Worn, ...]:
         """Return who wears the agent's devices."""
-        return tuple(Worn(f"{e.sensor}/{e.unit}", e.participant) for e in self._devices())
+        return tuple(
+            Worn.by(DeviceIdentity(each.sensor, each.unit, each.participant))
+            for each in self._devices()
+        )
 
     def streaming(self) -> frozenset[tuple[str, str]]:
         """Return the devices that stream, by sensor and unit."""

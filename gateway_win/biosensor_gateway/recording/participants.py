@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.agent.pauses.selection import device_name
 from biosensor_gateway.settings.names import label
 
 GROUP = "group"
@@ -28,7 +29,7 @@ class Worn(NamedTuple):
     @classmethod
     def by(cls, identity: DeviceIdentity) -> Worn:
         """Return the same of a device or of a stream's header."""
-        return cls(f"{identity.sensor}/{identity.unit}", identity.participant)
+        return cls(device_name(identity), identity.participant)
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,6 +45,11 @@ class Recording:
         kept = self._folder.kept()
         return None if kept is None else Path(kept.file)
 
+    @property
+    def file_going_on(self) -> Path | None:
+        """Where it records to; None if it does not."""
+        return self.file if self.is_running else None
+
     def start(
         self,
         order: Order,

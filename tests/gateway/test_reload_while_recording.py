@@ -1,0 +1,152 @@
+"""``reload`` asks before a recording loses devices."""
+
+from __future__ import annotations
+
+import builtins
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.agent import control
+from biosensor_gateway.agent.device import Device
+from biosensor_gateway.agent.fleet import Fleet, FleetChanges
+from biosensor_gateway.cli import editor, reloading
+from biosensor_gateway.cli.settings import edit
+from biosensor_gateway.devices.registry import settings_models
+from biosensor_gateway.recording.here.memory import Kept, RecorderFolder
+from biosensor_gateway.settings.models import DeviceSettings
+from biosensor_gateway.streaming.room import Room
+
+NOTHING: dict[str, Any] = {"added": [], "removed": [], "restarted": [], "now": [], "later": [],
+                           "pending": False}  # fmt: skip
+RENAMED = {**NOTHING, "restarted": ["zephyr/A"]}
+
+
+class Agent:
+    """Answers as an agent does."""
+
+    def __init__(self) -> None:
+        self.changes = RENAMED
+        self.asked: list[str] = []
+
+    def ask(self, _folder: Path, command: str) -> dict[str, Any]:
+        self.asked.append(command)
+        return self.changes
+
+
+@pytest.fixture
+def agent(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Agent:
+    monkeypatch.setenv("BIOSENSOR_GATEWAY_STATE", str(tmp_path))
+    running = Agent()
+    monkeypatch.setattr(control, "ask", running.ask)
+    return running
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Generator[Path]:
+    folder = RecorderFolder(tmp_path)
+    folder.path.mkdir()
+    file = tmp_path / "sub-P01_task-walk.xdf"
+    folder.keep(Kept(str(file), (), 1.0))
+    lock = folder.try_lock()
+    assert lock is not None
+    yield file
+    lock.release()
+
+
+@pytest.fixture
+def answer(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Have somebody at a terminal who answers."""
+
+    def answers(text: str) -> None:
+        def typed(_question: str) -> str:
+            return text
+
+        monkeypatch.setattr(reloading, "can_ask", lambda: True)
+        monkeypatch.setattr(builtins, "input", typed)
+
+    return answers
+
+
+def test_without_a_recording_nobody_is_asked(agent: Agent) -> None:
+    reloading.reload()
+    assert agent.asked == ["reload"]
+
+
+def test_without_a_terminal_it_is_refused_and_the_option_named(
+    agent: Agent, recording: Path
+) -> None:
+    with pytest.raises(ConfigError, match="--while-recording") as caught:
+        reloading.reload()
+    assert caught.value.reason is ConfigReason.IN_USE
+    assert str(recording) in str(caught.value)
+    assert "zephyr/A" in str(caught.value)
+    assert agent.asked == ["reload-preview"]
+
+
+@pytest.mark.usefixtures("recording")
+def test_what_is_confirmed_is_done(agent: Agent) -> None:
+    reloading.reload(while_recording=True)
+    assert agent.asked == ["reload"]
+
+
+@pytest.mark.usefixtures("recording")
+def test_what_costs_no_device_is_done(agent: Agent) -> None:
+    agent.changes = {**NOTHING, "now": ["markers"]}
+    reloading.reload()
+    assert agent.asked == ["reload-preview", "reload"]
+
+
+@pytest.mark.usefixtures("recording")
+@pytest.mark.parametrize("typed", ["", "1"])
+def test_enter_alone_leaves_the_recording_as_it_is(
+    agent: Agent, answer: Callable[[str], None], typed: str
+) -> None:
+    answer(typed)
+    with pytest.raises(typer.Exit) as caught:
+        reloading.reload()
+    assert caught.value.exit_code == 2
+    assert agent.asked == ["reload-preview"]
+
+
+@pytest.mark.usefixtures("recording")
+def test_whoever_wants_it_says_so(agent: Agent, answer: Callable[[str], None]) -> None:
+    answer("2")
+    reloading.reload()
+    assert agent.asked == ["reload-preview", "reload"]
+
+
+def test_an_editor_is_opened_with_a_warning(
+    agent: Agent,
+    recording: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    opened: list[Path] = []
+    monkeypatch.setattr(editor, "open_in_editor", opened.append)
+    edit(recording.with_name("settings.toml"))
+    assert f"a recording goes on, to {recording}" in capsys.readouterr().err
+    assert len(opened) == 1
+    assert not agent.asked
+
+
+def entry(unit: str, **more: object) -> DeviceSettings:
+    table = {"sensor": "polar_h10", "unit": unit, "device": f"AA:BB:CC:DD:EE:0{unit}", **more}
+    return settings_models()["polar_h10"].model_validate(table)
+
+
+def test_a_preview_says_what_a_change_would_do() -> None:
+    devices = [entry("1"), entry("2"), entry("3")]
+    fleet = Fleet({each: Device.from_settings(each) for each in devices}, Room.here())
+    wanted = [devices[0], entry("2", participant="P02"), entry("4"), entry("5", enabled=False)]
+    assert fleet.preview(wanted) == FleetChanges(
+        added=("polar_h10/4",),
+        removed=("polar_h10/3",),
+        restarted=("polar_h10/2",),
+        kept=("polar_h10/1",),
+    )
+    assert [each.name for each in fleet] == ["polar_h10/1", "polar_h10/2", "polar_h10/3"]
