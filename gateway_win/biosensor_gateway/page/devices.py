@@ -72,6 +72,10 @@ def add_devices(router: APIRouter, session: Session, recorder: Recorder) -> None
         editing.remove_device(session.settings, models, device.sensor, device.unit)
         return await _applied(session, "is no longer in the settings")
 
+    _add_participant(router, session, recorder)
+
+
+def _add_participant(router: APIRouter, session: Session, recorder: Recorder) -> None:
     @router.put("/participant")
     async def set_participant(wanted: ParticipantNow) -> Outcome:
         """Have one person wear all sensors of the settings; wait until they stream again."""
