@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
+import time
 from pathlib import Path
 
 import pytest
 
+from biosensor_gateway.recording.going_on import WRITTEN_WITHIN_S, file_going_on
 from biosensor_gateway.recording.labrecorder.memory import (
     MEMORY_FILE,
     Remembered,
@@ -58,3 +61,17 @@ def test_where_nothing_can_be_written_it_says_what_that_means(tmp_path: Path) ->
     in_the_way = tmp_path / "state"
     in_the_way.touch()
     assert "--file" in remember(in_the_way, RECORDING)
+
+
+@pytest.mark.parametrize(("age_s", "goes_on"), [(0.0, True), (2 * WRITTEN_WITHIN_S, False)])
+def test_a_window_records_as_long_as_it_writes(age_s: float, goes_on: bool, tmp_path: Path) -> None:
+    file = tmp_path / "a.xdf"
+    assert file_going_on(tmp_path) is None
+    remember(tmp_path, Remembered("localhost", 22345, str(file), 1.0))
+    assert file_going_on(tmp_path) is None
+    file.touch()
+    written = time.time() - age_s
+    os.utime(file, (written, written))
+    assert file_going_on(tmp_path) == (file if goes_on else None)
+    forget(tmp_path)
+    assert file_going_on(tmp_path) is None

@@ -10,7 +10,7 @@ import typer
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.agent import control
 from biosensor_gateway.cli.questions import can_ask, menu
-from biosensor_gateway.recording.here.recording import Recording
+from biosensor_gateway.recording.going_on import file_going_on
 from biosensor_gateway.recording.participants import listed
 from biosensor_gateway.settings.places import state_folder
 
@@ -32,11 +32,11 @@ def reload(
     """Have the running agent read its settings again; devices that are the same stream on.
 
     A file that is broken changes nothing. Exit code 1 if no agent runs or the file is broken.
-    While this computer records, a change of devices is asked about, and without a terminal
+    While a recording goes on, a change of devices is asked about, and without a terminal
     refused with exit code 2.
     """
     state = state_folder()
-    file = Recording(state).file_going_on
+    file = file_going_on(state)
     if file is not None and not while_recording:
         _ask_first(file, control.ask(state, "reload-preview"))
     answer = control.ask(state, "reload")

@@ -7,7 +7,7 @@ import typer
 from biosensor_gateway.cli import editor, lsl_file
 from biosensor_gateway.cli.options import SettingsOption
 from biosensor_gateway.devices.registry import settings_models
-from biosensor_gateway.recording.here.recording import Recording
+from biosensor_gateway.recording.going_on import file_going_on
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings import template as settings_template
 from biosensor_gateway.settings.places import settings_path, state_folder
@@ -33,7 +33,7 @@ def write_template(settings: SettingsOption = None) -> None:
 @app.command("edit")
 def edit(settings: SettingsOption = None) -> None:
     """Open the settings file in your editor; write it first if there is none."""
-    recorded = Recording(state_folder()).file_going_on
+    recorded = file_going_on(state_folder())
     if recorded is not None:
         warning = (
             f"a recording goes on, to {recorded}: do not reload before it has ended, or it may "

@@ -43,7 +43,7 @@ def add_api(
     router = APIRouter(prefix=PREFIX, responses={400: {"model": Problem}})
     _add_agent(router, session)
     _add_search(router, session)
-    add_devices(router, session, recorder)
+    add_devices(router, session)
     _add_pauses(router, session)
     _add_recording(router, recorder)
     _add_markers(router, marking)

@@ -23,9 +23,9 @@ from biosensor_gateway.page.models import (
     ParticipantNow,
     SettingsChange,
 )
-from biosensor_gateway.page.recorder import Recorder
 from biosensor_gateway.page.refusals import QuestionError
 from biosensor_gateway.page.session import Session
+from biosensor_gateway.recording.going_on import file_going_on
 from biosensor_gateway.settings import editing
 from biosensor_gateway.settings.names import require_participant
 
@@ -34,7 +34,7 @@ BACK_WITHIN_S = 30.0
 _POLL_S = 0.1
 
 
-def add_devices(router: APIRouter, session: Session, recorder: Recorder) -> None:
+def add_devices(router: APIRouter, session: Session) -> None:
     """Add how devices come, change and go, and who wears them."""
 
     @router.post("/devices")
@@ -42,7 +42,7 @@ def add_devices(router: APIRouter, session: Session, recorder: Recorder) -> None
         """Add a device to the settings, and have the agent stream it."""
         if device.participant:
             require_participant(device.participant)
-        _ask_while_recording(recorder, device, "A sensor that is added now is not in it.")
+        _ask_while_recording(session, device, "A sensor that is added now is not in it.")
         worn = {"participant": device.participant, "label": device.label}
         fields = {**device.settings, **{key: value for key, value in worn.items() if value}}
         models = settings_models()
@@ -57,7 +57,7 @@ def add_devices(router: APIRouter, session: Session, recorder: Recorder) -> None
             require_participant(str(fields["participant"]))
         if fields:
             lost = "The sensor gets new streams, and from then on nothing of it is in the file."
-            _ask_while_recording(recorder, device, lost)
+            _ask_while_recording(session, device, lost)
         # Empty is the same as not there, and shorter.
         wanted = {key: None if value == "" else value for key, value in fields.items()}
         models = settings_models()
@@ -67,20 +67,20 @@ def add_devices(router: APIRouter, session: Session, recorder: Recorder) -> None
     @router.delete("/devices")
     async def remove(device: DeviceRemoval) -> Outcome:
         """Take a device out of the settings; its streams end, the others go on."""
-        _ask_while_recording(recorder, device, "From then on nothing of the sensor is in the file.")
+        _ask_while_recording(session, device, "From then on nothing of the sensor is in the file.")
         models = settings_models()
         editing.remove_device(session.settings, models, device.sensor, device.unit)
         return await _applied(session, "is no longer in the settings")
 
-    _add_participant(router, session, recorder)
+    _add_participant(router, session)
 
 
-def _add_participant(router: APIRouter, session: Session, recorder: Recorder) -> None:
+def _add_participant(router: APIRouter, session: Session) -> None:
     @router.put("/participant")
     async def set_participant(wanted: ParticipantNow) -> Outcome:
         """Have one person wear all sensors of the settings; wait until they stream again."""
         lost = "All sensors get new streams, and from then on nothing of them is in the file."
-        _ask_while_recording(recorder, wanted, lost)
+        _ask_while_recording(session, wanted, lost)
         waited_for = await worn_by(session, wanted.participant)
         if waited_for:
             return Outcome(
@@ -135,7 +135,7 @@ def _changed(session: Session, wanted: DeviceChange) -> dict[str, str | bool]:
     return {key: value for key, value in fields.items() if getattr(found[0], key) != value}
 
 
-def _ask_while_recording(recorder: Recorder, change: SettingsChange, lost: str) -> None:
+def _ask_while_recording(session: Session, change: SettingsChange, lost: str) -> None:
     """Ask whether a change is meant that costs a recording something.
 
     Raises
@@ -143,8 +143,8 @@ def _ask_while_recording(recorder: Recorder, change: SettingsChange, lost: str) 
     QuestionError
         Unless nothing is recorded, or it is confirmed.
     """
-    file = recorder.file_going_on
-    if file and not change.while_recording:
+    file = file_going_on(session.folder)
+    if file is not None and not change.while_recording:
         again = Choice(words="Change it all the same", more={"while_recording": True})
         raise QuestionError("A recording goes on", f"It is recorded to {file}. {lost}", [again])
 

@@ -47,16 +47,23 @@ def remember(folder: Path, recording: Remembered) -> str:
 
 def recall(folder: Path, host: str, port: int) -> Remembered | None:
     """Return the recording that was started last at this LabRecorder, if it is not over."""
+    recording = last_started(folder)
+    if recording is None:
+        return None
+    is_same = (_canonical(recording.host), recording.port) == (_canonical(host), port)
+    return recording if is_same else None
+
+
+def last_started(folder: Path) -> Remembered | None:
+    """Return the recording that was started last at any LabRecorder, if it is not over."""
     try:
         kept: dict[str, Any] = json.loads((folder / MEMORY_FILE).read_text(encoding="utf-8"))
-        recording = Remembered(
+        return Remembered(
             str(kept["host"]), int(kept["port"]), str(kept["file"]), float(kept["started"])
         )
     except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
         # Nothing, or nothing that can be used: then it is as if it was started by hand.
         return None
-    is_same = (_canonical(recording.host), recording.port) == (_canonical(host), port)
-    return recording if is_same else None
 
 
 def _canonical(host: str) -> str:
