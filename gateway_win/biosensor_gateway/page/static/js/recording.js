@@ -48,7 +48,7 @@ function Verdict({ verdict }) {
     <div class="verdict">
       <p class="state ${tone}"><span aria-hidden="true">${sign}</span> ${verdict.sentence}</p>
       <p class="small soft file">${verdict.file}</p>
-      ${verdict.findings.length > 0 && html`<details open=${verdict.colour === "red"}><summary>What was found (${verdict.findings.length})</summary><ul class="small">${verdict.findings.map((each) => html`<li>${each}</li>`)}</ul></details>`}
+      ${verdict.findings.length > 0 && html`<details open=${verdict.colour === "red"}><summary>What was found (${verdict.findings.length})</summary><ul class="small found-in-it" tabindex="0">${verdict.findings.map((each) => html`<li>${each}</li>`)}</ul></details>`}
     </div>`;
 }
 
@@ -58,16 +58,16 @@ const NAME = { required: true, pattern: "[A-Za-z0-9]+", title: "letters and digi
 function Wearers({ status, people, participant, act }) {
   const [isUnderWay, once] = useOneAtATime(act);
   const set = () => once("PUT", "/participant", { participant });
-  const worn = people.length ? `The sensors are worn by ${listed(people)}.` : "No participant is set for the sensors.";
-  const isSame = status.devices.every((each) => each.participant === participant);
   const isGroup = people.length > 1 && participant.toLowerCase().startsWith("group");
+  const isWorn = people.length === 1 && people[0] === participant;
+  const isEmpty = !people.length && (!participant || status.virtual);
+  if (!status.devices.length || (!isUnderWay && (isGroup || isWorn || isEmpty))) return null;
+  const worn = people.length ? `The sensors are worn by ${listed(people)}.` : "No participant is set for the sensors.";
   const isSettable = !status.virtual && status.one_wearer && new RegExp(`^(?:${NAME.pattern})$`).test(participant);
-  const isFine = isSame || isGroup || (!participant && people.length < 2);
-  if (!status.devices.length || (isFine && !isUnderWay)) return null;
   return html`
     <div class="buttons wearers small">
       <span>${worn}${people.length > 1 && " For one file of several people, type a group, such as group01."}</span>
-      ${isSettable && !isSame && html`<button type="button" disabled=${isUnderWay} onClick=${set}>${isUnderWay ? "Waiting for the sensors …" : `Set all sensors to ${participant}`}</button>`}
+      ${isSettable && html`<button type="button" disabled=${isUnderWay} onClick=${set}>${isUnderWay ? "Waiting for the sensors …" : `Set all sensors to ${participant}`}</button>`}
     </div>`;
 }
 
