@@ -9,7 +9,7 @@ import pytest
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.devices.registry import settings_models
-from biosensor_gateway.settings.editing import change_device, remove_device
+from biosensor_gateway.settings.editing import change_device, remove_device, set_participant
 
 FILE = """\
 # Our lab.
@@ -52,6 +52,24 @@ def test_keys_come_and_go(path: Path) -> None:
     assert "participant" not in text
     assert text.index('unit = "A1" # on its back') < text.index('label = "left"')
     assert text.index('label = "left"') < text.index('sensor = "zephyr"')
+
+
+def test_one_person_wears_all_that_is_enabled(path: Path) -> None:
+    path.write_text(f'{FILE}\n[[device]]\nsensor = "polar_h10"\nunit = "C3"\nenabled = false\n')
+    set_participant(path, MODELS, "P02")
+    text = path.read_text()
+    assert text.count('participant = "P02"') == 2
+    assert text.index('participant = "P02"') < text.index("# The belt.")
+    assert "P02" not in text.partition("C3")[2]
+    assert 'unit = "A1" # on its back' in text
+
+
+def test_two_of_a_kind_are_not_made_one_persons(path: Path) -> None:
+    path.write_text(f'{FILE}\n[[device]]\nsensor = "zephyr"\nunit = "C3"\nport = "COM8"\n')
+    before = path.read_text()
+    with pytest.raises(ConfigError, match="a second zephyr"):
+        set_participant(path, MODELS, "P02")
+    assert path.read_text() == before
 
 
 def test_a_device_is_removed_with_what_belongs_to_it(path: Path) -> None:
