@@ -176,3 +176,24 @@ def test_one_field_sets_the_sensors_and_the_file(
     (file,) = (tmp_path / "recordings").rglob("*.xdf")
     assert file.name.startswith("sub-p02_")
     assert "p02-zephyr-A-ecg" in recorded(tmp_path / "recordings")
+
+
+def test_a_card_stays_where_it_is_when_its_wearer_is_renamed(
+    server: Server, window: Callable[..., Page], harness: SteeredBioHarness
+) -> None:
+    absent = SETTINGS.partition("[[device]]")[2].format(port="nowhere").replace('"A"', '"C"')
+    both = f'{SETTINGS.format(port=harness.port)}\n[[device]]{absent}label = "back"\n'
+    server.programs.settings.write_text(both)
+    page = window()
+    page.goto(server.address)
+    page.get_by_role("button", name="Start streaming").click()
+    cards = page.locator(".card")
+    expect(cards).to_have_count(2)
+    cards.first.get_by_role("button", name="Traces and details").click()
+    page.get_by_label("Participant (a pseudonym)").fill("z9")
+    page.get_by_role("button", name="Save").click()
+    page.get_by_role("button", name="Back to all devices").click()
+    expect(page.get_by_role("heading", name="z9")).to_be_visible()
+    expect(cards).to_have_count(2)
+    order = [each.get_attribute("data-device") for each in cards.all()]
+    assert order == ["zephyr/A", "zephyr/C"]
