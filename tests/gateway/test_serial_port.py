@@ -18,6 +18,7 @@ import serial
 from pylsl import local_clock
 
 from biosensor_common.errors import TransportError, TransportReason
+from biosensor_common.open_files import raise_limit
 from biosensor_gateway.transports import serial_port as module
 from biosensor_gateway.transports.serial_port import SerialLink
 
@@ -225,6 +226,7 @@ async def test_a_port_opened_beside_a_thousand_files_is_read_and_written(
     pty: Pty, eventually: Eventually
 ) -> None:
     # select takes no descriptor above 1023, and each stream takes some.
+    raise_limit()
     with ExitStack() as stack:
         while (held := os.open(os.devnull, os.O_RDONLY)) < 1024:
             stack.callback(os.close, held)

@@ -127,6 +127,8 @@ class Toolchain:
         return inherited | {
             "PATH": f"{self.folder / 'bin'}{os.pathsep}{os.environ['PATH']}",
             "COLCON_HOME": str(self.folder / "colcon"),
+            # As requirements/install.sh has it.
+            "UV_SYSTEM_CERTS": "1",
         }
 
     def build(self, folder: Path, *options: str) -> None:
