@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import shutil
 import subprocess
 import sys
@@ -95,4 +96,6 @@ def _install(folder: Path, *options: str | Path) -> None:
 
 
 def _call(*command: str | Path) -> None:
-    subprocess.run([str(each) for each in command], check=True)
+    # As requirements/install.sh has it: uv's own certificates are refused behind some proxies.
+    environment = os.environ | {"UV_SYSTEM_CERTS": "1"}
+    subprocess.run([str(each) for each in command], check=True, env=environment)
