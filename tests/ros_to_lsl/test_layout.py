@@ -142,8 +142,10 @@ def test_an_array_of_messages_opens_into_its_elements() -> None:
         *(f"poses[1].position.{axis}" for axis in "xyz"),
     )
     assert list(layout.read(message)) == [1.0, 2.0, 0.0, 0.0]
+    one = layout.read(PoseArray(poses=[Pose()]))
+    assert (one[0], all(map(math.isnan, one[1:]))) == (0.0, True)
     with pytest.raises(LayoutChangedError):
-        layout.read(PoseArray(poses=[Pose()]))
+        layout_of(message).read(PoseArray(poses=[Pose()]))
     assert all(map(math.isnan, layout.read(PoseArray())))
 
 
@@ -187,6 +189,7 @@ def test_groups_and_labels_can_be_wanted() -> None:
     message = joints("a", "b", position=[1.0, 2.0], velocity=[3.0, 4.0])
     assert layout_of(message, "velocity").labels == ("a.velocity", "b.velocity")
     assert layout_of(message, "b").labels == ("b.position", "b.velocity")
+    assert layout_of(message, "position[0]").labels == ("a.position",)
     one = layout_of(message, "b.velocity")
     assert list(one.read(message)) == [4.0]
     # A sequence that is empty today is still one of the type.

@@ -48,10 +48,14 @@ def test_a_message_of_many_fields_is_json() -> None:
     }
 
 
-def test_what_is_no_number_is_null() -> None:
+def test_what_is_no_number_is_a_word() -> None:
     message = JointState(name=["a"], position=array("d", [math.nan]), effort=array("d", [math.inf]))
     content = json.loads(as_json(message))
-    assert (content["position"], content["effort"], content["velocity"]) == ([None], [None], [])
+    assert (content["position"], content["effort"], content["velocity"]) == (
+        ["NaN"],
+        ["Infinity"],
+        [],
+    )
     assert content["header"] == {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
 
 

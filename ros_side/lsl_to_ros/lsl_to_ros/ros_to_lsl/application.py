@@ -78,6 +78,7 @@ class RosToLsl(Node):
         self._taker = Taker(self, self._fail)
         self._group = TakenElsewhere()
         self._seen: dict[str, int] = {}
+        self._left_out: list[str] = []
         self._met: Counter[str] = Counter()
         self._looks = 0
         self._missed_s = monotonic() + FOUND_AFTER_S
@@ -122,6 +123,7 @@ class RosToLsl(Node):
 
     def _open_small(self, graph: Graph) -> None:
         """Open what has been seen for a while: by then it is known whose it is."""
+        self._left_out = sorted(set(graph.left_out()) - self._topics.keys())
         self._seen = {name: self._seen.get(name, 0) + 1 for name in graph.small()}
         for name in sorted(self._seen.keys() - self._topics.keys()):
             if self._seen[name] <= LOOKS_TO_SETTLE:
@@ -178,7 +180,7 @@ class RosToLsl(Node):
             for each in self._topics.values():
                 each.topic.bridge.clock_was_set()
         streams = sum(len(each.topic.bridge.streams) for each in self._topics.values())
-        statuses = [node_status(len(self._topics), streams, self._ros_time.steps)]
+        statuses = [node_status(len(self._topics), streams, self._ros_time.steps, self._left_out)]
         statuses += [topic_status(each) for each in self._topics.values()]
         header = Header(stamp=self.get_clock().now().to_msg())
         self._diagnostics.publish(DiagnosticArray(header=header, status=statuses))

@@ -11,13 +11,19 @@ from typing import Any
 
 from biosensor_common.errors import GatewayError
 from lsl_to_ros.accounts.ros_time import RosTime
-from lsl_to_ros.ros_to_lsl.fields import FRAMES, HEADER, has_header
+from lsl_to_ros.ros_to_lsl.fields import (
+    FRAMES,
+    HEADER,
+    FramedList,
+    has_header,
+)
 from lsl_to_ros.ros_to_lsl.losses import PublicationLosses
 from lsl_to_ros.ros_to_lsl.outlets import MarkerOutlet, Origin, with_stamp
+from lsl_to_ros.ros_to_lsl.pairs import Pairs, parted
 from lsl_to_ros.ros_to_lsl.publisher_clock import ClockState
 from lsl_to_ros.ros_to_lsl.requests import SendAs, TopicRequest
 from lsl_to_ros.ros_to_lsl.senders import NumberSender, Sender, senders_for
-from lsl_to_ros.ros_to_lsl.stamping import MessageStamping, StampSource
+from lsl_to_ros.ros_to_lsl.stamping import MessageStamping, StampSource, wrong_clock
 from lsl_to_ros.taking import MessageInfo, RosMessage
 
 MAX_HELD = 5000
@@ -51,6 +57,8 @@ class Bridge:
         LSL time of the newest one, 0 before the first.
     fault
         Why nothing is sent; empty if something is.
+    is_latched
+        Whether its publishers keep their last messages for those who come later.
     """
 
     def __init__(
@@ -60,6 +68,7 @@ class Bridge:
         say: Callable[[str], None],
         *,
         by_arrival: bool,
+        is_part: bool = False,
     ) -> None:
         self.request = request
         self.received, self.newest_s, self.fault = 0, 0.0, ""
@@ -67,10 +76,15 @@ class Bridge:
         self.stamping = MessageStamping(ros_time, has_header=False, by_arrival=by_arrival)
         self._ros_time, self._by_arrival = ros_time, by_arrival
         self._say = say
+        # The clocks of the parts of a topic are said together.
+        self._is_part = is_part
         self._lock = threading.Lock()
         self._origin = Origin(request.topic, request.type_name, stamp_source=self.stamping.expected)
         self._senders: list[Sender] = []
         self._markers: MarkerOutlet | None = None
+        self.is_latched = False
+        self._pairs = Pairs(request, self._new_part, say)
+        self._list: FramedList | None = None
         self._held: deque[tuple[RosMessage, MessageInfo]] = deque()
         self._said_wrong: set[StampSource] = set()
         if request.send_as in (SendAs.MARKERS, SendAs.JSON):
@@ -83,19 +97,58 @@ class Bridge:
     @property
     def streams(self) -> Mapping[str, int]:
         """Samples or markers that were pushed, by stream."""
-        return {each.name: each.outlet.pushed for each in self._senders if each.outlet is not None}
+        own = {each.name: each.outlet.pushed for each in self._senders if each.outlet is not None}
+        for each in self.parts:
+            own |= each.streams
+        return own
 
     @property
     def is_received(self) -> bool:
         """Whether anybody receives any of the streams."""
         outlets = [each.outlet for each in self._senders]
-        return any(outlet.have_consumers() for outlet in outlets if outlet is not None)
+        own = any(outlet.have_consumers() for outlet in outlets if outlet is not None)
+        return own or any(each.is_received for each in self.parts)
 
     @property
     def replaced(self) -> int:
         """How often an outlet made way for one with other channels."""
         senders = (each for each in self._senders if isinstance(each, NumberSender))
-        return sum(each.replaced for each in senders)
+        own = sum(each.replaced for each in senders)
+        return own + sum(each.replaced for each in self.parts)
+
+    @property
+    def parts(self) -> list[Bridge]:
+        """One for each pair of frames, for a type that lists transforms."""
+        return self._pairs.parts
+
+    @property
+    def left_out(self) -> int:
+        """How many pairs of frames are not sent, because there are too many."""
+        return len(self._pairs.left_out)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether messages have come, and none had a number for a stream yet."""
+        if self.fault or not self.received:
+            return False
+        waits = any(isinstance(each, NumberSender) and not each.outlet for each in self._senders)
+        return waits if self._list is None else not self.streams
+
+    @property
+    def stampings(self) -> list[MessageStamping]:
+        """Of the topic, or of its parts."""
+        if self._list is None:
+            return [self.stamping]
+        return [each.stamping for each in self.parts]
+
+    @property
+    def wrong_clocks(self) -> dict[StampSource, float]:
+        """Lower edge of arrival minus stamp of each clock that is wrong, in seconds."""
+        wrong: dict[StampSource, float] = {}
+        for each in self.stampings:
+            for source, edge_s in each.wrong_clocks.items():
+                wrong[source] = max(wrong.get(source, 0.0), edge_s, key=abs)
+        return wrong
 
     def connect(self, kind: MessageType) -> None:
         """Take note of the type of the messages that will come."""
@@ -107,6 +160,9 @@ class Bridge:
             self._origin = Origin(
                 self.request.topic, kind.name, kind.hash, stamp_source=self.stamping.expected
             )
+            self._list = parted(kind.message_class, self.request)
+            if self._list is not None:
+                return
             try:
                 self._senders = senders_for(
                     kind.message_class, self.request, self._marker_outlet, self._say
@@ -131,6 +187,9 @@ class Bridge:
                 return
             if not info["received_timestamp"]:
                 info["received_timestamp"] = time_ns()
+            if self._list is not None:
+                self._take_parts(message, info, may_be_old=may_be_old)
+                return
             if not may_be_old:
                 self.stamping.observe(message, info)
             if self._held or self.stamping.is_in_doubt:
@@ -149,6 +208,10 @@ class Bridge:
                 self._send_held()
             for each in self._senders:
                 each.look(now)
+                if self.is_latched and isinstance(each, NumberSender) and each.has_new_receiver():
+                    each.repeat(self.stamping.after_all(now))
+            for each in self.parts:
+                each.look(now)
             if not self._senders and self._markers is not None:
                 self._markers.look(now)
             self._say_wrong_clocks()
@@ -156,13 +219,16 @@ class Bridge:
     def clock_was_set(self) -> None:
         """Judge the publishers' clocks anew: this computer's own one has jumped."""
         with self._lock:
-            self.stamping.restart()
+            for each in self.stampings:
+                each.restart()
             self._said_wrong.clear()
 
     def end(self) -> None:
         """Send what is held, and nothing more."""
         with self._lock:
             self._send_held()
+            for each in self.parts:
+                each.end()
             self._senders, self._markers = [], None
 
     def _send_held(self) -> None:
@@ -180,8 +246,26 @@ class Bridge:
 
     def _fail(self, error: GatewayError) -> None:
         self.fault = str(error)
-        self._senders = []
+        # A stream that will never have anything must not be in anybody's list.
+        self._senders, self._markers = [], None
         self._say(f"{error}; it is not sent")
+
+    def _take_parts(self, message: RosMessage, info: MessageInfo, *, may_be_old: bool) -> None:
+        """Send each element of a list as a message of its own."""
+        assert self._list is not None
+        for element in getattr(message, self._list.name):
+            part = self._pairs.part_of(element, self._list.element)
+            if part is None:
+                continue
+            part.is_latched = self.is_latched
+            part.take(element, info, may_be_old=may_be_old)
+            self.newest_s = max(self.newest_s, part.newest_s)
+            self.fault = self.fault or part.fault
+
+    def _new_part(self, request: TopicRequest, kind: type[Any]) -> Bridge:
+        part = Bridge(request, self._ros_time, self._say, by_arrival=self._by_arrival, is_part=True)
+        part.connect(MessageType(request.type_name, "", kind))
+        return part
 
     def _origin_of(self, message: RosMessage, source: StampSource) -> Origin:
         holders = (getattr(message, HEADER, None), message)
@@ -206,20 +290,7 @@ class Bridge:
         return self._markers
 
     def _say_wrong_clocks(self) -> None:
-        for source, edge_s in self.stamping.wrong_clocks.items():
+        for source, edge_s in () if self._is_part else self.wrong_clocks.items():
             if source not in self._said_wrong:
                 self._said_wrong.add(source)
                 self._say(wrong_clock(source, edge_s))
-
-
-def wrong_clock(source: StampSource, edge_s: float) -> str:
-    """Say that stamps are of a clock that is not synchronised, and what is done instead."""
-    whose = {
-        StampSource.HEADER: "the stamps in its headers are",
-        StampSource.SOURCE: "the clock of its publisher is",
-    }[source]
-    direction = "ahead of" if edge_s < 0 else "behind"
-    return (
-        f"{whose} {abs(edge_s):.3f} s {direction} this computer's time, at least; they are not"
-        " used: synchronise the clocks (chrony, PTP)"
-    )

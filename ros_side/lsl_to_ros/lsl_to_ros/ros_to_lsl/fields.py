@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import Enum, unique
 from functools import cache
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 from rosidl_parser.definition import (
     AbstractGenericString,
@@ -30,6 +30,10 @@ NAMES = ("name", "names", "joint_names")
 """Lists of text that name the elements of the other sequences beside them."""
 # What a message without fields has in Python.
 _NO_FIELD = "structure_needs_at_least_one_member"
+_LAYOUT = "/MultiArrayLayout"
+"""How a MultiArray's numbers are to be folded; its labels make no report of it."""
+_CLOUDS = {"sensor_msgs/msg/PointCloud": "points"}
+"""Bulk data that is no bytes."""
 _TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _WIDE = ("int64", "uint64")
 _BYTES = ("uint8", "int8", "octet", "char")
@@ -123,7 +127,7 @@ def message_class(name: str) -> type[Any]:
 def fields_of(message_class: type[Any]) -> tuple[Field, ...]:
     """Return the fields of a type, messages inside it opened, in the order of its definition.
 
-    The header of the message itself is left out.
+    The header of the message itself is left out, and the layout of a MultiArray.
     """
     return tuple(_walk(message_class, "", NOTHING_KNOWN))
 
@@ -133,6 +137,45 @@ def has_header(message_class: type[Any]) -> bool:
     """Whether messages of a type have a header, with a stamp."""
     slot = dict(_slots(message_class)).get(HEADER)
     return isinstance(slot, NamespacedType) and _name_of(slot) == HEADER_TYPE
+
+
+@cache
+def bulk_of(message_class: type[Any]) -> str:
+    """Return the field with an image, a cloud of points or the like; empty without any.
+
+    Bytes in a MultiArray are numbers that somebody chose to send.
+    """
+    if any(_is_layout(slot) for _, slot in _slots(message_class)):
+        return ""
+    blobs = (each.path for each in fields_of(message_class) if each.is_blob)
+    return next(blobs, _CLOUDS.get(type_name(message_class), ""))
+
+
+class FramedList(NamedTuple):
+    """The only field of a message, a list of what is measured between pairs of frames.
+
+    Attributes
+    ----------
+    element
+        Class of what is in it; it has a header and a ``child_frame_id``.
+    """
+
+    name: str
+    element: type[Any]
+
+
+@cache
+def framed_list(message_class: type[Any]) -> FramedList | None:
+    """Return the list of a type such as ``tf2_msgs/msg/TFMessage``."""
+    slots = [(name, slot) for name, slot in _slots(message_class) if name != HEADER]
+    if len(slots) != 1:
+        return None
+    name, slot = slots[0]
+    if not isinstance(slot, AbstractNestedType) or not isinstance(slot.value_type, NamespacedType):
+        return None
+    element = _class_of(slot.value_type)
+    is_framed = FRAMES[1] in element.get_fields_and_field_types() and has_header(element)
+    return FramedList(name, element) if is_framed else None
 
 
 def all_fields(fields: tuple[Field, ...]) -> Iterator[Field]:
@@ -152,7 +195,8 @@ def _slots(message_class: type[Any]) -> Iterator[tuple[str, AbstractType]]:
 def _walk(message_class: type[Any], before: str, inherited: Quantity) -> Iterator[Field]:
     owner = type_name(message_class)
     for name, slot in _slots(message_class):
-        if not before and name == HEADER and has_header(message_class):
+        is_header = not before and name == HEADER and has_header(message_class)
+        if is_header or _is_layout(slot):
             continue
         measured = quantity(owner, name) or inherited
         path = f"{before}{name}"
@@ -206,6 +250,10 @@ def _kind(slot: AbstractType) -> FieldKind:
 
 def _is(slot: AbstractType, *names: str) -> bool:
     return isinstance(slot, BasicType) and slot.typename in names
+
+
+def _is_layout(slot: AbstractType) -> bool:
+    return isinstance(slot, NamespacedType) and _name_of(slot).endswith(_LAYOUT)
 
 
 def _name_of(slot: NamespacedType) -> str:

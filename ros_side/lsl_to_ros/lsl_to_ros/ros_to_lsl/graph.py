@@ -10,7 +10,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from biosensor_common.errors import GatewayError
-from lsl_to_ros.ros_to_lsl.fields import all_fields, fields_of, message_class
+from lsl_to_ros.ros_to_lsl.fields import all_fields, bulk_of, fields_of, message_class
 
 QUEUE = 1000
 """A second of the fastest topics that Python can take."""
@@ -100,11 +100,14 @@ class Graph:
         Hidden ones and ROS's own are not of them, nor what has sequences of bytes without a
         limit: images and clouds of points.
         """
-        return [
-            topic
-            for topic, types in self.topics.items()
-            if topic not in _OF_ROS and "/_" not in topic and all(map(_is_small, types))
-        ]
+        return [topic for topic in self._shown() if all(map(_is_small, self.topics[topic]))]
+
+    def left_out(self) -> list[str]:
+        """Return the topics that ``all_small`` leaves out for their type."""
+        return [topic for topic in self._shown() if not all(map(_is_small, self.topics[topic]))]
+
+    def _shown(self) -> list[str]:
+        return [topic for topic in self.topics if topic not in _OF_ROS and "/_" not in topic]
 
     def _find_gateways(self) -> Iterable[str]:
         for topic, types in self.topics.items():
@@ -129,7 +132,7 @@ def _full_name(namespace: str, name: str) -> str:
 
 def _is_small(type_name: str) -> bool:
     try:
-        fields = fields_of(message_class(type_name))
+        kind = message_class(type_name)
     except GatewayError:
         return False
-    return not any(each.is_blob for each in all_fields(fields))
+    return not (bulk_of(kind) or any(each.is_blob for each in all_fields(fields_of(kind))))

@@ -8,8 +8,10 @@ tells the length. Where a message has a list of names beside its sequences, as t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from operator import attrgetter, itemgetter
+from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
 from biosensor_common.errors import SpecError, SpecReason
@@ -19,6 +21,7 @@ from lsl_to_ros.ros_to_lsl.fields import NAMES, Field, FieldKind
 from lsl_to_ros.taking import RosMessage
 
 _EXACT_UP_TO = 2.0**53
+_PLACE = re.compile(r"\[(\d+)\]")
 
 
 class LayoutChangedError(Exception):
@@ -63,22 +66,23 @@ class _Scalars:
 
 
 class _Numbers:
-    """An array of numbers."""
+    """An array of numbers; of one whose elements are wanted by number, missing ones are NaN."""
 
-    def __init__(self, field: Field, length: int) -> None:
+    def __init__(self, field: Field, length: int, most: int | None) -> None:
         self._get = attrgetter(field.path)
-        self._kind, self._length = field.kind, length
+        self._kind, self._length, self._most = field.kind, length, most
 
     def read(self, message: RosMessage, values: list[float]) -> None:
-        got = self._get(message)
+        got = _first(self._get(message), self._most)
         if len(got) == self._length:
             if self._kind is FieldKind.NUMBER:
                 # An array of numpy would be taken for numbers of numpy, which is slow.
                 values.extend(got.tolist() if hasattr(got, "tolist") else got)
             else:
                 values.extend(_number(each, self._kind) for each in got)
-        elif not len(got):
-            values.extend([math.nan] * self._length)
+        elif not len(got) or (self._most is not None and len(got) < self._length):
+            values.extend(_number(each, self._kind) for each in got)
+            values.extend([math.nan] * (self._length - len(got)))
         else:
             raise LayoutChangedError
 
@@ -86,20 +90,22 @@ class _Numbers:
 class _Messages:
     """An array of messages."""
 
-    def __init__(self, field: Field, elements: Sequence[Sequence[_Part]], width: int) -> None:
+    def __init__(
+        self, field: Field, elements: Sequence[Sequence[_Part]], width: int, most: int | None
+    ) -> None:
         self._get = attrgetter(field.path)
-        self._elements, self._width = elements, width
+        self._elements, self._width, self._most = elements, width, most
 
     def read(self, message: RosMessage, values: list[float]) -> None:
-        got = self._get(message)
-        if not len(got):
-            values.extend([math.nan] * self._width)
-            return
-        if len(got) != len(self._elements):
+        got = _first(self._get(message), self._most)
+        may_be_fewer = self._most is not None or not len(got)
+        if len(got) > len(self._elements) or (len(got) < len(self._elements) and not may_be_fewer):
             raise LayoutChangedError
-        for element, parts in zip(got, self._elements, strict=True):
+        end = len(values) + self._width
+        for element, parts in zip(got, self._elements, strict=False):
             for part in parts:
                 part.read(element, values)
+        values.extend([math.nan] * (end - len(values)))
 
 
 class _Names:
@@ -140,7 +146,8 @@ class Layout:
         wanted: Sequence[str] = (),
     ) -> None:
         found: list[Channel] = []
-        self._parts = _read_parts(fields, message, _Before(), found)
+        most = {each.path: _most_wanted(each, wanted) for each in fields}
+        self._parts = _read_parts(fields, message, _Before(), found, most)
         places = [place for place, each in enumerate(found) if _is_wanted(each, wanted)]
         _check(fields, found, places, wanted)
         self.channels = tuple(found[place] for place in places)
@@ -182,6 +189,7 @@ def _read_parts(
     message: RosMessage,
     before: _Before,
     found: list[Channel],
+    most: Mapping[str, int | None] = MappingProxyType({}),
 ) -> list[_Part]:
     parts: list[_Part] = []
     scalars: list[Field] = []
@@ -198,7 +206,8 @@ def _read_parts(
         if scalars:
             parts.append(_Scalars(scalars))
             scalars = []
-        parts.append(_array_part(each, message, before, found, names[1] if names else ()))
+        own = names[1] if names else ()
+        parts.append(_array_part(each, message, before, found, own, most.get(each.path)))
     return [*parts, _Scalars(scalars)] if scalars else parts
 
 
@@ -208,12 +217,14 @@ def _array_part(
     before: _Before,
     found: list[Channel],
     names: Sequence[str],
+    most: int | None,
 ) -> _Part:
-    elements = attrgetter(field.path)(message)
+    present = attrgetter(field.path)(message)
+    elements = _first(present, most)
     path, label = before.path + field.path, before.label + field.path
     # What has sequences of its own is no single joint, but a point of all of them.
     is_one_each = not any(inside.is_array for inside in field.elements)
-    has_names = is_one_each and len(names) == len(elements)
+    has_names = is_one_each and len(names) == len(present)
     group = label.removesuffix(field.name)
     begin = len(found)
     inside: list[list[_Part]] = []
@@ -226,8 +237,19 @@ def _array_part(
         else:
             found.append(channel_of(field, at, named))
     if field.kind is FieldKind.MESSAGE:
-        return _Messages(field, inside, len(found) - begin)
-    return _Numbers(field, len(elements))
+        return _Messages(field, inside, len(found) - begin, most)
+    return _Numbers(field, len(elements), most)
+
+
+def _most_wanted(field: Field, wanted: Sequence[str]) -> int | None:
+    """Return how many elements of an array are read, if only some are wanted by their number."""
+    inside = [each.removeprefix(field.path) for each in wanted if is_part(each, field.path)]
+    places = [int(found[1]) for each in inside if (found := _PLACE.match(each))]
+    return max(places) + 1 if places and len(places) == len(inside) else None
+
+
+def _first(elements: Any, most: int | None) -> Any:  # noqa: ANN401 - of any type
+    return elements if most is None else elements[:most]
 
 
 def _names_in(
@@ -245,11 +267,11 @@ def _names_in(
 
 def _is_wanted(channel: Channel, wanted: Sequence[str]) -> bool:
     return not wanted or any(
-        _is_part(channel.path, each) or _is_part(channel.label, each) for each in wanted
+        is_part(channel.path, each) or is_part(channel.label, each) for each in wanted
     )
 
 
-def _is_part(path: str, group: str) -> bool:
+def is_part(path: str, group: str) -> bool:
     """Whether a path is another one, or inside of it."""
     return path == group or (path.startswith(group) and path[len(group)] in ".[")
 
@@ -258,9 +280,8 @@ def _check(
     fields: Sequence[Field], found: Sequence[Channel], places: Sequence[int], wanted: Sequence[str]
 ) -> None:
     for each in wanted:
-        group = each.split("[")[0]
-        # A sequence that is empty today is a field, too.
-        is_field = any(_is_part(f.path, group) or _is_part(group, f.path) for f in fields)
+        group = each.split("[")[0]  # A sequence that is empty today is a field, too.
+        is_field = any(is_part(f.path, group) or is_part(group, f.path) for f in fields)
         if found and not is_field and not any(_is_wanted(channel, [each]) for channel in found):
             known = ", ".join(dict.fromkeys(channel.path.split("[")[0] for channel in found))
             message = f"there is no number {each!r}; there are {known[:300]}"

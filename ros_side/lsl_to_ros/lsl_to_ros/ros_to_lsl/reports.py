@@ -12,13 +12,18 @@ Levels of a topic:
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from lsl_to_ros.accounts.status import StreamStatus
 from lsl_to_ros.reports.diagnostics import STALE_AFTER_S, status
-from lsl_to_ros.ros_to_lsl.bridge import Bridge, wrong_clock
+from lsl_to_ros.ros_to_lsl.bridge import Bridge
+from lsl_to_ros.ros_to_lsl.pairs import too_many_pairs
+from lsl_to_ros.ros_to_lsl.senders import NO_NUMBER_YET
+from lsl_to_ros.ros_to_lsl.stamping import StampSource, wrong_clock
 from lsl_to_ros.ros_to_lsl.topic import Topic
 
 PROGRAM = "ros_to_lsl"
@@ -32,9 +37,16 @@ class TopicStatus:
     status: StreamStatus = field(default_factory=StreamStatus)
 
 
-def node_status(topics: int, streams: int, clock_steps: int) -> DiagnosticStatus:
-    """Describe the node."""
-    values = {"topics": str(topics), "streams": str(streams), "clock_steps": str(clock_steps)}
+def node_status(
+    topics: int, streams: int, clock_steps: int, left_out: Sequence[str]
+) -> DiagnosticStatus:
+    """Describe the node, and which topics ``all_small`` leaves out."""
+    values = {
+        "topics": str(topics),
+        "streams": str(streams),
+        "clock_steps": str(clock_steps),
+        "left_out": ", ".join(left_out),
+    }
     return status("node", DiagnosticStatus.OK, f"{streams} streams", values, program=PROGRAM)
 
 
@@ -56,7 +68,7 @@ def topic_status(each: TopicStatus) -> DiagnosticStatus:
         "rate_measured": f"{rate:.2f}",
         "replaced": str(bridge.replaced),
         "stamped_by": _stamped_by(bridge),
-        "stamps_moved": str(bridge.stamping.moved),
+        "stamps_moved": str(sum(each.moved for each in bridge.stampings)),
         **{
             f"clock_{source.value}": _clock(clock.state.value, clock.edge_s)
             for source, clock in bridge.stamping.clocks.items()
@@ -69,13 +81,14 @@ def topic_status(each: TopicStatus) -> DiagnosticStatus:
 def topic_facts(topic: Topic) -> dict[str, object]:
     """Return what a heartbeat says of one topic."""
     bridge = topic.bridge
-    wrong = {source.value: round(edge, 6) for source, edge in bridge.stamping.wrong_clocks.items()}
+    wrong = {source.value: round(edge, 6) for source, edge in bridge.wrong_clocks.items()}
     return {
         "received": bridge.received,
         "lost": bridge.losses.lost,
         "replaced": bridge.replaced,
-        "stamped_by": {s.value: n for s, n in bridge.stamping.sources.items() if n},
+        "stamped_by": {s.value: n for s, n in _stamped(bridge).items() if n},
         "wrong_clocks": wrong,
+        "left_out": bridge.left_out,
         "fault": bridge.fault,
     }
 
@@ -88,11 +101,15 @@ def _judge(topic: Topic, status: StreamStatus) -> tuple[bytes, str]:
         return DiagnosticStatus.ERROR, bridge.fault
     if bridge.request.rate and silent_s > STALE_AFTER_S:
         return DiagnosticStatus.STALE, "no messages"
-    warnings = [wrong_clock(*each) for each in bridge.stamping.wrong_clocks.items()]
+    warnings = [wrong_clock(*each) for each in bridge.wrong_clocks.items()]
     if lost_lately:
         warnings.append(f"{lost_lately} messages lost in the last 10 s")
     if replaced_lately:
         warnings.append("its sequences have changed, and so has the stream")
+    if bridge.left_out:
+        warnings.append(too_many_pairs())
+    if bridge.is_empty:
+        warnings.append(NO_NUMBER_YET)
     if warnings:
         return DiagnosticStatus.WARN, "; ".join(warnings)
     if bridge.received:
@@ -101,8 +118,16 @@ def _judge(topic: Topic, status: StreamStatus) -> tuple[bytes, str]:
 
 
 def _stamped_by(bridge: Bridge) -> str:
-    used = (f"{source.value} {count}" for source, count in bridge.stamping.sources.items() if count)
+    used = (f"{source.value} {count}" for source, count in _stamped(bridge).items() if count)
     return ", ".join(used)
+
+
+def _stamped(bridge: Bridge) -> Mapping[StampSource, int]:
+    """Return how many samples were stamped by which."""
+    counts: Counter[StampSource] = Counter()
+    for each in bridge.stampings:
+        counts.update(each.sources)
+    return counts
 
 
 def _clock(state: str, edge_s: float) -> str:

@@ -8,8 +8,8 @@ from time import monotonic
 from typing import Any, Protocol
 
 from biosensor_common.errors import SpecError, SpecReason
-from lsl_to_ros.ros_to_lsl.fields import Field, FieldKind, all_fields, fields_of
-from lsl_to_ros.ros_to_lsl.layout import Layout, LayoutChangedError
+from lsl_to_ros.ros_to_lsl.fields import Field, FieldKind, all_fields, bulk_of, fields_of
+from lsl_to_ros.ros_to_lsl.layout import Layout, LayoutChangedError, is_part
 from lsl_to_ros.ros_to_lsl.outlets import MarkerOutlet, Origin, SampleOutlet
 from lsl_to_ros.ros_to_lsl.requests import SendAs, TopicRequest
 from lsl_to_ros.ros_to_lsl.texts import ToText, as_json, has_records, is_text, marker_of, text_of
@@ -17,7 +17,12 @@ from lsl_to_ros.taking import RosMessage
 
 LINGER_S = 0.25
 """How long an outlet stays after its last sample, which LSL sends from a thread of its own."""
+NO_NUMBER_YET = "no number yet: its messages came without any"
 MAX_REPLACED, REPLACED_WITHIN_S = 10, 60.0
+_BULK = (
+    "its messages carry bulk data in {!r} (images, clouds of points and the like), which is not"
+    " for LSL; record it with ros2 bag, or name other fields"
+)
 TEXT_SUFFIX = "__text"
 """No topic has two underscores, so no other stream has this name."""
 
@@ -73,6 +78,8 @@ class NumberSender:
         self.inexact = ""
         self._fields, self._request, self._say = fields, request, say
         self._layout: Layout | None = None
+        self._newest: Sequence[float] | None = None
+        self._was_empty = self._had_consumers = False
         self._left: list[tuple[float, SampleOutlet]] = []
         self._replaced_at: deque[float] = deque(maxlen=MAX_REPLACED)
 
@@ -93,6 +100,7 @@ class NumberSender:
         if inexact and not self.inexact:
             self.inexact = inexact
             self._say(f"{inexact} has integers above 2**53, which a float of 64 bits rounds")
+        self._newest = values
         self.outlet.push(values, stamp)
 
     def look(self, now: float) -> None:
@@ -100,11 +108,27 @@ class NumberSender:
         del now
         self._left = [each for each in self._left if monotonic() - each[0] < LINGER_S]
 
+    def has_new_receiver(self) -> bool:
+        """Whether somebody has begun to receive the stream since this was asked, and nobody did."""
+        had, self._had_consumers = self._had_consumers, self._has_consumers()
+        return self._had_consumers and not had
+
+    def repeat(self, stamp: float) -> None:
+        """Push the newest sample once more: what a latched topic said still holds."""
+        if self.outlet is not None and self._newest is not None:
+            self.outlet.push(self._newest, stamp)
+
+    def _has_consumers(self) -> bool:
+        return self.outlet is not None and self.outlet.have_consumers()
+
     def _open(self, message: RosMessage, origin: Callable[[], Origin]) -> None:
         before = self.outlet
         layout = Layout(self._fields, message, self._request.fields)
         if not layout.channels:
             # All of its sequences are empty: wait for one that says how many channels there are.
+            if not self._was_empty:
+                self._was_empty = True
+                self._say(f"{NO_NUMBER_YET}; there is no stream of it until one has")
             return
         if before is not None:
             self._note_replaced()
@@ -196,9 +220,15 @@ def senders_for(
     Raises
     ------
     SpecError
-        ``INVALID`` if fields are asked for that are not there.
+        ``INVALID`` if fields are asked for that are not there, ``TOO_LARGE`` for bulk data.
     """
     fields = fields_of(message_class)
+    bulk = bulk_of(message_class)
+    touched = any(is_part(each, bulk) or is_part(bulk, each) for each in request.fields)
+    if bulk and (touched or not request.fields):
+        raise SpecError(SpecReason.TOO_LARGE, _BULK.format(bulk))
+    # What nobody wants of it would be read with each message.
+    fields = tuple(each for each in fields if each.path != bulk)
     send_as = request.send_as
     if send_as is SendAs.AUTO:
         numbers = any(each.kind is not FieldKind.TEXT for each in _leaves(fields))

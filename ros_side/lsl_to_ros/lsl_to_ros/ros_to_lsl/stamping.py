@@ -121,6 +121,11 @@ class MessageStamping:
         (lsl_s,) = self._monotonic.apply([self._ros_time.to_lsl_s(stamp_ns)])
         return Stamped(lsl_s, source)
 
+    def after_all(self, lsl_s: float) -> float:
+        """Return an LSL time, moved behind the stamps of all messages so far."""
+        (stamp,) = self._monotonic.apply([lsl_s])
+        return stamp
+
     def _chosen(self, message: RosMessage, info: MessageInfo) -> tuple[StampSource, int]:
         """Return also the stamp, in nanoseconds since 1970."""
         is_headed = self._has_header and self._trusts(StampSource.HEADER)
@@ -133,6 +138,19 @@ class MessageStamping:
 
     def _trusts(self, source: StampSource) -> bool:
         return self.clocks[source].state is not ClockState.UNSYNCHRONISED
+
+
+def wrong_clock(source: StampSource, edge_s: float) -> str:
+    """Say that stamps are of a clock that is not synchronised, and what is done instead."""
+    whose = {
+        StampSource.HEADER: "the stamps in its headers are",
+        StampSource.SOURCE: "the clock of its publisher is",
+    }[source]
+    direction = "ahead of" if edge_s < 0 else "behind"
+    return (
+        f"{whose} {abs(edge_s):.3f} s {direction} this computer's time, at least; they are not"
+        " used: synchronise the clocks (chrony, PTP)"
+    )
 
 
 def _header_ns(message: RosMessage) -> int:

@@ -72,7 +72,10 @@ def marker_of(message_class: type[Any], topic: str, wanted: Sequence[str] = ()) 
 
 
 def as_json(message: RosMessage) -> str:
-    """Return a whole message as a JSON object; what is no number is null."""
+    """Return a whole message as a JSON object.
+
+    JSON has no words for NaN and the infinities; they are text, as in the JSON of protobuf.
+    """
     return _json(_plain_value(message))
 
 
@@ -102,6 +105,12 @@ def _reader(field: Field) -> Callable[[Any], object]:
     return lambda message: _plain_value(get(message))
 
 
+def _word(value: float) -> str:
+    if math.isnan(value):
+        return "NaN"
+    return "Infinity" if value > 0 else "-Infinity"
+
+
 def _plain(value: object) -> str:
     return value if isinstance(value, str) else _json(value)
 
@@ -117,7 +126,7 @@ def _plain_value(value: Any) -> object:  # noqa: ANN401 - whatever a message has
     if isinstance(value, (str, bool, int)):
         return value
     if isinstance(value, float):
-        return value if math.isfinite(value) else None
+        return value if math.isfinite(value) else _word(value)
     if hasattr(value, "get_fields_and_field_types"):
         names: Sequence[str] = value.get_fields_and_field_types()
         return {name: _plain_value(getattr(value, name)) for name in names}

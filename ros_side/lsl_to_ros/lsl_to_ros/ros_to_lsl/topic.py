@@ -106,6 +106,7 @@ class Topic:
         assert self.kind is not None
         self._unsubscribe()
         self.quality, self._subscribed_s = quality, monotonic()
+        self.bridge.is_latched = quality.is_latched
         self._subscription = self._node.create_subscription(
             self.kind.message_class,
             self.name,
