@@ -178,7 +178,7 @@ def test_a_clock_that_is_wrong_is_said_everywhere_and_not_used(
     ros.publish(lambda: stamped_now(PoseStamped(), offset_s=3600.0), "/hand", BEST_EFFORT)
     node = start_node(*arguments("/hand"), module=MODULE)
     hand = streams.open("hand")
-    assert (hand.of_ros("stamp_source"), hand.of_ros("clock")) == ("source", "unsynchronised")
+    assert (hand.of_ros("stamp_source"), hand.of_ros("clock")) == ("source", "wrong")
     assert float(hand.of_ros("clock_edge_s")) == pytest.approx(-3600, abs=1)
     assert hand.header.findtext("type") == "MoCap"
     hand.until(lambda: bool(hand.stamps), "a sample")

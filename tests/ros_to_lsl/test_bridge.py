@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Any, cast
 from xml.etree import ElementTree
@@ -16,8 +16,10 @@ from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.ros_to_lsl import outlets, pairs
 from lsl_to_ros.ros_to_lsl.bridge import Bridge, MessageType
 from lsl_to_ros.ros_to_lsl.fields import message_class, type_name
-from lsl_to_ros.ros_to_lsl.reports import TopicStatus, topic_status
+from lsl_to_ros.ros_to_lsl.publisher_clock import Offset
+from lsl_to_ros.ros_to_lsl.reports import TopicStatus, topic_facts, topic_status
 from lsl_to_ros.ros_to_lsl.requests import SendAs, TopicRequest
+from lsl_to_ros.ros_to_lsl.stamping import StampSource
 from lsl_to_ros.ros_to_lsl.topic import Topic
 from tests.rigs.memory_outlet import MemoryOutlet
 from tests.ros_to_lsl.conftest import MILLISECOND, NOW_NS, info, stamped
@@ -25,6 +27,7 @@ from tests.ros_to_lsl.conftest import MILLISECOND, NOW_NS, info, stamped
 # Their own annotations are partial.
 PoseArray = message_class("geometry_msgs/msg/PoseArray")
 Pose = message_class("geometry_msgs/msg/Pose")
+PoseStamped = message_class("geometry_msgs/msg/PoseStamped")
 Point = message_class("geometry_msgs/msg/Point")
 TransformStamped = message_class("geometry_msgs/msg/TransformStamped")
 Float64MultiArray = message_class("std_msgs/msg/Float64MultiArray")
@@ -98,6 +101,13 @@ class Sent:
 
     def take(self, message: Any, at_ms: int = 0) -> None:
         self.bridge.take(message, info(NOW_NS + at_ms * MILLISECOND))
+
+    def run(self, make: Callable[[], Any], *, header_s: float, source_s: float) -> None:
+        """Take messages for some seconds whose stamps are so much older than their arrival."""
+        for number in range(80):
+            at_ns = NOW_NS + number * 50 * MILLISECOND
+            message = stamped(make(), at_ns - round(header_s * 1e9))
+            self.bridge.take(message, info(at_ns - round(source_s * 1e9), round(source_s * 1e9)))
 
     def status(self) -> Any:
         topic = SimpleNamespace(
@@ -241,3 +251,51 @@ def test_transforms_that_list_nothing_are_no_number_either() -> None:
     sent = Sent("/tf", TFMessage)
     sent.take(TFMessage())
     assert sent.status().message.startswith("no number yet")
+
+
+CLOCKS = [
+    # Older than their arrival by: header, source; what is used, what the header says.
+    (0.0003, 0.0002, "header", "synchronised", OK),
+    (0.1, 0.0002, "header", "behind", WARN),
+    (0.5, 0.5, "arrival", "behind", WARN),
+    (5.0, 0.0002, "source", "wrong", WARN),
+    (-0.01, -0.01, "arrival", "wrong", WARN),
+]
+
+
+@pytest.mark.parametrize(("header_s", "source_s", "used", "word", "level"), CLOCKS)
+def test_only_a_clock_that_is_known_to_be_right_is_believed(
+    header_s: float, source_s: float, used: str, word: str, level: bytes
+) -> None:
+    sent = Sent("/arm", PoseStamped)
+    sent.run(PoseStamped, header_s=header_s, source_s=source_s)
+    header = ElementTree.fromstring(opened["arm"].info.as_xml())
+    assert header.findtext("desc/ros/stamp_source") == used
+    assert header.findtext("desc/ros/clock") == word
+    assert float(header.findtext("desc/ros/clock_edge_s", "")) == pytest.approx(header_s, abs=0.001)
+    last_s = opened["arm"].pushed[-1][1]
+    late_s = {"header": header_s, "source": source_s, "arrival": 0.0}[used]
+    assert last_s == pytest.approx(79 * 0.05 - late_s, abs=1e-6)
+    assert sent.status().level == level
+    heard = topic_facts(cast("Topic", SimpleNamespace(bridge=sent.bridge)))
+    clocks = cast("dict[str, dict[str, Any]]", heard["clocks"])
+    assert clocks["header"]["state"] == word
+    assert clocks["source"]["edge_s"] == pytest.approx(source_s, abs=0.001)
+
+
+def test_what_was_measured_of_a_publisher_is_said() -> None:
+    sent = Sent("/arm", PoseStamped)
+    sent.run(PoseStamped, header_s=0.5, source_s=0.5)
+    assert "behind by up to 0.500 s" in sent.status().message
+    assert sent.bridge.stamping.wants_offset
+    sent.bridge.take_offset(Offset(-0.5005, -0.4995))
+    assert "clock of its publisher is 0.500 s behind this computer's time" in sent.status().message
+
+
+def test_a_slow_way_is_no_wrong_clock_once_it_was_measured() -> None:
+    sent = Sent("/arm", PoseStamped)
+    sent.run(PoseStamped, header_s=0.2, source_s=0.2)
+    sent.bridge.take_offset(Offset(-0.001, 0.001))
+    before = sent.bridge.stamping.sources[StampSource.HEADER]
+    sent.run(PoseStamped, header_s=0.2, source_s=0.2)
+    assert sent.bridge.stamping.sources[StampSource.HEADER] == before + 80

@@ -5,6 +5,9 @@ class GetParameters:
         names: list[str]
         def __init__(self, *, names: list[str] = ...) -> None: ...
 
+    class Response:
+        values: list[Any]
+
 class SetParameters:
     class Request:
         parameters: list[Any]

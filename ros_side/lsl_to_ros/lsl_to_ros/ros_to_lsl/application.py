@@ -27,7 +27,7 @@ from lsl_to_ros.lsl.configuration import configure_lsl
 from lsl_to_ros.parameters.node import KNOWN_PEERS, SESSION_ID
 from lsl_to_ros.ros_to_lsl.bridge import Bridge
 from lsl_to_ros.ros_to_lsl.events import Events
-from lsl_to_ros.ros_to_lsl.graph import Graph
+from lsl_to_ros.ros_to_lsl.graph import Graph, are_named
 from lsl_to_ros.ros_to_lsl.parameters import read_requests
 from lsl_to_ros.ros_to_lsl.reports import (
     PROGRAM,
@@ -37,6 +37,7 @@ from lsl_to_ros.ros_to_lsl.reports import (
     topic_status,
 )
 from lsl_to_ros.ros_to_lsl.requests import TopicRequest, stream_name
+from lsl_to_ros.ros_to_lsl.sender_offset import SenderOffsets
 from lsl_to_ros.ros_to_lsl.topic import Topic
 from lsl_to_ros.taking import TakenElsewhere, Taker
 from lsl_to_ros.topics.publishers import make_publisher
@@ -81,6 +82,7 @@ class RosToLsl(Node):
         self._left_out: list[str] = []
         self._met: Counter[str] = Counter()
         self._looks = 0
+        self._offsets = SenderOffsets(self)
         self._missed_s = monotonic() + FOUND_AFTER_S
         for request in self._requests.topics:
             self._open(request)
@@ -119,6 +121,7 @@ class RosToLsl(Node):
         now = pylsl.local_clock()
         for each in self._topics.values():
             each.topic.bridge.look(now)
+        self._offsets.look(each.topic for each in self._topics.values())
         self._events.look(now)
 
     def _open_small(self, graph: Graph) -> None:
@@ -129,7 +132,7 @@ class RosToLsl(Node):
             if self._seen[name] <= LOOKS_TO_SETTLE:
                 continue
             publishers = graph.publishers(name)
-            if publishers and graph.are_named(publishers) and not graph.is_ours(publishers):
+            if publishers and are_named(publishers) and not graph.is_ours(publishers):
                 self._open(TopicRequest(name, stream_name(name)))
 
     def _follow(self, graph: Graph, topic: Topic) -> None:
@@ -150,7 +153,7 @@ class RosToLsl(Node):
         """Whether a topic's publishers have been there long enough to know whose they are."""
         self._met[topic] += 1
         # What is no ROS node never has a name.
-        needed = LOOKS_TO_MEET if graph.are_named(publishers) else LOOKS_TO_SETTLE
+        needed = LOOKS_TO_MEET if are_named(publishers) else LOOKS_TO_SETTLE
         return self._met[topic] > needed
 
     def _say_missing(self, graph: Graph) -> None:
@@ -176,6 +179,7 @@ class RosToLsl(Node):
     def _report(self) -> None:
         step = self._ros_time.refresh()
         if step is not None:
+            self._offsets.restart()
             self._log.warn(f"the system clock jumped by {step.size_ns / 1e9:.6f} s; stamps follow")
             for each in self._topics.values():
                 each.topic.bridge.clock_was_set()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -20,10 +21,10 @@ from lsl_to_ros.ros_to_lsl.fields import (
 from lsl_to_ros.ros_to_lsl.losses import PublicationLosses
 from lsl_to_ros.ros_to_lsl.outlets import MarkerOutlet, Origin, with_stamp
 from lsl_to_ros.ros_to_lsl.pairs import Pairs, parted
-from lsl_to_ros.ros_to_lsl.publisher_clock import ClockState
+from lsl_to_ros.ros_to_lsl.publisher_clock import ClockState, Offset
 from lsl_to_ros.ros_to_lsl.requests import SendAs, TopicRequest
 from lsl_to_ros.ros_to_lsl.senders import NumberSender, Sender, senders_for
-from lsl_to_ros.ros_to_lsl.stamping import MessageStamping, StampSource, wrong_clock
+from lsl_to_ros.ros_to_lsl.stamping import Doubt, MessageStamping, StampSource, doubt_of, worst_of
 from lsl_to_ros.taking import MessageInfo, RosMessage
 
 MAX_HELD = 5000
@@ -86,7 +87,7 @@ class Bridge:
         self._pairs = Pairs(request, self._new_part, say)
         self._list: FramedList | None = None
         self._held: deque[tuple[RosMessage, MessageInfo]] = deque()
-        self._said_wrong: set[StampSource] = set()
+        self._said_wrong: set[tuple[StampSource, ClockState]] = set()
         if request.send_as in (SendAs.MARKERS, SendAs.JSON):
             # Before anybody publishes: a recorder must see it before the first event.
             try:
@@ -142,13 +143,15 @@ class Bridge:
         return [each.stamping for each in self.parts]
 
     @property
-    def wrong_clocks(self) -> dict[StampSource, float]:
-        """Lower edge of arrival minus stamp of each clock that is wrong, in seconds."""
-        wrong: dict[StampSource, float] = {}
-        for each in self.stampings:
-            for source, edge_s in each.wrong_clocks.items():
-                wrong[source] = max(wrong.get(source, 0.0), edge_s, key=abs)
-        return wrong
+    def doubtful_clocks(self) -> dict[StampSource, Doubt]:
+        """Of the topic; of its parts the worst."""
+        return worst_of(self.stampings)
+
+    def take_offset(self, offset: Offset) -> None:
+        """Take in what was measured of its publisher's clock."""
+        with self._lock:
+            for each in self.stampings:
+                each.clocks[StampSource.SOURCE].take_offset(offset)
 
     def connect(self, kind: MessageType) -> None:
         """Take note of the type of the messages that will come."""
@@ -275,14 +278,14 @@ class Bridge:
             for holder in holders
             if hasattr(holder, name)
         }
-        wrong = self.stamping.wrong_clocks
-        clock, edge_s = ClockState.UNKNOWN, 0.0
-        if wrong:
-            clock, edge_s = ClockState.UNSYNCHRONISED, next(iter(wrong.values()))
-        elif source in self.stamping.clocks:
-            clock = self.stamping.clocks[source].state
+        clocks = self.stamping.clocks
+        doubts = self.stamping.doubtful_clocks
+        suspect = next(iter(doubts)) if doubts else source
+        state, edge_s = ClockState.UNKNOWN, math.nan
+        if suspect in clocks:
+            state, edge_s = clocks[suspect].state, clocks[suspect].edge_s
         origin = Origin(self._origin.topic, self._origin.type_name, self._origin.type_hash, frames)
-        return with_stamp(origin, source, clock, edge_s)
+        return with_stamp(origin, source, state, edge_s)
 
     def _marker_outlet(self) -> MarkerOutlet:
         if self._markers is None:
@@ -290,7 +293,7 @@ class Bridge:
         return self._markers
 
     def _say_wrong_clocks(self) -> None:
-        for source, edge_s in () if self._is_part else self.wrong_clocks.items():
-            if source not in self._said_wrong:
-                self._said_wrong.add(source)
-                self._say(wrong_clock(source, edge_s))
+        for source, doubt in () if self._is_part else self.doubtful_clocks.items():
+            if (source, doubt.state) not in self._said_wrong:
+                self._said_wrong.add((source, doubt.state))
+                self._say(doubt_of(source, doubt))

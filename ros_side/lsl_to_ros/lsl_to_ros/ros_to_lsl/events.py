@@ -7,7 +7,8 @@ Each is one JSON object in a string, as in ``gateway/events``. Every one has ``e
 ``started``    ``clock``: ``lsl_s`` and ``unix_ns``, this computer's clocks at one moment
 ``heartbeat``  every 5 s, and when somebody begins to receive: ``clock``; ``topics``: by name
                ``received``, ``lost`` (null: nobody knows), ``replaced``, ``stamped_by``,
-               ``wrong_clocks`` and ``fault``
+               ``wrong_clocks``, ``clocks`` (of each its ``state`` and ``edge_s``), ``left_out``
+               and ``fault``
 ``notice``     ``topic`` and ``text``: what the log says of a topic
 =============  ===============================================================================
 """

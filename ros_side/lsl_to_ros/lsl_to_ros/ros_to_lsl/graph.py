@@ -63,6 +63,11 @@ def quality_of(publishers: Sequence[TopicEndpointInfo]) -> Quality:
     )
 
 
+def are_named(publishers: Iterable[TopicEndpointInfo]) -> bool:
+    """Whether it is known of all of them which node they are of; that comes a little later."""
+    return all(each.node_name != _UNNAMED for each in publishers)
+
+
 class Graph:
     """One look at the topics of the network.
 
@@ -79,16 +84,12 @@ class Graph:
     def __init__(self, node: Node) -> None:
         self._node = node
         self.topics: Mapping[str, list[str]] = dict(node.get_topic_names_and_types())
-        self._own = _full_name(node.get_namespace(), node.get_name())
+        self._own = full_name(node.get_namespace(), node.get_name())
         self._gateways = set(self._find_gateways())
 
     def publishers(self, topic: str) -> list[TopicEndpointInfo]:
         """Return who publishes a topic."""
         return list(self._node.get_publishers_info_by_topic(topic)) if topic in self.topics else []
-
-    def are_named(self, publishers: Iterable[TopicEndpointInfo]) -> bool:
-        """Whether it is known of all of them which node they are of; that comes a little later."""
-        return all(each.node_name != _UNNAMED for each in publishers)
 
     def is_ours(self, publishers: Iterable[TopicEndpointInfo]) -> bool:
         """Whether one of them is a node of ``lsl_to_ros``, or this node itself."""
@@ -113,7 +114,7 @@ class Graph:
         for topic, types in self.topics.items():
             if topic.endswith(_STREAM_LIST) and _STREAM_LIST_TYPE in types:
                 for each in self._node.get_publishers_info_by_topic(topic):
-                    name = _full_name(each.node_namespace, each.node_name)
+                    name = full_name(each.node_namespace, each.node_name)
                     if topic == name + _STREAM_LIST:
                         yield name
 
@@ -121,12 +122,13 @@ class Graph:
         namespace, name = publisher.node_namespace, publisher.node_name
         first = name.removeprefix("_").rpartition("_")[0] if name.startswith("_") else name
         return bool(
-            {_full_name(namespace, name), _full_name(namespace, first)}
+            {full_name(namespace, name), full_name(namespace, first)}
             & (self._gateways | {self._own})
         )
 
 
-def _full_name(namespace: str, name: str) -> str:
+def full_name(namespace: str, name: str) -> str:
+    """Return a node's name with its namespace."""
     return f"{namespace.rstrip('/')}/{name}"
 
 

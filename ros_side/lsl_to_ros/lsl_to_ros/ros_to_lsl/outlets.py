@@ -7,11 +7,13 @@ publish again::
       <topic>/joint_states</topic> <type>sensor_msgs/msg/JointState</type>
       <type_hash>RIHS01_...</type_hash> <frame_id>base</frame_id>
       <stamp_source>header</stamp_source> <clock>synchronised</clock>
+      <clock_edge_s>0.000180</clock_edge_s>
     </ros>
 """
 
 from __future__ import annotations
 
+import math
 import os
 import socket
 from collections.abc import Mapping, Sequence
@@ -49,7 +51,7 @@ class Origin:
     clock
         Of the one who made that stamp.
     clock_edge_s
-        Its lower edge of arrival minus stamp, if it is not synchronised.
+        Its lower edge of arrival minus stamp; None before a message has come.
     """
 
     topic: str
@@ -145,8 +147,8 @@ class MarkerOutlet:
 
 def with_stamp(origin: Origin, source: StampSource, clock: ClockState, edge_s: float) -> Origin:
     """Return an origin that says by what the stream is stamped."""
-    wrong = edge_s if clock is ClockState.UNSYNCHRONISED else None
-    return replace(origin, stamp_source=source, clock=clock, clock_edge_s=wrong)
+    edge = edge_s if math.isfinite(edge_s) else None
+    return replace(origin, stamp_source=source, clock=clock, clock_edge_s=edge)
 
 
 def _source_id(name: str) -> str:

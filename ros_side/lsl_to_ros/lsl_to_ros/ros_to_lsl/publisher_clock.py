@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from enum import StrEnum, unique
+from typing import NamedTuple
 
 from biosensor_common.late_run import LateRun, Patience
 from biosensor_common.lower_envelope import LowerEnvelope
@@ -11,10 +12,12 @@ from biosensor_common.ros_clock import NS_PER_S
 
 AHEAD_S = 0.002
 """By how much a message may seem to come before it was sent: what NTP leaves in a lab's network."""
+WAY_S = 0.02
+"""The fastest messages in a lab's network take no longer; what is later may be the clock."""
 BEHIND_S = 1.0
-"""The fastest messages of a clock that is right are never so late."""
+"""No way takes so long: what is later is the clock."""
 PATIENCE_S = 2.0
-"""As long as all that came was late, it may be the way."""
+"""As long as all that came was late, it may have waited on its way."""
 SET_BACK = Patience(10.0, 10, spread=0.5)
 """When messages of a clock that was right stay late, and all by the same, it was set."""
 _PERIOD_S = 1.0
@@ -27,22 +30,36 @@ class ClockState(StrEnum):
     UNKNOWN = "unknown"
     """Nothing has come, or only late messages, and not for long."""
     SYNCHRONISED = "synchronised"
-    UNSYNCHRONISED = "unsynchronised"
+    """To `WAY_S`, or as it was measured."""
+    BEHIND = "behind"
+    """By up to the edge; how much of that is the way, nobody knows."""
+    WRONG = "wrong"
+
+
+class Offset(NamedTuple):
+    """Between what a publisher's clock minus this computer's was found to be, in seconds."""
+
+    least_s: float
+    most_s: float
 
 
 class PublisherClock:
     """Follows the lower edge of arrival minus stamp, which is the fastest way plus the offset.
 
-    Delays are never negative, so the edge of a clock that is right lies just above 0. Once a
-    clock was found to be wrong it stays so: what it will stamp next is not to be trusted.
+    Delays are never negative, so the edge of a clock that is right lies just above 0. Where it
+    lies higher, only a measurement can tell the clock from the way. Once a clock was found to be
+    wrong it stays so: what it will stamp next is not to be trusted.
 
     Attributes
     ----------
     state
+    offset
+        What was measured; None if nothing was.
     """
 
     def __init__(self) -> None:
         self.state = ClockState.UNKNOWN
+        self.offset: Offset | None = None
         self._first_delay_ns = self._first_arrival_ns = 0
         self._envelope: LowerEnvelope | None = None
         self._lowest = (0.0, math.inf)
@@ -86,10 +103,13 @@ class PublisherClock:
             # Of each second the lowest point, for a fit takes longer than all the rest.
             self._envelope.add(*self._lowest)
             self._lowest, self._period_begin_s = (0.0, math.inf), passed_s
-        self._late.add(delay_s, BEHIND_S, passed_s)
+        self._late.add(delay_s, WAY_S, passed_s)
         self._judge(delay_s)
-        if self.state is ClockState.SYNCHRONISED and self._late.outlasts(SET_BACK):
-            self.state = ClockState.UNSYNCHRONISED
+        # Of a clock that was measured to be right, late messages are the way.
+        is_right = self.state is ClockState.SYNCHRONISED and self.offset is None
+        is_to_doubt = is_right or self._late.least > BEHIND_S
+        if self.state in _NOT_WRONG and is_to_doubt and self._late.outlasts(SET_BACK):
+            self.state = _late_state(self._late.least)
             self._begin(stamp_ns, arrival_ns)
 
     def _begin(self, stamp_ns: int, arrival_ns: int) -> None:
@@ -103,13 +123,28 @@ class PublisherClock:
         if self.is_in_doubt:
             passed_s = (now_ns - self._first_arrival_ns) / NS_PER_S
             if passed_s > PATIENCE_S:
-                self.state = ClockState.UNSYNCHRONISED
+                self.state = _late_state(self.edge_s)
+
+    def take_offset(self, offset: Offset) -> None:
+        """Take in what was measured of the publisher's clock."""
+        self.offset = offset
+        if offset.least_s > AHEAD_S or offset.most_s < -WAY_S:
+            self.state = ClockState.WRONG
+        elif offset.least_s >= -WAY_S and self.state is not ClockState.WRONG:
+            self.state = ClockState.SYNCHRONISED
 
     def _judge(self, delay_s: float) -> None:
         if delay_s < -AHEAD_S:
-            self.state = ClockState.UNSYNCHRONISED
-        elif self.state is ClockState.UNKNOWN:
-            if delay_s <= BEHIND_S:
+            self.state = ClockState.WRONG
+        elif self.state in (ClockState.UNKNOWN, ClockState.BEHIND):
+            if delay_s <= WAY_S:
                 self.state = ClockState.SYNCHRONISED
-            elif self._newest_s > PATIENCE_S:
-                self.state = ClockState.UNSYNCHRONISED
+            elif self.state is ClockState.UNKNOWN and self._newest_s > PATIENCE_S:
+                self.state = _late_state(self.edge_s)
+
+
+_NOT_WRONG = (ClockState.SYNCHRONISED, ClockState.BEHIND)
+
+
+def _late_state(edge_s: float) -> ClockState:
+    return ClockState.BEHIND if edge_s <= BEHIND_S else ClockState.WRONG

@@ -23,7 +23,7 @@ from lsl_to_ros.reports.diagnostics import STALE_AFTER_S, status
 from lsl_to_ros.ros_to_lsl.bridge import Bridge
 from lsl_to_ros.ros_to_lsl.pairs import too_many_pairs
 from lsl_to_ros.ros_to_lsl.senders import NO_NUMBER_YET
-from lsl_to_ros.ros_to_lsl.stamping import StampSource, wrong_clock
+from lsl_to_ros.ros_to_lsl.stamping import StampSource, doubt_of
 from lsl_to_ros.ros_to_lsl.topic import Topic
 
 PROGRAM = "ros_to_lsl"
@@ -69,10 +69,7 @@ def topic_status(each: TopicStatus) -> DiagnosticStatus:
         "replaced": str(bridge.replaced),
         "stamped_by": _stamped_by(bridge),
         "stamps_moved": str(sum(each.moved for each in bridge.stampings)),
-        **{
-            f"clock_{source.value}": _clock(clock.state.value, clock.edge_s)
-            for source, clock in bridge.stamping.clocks.items()
-        },
+        **{f"clock_{source.value}": _clock(*told) for source, told in _clocks(bridge).items()},
         "is_received": str(bridge.is_received).lower(),
     }
     return status(topic.name, level, message, values, program=PROGRAM)
@@ -81,13 +78,19 @@ def topic_status(each: TopicStatus) -> DiagnosticStatus:
 def topic_facts(topic: Topic) -> dict[str, object]:
     """Return what a heartbeat says of one topic."""
     bridge = topic.bridge
-    wrong = {source.value: round(edge, 6) for source, edge in bridge.wrong_clocks.items()}
+    wrong = {s.value: round(d.edge_s, 6) for s, d in bridge.doubtful_clocks.items()}
+    clocks = {
+        source.value: {"state": state, "edge_s": round(edge_s, 6)}
+        for source, (state, edge_s) in _clocks(bridge).items()
+        if math.isfinite(edge_s)
+    }
     return {
         "received": bridge.received,
         "lost": bridge.losses.lost,
         "replaced": bridge.replaced,
         "stamped_by": {s.value: n for s, n in _stamped(bridge).items() if n},
         "wrong_clocks": wrong,
+        "clocks": clocks,
         "left_out": bridge.left_out,
         "fault": bridge.fault,
     }
@@ -101,7 +104,7 @@ def _judge(topic: Topic, status: StreamStatus) -> tuple[bytes, str]:
         return DiagnosticStatus.ERROR, bridge.fault
     if bridge.request.rate and silent_s > STALE_AFTER_S:
         return DiagnosticStatus.STALE, "no messages"
-    warnings = [wrong_clock(*each) for each in bridge.wrong_clocks.items()]
+    warnings = [doubt_of(*each) for each in bridge.doubtful_clocks.items()]
     if lost_lately:
         warnings.append(f"{lost_lately} messages lost in the last 10 s")
     if replaced_lately:
@@ -128,6 +131,17 @@ def _stamped(bridge: Bridge) -> Mapping[StampSource, int]:
     for each in bridge.stampings:
         counts.update(each.sources)
     return counts
+
+
+def _clocks(bridge: Bridge) -> Mapping[StampSource, tuple[str, float]]:
+    """Return state and edge of each clock; of the parts of a topic, the one that is worst."""
+    found: dict[StampSource, tuple[str, float]] = {}
+    for stamping in bridge.stampings:
+        for source, clock in stamping.clocks.items():
+            told = clock.state.value, clock.edge_s
+            known = found.get(source, told)
+            found[source] = told if not abs(told[1]) <= abs(known[1]) else known
+    return found
 
 
 def _clock(state: str, edge_s: float) -> str:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum, unique
 from typing import NamedTuple
 
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.ros_clock import NS_PER_S
 from lsl_to_ros.accounts.ros_time import RosTime
-from lsl_to_ros.ros_to_lsl.publisher_clock import ClockState, PublisherClock
+from lsl_to_ros.ros_to_lsl.publisher_clock import ClockState, Offset, PublisherClock
 from lsl_to_ros.taking import MessageInfo, RosMessage
 
 
@@ -35,6 +36,25 @@ class Stamped(NamedTuple):
 
     lsl_s: float
     source: StampSource
+
+
+class Doubt(NamedTuple):
+    """What is known of a clock that may not be this computer's time.
+
+    Attributes
+    ----------
+    edge_s
+        Lower edge of arrival minus stamp, in seconds.
+    offset
+        What was measured; None if nothing was.
+    is_used
+        Whether its stamps are used all the same.
+    """
+
+    state: ClockState
+    edge_s: float
+    offset: Offset | None
+    is_used: bool
 
 
 class MessageStamping:
@@ -78,13 +98,19 @@ class MessageStamping:
         return self._monotonic.corrections
 
     @property
-    def wrong_clocks(self) -> dict[StampSource, float]:
-        """Lower edge of arrival minus stamp of each clock that is not synchronised, in seconds."""
+    def doubtful_clocks(self) -> dict[StampSource, Doubt]:
+        """Those that are known not to be synchronised, or not known to be."""
         return {
-            source: clock.edge_s
+            source: Doubt(clock.state, clock.edge_s, clock.offset, is_used=self._trusts(source))
             for source, clock in self.clocks.items()
-            if clock.state is ClockState.UNSYNCHRONISED
+            if clock.state in (ClockState.BEHIND, ClockState.WRONG)
         }
+
+    @property
+    def wants_offset(self) -> bool:
+        """Whether only a measurement can say if the publisher's clock is right."""
+        clock = self.clocks[StampSource.SOURCE]
+        return clock.is_in_doubt or clock.state is ClockState.BEHIND or clock.offset is not None
 
     def observe(self, message: RosMessage, info: MessageInfo) -> None:
         """Compare a message's stamps with its arrival."""
@@ -137,20 +163,46 @@ class MessageStamping:
         return StampSource.ARRIVAL, info["received_timestamp"]
 
     def _trusts(self, source: StampSource) -> bool:
-        return self.clocks[source].state is not ClockState.UNSYNCHRONISED
+        state = self.clocks[source].state
+        if source is StampSource.HEADER and state is ClockState.BEHIND:
+            # It was measured before it was published, by a computer whose clock is right.
+            return self.clocks[StampSource.SOURCE].state is ClockState.SYNCHRONISED
+        return state in (ClockState.UNKNOWN, ClockState.SYNCHRONISED)
 
 
-def wrong_clock(source: StampSource, edge_s: float) -> str:
-    """Say that stamps are of a clock that is not synchronised, and what is done instead."""
+def worst_of(stampings: Sequence[MessageStamping]) -> dict[StampSource, Doubt]:
+    """Return of each clock what is furthest off, of several that stamp one topic."""
+    worst: dict[StampSource, Doubt] = {}
+    for each in stampings:
+        for source, doubt in each.doubtful_clocks.items():
+            known = worst.get(source, doubt)
+            worst[source] = max(known, doubt, key=lambda one: abs(one.edge_s))
+    return worst
+
+
+def doubt_of(source: StampSource, doubt: Doubt) -> str:
+    """Say what is known of a clock that may be wrong, and what is done about it."""
+    if doubt.is_used:
+        return (
+            f"the stamps in its headers are up to {doubt.edge_s:.3f} s older than their arrival;"
+            " they are used, because the clock of its publisher is right"
+        )
     whose = {
         StampSource.HEADER: "the stamps in its headers are",
         StampSource.SOURCE: "the clock of its publisher is",
     }[source]
-    direction = "ahead of" if edge_s < 0 else "behind"
-    return (
-        f"{whose} {abs(edge_s):.3f} s {direction} this computer's time, at least; they are not"
-        " used: synchronise the clocks (chrony, PTP)"
-    )
+    return f"{whose} {_how_far(doubt)}; they are not used: synchronise the clocks (chrony, PTP)"
+
+
+def _how_far(doubt: Doubt) -> str:
+    if doubt.state is ClockState.BEHIND:
+        return f"behind by up to {doubt.edge_s:.3f} s, unless messages take that long to come"
+    if doubt.offset is not None:
+        middle_s = (doubt.offset.least_s + doubt.offset.most_s) / 2
+        direction = "ahead of" if middle_s > 0 else "behind"
+        return f"{abs(middle_s):.3f} s {direction} this computer's time, as measured"
+    direction = "ahead of" if doubt.edge_s < 0 else "behind"
+    return f"{abs(doubt.edge_s):.3f} s {direction} this computer's time, at least"
 
 
 def _header_ns(message: RosMessage) -> int:

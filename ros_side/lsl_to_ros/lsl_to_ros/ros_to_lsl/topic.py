@@ -13,7 +13,8 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from biosensor_common.errors import GatewayError
 from lsl_to_ros.ros_to_lsl.bridge import OLD_MESSAGES_S, Bridge, MessageType
 from lsl_to_ros.ros_to_lsl.fields import message_class
-from lsl_to_ros.ros_to_lsl.graph import Quality, quality_of
+from lsl_to_ros.ros_to_lsl.graph import Quality, are_named, full_name, quality_of
+from lsl_to_ros.ros_to_lsl.publisher_clock import Offset
 from lsl_to_ros.taking import MessageInfo, RosMessage, TakenElsewhere, Taker, nobody
 
 _USUAL = Quality()
@@ -32,6 +33,8 @@ class Topic:
         Of the subscription.
     publishers
         How many there are.
+    sender
+        Full name of the node that publishes; empty if there is none, or several.
     """
 
     def __init__(
@@ -46,7 +49,7 @@ class Topic:
         self.bridge = bridge
         self.kind: MessageType | None = None
         self.quality = Quality()
-        self.publishers = 0
+        self.publishers, self.sender = 0, ""
         self._subscription: Subscription | None = None
         self._subscribed_s = 0.0
         self._others: set[str] = set()
@@ -59,9 +62,21 @@ class Topic:
         """Full name of the topic."""
         return self.bridge.request.topic
 
+    @property
+    def wants_offset(self) -> bool:
+        """Whether its publisher's clock is to be measured."""
+        return any(each.wants_offset for each in self.bridge.stampings)
+
+    def take_offset(self, offset: Offset) -> None:
+        """Take in what was measured of its publisher's clock."""
+        self.bridge.take_offset(offset)
+
     def follow(self, publishers: Sequence[TopicEndpointInfo]) -> int:
         """Take in who publishes it now; return how many messages were newly lost on the way."""
         self.publishers = len(publishers)
+        senders = {full_name(each.node_namespace, each.node_name) for each in publishers}
+        is_one = len(senders) == 1 and are_named(publishers)
+        self.sender = senders.pop() if is_one else ""
         if publishers and self.kind is None:
             first = publishers[0]
             self._connect(first.topic_type, str(first.topic_type_hash), quality_of(publishers))
