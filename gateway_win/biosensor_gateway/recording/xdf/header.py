@@ -24,6 +24,26 @@ _MAX_RATE_HZ = 1e9
 
 
 @dataclass(frozen=True, slots=True)
+class RobotTopic:
+    """What ``ros_to_lsl`` says of a topic that it sends.
+
+    Attributes
+    ----------
+    stamped_by
+        What the first sample was stamped by: the message's header, its source, or its arrival.
+    clock
+        What was known of the clock that made the stamps: one word.
+    edge_s
+        By how much that clock may be behind, or is ahead if negative; NaN if it does not say.
+    """
+
+    topic: str
+    stamped_by: str
+    clock: str
+    edge_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class RecordedHeader:
     """What the file says of one stream before its samples.
 
@@ -46,6 +66,8 @@ class RecordedHeader:
         Why a ``<biosensor>`` block was not believed; empty if there was none or it was.
     replay
         Of which recording the stream was played; None if it was measured then.
+    robot
+        The topic of which ``ros_to_lsl`` made the stream; None if it did not.
     xml
         The header as it was recorded.
     may_be_older
@@ -68,6 +90,7 @@ class RecordedHeader:
     data_name: str
     refused: str
     replay: Replay | None = None
+    robot: RobotTopic | None = None
     xml: str = ""
     may_be_older: bool = False
 
@@ -91,6 +114,12 @@ class RecordedHeader:
     def is_events(self) -> bool:
         """Whether the capture agent says in this stream what happens to its devices."""
         return self._is_agents("events")
+
+    @property
+    def is_events_of_node(self) -> bool:
+        """Whether a node says in this stream what happened to the topics that it sends."""
+        is_node = self.identity is not None and self.identity.sensor == NODE
+        return is_node and self.replay is None and self.data_name == "events"
 
     @property
     def is_recordable(self) -> bool:
@@ -177,6 +206,7 @@ def parse_stream_header(content: bytes) -> RecordedHeader:
         data_name=ours.data_name if ours else "",
         refused=refused,
         replay=own.replay if own else None,
+        robot=_robot(root),
         xml=text,
         may_be_older=ours is not None
         and waits_for_receivers(ours.content_type, is_regular=rate > 0, is_state=ours.is_state),
@@ -258,6 +288,14 @@ def _labels(root: ET.Element, count: int) -> tuple[str, ...]:
     labels = [node.findtext("label") or "" for node in nodes]
     complete = labels if len(labels) == count else [""] * count
     return tuple(label or str(index + 1) for index, label in enumerate(complete))
+
+
+def _robot(root: ET.Element) -> RobotTopic | None:
+    block = root.find("desc/ros")
+    if block is None or not block.findtext("topic"):
+        return None
+    topic, stamped_by, clock = (block.findtext(n) or "" for n in ("topic", "stamp_source", "clock"))
+    return RobotTopic(topic, stamped_by, clock, _number(block, "clock_edge_s"))
 
 
 def _own(xml: str) -> tuple[StreamHeader | None, str]:

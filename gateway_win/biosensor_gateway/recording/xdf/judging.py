@@ -14,6 +14,7 @@ from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.measuring import measure
 from biosensor_gateway.recording.xdf.recording import Recording
 from biosensor_gateway.recording.xdf.report import Measured, Report, extent
+from biosensor_gateway.recording.xdf.robot_clocks import judge_robot_clocks
 from biosensor_gateway.recording.xdf.stream_rules import judge_stream
 
 _MOST_DAMAGES = 10
@@ -34,6 +35,7 @@ def judge(recording: Recording, expected: Sequence[ExpectedStream] = ()) -> Repo
         *_unaligned(streams),
         *_replayed(streams),
         *judge_devices(streams, length),
+        *judge_robot_clocks(streams),
         *findings,
         *(finding for each in streams for finding in judge_stream(each, length)),
     ]

@@ -33,7 +33,8 @@ class RecordedStream:
     footer
         None if the recorder did not come to write it.
     texts
-        Samples of the agent's counters and events, with their text; empty for all other streams.
+        Samples of the counters and events of agents and of a node's events, with their text; empty
+        for all other streams.
     """
 
     header: RecordedHeader
@@ -73,7 +74,8 @@ class RecordedStream:
         block = decode(chunk.body, self.header, last_stamp)
         self._stamps.frombytes(block.stamps.tobytes())
         self.nan_counts += block.nan_counts
-        if self.header.is_counters or self.header.is_events:
+        header = self.header
+        if header.is_counters or header.is_events or header.is_events_of_node:
             self.texts.extend(block.texts)
 
     def take_clock_offset(self, taken_at: float, offset: float) -> None:

@@ -283,7 +283,7 @@ class Bridge:
         suspect = next(iter(doubts)) if doubts else source
         state, edge_s = ClockState.UNKNOWN, math.nan
         if suspect in clocks:
-            state, edge_s = clocks[suspect].state, clocks[suspect].edge_s
+            state, edge_s = clocks[suspect].state, clocks[suspect].bound_s
         origin = Origin(self._origin.topic, self._origin.type_name, self._origin.type_hash, frames)
         return with_stamp(origin, source, state, edge_s)
 

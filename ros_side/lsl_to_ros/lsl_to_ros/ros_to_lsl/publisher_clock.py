@@ -80,6 +80,13 @@ class PublisherClock:
             self._envelope.at(self._newest_s), self._lowest[1]
         )
 
+    @property
+    def bound_s(self) -> float:
+        """By how much the clock may be behind, in seconds: the edge, or what was measured."""
+        if self.offset is not None and self.state is ClockState.SYNCHRONISED:
+            return min(-self.offset.least_s, self.edge_s)
+        return self.edge_s
+
     def observe(self, stamp_ns: int, arrival_ns: int) -> None:
         """Take in a message.
 

@@ -138,7 +138,7 @@ def _clocks(bridge: Bridge) -> Mapping[StampSource, tuple[str, float]]:
     found: dict[StampSource, tuple[str, float]] = {}
     for stamping in bridge.stampings:
         for source, clock in stamping.clocks.items():
-            told = clock.state.value, clock.edge_s
+            told = clock.state.value, clock.bound_s
             known = found.get(source, told)
             found[source] = told if not abs(told[1]) <= abs(known[1]) else known
     return found
