@@ -76,6 +76,6 @@ def _clocks(topic: object) -> Iterator[_Told]:
 
 def _inside(content: object, name: str) -> Mapping[str, Any]:
     """Return an object that is inside of another one; an empty one if there is none."""
-    outer = cast("Mapping[str, Any]", content) if isinstance(content, dict) else {}
-    inner: object = outer.get(name)
-    return cast("Mapping[str, Any]", inner) if isinstance(inner, dict) else {}
+    inner = cast("Mapping[str, object]", content).get(name) if isinstance(content, dict) else None
+    nothing: Mapping[str, Any] = {}
+    return cast("Mapping[str, Any]", inner) if isinstance(inner, dict) else nothing
