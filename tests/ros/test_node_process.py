@@ -24,7 +24,6 @@ lsl_to_ros:
     Chunk_Length: 0
     Chunk_Enabled: true
     topic_prefix: /absolute
-    stream_predicate: "type="
     qos_overrides:
       /biosensors/exit/EEG:
         publisher:
@@ -49,7 +48,6 @@ BAD = (
     "exit.Sensor_Enable",
     "exit.EEG.Chunk_En",
     "topic_prefix must",
-    "stream_predicate must",
     "EEG.publisher.reliability must be one of",
     "EEG_chunk.publisher.depth must be",
     "diagnostics.publisher.lifespan",
@@ -83,6 +81,25 @@ def test_bad_values_of_a_parameter_file_are_said_and_ignored(
         assert publisher.qos_profile.durability.name == durability
     assert node.signal(signal.SIGINT) == 0
     assert "Traceback" not in node.log
+
+
+@pytest.mark.seam
+def test_what_is_wrong_ends_it_and_help_is_help(start_node: Start) -> None:
+    wrong = {
+        "-p must stand behind --ros-args": ("-p", "Chunk_Length:=5"),
+        "there is no argument --simulate": ("--simulate",),
+        "stream_predicate must be an LSL query": ("--ros-args", "-p", "stream_predicate:=type="),
+        "sesion_id is no parameter": ("--ros-args", "-p", "sesion_id:=lab"),
+        "known_peers must be a list": ("--ros-args", "-p", "known_peers:=robot.local"),
+    }
+    nodes = {words: start_node(*arguments) for words, arguments in wrong.items()}
+    shown = start_node("--help")
+    for words, node in nodes.items():
+        assert node.wait() == 2
+        assert node.count(f"lsl_to_ros: {words}") == 1
+        assert "Traceback" not in node.log
+    assert shown.wait() == 0
+    assert "stream_predicate" in shown.log
 
 
 @pytest.mark.seam

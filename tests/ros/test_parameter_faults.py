@@ -15,6 +15,7 @@ from rclpy.parameter import Parameter
 from rclpy.validate_full_topic_name import validate_full_topic_name
 from std_msgs.msg import Float32
 
+from biosensor_common.errors import ConfigError
 from lsl_to_ros.parameters import node as node_parameters
 from lsl_to_ros.parameters.node import (
     BURST_PACING,
@@ -137,6 +138,28 @@ def test_no_value_raises(name: str, value: Any) -> None:
 def test_ros_itself_accepts_what_passes_as_a_prefix(prefix: str) -> None:
     if node_parameters.fault(TOPIC_PREFIX, prefix) is None:
         validate_full_topic_name(f"/{prefix}/data" if prefix else "/data")
+
+
+WRONG_AT_START: list[tuple[str, object]] = [
+    (STREAM_PREDICATE, "type="),
+    (SESSION_ID, 42),
+    (KNOWN_PEERS, "robot.local"),
+    ("stream_predikate", "type='EEG'"),
+    ("sesion_id", "lab"),
+    ("known_peer", ["a"]),
+]
+
+
+@pytest.mark.parametrize(("name", "value"), WRONG_AT_START)
+def test_what_would_serve_other_streams_ends_the_node(name: str, value: object) -> None:
+    with pytest.raises(ConfigError) as caught:
+        node_parameters.check({name: value})
+    check_sentence(name, str(caught.value))
+
+
+def test_what_decides_about_no_stream_does_not_end_it() -> None:
+    node_parameters.check(dict(GOOD))
+    node_parameters.check({TOPIC_PREFIX: "/absolute", "zephyr.ecg.Chunk_Length": 0, "Chunk": 1})
 
 
 def test_names_of_others_are_not_known() -> None:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from rclpy.node import Node
 
 from lsl_to_ros import spinning
-from lsl_to_ros.processes.child import FURTHER
+from lsl_to_ros.command_line import FURTHER
 from lsl_to_ros.processes.first import LslToRos
 from lsl_to_ros.processes.further import FurtherProcess
 

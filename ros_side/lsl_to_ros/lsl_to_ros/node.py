@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import os
+import sys
 from importlib import import_module
 
 from biosensor_common.heap import limit_arenas
 from biosensor_common.open_files import raise_limit
+from lsl_to_ros.command_line import FURTHER, settle
 
 
 def main() -> None:
     """Run the node until SIGINT or SIGTERM; exit code 0, or 2 for unusable settings."""
     raise_limit()
     limit_arenas(os.environ)
+    # A further process is started by the first one.
+    if sys.argv[1:2] != [FURTHER]:
+        settle("lsl_to_ros", sys.argv[1:], _usage)
     # Not before: ROS's libraries begin threads when they are imported, whose arenas stay.
     import_module("lsl_to_ros.application").run()
+
+
+def _usage() -> str:
+    return import_module("lsl_to_ros.parameters.usage").usage()
 
 
 if __name__ == "__main__":

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import Any, TypeGuard, cast
 
 from rcl_interfaces.msg import (
@@ -15,6 +16,7 @@ from rcl_interfaces.msg import (
 )
 from rclpy.node import Node
 
+from biosensor_common.errors import ConfigError, ConfigReason
 from lsl_to_ros.lsl.liblsl import is_query
 
 TOPIC_PREFIX, STREAM_PREDICATE = "topic_prefix", "stream_predicate"
@@ -132,6 +134,29 @@ _PARAMETERS = {
         [""], "hosts that multicast does not reach", lambda _: None, read_only=True
     ),
 }
+
+
+TEXTS = {name: each.description for name, each in _PARAMETERS.items()}
+"""What each is for, by its name."""
+# With a wrong value, or under a wrong name, the node would serve other streams than it should.
+_WHICH_STREAMS = (STREAM_PREDICATE, SESSION_ID, KNOWN_PEERS)
+
+
+def check(given: Mapping[str, object]) -> None:
+    """Refuse what decides about the streams and is wrong; the rest of it may be ignored.
+
+    Raises
+    ------
+    ConfigError
+        ``WRONG_VALUE`` or ``UNKNOWN_KEY``, with a sentence for the user.
+    """
+    for name, value in given.items():
+        similar = get_close_matches(name, _WHICH_STREAMS, n=1, cutoff=0.75)
+        if name in _WHICH_STREAMS and value is not None and (reason := fault(name, value)):
+            raise ConfigError(ConfigReason.WRONG_VALUE, reason)
+        if similar and name not in _WHICH_STREAMS:
+            message = f"{name} is no parameter of this node; {similar[0]} is"
+            raise ConfigError(ConfigReason.UNKNOWN_KEY, message)
 
 
 def declare(node: Node, name: str) -> Any:  # noqa: ANN401 - a string or a list of them

@@ -34,7 +34,7 @@ DEFAULTS: dict[str, bool | int] = {SENSOR_ENABLE: True, CHUNK_ENABLE: True, CHUN
 # Every other parameter is a misspelt one.
 _OF_ROS = frozenset({"use_sim_time", "start_type_description_service"})
 
-_TEXTS = {
+TEXTS = {
     SENSOR_ENABLE: "publish anything at all: raw, chunk and hardware topics",
     CHUNK_ENABLE: "publish chunk topics; they need Sensor_Enable too",
     CHUNK_LENGTH: "samples in one chunk",
@@ -212,7 +212,7 @@ def _descriptor(key: str, *, dynamic: bool = False) -> ParameterDescriptor:
     is_length = key == CHUNK_LENGTH
     limits = IntegerRange(from_value=LENGTH_RANGE[0], to_value=LENGTH_RANGE[-1], step=1)
     return ParameterDescriptor(
-        description=_TEXTS[key] + ("; not set: the less specific key holds" if dynamic else ""),
+        description=TEXTS[key] + ("; not set: the less specific key holds" if dynamic else ""),
         type=ParameterType.PARAMETER_INTEGER if is_length else ParameterType.PARAMETER_BOOL,
         dynamic_typing=dynamic,
         integer_range=[limits] if is_length and not dynamic else [],

@@ -11,6 +11,7 @@ from time import monotonic
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from lsl_to_ros.command_line import FURTHER
 from lsl_to_ros.lsl.share import Share
 from lsl_to_ros.processes.arguments import for_further
 from lsl_to_ros.processes.link import Link
@@ -20,7 +21,6 @@ from lsl_to_ros.reports.processes import ProcessFacts
 from lsl_to_ros.reports.survey import Part
 from lsl_to_ros.topics.register import Claim
 
-FURTHER = "--further"
 """Stands first on the command line of a further process, before the socket to the first one."""
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0

@@ -27,6 +27,11 @@ class LslToRos(Node):
 
     With ``processes`` above 1 it starts further ones, and they share the streams. Names,
     parameters, ``/diagnostics`` and the list of streams stay here.
+
+    Raises
+    ------
+    ConfigError
+        If a parameter is wrong that decides which streams it serves.
     """
 
     def __init__(self) -> None:
@@ -35,6 +40,8 @@ class LslToRos(Node):
             allow_undeclared_parameters=True,
             automatically_declare_parameters_from_overrides=True,
         )
+        given = self.get_parameters_by_prefix("").items()
+        node_parameters.check({name: each.value for name, each in given})
         self._register = Register()
         self._declared: set[Claim] = set()
         share = Share(0, node_parameters.declare(self, PROCESSES))

@@ -8,6 +8,7 @@ from importlib import import_module
 
 from biosensor_common.heap import limit_arenas
 from biosensor_common.open_files import raise_limit
+from lsl_to_ros.command_line import settle
 
 
 def main() -> None:
@@ -15,10 +16,12 @@ def main() -> None:
     raise_limit()
     limit_arenas(os.environ)
     # Not before: ROS's libraries begin threads when they are imported, whose arenas stay.
-    if any(argument in ("-h", "--help") for argument in sys.argv[1:]):
-        sys.stdout.write(import_module("lsl_to_ros.ros_to_lsl.usage").usage())
-        return
+    settle("ros_to_lsl", sys.argv[1:], _usage)
     import_module("lsl_to_ros.ros_to_lsl.application").run()
+
+
+def _usage() -> str:
+    return import_module("lsl_to_ros.ros_to_lsl.usage").usage()
 
 
 if __name__ == "__main__":

@@ -1,0 +1,71 @@
+"""Reads what stands on a command line outside of ``--ros-args``, which is ROS's."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from textwrap import fill
+
+FURTHER = "--further"
+"""Stands first where a process of the node starts another one, with a file's number behind."""
+_BEGIN, _END = "--ros-args", "--"
+_HELP = ("-h", "--help")
+_OF_ROS = ("-p", "--param", "--params-file", "-r", "--remap")
+_WIDTH, _INDENT = 80, 18
+
+
+def settle(program: str, arguments: Sequence[str], usage: Callable[[], str]) -> None:
+    """Show the help if it is asked for, and end; end with code 2 if an argument is unknown.
+
+    Raises
+    ------
+    SystemExit
+        In both cases.
+    """
+    strange = list(outside(arguments))
+    if any(each in _HELP for each in arguments):
+        sys.stdout.write(usage())
+        raise SystemExit(0)
+    if strange:
+        sys.stderr.write(f"{program}: {unknown(strange[0])}\n")
+        raise SystemExit(2)
+
+
+def outside(arguments: Sequence[str]) -> Iterator[str]:
+    """Return the arguments that are not ROS's."""
+    is_ros = False
+    for argument in arguments:
+        if argument == _BEGIN:
+            is_ros = True
+        elif is_ros and argument == _END:
+            is_ros = False
+        elif not is_ros and argument != _END:
+            yield argument
+
+
+def unknown(argument: str) -> str:
+    """Say that an argument is not known, and what may have been meant."""
+    if argument in _OF_ROS or ":=" in argument:
+        return f"{argument} must stand behind --ros-args, as in --ros-args -p name:=value"
+    return f"there is no argument {argument}; --help lists the parameters"
+
+
+def page(begin: str, parts: Mapping[str, Mapping[str, str]]) -> str:
+    """Return a help for a console of 80 columns.
+
+    Parameters
+    ----------
+    begin
+        What the program does, and how it is called.
+    parts
+        By heading, what each parameter means.
+    """
+    lines = [begin]
+    for heading, texts in parts.items():
+        lines += [heading, *(_line(name, text) for name, text in texts.items()), ""]
+    return "\n".join(lines)
+
+
+def _line(name: str, text: str) -> str:
+    first = f"  {name.ljust(_INDENT - 3)} "
+    return fill(text, _WIDTH, initial_indent=first, subsequent_indent=" " * _INDENT)
