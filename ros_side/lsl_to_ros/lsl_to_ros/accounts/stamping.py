@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 import numpy as np
+import pylsl
 from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
 
+from biosensor_common.ros_clock import NS_PER_S
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.lsl.blocks import Stamps
+
+NEAR_S = 86_400.0
+"""A stamp within a day of now, by a clock, is meant by that clock."""
 
 
 class Stamping:
@@ -21,11 +27,17 @@ class Stamping:
         This machine's LSL clock to ROS time.
     correction
         Returns the seconds between the sender's LSL clock and ours, None while unknown.
+
+    Attributes
+    ----------
+    is_unix
+        Whether the newest stamps are times since 1970, which scripts take from ``time.time()``.
     """
 
     def __init__(self, ros_time: RosTime, correction: Callable[[], float | None]) -> None:
         self._ros_time = ros_time
         self._correction = correction
+        self.is_unix = False
 
     @property
     def is_known(self) -> bool:
@@ -43,7 +55,9 @@ class Stamping:
         correction = self._correction()
         if correction is None:
             raise ValueError("the sender's clock has not been measured yet")
-        return stamp + correction
+        self.is_unix = bool(_are_unix(np.float64(stamp), correction))
+        # By the sender's system clock, which nobody has measured: as it is.
+        return self._ros_time.to_lsl_s(_to_ns(stamp)) if self.is_unix else stamp + correction
 
     def are_times(self, stamps: Stamps) -> NDArray[np.bool_]:
         """Say of each stamp whether :meth:`to_time` has a time for it.
@@ -53,7 +67,9 @@ class Stamping:
         ValueError
             If the sender's clock is not known yet.
         """
-        return self._ros_time.are_times(stamps + self.local(0.0))
+        correction = self.local(0.0)
+        is_time = self._ros_time.are_times(stamps + correction)
+        return is_time | _are_unix(stamps, correction)
 
     def to_time(self, stamp: float) -> Time:
         """Return the ROS time of a stamp.
@@ -64,3 +80,15 @@ class Stamping:
             If the sender's clock is not known yet, or the stamp is not finite.
         """
         return self._ros_time.to_msg(self.local(stamp))
+
+
+def _are_unix(stamps: Stamps | np.float64, correction: float) -> NDArray[np.bool_]:
+    """Say of each stamp whether it is a time since 1970; some LSL clocks count from then, too."""
+    with np.errstate(invalid="ignore"):
+        is_unix = np.abs(stamps - time.time()) < NEAR_S
+        return is_unix & (np.abs(stamps + correction - pylsl.local_clock()) >= NEAR_S)
+
+
+def _to_ns(stamp: float) -> int:
+    whole = int(stamp)
+    return whole * NS_PER_S + round((stamp - whole) * NS_PER_S)

@@ -71,7 +71,7 @@ class Discovery:
         self._not_before: dict[str, float] = {}
         self._left_out: dict[str, float] = {}
         self._refused: set[str] = set()
-        self._warned: set[str] = set()
+        self._twins: dict[str, pylsl.StreamInfo] = {}
         self._crowded_out: dict[str, str] = {}
         self._rivals = Rivals(warn)
 
@@ -89,6 +89,11 @@ class Discovery:
     def crowded_out(self) -> Collection[str]:
         """Names of the present streams for which this process may open no more files."""
         return self._crowded_out.values()
+
+    def twins(self, inlet: Inlet) -> list[str]:
+        """Return the computers of live senders that are left out because they claim to be this."""
+        found = [info for info in self._twins.values() if inlet.continues_as(info)]
+        return sorted(info.hostname() for info in found)
 
     def set_predicate(self, predicate: str) -> None:
         """Serve other streams from now on.
@@ -228,8 +233,8 @@ class Discovery:
     def _warn_of_duplicates(self, found: Mapping[str, pylsl.StreamInfo]) -> None:
         """Say that a live outlet is left out because a later one claims to be the same stream."""
         for uid, since in self._left_out.items():
-            if monotonic() - since > ALIVE_AFTER_S and uid not in self._warned:
-                self._warned.add(uid)
+            if monotonic() - since > ALIVE_AFTER_S and uid not in self._twins:
+                self._twins[uid] = found[uid]
                 name, host = found[uid].name(), found[uid].hostname()
                 self._warn(
                     f"two LSL streams {name!r} share a source_id; that on {host} is left out"
@@ -247,8 +252,9 @@ class Discovery:
         for record in (self._not_before, self._left_out, self._order, self._crowded_out):
             for uid in record.keys() - known:
                 del record[uid]
+        for uid in self._twins.keys() - (found.keys() & self._left_out.keys()):
+            del self._twins[uid]
         self._refused.intersection_update(found)
-        self._warned.intersection_update(found)
 
 
 def _is_of_a_node(info: pylsl.StreamInfo) -> bool:

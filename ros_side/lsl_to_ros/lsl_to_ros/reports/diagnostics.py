@@ -2,12 +2,15 @@
 
 Levels of a stream:
 
-* ERROR: its name is not its own, because two units or two streams claim it.
+* ERROR: its name is not its own, because two units or two streams claim it; another sender with
+  the same source_id is left out; another node has published it, too, for longer than a node that
+  was killed stays known.
 * STALE: a regular stream, without a sample for 5 s; any stream of a computer with an
   agent, from which nothing at all has come for 1.5 s.
 * WARN: in the last 10 s samples were lost or did not fit their message, or the
   measured rate is more than 10 % off; the sender's clock is not known, or its
-  stamps are not LSL times; a topic goes out faster than subscribers take it.
+  stamps are not LSL times; another node publishes it, too; a topic goes out faster
+  than subscribers take it.
 * OK: none of these.
 """
 
@@ -33,6 +36,15 @@ RATE_TOLERANCE = 0.1
 CLOCK_TOLERANCE_S = 30.0
 # A clock that is unknown for longer cannot be asked: UDP does not get through.
 CLOCK_PATIENCE_S = 10.0
+
+UNIX_STAMPS = (
+    "its stamps are Unix times, not times of the LSL clock: _stamped has them as they are, and no"
+    " recording aligns them; push samples without a stamp, or with local_clock()"
+)
+DOUBLED = "another node publishes this topic, too: each sample comes twice"
+MAY_BE_DOUBLED = "another node publishes this topic, too, or was killed less than half a minute ago"
+# For so long DDS keeps the publishers of a node that was killed.
+LEASE_S = 25.0
 
 PROGRAM = "lsl_to_ros"
 
@@ -69,6 +81,10 @@ class StreamFacts:
         The longest that samples have waited in the node since the last report.
     trouble
         What is wrong with the computer that sends it; empty if nothing is.
+    twins
+        Computers of other senders with the same source_id, which are left out.
+    doubled_s
+        For how many seconds somebody else has published its first topic, too; 0 if nobody does.
     best_effort
         Nodes that read the first topic with best effort; asked for only if it is fast.
     """
@@ -90,6 +106,8 @@ class StreamFacts:
     waited_s: float
     trouble: str = ""
     best_effort: Sequence[str] = ()
+    twins: Sequence[str] = ()
+    doubled_s: float = 0.0
 
 
 def stream_facts(
@@ -112,7 +130,7 @@ def stream_facts(
     return StreamFacts(
         topic=topic,
         bridge=bridge,
-        age_s=now_s - bridge.last_stamp - (correction_s or 0.0),
+        age_s=bridge.age_s(now_s),
         rate=status.meter.rate(counters.received, bridge.last_stamp),
         correction_s=correction_s,
         spread_s=spread_s,
@@ -194,10 +212,9 @@ def judge(facts: StreamFacts) -> tuple[bytes, str]:
     """Return level and reason; the module's text has the thresholds."""
     bridge = facts.bridge
     is_regular = bridge.header.rate > 0
-    if facts.topic.conflict and bridge.header.identity.sensor != AGENT:
-        return DiagnosticStatus.ERROR, "two units of one sensor: give each a label in its settings"
-    if facts.topic.duplicate:
-        return DiagnosticStatus.ERROR, "two streams claim to be this one"
+    for is_so, reason in _errors(facts):
+        if is_so:
+            return DiagnosticStatus.ERROR, reason
     if facts.trouble:
         return DiagnosticStatus.STALE, facts.trouble
     # Not by the samples' age: their stamps may be old, or of another clock, and keep coming.
@@ -210,12 +227,33 @@ def judge(facts: StreamFacts) -> tuple[bytes, str]:
     return DiagnosticStatus.OK, "streaming" if bridge.last_stamp else "no sample yet"
 
 
+def _errors(facts: StreamFacts) -> list[tuple[bool, str]]:
+    is_agent = facts.bridge.header.identity.sensor == AGENT
+    units = "two units of one sensor: give each a label in its settings"
+    return [
+        (facts.topic.conflict and not is_agent, units),
+        (facts.topic.duplicate, "two streams claim to be this one"),
+        (bool(facts.twins), left_out_twins(facts.twins)),
+        (facts.doubled_s > LEASE_S, DOUBLED),
+    ]
+
+
+def left_out_twins(hosts: Sequence[str]) -> str:
+    """Say that other senders are not published, because they claim to be a stream."""
+    return (
+        f"another sender has the same source_id, name and type; that on {', '.join(hosts)} is not"
+        " published: give each sender a source_id of its own"
+    )
+
+
 def _warnings(facts: StreamFacts) -> list[tuple[bool, str]]:
     nominal = facts.bridge.header.rate
     is_measured = nominal > 0 and facts.rate > 0 and facts.attached_s > RATE_WINDOW_S
     is_off = is_measured and abs(facts.rate / nominal - 1) > RATE_TOLERANCE
     is_unknown = facts.correction_s is None and facts.attached_s > CLOCK_PATIENCE_S
     return [
+        (facts.doubled_s > 0, MAY_BE_DOUBLED),
+        (facts.bridge.has_unix_stamps, UNIX_STAMPS),
         (facts.unfit_lately > 0, "samples do not fit the message type"),
         (_has_foreign_clock(facts), "its stamps are not times of the LSL clock"),
         (is_unknown, "the sender's clock cannot be asked: is UDP blocked? stamped topics wait"),

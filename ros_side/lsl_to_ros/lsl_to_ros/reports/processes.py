@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import pylsl
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -56,8 +57,15 @@ class ProcessFacts:
         return [_stale(each, self.trouble) for each in statuses] if self.is_gone else statuses
 
 
+class Concern(NamedTuple):
+    """Something about the node as a whole that is not as it should be."""
+
+    level: bytes
+    text: str
+
+
 def node_status(
-    processes: Sequence[ProcessFacts], values: Mapping[str, str], missing: str
+    processes: Sequence[ProcessFacts], values: Mapping[str, str], concerns: Sequence[Concern]
 ) -> DiagnosticStatus:
     """Describe the node: sums over all processes, the longest wait of any, and each trouble.
 
@@ -65,8 +73,8 @@ def node_status(
     ----------
     values
         What concerns the node as a whole.
-    missing
-        What is not installed; empty if nothing.
+    concerns
+        What is wrong with the node as a whole.
     """
     parts = [each.part for each in processes if each.part is not None and not each.is_gone]
     streams = sum(part.streams for part in parts)
@@ -83,10 +91,8 @@ def node_status(
         "processes": str(len(processes)),
     }
     judged = [_judge(each) for each in processes]
-    level = max(level for level, _ in judged)
-    reasons = [reason for _, reason in judged if reason] + [missing] * bool(missing)
-    if missing and level == DiagnosticStatus.OK:
-        level = DiagnosticStatus.WARN
+    level = max(level for level, _ in (*judged, *concerns))
+    reasons = [reason for _, reason in (*judged, *concerns) if reason]
     return status("node", level, "; ".join(reasons) or f"{streams} streams", facts)
 
 

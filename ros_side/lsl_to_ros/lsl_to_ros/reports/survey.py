@@ -16,7 +16,7 @@ from lsl_to_ros.lsl.discovery import Discovery
 from lsl_to_ros.lsl.hosts import Senders
 from lsl_to_ros.lsl.share import Share
 from lsl_to_ros.reports.devices import device_statuses
-from lsl_to_ros.reports.diagnostics import stream_facts, stream_status
+from lsl_to_ros.reports.diagnostics import DOUBLED, LEASE_S, stream_facts, stream_status
 from lsl_to_ros.reports.overload import overload
 from lsl_to_ros.routing import Route, Routing
 
@@ -68,6 +68,8 @@ class Survey:
         self._warn = warn
         self._share = share
         self._load = Load()
+        self._doubled: dict[str, float] = {}
+        self._has_said_doubled = False
         self._overloads = False, False
 
     def look(self) -> None:
@@ -111,10 +113,25 @@ class Survey:
             pylsl.local_clock(),
             self._senders.trouble(inlet.core.hostname),
         )
+        topic = route.bridge.outputs.of_samples[0].publisher.name
+        facts = replace(
+            facts, twins=self._discovery.twins(inlet), doubled_s=self._doubled_for_s(topic)
+        )
         if facts.is_fast:
-            topic = route.bridge.outputs.of_samples[0].publisher.name
             facts = replace(facts, best_effort=self._best_effort_readers(topic))
         return stream_status(facts)
+
+    def _doubled_for_s(self, topic: str) -> float:
+        """Return for how long another node has published a topic, too."""
+        if self._node.count_publishers(topic) < 2:
+            self._doubled.pop(topic, None)
+            self._has_said_doubled &= bool(self._doubled)
+            return 0.0
+        for_s = monotonic() - self._doubled.setdefault(topic, monotonic())
+        if for_s > LEASE_S and not self._has_said_doubled:
+            self._warn(f"{topic}: {DOUBLED}; does this node run twice?")
+        self._has_said_doubled |= for_s > LEASE_S
+        return max(1e-9, for_s)
 
     def _best_effort_readers(self, topic: str) -> list[str]:
         """Ask DDS; of its readers' queues, it does not tell the length."""

@@ -103,6 +103,16 @@ class Bridge:
         return self._gaps.last_stamp
 
     @property
+    def has_unix_stamps(self) -> bool:
+        """Whether the sender stamps with Unix time instead of LSL's."""
+        return self._stamping.is_unix
+
+    def age_s(self, now_s: float) -> float:
+        """Return the age of the newest sample, at a time on this machine's LSL clock."""
+        stamping, stamp = self._stamping, self.last_stamp
+        return now_s - (stamping.local(stamp) if stamping.is_known else stamp)
+
+    @property
     def readers(self) -> int:
         """Subscribers of all its topics."""
         return sum(publisher.readers for publisher in self._publishers)

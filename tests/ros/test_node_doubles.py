@@ -1,0 +1,96 @@
+"""What is doubled, left out or stamped by another clock is said above OK, with real parts."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import pylsl
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from std_msgs.msg import String
+
+from lsl_to_ros.reports.diagnostics import DOUBLED, UNIX_STAMPS
+
+if TYPE_CHECKING:
+    from tests.ros.conftest import Ros, RunningNode, Status
+
+pytestmark = pytest.mark.nightly
+
+Start = Callable[..., "RunningNode"]
+
+
+def markers(name: str, source_id: str) -> pylsl.StreamOutlet:
+    return pylsl.StreamOutlet(pylsl.StreamInfo(name, "Markers", 1, 0, "string", source_id))
+
+
+def status_of(ros: Ros, name: str) -> Status:
+    status = ros.status(name)
+    assert status is not None
+    return status
+
+
+def test_a_node_that_runs_twice_is_an_error(ros: Ros, start_node: Start) -> None:
+    outlet = markers("twice", "twice-1")
+    topic = "/biosensors/twice/Markers"
+    first, second = start_node(), start_node()
+    ros.until(lambda: len(ros.publishers(topic)) == 2, "both nodes")
+
+    def is_said(level: bytes) -> bool:
+        told = [ros.status("node"), ros.status(topic)]
+        return all(each is not None and each.level == level for each in told)
+
+    ros.until(lambda: is_said(DiagnosticStatus.WARN), "a warning")
+    ros.until(lambda: is_said(DiagnosticStatus.ERROR), "an error")
+    assert "runs twice" in status_of(ros, "node").message
+    assert status_of(ros, topic).message == DOUBLED
+    ros.until(
+        lambda: all(each.count("runs twice") for each in (first, second)), "a line in each log"
+    )
+    second.end()
+    ros.until(lambda: "twice" not in status_of(ros, "node").message, "that one is left")
+    ros.until(lambda: status_of(ros, topic).level == DiagnosticStatus.OK, "a topic of one node")
+    del outlet
+
+
+def test_two_senders_with_one_source_id_are_an_error(ros: Ros, start_node: Start) -> None:
+    outlets = [markers("MyMarkerStream", "myuidw43536") for _ in range(2)]
+    start_node()
+
+    def reasons() -> list[str]:
+        found = [status_of(ros, name) for name in ros.present() if "MyMarkerStream" in name]
+        return [each.message for each in found if each.level == DiagnosticStatus.ERROR]
+
+    ros.until(lambda: bool(reasons()), "an error")
+    assert "another sender has the same source_id" in reasons()[0]
+    del outlets
+
+
+def test_a_sender_with_unix_stamps_is_told_so(ros: Ros, start_node: Start) -> None:
+    outlet = markers("unix", "unix-1")
+    node = start_node()
+    topic = "/biosensors/unix/Markers"
+    heard = ros.listen(String, topic)
+    ros.until(lambda: ros.status(topic) is not None, "its entry")
+
+    def push() -> bool:
+        outlet.push_sample(["go"], time.time())
+        return bool(heard) and status_of(ros, topic).message == UNIX_STAMPS
+
+    ros.until(push, "events and a warning")
+    assert status_of(ros, topic).level == DiagnosticStatus.WARN
+    assert abs(float(status_of(ros, topic)["age_s"])) < 30.0
+    assert node.count("a sample is not published") == 0
+
+
+def test_simulated_time_is_a_warning(ros: Ros, start_node: Start) -> None:
+    node = start_node("--ros-args", "-p", "use_sim_time:=true")
+    ros.until(lambda: node.count("[WARN]", "use_sim_time is on") == 1, "a line in the log")
+
+    def is_said() -> bool:
+        status = ros.status("node")
+        return status is not None and "use_sim_time is on" in status.message
+
+    ros.until(is_said, "the same in /diagnostics")
+    assert status_of(ros, "node").level == DiagnosticStatus.WARN
