@@ -91,22 +91,43 @@ def test_name_and_namespace_are_the_arguments(actions: list[Noted]) -> None:
         assert node[option].args == (argument,)
 
 
-def test_what_is_not_given_does_not_overrule_a_parameter_file(actions: list[Noted]) -> None:
+def test_what_is_not_given_does_not_overrule_a_parameter_file(
+    actions: list[Noted], lab_yaml: str
+) -> None:
     assert _node(actions)["parameters"] == []
-    assert _node(actions, params_file="lab.yaml")["parameters"] == ["lab.yaml"]
+    assert _node(actions, params_file=lab_yaml)["parameters"] == [lab_yaml]
 
 
-def test_what_is_given_comes_after_the_file_and_keeps_its_type(actions: list[Noted]) -> None:
+def test_a_file_that_is_not_there_is_refused(
+    actions: list[Noted], lab_yaml: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(Path(lab_yaml).parent))
+    # As ros2 launch passes it: no shell expands what stands behind the sign.
+    assert _node(actions, params_file="~/lab.yaml")["parameters"] == [lab_yaml]
+    with pytest.raises(FileNotFoundError, match="there is no file ~/nofile.yaml"):
+        _node(actions, params_file="~/nofile.yaml")
+
+
+@pytest.fixture
+def lab_yaml(tmp_path: Path) -> str:
+    file = tmp_path / "lab.yaml"
+    file.touch()
+    return str(file)
+
+
+def test_what_is_given_comes_after_the_file_and_keeps_its_type(
+    actions: list[Noted], lab_yaml: str
+) -> None:
     file, given = _node(
         actions,
-        params_file="lab.yaml",
+        params_file=lab_yaml,
         topic_prefix="7",
         stream_predicate="type='EEG'",
         processes="2",
         session_id="42",
         known_peers="[a, b]",
     )["parameters"]
-    assert file == "lab.yaml"
+    assert file == lab_yaml
     assert {name: value.args[0].args[0] for name, value in given.items()} == {
         name: name for name in PARAMETERS
     }
@@ -123,17 +144,19 @@ def test_each_parameter_can_be_given_alone(actions: list[Noted], name: str) -> N
     assert list(given) == [name]
 
 
-def test_the_second_node_has_a_file_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_second_node_has_a_file_of_its_own(
+    monkeypatch: pytest.MonkeyPatch, lab_yaml: str
+) -> None:
     *declared, start = _actions(monkeypatch, "ros_to_lsl.launch.py")
     nothing = {action.args[0]: action.options["default_value"] for action in declared}
     assert all(action.options["description"] for action in declared)
     assert {name: value for name, value in nothing.items() if value} == {"node_name": "ros_to_lsl"}
     (node,) = start.options["function"](nothing)
     assert (node.options["executable"], node.options["parameters"]) == ("ros_to_lsl", [])
-    given = nothing | {"topics": "[/odom]", "all_small": "true", "params_file": "robot.yaml"}
+    given = nothing | {"topics": "[/odom]", "all_small": "true", "params_file": lab_yaml}
     (node,) = start.options["function"](given)
     file, parameters = node.options["parameters"]
-    assert file == "robot.yaml"
+    assert file == lab_yaml
     types = {name: value.options["value_type"] for name, value in parameters.items()}
     assert repr(types.pop("topics")) == "typing.List[str]"
     assert types == {"all_small": bool}

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from launch import LaunchContext, LaunchDescription
@@ -40,9 +41,18 @@ def _argument(name: str, text: str, executable: str) -> DeclareLaunchArgument:
     return DeclareLaunchArgument(name, default_value="", description=f"{text}; empty: not set here")
 
 
+def _existing(params_file: str) -> str:
+    """Return the path of the file; what is not there would be a warning, and the defaults."""
+    path = Path(params_file).expanduser()
+    if params_file and not path.is_file():
+        message = f"params_file: there is no file {params_file}; give the path of one that is there"
+        raise FileNotFoundError(message)
+    return str(path) if params_file else ""
+
+
 def _node(context: LaunchContext, *, executable: str, types: Mapping[str, Any]) -> list[Node]:
     """Make the node from what was given: an empty value must not overrule the file's."""
-    params_file = LaunchConfiguration(PARAMS_FILE).perform(context)
+    params_file = _existing(LaunchConfiguration(PARAMS_FILE).perform(context))
     given = {
         name: ParameterValue(LaunchConfiguration(name), value_type=kind)
         for name, kind in types.items()
