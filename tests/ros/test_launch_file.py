@@ -104,7 +104,7 @@ def test_a_file_that_is_not_there_is_refused(
     monkeypatch.setenv("HOME", str(Path(lab_yaml).parent))
     # As ros2 launch passes it: no shell expands what stands behind the sign.
     assert _node(actions, params_file="~/lab.yaml")["parameters"] == [lab_yaml]
-    with pytest.raises(FileNotFoundError, match="there is no file ~/nofile.yaml"):
+    with pytest.raises(FileNotFoundError, match=r"there is no file ~/nofile\.yaml"):
         _node(actions, params_file="~/nofile.yaml")
 
 
