@@ -49,6 +49,7 @@ def full_path(name: str) -> str | None:
     """
     for folder in _folders():
         program = folder / f"{name}{_SUFFIX}"
-        if program.is_file() and os.access(program, os.X_OK):
+        # Unlike Path.is_file, this is no error in a folder that this user may not look into.
+        if os.path.isfile(program) and os.access(program, os.X_OK):  # noqa: PTH113
             return str(program)
     return None

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ast
+import errno
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -53,6 +55,24 @@ def test_what_is_no_program_is_not_taken_for_one(
     monkeypatch.setenv("PATH", os.pathsep.join(places))
     assert full_path("folder") == str(tmp_path / "second" / "folder")
     assert full_path("text") == str(tmp_path / "second" / "text")
+
+
+def test_a_folder_that_the_user_may_not_look_into_is_passed_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plant(tmp_path / "forbidden", "cat", "planted")
+    right = plant(tmp_path / "second", "cat", "right")
+    monkeypatch.setenv("PATH", os.pathsep.join(map(str, (tmp_path / "forbidden", right.parent))))
+    stat = os.stat
+
+    def refused(path: str | Path, **options: Any) -> os.stat_result:
+        if "forbidden" in str(path):
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return stat(path, **options)
+
+    # Root may look into every folder.
+    monkeypatch.setattr(os, "stat", refused)
+    assert full_path("cat") == str(right)
 
 
 def sources() -> Iterator[tuple[Path, ast.AST]]:

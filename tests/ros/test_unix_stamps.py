@@ -31,16 +31,20 @@ def test_unix_stamps_become_the_ros_times_that_they_are(correction: float) -> No
         assert seconds(stamping, stamp) == pytest.approx(stamp, abs=1e-6)
     assert stamping.is_unix
     # As old as it is, and not by the clock of LSL.
-    assert stamping.local(now) == pytest.approx(pylsl.local_clock(), abs=1.0)
+    assert stamping.local(now) == pytest.approx(pylsl.local_clock(), abs=60.0)
 
 
-@pytest.mark.parametrize("since", [0.0, 5000.0, time.time() - pylsl.local_clock()])
+@pytest.mark.parametrize(
+    "since",
+    [0.0, 5000.0, time.time() - pylsl.local_clock()],
+    ids=["now", "another computer", "unix"],
+)
 def test_stamps_of_any_lsl_clock_are_no_unix_stamps(since: float) -> None:
     # The last one is of a program whose LSL clock counts from 1970.
     stamping = Stamping(RosTime(NODE), lambda: -since)
     stamp = pylsl.local_clock() + since
     assert stamping.are_times(np.array([stamp])).all()
-    assert seconds(stamping, stamp) == pytest.approx(time.time(), abs=1.0)
+    assert seconds(stamping, stamp) == pytest.approx(time.time(), abs=60.0)
     assert not stamping.is_unix
 
 

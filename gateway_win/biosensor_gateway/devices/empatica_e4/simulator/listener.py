@@ -78,9 +78,14 @@ class Listener:
         if not self._port.is_open:
             return False
         self.clients.add(client)
+        # In Python 3.11.2, which Debian 12 has, asyncio reads from a new connection although that
+        # was paused as it was made, so it is paused right after.
+        asyncio.get_running_loop().call_soon(self._stall_new, client)
+        return True
+
+    def _stall_new(self, client: Client) -> None:
         if self._is_stalled:
             client.stall()
-        return True
 
     def let_go(self, client: Client) -> None:
         """Forget a client whose connection has ended."""
