@@ -11,7 +11,7 @@ from biosensor_gateway.agent.state import State
 from biosensor_gateway.demo.virtual_devices import one_of_each, virtual_class
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
-from tests.rigs.bluetooth import ON_BLUEZ
+from tests.rigs.bluetooth import SEAM_ON_BLUEZ
 from tests.rigs.driver_run import streaming
 from tests.rigs.polling import until
 from tests.rigs.truth import assert_once_and_in_order
@@ -24,8 +24,7 @@ pytestmark = pytest.mark.nightly
 NAMES = [name for name in one_of_each() if virtual_class(name).on_air]
 
 
-@pytest.mark.seam
-@ON_BLUEZ
+@SEAM_ON_BLUEZ
 @pytest.mark.parametrize("name", NAMES)
 async def test_an_adapter_that_is_switched_off_is_waited_for(
     radio: Radio, bluez: FakeBluez, name: str

@@ -20,8 +20,6 @@ from tests.rigs.polling import until
 from tests.rigs.probe import SERIAL, Probe
 from tests.rigs.probe_link import DEADLINE_S, choice, refusal, switched_on
 
-pytestmark = pytest.mark.nightly
-
 
 async def test_stopping_while_connecting_leaves_the_device_free(
     probe: Probe, monkeypatch: pytest.MonkeyPatch

@@ -20,8 +20,6 @@ from tests.rigs.polling import until
 from tests.rigs.probe import Probe
 from tests.rigs.probe_link import DEADLINE_S, choice, refusal, switched_on
 
-pytestmark = pytest.mark.nightly
-
 
 async def hang(*_: Any) -> None:
     """Like a call whose service has died: it does not heed its cancellation."""

@@ -54,7 +54,6 @@ async def _nobody_listens() -> None:
             await asyncio.sleep(0.05)
 
 
-@pytest.mark.seam
 @pytest.mark.parametrize("device", ["", "Probe 1"])
 async def test_a_device_that_a_killed_program_left_is_freed(
     listener: subprocess.Popen[str], probe: Probe, device: str

@@ -26,8 +26,6 @@ from tests.rigs.polling import until
 from tests.rigs.probe import COMPANY, EVENT, FLOW, NOTE, REFUSAL, SECRET, SERIAL, Probe
 from tests.rigs.probe_link import DEADLINE_S, choice, refusal
 
-pytestmark = pytest.mark.nightly
-
 HEART_RATE = "0000180d-0000-1000-8000-00805f9b34fb"
 
 

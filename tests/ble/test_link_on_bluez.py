@@ -36,7 +36,6 @@ async def test_a_daemon_that_dies_shows_in_the_next_request(
     await again.close()
 
 
-@pytest.mark.seam
 async def test_a_bus_that_dies_ends_the_link(link: BleLink, bluez: FakeBluez) -> None:
     bluez.kill_bus()
     assert (await refusal(link.next())).reason is TransportReason.LOST
@@ -83,7 +82,6 @@ async def test_no_other_device_is_taken_away(link: BleLink, device: str) -> None
     assert await link.read(SERIAL) == b"0815"
 
 
-@pytest.mark.seam
 async def test_it_is_taken_once(link: BleLink) -> None:
     """Whoever connects to it after that has a right to it."""
     chosen = choice("1")

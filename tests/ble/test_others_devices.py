@@ -13,7 +13,7 @@ from tests.ble.conftest import absence, heard
 from tests.rigs.probe import Probe
 from tests.rigs.probe_link import choice, generic_choice, switched_on
 
-pytestmark = [pytest.mark.nightly, pytest.mark.usefixtures("hurry")]
+pytestmark = [pytest.mark.usefixtures("hurry")]
 
 
 @pytest.mark.parametrize("device", ["", "1", "Probe 1", "A0:9E:1A:00:00:01"])

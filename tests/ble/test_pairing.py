@@ -163,7 +163,6 @@ def link_of(pairing: Pairing) -> BleLink:
     return BleLink(Choice(lambda seen: seen.address, "probe", ADDRESS), pairing=pairing)
 
 
-@pytest.mark.nightly
 @ON_BUMBLE
 async def test_on_windows_the_pairing_ends_before_the_connection(
     probe: Probe, calls: Calls
@@ -178,7 +177,6 @@ async def test_on_windows_the_pairing_ends_before_the_connection(
     assert calls.options[0]["winrt"] == {"use_cached_services": False}
 
 
-@pytest.mark.nightly
 @ON_BUMBLE
 async def test_elsewhere_it_stays(probe: Probe, calls: Calls) -> None:
     link = link_of(Pairing(platform="linux"))
@@ -190,7 +188,6 @@ async def test_elsewhere_it_stays(probe: Probe, calls: Calls) -> None:
     assert calls.options[0]["winrt"] == {}
 
 
-@pytest.mark.nightly
 @ON_BUMBLE
 async def test_a_link_that_drops_at_once_is_paired_before_the_next_one(
     probe: Probe, calls: Calls
@@ -212,7 +209,6 @@ async def test_a_link_that_drops_at_once_is_paired_before_the_next_one(
     assert calls.made[-2:] == ["unpair", "disconnect"]
 
 
-@pytest.mark.nightly
 @ON_BUMBLE
 async def test_who_cannot_unpair_disconnects_all_the_same(
     probe: Probe, calls: Calls, monkeypatch: pytest.MonkeyPatch

@@ -14,7 +14,7 @@ from tests.rigs.probe_link import choice, refusal, switched_on
 
 NAME = "Probe 1"
 
-pytestmark = [pytest.mark.nightly, pytest.mark.usefixtures("hurry")]
+pytestmark = [pytest.mark.usefixtures("hurry")]
 
 
 @pytest.mark.parametrize("device", ["", "1", NAME])

@@ -41,6 +41,8 @@ __all__ = [
 _BLUEZ = pytest.param("bluez", marks=pytest.mark.nightly)
 ON_BLUEZ = pytest.mark.parametrize("rig", [_BLUEZ])
 """For what only BlueZ does."""
+SEAM_ON_BLUEZ = pytest.mark.parametrize("rig", [pytest.param("bluez", marks=pytest.mark.seam)])
+"""The same for the few tests that every change has to pass."""
 ON_BUMBLE = pytest.mark.parametrize("rig", ["bumble"])
 """For what BlueZ does otherwise, and for bleak calls that the test replaces on any rig."""
 
