@@ -53,13 +53,10 @@ class RecordedHeader:
         Nominal rate in Hz, 0 if irregular.
     created_at
         LSL time at which the outlet was made, on its host's clock; NaN if unknown.
-    labels
-        One a channel; a number where the header gives none.
-    units
-        One a channel; empty text where the header gives none.
+    labels, units
+        One for each channel; a number and empty text where the header gives none.
     can_drop_samples
-        Whether the header says that samples may be missing, so that loaders
-        keep every stamp as it is.
+        Whether samples may be missing, so that loaders keep every stamp as it is.
     identity, data_name
         Which of our streams it is; None and empty if it is another program's.
     refused
@@ -71,8 +68,7 @@ class RecordedHeader:
     xml
         The header as it was recorded.
     may_be_older
-        Whether it is ours and tells of the device, which is sent to whoever comes first, with
-        the time at which it was measured: long before the recording, it may be.
+        Whether its samples may have been measured long before the recording began.
     """
 
     name: str
@@ -102,24 +98,22 @@ class RecordedHeader:
     @property
     def is_of_agent(self) -> bool:
         """Whether a capture agent sent it while it was recorded, and so counted its samples."""
-        is_of_node = self.identity is not None and self.identity.sensor == NODE
-        return self.is_ours and self.replay is None and not is_of_node
+        return self.is_ours and self.replay is None and not self._is_from(NODE)
 
     @property
     def is_counters(self) -> bool:
         """Whether the capture agent counts its samples in this stream."""
-        return self._is_agents("counters")
+        return self._is_from(AGENT, "counters")
 
     @property
     def is_events(self) -> bool:
         """Whether the capture agent says in this stream what happens to its devices."""
-        return self._is_agents("events")
+        return self._is_from(AGENT, "events")
 
     @property
     def is_events_of_node(self) -> bool:
         """Whether a node says in this stream what happened to the topics that it sends."""
-        is_node = self.identity is not None and self.identity.sensor == NODE
-        return is_node and self.replay is None and self.data_name == "events"
+        return self._is_from(NODE, "events")
 
     @property
     def is_recordable(self) -> bool:
@@ -131,9 +125,9 @@ class RecordedHeader:
         """Whether samples are meant to be equidistant."""
         return self.rate > 0
 
-    def _is_agents(self, data_name: str) -> bool:
-        is_agent = self.identity is not None and self.identity.sensor == AGENT
-        return is_agent and self.replay is None and self.data_name == data_name
+    def _is_from(self, program: str, data_name: str = "") -> bool:
+        is_from = self.identity is not None and self.identity.sensor == program
+        return is_from and data_name in {"", self.data_name} and self.replay is None
 
     def parsed(self) -> ET.Element:
         """Return the header as XML elements.

@@ -13,7 +13,7 @@ Publish streams of the Lab Streaming Layer as topics of ROS 2.
   ros2 run lsl_to_ros lsl_to_ros --ros-args -p Chunk_Length:=36
   ros2 run lsl_to_ros lsl_to_ros --ros-args --params-file lsl_to_ros.yaml
 """
-_OF_STREAMS = "For all, or behind a sensor and data name, as in zephyr.ecg.Chunk_Length:"
+_OF_STREAMS = "For all, or behind a sensor and data name, as in SENSOR.DATA.Chunk_Length:"
 
 
 def usage() -> str:
