@@ -104,6 +104,33 @@ def test_a_session_with_markers_and_a_sensor_that_drops_out(
     assert len(gaps) == 1
 
 
+TYPES_AT_ONCE = """([participant, folder]) => {
+  for (const [label, text] of [["Participant now", participant], ["Folder", folder]]) {
+    const box = [...document.querySelectorAll("label")]
+      .find((each) => each.textContent.startsWith(label)).querySelector("input");
+    box.value = text;
+    box.dispatchEvent(new InputEvent("input", { bubbles: true }));
+  }
+}"""
+
+
+def test_what_is_typed_faster_than_the_page_is_drawn_stays(
+    server: Server, window: Callable[..., Page], harness: SteeredBioHarness
+) -> None:
+    server.programs.settings.write_text(SETTINGS.format(port=harness.port))
+    page = window()
+    page.goto(server.address)
+    page.get_by_role("button", name="Start streaming").click()
+    session = page.get_by_role("region", name="Recording")
+    # Prefilled with who wears the sensors; who types that once more changes nothing.
+    expect(session.get_by_label("Participant")).to_have_value("p01")
+    session.get_by_label("Participant").fill("p02")
+    page.evaluate(TYPES_AT_ONCE, ["p01", "/somewhere"])
+    page.wait_for_timeout(300)
+    expect(session.get_by_label("Folder")).to_have_value("/somewhere")
+    expect(session.get_by_label("Participant")).to_have_value("p01")
+
+
 def _markers(streams: dict[str, Any]) -> str:
     (name,) = [each for each in streams if each.startswith("gateway-") and "markers" in each]
     return name

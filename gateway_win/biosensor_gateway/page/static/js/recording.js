@@ -80,8 +80,8 @@ function Begin({ status, act }) {
   // Until somebody types another one, it is who wears the sensors.
   const participant = fields.participant ?? (people.length === 1 ? people[0] : "");
   const isAsWorn = people.length === 1 && fields.participant === people[0];
-  useEffect(() => { if (isAsWorn) setFields({ ...fields, participant: null }); }, [isAsWorn]);
-  const set = (name) => (event) => setFields({ ...fields, [name]: event.target.value });
+  useEffect(() => { if (isAsWorn) setFields({ participant: null }); }, [isAsWorn]);
+  const set = (name) => (event) => setFields({ [name]: event.target.value });
   const begin = (event) => {
     event.preventDefault();
     once("POST", "/recording/start", { ...fields, participant, allow_missing: isLax });
