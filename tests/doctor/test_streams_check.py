@@ -6,6 +6,7 @@ import os
 import socket
 import sys
 import time
+import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,8 @@ from tests.doctor.outlets import Offered, arguments, running
 if TYPE_CHECKING:
     from tests.doctor.conftest import Examine
 
+# Streams of other sessions are seen, too, so those of another run must have other ids.
+SAME, TWICE = (f"{word}-{uuid.uuid4().hex[:8]}" for word in ("same", "twice"))
 GOOD = SurveyedStream("ecg", "id-1", "u1", "lab-pc", "float32", [16572], 0.001, 0.0004, 0.01)
 
 
@@ -51,8 +54,8 @@ def test_real_streams_with_real_mistakes(
         Offered("good", "good-1"),
         Offered("twin", "twin-1"),
         Offered("twin", "twin-2"),
-        Offered("same-id-a", "same"),
-        Offered("same-id-b", "same"),
+        Offered("same-id-a", SAME),
+        Offered("same-id-b", SAME),
         Offered("empty", ""),
         Offered("automatic", None),
         Offered("whole", "whole-1", format="int64"),
@@ -67,13 +70,13 @@ def test_real_streams_with_real_mistakes(
     bad = {what: each for what, each in bad.items() if each.level is not Level.NOTE}
     assert {what: each.level for what, each in bad.items()} == {
         "2 streams are called twin": Level.WARNING,
-        "2 streams have the source_id same": Level.ERROR,
+        f"2 streams have the source_id {SAME}": Level.ERROR,
         "without a source_id": Level.WARNING,
         "with a source_id that pylsl made up": Level.WARNING,
         "of the format int64": Level.ERROR,
         f"unix on {socket.gethostname()}": Level.ERROR,
     }
-    assert "same-id-a" in bad["2 streams have the source_id same"].what
+    assert "same-id-a" in bad[f"2 streams have the source_id {SAME}"].what
     assert bad["without a source_id"].what.endswith(": empty")
     assert bad["with a source_id that pylsl made up"].what.endswith(": automatic")
     assert bad["of the format int64"].what.endswith(": whole")
@@ -83,13 +86,13 @@ def test_real_streams_with_real_mistakes(
 def test_a_source_id_is_in_another_session_too(
     examine: Examine, context: Context, session: str, offer: Callable[..., None]
 ) -> None:
-    offer(Offered("own", "same"), Offered("alone", "own-1"))
-    elsewhere = arguments(f"{session}-b", [Offered("theirs", "same"), Offered("other", "b-1")])
+    offer(Offered("own", TWICE), Offered("alone", "own-1"))
+    elsewhere = arguments(f"{session}-b", [Offered("theirs", TWICE), Offered("other", "b-1")])
     with running([sys.executable, *elsewhere], os.environ):
         found = examine(context, "streams")
     bad = only(found, "another LSL session")
     assert bad.level is Level.ERROR
-    assert "has the source_id same, too: theirs on" in bad.what
+    assert f"has the source_id {TWICE}, too: theirs on" in bad.what
     assert f"in session '{session}-b'" in bad.what
 
 
