@@ -47,6 +47,17 @@ def test_nothing_is_asked_of_an_inlet_without_a_limit() -> None:
     assert unlimited == []
 
 
+def test_descriptions_are_read_in_one_place_which_looks_whose_they_are() -> None:
+    readers = [
+        path
+        for path, calls in _modules().items()
+        for name, call in calls
+        if name == "info"
+        and ast.unparse(call.args[0] if call.args else call).endswith(("_S", "limit_s"))
+    ]
+    assert readers == [MAKER]
+
+
 def test_who_makes_an_inlet_unopened_opens_it_before_a_pull() -> None:
     unopened = {
         path

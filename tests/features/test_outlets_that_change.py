@@ -10,6 +10,7 @@ import pylsl
 import pytest
 from pylsl import util
 
+from biosensor_common.lsl.inlets import read_description
 from biosensor_gateway.features import links
 from biosensor_gateway.features import live as live_module
 from biosensor_gateway.features.live import RIVAL_S, SETTLED_S, Live
@@ -21,9 +22,15 @@ FIRST, SECOND = "uid-1", "uid-2"
 class Outlet:
     """Announces a stream, as a resolver's info does, and is what its inlet receives."""
 
-    def __init__(self, uid: str, source_id: str = "strap", unit: str = "microvolts") -> None:
+    def __init__(
+        self,
+        uid: str,
+        source_id: str = "strap",
+        unit: str = "microvolts",
+        kind: str = "ECG",
+    ) -> None:
         self._uid, self._source_id = uid, source_id
-        info = pylsl.StreamInfo("strap", "ECG", 1, 130.0, "float32", source_id)
+        info = pylsl.StreamInfo("strap", kind, 1, 130.0, "float32", source_id)
         channel = info.desc().append_child("channels").append_child("channel")
         channel.append_child_value("label", "ECG")
         channel.append_child_value("unit", unit)
@@ -169,3 +176,24 @@ def test_what_cannot_be_opened_holds_up_no_other_stream(watched: Watched) -> Non
     watched.see(gone, other)
     watched.see(gone, other)
     assert [each.source_id for each in watched.told.sources] == ["other", "strap"]
+
+
+def test_what_a_stream_leaves_is_computed_of_another_one_of_its_device(watched: Watched) -> None:
+    ecg, pulse = Outlet(FIRST, "ecg"), Outlet(SECOND, "ppg", kind="PPG")
+    ecg.is_gone = True
+    watched.see(ecg, pulse)
+    watched.see(pulse)
+    assert {each.source_id for each in watched.told.sources} == {"ppg"}
+    data_names = {each.stream.data_name for each in watched.told.sources[-1].features}
+    assert {"beats", "hr_live"} <= data_names
+
+
+def test_an_outlet_that_has_the_port_of_another_does_not_describe_it() -> None:
+    class Inlet:
+        def info(self, _limit_s: float) -> Outlet:
+            return Outlet(SECOND)
+
+    inlet = cast("pylsl.StreamInlet", Inlet())
+    with pytest.raises(util.LostError):
+        read_description(inlet, FIRST, 1.0)
+    assert read_description(inlet, SECOND, 1.0).uid() == SECOND

@@ -10,6 +10,7 @@ reads its header again.
 from __future__ import annotations
 
 import pylsl
+import pylsl.util
 
 
 def unopened_inlet(
@@ -39,3 +40,20 @@ def open_inlet(
     inlet = unopened_inlet(info, max_buflen, as_numpy=as_numpy)
     inlet.open_stream(limit_s)
     return inlet
+
+
+def read_description(inlet: pylsl.StreamInlet, uid: str, limit_s: float) -> pylsl.StreamInfo:
+    """Return what the outlet of an inlet says of its stream, with its description.
+
+    An outlet that appears takes the port of one that has just ended, and answers whoever asks
+    there, so that its header would be taken for that of the other stream.
+
+    Raises
+    ------
+    RuntimeError
+        ``TimeoutError`` or ``LostError`` of pylsl: it does not answer in time, or is gone.
+    """
+    info = inlet.info(limit_s)
+    if info.uid() != uid:
+        raise pylsl.util.LostError("another outlet has taken its port")
+    return info

@@ -6,13 +6,14 @@ import math
 import threading
 from collections.abc import Callable, Container, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 import pylsl
 
 from biosensor_common.errors import SpecError, TransportError
-from biosensor_common.lsl.inlets import unopened_inlet
+from biosensor_common.lsl.inlets import read_description, unopened_inlet
 from biosensor_common.lsl.predicates import any_of, equals
 from biosensor_common.lsl_header import read_header
 from biosensor_common.lsl_outlet import LslOutlet
@@ -142,6 +143,8 @@ class Live:
         # By uid: what it is called over restarts.
         self._known: dict[str, str] = {}
         self._waiting: list[_Seen] = []
+        # Streams of which a better one of their device left something over.
+        self._spare: dict[str, _Seen] = {}
         self._taken: Taken = set()
         self._stages: dict[str, _Stage] = {}
         self._asking = ThreadPoolExecutor(_ASKING, thread_name_prefix="asking")
@@ -171,6 +174,7 @@ class Live:
         pending |= {each.info.uid() for each in self._waiting}
         for uid in self._known.keys() - present - pending:
             del self._known[uid]
+            self._spare.pop(uid, None)
         for info in infos:
             if info.uid() not in self._known and not self._is_held(info, present):
                 self._known[info.uid()] = _key(info)
@@ -210,8 +214,12 @@ class Live:
         """Leave its features to other streams of the device."""
         stage = self._stages.pop(key)
         stage.close()
-        source = stage.source
-        self._taken -= {(source.identity, each.stream.data_name) for each in source.features}
+        identity = stage.source.identity
+        features = stage.source.features
+        self._taken -= {(identity, each.stream.data_name) for each in features}
+        for uid, seen in list(self._spare.items()):
+            if seen.source.identity == identity:
+                self._waiting.append(self._spare.pop(uid))
 
     def _is_held(self, info: pylsl.StreamInfo, present: Container[str]) -> bool:
         """Whether another outlet of this stream, or this one, is received."""
@@ -265,10 +273,23 @@ class Live:
         young = {each.source.identity for each in self._waiting if now - each.since_s < SETTLED_S}
         ready = [each for each in self._waiting if each.source.identity not in young]
         self._waiting = [each for each in self._waiting if each.source.identity in young]
-        infos = {id(each.source.header): each.info for each in ready}
-        for source in choose((each.source for each in ready), self._taken):
-            info = infos[id(source.header)]
-            self._stages[_key(info)] = _Stage(source, info, self._asking)
+        chosen = choose((each.source for each in ready), self._taken)
+        by_header = {id(each.header): each for each in chosen}
+        for seen in ready:
+            source = by_header.get(id(seen.source.header))
+            features = source.features if source else ()
+            if left := [each for each in seen.source.features if each not in features]:
+                rest = replace(seen.source, features=tuple(left))
+                self._spare[seen.info.uid()] = _Seen(rest, seen.info, now)
+            if source is not None:
+                self._start(source, seen.info)
+
+    def _start(self, source: Source, info: pylsl.StreamInfo) -> None:
+        """Compute features of a stream, and with them those that it had already."""
+        if (earlier := self._stages.pop(_key(info), None)) is not None:
+            earlier.close()
+            source = replace(source, features=(*earlier.source.features, *source.features))
+        self._stages[_key(info)] = _Stage(source, info, self._asking)
 
 
 def _key(info: pylsl.StreamInfo) -> str:
@@ -278,4 +299,4 @@ def _key(info: pylsl.StreamInfo) -> str:
 
 def _description(info: pylsl.StreamInfo) -> str:
     """Return what the sender of a stream says of it; raises what liblsl does."""
-    return unopened_inlet(info).info(_DESCRIPTION_S).as_xml()
+    return read_description(unopened_inlet(info), info.uid(), _DESCRIPTION_S).as_xml()

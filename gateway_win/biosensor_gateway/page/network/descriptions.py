@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import pylsl
 
 from biosensor_common.errors import SpecError
-from biosensor_common.lsl.inlets import unopened_inlet
+from biosensor_common.lsl.inlets import read_description, unopened_inlet
 from biosensor_common.lsl_header import read_header
 from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
 from biosensor_gateway.page.network.stream import NetworkStream
@@ -75,7 +75,7 @@ def _read(info: pylsl.StreamInfo, core: CoreFields) -> tuple[StreamHeader, str]:
     RuntimeError
         It does not come in time, or the stream is lost.
     """
-    xml = unopened_inlet(info).info(TIMEOUT_S).as_xml()
+    xml = read_description(unopened_inlet(info), info.uid(), TIMEOUT_S).as_xml()
     try:
         return read_header(xml), ""
     except SpecError as error:

@@ -12,7 +12,7 @@ from pylsl import util
 
 from biosensor_common.announcements import read_core
 from biosensor_common.errors import SpecError
-from biosensor_common.lsl.inlets import unopened_inlet
+from biosensor_common.lsl.inlets import read_description, unopened_inlet
 from biosensor_common.lsl.predicates import Predicate, all_of, has, none_of
 from biosensor_common.lsl_header import read_header
 from biosensor_common.quantities import ChannelFormat
@@ -238,7 +238,7 @@ class Inlet:
     def _read_descriptions(self, reading: Reading) -> None:
         lsl = reading.lsl
         lsl.open_stream(OPEN_TIMEOUT_S)
-        self._full_info = lsl.info(OPEN_TIMEOUT_S)
+        self._full_info = read_description(lsl, self.uid, OPEN_TIMEOUT_S)
         self.is_from_ros = matches_query(self._full_info, FROM_ROS)
         self.header = self._read_header(self._full_info)
         self.state = InletState.READY
