@@ -202,6 +202,21 @@ def test_a_value_that_was_set_can_be_unset_again(make_node: MakeNode) -> None:
     assert parameters.settings(PLAIN, "ecg", "ecg").chunk_length == 7
 
 
+@pytest.mark.nightly
+def test_what_param_dump_writes_of_keys_that_are_not_set_is_read_as_that(
+    make_node: MakeNode,
+) -> None:
+    node: Any = make_node(zephyr__ecg__Chunk_Length="null", zephyr__Chunk_Length=7)
+    said: list[str] = []
+    node.get_logger().error = said.append
+    parameters = Parameters(node)
+    parameters.declare(PLAIN, "ecg", "ecg")
+    assert said == []
+    assert set_to(node, zephyr__ecg__Chunk_Enable="None", zephyr__ecg__Chunk_Length="null") == ""
+    assert node.get_parameter("zephyr.ecg.Chunk_Length").value is None
+    assert parameters.settings(PLAIN, "ecg", "ecg").chunk_length == 7
+
+
 @pytest.mark.seam
 def test_no_value_of_several_is_taken_if_one_is_refused(make_node: MakeNode) -> None:
     node: Any = make_node()

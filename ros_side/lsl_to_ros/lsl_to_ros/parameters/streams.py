@@ -33,6 +33,9 @@ DEFAULTS: dict[str, bool | int] = {SENSOR_ENABLE: True, CHUNK_ENABLE: True, CHUN
 
 # Every other parameter is a misspelt one.
 _OF_ROS = frozenset({"use_sim_time", "start_type_description_service"})
+# What ``ros2 param dump`` writes of a key that nobody has set, as a file of parameters and as
+# ``ros2 param load`` hand it on.
+_UNSET = ("null", "None")
 
 TEXTS = {
     SENSOR_ENABLE: "publish anything at all: raw, chunk and hardware topics",
@@ -142,6 +145,9 @@ class Parameters:
     def _drop_invalid(self) -> None:
         """Undo bad values of a parameter file: it is read before anything can refuse them."""
         for name, parameter in self._node.get_parameters_by_prefix("").items():
+            if _is_unset(parameter):
+                self._node.undeclare_parameter(parameter.name)
+                continue
             fault = _fault(parameter.name or name, parameter.value)
             if fault is not None:
                 self._node.get_logger().error(f"{fault}; it is ignored")
@@ -158,7 +164,7 @@ class Parameters:
     def _asked(self, parameters: list[Parameter]) -> list[Parameter]:
         """Note what somebody sets; what is declared does not come this way."""
         self._asked_for = {parameter.name for parameter in parameters}
-        return parameters
+        return [Parameter(each.name) if _is_unset(each) else each for each in parameters]
 
     def _changed(self, parameters: Iterable[Parameter]) -> None:
         asked_for, self._asked_for = self._asked_for, set()
@@ -185,6 +191,10 @@ def prefixes(identity: DeviceIdentity, data_name: str) -> list[str]:
 
 def _token(data_name: str) -> str:
     return naming.sanitise(data_name)
+
+
+def _is_unset(parameter: Parameter) -> bool:
+    return parameter.name.rpartition(".")[2] in DEFAULTS and parameter.value in _UNSET
 
 
 def _fault(name: str, value: object) -> str | None:
