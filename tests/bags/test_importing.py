@@ -167,6 +167,7 @@ def test_a_bag_of_the_node_becomes_its_streams_and_the_same_topics_again(tmp_pat
     made.write_bag(tmp_path / "live", _live(topic, 50))
     imported = import_bag(tmp_path / "live", tmp_path / "live.xdf")
     assert imported.streams == ((f"{topic}_stamped", 50),)
+    assert imported.guess.startswith(f"{topic}_stamped: the node's list of streams is not in the bag")
     with open_contents(tmp_path / "live.xdf") as contents:
         (stream,) = contents.streams
         assert (stream.header.format.value, stream.meaning.units) == ("float32", ("millivolts",))
@@ -175,6 +176,7 @@ def test_a_bag_of_the_node_becomes_its_streams_and_the_same_topics_again(tmp_pat
     assert not outcome.written[0].notes
     again = import_bag(tmp_path / "again", tmp_path / "again.xdf")
     assert again.streams == ((f"{topic}_stamped", 50),)
+    assert again.guess == ""
     (first,), (second,) = made.held(tmp_path / "live.xdf"), made.held(tmp_path / "again.xdf")
     assert first.bits == second.bits
     assert first.xml == second.xml
@@ -207,7 +209,7 @@ def test_the_nodes_list_of_streams_tells_what_its_topics_do_not(tmp_path: Path) 
     made.write_bag(
         tmp_path / "live", [("/lsl_to_ros/streams", kind, BEGIN_NS, listed), *_live(topic, 50)]
     )
-    import_bag(tmp_path / "live", tmp_path / "live.xdf")
+    assert import_bag(tmp_path / "live", tmp_path / "live.xdf").guess == ""
     with open_contents(tmp_path / "live.xdf") as contents:
         (stream,) = contents.streams
     assert stream.header.refused == ""

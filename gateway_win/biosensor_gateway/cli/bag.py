@@ -56,12 +56,14 @@ def import_recording(
             "streams": [{"topic": name, "samples": count} for name, count in imported.streams],
             "left_out": imported.left_out,
             "damages": imported.damages,
+            "guess": imported.guess,
         }
         typer.echo(json.dumps(content, indent=2))
     else:
         _say(
             [f"{topic} is left out: {why}" for topic, why in imported.left_out.items()],
             list(imported.damages),
+            [imported.guess] if imported.guess else [],
         )
         samples = sum(count for _, count in imported.streams)
         say(f"wrote {imported.written}: {len(imported.streams)} streams, {samples} samples")

@@ -49,6 +49,8 @@ class Imported:
         Why a topic is not in the recording, by its name.
     damages
         What could not be read, a sentence each.
+    guess
+        A sentence on what of the streams the bag does not tell; empty if it tells all.
     """
 
     path: Path
@@ -56,6 +58,7 @@ class Imported:
     streams: tuple[tuple[str, int], ...]
     left_out: Mapping[str, str]
     damages: tuple[str, ...]
+    guess: str
 
 
 def usual_path(bag: Path) -> Path:
@@ -91,6 +94,7 @@ def import_bag(path: Path, target: Path) -> Imported:
         tuple(conversion.counts()),
         conversion.left_out,
         tuple(dict.fromkeys((*surveyed.damages, *conversion.damages()))),
+        surveyed.guess(),
     )
 
 

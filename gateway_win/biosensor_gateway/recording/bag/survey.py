@@ -60,6 +60,19 @@ class Survey:
             names.update((raw, f"{raw}_chunk"))
         return frozenset(names - stamped - self.recorded.keys())
 
+    def guess(self) -> str:
+        """Say of which streams the bag tells only what is in their messages; empty if of none."""
+        stamped = {name for name, topic in self.topics.items() if _is_stamped(topic)}
+        unlisted = sorted(stamped - self.recorded.keys() - self.facts.keys())
+        if not unlisted:
+            return ""
+        more = f" and {len(unlisted) - 1} more" if len(unlisted) > 1 else ""
+        return (
+            f"{unlisted[0]}{more}: the node's list of streams is not in the bag, so that names, "
+            "types, formats and rates of these streams are guesses, and losses cannot be found; "
+            "record its topic, too: add |.*/streams to the regex of ros2 bag record"
+        )
+
     def raw_type(self, stamped: str) -> str:
         """Return the type of the raw topic beside a stamped one; empty if it was not recorded."""
         raw = self.topics.get(stamped.removesuffix(STAMPED))
