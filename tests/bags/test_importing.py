@@ -167,7 +167,8 @@ def test_a_bag_of_the_node_becomes_its_streams_and_the_same_topics_again(tmp_pat
     made.write_bag(tmp_path / "live", _live(topic, 50))
     imported = import_bag(tmp_path / "live", tmp_path / "live.xdf")
     assert imported.streams == ((f"{topic}_stamped", 50),)
-    assert imported.guess.startswith(f"{topic}_stamped: the node's list of streams is not in the bag")
+    missing = "the node's list of streams is not in the bag"
+    assert imported.guess.startswith(f"{topic}_stamped: {missing}")
     with open_contents(tmp_path / "live.xdf") as contents:
         (stream,) = contents.streams
         assert (stream.header.format.value, stream.meaning.units) == ("float32", ("millivolts",))

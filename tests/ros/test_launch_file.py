@@ -15,12 +15,24 @@ import pytest
 from lsl_to_ros.ros_to_lsl.parameters import NODE_OPTIONS
 
 LAUNCH_FILES = Path(__file__).parents[2] / "ros_side" / "lsl_to_ros" / "launch"
-PARAMETERS = ("topic_prefix", "stream_predicate", "processes", "session_id", "known_peers")
+PARAMETERS = (
+    "Sensor_Enable",
+    "Chunk_Enable",
+    "Chunk_Length",
+    "topic_prefix",
+    "stream_predicate",
+    "processes",
+    "session_id",
+    "known_peers",
+    "use_sim_time",
+)
 NOTHING_GIVEN = {
     "namespace": "",
     "node_name": "lsl_to_ros",
     **dict.fromkeys(PARAMETERS, ""),
     "params_file": "",
+    "log_level": "",
+    "respawn": "",
 }
 
 
@@ -128,14 +140,36 @@ def test_what_is_given_comes_after_the_file_and_keeps_its_type(
         known_peers="[a, b]",
     )["parameters"]
     assert file == lab_yaml
+    names = ("topic_prefix", "stream_predicate", "processes", "session_id", "known_peers")
     assert {name: value.args[0].args[0] for name, value in given.items()} == {
-        name: name for name in PARAMETERS
+        name: name for name in names
     }
     types = {name: value.options["value_type"] for name, value in given.items()}
     assert {types[name] for name in ("topic_prefix", "stream_predicate", "session_id")} == {str}
     assert types["processes"] is int
     # launch compares with typing's alias and refuses the plain list[str].
     assert repr(types["known_peers"]) == "typing.List[str]"
+
+
+def test_the_length_of_chunks_is_a_number_and_switches_are_switches(actions: list[Noted]) -> None:
+    (given,) = _node(
+        actions, Chunk_Length="20", Chunk_Enable="false", Sensor_Enable="true", use_sim_time="true"
+    )["parameters"]
+    types = {name: value.options["value_type"] for name, value in given.items()}
+    assert types == {
+        "Chunk_Length": int,
+        "Chunk_Enable": bool,
+        "Sensor_Enable": bool,
+        "use_sim_time": bool,
+    }
+
+
+def test_it_can_be_started_again_and_say_more(actions: list[Noted]) -> None:
+    usual, other = _node(actions), _node(actions, respawn="true", log_level="debug")
+    assert (usual["respawn"], usual["ros_arguments"]) == (False, [])
+    assert (other["respawn"], other["ros_arguments"]) == (True, ["--log-level", "debug"])
+    with pytest.raises(ValueError, match="respawn must be true or false, not 'yess'"):
+        _node(actions, respawn="yess")
 
 
 @pytest.mark.parametrize("name", PARAMETERS)
@@ -161,4 +195,10 @@ def test_the_second_node_has_a_file_of_its_own(
     assert repr(types.pop("topics")) == "typing.List[str]"
     assert types == {"all_small": bool}
     assert parameters.keys() <= NODE_OPTIONS.keys()
-    assert nothing.keys() - NODE_OPTIONS.keys() == {"namespace", "node_name", "params_file"}
+    assert nothing.keys() - NODE_OPTIONS.keys() == {
+        "namespace",
+        "node_name",
+        "params_file",
+        "log_level",
+        "respawn",
+    }

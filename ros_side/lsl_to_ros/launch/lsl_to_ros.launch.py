@@ -15,19 +15,27 @@ from lsl_to_ros.launching import description
 ARGUMENTS = {
     "namespace": "namespace of the node and of its topics",
     "node_name": "name of the node; several nodes in one namespace need one each",
+    "Sensor_Enable": "false: publish nothing but what the file enables again",
+    "Chunk_Enable": "false: publish no chunks",
+    "Chunk_Length": "samples in one chunk, 1 to 100000",
     "topic_prefix": "first part of every topic, relative to the namespace",
     "stream_predicate": "LSL query: which streams this node serves, e.g. type='EEG'",
     "processes": "processes that share the streams, each on a core of its own, 1 to 16",
     "session_id": "LSL session; LabRecorder and the agents must use the same",
     "known_peers": "hosts that multicast does not reach, as a YAML list",
+    "use_sim_time": "true: stamps are times of /clock, of which the node warns",
     "params_file": "parameter file; the share folder's config/params.yaml is an example",
 }
 PARAMETER_TYPES = {
+    "Sensor_Enable": bool,
+    "Chunk_Enable": bool,
+    "Chunk_Length": int,
     "topic_prefix": str,
     "stream_predicate": str,
     "processes": int,
     "session_id": str,
     "known_peers": List[str],
+    "use_sim_time": bool,
 }
 
 

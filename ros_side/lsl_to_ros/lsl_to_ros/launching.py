@@ -12,6 +12,13 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 NAMESPACE, NODE_NAME, PARAMS_FILE = "namespace", "node_name", "params_file"
+LOG_LEVEL, RESPAWN = "log_level", "respawn"
+# Of every node, whatever it does.
+_COMMON_ARGUMENTS = {
+    LOG_LEVEL: "debug, info, warn, error or fatal",
+    RESPAWN: "true: start the node again when it ends",
+}
+_SWITCH = {"true": True, "false": False, "": False}
 
 
 def description(
@@ -30,7 +37,8 @@ def description(
         Of those that are parameters of the node. Without them, YAML rules would make a number of
         a session named 42.
     """
-    declared = [_argument(name, text, executable) for name, text in arguments.items()]
+    texts = {**arguments, **_COMMON_ARGUMENTS}
+    declared = [_argument(name, text, executable) for name, text in texts.items()]
     start = OpaqueFunction(function=partial(_node, executable=executable, types=types))
     return LaunchDescription([*declared, start])
 
@@ -50,6 +58,13 @@ def _existing(params_file: str) -> str:
     return str(path) if params_file else ""
 
 
+def _switch(name: str, given: str) -> bool:
+    """Return whether a switch is on; any other word must not pass for off."""
+    if given.lower() not in _SWITCH:
+        raise ValueError(f"{name} must be true or false, not {given!r}")
+    return _SWITCH[given.lower()]
+
+
 def _node(context: LaunchContext, *, executable: str, types: Mapping[str, Any]) -> list[Node]:
     """Make the node from what was given: an empty value must not overrule the file's."""
     params_file = _existing(LaunchConfiguration(PARAMS_FILE).perform(context))
@@ -58,12 +73,15 @@ def _node(context: LaunchContext, *, executable: str, types: Mapping[str, Any]) 
         for name, kind in types.items()
         if LaunchConfiguration(name).perform(context)
     }
+    log_level = LaunchConfiguration(LOG_LEVEL).perform(context)
     node = Node(
         package="lsl_to_ros",
         executable=executable,
         name=LaunchConfiguration(NODE_NAME),
         namespace=LaunchConfiguration(NAMESPACE),
         output="screen",
+        respawn=_switch(RESPAWN, LaunchConfiguration(RESPAWN).perform(context)),
+        ros_arguments=["--log-level", log_level] if log_level else [],
         # The last one wins.
         parameters=[part for part in (params_file, given) if part],
     )
