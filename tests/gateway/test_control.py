@@ -291,29 +291,39 @@ async def test_a_command_that_hangs_is_given_up(
         await asyncio.to_thread(ask, folder, "hang", time_limit_s=DEADLINE_S)
 
 
-async def test_too_many_connections_are_refused_until_there_is_room(
-    server: ControlServer, folder: Path, eventually: Any
+async def test_who_only_holds_connections_locks_nobody_out(
+    server: ControlServer, folder: Path
 ) -> None:
+    port = place(folder)["port"]
     idle = [
-        await asyncio.open_connection("127.0.0.1", place(folder)["port"])
-        for _ in range(control_server.MAX_CONNECTIONS)
+        await asyncio.open_connection("127.0.0.1", port)
+        for _ in range(control_server.MAX_SILENT + 1)
     ]
-    assert "too many" in problem_in(await reply_to(folder, b""))
+    # The oldest made room; it is closed.
+    assert await idle[0][0].read() == b""
+    assert await asked(folder, "note") == {"count": 1}
     for _, writer in idle:
         writer.close()
 
-    answers: list[dict[str, Any]] = []
 
-    async def retry() -> None:
-        while not answers:
-            try:
-                answers.append(await asked(folder, "note"))
-            except GatewayError:
-                await asyncio.sleep(0.1)
+async def test_only_so_many_programs_listen_at_once(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(control_server, "MAX_CONVERSATIONS", 1)
 
-    task = asyncio.create_task(retry())
-    await eventually(lambda: bool(answers))
-    await task
+    async def feed(_arguments: Mapping[str, Any]) -> AsyncGenerator[bytes]:
+        while True:
+            yield b"news"
+            await asyncio.sleep(1.0)
+
+    async with ControlServer(folder, {}, {"feed": feed}):
+        token = place(folder)["token"]
+        reader, writer = await asyncio.open_connection("127.0.0.1", place(folder)["port"])
+        writer.write(json.dumps({"token": token, "command": "feed"}).encode() + b"\n")
+        assert await reader.readline() == b'{"ok": true, "answer": {}}\n'
+        with pytest.raises(ProtocolError, match="too many programs listen at once"):
+            await asked(folder, "feed")
+        writer.close()
 
 
 async def test_who_asks_for_the_end_hears_of_it(folder: Path) -> None:

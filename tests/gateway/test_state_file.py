@@ -86,3 +86,18 @@ def test_a_private_file_never_is_another_s(path: Path) -> None:
     state_file.replace(path, "secret", private=True)
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert names(path) == [path.name]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="folders of a user are the user's there")
+def test_nobody_else_looks_into_what_is_made(tmp_path: Path) -> None:
+    tmp_path.chmod(0o755)
+    state_file.replace(tmp_path / "state" / "page" / "status.json", "{}")
+    for made in (tmp_path / "state", tmp_path / "state" / "page"):
+        assert stat.S_IMODE(made.stat().st_mode) == 0o700
+    assert stat.S_IMODE(tmp_path.stat().st_mode) == 0o755
+
+
+def test_a_file_in_the_place_of_a_folder_is_said(tmp_path: Path) -> None:
+    (tmp_path / "state").touch()
+    with pytest.raises(OSError, match="directory"):
+        state_file.make_folder(tmp_path / "state")

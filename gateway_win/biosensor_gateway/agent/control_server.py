@@ -29,7 +29,9 @@ from biosensor_gateway.system import state_file
 
 REQUEST_LIMIT = 8192
 """Bytes of a request, without its line end; two texts of 200 letters at 12 bytes fit in."""
-MAX_CONNECTIONS = 16
+MAX_SILENT = 16
+"""Connections that have not shown the token yet; the oldest makes room for one more."""
+MAX_CONVERSATIONS = 16
 
 _DISCARDED_BLOCK, _DISCARDED_BLOCKS = 65536, 256
 _LAST_WORDS_S = 0.5
@@ -84,6 +86,8 @@ class ControlServer:
         self._looks = looks
         self._token = secrets.token_hex(32)
         self._connections: set[asyncio.Task[None]] = set()
+        # In the order in which they came.
+        self._silent: dict[asyncio.Task[None], None] = {}
         self._endless: set[asyncio.Task[None]] = set()
 
     async def __aenter__(self) -> Self:
@@ -120,13 +124,19 @@ class ControlServer:
         await asyncio.gather(*late, return_exceptions=True)
 
     def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        if len(self._connections) >= MAX_CONNECTIONS:
-            writer.write(_refusal("too many connections at once; try again"))
-            writer.close()
-            return
+        if len(self._silent) >= MAX_SILENT:
+            # Whoever only holds connections must not keep a user from ending the agent.
+            oldest = next(iter(self._silent))
+            del self._silent[oldest]
+            oldest.cancel()
         connection = asyncio.create_task(self._converse(reader, writer))
         self._connections.add(connection)
-        connection.add_done_callback(self._connections.discard)
+        self._silent[connection] = None
+        connection.add_done_callback(self._ended)
+
+    def _ended(self, connection: asyncio.Task[None]) -> None:
+        self._connections.discard(connection)
+        self._silent.pop(connection, None)
 
     async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
@@ -181,10 +191,15 @@ class ControlServer:
     def _checked(self, request: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
         if not self._is_token(request.get("token")):
             raise _RefusedError(f"wrong token; the right one is in {self._path}")
+        task = asyncio.current_task()
+        assert task is not None
+        self._silent.pop(task, None)
         name, arguments = request.get("command"), request.get("arguments", {})
         known = [*self._commands, *self._conversations]
         if not isinstance(name, str) or name not in known:
             raise _RefusedError(f"unknown command; known are: {', '.join(known)}")
+        if name in self._conversations and len(self._endless) >= MAX_CONVERSATIONS:
+            raise _RefusedError("too many programs listen at once; end one of them")
         if not isinstance(arguments, dict):
             raise _RefusedError("the arguments are not a JSON object")
         return name, cast("dict[str, Any]", arguments)

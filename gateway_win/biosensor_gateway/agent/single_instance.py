@@ -14,6 +14,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.system import state_file
 
 LOCK_FILE = "agent.lock"
 """Of the agent; another program with a folder of this kind has a name of its own."""
@@ -42,7 +43,7 @@ def single_instance(folder: Path, lock_file: str = LOCK_FILE) -> Generator[None]
     """
     lock = _lock(folder / lock_file)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        state_file.make_folder(folder)
         lock.acquire(timeout=_PATIENCE_S, poll_interval=_POLL_S)
     except Timeout as error:
         message = (

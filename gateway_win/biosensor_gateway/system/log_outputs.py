@@ -15,6 +15,7 @@ import structlog
 
 from biosensor_common import relay
 from biosensor_common.outflow import Outflow, missing
+from biosensor_gateway.system import state_file
 from biosensor_gateway.system.terminal import terminal_size
 
 if TYPE_CHECKING:
@@ -167,7 +168,7 @@ class _LogFile(RotatingFileHandler):
 
     def open(self) -> None:
         """Open the file, and make its folder if needed; raises ``OSError``."""
-        Path(self.baseFilename).parent.mkdir(parents=True, exist_ok=True)
+        state_file.make_folder(Path(self.baseFilename).parent)
         self.stream = self._open()
 
     def append(self, lines: bytes) -> None:

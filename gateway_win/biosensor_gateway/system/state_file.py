@@ -1,13 +1,32 @@
-"""Replaces files of the state folder in one step, so that a reader never sees half of one."""
+"""Makes the state folder, and replaces files of it in one step: no reader sees half of one."""
 
 from __future__ import annotations
 
+import errno
 import os
 import time
 from pathlib import Path
 
 _TRIES = 5
 _PAUSE_S = 0.01
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder with all above it; on POSIX nobody but the user can look into new ones.
+
+    Names of people and what was recorded of them are in there, and computers of labs have other
+    users.
+
+    Raises
+    ------
+    OSError
+        It cannot be made.
+    """
+    for each in reversed((folder, *folder.parents)):
+        if not each.exists():
+            each.mkdir(0o700, exist_ok=True)
+    if not folder.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(folder))
 
 
 def replace(path: Path, text: str, *, private: bool = False, durable: bool = False) -> None:
@@ -29,7 +48,7 @@ def replace(path: Path, text: str, *, private: bool = False, durable: bool = Fal
     OSError
         It cannot be written; the old file is as it was.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     temporary = path.with_name(f"{path.name}.{os.getpid()}")
     # Of a process with this number that was killed here; it may be open to everybody.
     temporary.unlink(missing_ok=True)

@@ -120,7 +120,7 @@ class RecorderFolder:
         OSError
             It cannot be written.
         """
-        self.path.mkdir(parents=True, exist_ok=True)
+        state_file.make_folder(self.path)
         for old in (self._stop, self._kept, self.said):
             old.unlink(missing_ok=True)
         state_file.replace(self.lsl_config, lsl_config)

@@ -28,6 +28,7 @@ from biosensor_gateway.recording.labrecorder.starting import (
 from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream, titles
 from biosensor_gateway.recording.xdf.container import RecordingError
 from biosensor_gateway.recording.xdf.recording import read_recording
+from biosensor_gateway.system import state_file
 
 _POLL_S = 0.1
 _OPENING_S = 15.0
@@ -123,7 +124,7 @@ class _Starter:
     def _launch(self) -> None:
         lock = None
         try:
-            self._folder.path.mkdir(parents=True, exist_ok=True)
+            state_file.make_folder(self._folder.path)
             lock = self._folder.try_lock()
             if lock is None:
                 raise _recording(self._folder)
