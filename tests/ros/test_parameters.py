@@ -203,6 +203,21 @@ def test_a_value_that_was_set_can_be_unset_again(make_node: MakeNode) -> None:
 
 
 @pytest.mark.nightly
+def test_of_a_key_that_fits_no_stream_it_is_said(make_node: MakeNode) -> None:
+    parameters = Parameters(make_node())
+    early = Parameter("zephyr.ecg.Chunk_Length", value=9)
+    assert parameters.without_stream([early]) == [
+        "zephyr.ecg.Chunk_Length holds for no stream yet (none has come so far)"
+    ]
+    parameters.declare(PLAIN, "ecg", "ecg")
+    typo = Parameter("zephy.Chunk_Length", value=9)
+    everything = Parameter("Chunk_Length", value=9)
+    assert parameters.without_stream([early, typo, everything]) == [
+        "zephy.Chunk_Length holds for no stream yet (seen so far: zephyr)"
+    ]
+
+
+@pytest.mark.nightly
 def test_what_param_dump_writes_of_keys_that_are_not_set_is_read_as_that(
     make_node: MakeNode,
 ) -> None:

@@ -77,6 +77,7 @@ class Parameters:
         self._on_change: Callable[[], None] = lambda: None
         self._on_set: Callable[[Sequence[Parameter]], None] = lambda _: None
         self._asked_for: set[str] = set()
+        self._owners: set[str] = set()
         self._is_declaring = False
         self._drop_invalid()
         for key, value in DEFAULTS.items():
@@ -111,11 +112,26 @@ class Parameters:
 
     def declare(self, identity: DeviceIdentity, data_name: str, chunk: str) -> None:
         """Make the keys of a stream visible to ``ros2 param list``, without setting them."""
+        for each in filter(None, (data_name, chunk)):
+            self._owners.update(prefixes(identity, each))
         self._is_declaring = True
         try:
             self._declare(prefixes(identity, data_name)[-1], data_name, chunk)
         finally:
             self._is_declaring = False
+
+    def without_stream(self, parameters: Iterable[Parameter]) -> list[str]:
+        """Say of which keys no stream has come so far: they may be misspelt, or early."""
+        known = sorted({owner.rpartition(".")[0] or owner for owner in self._owners})
+        seen = f"seen so far: {', '.join(known)}" if known else "none has come so far"
+        return [
+            f"{each.name} holds for no stream yet ({seen})"
+            for each in parameters
+            if each.value is not None
+            and each.name.rpartition(".")[2] in DEFAULTS
+            and "." in each.name
+            and each.name.rpartition(".")[0] not in self._owners
+        ]
 
     def _declare(self, sensor: str, data_name: str, chunk: str) -> None:
         for owner, keys in (
