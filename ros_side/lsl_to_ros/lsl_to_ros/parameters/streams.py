@@ -77,7 +77,9 @@ class Parameters:
         self._on_change: Callable[[], None] = lambda: None
         self._on_set: Callable[[Sequence[Parameter]], None] = lambda _: None
         self._asked_for: set[str] = set()
+        # Whatever may stand before a key: sensors, and each with a data name behind it.
         self._owners: set[str] = set()
+        self._sensors: set[str] = set()
         self._is_declaring = False
         self._drop_invalid()
         for key, value in DEFAULTS.items():
@@ -113,7 +115,9 @@ class Parameters:
     def declare(self, identity: DeviceIdentity, data_name: str, chunk: str) -> None:
         """Make the keys of a stream visible to ``ros2 param list``, without setting them."""
         for each in filter(None, (data_name, chunk)):
-            self._owners.update(prefixes(identity, each))
+            names = prefixes(identity, each)
+            self._owners.update(names)
+            self._sensors.update(names[len(names) // 2 :])
         self._is_declaring = True
         try:
             self._declare(prefixes(identity, data_name)[-1], data_name, chunk)
@@ -122,8 +126,8 @@ class Parameters:
 
     def without_stream(self, parameters: Iterable[Parameter]) -> list[str]:
         """Say of which keys no stream has come so far: they may be misspelt, or early."""
-        known = sorted({owner.rpartition(".")[0] or owner for owner in self._owners})
-        seen = f"seen so far: {', '.join(known)}" if known else "none has come so far"
+        known = ", ".join(sorted(self._sensors))
+        seen = f"seen so far: {known}" if known else "none has come so far"
         return [
             f"{each.name} holds for no stream yet ({seen})"
             for each in parameters
