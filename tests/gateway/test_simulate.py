@@ -17,9 +17,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.errors import ConfigError, ConfigReason, GatewayError
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.demo.virtual_devices import virtual_class, virtual_names
+from biosensor_gateway.devices.registry import sensor
 from biosensor_gateway.simulation import virtual_device
 from biosensor_gateway.simulation.effects import Effect
 from biosensor_gateway.simulation.faults import Fault, FaultKind, ScheduledFault, parse_fault
@@ -159,9 +160,17 @@ def test_what_there_is_not_is_told_with_what_there_is(name: str) -> None:
     with pytest.raises(ConfigError) as raised:
         virtual_class(name)
     assert raised.value.reason is ConfigReason.WRONG_VALUE
-    assert f"there is no virtual {name!r}; there are " in str(raised.value)
+    assert str(raised.value).startswith(f"there is no virtual {name!r}")
+    assert "; there are " in str(raised.value)
     for there_is in virtual_names():
         assert there_is in str(raised.value)
+
+
+@pytest.mark.parametrize("name", ["polarh10", "Polar_H10"])
+def test_of_a_misspelt_sensor_the_right_name_is_said(name: str) -> None:
+    for look_up in (virtual_class, sensor):
+        with pytest.raises(GatewayError, match=r"\(did you mean 'polar_h10'\?\)"):
+            look_up(name)
 
 
 def test_real_devices_are_given_no_faults(run: Run) -> None:

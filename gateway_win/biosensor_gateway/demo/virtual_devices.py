@@ -17,6 +17,7 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 from biosensor_common.errors import ConfigError, ConfigReason, SpecError, SpecReason
+from biosensor_common.misspelt import did_you_mean
 from biosensor_gateway.devices.registry import driver, sensor, sensor_names
 from biosensor_gateway.settings.models import (
     DeviceSettings,
@@ -117,7 +118,11 @@ def _place(name: str) -> str:
     with suppress(KeyError):
         if variant or not colon:
             return _virtual_of(sensor_name)[variant]
-    message = f"there is no virtual {name!r}; there are {', '.join(virtual_names())} and {ALL}"
+    known = virtual_names()
+    message = (
+        f"there is no virtual {name!r}{did_you_mean(name, known)}; there are {', '.join(known)} "
+        f"and {ALL}"
+    )
     raise ConfigError(ConfigReason.WRONG_VALUE, message)
 
 

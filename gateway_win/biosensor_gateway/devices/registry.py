@@ -14,6 +14,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pkgutil import iter_modules, resolve_name
 
 from biosensor_common.errors import SpecError, SpecReason
+from biosensor_common.misspelt import did_you_mean
 from biosensor_common.spec import SensorSpec
 from biosensor_gateway.devices.driver import DriverEntry
 from biosensor_gateway.devices.sensor import Sensor
@@ -60,9 +61,11 @@ def sensor(name: str) -> Sensor:
         return _built_in()[name]
     offers = list(entry_points(group=ENTRY_POINT_GROUP, name=name))
     if not offers:
-        known = ", ".join(sensor_names())
+        known = sensor_names()
         raise SpecError(
-            SpecReason.UNKNOWN_SENSOR, f"There is no sensor {name!r}; the known ones are {known}."
+            SpecReason.UNKNOWN_SENSOR,
+            f"There is no sensor {name!r}{did_you_mean(name, known)}; the known ones are "
+            f"{', '.join(known)}.",
         )
     if len(offers) > 1:
         owners = ", ".join(sorted(_distribution(offer) for offer in offers))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -13,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.misspelt import did_you_mean
 from biosensor_gateway.settings.models import (
     OVERRIDE_DELIMITER,
     OVERRIDE_PREFIX,
@@ -134,7 +134,7 @@ def _but_is(value: object) -> str:
 def unknown_key(path: KeyPath, model: type[BaseModel] | None) -> Problem:
     """Describe a key that the model does not have; ``None`` where no model is known."""
     known = _keys(model) if model else []
-    hint = _did_you_mean(str(path[-1]), known)
+    hint = did_you_mean(str(path[-1]), known)
     listed = f"; known keys: {', '.join(known)}" if known else ""
     return Problem(ConfigReason.UNKNOWN_KEY, path, f"unknown key '{_dotted(path)}'{hint}{listed}")
 
@@ -145,7 +145,7 @@ def wrong_choice(path: KeyPath, key: str, value: object, known: Iterable[str]) -
     listed = f"should be one of {', '.join(names)}" if names else "has no known value"
     text = f"'{key}' is missing; it {listed}"
     if value is not None:
-        hint = _did_you_mean(value, names) if isinstance(value, str) else ""
+        hint = did_you_mean(value, names) if isinstance(value, str) else ""
         text = f"'{key}' {listed}{_but_is(value)}{hint}"
     return Problem(ConfigReason.WRONG_VALUE, path, text)
 
@@ -166,7 +166,7 @@ def unknown_variables(model: type[BaseModel]) -> Iterator[Problem]:
         name = variable.upper()
         is_override = name.startswith(OVERRIDE_PREFIX) and OVERRIDE_DELIMITER in name
         if (is_override or name.startswith(beginnings)) and name not in known:
-            text = f"it sets nothing{_did_you_mean(name, known)}"
+            text = f"it sets nothing{did_you_mean(name, known)}"
             yield Problem(ConfigReason.UNKNOWN_KEY, (), text, variable)
 
 
@@ -212,9 +212,3 @@ def _keys(model: type[BaseModel] | None) -> list[str]:
 
 def _dotted(path: KeyPath) -> str:
     return ".".join(str(part) for part in path if isinstance(part, str))
-
-
-def _did_you_mean(name: str, known: Iterable[str]) -> str:
-    by_lower = {candidate.lower(): candidate for candidate in known}
-    close = difflib.get_close_matches(name.lower(), by_lower, n=1)
-    return f" (did you mean '{by_lower[close[0]]}'?)" if close else ""
