@@ -7,7 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from biosensor_common.errors import ProtocolError, TransportError, TransportReason
+from biosensor_common.errors import (
+    ProtocolError,
+    ProtocolReason,
+    TransportError,
+    TransportReason,
+)
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.emotibit.driver import link as link_module
 from biosensor_gateway.devices.emotibit.driver.discovery import find
@@ -46,6 +51,24 @@ async def test_the_firmware_with_a_fast_pulse_is_read(emotibit: MakeEmotiBit) ->
         await until(run.sink.has(150, "ppg"))
         assert run.sink.rates["ppg"] == 100
     assert_once_and_in_order(run.sink.rows["ppg"], device.truth.samples("ppg").values)
+
+
+@pytest.mark.parametrize(
+    ("ppg_hz", "ppg_rate", "sentence"),
+    [
+        (100.0, 25, "100 times a second, and its setting `ppg_rate` is 25; set `ppg_rate = 100`"),
+        (25.0, 100, "25 times a second, and its setting `ppg_rate` is 100; set `ppg_rate = 25`"),
+        (50.0, 100, r"5\d times a second, .* `ppg_rate` is 100; install a firmware that has 25 or"),
+    ],
+)
+async def test_another_rate_of_the_pulse_is_refused(
+    emotibit: MakeEmotiBit, ppg_hz: float, ppg_rate: int, sentence: str
+) -> None:
+    device = emotibit(ppg_hz=ppg_hz)
+    with pytest.raises(ProtocolError, match=sentence) as caught:
+        async with connected(device, ppg_rate=ppg_rate):
+            pass
+    assert caught.value.reason is ProtocolReason.UNSUPPORTED
 
 
 async def test_datagrams_that_are_lost_are_counted(emotibit: MakeEmotiBit) -> None:

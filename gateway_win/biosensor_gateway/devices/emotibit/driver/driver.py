@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Literal
 
@@ -31,13 +32,20 @@ from biosensor_gateway.devices.emotibit.driver.link import (
     Link,
     connect,
 )
-from biosensor_gateway.devices.emotibit.driver.packets import Packet, Tag
+from biosensor_gateway.devices.emotibit.driver.packets import NUMBERS, Packet, Tag
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.early import Early
 from biosensor_gateway.transports.receiving import Address
 
 PATIENCE_S = 3.0
+RATE_LIMIT_S = 2.0
+"""Where no pulse came by then, its rate is taken for the one of the settings."""
+_LEAST_PACKETS, _CERTAIN_PACKETS = 4, 10
+"""So many tell that a rate is right, and that it is wrong: reading may be late."""
+_RATE_TOLERANCE = 0.3
+_RATES = (25, 100)
+_MOST_EARLY = 1024
 _LOCAL_TIME = "%Y-%m-%d_%H-%M-%S-%f"
 
 
@@ -66,6 +74,64 @@ class EmotiBitSettings(DeviceSettings):
     )
 
 
+class PulseRate:
+    """Compares the rate of the pulse with the settings, by the first packets of a connection.
+
+    Parameters
+    ----------
+    name
+        What errors call the device.
+    nominal_hz
+        Of the settings.
+
+    Attributes
+    ----------
+    is_right
+        Whether it is known to be the one of the settings.
+    """
+
+    def __init__(self, name: str, nominal_hz: int) -> None:
+        self._name, self._nominal_hz = name, nominal_hz
+        self._number: int | None = None
+        self._times_ms: list[int] = []
+        self._samples = 0
+        self.is_right = False
+
+    def take(self, packets: Iterable[Packet]) -> None:
+        """Take in what came.
+
+        Raises
+        ------
+        ProtocolError
+            ``UNSUPPORTED``: the firmware has another rate.
+        """
+        for packet in packets:
+            if self._number is not None and packet.number != (self._number + 1) % NUMBERS:
+                # What was lost in between would look like a lower rate.
+                self._times_ms, self._samples = [], 0
+            self._number = packet.number
+            if packet.tag == Tag.PPG_INFRARED and not self.is_right:
+                self._samples += len(packet.payload) if self._times_ms else 0
+                self._times_ms.append(packet.time_ms)
+                self._compare()
+
+    def _compare(self) -> None:
+        packets, span_s = len(self._times_ms) - 1, (self._times_ms[-1] - self._times_ms[0]) / 1000
+        if packets < _LEAST_PACKETS or span_s <= 0:
+            return
+        measured_hz = self._samples / span_s
+        self.is_right = abs(measured_hz / self._nominal_hz - 1) < _RATE_TOLERANCE
+        if self.is_right or packets < _CERTAIN_PACKETS:
+            return
+        near = [rate for rate in _RATES if abs(measured_hz / rate - 1) < _RATE_TOLERANCE]
+        advice = f"set `ppg_rate = {near[0]}`" if near else "install a firmware that has 25 or 100"
+        message = (
+            f"{self._name} measures the pulse {near[0] if near else measured_hz:.0f} times a "
+            f"second, and its setting `ppg_rate` is {self._nominal_hz}; {advice}"
+        )
+        raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
+
+
 class EmotiBitDriver:
     """One connection; see :class:`~biosensor_gateway.devices.driver.Driver`."""
 
@@ -77,9 +143,10 @@ class EmotiBitDriver:
         self._emitter = emitter
         self._advertising = Advertising(settings.host, settings.port)
         self._link: Link | None = None
+        self._rate = PulseRate("EmotiBit", settings.ppg_rate)
         self._device: Address = ("", 0)
-        # Connecting ends with the first read that has data.
-        self._early = Early[Arrived](1)
+        # Connecting ends when the rate of the pulse is known.
+        self._early = Early[Arrived](_MOST_EARLY)
 
     async def connect(self) -> Connected:
         """Find the EmotiBit and wait for its first data; see the protocol class."""
@@ -93,7 +160,9 @@ class EmotiBitDriver:
         # It may have been left in a mode in which it sends nothing.
         self._link.control(Tag.NORMAL_POWER)
         self._emitter.connected()
+        self._rate = PulseRate(name, self._settings.ppg_rate)
         await self._first_data(self._link)
+        await self._know_rate(self._link)
         info = DeviceInfo(serial_number=nearby.device)
         return Connected(info, {"ppg": self._settings.ppg_rate}, patience_s=PATIENCE_S)
 
@@ -116,7 +185,8 @@ class EmotiBitDriver:
             self._link.control(Tag.NORMAL_POWER)
 
     async def close(self) -> None:
-        """Let the EmotiBit go, and close."""
+        """Emit what waits for others, let the EmotiBit go, and close."""
+        self._emitter.ended()
         if self._link is not None:
             await self._link.close()
         self._advertising.close()
@@ -144,13 +214,23 @@ class EmotiBitDriver:
         try:
             async with asyncio.timeout(ANSWER_LIMIT_S):
                 while not self._early:
-                    arrived = await link.read()
-                    self._sink.dropped_bytes += arrived.found.dropped_bytes
-                    if arrived.found.packets:
-                        self._early.keep(arrived)
+                    await self._keep(link)
         except TimeoutError as error:
             message = f"{link.name}: it is connected and sends no data; switch it off and on"
             raise ProtocolError(ProtocolReason.NO_REPLY, message) from error
+
+    async def _know_rate(self, link: Link) -> None:
+        with suppress(TimeoutError):
+            async with asyncio.timeout(RATE_LIMIT_S):
+                while not self._rate.is_right:
+                    await self._keep(link)
+
+    async def _keep(self, link: Link) -> None:
+        arrived = await link.read()
+        self._sink.dropped_bytes += arrived.found.dropped_bytes
+        if arrived.found.packets:
+            self._early.keep(arrived)
+            self._rate.take(arrived.found.packets)
 
     async def _pass_on(self, link: Link) -> None:
         for arrived in self._early.take():
@@ -164,6 +244,7 @@ class EmotiBitDriver:
         packets = arrived.found.packets
         if packets:
             self._sink.heard()
+            self._rate.take(packets)
             self._emitter.take(packets, arrived.arrival_s)
         for packet in packets:
             if packet.tag == Tag.REQUEST_DATA:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable
 
 from biosensor_common.clocks import PacketTimeline
@@ -12,7 +11,13 @@ from biosensor_gateway.devices.emotibit.declaration import (
     TEMPERATURE_HZ,
 )
 from biosensor_gateway.devices.emotibit.driver.oscillator import Oscillator
-from biosensor_gateway.devices.emotibit.driver.packets import NUMBERS, TIMES_MS, Packet, Tag
+from biosensor_gateway.devices.emotibit.driver.packets import (
+    TIMES_MS,
+    InOrder,
+    Ordered,
+    Packet,
+    Tag,
+)
 from biosensor_gateway.devices.emotibit.driver.rows import SensorRows
 from biosensor_gateway.devices.sink import Sink
 
@@ -34,7 +39,6 @@ CHOOSING_S = 0.5
 """All that a device has come within this time."""
 _RESTARTED_MS = 2500
 """A time so far behind is of a clock that was started anew."""
-_RECENT = 64
 READ_LATE_S = 1 / 150
 """Sensors with an oscillator of their own are read 75 times a second; the processor itself has
 the others measure."""
@@ -58,21 +62,24 @@ class EmotiBitEmitter:
             "st": _sensor("st", TEMPERATURE_HZ, 0.0),
             **{name: _sensor(name, MOTION_HZ, READ_LATE_S) for name in ("acc", "gyro", "mag")},
         }
-        self._numbers, self._times = PacketTimeline(NUMBERS), PacketTimeline(TIMES_MS)
-        self._recent: deque[tuple[int, int]] = deque(maxlen=_RECENT)
+        self._order, self._times = InOrder(), PacketTimeline(TIMES_MS)
         self._gaps = 0
         self._gaps_before: dict[str, int] = {}
-        self._is_anchored = False
+        self._observed_s: float | None = None
         self._thermometer = ""
-        self._first_temperatures: dict[str, float] = {}
+        self._first_temperatures: dict[str, list[tuple[Packet, float]]] = {}
         self._battery: float | None = None
 
     def connected(self) -> None:
         """Expect packets to have been lost since the last one."""
+        self.ended()
         for sensor in self._sensors.values():
             sensor.break_off()
-        self._numbers.forget()
         self._gaps += 1
+
+    def ended(self) -> None:
+        """Emit what still waits for a packet that will not come any more."""
+        self._use(self._order.end())
 
     def take(self, packets: Iterable[Packet], arrival_s: float) -> None:
         """Emit the samples of packets that arrived together.
@@ -82,32 +89,25 @@ class EmotiBitEmitter:
         arrival_s
             LSL clock at their arrival.
         """
-        fresh = [(each, self._time_s(each)) for each in packets if self._is_new(each)]
-        measured = [time_s for each, time_s in fresh if each.tag in _PLACES]
-        if measured:
-            self._sink.observe(max(measured), arrival_s)
-            self._is_anchored = True
-        for packet, time_s in fresh:
+        timed = [(each, self._time_s(each)) for each in packets]
+        measured = [time_s for each, time_s in timed if each.tag in _PLACES]
+        if measured and (self._observed_s is None or max(measured) > self._observed_s):
+            self._observed_s = max(measured)
+            self._sink.observe(self._observed_s, arrival_s)
+        for packet, time_s in timed:
+            self._use(self._order.take(packet, time_s))
+
+    def _use(self, packets: Iterable[Ordered]) -> None:
+        for packet, time_s, is_behind_gap in packets:
+            self._gaps += is_behind_gap
             if packet.tag in _PLACES:
                 self._add(*_PLACES[packet.tag], packet, time_s)
             elif packet.tag in THERMOMETERS:
                 self._take_temperature(packet, time_s)
-            elif self._is_anchored:
+            elif self._observed_s is not None:
                 self._tell(packet, time_s)
-        if self._is_anchored:
+        if self._observed_s is not None:
             self._emit()
-
-    def _is_new(self, packet: Packet) -> bool:
-        """Follow the numbers, which count packets of all kinds; return whether it is no copy."""
-        seen = (packet.number, packet.time_ms)
-        if seen in self._recent:
-            return False
-        self._recent.append(seen)
-        steps = self._numbers.steps(packet.number, least=None)
-        if steps is None or steps > 0:
-            self._numbers.place(packet.number, least=None)
-            self._gaps += steps is not None and steps > 1
-        return True
 
     def _time_s(self, packet: Packet) -> float:
         """Return the device's time, over roll-overs; begin anew where the device did."""
@@ -122,12 +122,12 @@ class EmotiBitEmitter:
         return ((self._times.newest or 0) + steps) / 1000
 
     def _restart(self) -> None:
+        self.ended()
         self._sink.restart_clock()
-        self._is_anchored = False
+        self._observed_s = None
         self._sensors = {name: sensor.anew() for name, sensor in self._sensors.items()}
         self._first_temperatures.clear()
         self._times.forget()
-        self._numbers.forget()
 
     def _add(self, data_name: str, channel: int, packet: Packet, time_s: float) -> None:
         values = packet.values()
@@ -143,14 +143,15 @@ class EmotiBitEmitter:
 
     def _take_temperature(self, packet: Packet, time_s: float) -> None:
         """Pass on the temperature of the best thermometer, once it is known which there are."""
-        if not self._thermometer:
-            self._first_temperatures.setdefault(packet.tag, time_s)
-            since_s = min(self._first_temperatures.values())
-            if time_s - since_s < CHOOSING_S:
-                return
+        if self._thermometer:
+            if packet.tag == self._thermometer:
+                self._add("st", 0, packet, time_s)
+            return
+        self._first_temperatures.setdefault(packet.tag, []).append((packet, time_s))
+        if time_s - min(first[0][1] for first in self._first_temperatures.values()) >= CHOOSING_S:
             self._thermometer = min(self._first_temperatures, key=THERMOMETERS.index)
-        if packet.tag == self._thermometer:
-            self._add("st", 0, packet, time_s)
+            for each, at_s in self._first_temperatures.pop(self._thermometer):
+                self._add("st", 0, each, at_s)
 
     def _tell(self, packet: Packet, time_s: float) -> None:
         """Pass on what comes now and then."""

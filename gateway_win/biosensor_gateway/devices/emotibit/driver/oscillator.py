@@ -18,6 +18,8 @@ LEAST_S, SETTLED_S = 5.0, 20.0
 TOLERANCE = 0.03
 GAIN, GAIN_SETTLED = 1 / 16, 1 / 64
 """Which share of its distance the line moves to a time."""
+AGREES_S = 0.02
+"""Behind a gap, a line that is further from the time of reading begins anew there."""
 LEAST_STEP = 0.5
 """Of a period: times never turn back."""
 _KEPT = 32
@@ -57,6 +59,9 @@ class Oscillator:
         read_s -= self._late_s
         before, before_s = self._line[-1]
         expected_s = before_s + (index - before) * self._period_s
+        if index - before > count and abs(read_s - expected_s) > AGREES_S:
+            self.restart(index, count, read_s + self._late_s)
+            return
         gain = GAIN_SETTLED if self._span_s > SETTLED_S else GAIN
         end_s = expected_s + gain * (read_s - expected_s)
         if index - before > count:

@@ -9,14 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from enum import StrEnum, unique
-from math import isfinite
+from math import inf, isfinite
 from typing import NamedTuple
+
+from biosensor_common.clocks import PacketTimeline
 
 HEADER_FIELDS = 6
 NUMBERS = 2**16
 """The packets' numbers begin anew after so many."""
 TIMES_MS = 2**32
 """The device's milliseconds begin anew after so many, 49.7 days."""
+PATIENCE_S = 0.5
+"""What a datagram overtook comes by then, five rounds of sending later, or was lost."""
 
 
 @unique
@@ -144,3 +148,98 @@ def _natural(text: str) -> int:
     if not (text.isascii() and text.isdigit() and len(text) <= 10):
         raise ValueError(text)
     return int(text)
+
+
+class Ordered(NamedTuple):
+    """A packet whose turn it is.
+
+    Attributes
+    ----------
+    packet
+    time_s
+        Device's clock, over roll-overs.
+    is_behind_gap
+        Whether packets before it were lost.
+    """
+
+    packet: Packet
+    time_s: float
+    is_behind_gap: bool
+
+
+class _Waiting(NamedTuple):
+    """A packet that overtook others, and the newest device time when it came."""
+
+    packet: Packet
+    time_s: float
+    since_s: float
+
+
+class InOrder:
+    """Hands out packets in the order of their numbers, each once.
+
+    Datagrams overtake each other: what is behind a missing number waits for it.
+    """
+
+    def __init__(self) -> None:
+        self._numbers = PacketTimeline(NUMBERS)
+        self._waiting: dict[int, _Waiting] = {}
+        self._newest_s = self._handed_out_s = -inf
+        self._first: tuple[int, float] | None = None
+        self._early: set[int] = set()
+
+    def take(self, packet: Packet, time_s: float) -> list[Ordered]:
+        """Take in a packet; return those whose turn it is now, without copies."""
+        steps = self._numbers.steps(packet.number, least=None)
+        if steps is None:
+            self._first = packet.number, time_s
+            return [self._hand_out(packet, time_s, is_behind_gap=False)]
+        place = (self._numbers.newest or 0) + steps
+        ready: list[Ordered] = []
+        if steps <= 0:
+            if time_s <= self._handed_out_s:
+                return self._late(Ordered(packet, time_s, is_behind_gap=False), place)
+            # The numbers count anew.
+            ready = [*self.end(), self._hand_out(packet, time_s, is_behind_gap=True)]
+        else:
+            self._newest_s = max(self._newest_s, time_s)
+            self._waiting.setdefault(place, _Waiting(packet, time_s, self._newest_s))
+        while self._waiting and self._is_ripe(min(self._waiting)):
+            ready.append(self._hand_out_first())
+        return ready
+
+    def end(self) -> list[Ordered]:
+        """Return what still waits; begin anew with the next packet."""
+        ready = [self._hand_out_first() for _ in range(len(self._waiting))]
+        self._numbers.forget()
+        self._newest_s = self._handed_out_s = -inf
+        self._first = None
+        self._early.clear()
+        return ready
+
+    def _late(self, packet: Ordered, place: int) -> list[Ordered]:
+        """Return what the very first one of all overtook.
+
+        What else is late is a copy, or later than anybody waits: that it is missing was counted.
+        """
+        first, first_s = self._first or (place, packet.time_s)
+        if place >= first or place in self._early or self._newest_s > first_s + PATIENCE_S:
+            return []
+        self._early.add(place)
+        return [packet]
+
+    def _is_ripe(self, place: int) -> bool:
+        is_next = place == (self._numbers.newest or 0) + 1
+        return is_next or self._newest_s - self._waiting[place].since_s > PATIENCE_S
+
+    def _hand_out_first(self) -> Ordered:
+        place = min(self._waiting)
+        first = self._waiting.pop(place)
+        is_behind_gap = place != (self._numbers.newest or 0) + 1
+        return self._hand_out(first.packet, first.time_s, is_behind_gap=is_behind_gap)
+
+    def _hand_out(self, packet: Packet, time_s: float, *, is_behind_gap: bool) -> Ordered:
+        self._numbers.place(packet.number)
+        self._handed_out_s = max(self._handed_out_s, time_s)
+        self._newest_s = max(self._newest_s, time_s)
+        return Ordered(packet, time_s, is_behind_gap)

@@ -7,7 +7,7 @@ oscillator is not the processor's. So samples are counted, and `Oscillator` tell
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from math import nan
 from typing import NamedTuple
 
@@ -15,6 +15,8 @@ from biosensor_gateway.devices.emotibit.driver.oscillator import Oscillator
 
 TOGETHER_S = 0.006
 """Channels of one sensor that were read together are stamped one after another."""
+LATE_S = 0.02
+"""By so much reading is earlier or later than the count of samples says."""
 ROUNDS_KEPT = 4
 """A channel that does not come by then, at ten rounds a second, was lost."""
 HOLE_S = 0.5
@@ -79,6 +81,10 @@ class SensorRows:
         gap
             Whether packets of any kind were lost since the channel's last one.
         """
+        own = self._last[channel]
+        if own is not None and time_s < own[0]:
+            # It was overtaken by the first one of all.
+            return
         last = self._place(channel, len(values), time_s, gap=gap)
         self._last[channel] = (time_s, last)
         for index, value in enumerate(values, last - len(values) + 1):
@@ -112,25 +118,38 @@ class SensorRows:
 
     def _place(self, channel: int, count: int, time_s: float, *, gap: bool) -> int:
         """Return the number of a packet's last sample, counted from the first one of all."""
-        for round_s, index in self._rounds_backwards():
+        for round_s, index in reversed(self._rounds):
             if abs(round_s - time_s) <= TOGETHER_S:
                 return index
-        before = self._last[channel] or (self._rounds[-1] if self._rounds else None)
-        if before is None:
-            index, hole_s = count, 0.0
-        else:
-            index = before[1] + count
-            hole_s = time_s - before[0] - count / self._rate_hz
-            if gap or hole_s > HOLE_S:
-                index = max(index, self._oscillator.index_at(time_s))
-        if self._rounds:
-            # A channel that was lost for a while is behind the others, with which it is read.
-            index = max(index, self._rounds[-1][1] + count)
-            hole_s = time_s - self._rounds[-1][0] - count / self._rate_hz
+        index = self._follow(channel, count, time_s, gap=gap)
+        if not self._rounds or index > self._rounds[-1][1]:
+            # Only the channel that is furthest tells the time: the others have nothing new.
+            self._lead(index, count, time_s)
+        return index
+
+    def _follow(self, channel: int, count: int, time_s: float, *, gap: bool) -> int:
+        """Go on after the channel's own last sample: it may be read a moment after the others."""
+        own = self._last[channel]
+        if own is not None:
+            hole_s = time_s - own[0] - count / self._rate_hz
+            if not gap and hole_s <= HOLE_S:
+                return own[1] + count
+        if not self._rounds:
+            return count
+        newest_s, newest = self._rounds[-1]
+        if abs(time_s - newest_s - count / self._rate_hz) <= LATE_S:
+            # Only this channel was lost for a while: the others say where it is.
+            return newest + count
+        index = self._oscillator.index_at(time_s)
+        if own is not None:
+            index = max(index, own[1] + count)
+        return max(index, newest + 1) if time_s > newest_s else index
+
+    def _lead(self, index: int, count: int, time_s: float) -> None:
+        """Have the clock follow the newest sample of all."""
+        before_s, before = self._rounds[-1] if self._rounds else (time_s, index - count)
+        count = min(count, index - before)
+        hole_s = time_s - before_s - count / self._rate_hz
         self._rounds = [*self._rounds[-ROUNDS_KEPT:], (time_s, index)]
         follow = self._oscillator.restart if hole_s > ANEW_S else self._oscillator.observe
         follow(index, count, time_s)
-        return index
-
-    def _rounds_backwards(self) -> Iterator[tuple[float, int]]:
-        return reversed(self._rounds)
