@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -20,6 +21,24 @@ from biosensor_gateway.devices.muse.driver.commands import (
 from tests.muse.known import bytes_named, bytes_of, of_kind
 
 PIECE_BYTES = 20
+REAL = Path(__file__).parent / "vectors" / "real_control_pieces.json"
+ANSWERS = st.lists(
+    st.dictionaries(
+        st.sampled_from(["rc", "sn", "fw"]), st.integers() | st.text("a b-{", max_size=9)
+    ),
+    max_size=5,
+)
+
+
+def counted(text: str) -> bytes:
+    """Return a piece as it is sent."""
+    return (bytes((len(text),)) + text.encode("ascii")).ljust(PIECE_BYTES, b"\0")
+
+
+def all_of(answers: Answers, piece: bytes) -> list[Answer]:
+    """Return all answers that a piece ends."""
+    first = answers.feed(piece)
+    return [] if first is None else [first, *answers.complete]
 
 
 def fed(answers: Answers, data: bytes) -> list[Answer]:
@@ -74,3 +93,22 @@ def test_any_pieces_are_an_answer_or_none(pieces: list[bytes]) -> None:
     for piece in pieces:
         found = answers.feed(piece)
         assert found is None or isinstance(found, dict)
+
+
+def test_an_answer_that_ends_where_the_next_one_begins_is_read() -> None:
+    real = json.loads(REAL.read_text("utf-8"))
+    answers = Answers()
+    found = [each for text in real["pieces"] for each in all_of(answers, counted(text))]
+    assert found == real["expected"]
+
+
+@given(ANSWERS, st.data())
+def test_answers_may_be_cut_anywhere(sent: list[Answer], data: st.DataObject) -> None:
+    text = "".join(json.dumps(each, separators=(",", ":")) for each in sent)
+    answers = Answers()
+    found: list[Answer] = []
+    while text:
+        room = data.draw(st.integers(1, PIECE_BYTES - 1))
+        found += all_of(answers, counted(text[:room]))
+        text = text[room:]
+    assert found == sent

@@ -34,9 +34,16 @@ def test_a_headband_is_found_with_the_settings_that_lead_to_it(name: str) -> Non
     assert identify(seen(name)) == "3A1F"
 
 
-@pytest.mark.parametrize("name", ["", "Muse", "Museum-12", "My Muse-3A1F", "Polar H10 A1B2C3D4"])
+@pytest.mark.parametrize("name", ["Muse", "Museum-12", "My Muse-3A1F", "Polar H10 A1B2C3D4"])
 def test_anything_else_is_none(name: str) -> None:
     assert recognise(seen(name)) is None
+
+
+def test_a_headband_without_a_name_is_told_by_its_service() -> None:
+    found = recognised(drivers_by_precedence(), seen(""))
+    assert found is not None
+    assert (found.sensor, found.settings) == ("muse", {"unit": "3A1F", "device": ADDRESS})
+    assert recognise(Advertisement(ADDRESS)) is None
 
 
 def test_a_serial_port_is_none() -> None:

@@ -180,10 +180,13 @@ class Choice:
 
     def _answers(self, seen: Advertisement) -> bool:
         """Whether it is of the kind, and the settings may mean it."""
+        wanted = _bare(self._device)
+        if wanted and wanted == _bare(seen.address):
+            # What it is, its services tell; its name may be missing.
+            return True
         identity = self._identify(seen)
         if identity is None:
             return False
-        wanted = _bare(self._device)
         return not wanted or wanted in {_bare(identity), _bare(seen.name), _bare(seen.address)}
 
     def _is_certain(self, seen: Advertisement) -> bool:
@@ -191,9 +194,9 @@ class Choice:
         if self._kept:
             return seen.address == self._kept
         identity, wanted = self._identify(seen), _bare(self._device)
-        if identity is None or not wanted:
+        if not wanted:
             return False
-        return wanted in {_bare(identity), _bare(seen.address)}
+        return wanted == _bare(seen.address) or (identity is not None and wanted == _bare(identity))
 
     def _is_of_another(self, seen: Advertisement) -> bool:
         others = [each for each in _of_this_loop() if each is not self]

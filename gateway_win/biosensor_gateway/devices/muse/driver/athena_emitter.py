@@ -22,7 +22,7 @@ from biosensor_gateway.devices.muse.driver.frames import (
     parse_notification,
 )
 from biosensor_gateway.devices.muse.driver.gatt import EEG
-from biosensor_gateway.devices.muse.driver.packets import Floats
+from biosensor_gateway.devices.muse.driver.packets import FULLEST_PERCENT, Floats
 from biosensor_gateway.devices.muse.driver.sample_clock import SampleClock
 from biosensor_gateway.devices.muse.driver.series import PacketSeries
 from biosensor_gateway.devices.sink import Sink
@@ -174,14 +174,15 @@ class AthenaEmitter:
         counts = charge_counts(block)
         if not self._charge_unit:
             told = self._percent
-            units = [unit for unit in _CHARGE_PERCENT if counts * unit <= 100]
+            units = [unit for unit in _CHARGE_PERCENT if counts * unit <= FULLEST_PERCENT]
             if not units:
                 return
             self._charge_unit = (
                 units[0] if told is None else min(units, key=lambda unit: abs(counts * unit - told))
             )
-        percent = counts * self._charge_unit
-        if percent <= 100 and percent != self._emitted_percent:
+        told = counts * self._charge_unit
+        percent = min(100.0, told)
+        if told <= FULLEST_PERCENT and percent != self._emitted_percent:
             self._emitted_percent = percent
             self._sink.emit("bat", [percent], [block.stamp_s])
 

@@ -117,21 +117,21 @@ class ClassicEmitter:
         packet = parse_eeg(data)
         if packet is None or channel >= len(EEG) + self._has_aux:
             return packet is not None
-        for number, samples in self._electrodes.take(channel, packet):
+        for number, samples, newest_s in self._electrodes.take(channel, packet, arrival_s):
             streams = {"eeg": samples[:, : len(EEG)]}
             if self._has_aux:
                 inputs = np.full((len(samples), _INPUTS), np.nan)
                 inputs[:, 0] = samples[:, len(EEG)]
                 streams["aux"] = inputs
-            self._eeg.emit(number, streams, arrival_s)
+            self._eeg.emit(number, streams, newest_s)
         return True
 
     def _take_diode(self, channel: int, data: bytes, arrival_s: float) -> bool:
         packet = parse_light(data)
         if packet is None:
             return False
-        for number, samples in self._diodes.take(channel, packet):
-            self._light.emit(number, {"ppg": samples}, arrival_s)
+        for number, samples, newest_s in self._diodes.take(channel, packet, arrival_s):
+            self._light.emit(number, {"ppg": samples}, newest_s)
         return True
 
     def _take_axes(self, name: str, unit: float, data: bytes, arrival_s: float) -> bool:

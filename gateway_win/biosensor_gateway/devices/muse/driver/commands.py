@@ -11,7 +11,7 @@ begins with the count of its characters [1]_, in the lower five bits [2]_.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, cast
 
 HALT = "h"
@@ -22,7 +22,8 @@ VERSION, VERSION_OF_FRAMES = "v1", "v6"
 """They offer a version of the protocol: the first one is of headbands before the Athena."""
 _LONGEST_BODY = 19
 _COUNT_MASK = 0x1F
-_LONGEST_ANSWER = 4096
+_LONGEST_ANSWER = 1024
+_DECODER = json.JSONDecoder()
 
 Answer = Mapping[str, Any]
 
@@ -42,22 +43,41 @@ def encode(command: str) -> bytes:
 
 
 class Answers:
-    """Puts the pieces of answers together."""
+    """Puts the pieces of answers together, wherever they were cut.
+
+    Attributes
+    ----------
+    complete
+        Answers that a piece ended besides the one that it was asked for.
+    """
 
     def __init__(self) -> None:
         self._text = ""
+        self.complete: list[Answer] = []
 
     def feed(self, piece: bytes) -> Answer | None:
-        """Take a piece; return the answer that it ends, None if it ends none."""
+        """Take a piece; return the answer that it ends, None if it ends none.
+
+        A piece may end several: the others are `complete`, until the next piece.
+        """
         count = piece[0] & _COUNT_MASK if piece else 0
-        text = piece[1 : 1 + count].decode("ascii", "replace")
-        # An answer whose end was lost must not spoil the next one.
-        self._text = text if text.startswith("{") else self._text + text
-        if not text.rstrip().endswith("}") or len(self._text) > _LONGEST_ANSWER:
-            self._text = self._text[:_LONGEST_ANSWER]
-            return None
-        complete, self._text = self._text, ""
-        return _parsed(complete)
+        self._text += piece[1 : 1 + count].decode("ascii", "replace")
+        self.complete = list(self._cut_off())
+        return self.complete.pop(0) if self.complete else None
+
+    def _cut_off(self) -> Iterator[Answer]:
+        """Return the answers that are whole, and keep what is behind the last one."""
+        begin = self._text.find("{")
+        while begin >= 0:
+            found = _first_of(self._text[begin:])
+            # An answer whose end was lost must not spoil the next one.
+            begin = self._text.find("{", begin + 1)
+            if found is not None:
+                answer, rest = found
+                self._text = rest
+                begin = rest.find("{")
+                yield answer
+        self._text = self._text[-_LONGEST_ANSWER:]
 
 
 def text_of(answer: Answer, key: str) -> str:
@@ -79,9 +99,10 @@ def battery_percent(answer: Answer) -> float | None:
     return float(percent) if 0 <= percent <= 100 else None
 
 
-def _parsed(text: str) -> Answer | None:
+def _first_of(text: str) -> tuple[Answer, str] | None:
+    """Return the object that a text begins with, and what is behind; None if it is not whole."""
     try:
-        found = json.loads(text)
+        found, end = _DECODER.raw_decode(text)
     except (ValueError, RecursionError):
         return None
-    return cast("Answer", found) if isinstance(found, dict) else None
+    return (cast("Answer", found), text[end:]) if isinstance(found, dict) else None

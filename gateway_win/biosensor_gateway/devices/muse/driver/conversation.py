@@ -24,6 +24,9 @@ class Conversation:
 
     def __init__(self, link: BleLink) -> None:
         self._link = link
+        # One for all questions: a packet may end an answer and begin the next one.
+        self._answers = Answers()
+        self._fresh: list[Answer] = []
         self._dialogue: Dialogue[Notification, str] = Dialogue(self._receive, self.tell)
 
     async def begin(self) -> None:
@@ -56,13 +59,12 @@ class Conversation:
         ProtocolError
             ``NO_REPLY`` or ``REFUSED``.
         """
-        answers = Answers()
 
         def match(notification: Notification) -> Answer | None:
-            found = answers.feed(notification.data) if notification.uuid == CONTROL else None
-            if found is None or (key not in found and not commands.return_code(found)):
+            if notification.uuid != CONTROL:
                 return None
-            return found
+            fits = (each for each in self._fresh if key in each or commands.return_code(each))
+            return next(fits, None)
 
         answer = await self._dialogue.ask(command, match, ANSWER_LIMIT_S)
         if answer is None:
@@ -96,4 +98,8 @@ class Conversation:
         await self._dialogue.close()
 
     async def _receive(self) -> Sequence[Notification]:
-        return (await self._link.next(),)
+        notification = await self._link.next()
+        if notification.uuid == CONTROL:
+            first = self._answers.feed(notification.data)
+            self._fresh = [] if first is None else [first, *self._answers.complete]
+        return (notification,)

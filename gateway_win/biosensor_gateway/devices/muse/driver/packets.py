@@ -27,6 +27,9 @@ CHARGE_PERCENT = 1 / 512
 
 Floats = NDArray[np.float64]
 
+FULLEST_PERCENT = 105
+"""A full battery says a little more than 100."""
+
 
 class Packet(NamedTuple):
     """One packet.
@@ -83,7 +86,7 @@ def parse_charge(data: bytes) -> float | None:
     if len(data) != _BYTES:
         return None
     percent = int.from_bytes(data[2:4], "big") * CHARGE_PERCENT
-    return percent if percent <= 100 else None
+    return min(100.0, percent) if percent <= FULLEST_PERCENT else None
 
 
 def _number(data: bytes) -> int:
