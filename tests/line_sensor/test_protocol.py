@@ -173,3 +173,25 @@ def test_the_first_line_of_a_port_may_be_half_of_one() -> None:
 def test_a_message_ends_with_its_last_line() -> None:
     protocol = row_protocol(line_settings())
     assert protocol.feed_whole(b"1,2\n3,4") == [(1.0, 2.0), (3.0, 4.0)]
+
+
+@pytest.mark.parametrize(
+    ("line", "separator", "row"),
+    [
+        (b"x:1,y:-2.5\n", "comma", (1.0, -2.5)),
+        (b"x: 1\ty: 2\n", "tab", (1.0, 2.0)),
+        (b"x:1, y:\n", "comma", (1.0, None)),
+    ],
+)
+def test_values_behind_their_labels_are_read(
+    line: bytes, separator: str, row: tuple[float | None, ...]
+) -> None:
+    (found,) = read(line, separator=separator, port=None, udp_port=5005)
+    assert not isinstance(found, BadLine)
+    assert [None if isnan(each) else each for each in found] == list(row)
+
+
+def test_a_value_behind_another_label_is_refused() -> None:
+    (found,) = read(b"x:1,z:2\n", port=None, udp_port=5005)
+    assert isinstance(found, BadLine)
+    assert found.flaw is Flaw.NOT_A_NUMBER

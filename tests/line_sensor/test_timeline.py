@@ -161,3 +161,32 @@ def test_stamps_are_those_of_measuring_whatever_the_way_does(drift_ppm: float) -
     errors = (np.array(stamps) - true_s)[true_s > true_s[0] + 10]
     assert np.abs(errors).max() < 0.020
     assert np.sqrt(np.mean(np.diff(errors) ** 2)) < 0.001
+
+
+@pytest.mark.parametrize("stray", [row(0, 0.0), row(900_000, 5.0), row(7000, 1e9), row(5, 1990.0)])
+@pytest.mark.parametrize("way", [{}, {"port": None, "udp_port": 5005}])
+def test_a_stray_line_is_left_out_and_loses_nothing(
+    stray: tuple[float, ...], way: dict[str, Any]
+) -> None:
+    good = [row(number, 10.0 * number) for number in range(1, 2000)]
+    rows = [*good[:500], stray, *good[500:900], stray, *good[900:901], stray, *good[901:]]
+    arrivals = [1000.0 + each[0] / 100 for each in good]
+    for at in (500, 901, 903):
+        arrivals.insert(at, arrivals[at - 1])
+    sink = emitted(rows, arrivals, **way)
+    assert [each[0] for each in sink.emitted["acc"]] == [each[0] for each in good]
+    assert (sink.restarts, sink.losses) == ([], {})
+    # Its own clock begins with its first line.
+    measured = [(each[1] - good[0][1]) / 1000 for each in good]
+    assert sink.device_times["acc"] == pytest.approx(measured)
+
+
+def test_a_line_that_nothing_came_after_is_not_kept_back_for_ever() -> None:
+    sink = EmitterSink("line_sensor")
+    emitter = LineEmitter(line_settings(**FIELDS), sink)
+    for each in (row(50, 500), row(51, 510), row(1, 10)):
+        emitter.take([each], 1000.0)
+    assert len(sink.emitted["acc"]) == 2
+    emitter.ended()
+    assert len(sink.emitted["acc"]) == 3
+    assert len(sink.restarts) == 1

@@ -91,7 +91,8 @@ class LineDriver:
                 self._say(each)
 
     async def close(self) -> None:
-        """Close the link."""
+        """Emit what was in doubt, and close the link."""
+        self._emitter.ended()
         await self._link.close()
 
     async def _first(self) -> list[BadLine]:

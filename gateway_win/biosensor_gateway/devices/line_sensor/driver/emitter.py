@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from math import isnan
 
@@ -27,6 +28,9 @@ from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog
 
 _KEPT_LINES = 1.5
+LEAP_S = 10.0
+LEAP = 1000
+"""So far ahead at once a line is in doubt, in seconds and where no rate is known in lines."""
 _FASTER = 1.5
 """A device may send so many times the lines that its settings say."""
 
@@ -68,19 +72,83 @@ class LineEmitter:
         self._time = Unwrapped(time_turn, REORDERED_S / self._tick_s, may_repeat=True)
         self._arrival_s: float | None = None
         self._is_first = True
+        self._doubted: tuple[Row, float] | None = None
 
     def connected(self) -> None:
         """Take what comes next as the first lines of a new connection."""
+        self.ended()
         self._is_first = True
 
     def take(self, rows: Sequence[Row], arrival_s: float) -> None:
         """Emit rows that came together, and count those that are missing between them."""
         batch = _Batch()
         for row in rows:
-            if self._is_placed(row):
-                self._place(row, arrival_s, batch)
-                self._arrival_s = arrival_s
+            if not self._is_placed(row):
+                continue
+            doubted, self._doubted = self._doubted, None
+            breaks = not self._is_first and not self._goes_on(row, arrival_s)
+            if doubted is not None:
+                is_believed = breaks and self._follows(row, doubted[0])
+                if is_believed:
+                    self._place(*doubted, batch)
+                else:
+                    self._leave_stray(doubted[0])
+                breaks = breaks and not is_believed
+            if breaks:
+                self._doubted = row, arrival_s
+                continue
+            self._place(row, arrival_s, batch)
         self._emit(batch, arrival_s)
+
+    def ended(self) -> None:
+        """Emit a line that nothing came after to tell where it belongs."""
+        if self._doubted is not None:
+            batch, (row, arrival_s) = _Batch(), self._doubted
+            self._doubted = None
+            self._place(row, arrival_s, batch)
+            self._emit(batch, arrival_s)
+
+    def _goes_on(self, row: Row, arrival_s: float) -> bool:
+        """Whether a line's count and time go on from the one before, or came late.
+
+        One that does not may be a stray one, as of a board's greeting: the next one tells.
+        """
+        gap_s = 0.0 if self._arrival_s is None else max(0.0, arrival_s - self._arrival_s)
+        return self._is_next(row, self._count, self._time, gap_s)
+
+    def _follows(self, row: Row, before: Row) -> bool:
+        """Whether a line goes on from another one that does not go on from those before."""
+        count, time = copy(self._count), copy(self._time)
+        for follower in (count, time):
+            follower.begin_anew()
+        self._placed(count, before, self._at_count, 0.0)
+        self._placed(time, before, self._at_time, 0.0)
+        return self._is_next(row, count, time, 0.0)
+
+    def _is_next(self, row: Row, count: Unwrapped, time: Unwrapped, gap_s: float) -> bool:
+        places = (
+            (self._placed(copy(count), row, self._at_count, self._most(gap_s)), self._leap(gap_s)),
+            (
+                self._placed(copy(time), row, self._at_time, (gap_s + SLACK_S) / self._tick_s),
+                (gap_s + LEAP_S) / self._tick_s,
+            ),
+        )
+        return all(
+            place is None or (place.order is not Order.RESTART and place.step <= leap)
+            for place, leap in places
+        )
+
+    def _leap(self, gap_s: float) -> float:
+        """Return by how much the count grows without a doubt."""
+        return _FASTER * self._rate_hz * (gap_s + LEAP_S) if self._rate_hz else LEAP
+
+    def _leave_stray(self, row: Row) -> None:
+        # What it was made of is not known any more, but that it was no line of the others is.
+        self._sink.dropped_bytes += len(row)
+        self._log.warn_once(
+            "a line is left out: neither the one before nor the one behind has a count or time "
+            "that fits its own"
+        )
 
     def _is_placed(self, row: Row) -> bool:
         """Whether a row has its count and its time, which a struct may say as NaN."""
@@ -92,6 +160,7 @@ class LineEmitter:
         count = self._placed(self._count, row, self._at_count, self._most(gap_s))
         if count is not None and count.order is Order.LATE:
             self._leave_out()
+            self._arrival_s = arrival_s
             return
         if count is not None and count.order is Order.RESTART and self._is_behind(row):
             self._time.begin_anew()
@@ -110,6 +179,7 @@ class LineEmitter:
         elif count is not None and count.step > 1:
             for name in self._counted:
                 self._sink.lost(name, round(count.step) - 1)
+        self._arrival_s = arrival_s
         batch.rows.append(row)
         batch.device_s.append(self._device_s(count, time))
 

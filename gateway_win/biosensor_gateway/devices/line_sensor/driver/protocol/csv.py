@@ -46,6 +46,7 @@ class CsvReader:
         row: list[float] = []
         for position, value in enumerate(values):
             label = self._labels[position]
+            value = _without_label(value, label)
             number = 0.0 if label == SKIPPED else self._number(value)
             if number is None or (position in self._needed and isnan(number)):
                 if tuple(values) == self._labels:
@@ -78,6 +79,12 @@ def _split(line: str, separator: str) -> list[str]:
     if separator == "space":
         return line.split()
     return [each.strip() for each in line.split(SEPARATORS[separator])]
+
+
+def _without_label(value: str, label: str) -> str:
+    """Return what is behind the label, as Arduino's plotter has it: ``gsr:512``."""
+    told, colon, number = value.partition(":")
+    return number.strip() if colon and label in (told.strip(), SKIPPED) else value
 
 
 def _values(count: int) -> str:
