@@ -180,9 +180,9 @@ class AthenaEmitter:
             self._charge_unit = (
                 units[0] if told is None else min(units, key=lambda unit: abs(counts * unit - told))
             )
-        told = counts * self._charge_unit
-        percent = min(100.0, told)
-        if told <= FULLEST_PERCENT and percent != self._emitted_percent:
+        shown = counts * self._charge_unit
+        percent = min(100.0, shown)
+        if shown <= FULLEST_PERCENT and percent != self._emitted_percent:
             self._emitted_percent = percent
             self._sink.emit("bat", [percent], [block.stamp_s])
 

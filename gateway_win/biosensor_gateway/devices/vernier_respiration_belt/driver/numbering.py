@@ -1,8 +1,8 @@
 """Device time of a belt's samples: it sends none, so they are counted.
 
 Sample after sample is one period later. Where that may be wrong, because the packet
-counter jumped or the belt was silent, a few packets are held back until they tell
-which of two things happened:
+counter jumped, a packet came late or the belt was silent, a few packets are held back until
+they tell which of two things happened:
 
 * They come faster than they were measured: the radio was held up, and the belt now
   sends what it had stored. Nothing is missing.
@@ -28,6 +28,10 @@ HELD_PACKETS = 5
 """The least delayed of so many packets is hardly delayed."""
 SILENCE_S = 1.0
 SILENCE_PERIODS = 5
+PAUSE_S = 0.15
+PAUSE_PERIODS = 1.5
+"""A packet that is later than this tells of samples that are missing, whatever the counter says:
+belts were seen to pause for half a second every few seconds."""
 BACKLOG_PACE = 0.5
 """Stored packets follow each other in less than this part of the time they were measured in."""
 EARLY_PERIODS = 0.25
@@ -48,11 +52,14 @@ class Arrived(NamedTuple):
         Number of samples a channel, at least 1.
     arrival_s
         LSL clock, in seconds.
+    is_behind_pause
+        Whether it came later than its samples take.
     """
 
     measurement: Measurement
     samples: int
     arrival_s: float
+    is_behind_pause: bool = False
 
 
 class Placed(NamedTuple):
@@ -124,6 +131,9 @@ class Numbering:
             return [self._place_first(packet)]
         if pause > max(SILENCE_S, SILENCE_PERIODS * self._period_s):
             self._suspicious = self._may_be_stored = True
+        elif pause - packet.samples * self._period_s > max(PAUSE_S, PAUSE_PERIODS * self._period_s):
+            self._suspicious = True
+            packet = packet._replace(is_behind_pause=True)
         if not self._suspicious:
             return [self._place_next(packet)]
         self._held.append(packet)
@@ -131,8 +141,9 @@ class Numbering:
 
     def release(self) -> list[Placed]:
         """Return what is held back, because no more packets come."""
-        lost = 0 if not self._held or _is_backlog(self._held, self._period_s) else self._missing()
-        return self._place_held(len(self._held), lost)
+        if not self._held or _is_backlog(self._held, self._period_s):
+            return self._place_held(len(self._held))
+        return self._place_by_pauses(least=1)
 
     def _place_first(self, packet: Arrived) -> Placed:
         """Go on where the host's clock is: a start begins at any moment."""
@@ -165,8 +176,21 @@ class Numbering:
                 if _is_backlog(later, self._period_s) or self._missing(HELD_PACKETS) != lost:
                     placed += self._place_held(HELD_PACKETS)
                     continue
-            placed += self._place_held(len(self._held), lost)
-            self._suspicious = self._may_be_stored = False
+            placed += self._place_by_pauses()
+            self._suspicious, self._may_be_stored = bool(self._held), False
+        return placed
+
+    def _place_by_pauses(self, least: int = HELD_PACKETS) -> list[Placed]:
+        """Place what is held back from pause to pause, as far as enough came behind each."""
+        begins = [at for at, each in enumerate(self._held) if not at or each.is_behind_pause]
+        known = [at for at in begins if len(self._held) - at >= least]
+        missing = [self._missing(at) for at in known]
+        ends = [*begins[1:], len(self._held)][: len(known)]
+        placed: list[Placed] = []
+        before = 0
+        for begin, end, lost in zip(known, ends, missing, strict=True):
+            placed += self._place_held(end - begin, max(0, lost - before))
+            before = max(before, lost)
         return placed
 
     def _place_held(self, count: int, lost: int = 0) -> list[Placed]:
