@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import uuid
 from collections.abc import Callable
 from pathlib import Path
 
@@ -53,6 +54,31 @@ def test_it_records_until_it_is_stopped(record: Record, sources: Sources, tmp_pa
     assert f"{file} is closed" in ended.out
     assert ended.out.splitlines()[-1].split(":")[0] in {"green", "amber"}
     del sources
+
+
+def test_virtual_devices_are_recorded_in_the_session_of_the_settings(
+    state: Path, record: Record, tmp_path: Path
+) -> None:
+    """What streams in another session than `record` looks in would not be there for it."""
+    command_line = CommandLine(state)
+    state.mkdir()
+    (state / "none.toml").write_text(f'[lsl]\nsession_id = "{uuid.uuid4().hex}"\n')
+    agent = command_line.begin("run", "--no-ask", "--simulate", "zephyr")
+    try:
+        ready = command_line("wait-ready", "--timeout", "60")
+        assert ready.code == 0, ready.err
+        begun = record("start", "--here", "--folder", str(tmp_path), "--participant", "P07")
+        assert begun.code == 0, begun.err
+        assert record("stop").code == 0
+    finally:
+        agent.terminate()
+        agent.communicate(timeout=60)
+
+
+def test_there_is_nothing_to_stop(record: Record) -> None:
+    outcome = record("stop")
+    assert outcome.code == 1
+    assert "nothing is being recorded here" in outcome.err
 
 
 def _samples(status: Outcome) -> int:

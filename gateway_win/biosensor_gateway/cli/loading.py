@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.models import GatewaySettings
@@ -19,10 +18,6 @@ def settings_or_defaults(path: Path | None) -> GatewaySettings:
     ConfigError
         If the file is wrong, or the named one is not there.
     """
-    try:
-        return settings_file.load_settings(path or settings_path(), settings_models())
-    except ConfigError as error:
-        # Virtual devices need none, nor do recordings; a broken file is another matter.
-        if path is not None or error.reason is not ConfigReason.NOT_FOUND:
-            raise
-        return GatewaySettings()
+    if path is not None:
+        return settings_file.load_settings(path, settings_models())
+    return settings_file.load_or_defaults(settings_path(), settings_models())

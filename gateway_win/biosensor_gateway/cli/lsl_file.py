@@ -13,13 +13,10 @@ from pydantic import ValidationError
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.lsl_config import config_places, home_config_file, user_config_file
+from biosensor_gateway.cli.loading import settings_or_defaults
 from biosensor_gateway.cli.options import SettingsOption
-from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.recording.lsl_api_cfg import LOOPBACK, LabRecorderSettings, LslFile, changes
-from biosensor_gateway.settings import file as settings_file
-from biosensor_gateway.settings.models import GatewaySettings, LslSettings
-from biosensor_gateway.settings.places import settings_path
-from biosensor_gateway.settings.problems import from_validation, report
+from biosensor_gateway.settings.models import LslSettings
 
 
 @unique
@@ -70,7 +67,7 @@ def write_lsl_file(
     if arrangement is Arrangement.TWO_PC and not peers:
         raise typer.BadParameter("two-pc needs the other computer: add --peer ADDRESS")
     path = (out or home_config_file(Path.home())).expanduser()
-    lsl = _agent_settings(settings)
+    lsl = settings_or_defaults(settings).lsl
     local = (LOOPBACK,) if arrangement is Arrangement.SINGLE_PC else ()
     wanted = LabRecorderSettings(
         lsl.session_id or _session_of_own_file(),
@@ -82,17 +79,6 @@ def write_lsl_file(
     file.adapt(wanted)
     _store(path, before, file.text, force=force)
     _report(path, file, others=peers)
-
-
-def _agent_settings(chosen: Path | None) -> LslSettings:
-    """Return the user's settings; before there is a file, the defaults."""
-    path = chosen or settings_path()
-    if chosen or path.exists():
-        return settings_file.load_settings(path, settings_models()).lsl
-    try:
-        return GatewaySettings().lsl
-    except ValidationError as error:
-        raise report(path, {}, list(from_validation(error, GatewaySettings))) from None
 
 
 def _session_of_own_file() -> str:

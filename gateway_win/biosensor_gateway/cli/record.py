@@ -153,7 +153,8 @@ def stop(
     as_json: JsonOption = False,
 ) -> None:
     """End the recording, and see its file closed; exit code 1 if it is not."""
-    if not (host or port) and recording_here.is_of(file):
+    nothing = file is None and not recording_here.may_be_of_window(_LOCAL, DEFAULT_PORT)
+    if not (host or port) and (recording_here.is_of(file) or nothing):
         stopped = Recording(state_folder()).stop()
     else:
         with RemoteControl(host or _LOCAL, port or DEFAULT_PORT) as remote:

@@ -14,6 +14,7 @@ from biosensor_gateway.recording.growing.growth import Growth
 from biosensor_gateway.recording.here.recording import Recording
 from biosensor_gateway.recording.here.results import StartedHere
 from biosensor_gateway.recording.labrecorder.errors import LabRecorderError
+from biosensor_gateway.recording.labrecorder.memory import last_started
 from biosensor_gateway.recording.labrecorder.remote import RemoteControl
 from biosensor_gateway.recording.labrecorder.starting import Order
 from biosensor_gateway.recording.labrecorder.streams import Presence, expected_devices, look
@@ -31,6 +32,11 @@ def has_window(host: str, port: int) -> bool:
             return True
     except LabRecorderError:
         return False
+
+
+def may_be_of_window(host: str, port: int) -> bool:
+    """Whether LabRecorder's window may be recording: it is open, or was told to."""
+    return last_started(state_folder()) is not None or has_window(host, port)
 
 
 def is_of(file: Path | None) -> bool:

@@ -20,6 +20,7 @@ from biosensor_gateway.agent.reloading import ReadSettings
 from biosensor_gateway.agent.single_instance import single_instance
 from biosensor_gateway.cli.features_beside import FeaturesBeside
 from biosensor_gateway.cli.live_table import LiveTable, sensor_title
+from biosensor_gateway.cli.loading import settings_or_defaults
 from biosensor_gateway.cli.questions import can_ask
 from biosensor_gateway.cli.start_log import StartLog
 from biosensor_gateway.devices.registry import settings_models
@@ -53,7 +54,7 @@ def stream(
     settings
         The file that was named; None for the usual one.
     simulate, faults
-        Virtual devices instead, and what befalls them; see `simulated_settings`.
+        Virtual devices in place of its devices, and what befalls them; see `simulated_settings`.
     ask
         Lead a person at the terminal first; None to do so if the settings name no device.
     features
@@ -74,7 +75,7 @@ def stream(
         if ask or (ask is None and _is_guide_wanted(settings, simulate)):
             simulate = _guided(settings or settings_path())
         read = None if simulate else _reader(settings)
-        loaded = read() if read else stack.enter_context(_virtual_devices(simulate, faults))
+        loaded = read() if read else stack.enter_context(_virtual(simulate, faults, settings))
         _run_agent(loaded, read, log, unguarded, features=features, verbose=verbose)
 
 
@@ -99,10 +100,13 @@ def _reader(path: Path | None) -> ReadSettings:
     return lambda: settings_file.load_settings(file, settings_models())
 
 
-def _virtual_devices(names: str, faults: Iterable[str]) -> AbstractContextManager[GatewaySettings]:
+def _virtual(
+    names: str, faults: Iterable[str], settings: Path | None
+) -> AbstractContextManager[GatewaySettings]:
     from biosensor_gateway.demo.virtual_devices import simulated_settings  # only on request
 
-    return simulated_settings(names.split(","), faults)
+    # Recorders, the page and features take part in LSL as the settings say, devices or none.
+    return simulated_settings(names.split(","), faults, settings_or_defaults(settings))
 
 
 def _claim(stack: ExitStack, folder: Path) -> ConfigError | None:

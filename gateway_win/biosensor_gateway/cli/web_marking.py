@@ -13,11 +13,9 @@ import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.terminal import columns, wrapped
-from biosensor_gateway.devices.registry import settings_models
+from biosensor_gateway.cli.loading import settings_or_defaults
 from biosensor_gateway.page.experiments.token import experiment_token, new_experiment_token
-from biosensor_gateway.settings.file import load_settings
-from biosensor_gateway.settings.models import GatewaySettings
-from biosensor_gateway.settings.places import settings_path, state_folder
+from biosensor_gateway.settings.places import state_folder
 from biosensor_gateway.settings.web_markers import OF_NO_SITE, USUAL_PORT, WebMarkerSettings
 
 _EXAMPLE = 'origins = ["http://localhost:8080"]'
@@ -72,12 +70,7 @@ def save(folder: Path) -> None:
 
 
 def _settings() -> WebMarkerSettings:
-    try:
-        return load_settings(settings_path(), settings_models()).markers.web
-    except ConfigError as error:
-        if error.reason is not ConfigReason.NOT_FOUND:
-            raise
-        return GatewaySettings().markers.web
+    return settings_or_defaults(None).markers.web
 
 
 def _rows(web: WebMarkerSettings, token: str) -> Iterator[tuple[str, str]]:

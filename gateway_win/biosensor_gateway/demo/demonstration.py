@@ -13,14 +13,16 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.demo.expectation import expected_topics, fitting_devices
-from biosensor_gateway.settings.places import STATE_VARIABLE
+from biosensor_gateway.devices.registry import settings_models
+from biosensor_gateway.settings.file import load_or_defaults
+from biosensor_gateway.settings.places import STATE_VARIABLE, settings_path
 from biosensor_gateway.streaming.room import Room
 
 # Short enough that the slowest chunk, of the wristband's 4 Hz, fills in eight seconds.
@@ -74,7 +76,7 @@ def _show(seconds: float | None, devices: Mapping[str, str]) -> int:
         expected.write_text(json.dumps(topics), encoding="utf-8")
         servers = {
             name: stack.enter_context(_process(name, command, folder))
-            for name, command in _servers(devices.values()).items()
+            for name, command in programs(devices.values()).items()
         }
         options = ["--expect", str(expected)]
         if seconds is not None:
@@ -86,11 +88,23 @@ def _show(seconds: float | None, devices: Mapping[str, str]) -> int:
         return _wait(table, servers, folder)
 
 
-def _servers(devices: Iterable[str]) -> dict[str, Sequence[str]]:
+def programs(devices: Iterable[str]) -> dict[str, Sequence[str]]:
+    """Return the command lines of agent and node, as modules with arguments."""
     return {
         "agent": ("biosensor_gateway.cli", "run", "--simulate", ",".join(devices)),
-        "node": ("lsl_to_ros.node", "--ros-args", "-p", f"Chunk_Length:={CHUNK_LENGTH}"),
+        "node": ("lsl_to_ros.node", "--ros-args", *_parameters()),
     }
+
+
+def _parameters() -> Iterator[str]:
+    yield from ("-p", f"Chunk_Length:={CHUNK_LENGTH}")
+    # The agent takes part in LSL as the settings say, and the node is to find it.
+    lsl = load_or_defaults(settings_path(), settings_models()).lsl
+    if lsl.session_id:
+        # Quoted, so that a session named 42 is no number.
+        yield from ("-p", f"session_id:={json.dumps(lsl.session_id)}")
+    if lsl.known_peers:
+        yield from ("-p", f"known_peers:={json.dumps(lsl.known_peers)}")
 
 
 @contextmanager

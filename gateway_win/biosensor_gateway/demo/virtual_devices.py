@@ -22,7 +22,6 @@ from biosensor_gateway.devices.registry import driver, sensor, sensor_names
 from biosensor_gateway.settings.models import (
     DeviceSettings,
     GatewaySettings,
-    environment_overrides,
 )
 from biosensor_gateway.settings.names import require_participant
 from biosensor_gateway.simulation.faults import Fault, ScheduledFault, parse_fault
@@ -192,7 +191,7 @@ def make(name: str, scene: Scene, /, **options: object) -> VirtualDevice:
 
 @contextmanager
 def simulated_settings(
-    names: Sequence[str], faults: Iterable[str] = ()
+    names: Sequence[str], faults: Iterable[str] = (), settings: GatewaySettings | None = None
 ) -> Generator[GatewaySettings]:
     """Start virtual devices and yield settings in which they are the only ones.
 
@@ -203,6 +202,8 @@ def simulated_settings(
         ``@P01`` behind it, participant P01 wears it. What is named twice runs once.
     faults
         What goes wrong and when, as `parse_fault` reads it.
+    settings
+        Of which everything but the devices holds; None for the usual ones.
 
     Raises
     ------
@@ -221,7 +222,7 @@ def simulated_settings(
         _schedule(scheduled, devices)
         stack.enter_context(_environment(devices.values()))
         tables = tuple(_settings(each, device) for each, device in devices.items())
-        yield GatewaySettings.model_validate({**environment_overrides(), "device": tables})
+        yield (settings or GatewaySettings()).model_copy(update={"devices": tables})
 
 
 def _settings(wanted: Wanted, device: VirtualDevice) -> DeviceSettings:

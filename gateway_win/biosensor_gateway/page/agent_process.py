@@ -6,6 +6,7 @@ from pathlib import Path
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_gateway.agent.single_instance import is_held
+from biosensor_gateway.settings.places import SETTINGS_VARIABLE
 from biosensor_gateway.system.own_command import start_beside
 
 ALL_VIRTUAL = "all"
@@ -21,7 +22,7 @@ def start_agent(folder: Path, settings: Path, *, virtual: bool) -> None:
     settings
         Its settings file.
     virtual
-        Stream virtual devices of every kind instead.
+        Stream virtual devices of every kind in place of those of the settings.
 
     Raises
     ------
@@ -32,7 +33,8 @@ def start_agent(folder: Path, settings: Path, *, virtual: bool) -> None:
         raise TransportError(TransportReason.BUSY, "an agent runs already; end it first")
     what = ["--simulate", ALL_VIRTUAL] if virtual else ["--settings", str(settings)]
     try:
-        start_beside(["run", "--keep-alive", "--no-ask", *what])
+        # Named by an option, it must be there; virtual devices do without.
+        start_beside(["run", "--keep-alive", "--no-ask", *what], {SETTINGS_VARIABLE: str(settings)})
     except OSError as error:
         message = f"the agent could not be started: {error.strerror or error}"
         raise TransportError(TransportReason.ABSENT, message) from error

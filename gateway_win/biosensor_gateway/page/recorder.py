@@ -154,7 +154,7 @@ class Recorder:
             allow_missing=wanted.allow_missing,
             other_participants=wanted.other_participants,
         )
-        return self._recording.start(order, self._streams)
+        return self._recording.start(order, self._streams, self._session.loaded().lsl.overrides)
 
     def _question(self, mismatch: Mismatch) -> QuestionError:
         choices = [Choice(words="Record as it is", more={"other_participants": True})]

@@ -47,6 +47,23 @@ def load_settings(path: Path, device_models: Mapping[str, type[DeviceSettings]])
     return settings_of(path, read_text(path), device_models)
 
 
+def load_or_defaults(
+    path: Path, device_models: Mapping[str, type[DeviceSettings]]
+) -> GatewaySettings:
+    """Read the settings, or take the usual ones if there is no file; see `load_settings`."""
+    try:
+        return load_settings(path, device_models)
+    except ConfigError as error:
+        if error.reason is not ConfigReason.NOT_FOUND:
+            raise
+    try:
+        return GatewaySettings()
+    except ValidationError as error:
+        # What the environment says, then.
+        problems = list(from_validation(error, GatewaySettings))
+        raise report(path, {}, problems) from None
+
+
 def settings_of(
     path: Path, text: str, device_models: Mapping[str, type[DeviceSettings]]
 ) -> GatewaySettings:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -27,8 +28,13 @@ def own_command(arguments: Sequence[str]) -> list[str]:
     return [sys.executable, "-P", "-m", "biosensor_gateway.cli", *arguments]
 
 
-def start_beside(arguments: Sequence[str]) -> None:
+def start_beside(arguments: Sequence[str], environment: Mapping[str, str] | None = None) -> None:
     """Run this program with arguments, without a terminal; it outlives this one.
+
+    Parameters
+    ----------
+    environment
+        Variables that it has beside those of this one.
 
     Raises
     ------
@@ -37,6 +43,7 @@ def start_beside(arguments: Sequence[str]) -> None:
     """
     subprocess.Popen(
         own_command(arguments),
+        env=os.environ | (environment or {}),
         # Nothing that this one has open may be held open by it.
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,

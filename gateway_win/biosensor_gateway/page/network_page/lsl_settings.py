@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.devices.registry import settings_models
 from biosensor_gateway.settings import file as settings_file
-from biosensor_gateway.settings.models import GatewaySettings, LslSettings
+from biosensor_gateway.settings.models import LslSettings
 
 
 def lsl_settings(path: Path) -> LslSettings:
@@ -18,9 +17,4 @@ def lsl_settings(path: Path) -> LslSettings:
     ConfigError
         The file is wrong.
     """
-    try:
-        return settings_file.load_settings(path, settings_models()).lsl
-    except ConfigError as error:
-        if error.reason is not ConfigReason.NOT_FOUND:
-            raise
-        return GatewaySettings().lsl
+    return settings_file.load_or_defaults(path, settings_models()).lsl

@@ -32,7 +32,7 @@ def end(folder: RecorderFolder) -> StoppedHere:
         _ask(folder)
     kept = folder.kept()
     if kept is None:
-        message = "this computer records nothing by itself; begin with: record start"
+        message = "nothing is being recorded here; begin with: biosensor-gateway record start"
         raise RecorderError(RecorderReason.NOT_RECORDING, message)
     file = Path(kept.file)
     if not kept.ended:
