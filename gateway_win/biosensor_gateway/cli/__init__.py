@@ -20,6 +20,8 @@ BEGUN_S = time.perf_counter()
 KEEP_ALIVE = "--keep-alive"
 KEEP_RECORDING = "keep-recording"
 """Not for people: this process is then the keeper of a recording."""
+RECORD_STREAMS = "record-streams"
+"""Likewise: it records in the place of LabRecorder's program."""
 PLAY_RECORDING = "play-recording"
 """Likewise: it plays one, for the page."""
 SEND_FEATURES = "send-features"
@@ -43,6 +45,10 @@ def _run() -> None:
         from biosensor_gateway.recording.here.keeper import keep  # only then
 
         sys.exit(keep(Path(sys.argv[2])))
+    if sys.argv[1:2] == [RECORD_STREAMS]:
+        from biosensor_gateway.recording.receiving.program import record_streams  # only then
+
+        sys.exit(record_streams(Path(sys.argv[2]), sys.argv[3]))
     if sys.argv[1:2] == [PLAY_RECORDING]:
         from biosensor_gateway.recording.replay.player_process import play_for_another  # only then
 

@@ -213,8 +213,15 @@ def _ask_to_end(process: subprocess.Popen[bytes]) -> None:
         process.terminate()
 
 
+_CRASHES = 0xC0000000
+"""From here on Windows' exit codes are errors that end programs."""
+
+
 def ending_in_words(code: int) -> str:
     """Say how a process ended, by its exit code."""
+    if code >= _CRASHES:
+        # Windows' own names of what ends a program are of this form.
+        return f"crash {code:#010X}".replace("0X", "0x")
     if code >= 0:
         return f"exit code {code}"
     try:

@@ -12,7 +12,7 @@ class RecorderReason(Enum):
     """Why a recording was not begun, or not ended as it should be."""
 
     NO_PROGRAM = "no_program"
-    """LabRecorder's program is not here, or cannot be run."""
+    """LabRecorder's program is not here."""
     RECORDING = "recording"
     """It is recording already."""
     NOT_RECORDING = "not_recording"

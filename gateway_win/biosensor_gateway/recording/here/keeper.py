@@ -1,4 +1,4 @@
-"""The process that runs LabRecorder's program, and ends it when somebody asks.
+"""The process that runs the program that records, and ends it when somebody asks.
 
 The program records until a line comes in, or its input ends. A keeper of its own holds that
 input, so that a recording goes on when the terminal or page that began it dies. If the keeper
@@ -17,14 +17,19 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from biosensor_gateway.recording.here.memory import RecorderFolder
+from biosensor_gateway.recording.here.memory import Kept, RecorderFolder
 from biosensor_gateway.recording.here.program import library_folder
+from biosensor_gateway.recording.here.said import Said
+from biosensor_gateway.recording.here.ways import OWN
+from biosensor_gateway.system.keep_alive import ending_in_words
 from biosensor_gateway.system.own_command import own_command
 
 KEEPER = "keep-recording"
 """First argument of the command line that is a keeper; the second is the state folder."""
 END_S = 60.0
-"""It waits up to five seconds for each of its threads."""
+"""LabRecorder's waits up to five seconds for each of its threads."""
+_GIVEN_UP_S = 5.0
+"""For one whose file nobody wants."""
 _POLL_S = 0.1
 _ALREADY, _NOT_RUN = 3, 4
 
@@ -82,8 +87,8 @@ class _Keeper:
             self._folder.keep(kept := replace(kept, program=process.pid))
             while process.poll() is None and not self._is_to_end():
                 time.sleep(_POLL_S)
-            problem = "" if process.poll() is None else _died(process.returncode)
-            problem = _end(process) or problem
+            problem = "" if process.poll() is None else self._why_it_ended(process.returncode, kept)
+            problem = self._end(process, kept) or problem
         self._folder.keep(
             replace(kept, ended=time.time(), code=process.returncode, problem=problem)
         )
@@ -111,27 +116,25 @@ class _Keeper:
             signal.signal(number, self._tell)
         return process
 
+    def _end(self, process: subprocess.Popen[bytes], kept: Kept) -> str:
+        """Have the program close its file; return what went wrong."""
+        limit_s = _GIVEN_UP_S if self._folder.is_given_up() else END_S
+        try:
+            process.communicate(b"\n", limit_s)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            return f"{kept.recorder} did not end within {limit_s:g} s, and was killed"
+        return ""
+
+    def _why_it_ended(self, code: int, kept: Kept) -> str:
+        said = Said(self._folder.what_was_said()).end if kept.recorder == OWN else ""
+        return f"{kept.recorder} ended by itself: {said or ending_in_words(code)}"
+
     def _tell(self, _number: int, _frame: object) -> None:
         self._is_told_to_end = True
 
     def _is_to_end(self) -> bool:
         return self._is_told_to_end or self._folder.is_asked_to_stop()
-
-
-def _end(process: subprocess.Popen[bytes]) -> str:
-    """Have the program close its file; return what went wrong."""
-    try:
-        process.communicate(b"\n", END_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        return f"LabRecorder's program did not end within {END_S:g} s, and was killed"
-    return ""
-
-
-def _died(code: int) -> str:
-    if code < 0:
-        return f"LabRecorder's program was killed by signal {-code}"
-    return f"LabRecorder's program ended by itself with exit code {code}"
 
 
 def _environment(lsl_config: Path) -> Mapping[str, str]:

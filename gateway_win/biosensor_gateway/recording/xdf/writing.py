@@ -24,6 +24,8 @@ from biosensor_gateway.recording.xdf.framing import (
 )
 from biosensor_gateway.recording.xdf.samples import Texts, record
 
+RawTexts = list[tuple[bytes, ...]]
+
 _XML = b'<?xml version="1.0"?>'
 _STAMP = struct.Struct("<Bd")
 _STAMP_BYTES = 8
@@ -85,13 +87,16 @@ def boundary() -> bytes:
     return framed(Tag.BOUNDARY, BOUNDARY)
 
 
-def stream_header(number: int, xml: str) -> bytes:
+def stream_header(number: int, xml: str | bytes) -> bytes:
     """Return the chunk of a stream's header, with its XML as it is."""
-    return framed(Tag.STREAM_HEADER, _number(number) + xml.encode("utf-8", "surrogatepass"))
+    return framed(Tag.STREAM_HEADER, _number(number) + _encoded(xml))
 
 
 def samples(
-    number: int, form: ChannelFormat, stamps: NDArray[np.float64], values: NDArray[Any] | Texts
+    number: int,
+    form: ChannelFormat,
+    stamps: NDArray[np.float64],
+    values: NDArray[Any] | Texts | RawTexts,
 ) -> bytes:
     """Return a chunk of samples, each with its stamp.
 
@@ -99,7 +104,7 @@ def samples(
     ----------
     stamps : ndarray of float64, shape (n,)
     values : ndarray, shape (n, n_channels), or list of tuple
-        What the format of the stream can hold.
+        What the format of the stream can hold; text may be as bytes, as another program sent it.
     """
     head = _number(number) + b"\x04" + struct.pack("<I", len(stamps))
     if isinstance(values, list):
@@ -109,12 +114,16 @@ def samples(
     return framed(Tag.SAMPLES, head + rows.tobytes())
 
 
-def _texts(stamps: NDArray[np.float64], values: Texts) -> bytes:
+def _encoded(text: str | bytes) -> bytes:
+    return text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass")
+
+
+def _texts(stamps: NDArray[np.float64], values: Texts | RawTexts) -> bytes:
     parts: list[bytes] = []
     for stamp, sample in zip(stamps.tolist(), values, strict=True):
         parts.append(_STAMP.pack(_STAMP_BYTES, stamp))
         for text in sample:
-            content = text.encode("utf-8", "surrogatepass")
+            content = _encoded(text)
             parts.append(b"\x04" + struct.pack("<I", len(content)) + content)
     return b"".join(parts)
 

@@ -1,0 +1,141 @@
+"""The process that records in the place of LabRecorder's program.
+
+It is given a file and a predicate, looks for streams, prints a line for each that it finds and
+has opened, and records until a line comes in or its input ends. Exit codes: 0, 1 with a sentence
+if the file cannot be written, 2 if there is no stream.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from datetime import datetime
+from pathlib import Path
+from typing import BinaryIO
+
+import pylsl
+
+from biosensor_common.ending import end_within
+from biosensor_common.errors import SpecError
+from biosensor_common.heap import limit_arenas
+from biosensor_gateway.recording.receiving.stream import ReceivedStream
+from biosensor_gateway.recording.xdf import writing
+
+TAKE_EVERY_S = 0.5
+BOUNDARY_EVERY_S = 10.0
+_SEARCH_S, _MOST_STREAMS = 2.0, 1 << 16
+_OPEN_S = 8.0
+_OPENED_AT_ONCE = 32
+_LAST_S = 0.2
+"""What was sent right before the end is still on its way."""
+_UNWRITABLE, _NO_STREAM = 1, 2
+
+
+def record_streams(file: Path, predicate: str) -> int:
+    """Record the streams that fit to a file; return the exit code of this process."""
+    limit_arenas(os.environ)
+    _configure()
+    over = threading.Event()
+    threading.Thread(target=_read_line, args=[over], daemon=True).start()
+    try:
+        with file.open("wb") as target:
+            code = _Recorder(target, predicate).run(over)
+    except OSError as error:
+        _say(f"{file} cannot be written: {error.strerror or error}")
+        code = _UNWRITABLE
+    # liblsl closes its inlets one after the other, some of them only when their sender answers.
+    end_within()
+    return code
+
+
+def _configure() -> None:
+    """Take the settings from the file that is named: liblsl would lose letters of its name."""
+    named = os.environ.get("LSLAPICFG")
+    if named:
+        pylsl.set_config_content(Path(named).read_text("utf-8"))
+
+
+def _read_line(over: threading.Event) -> None:
+    # Unbuffered: a thread that reads from a buffer cannot be left behind at the end.
+    os.read(sys.stdin.fileno(), 1)
+    over.set()
+
+
+def _say(line: str) -> None:
+    sys.stdout.buffer.write(f"{line}\n".encode(errors="replace"))
+    sys.stdout.buffer.flush()
+
+
+class _Recorder:
+    def __init__(self, target: BinaryIO, predicate: str) -> None:
+        self._target, self._predicate = target, predicate
+        self._lock, self._is_over = threading.Lock(), False
+
+    def run(self, over: threading.Event) -> int:
+        try:
+            return self._run(over)
+        finally:
+            # Threads that measure clocks may come a moment later.
+            with self._lock:
+                self._is_over = True
+
+    def _run(self, over: threading.Event) -> int:
+        streams = self._opened()
+        if not streams:
+            return _NO_STREAM
+        writing.begin(self._target, datetime.now().astimezone().isoformat(timespec="seconds"), ())
+        # All headers come first: readers know by them what is in a file that grows.
+        for each in streams:
+            each.begin()
+        _say("Starting the recording")
+        for each in streams:
+            _say(f"Started data collection for stream {each.title}")
+        marked_s = time.monotonic()
+        while not over.wait(TAKE_EVERY_S):
+            self._take(streams)
+            if time.monotonic() - marked_s >= BOUNDARY_EVERY_S:
+                marked_s = time.monotonic()
+                self._write(writing.boundary())
+        time.sleep(_LAST_S)
+        self._take(streams)
+        for each in streams:
+            each.end()
+        with self._lock:
+            self._target.flush()
+        return 0
+
+    def _opened(self) -> list[ReceivedStream]:
+        """Open all that there are; those that do not answer are as if they were not there."""
+        infos = pylsl.resolve_bypred(self._predicate, _MOST_STREAMS, _SEARCH_S)
+        found = {info.uid(): info for info in infos}.values()
+        with ThreadPoolExecutor(_OPENED_AT_ONCE) as pool:
+            opened = list(pool.map(self._open, range(1, len(found) + 1), found))
+        streams = [each for each in opened if each is not None]
+        for each in streams:
+            _say(f"Found {each.title} matching '{self._predicate}'")
+        return streams
+
+    def _open(self, number: int, info: pylsl.StreamInfo) -> ReceivedStream | None:
+        try:
+            stream = ReceivedStream(number, info, self._write)
+            stream.open(_OPEN_S)
+        except (SpecError, RuntimeError) as error:
+            _say(f"{info.name()} cannot be opened: {error}")
+            return None
+        return stream
+
+    def _take(self, streams: Sequence[ReceivedStream]) -> None:
+        for each in streams:
+            each.take()
+        with self._lock:
+            # Whoever watches the file sees it grow, and what was written outlives this process.
+            self._target.flush()
+
+    def _write(self, chunk: bytes) -> None:
+        with self._lock:
+            if not self._is_over:
+                self._target.write(chunk)

@@ -1,0 +1,306 @@
+"""This program's own recorder: what it writes is what LabRecorder writes, and it takes over."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import socket
+import stat
+import subprocess
+import sys
+import threading
+from collections.abc import Generator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pylsl
+import pytest
+from numpy.typing import NDArray
+
+from biosensor_gateway.recording.here import starting
+from biosensor_gateway.recording.here.errors import RecorderError, RecorderReason
+from biosensor_gateway.recording.here.memory import RecorderFolder
+from biosensor_gateway.recording.here.recording import Recording
+from biosensor_gateway.recording.here.ways import LAB_RECORDER, OWN, Way, find_ways
+from biosensor_gateway.recording.labrecorder.file_name import BidsLabels, Place
+from biosensor_gateway.recording.labrecorder.starting import Order
+from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream
+from biosensor_gateway.recording.xdf.container import Chunk, open_recording, read_chunks
+from biosensor_gateway.recording.xdf.framing import Tag
+from biosensor_gateway.recording.xdf.header import parse_stream_header
+from biosensor_gateway.recording.xdf.samples import decode
+from tests.recording_here.conftest import Sources
+from tests.rigs.lab_recorder import LabRecorder
+from tests.rigs.lsl_streams import wait_until
+
+pytestmark = pytest.mark.nightly
+
+FORMATS = ("float32", "double64", "string", "int32", "int16", "int8", "int64")
+OWN_WAY = find_ways()[0][-1]
+
+
+class Content:
+    """What a recorder has written of one stream, as bytes."""
+
+    def __init__(self, xml: bytes) -> None:
+        self.xml = xml
+        self.header = parse_stream_header(xml)
+        self.samples: list[tuple[bytes, bytes]] = []
+        self.footer = b""
+        self._last = 0.0
+
+    def take(self, content: memoryview) -> None:
+        block = decode(content, self.header, self._last)
+        self._last = float(block.stamps[-1])
+        values: list[bytes] = (
+            ["\0".join(each).encode() for each in block.values]
+            if isinstance(block.values, list)
+            else [each.tobytes() for each in block.values]
+        )
+        stamps: NDArray[np.float64] = block.stamps
+        self.samples += zip((each.tobytes() for each in stamps), values, strict=True)
+
+
+def contents(file: Path) -> Mapping[str, Content]:
+    """Return what is in a recording, by the names of its streams."""
+    streams: dict[int, Content] = {}
+
+    def take(chunk: Chunk) -> None:
+        if chunk.tag is Tag.STREAM_HEADER:
+            streams[chunk.stream_id] = Content(bytes(chunk.body))
+        elif chunk.tag is Tag.SAMPLES:
+            streams[chunk.stream_id].take(chunk.body)
+        elif chunk.tag is Tag.STREAM_FOOTER:
+            streams[chunk.stream_id].footer = bytes(chunk.body)
+
+    with open_recording(file) as (opened, size, _):
+        assert not read_chunks(opened, size, take)
+    return {each.header.name: each for each in streams.values()}
+
+
+def _value(form: str, number: int) -> Any:
+    if form == "string":
+        return f"{number} \N{GREEK SMALL LETTER MU}V"
+    return number * 1.1 if "o" in form else number % 100
+
+
+@contextmanager
+def every_format() -> Generator[list[str]]:
+    """Streams of each format, regular and irregular, that deliver in the block; their names."""
+    over = threading.Event()
+    outlets: dict[str, tuple[str, pylsl.StreamOutlet]] = {}
+    for form in FORMATS:
+        for rate in (0, 250):
+            name = f"{form} {rate}"
+            info = pylsl.StreamInfo(name, "EEG", 3, rate, form, f"{name}-id")
+            info.desc().append_child_value("manufacturer", "J\N{GREEK SMALL LETTER MU}rg")
+            outlets[name] = form, pylsl.StreamOutlet(info)
+    silent = pylsl.StreamInfo("silent", "Markers", 1, 0, "string", "silent-id")
+    outlets["silent"] = "", pylsl.StreamOutlet(silent)
+
+    def push() -> None:
+        number = 0
+        while not over.wait(0.02):
+            for form, outlet in outlets.values():
+                if form:
+                    samples = [[_value(form, number + each)] * 3 for each in range(5)]
+                    begun = pylsl.local_clock()
+                    outlet.push_chunk(samples, [begun + 0.004 * each for each in range(5)])
+            number += 5
+
+    pushing = threading.Thread(target=push)
+    pushing.start()
+    try:
+        yield list(outlets)
+    finally:
+        over.set()
+        pushing.join()
+
+
+@contextmanager
+def own_recorder(file: Path) -> Generator[None]:
+    """Record everything with the program itself, as its keeper runs it."""
+    log = file.with_suffix(".log")
+    with log.open("wb") as said:
+        process = subprocess.Popen(
+            [*OWN_WAY.command, file.name, "(true())"],
+            cwd=file.parent,
+            stdin=subprocess.PIPE,
+            stdout=said,
+        )
+    try:
+        wait_until(lambda: "Starting the recording" in log.read_text(), "it records")
+        yield
+        process.communicate(b"\n", 60)
+        assert process.returncode == 0
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_it_writes_what_labrecorder_writes_bit_by_bit(tmp_path: Path) -> None:
+    """Beside each other: headers, stamps, values and footers of what both were there for."""
+    files = tmp_path / "labrecorder.xdf", tmp_path / "own.xdf"
+    with every_format() as names, ExitStack() as both:
+        both.enter_context(LabRecorder(files[0], at_least=len(names)))
+        both.enter_context(own_recorder(files[1]))
+        threading.Event().wait(12.0)
+    theirs, ours = map(contents, files)
+    assert ours.keys() == theirs.keys() == set(names)
+    for name in names:
+        their, our = theirs[name], ours[name]
+        assert our.xml == their.xml, name
+        assert bool(our.footer) == bool(their.footer) == ("int64" not in name)
+        if "int64" in name or name == "silent":
+            assert our.samples == their.samples == []
+            continue
+        first = their.samples.index(our.samples[0])
+        shared = their.samples[first:]
+        assert len(shared) > 1000, name
+        assert our.samples[: len(shared)] == shared, name
+        assert b"<sample_count>%d<" % len(our.samples) in our.footer
+        assert our.footer.count(b"<offset>") >= 2
+
+
+def order(folder: Path) -> Order:
+    return Order(Place(folder, labels=BidsLabels("P07")), growth_s=60.0)
+
+
+@pytest.fixture
+def only_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    def ways() -> tuple[list[Way], list[str]]:
+        return [OWN_WAY], []
+
+    monkeypatch.setattr(starting, "find_ways", ways)
+
+
+def _program(folder: Path, script: str) -> str:
+    program = folder / "LabRecorderCLI"
+    program.write_text(f"#!/bin/sh\n{script}\n")
+    program.chmod(program.stat().st_mode | stat.S_IXUSR)
+    return str(program)
+
+
+@pytest.mark.parametrize(
+    ("script", "said"),
+    [
+        ("echo Searching; kill -SEGV $$", "ended by itself: killed by SIGSEGV"),
+        ("echo Searching; sleep 600", "does not open all streams in time"),
+        # It neither ends at a line, nor when its input does.
+        ("trap '' TERM; exec sleep 600 </dev/null", "does not open all streams in time"),
+    ],
+)
+def test_it_takes_over_from_a_program_that_does_not_record(
+    sources: Sources,
+    state: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    script: str,
+    said: str,
+) -> None:
+    broken = Way(LAB_RECORDER, (_program(tmp_path, script),))
+
+    def ways() -> tuple[list[Way], list[str]]:
+        return [broken, OWN_WAY], []
+
+    monkeypatch.setattr(starting, "find_ways", ways)
+    monkeypatch.setattr(starting, "WAY_S", 5.0)
+    recording = Recording(state)
+    begun = recording.start(order(tmp_path), sources.presence)
+    (warning,) = (each for each in begun.warnings if OWN in each)
+    assert LAB_RECORDER in warning
+    assert said in warning
+    kept = RecorderFolder(state).kept()
+    assert kept is not None
+    assert kept.recorder == OWN
+    ended = recording.stop()
+    assert set(contents(ended.file)) == {"chest", "wrist"}
+    assert ended.file == begun.file
+
+
+@pytest.mark.usefixtures("only_own")
+def test_a_stream_that_does_not_answer_is_named(
+    sources: Sources, state: Path, tmp_path: Path
+) -> None:
+    seen = sources.presence().visible
+    gone = VisibleStream("gone", "gone-id", socket.gethostname())
+    presence = Presence((*seen, gone), (gone,), ())
+    short = Order(Place(tmp_path, labels=BidsLabels("P07")), growth_s=5.0)
+    begun = Recording(state).start(short, lambda: presence)
+    assert any("not recorded: gone" in each for each in begun.warnings)
+    assert {each.name for each in begun.streams} == {"chest", "wrist"}
+
+
+@pytest.mark.usefixtures("only_own")
+def test_its_file_is_closed_if_its_keeper_is_killed(
+    sources: Sources, state: Path, tmp_path: Path
+) -> None:
+    recording = Recording(state)
+    recording.start(order(tmp_path), sources.presence)
+    kept = RecorderFolder(state).kept()
+    assert kept is not None
+    keeper = psutil.Process(kept.program).parent()
+    assert keeper is not None
+    keeper.kill()
+    wait_until(lambda: not recording.is_running, "the lock is given back")
+    ended = recording.stop()
+    assert any("keeper was killed" in each for each in ended.warnings)
+    assert set(contents(ended.file)) == {"chest", "wrist"}
+
+
+@pytest.mark.usefixtures("only_own")
+def test_a_service_that_ends_closes_its_file(sources: Sources, state: Path, tmp_path: Path) -> None:
+    recording = Recording(state)
+    recording.start(order(tmp_path), sources.presence)
+    kept = RecorderFolder(state).kept()
+    assert kept is not None
+    program = psutil.Process(kept.program)
+    keeper = program.parent()
+    assert keeper is not None
+    for process in (program, keeper):
+        process.send_signal(signal.SIGTERM)
+    wait_until(lambda: not recording.is_running, "it has ended")
+    assert set(contents(recording.stop().file)) == {"chest", "wrist"}
+
+
+@pytest.mark.usefixtures("only_own")
+def test_a_full_disk_is_said_at_once(sources: Sources, state: Path, tmp_path: Path) -> None:
+    recording = Recording(state)
+    recording.start(order(tmp_path), sources.presence)
+    kept = RecorderFolder(state).kept()
+    assert kept is not None
+    resource.prlimit(kept.program, resource.RLIMIT_FSIZE, (100_000, 100_000))
+    wait_until(lambda: not recording.is_running, "it has ended")
+    standing = recording.standing()
+    assert standing is not None
+    assert "cannot be written: File too large" in standing.problems[0].text
+    with pytest.raises(RecorderError, match="File too large") as caught:
+        recording.stop()
+    assert caught.value.reason is RecorderReason.NOT_CLOSED
+
+
+@pytest.mark.usefixtures("only_own")
+def test_a_killed_one_is_said(sources: Sources, state: Path, tmp_path: Path) -> None:
+    recording = Recording(state)
+    recording.start(order(tmp_path), sources.presence)
+    kept = RecorderFolder(state).kept()
+    assert kept is not None
+    os.kill(kept.program, signal.SIGKILL)
+    wait_until(lambda: not recording.is_running, "its keeper has noticed")
+    with pytest.raises(RecorderError, match=OWN):
+        recording.stop()
+
+
+def test_without_a_stream_it_says_so_and_ends(tmp_path: Path) -> None:
+    ended = subprocess.run(
+        [*OWN_WAY.command, "none.xdf", "(false())"],
+        cwd=tmp_path,
+        stdin=subprocess.PIPE,
+        check=False,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    assert ended.returncode == 2
