@@ -26,7 +26,7 @@ from biosensor_gateway.transports.ble_errors import connect_error, is_forgotten,
 from biosensor_gateway.transports.ble_hang_up import hang_up
 from biosensor_gateway.transports.ble_pairing import Pairing
 from biosensor_gateway.transports.ble_scanner import Sighting, forget
-from biosensor_gateway.transports.deadlines import in_background, within
+from biosensor_gateway.transports.deadlines import in_background, outlasting, within
 from biosensor_gateway.transports.nearby import Advertisement
 
 CONNECT_LIMIT_S = 20.0
@@ -170,8 +170,7 @@ class BleLink:
         AttError
             The device refuses.
         """
-        await self._request(_pair, PAIR_LIMIT_S, TransportReason.DENIED)
-        self._pairing.note_paired()
+        await self._request(self._pair, PAIR_LIMIT_S, TransportReason.DENIED)
 
     async def next(self) -> Notification:
         """Wait for the next notification.
@@ -218,6 +217,8 @@ class BleLink:
                 self._begin(client)
             except Exception as error:  # turned into ours: backends raise what their system does
                 self._client = None
+                # The system may connect it yet, whatever it was told.
+                self._choice.note_given_up()
                 await hang_up(client, self._attempt, self._pairing)
                 if is_forgotten(error):
                     raise
@@ -247,17 +248,29 @@ class BleLink:
         client = self._client
         if client is None or self._lost.done():
             raise self._loss()
+        is_asked = asyncio.Event()
+        request = in_background(self._in_turn(client, ask, is_asked))
         try:
-            return await within(limit_s, self._in_turn(client, ask), unless=self._lost)
+            return await outlasting(limit_s, request, unless=self._lost)
         except Exception as error:  # a request may fail with any error when the link is cut
             if self._lost.done() or not client.is_connected:
                 raise self._loss() from error
             raise request_error(self.what, error, failure, limit_s) from error
+        finally:
+            if not is_asked.is_set():
+                request.cancel()
 
-    async def _in_turn(self, client: BleakClient, ask: _Asking[_T]) -> _T:
-        # BlueZ and macOS refuse a request while another one is under way.
+    async def _in_turn(self, client: BleakClient, ask: _Asking[_T], is_asked: asyncio.Event) -> _T:
+        # BlueZ and macOS refuse a request while another one is under way, given up or not.
         async with self._requesting:
+            is_asked.set()
             return await ask(client)
+
+    async def _pair(self, client: BleakClient) -> None:
+        # macOS has no such call.
+        with suppress(NotImplementedError):
+            await client.pair()
+        self._pairing.note_paired()
 
     def _loss(self) -> TransportError:
         message = f"{self.what}: the connection was cut; is the device on and near?"
@@ -278,9 +291,3 @@ class BleLink:
         if not self._lost.done():
             self._lost.set_result(None)
             self._incoming.put_nowait(None)
-
-
-async def _pair(client: BleakClient) -> None:
-    # macOS has no such call.
-    with suppress(NotImplementedError):
-        await client.pair()

@@ -61,7 +61,7 @@ class Choice:
         self._device = device
         self._advice = advice
         self._is_generic = is_generic
-        self._has_let_go = False
+        self._may_hold, self._gave_up = True, False
         self._kept = ""
         self._found = ""
         self._passed_over: dict[str, Advertisement] = {}
@@ -72,8 +72,13 @@ class Choice:
         """The device's name for messages."""
         return f"{self._kind} {self._device}".strip()
 
+    def note_given_up(self) -> None:
+        """Note that a connection was asked for, and the answer not waited for."""
+        self._may_hold = self._gave_up = True
+
     def keep(self, seen: Advertisement) -> None:
         """Keep to this device from now on."""
+        self._may_hold = self._gave_up = False
         if not self._kept and not self._is_certain(seen):
             say = _log.warning if self._device else _log.info
             say(
@@ -111,7 +116,7 @@ class Choice:
         self._found = self._kept
         self._passed_over.clear()
         _of_this_loop().add(self)
-        await self._let_go_once()
+        await self._let_go()
         async with sightings() as heard:
             try:
                 async with asyncio.timeout(SCAN_S):
@@ -124,23 +129,26 @@ class Choice:
             self._found = found.advertisement.address
         return found
 
-    async def _let_go_once(self) -> None:
-        """Free the device of a connection that an agent which was killed has left.
+    async def _let_go(self) -> None:
+        """Free the device of a connection that nobody uses, before the first one of its own.
 
-        BlueZ keeps it, and a device that is connected does not advertise. Later on the
-        connection is one of this agent, and a device that was not told by its id or address
-        may be somebody's who listens to it.
+        An agent which was killed has left it, or an attempt of this one that was given up
+        has come through. BlueZ keeps it, and a device that is connected does not advertise.
+        Later on the connection is one of this agent, and a device that was not told by its id
+        or address may be somebody's who listens to it.
         """
-        if self._has_let_go:
+        if not self._may_hold:
             return
-        self._has_let_go = True
+        # Once, but that what was given up may come through at any time.
+        self._may_hold = self._gave_up
         for known in await bluez.known_devices():
             seen = known.advertisement
             is_free = self._is_certain(seen) or not known.is_listened_to
             if known.is_connected and is_free and self._wants(seen):
                 _log.warning(
                     f"{self.what} is still connected to this computer ({_shown(seen)}), perhaps "
-                    "by an agent that was killed; it is disconnected first"
+                    "by an agent that was killed, or since an attempt that took too long; it is "
+                    "disconnected first"
                 )
                 await bluez.disconnect(known.path)
 

@@ -38,7 +38,8 @@ _DBUS_REASONS = {
 }
 
 _ADVICE = {
-    TransportReason.BUSY: "Bluetooth is busy with another program; close it there",
+    TransportReason.BUSY: "Bluetooth is busy with it already; close other programs that use it, "
+    "or switch Bluetooth off and on",
     TransportReason.DENIED: "the system refuses Bluetooth to this program; allow it there",
     TransportReason.UNAVAILABLE: "Bluetooth is unavailable; plug in or switch on the radio",
 }
@@ -101,6 +102,15 @@ def scan_error(error: Exception) -> TransportError:
     """Tell why a scan did not start: no radio, radio off, or no permission."""
     reason = _system_reason(error) or TransportReason.UNAVAILABLE
     return TransportError(reason, f"{_ADVICE[reason]} ({_text(error)})")
+
+
+def late_scan(limit_s: float) -> TransportError:
+    """Tell that a scan has not begun in time; it may begin yet."""
+    message = (
+        f"Bluetooth does not begin to search within {limit_s:.0f} s; the answer is waited for; "
+        "if none comes, switch Bluetooth off and on"
+    )
+    return TransportError(TransportReason.UNAVAILABLE, message)
 
 
 def connect_error(what: str, error: Exception) -> TransportError:

@@ -13,8 +13,8 @@ from bleak import BleakScanner
 from bleak.backends.device import BLEDevice
 from bleak.backends.scanner import AdvertisementData
 
-from biosensor_gateway.transports.ble_errors import scan_error
-from biosensor_gateway.transports.deadlines import in_background, within
+from biosensor_gateway.transports.ble_errors import late_scan, scan_error
+from biosensor_gateway.transports.deadlines import in_background, outlasting
 from biosensor_gateway.transports.nearby import Advertisement
 
 START_LIMIT_S = 10.0
@@ -106,6 +106,8 @@ class _SharedScan:
         self._now = asyncio.get_running_loop().time
         self._switching = asyncio.Lock()
         self._scanner: BleakScanner | None = None
+        self._starting: asyncio.Task[None] | None = None
+        self._stopping: asyncio.Task[None] | None = None
         self._listeners: set[asyncio.Queue[Sighting]] = set()
         self._seen: dict[str, Sighting] = {}
         self._last_heard_s = 0.0
@@ -133,18 +135,29 @@ class _SharedScan:
         self._seen.pop(address, None)
 
     async def _start(self) -> None:
+        """Begin, or wait on for a begin that was given up: two at a time the system refuses."""
+        await self._ended(STOP_LIMIT_S)
+        starting = self._starting
+        if starting is None or starting.done():
+            starting = self._starting = in_background(self._begin())
+        try:
+            await outlasting(START_LIMIT_S, starting)
+        except TimeoutError as error:
+            raise late_scan(START_LIMIT_S) from error
+        except Exception as error:  # turned into ours: backends raise what their system does
+            raise scan_error(error) from error
+
+    async def _begin(self) -> None:
         # Without duplicates BlueZ would not report again what it has reported once.
         scanner = BleakScanner(self._heard, bluez={"filters": {"DuplicateData": True}})
         try:
-            await within(START_LIMIT_S, scanner.start())
-        except Exception as error:  # turned into ours: backends raise what their system does
-            in_background(scanner.stop())
-            raise scan_error(error) from error
-        except asyncio.CancelledError:
+            await scanner.start()
+        except BaseException:
             in_background(scanner.stop())
             raise
-        self._scanner = scanner
-        self._last_heard_s = self._now()
+        self._scanner, self._last_heard_s = scanner, self._now()
+        # Whoever asked may have given up by now.
+        in_background(self._stop_unless_used())
 
     async def _stop_unless_used(self) -> None:
         async with self._switching:
@@ -155,8 +168,14 @@ class _SharedScan:
         scanner, self._scanner = self._scanner, None
         self._seen.clear()
         if scanner is not None:
-            with suppress(Exception):  # a radio that is gone refuses; the scan is over all the same
-                await within(STOP_LIMIT_S, scanner.stop())
+            self._stopping = in_background(scanner.stop())
+            await self._ended(STOP_LIMIT_S)
+
+    async def _ended(self, limit_s: float) -> None:
+        """Wait for the end of a scan that was stopped; one that hangs is left to itself."""
+        if self._stopping is not None:
+            # A radio that is gone refuses; the scan is over all the same.
+            await asyncio.wait({self._stopping}, timeout=limit_s)
 
     def _heard(self, device: BLEDevice, data: AdvertisementData) -> None:
         self._last_heard_s = self._now()

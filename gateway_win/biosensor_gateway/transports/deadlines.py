@@ -25,7 +25,9 @@ async def within(
     operation: Coroutine[Any, Any, _T] | asyncio.Task[_T],
     unless: asyncio.Future[Any] | None = None,
 ) -> _T:
-    """Await an operation for a limited time, whatever it does.
+    """Await an operation for a limited time, whatever it does, and cancel it then.
+
+    For what tidies up behind itself when it is cancelled; see `outlasting` for all else.
 
     Parameters
     ----------
@@ -43,15 +45,26 @@ async def within(
         The operation cancelled itself, as WinRT's do when a device vanishes.
     """
     task = operation if isinstance(operation, asyncio.Task) else in_background(operation)
-    awaited: set[asyncio.Future[Any]] = {task} if unless is None else {task, unless}
     try:
-        await asyncio.wait(awaited, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
+        return await outlasting(seconds, task, unless)
     finally:
         task.cancel()
-    if task.cancelled():
-        raise ConnectionAbortedError("the call cancelled itself")
+
+
+async def outlasting(
+    seconds: float, task: asyncio.Task[_T], unless: asyncio.Future[Any] | None = None
+) -> _T:
+    """Await for a limited time what goes on afterwards, for the system does so in any case.
+
+    A call that was made cannot be taken back by not waiting for its answer. So the task looks
+    after what comes of it, however late; parameters and errors are those of `within`.
+    """
+    awaited: set[asyncio.Future[Any]] = {task} if unless is None else {task, unless}
+    await asyncio.wait(awaited, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
     if not task.done():
         raise TimeoutError
+    if task.cancelled():
+        raise ConnectionAbortedError("the call cancelled itself")
     return task.result()
 
 

@@ -47,6 +47,9 @@ class FakeBluez:
     words_security
         Whether requests that need pairing are answered with "Not paired", not with an
         unlikely error.
+    late
+        By method, such as ``StartDiscovery``, for how many seconds the answer to the next call
+        of it is kept back.
     """
 
     tree: ObjectTree
@@ -65,6 +68,7 @@ class FakeBluez:
         self.connect_error = ""
         self.forgets_after_scan = False
         self.words_security = False
+        self.late: dict[str, float] = {}
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
@@ -86,6 +90,16 @@ class FakeBluez:
     def powered(self) -> bool:
         """Whether the adapter is switched on."""
         return self._radio.available
+
+    @property
+    def scanning(self) -> bool:
+        """Whether a program has begun a scan and not ended it."""
+        return bool(self._scanning)
+
+    @property
+    def connected(self) -> bool:
+        """Whether any device is connected, or is being connected."""
+        return any(each.connected for each in self._devices.values())
 
     def set_powered(self, powered: bool) -> None:
         """Switch the adapter; off, links are lost and scans end."""
@@ -112,7 +126,7 @@ class FakeBluez:
         self.central = await Central.on_the_air(self._radio)
         self._radio.on_switched_off.append(self._on_switched_off)
         self._bus = await MessageBus(bus_address=self._private_bus.address).connect()
-        self.tree = ObjectTree(self._bus)
+        self.tree = ObjectTree(self._bus, self.late)
         await watch_clients(self._bus, self._end_client)
         methods = {
             "SetDiscoveryFilter": self._set_filter,

@@ -35,9 +35,13 @@ class ObjectTree:
     ----------
     bus
         Connected.
+    late
+        By member, for how many seconds the answer to the next call of it is kept back; what
+        is called for is done at once. Each is taken out.
     """
 
-    def __init__(self, bus: MessageBus) -> None:
+    def __init__(self, bus: MessageBus, late: dict[str, float] | None = None) -> None:
+        self._late = {} if late is None else late
         self._bus = bus
         self._send = cast("_Bus", bus).send
         self._objects: dict[str, dict[str, Properties]] = {}
@@ -107,6 +111,7 @@ class ObjectTree:
         else:
             signature, body = reply or ("", [])
             answer = Message.new_method_return(message, signature, body)
+        await asyncio.sleep(self._late.pop(message.member or "", 0.0))
         if self._bus.connected:
             self._send(answer)
 
