@@ -11,7 +11,7 @@ from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.demo.virtual_devices import one_of_each, virtual_class
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.simulation.expected import Contact, Gap
-from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.faults import OF_A_KIND, FaultKind
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 
 
@@ -23,7 +23,8 @@ class AgentFault(Enum):
 
 
 Kind = FaultKind | AgentFault
-KINDS: tuple[Kind, ...] = (*FaultKind, *AgentFault)
+KINDS: tuple[Kind, ...] = (*(kind for kind in FaultKind if kind not in OF_A_KIND), *AgentFault)
+"""What a device of some kinds only can have is tried beside its driver."""
 
 SENSORS = one_of_each()
 """All that have a virtual device, those of other packages included."""

@@ -41,7 +41,7 @@ _MEASUREMENTS = (
 
 def check(data: bytes) -> None:
     """Read the messages in their order, as of one connection."""
-    emitter = MovesenseEmitter(CheckedSink("movesense"), {"ecg", *MOVEMENT})
+    emitter = MovesenseEmitter(CheckedSink("movesense"), ())
     assemblers = {each.reference: _begin(emitter, each) for each in _MEASUREMENTS}
     wanted = {each.reference: each for each in _MEASUREMENTS}
     series = PacketSeries(_RATE_HZ)

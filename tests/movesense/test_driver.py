@@ -135,6 +135,55 @@ async def test_a_path_that_is_refused_is_said_and_the_others_come(
         assert "/Meas/ECG/200 is refused (404): choose another rate" in info.denied["ecg"]
 
 
+_DENIED = (
+    ("hr, ibi", "/Meas/HR"),
+    ("temp", "/Meas/Temp"),
+    ("ecg", "/Meas/ECG/200"),
+    ("acc, gyro", "/Meas/IMU6/52"),
+)
+
+
+@pytest.mark.parametrize("is_old", [False, True])
+@ON_BUMBLE
+async def test_each_signal_that_is_refused_is_said_and_the_others_come(
+    sensor: MakeSensor, is_old: bool
+) -> None:
+    movesense = sensor(firmware=Firmware(is_old=is_old))
+    names = ("hr", "ibi", "temp", "ecg", "acc", "gyro")
+    async with streaming(movesense) as run:
+        await until(lambda: run.supervisor.connections == 1)
+        for number, (streams, path) in enumerate(_DENIED, start=2):
+            movesense.apply(Fault(FaultKind.DENY, 3600.0))
+            await until(lambda number=number: run.supervisor.connections == number)
+            await run.goes_on(2, *(each for each in names if each not in streams))
+            assert run.supervisor.last_error == (
+                f"connected, but the device refuses {streams} ({path} is refused (507): it has no "
+                "room for more measurements; switch one off in the settings)"
+            )
+        movesense.clear(FaultKind.DENY)
+        movesense.apply(Fault(FaultKind.DROP, 0.1))
+        await run.goes_on(2, *names)
+        assert run.supervisor.last_error is None
+
+
+@ON_BUMBLE
+async def test_nothing_is_said_of_contact_where_nobody_looks_for_beats(sensor: MakeSensor) -> None:
+    movesense = sensor()
+    movesense.apply(Fault(FaultKind.DENY, 3600.0))
+    async with streaming(movesense) as run:
+        await until(run.sink.has(8, "temp"))
+        assert not run.sink.rows["quality"]
+
+
+@ON_BUMBLE
+async def test_who_finds_no_beat_has_no_contact(sensor: MakeSensor) -> None:
+    movesense = sensor()
+    movesense.apply(Fault(FaultKind.OFF_BODY, 3600.0))
+    async with streaming(movesense) as run:
+        await until(run.sink.has(3, "quality"))
+    assert set(run.sink.values("quality")) == {0}
+
+
 @ON_BUMBLE
 async def test_who_refuses_everything_is_tried_again_and_says_so(sensor: MakeSensor) -> None:
     movesense = sensor()

@@ -27,6 +27,8 @@ class FaultKind(Enum):
     """So many random bytes, or damaged messages, where the transport can carry them."""
     REFUSE = "refuse"
     """The device breaks the link, then refuses every command for so long [s]."""
+    DENY = "deny"
+    """The device breaks the link, then refuses one of its signals for so long [s]."""
     LATE = "late"
     """The device breaks the link, then for 30 s answers every command so late [s]."""
     FORGET = "forget"
@@ -42,6 +44,9 @@ class FaultKind(Enum):
     DRIFT = "drift"
     """The device's crystal runs fast by so much [ppm]."""
 
+
+OF_A_KIND = frozenset({FaultKind.DENY})
+"""Only devices of some kinds can have these; the others need not say why they cannot."""
 
 _UNITS = {
     FaultKind.GARBAGE: "",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncGenerator, AsyncIterator, Callable
-from contextlib import asynccontextmanager, suppress
+from contextlib import ExitStack, asynccontextmanager, suppress
 from dataclasses import replace
 from typing import NamedTuple, TypeVar
 from weakref import WeakKeyDictionary
@@ -150,11 +150,10 @@ class _SharedScan:
     async def _begin(self) -> None:
         # Without duplicates BlueZ would not report again what it has reported once.
         scanner = BleakScanner(self._heard, bluez={"filters": {"DuplicateData": True}})
-        try:
+        with ExitStack() as undoing:
+            undoing.callback(lambda: in_background(scanner.stop()))
             await scanner.start()
-        except BaseException:
-            in_background(scanner.stop())
-            raise
+            undoing.pop_all()
         self._scanner, self._last_heard_s = scanner, self._now()
         # Whoever asked may have given up by now.
         in_background(self._stop_unless_used())

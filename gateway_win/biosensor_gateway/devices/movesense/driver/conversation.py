@@ -19,6 +19,7 @@ from biosensor_gateway.transports.ble import BleLink, Notification
 from biosensor_gateway.transports.dialogue import Dialogue
 
 ANSWER_LIMIT_S = 5.0
+REFUSAL_LIMIT_S = 0.5
 RESTART_ADVICE = "restart the device: take it out of its strap for a minute"
 
 
@@ -65,7 +66,8 @@ class Conversation:
     async def subscribe(self, measurement: Measurement) -> int:
         """Have the device send a measurement; return the status of a refusal, 0 if there is none.
 
-        Firmware that does not answer is taken at its word: what does not come is noticed.
+        Firmware of the first version answers only where it has no room: without an answer it is
+        taken at its word, and what does not come is noticed.
 
         Raises
         ------
@@ -75,11 +77,11 @@ class Conversation:
             ``NO_REPLY``.
         """
         command = protocol.subscribe(measurement.reference, measurement.path)
-        if not self._answers:
-            await self._send(command)
-            return 0
-        answer = await self._ask(command, measurement.reference)
-        return answer.status if answer.is_refusal else 0
+        if self._answers:
+            answer = await self._ask(command, measurement.reference)
+        else:
+            answer = await self._asked(command, measurement.reference, REFUSAL_LIMIT_S)
+        return answer.status if answer is not None and answer.is_refusal else 0
 
     async def unsubscribe(self, measurement: Measurement) -> None:
         """End a measurement without waiting for an answer; raises as :meth:`subscribe` does."""
@@ -100,6 +102,13 @@ class Conversation:
         await self._dialogue.close()
 
     async def _ask(self, command: bytes, reference: int) -> Message:
+        found = await self._asked(command, reference, ANSWER_LIMIT_S)
+        if found is None:
+            message = f"{self._link.what}: no answer to a command; {RESTART_ADVICE}"
+            raise ProtocolError(ProtocolReason.NO_REPLY, message)
+        return found
+
+    async def _asked(self, command: bytes, reference: int, limit_s: float) -> Message | None:
         def answer(notification: Notification) -> Message | None:
             message = _message(notification)
             if message is None or message.reference != reference:
@@ -107,11 +116,7 @@ class Conversation:
             # Where data come, the answer to the subscription is lost or on its way.
             return message if message.kind in (Kind.ANSWER, Kind.DATA) else None
 
-        found = await self._dialogue.ask(command, answer, ANSWER_LIMIT_S)
-        if found is None:
-            message = f"{self._link.what}: no answer to a command; {RESTART_ADVICE}"
-            raise ProtocolError(ProtocolReason.NO_REPLY, message)
-        return found
+        return await self._dialogue.ask(command, answer, limit_s)
 
     async def _receive(self) -> Sequence[Notification]:
         return (await self._link.next(),)

@@ -80,8 +80,8 @@ class MovesenseDriver:
     Parameters
     ----------
     session
-    wanted
-        Data names of the regular streams that are switched on.
+    silent
+        Data names of the streams that are switched off.
     rates
         Nominal rates by data name, of these.
     """
@@ -90,17 +90,16 @@ class MovesenseDriver:
     silence_limit_s = 60.0
 
     def __init__(
-        self, session: MovesenseSession, wanted: frozenset[str], rates: dict[str, float]
+        self, session: MovesenseSession, silent: frozenset[str], rates: dict[str, float]
     ) -> None:
         self._session = session
-        self._wanted = wanted
+        self._silent = silent
         self._rates = rates
 
     async def connect(self) -> Connected:
         """Connect and start all measurements; see the protocol class."""
         info = await self._session.open()
-        silent = _REGULAR - self._wanted
-        return Connected(info, self._rates, silent, denied=self._session.denied)
+        return Connected(info, self._rates, self._silent, denied=self._session.denied)
 
     async def stream(self) -> None:
         """Emit what came while connecting, then all that comes; see the protocol class."""
@@ -128,7 +127,8 @@ def _measurements(settings: MovesenseSettings) -> Sequence[Measurement]:
 def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], MovesenseDriver]:
     """Share emitter and choice of the device between all connections."""
     own = own_settings(MovesenseSettings, settings)
-    emitter = MovesenseEmitter(sink, own.wanted)
+    silent = _REGULAR - own.wanted
+    emitter = MovesenseEmitter(sink, silent)
     choice = Choice(identify, KIND, own.device, ADVICE)
     measurements = _measurements(own)
     rates = {"ecg": float(own.ecg_rate_hz)}
@@ -138,7 +138,7 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], MovesenseDriver]
     def make() -> MovesenseDriver:
         link = BleLink(choice, sink.clock, pairing=pairing)
         session = MovesenseSession(link, emitter, sink, measurements)
-        return MovesenseDriver(session, own.wanted, rates)
+        return MovesenseDriver(session, silent, rates)
 
     return make
 

@@ -46,14 +46,14 @@ class MovesenseEmitter:
         What the device has in common with every heart-rate strap: battery, signal strength.
     log
         Also for what is to be said once, and not at every connection.
-    wanted
-        Data names; what else shares a packet with one of them is not emitted.
+    silent
+        Data names that the settings switch off; some share a packet with what is wanted.
     """
 
-    def __init__(self, sink: Sink, wanted: Collection[str]) -> None:
+    def __init__(self, sink: Sink, silent: Collection[str]) -> None:
         self.strap = StrapEmitter(sink)
         self.log = DeviceLog("biosensor_gateway.movesense", sink.identity)
-        self.wanted = wanted
+        self.silent = silent
         self._sink = sink
         self._clock = StampClock()
         self._series: dict[str, PacketSeries] = {}
@@ -61,6 +61,7 @@ class MovesenseEmitter:
         self._clock_runs = False
         self._last: tuple[float, float] | None = None
         self._beat_s: float | None = None
+        self._searched_from_s: float | None = None
         self._quality_s = -math.inf
 
     def reconnected(self) -> None:
@@ -68,13 +69,18 @@ class MovesenseEmitter:
         self.strap.reconnected()
         self._emit_beats(self._beats.restart())
         self._clock_runs = False
-        self._beat_s = None
+        self._beat_s = self._searched_from_s = None
 
     def started(self, measurement: Measurement) -> None:
         """Prepare for the first packet of a measurement that is about to be started."""
         if measurement.rate_hz is not None:
             series = self._series.setdefault(measurement.path, PacketSeries(measurement.rate_hz))
             series.restart()
+
+    def granted(self, measurement: Measurement) -> None:
+        """Note that the device measures it from now on."""
+        if measurement is HEART_RATE:
+            self._searched_from_s = self._sink.clock()
 
     def take(self, measurement: Measurement, packet: Packet) -> None:
         """Emit what a packet holds; one that makes no sense is counted and dropped."""
@@ -113,7 +119,7 @@ class MovesenseEmitter:
                 "samples were lost", data=measurement.streams, count=placed.lost, estimated=True
             )
         for name, samples in zip(measurement.streams, block.samples, strict=True):
-            if name in self.wanted:
+            if name not in self.silent:
                 self._sink.lost(name, placed.lost)
                 values = in_g(samples) if name == "acc" else samples
                 self._sink.emit(name, values, placed.times_s)
@@ -164,11 +170,18 @@ class MovesenseEmitter:
         )
 
     def _quality(self, now_s: float) -> None:
-        """Tell about once a second whether a beat was seen lately: the device itself does not."""
-        if now_s - self._quality_s < QUALITY_PERIOD_S:
+        """Tell about once a second whether a beat was seen lately: the device itself does not.
+
+        Nothing is told while nobody knows: where the device looks for no beats, or has had no
+        time to find one.
+        """
+        last_s = self._searched_from_s if self._beat_s is None else self._beat_s
+        if last_s is None or now_s - self._quality_s < QUALITY_PERIOD_S:
+            return
+        in_contact = now_s - last_s <= NO_INTERVAL_LIMIT_S
+        if in_contact and self._beat_s is None:
             return
         self._quality_s = now_s
-        in_contact = self._beat_s is not None and now_s - self._beat_s <= NO_INTERVAL_LIMIT_S
         self._sink.emit_at("quality", [[float(in_contact)]], [now_s])
 
     def _emit_beats(self, placed: list[PlacedBeat]) -> None:

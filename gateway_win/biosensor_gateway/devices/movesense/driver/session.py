@@ -86,7 +86,7 @@ class MovesenseSession:
             name: f"{each.path} is refused ({status}): {_ADVICE.get(status, _OTHER_ADVICE)}"
             for each, status in refusals.items()
             for name in each.streams
-            if name in self._emitter.wanted
+            if name not in self._emitter.silent
         }
         return _device_info(greeting)
 
@@ -136,7 +136,10 @@ class MovesenseSession:
         self._assemblers[measurement.reference] = Assembler(
             measurement.full_bytes, measurement.sample_bytes
         )
-        return await self._conversation.subscribe(measurement)
+        status = await self._conversation.subscribe(measurement)
+        if not status:
+            self._emitter.granted(measurement)
+        return status
 
     def _take(self, found: Sequence[Notification]) -> None:
         for notification in found:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import cycle
 from types import MappingProxyType
 from typing import Any, Unpack
 
@@ -24,6 +25,8 @@ from biosensor_gateway.simulation.world import World
 
 # The heart rate service, and what the vendor is assigned.
 _ADVERTISED = ("180d", "fdf3")
+_DENIABLE = ("hr", "temp", "ecg", "movement")
+"""What is denied, one at each time."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,7 @@ class SimulatedMovesense(StrapDevice):
     ) -> None:
         super().__init__(world, **specimen)
         self._serial = serial
+        self._to_deny = cycle(_DENIABLE)
         firmware = firmware or Firmware()
         peripheral = Peripheral(
             radio,
@@ -130,6 +134,13 @@ class SimulatedMovesense(StrapDevice):
     def _comply(self) -> None:
         self._service.refuses = False
 
+    def _deny(self) -> None:
+        self._strap.break_link()
+        self._service.denied = frozenset({next(self._to_deny)})
+
+    def _allow(self) -> None:
+        self._service.denied = frozenset()
+
     def _answer_late(self, seconds: float) -> None:
         self._strap.break_link()
         self._service.answer_delay_s = seconds
@@ -143,6 +154,7 @@ class SimulatedMovesense(StrapDevice):
             FaultKind.GARBAGE: Effect(_babble),
             FaultKind.FORGET: Effect(_forget),
             FaultKind.REFUSE: lasting(_refuse, _comply),
+            FaultKind.DENY: lasting(_deny, _allow),
             FaultKind.LATE: Effect(_answer_late, _answer_in_time),
         }
     )

@@ -38,11 +38,14 @@ class SensorDataService:
         Every command is answered so late.
     refuses
         Every command is refused.
+    denied
+        Kinds of what there is no room for: ``ecg``, ``hr``, ``temp`` or ``movement``.
     """
 
     def __init__(self, strap: Strap, serial: str, *, is_old: bool, deviation: float) -> None:
         self.answer_delay_s = 0.0
         self.refuses = False
+        self.denied: frozenset[str] = frozenset()
         self._strap = strap
         self._serial = serial
         self._is_old = is_old
@@ -116,6 +119,8 @@ class SensorDataService:
         resource = wire.resource(path)
         if resource is None:
             return wire.NOT_FOUND
+        if ("movement" if resource.kind in wire.VECTORS else resource.kind) in self.denied:
+            return wire.NO_SLOT
         self._end(reference)
         measured = stream(self._strap, resource, partial(self._send, reference), self._deviation)
         self._running[reference] = measured, self._strap.run(measured.run())
