@@ -43,6 +43,20 @@ class Unit(StrEnum):
     WATTS = "W"
 
 
+NOT_PHYSICAL = frozenset(
+    {
+        Unit.ARBITRARY,
+        Unit.BOOLEAN,
+        Unit.COUNTS,
+        Unit.FRACTION,
+        Unit.INDEX,
+        Unit.LOCAL_FLUX,
+        Unit.NONE,
+    }
+)
+"""Units without bounds of plausibility: numbers of a converter or a vendor, whatever they are."""
+
+
 @unique
 class ChannelRole(StrEnum):
     """What a channel means to those who act on its values, whatever its label is.

@@ -63,6 +63,9 @@ class ChannelSpec:
         Set where ``unit`` is counts and a datasheet names a factor.
     role
         What the values mean to agent and node; None where neither acts on them.
+    plausible
+        The lowest and the highest value that can be, in `unit`: what is outside is not sent.
+        In words why there are none; None where the unit is no physical one.
 
     Raises
     ------
@@ -74,6 +77,7 @@ class ChannelSpec:
     unit: str
     scale: NominalScale | None = None
     role: ChannelRole | None = None
+    plausible: tuple[float, float] | str | None = None
 
     def __post_init__(self) -> None:
         units = [self.unit] if self.scale is None else [self.unit, self.scale.unit]
@@ -87,6 +91,14 @@ class ChannelSpec:
         if self.role is not None and self.unit != self.role.unit:
             rule = f"what has the role {self.role} is in {self.role.unit}, not in {self.unit}"
             raise SpecError(SpecReason.INVALID, f"channel {self.label!r}: {rule}")
+        if self.bounds is not None and not self.bounds[0] < self.bounds[1]:
+            rule = f"between {self.bounds[0]:g} and {self.bounds[1]:g} there is no value"
+            raise SpecError(SpecReason.INVALID, f"channel {self.label!r}: {rule}")
+
+    @property
+    def bounds(self) -> tuple[float, float] | None:
+        """The lowest and the highest plausible value, if there are such."""
+        return self.plausible if isinstance(self.plausible, tuple) else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from functools import partial
 
+from biosensor_common import plausible as bounds
 from biosensor_common.quantities import (
     Category,
     ChannelFormat,
@@ -16,11 +17,17 @@ from biosensor_common.quantities import (
 from biosensor_common.spec import IRREGULAR, ChannelSpec, FromDevice, StreamSpec
 
 
-def channels(unit: str, *labels: str, roles: Iterable[ChannelRole] = ()) -> tuple[ChannelSpec, ...]:
-    """Channels that share one unit, in wire order; with *roles*, one of each."""
+def channels(
+    unit: str,
+    *labels: str,
+    roles: Iterable[ChannelRole] = (),
+    plausible: tuple[float, float] | str | None = None,
+) -> tuple[ChannelSpec, ...]:
+    """Channels that share unit and bounds, in wire order; with *roles*, one of each."""
     each = tuple(roles) or (None,) * len(labels)
     return tuple(
-        ChannelSpec(label, unit, role=role) for label, role in zip(labels, each, strict=True)
+        ChannelSpec(label, unit, role=role, plausible=plausible)
+        for label, role in zip(labels, each, strict=True)
     )
 
 
@@ -61,11 +68,18 @@ hardware = partial(row, category=Category.HARDWARE)
 
 def battery(*, contract: bool = False) -> StreamSpec:
     """Build the stream of a device's battery."""
-    level = channels(Unit.PERCENT, "level", roles=[ChannelRole.STATE_OF_CHARGE])
+    level = channels(
+        Unit.PERCENT, "level", roles=[ChannelRole.STATE_OF_CHARGE], plausible=bounds.PERCENT
+    )
     return hardware("bat", ContentType.BATTERY, level, contract=contract, is_state=True)
 
 
 def signal_strength() -> StreamSpec:
     """Build the stream of how well a device's radio is received."""
-    signal = channels(Unit.DBM, "signal", roles=[ChannelRole.SIGNAL_STRENGTH])
+    signal = channels(
+        Unit.DBM,
+        "signal",
+        roles=[ChannelRole.SIGNAL_STRENGTH],
+        plausible=bounds.SIGNAL_STRENGTH_DBM,
+    )
     return hardware("rssi", ContentType.RSSI, signal, is_state=True)

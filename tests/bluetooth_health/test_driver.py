@@ -10,9 +10,11 @@ import pytest
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.bluetooth_health.driver.driver import recognise
+from biosensor_gateway.devices.bluetooth_health.driver.services import SPOT_CHECK
 from biosensor_gateway.doctor.scan import drivers_by_precedence, recognised
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.transports.ble import BleLink
+from biosensor_gateway.transports.ble_errors import AttError
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.driver_run import connected, streaming
@@ -88,6 +90,36 @@ def test_a_device_is_found_by_any_of_its_services(service: str) -> None:
     found = recognised(drivers_by_precedence(), seen)
     assert found is not None
     assert (found.sensor, found.name) == ("bluetooth_health", "Nonin3230_1")
+
+
+@ON_BUMBLE
+async def test_a_service_that_is_refused_is_said_and_the_others_come(
+    device: SimulatedHealthDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    subscribe = BleLink.subscribe
+
+    async def refused(link: BleLink, uuid: str) -> None:
+        if uuid.startswith("00002a5f"):
+            raise AttError(0x80, link.what)
+        await subscribe(link, uuid)
+
+    monkeypatch.setattr(BleLink, "subscribe", refused)
+    async with streaming(device) as run:
+        await until(run.sink.has(2, "temp", "running", "power"))
+        assert run.supervisor.last_error == (
+            "connected, but the device refuses spo2 "
+            "(its service lets nobody subscribe: ATT error 0x80)"
+        )
+
+
+@ON_BUMBLE
+async def test_an_oximeter_with_spot_checks_alone_is_told_from_others(
+    device: SimulatedHealthDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(BleLink, "has", lambda _, uuid: uuid == SPOT_CHECK)
+    with pytest.raises(ProtocolError, match="has only spot checks"):
+        async with connected(device):
+            pass
 
 
 def test_anything_else_is_none() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -84,3 +85,33 @@ def test_turns_are_rates_over_roll_overs_and_standstill() -> None:
     assert math.isnan(wheel.rate(1, 512, 2.0))
     assert wheel.rate(1, 512, 4.5) == 0.0
     assert math.isnan(wheel.rate(None, None, 5.0))
+
+
+def test_a_long_stop_is_as_long_as_it_was() -> None:
+    """The device's clock of 16 bits has rolled over meanwhile."""
+    wheel = Revolutions(0, 1024)
+    wheel.rate(10, 0, 1.0)
+    assert wheel.rate(12, 1024, 2.0) == 2.0
+    for second in range(3, 67):
+        assert wheel.rate(12, 1024, float(second)) in (0.0, pytest.approx(math.nan, nan_ok=True))
+    ticks = round(1024 * 66.5) % 65536
+    assert wheel.rate(13, ticks, 67.6) == pytest.approx(1 / 65.5)
+
+
+@pytest.mark.parametrize(
+    ("saturation", "pulse", "sample", "contact"),
+    [
+        (0x07FF, 72, [math.nan, 72.0, math.nan], True),
+        (97, 0x07FF, [97.0, math.nan, math.nan], True),
+        (0x07FF, 0x07FF, None, False),
+    ],
+)
+def test_what_an_oximeter_finds_does_not_wait_for_the_rest(
+    saturation: int, pulse: int, sample: list[float] | None, contact: bool
+) -> None:
+    row = next(row for row in ROWS if row.stream == "spo2")
+    found = row.parse(struct.pack("<BHH", 0, saturation, pulse))
+    assert found is not None
+    assert row.sample(1.0)(found, 0.0) == (sample and pytest.approx(sample, nan_ok=True))
+    assert row.contact is not None
+    assert row.contact(found) is contact

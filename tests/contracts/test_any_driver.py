@@ -40,6 +40,8 @@ COUNT = 5
 LOW_PERCENT = 10.0
 BREAKS = {FaultKind.DROP, FaultKind.REFUSE, FaultKind.RESTART}
 STREAMS = [State.CONNECTING, State.STREAMING]
+CANNOT_BE = (FaultKind.REPEAT, FaultKind.STEP_BACK)
+"""What is made up is the device's own doing."""
 HARMLESS = VALUES.keys() | {FaultKind.OFF_BODY}
 
 
@@ -90,7 +92,7 @@ async def test_what_the_device_measures_arrives(device: VirtualDevice) -> None:
         assert run.states == STREAMS
 
 
-@every(*FaultKind)
+@every(*(kind for kind in FaultKind if kind not in CANNOT_BE))
 async def test_it_goes_on_after_a_fault_and_makes_nothing_up(
     device: VirtualDevice, kind: FaultKind
 ) -> None:
@@ -117,6 +119,32 @@ async def test_it_goes_on_after_a_fault_and_makes_nothing_up(
     if kind is FaultKind.GARBAGE and device.truth.data_names:
         for each in measured(device):
             assert set(np.diff(places(device, run, each))) <= {1}
+
+
+@every(*CANNOT_BE)
+async def test_what_cannot_be_is_said_and_not_sent(device: VirtualDevice, kind: FaultKind) -> None:
+    async with streaming(device) as run:
+        run.may_refuse = True
+        await until(run.sink.has(COUNT, "quality"))
+        device.apply(Fault(kind, LONG_S if kind is FaultKind.REPEAT else 3.0))
+        await until(lambda: run.sink.plausibility.doubt)
+        assert "which is not sent" in str(run.sink.plausibility.doubt)
+        assert sum(each.refused for each in run.sink.counters.values()) > 0
+        assert run.states == STREAMS
+
+
+@every(FaultKind.DENY)
+async def test_what_is_refused_is_a_reason(device: VirtualDevice, kind: FaultKind) -> None:
+    async with streaming(device) as run:
+        await until(lambda: run.supervisor.connections == 1)
+        device.apply(Fault(kind, LONG_S))
+        await until(lambda: run.supervisor.connections == 2)
+        await until(lambda: run.supervisor.state is State.STREAMING)
+        assert str(run.supervisor.last_error).startswith("connected, but the device refuses")
+        device.clear(kind)
+        device.apply(Fault(FaultKind.DROP, SHORT_S))
+        await until(lambda: run.supervisor.connections == 3)
+        assert run.supervisor.last_error is None
 
 
 @every(FaultKind.UNREADABLE)

@@ -98,11 +98,11 @@ def test_no_value_sends_nothing_and_refuses_nothing(sink: DeviceSink) -> None:
 def test_a_cause_of_refusals_is_logged_once_and_counted_always(sink: DeviceSink) -> None:
     sink.observe(DEVICE_S, pylsl.local_clock())
     with capture_logs() as logs:
-        for value in (256, 71, 999, 256):
+        for value in (256, 71, 299, 256):
             sink.emit_value("hr", value, DEVICE_S)
-        sink.emit_value("hrv", -1, DEVICE_S)
+        sink.emit_value("ecg", math.inf, DEVICE_S)
     refusals = [entry for entry in logs if entry["log_level"] == "error"]
-    assert [entry["data"] for entry in refusals] == ["hr", "hrv"]
+    assert [entry["data"] for entry in refusals] == ["hr", "ecg"]
     assert "outside 0..255" in refusals[0]["cause"]
     assert (counters(sink, "hr").refused, counters(sink, "hr").pushed) == (3, 1)
 

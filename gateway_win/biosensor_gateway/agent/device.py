@@ -86,7 +86,7 @@ class Device:
             paused=sink.is_paused,
             worn=None if self._events is None else self._events.is_worn,
             connections=supervisor.connections,
-            error=supervisor.last_error,
+            error=supervisor.last_error or sink.plausibility.doubt,
             dropped_bytes=sink.dropped_bytes,
             battery_percent=sink.charge.percent,
             clock=_clock_status(sink.clock_state),

@@ -29,6 +29,10 @@ class FaultKind(Enum):
     """The device breaks the link, then refuses every command for so long [s]."""
     DENY = "deny"
     """The device breaks the link, then refuses one of its signals for so long [s]."""
+    REPEAT = "repeat"
+    """It tells the last beats of each packet in the next one again, for so long [s]."""
+    STEP_BACK = "step_back"
+    """What it counts steps back by so many, once."""
     LATE = "late"
     """The device breaks the link, then for 30 s answers every command so late [s]."""
     FORGET = "forget"
@@ -45,11 +49,12 @@ class FaultKind(Enum):
     """The device's crystal runs fast by so much [ppm]."""
 
 
-OF_A_KIND = frozenset({FaultKind.DENY})
+OF_A_KIND = frozenset({FaultKind.DENY, FaultKind.REPEAT, FaultKind.STEP_BACK})
 """Only devices of some kinds can have these; the others need not say why they cannot."""
 
 _UNITS = {
     FaultKind.GARBAGE: "",
+    FaultKind.STEP_BACK: "",
     FaultKind.FORGET: "",
     FaultKind.LOW_BATTERY: "%",
     FaultKind.DRIFT: "ppm",
@@ -59,6 +64,7 @@ _DEFAULTS = {
     FaultKind.LOW_BATTERY: 4.0,
     FaultKind.DRIFT: 150.0,
     FaultKind.LATE: 1.0,
+    FaultKind.STEP_BACK: 1.0,
 }
 _RANGES = {
     FaultKind.LOW_BATTERY: (0.0, 100.0),

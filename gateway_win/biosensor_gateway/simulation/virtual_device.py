@@ -18,7 +18,15 @@ from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
 LATE_LASTS_S = 30.0
-_AT_ONCE = frozenset({FaultKind.LOW_BATTERY, FaultKind.DRIFT, FaultKind.GARBAGE, FaultKind.FORGET})
+_AT_ONCE = frozenset(
+    {
+        FaultKind.LOW_BATTERY,
+        FaultKind.DRIFT,
+        FaultKind.GARBAGE,
+        FaultKind.FORGET,
+        FaultKind.STEP_BACK,
+    }
+)
 
 
 class Filled(NamedTuple):

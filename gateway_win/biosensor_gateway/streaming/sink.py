@@ -20,6 +20,7 @@ from biosensor_gateway.streaming.jumps import JumpReports, Jumps
 from biosensor_gateway.streaming.observer import SinkObserver
 from biosensor_gateway.streaming.outlets import MAX_STAMP_ERROR_S
 from biosensor_gateway.streaming.pause_gate import PauseGate
+from biosensor_gateway.streaming.plausibility import Plausibility
 from biosensor_gateway.streaming.silence import Silence, StreamWatch
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 from biosensor_gateway.system.device_log import DeviceLog, Once
@@ -50,10 +51,11 @@ class DeviceSink:
     clock
         The LSL time that everything of the device goes by.
     info, told_rates
-        What the device says of itself, and nominal rates in Hz that it sets; empty before its
-        outlets exist.
+        What the device says of itself, and nominal rates in Hz that it sets; empty at first.
     charge
         What is known of its battery.
+    plausibility
+        Keeps back what cannot be.
     own_delay
         Tells for how many seconds a packet may have had to wait for this computer lately.
     """
@@ -78,6 +80,7 @@ class DeviceSink:
         self._is_new = Once()
         self._gate = PauseGate()
         self._gaps = Gaps(clock)
+        self.plausibility = Plausibility(spec, clock, self._log)
         self.info = DeviceInfo()
         self.told_rates: Mapping[str, float] = {}
         self.dropped_bytes = 0
@@ -215,17 +218,18 @@ class DeviceSink:
         if len(lsl_times):
             self.watch.heard(data_name)
         samples, stamps = self._sendable(data_name, samples, lsl_times)
+        outlet = self._outlets[data_name]
+        samples, stamps = self.plausibility.believed(data_name, samples, stamps, outlet.counters)
         if len(lsl_times) and not len(stamps):
             return
         if max(stamps, default=0.0) < self.clock() + MAX_STAMP_ERROR_S:
             # One from the future is refused; guarded, it would push all later ones there, too.
             stamps = self._stamps[data_name].apply(stamps)
-        refusal = self._outlets[data_name].push(samples, stamps)
+        refusal = outlet.push(samples, stamps)
         if refusal is None:
             self.charge.sampled(data_name, samples, stamps)
             self._tell_sampled(data_name, samples, stamps)
         elif self._is_new(data_name, refusal):
-            # Once per cause: the counter tells how often.
             self._log.error("samples were refused", data=data_name, cause=refusal)
 
     def emit_value(self, data_name: str, value: float | None, device_s: float) -> None:
@@ -280,11 +284,9 @@ class DeviceSink:
             self.observer.reanchored(*jumps)
 
     def _tell_sampled(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
-        if not len(stamps):
-            return
-        if self.tap is not None:
+        if self.tap is not None and len(stamps):
             self.tap(data_name, samples, stamps)
-        if self.observer is not None:
+        if self.observer is not None and len(stamps):
             self.observer.sampled(data_name, samples, stamps)
 
 

@@ -1,5 +1,6 @@
 """Any strap that offers the Bluetooth Heart Rate Service."""
 
+from biosensor_common import plausible
 from biosensor_common.quantities import ChannelRole, ContentType, MessageType, Unit
 from biosensor_common.spec import SensorSpec
 from biosensor_common.table import battery, channels, hardware, raw, signal_strength
@@ -11,8 +12,10 @@ SPEC = SensorSpec(
     manufacturer="",
     model="",
     streams=(
-        raw("hr", ContentType.HR, channels(Unit.BEATS_PER_MINUTE, "HR")),
-        raw("ibi", ContentType.RR, channels(Unit.SECONDS, "RR")),
+        raw("hr", ContentType.HR, channels(Unit.BEATS_PER_MINUTE, "HR",
+            plausible=plausible.HEART_RATE_BPM)),
+        raw("ibi", ContentType.RR, channels(Unit.SECONDS, "RR",
+            plausible=plausible.BEAT_INTERVAL_S)),
         battery(),
         signal_strength(),
         hardware("quality", ContentType.QUALITY,

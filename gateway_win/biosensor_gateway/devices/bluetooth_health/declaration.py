@@ -1,5 +1,6 @@
 """Any pulse oximeter, thermometer, bicycle or foot pod with a standard Bluetooth service."""
 
+from biosensor_common import plausible
 from biosensor_common.quantities import ContentType, Unit
 from biosensor_common.spec import SensorSpec
 from biosensor_common.table import channels, raw
@@ -7,14 +8,14 @@ from biosensor_gateway.devices.ble_heart_rate import declaration as ble_heart_ra
 
 _STRAP = ble_heart_rate.SPEC
 _OXIMETRY = (
-    *channels(Unit.PERCENT, "SpO2"),
-    *channels(Unit.BEATS_PER_MINUTE, "pulse"),
+    *channels(Unit.PERCENT, "SpO2", plausible=plausible.SATURATION_PERCENT),
+    *channels(Unit.BEATS_PER_MINUTE, "pulse", plausible=plausible.HEART_RATE_BPM),
     # Pulse amplitude index.
-    *channels(Unit.PERCENT, "PAI"),
+    *channels(Unit.PERCENT, "PAI", plausible=plausible.PERCENT),
 )
 _MOVING = (
-    *channels(Unit.METRES_PER_SECOND, "speed"),
-    *channels(Unit.REVOLUTIONS_PER_MINUTE, "cadence"),
+    *channels(Unit.METRES_PER_SECOND, "speed", plausible=plausible.SPEED_M_S),
+    *channels(Unit.REVOLUTIONS_PER_MINUTE, "cadence", plausible=plausible.CADENCE_RPM),
 )
 
 SPEC = SensorSpec(
@@ -25,10 +26,12 @@ SPEC = SensorSpec(
     model="",
     streams=(
         raw("spo2", ContentType.OXIMETRY, _OXIMETRY),
-        raw("temp", ContentType.TEMPERATURE, channels(Unit.CELSIUS, "body")),
+        raw("temp", ContentType.TEMPERATURE, channels(Unit.CELSIUS, "body",
+            plausible=plausible.TEMPERATURE_C)),
         raw("running", ContentType.ACTIVITY, _MOVING),
         raw("cycling", ContentType.ACTIVITY, _MOVING),
-        raw("power", ContentType.ACTIVITY, channels(Unit.WATTS, "power")),
+        raw("power", ContentType.ACTIVITY, channels(Unit.WATTS, "power",
+            plausible=plausible.POWER_W)),
         _STRAP.stream("bat"),
         _STRAP.stream("rssi"),
         _STRAP.stream("quality"),

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
+from biosensor_common import plausible
 from biosensor_common.quantities import ContentType, Unit
 from biosensor_common.spec import SensorSpec, StreamSpec
 from biosensor_common.table import battery, channels, raw
@@ -31,24 +32,42 @@ class _Kind:
     data_name: str
     content_type: ContentType
     unit: str
+    plausible: tuple[float, float] | None = None
     labels: tuple[str, ...] = ()
 
 
 _AXES = ("X", "Y", "Z")
 _KINDS = (
-    _Kind("eeg_channels", "eeg", ContentType.EEG, Unit.MICROVOLTS),
-    _Kind("ecg_channels", "ecg", ContentType.ECG, Unit.MICROVOLTS),
-    _Kind("emg_channels", "emg", ContentType.EMG, Unit.MICROVOLTS),
-    _Kind("eog_channels", "eog", ContentType.MISC, Unit.MICROVOLTS),
+    _Kind("eeg_channels", "eeg", ContentType.EEG, Unit.MICROVOLTS, plausible.BIOPOTENTIAL_UV),
+    _Kind("ecg_channels", "ecg", ContentType.ECG, Unit.MICROVOLTS, plausible.BIOPOTENTIAL_UV),
+    _Kind("emg_channels", "emg", ContentType.EMG, Unit.MICROVOLTS, plausible.BIOPOTENTIAL_UV),
+    _Kind("eog_channels", "eog", ContentType.MISC, Unit.MICROVOLTS, plausible.BIOPOTENTIAL_UV),
     _Kind("eda_channels", "gsr", ContentType.GSR, Unit.ARBITRARY),
     _Kind("ppg_channels", "ppg", ContentType.PPG, Unit.ARBITRARY),
     _Kind("optical_channels", "optics", ContentType.MISC, Unit.ARBITRARY),
-    _Kind("accel_channels", "acc", ContentType.ACCELEROMETER, Unit.G, _AXES),
-    _Kind("gyro_channels", "gyro", ContentType.GYROSCOPE, Unit.DEGREES_PER_SECOND, _AXES),
-    _Kind("magnetometer_channels", "mag", ContentType.MAGNETOMETER, Unit.ARBITRARY, _AXES),
+    _Kind(
+        "accel_channels", "acc", ContentType.ACCELEROMETER, Unit.G, plausible.ACCELERATION_G, _AXES
+    ),
+    _Kind(
+        "gyro_channels",
+        "gyro",
+        ContentType.GYROSCOPE,
+        Unit.DEGREES_PER_SECOND,
+        plausible.ROTATION_DEG_S,
+        _AXES,
+    ),
+    _Kind("magnetometer_channels", "mag", ContentType.MAGNETOMETER, Unit.ARBITRARY, None, _AXES),
     _Kind("rotation_channels", "rotation", ContentType.MOCAP, Unit.ARBITRARY),
-    _Kind("temperature_channels", "temp", ContentType.TEMPERATURE, Unit.CELSIUS),
-    _Kind("resistance_channels", "impedance", ContentType.QUALITY, Unit.OHMS),
+    _Kind(
+        "temperature_channels",
+        "temp",
+        ContentType.TEMPERATURE,
+        Unit.CELSIUS,
+        plausible.TEMPERATURE_C,
+    ),
+    _Kind(
+        "resistance_channels", "impedance", ContentType.QUALITY, Unit.OHMS, plausible.RESISTANCE_OHM
+    ),
     _Kind("analog_channels", "analog", ContentType.MISC, Unit.ARBITRARY),
 )
 _BATTERY = "battery_channel"
@@ -121,7 +140,9 @@ def _of_preset(
         rows = tuple(description.get(kind.key, ()))
         if rows and (kind.data_name not in ELECTRODES or kind.data_name == chosen):
             name = _free(kind.data_name, preset, taken)
-            specs = channels(kind.unit, *_labels(kind, len(rows), description))
+            specs = channels(
+                kind.unit, *_labels(kind, len(rows), description), plausible=kind.plausible
+            )
             spec = raw(name, kind.content_type, specs, rate, chunk=name if rate else "")
             yield BoardStream(spec, preset, rows)
     if _BATTERY in description:

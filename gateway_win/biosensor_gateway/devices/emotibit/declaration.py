@@ -4,6 +4,7 @@ Rates are those of the stock firmware; units and ranges are what it computes fro
 Source: EmotiBit_FeatherWing (`EmotiBit.cpp`) and *Working with EmotiBit data* (MIT licence).
 """
 
+from biosensor_common import plausible
 from biosensor_common.quantities import (
     ACCELERATION,
     MAGNETIC_FIELD,
@@ -26,20 +27,27 @@ SPEC = SensorSpec(
     manufacturer="EmotiBit",
     model="EmotiBit",
     streams=(
-        raw("eda", ContentType.GSR, channels(Unit.MICROSIEMENS, "EDA"), CONDUCTANCE_HZ,
+        raw("eda", ContentType.GSR, channels(Unit.MICROSIEMENS, "EDA",
+            plausible=plausible.CONDUCTANCE_US), CONDUCTANCE_HZ,
             chunk="eda"),
         # There is a firmware that measures it at 100 Hz.
         raw("ppg", ContentType.PPG, channels(Unit.COUNTS, "infrared", "red", "green"),
             FROM_DEVICE, chunk="ppg"),
-        raw("st", ContentType.TEMPERATURE, channels(Unit.CELSIUS, "skin"), TEMPERATURE_HZ),
-        raw("hr", ContentType.HR, channels(Unit.BEATS_PER_MINUTE, "HR")),
-        raw("ibi", ContentType.RR, channels(Unit.SECONDS, "IBI")),
+        raw("st", ContentType.TEMPERATURE, channels(Unit.CELSIUS, "skin",
+            plausible=plausible.TEMPERATURE_C), TEMPERATURE_HZ),
+        raw("hr", ContentType.HR, channels(Unit.BEATS_PER_MINUTE, "HR",
+            plausible=plausible.HEART_RATE_BPM)),
+        raw("ibi", ContentType.RR, channels(Unit.SECONDS, "IBI",
+            plausible=plausible.BEAT_INTERVAL_S)),
         hardware("acc", ContentType.ACCELEROMETER,
-                 channels(Unit.G, *"XYZ", roles=ACCELERATION), MOTION_HZ),
+                 channels(Unit.G, *"XYZ", roles=ACCELERATION,
+                     plausible=plausible.ACCELERATION_G), MOTION_HZ),
         hardware("gyro", ContentType.GYROSCOPE,
-                 channels(Unit.DEGREES_PER_SECOND, *"XYZ"), MOTION_HZ),
+                 channels(Unit.DEGREES_PER_SECOND, *"XYZ",
+                     plausible=plausible.ROTATION_DEG_S), MOTION_HZ),
         hardware("mag", ContentType.MAGNETOMETER,
-                 channels(Unit.MICROTESLA, *"XYZ", roles=MAGNETIC_FIELD), MOTION_HZ),
+                 channels(Unit.MICROTESLA, *"XYZ", roles=MAGNETIC_FIELD,
+                     plausible=plausible.MAGNETIC_FIELD_UT), MOTION_HZ),
         battery(),
         # Samples that were beyond a sensor's range, and that its buffer had no room for.
         hardware("quality", ContentType.QUALITY, _TOO_MUCH),

@@ -1,5 +1,6 @@
 """Emotiv Insight headset, by way of the Cortex service."""
 
+from biosensor_common import plausible
 from biosensor_common.quantities import (
     ACCELERATION,
     MAGNETIC_FIELD,
@@ -16,6 +17,7 @@ _BANDS = ("theta", "alpha", "betaL", "betaH", "gamma")
 _BAND_POWER = channels(
     Unit.MICROVOLTS_SQUARED_PER_HERTZ,
     *(f"{electrode}/{band}" for electrode in _ELECTRODES for band in _BANDS),
+    plausible=plausible.BAND_POWER_UV2_PER_HZ,
 )
 _METRICS = channels(
     Unit.FRACTION,
@@ -24,14 +26,28 @@ _METRICS = channels(
 )  # fmt: skip
 _MOTION = (
     *channels(Unit.NONE, "Q0", "Q1", "Q2", "Q3", roles=ORIENTATION),
-    *channels(Unit.G, "ACCX", "ACCY", "ACCZ", roles=ACCELERATION),
-    *channels(Unit.MICROTESLA, "MAGX", "MAGY", "MAGZ", roles=MAGNETIC_FIELD),
+    *channels(
+        Unit.G, "ACCX", "ACCY", "ACCZ", roles=ACCELERATION, plausible=plausible.ACCELERATION_G
+    ),
+    *channels(
+        Unit.MICROTESLA,
+        "MAGX",
+        "MAGY",
+        "MAGZ",
+        roles=MAGNETIC_FIELD,
+        plausible=plausible.MAGNETIC_FIELD_UT,
+    ),
 )
 # Battery and Signal are grades: 0 to 4, and 0 to 1 or 0 to 2 by the version of Cortex.
 _DEVICE = (
     *channels(Unit.INDEX, "Battery", "Signal", *_ELECTRODES),
-    *channels(Unit.PERCENT, "OVERALL"),
-    *channels(Unit.PERCENT, "BatteryPercent", roles=[ChannelRole.STATE_OF_CHARGE]),
+    *channels(Unit.PERCENT, "OVERALL", plausible=plausible.PERCENT),
+    *channels(
+        Unit.PERCENT,
+        "BatteryPercent",
+        roles=[ChannelRole.STATE_OF_CHARGE],
+        plausible=plausible.PERCENT,
+    ),
 )
 _EEG_STATUS = (
     *channels(Unit.INDEX, "COUNTER"),
@@ -46,7 +62,8 @@ SPEC = SensorSpec(
     manufacturer="Emotiv",
     model="Insight",
     streams=(
-        raw("eeg", ContentType.EEG, channels(Unit.MICROVOLTS, *_ELECTRODES), 128, chunk="eeg",
+        raw("eeg", ContentType.EEG, channels(Unit.MICROVOLTS, *_ELECTRODES,
+            plausible=plausible.BIOPOTENTIAL_UV), 128, chunk="eeg",
             contract=True),
         raw("pow", ContentType.EEG_BANDPOWER, _BAND_POWER, 8, chunk="pow", contract=True),
         raw("met", ContentType.PERFORMANCE_METRICS, _METRICS, contract=True),

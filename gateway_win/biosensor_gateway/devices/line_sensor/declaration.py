@@ -47,6 +47,9 @@ _CONTENT: Mapping[str, ContentType] = MappingProxyType(
 _UNITS: Mapping[str, Unit] = MappingProxyType({each.value: each for each in Unit})
 
 
+_NO_BOUNDS = "what a device of the user's own may measure, nobody else knows"
+
+
 class Column(NamedTuple):
     """One column of each line.
 
@@ -159,7 +162,7 @@ def _stream(data_name: str, columns: Sequence[Column], rate_hz: float) -> Stream
     return raw(
         data_name,
         _CONTENT.get(data_name, ContentType.MISC),
-        tuple(ChannelSpec(each.label, unit_of(each)) for each in columns),
+        tuple(ChannelSpec(each.label, unit_of(each), plausible=_NO_BOUNDS) for each in columns),
         rate_hz,
         chunk=data_name if rate_hz else "",
     )

@@ -1,5 +1,6 @@
 """Movesense Medical, Active and Flash: ECG, movement and heart rate on a chest strap."""
 
+from biosensor_common import plausible
 from biosensor_common.quantities import ACCELERATION, MAGNETIC_FIELD, ContentType, Unit
 from biosensor_common.spec import SensorSpec
 from biosensor_common.table import channels, hardware, raw
@@ -15,14 +16,19 @@ SPEC = SensorSpec(
     streams=(
         _STRAP.stream("hr"),
         _STRAP.stream("ibi"),
-        raw("ecg", ContentType.ECG, channels(Unit.MICROVOLTS, "ECG"), 200, chunk="ecg"),
-        hardware("acc", ContentType.ACCELEROMETER, channels(Unit.G, *"XYZ", roles=ACCELERATION),
+        raw("ecg", ContentType.ECG, channels(Unit.MICROVOLTS, "ECG",
+            plausible=plausible.BIOPOTENTIAL_UV), 200, chunk="ecg"),
+        hardware("acc", ContentType.ACCELEROMETER, channels(Unit.G, *"XYZ", roles=ACCELERATION,
+            plausible=plausible.ACCELERATION_G),
             52),
-        hardware("gyro", ContentType.GYROSCOPE, channels(Unit.DEGREES_PER_SECOND, *"XYZ"), 52),
+        hardware("gyro", ContentType.GYROSCOPE, channels(Unit.DEGREES_PER_SECOND, *"XYZ",
+            plausible=plausible.ROTATION_DEG_S), 52),
         hardware("mag", ContentType.MAGNETOMETER,
-            channels(Unit.MICROTESLA, *"XYZ", roles=MAGNETIC_FIELD), 52),
+            channels(Unit.MICROTESLA, *"XYZ", roles=MAGNETIC_FIELD,
+                plausible=plausible.MAGNETIC_FIELD_UT), 52),
         # Of the device itself, which the skin warms.
-        hardware("temp", ContentType.TEMPERATURE, channels(Unit.CELSIUS, "device")),
+        hardware("temp", ContentType.TEMPERATURE, channels(Unit.CELSIUS, "device",
+            plausible=plausible.TEMPERATURE_C)),
         _STRAP.stream("bat"),
         _STRAP.stream("rssi"),
         _STRAP.stream("quality"),

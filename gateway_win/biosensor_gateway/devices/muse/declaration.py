@@ -1,5 +1,6 @@
 """Muse 2, Muse S and Muse S Athena: EEG at four places of the head, light, movement."""
 
+from biosensor_common import plausible
 from biosensor_common.quantities import ACCELERATION, ContentType, Unit
 from biosensor_common.spec import SensorSpec
 from biosensor_common.table import battery, channels, hardware, raw, signal_strength
@@ -17,16 +18,20 @@ SPEC = SensorSpec(
     manufacturer="InteraXon",
     model="",
     streams=(
-        raw("eeg", ContentType.EEG, channels(Unit.MICROVOLTS, "TP9", "AF7", "AF8", "TP10"),
+        raw("eeg", ContentType.EEG, channels(Unit.MICROVOLTS, "TP9", "AF7", "AF8", "TP10",
+            plausible=plausible.BIOPOTENTIAL_UV),
             EEG_HZ, chunk="eeg"),
         raw("aux", ContentType.EEG,
-            channels(Unit.MICROVOLTS, "AUX1", "AUX2", "AUX3", "AUX4"), EEG_HZ),
+            channels(Unit.MICROVOLTS, "AUX1", "AUX2", "AUX3", "AUX4",
+                plausible=plausible.BIOPOTENTIAL_UV), EEG_HZ),
         raw("ppg", ContentType.PPG, channels(Unit.COUNTS, "ambient", "infrared", "red"),
             LIGHT_HZ),
         raw("optics", ContentType.PPG, channels(Unit.COUNTS, *LIGHT_LABELS), LIGHT_HZ),
-        hardware("acc", ContentType.ACCELEROMETER, channels(Unit.G, *"XYZ", roles=ACCELERATION),
+        hardware("acc", ContentType.ACCELEROMETER, channels(Unit.G, *"XYZ", roles=ACCELERATION,
+            plausible=plausible.ACCELERATION_G),
             MOTION_HZ),
-        hardware("gyro", ContentType.GYROSCOPE, channels(Unit.DEGREES_PER_SECOND, *"XYZ"),
+        hardware("gyro", ContentType.GYROSCOPE, channels(Unit.DEGREES_PER_SECOND, *"XYZ",
+            plausible=plausible.ROTATION_DEG_S),
             MOTION_HZ),
         battery(),
         signal_strength(),

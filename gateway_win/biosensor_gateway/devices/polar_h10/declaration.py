@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from biosensor_common import plausible
 from biosensor_common.quantities import ContentType, Unit
 from biosensor_common.spec import SensorSpec
 from biosensor_common.table import channels, hardware, raw
@@ -17,8 +18,10 @@ SPEC = SensorSpec(
     streams=(
         replace(_STRAP.stream("hr"), contract=True),
         _STRAP.stream("ibi"),
-        raw("ecg", ContentType.ECG, channels(Unit.MICROVOLTS, "ECG"), 130, chunk="ecg"),
-        hardware("acc", ContentType.ACCELEROMETER, channels(Unit.G, *"XYZ"), 50),
+        raw("ecg", ContentType.ECG, channels(Unit.MICROVOLTS, "ECG",
+            plausible=plausible.BIOPOTENTIAL_UV), 130, chunk="ecg"),
+        hardware("acc", ContentType.ACCELEROMETER, channels(Unit.G, *"XYZ",
+            plausible=plausible.ACCELERATION_G), 50),
         _STRAP.stream("bat"),
         _STRAP.stream("rssi"),
         _STRAP.stream("quality"),

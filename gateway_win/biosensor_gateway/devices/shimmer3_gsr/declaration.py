@@ -1,5 +1,6 @@
 """Shimmer3 GSR+ unit with the optical pulse probe."""
 
+from biosensor_common import plausible
 from biosensor_common.quantities import ChannelRole, ContentType, Unit
 from biosensor_common.spec import SensorSpec
 from biosensor_common.table import battery, channels, hardware, raw
@@ -16,11 +17,14 @@ SPEC = SensorSpec(
     manufacturer="Shimmer",
     model="Shimmer3 GSR+",
     streams=(
-        raw("gsr", ContentType.GSR, channels(Unit.MICROSIEMENS, "EDA"), 128, chunk="gsr",
+        raw("gsr", ContentType.GSR, channels(Unit.MICROSIEMENS, "EDA",
+            plausible=plausible.CONDUCTANCE_US), 128, chunk="gsr",
             contract=True),
-        raw("ppg", ContentType.PPG, channels(Unit.MILLIVOLTS, "PPG"), 128, chunk="ppg",
+        raw("ppg", ContentType.PPG, channels(Unit.MILLIVOLTS, "PPG",
+            plausible=plausible.PULSE_PROBE_MV), 128, chunk="ppg",
             contract=True),
-        raw("hr", ContentType.HR, channels(Unit.BEATS_PER_MINUTE, "HR")),
+        raw("hr", ContentType.HR, channels(Unit.BEATS_PER_MINUTE, "HR",
+            plausible=plausible.HEART_RATE_BPM)),
         battery(),
         hardware("quality", ContentType.QUALITY, _QUALITY),
     ),

@@ -1,5 +1,6 @@
 """Vernier Go Direct respiration belt."""
 
+from biosensor_common import plausible
 from biosensor_common.quantities import ContentType, Unit
 from biosensor_common.spec import FROM_DEVICE, SensorSpec
 from biosensor_common.table import battery, channels, hardware, raw, signal_strength
@@ -16,9 +17,11 @@ SPEC = SensorSpec(
     manufacturer="Vernier",
     model="GDX-RB",
     streams=(
-        raw("bpm", ContentType.RESPIRATION_RATE, channels(Unit.BREATHS_PER_MINUTE, "rate"),
+        raw("bpm", ContentType.RESPIRATION_RATE, channels(Unit.BREATHS_PER_MINUTE, "rate",
+            plausible=plausible.BREATHING_RATE_BPM),
             FROM_DEVICE, chunk="bpm", contract=True),
-        raw("force", ContentType.RESPIRATION, channels(Unit.NEWTONS, "force"),
+        raw("force", ContentType.RESPIRATION, channels(Unit.NEWTONS, "force",
+            plausible=plausible.FORCE_N),
             FROM_DEVICE, chunk="force", contract=True),
         battery(),
         signal_strength(),

@@ -10,7 +10,8 @@ from biosensor_gateway.devices.ble_heart_rate.simulator.expected import EXPECTED
 from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
 from biosensor_gateway.devices.ble_heart_rate.simulator.strap import STRAP_EFFECTS, Strap
 from biosensor_gateway.devices.ble_heart_rate.simulator.strap_device import StrapDevice
-from biosensor_gateway.simulation.effects import on_part
+from biosensor_gateway.simulation.effects import lasting, on_part
+from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.specimen import SpecimenOptions
@@ -39,7 +40,12 @@ class SimulatedHeartRateStrap(StrapDevice):
     """
 
     sensor = "ble_heart_rate"
-    effects = MappingProxyType(on_part("_strap", STRAP_EFFECTS))
+    effects = MappingProxyType(
+        on_part(
+            "_strap",
+            {**STRAP_EFFECTS, FaultKind.REPEAT: lasting(Strap.repeat, Strap.repeat_no_more)},
+        )
+    )
     expected = EXPECTED
     on_air = True
 

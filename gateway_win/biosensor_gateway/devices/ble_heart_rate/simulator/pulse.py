@@ -22,6 +22,11 @@ class Pulse:
         Measurements say whether the strap touches the skin.
     sends_rr
         Measurements carry R-R intervals.
+
+    Attributes
+    ----------
+    repeats
+        The last interval of each measurement is told in the next one again.
     """
 
     def __init__(self, detector: BeatDetector, *, tells_contact: bool, sends_rr: bool) -> None:
@@ -30,6 +35,8 @@ class Pulse:
         self._sends_rr = sends_rr
         self._intervals: Sequence[Interval] = ()
         self._worn = True
+        self._last: tuple[int, ...] = ()
+        self.repeats = False
 
     @property
     def bpm(self) -> int:
@@ -44,9 +51,11 @@ class Pulse:
         else:
             self._intervals = ()
             self._detector.lose(until_s)
+        told = tuple(interval.rr for interval in self._intervals)
+        again, self._last = self._last if self.repeats else (), told[-1:] or self._last
         return HeartRateMeasurement(
             self.bpm,
-            tuple(interval.rr for interval in self._intervals) if self._sends_rr else None,
+            again + told if self._sends_rr else None,
             worn if self._tells_contact else None,
         )
 

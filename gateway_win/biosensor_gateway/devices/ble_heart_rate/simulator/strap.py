@@ -156,6 +156,14 @@ class Strap:
         """End that."""
         self.is_unreadable = False
 
+    def repeat(self) -> None:
+        """Tell the last interval of each measurement in the next one again."""
+        self.pulse.repeats = True
+
+    def repeat_no_more(self) -> None:
+        """End that."""
+        self.pulse.repeats = False
+
     def go_down(self) -> None:
         """Switch itself off."""
         self._power.hold_off(FaultKind.RESTART)

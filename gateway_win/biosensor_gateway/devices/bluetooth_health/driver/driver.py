@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 
 from pydantic import Field
@@ -11,7 +11,7 @@ from pydantic import Field
 from biosensor_common.errors import GatewayError, ProtocolError, ProtocolReason
 from biosensor_gateway.devices.ble_heart_rate.driver.strap import Strap
 from biosensor_gateway.devices.bluetooth_health.driver.emitter import HealthEmitter
-from biosensor_gateway.devices.bluetooth_health.driver.services import ROWS
+from biosensor_gateway.devices.bluetooth_health.driver.services import ROWS, SPOT_CHECK, Row
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.sink import Sink
@@ -66,28 +66,28 @@ class HealthDeviceDriver:
         self._emitter.reconnected()
         rows = [row for row in ROWS if self._link.has(row.characteristic)]
         if not rows:
-            message = f"{self._link.what} has none of the services; choose another `device`"
-            raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
+            raise self._has_none()
         info = await self._strap.identify()
-        try:
-            for row in rows:
-                await self._link.subscribe(row.characteristic)
-        except AttError as error:
-            if not error.wants_pairing and error.code != UNLIKELY_ERROR:
-                raise
-            message = f"{self._link.what} answers only when paired; set pair = true for it"
-            raise ProtocolError(ProtocolReason.REFUSED, message) from error
+        errors = {row: await self._subscribe(row) for row in rows}
+        denied = {
+            row.stream: f"its service lets nobody subscribe: ATT error 0x{error.code:02X}"
+            for row, error in errors.items()
+            if error is not None
+        }
+        if len(denied) == len(rows):
+            raise self._refusal(errors)
         refused = frozenset(row.stream for row in ROWS) - {row.stream for row in rows}
-        due = {row.stream: row.due_s for row in rows if row.due_s}
-        return Connected(info, refused=refused, due=due)
+        due = {row.stream: row.due_s for row in rows if row.due_s and row.stream not in denied}
+        return Connected(info, refused=refused, denied=denied, due=due)
 
     async def enable_again(self, streams: frozenset[str]) -> None:
         """Subscribe once more to everything: what comes rarely may be missing, too."""
         del streams
         for row in ROWS:
             if self._link.has(row.characteristic):
-                await self._link.unsubscribe(row.characteristic)
-                await self._link.subscribe(row.characteristic)
+                with suppress(AttError):
+                    await self._link.unsubscribe(row.characteristic)
+                await self._subscribe(row)
 
     async def stream(self) -> None:
         """Emit what the device sends, which the link has kept so far."""
@@ -106,6 +106,31 @@ class HealthDeviceDriver:
                     if self._link.has(row.characteristic):
                         await self._link.unsubscribe(row.characteristic)
         await self._link.close()
+
+    async def _subscribe(self, row: Row) -> AttError | None:
+        """Subscribe; return the error of a refusal."""
+        try:
+            await self._link.subscribe(row.characteristic)
+        except AttError as error:
+            return error
+        return None
+
+    def _has_none(self) -> ProtocolError:
+        message = f"{self._link.what} has none of the services; choose another `device`"
+        if self._link.has(SPOT_CHECK):
+            message = (
+                f"{self._link.what} has only spot checks, one value when a measurement is over; "
+                "choose an oximeter that measures all the time"
+            )
+        return ProtocolError(ProtocolReason.UNSUPPORTED, message)
+
+    def _refusal(self, errors: Mapping[Row, AttError | None]) -> ProtocolError:
+        """Return why nothing at all can be had of it."""
+        found = [error for error in errors.values() if error is not None]
+        if any(error.wants_pairing or error.code == UNLIKELY_ERROR for error in found):
+            message = f"{self._link.what} answers only when paired; set pair = true for it"
+            return ProtocolError(ProtocolReason.REFUSED, message)
+        return found[0]
 
     async def _read_forever(self) -> None:
         rows = {row.characteristic: row for row in ROWS}

@@ -61,11 +61,11 @@ def _uuid(number: int) -> str:
 
 
 def _plain(*names: str) -> Making:
-    """Take fields as they are; without the first one there is no sample."""
+    """Take fields as they are; without any there is no sample."""
 
     def take(found: Values, _: float) -> list[float] | None:
         sample = [found.get(name, math.nan) for name in names]
-        return None if math.isnan(sample[0]) else sample
+        return None if all(map(math.isnan, sample)) else sample
 
     def make(_: float) -> Sampling:
         return take
@@ -86,14 +86,14 @@ def _thermal(_: float) -> Sampling:
 
 
 def _worn(found: Values) -> bool | None:
-    if math.isnan(found["SpO2"]):
+    if math.isnan(found["SpO2"]) and math.isnan(found["pulse"]):
         return False
     return not int(found["device_status"]) & _OFF if "device_status" in found else True
 
 
 def _turning(wheel_m: float) -> Sampling:
     """Follow wheel and crank, whose turns are counted."""
-    wheel = Revolutions(32, _TICKS_PER_S)
+    wheel = Revolutions(0, _TICKS_PER_S)
     crank = Revolutions(16, _TICKS_PER_S)
 
     def take(found: Values, arrival_s: float) -> list[float] | None:
@@ -106,6 +106,9 @@ def _turning(wheel_m: float) -> Sampling:
 
     return take
 
+
+SPOT_CHECK = _uuid(0x2A5E)
+"""Of a pulse oximeter, by indication when a measurement is over; nothing reads it."""
 
 _OXIMETER = (
     Field("SpO2", "sfloat"),

@@ -75,6 +75,7 @@ class SimulatedHealthDevice(StrapDevice):
         **specimen: Unpack[SpecimenOptions],
     ) -> None:
         super().__init__(world, **specimen)
+        self._stepped_back = 0
         self._address = address
         self._strap = Strap(
             Peripheral(radio, address, name, service_uuids=_ADVERTISED, rssi_dbm=rssi_dbm),
@@ -129,9 +130,10 @@ class SimulatedHealthDevice(StrapDevice):
         sample = (spo2, pulse, amplitude) if worn else None
         yield _Value("spo2", wire.oximeter(spo2, pulse, amplitude, worn=worn), sample)
         yield _Value("temp", wire.thermometer(celsius), (celsius,))
-        yield _Value("running", wire.foot_pod(speed, 164), (speed, 164.0))
+        yield _Value("running", wire.foot_pod(speed, 82), (speed, 82.0))
         wheel, crank = int(second * _WHEEL_HZ), int(second * _CRANK_HZ)
-        turns = wire.bicycle(wheel, wheel / _WHEEL_HZ, crank, crank / _CRANK_HZ)
+        counted = [each - self._stepped_back for each in (wheel, crank)]
+        turns = wire.bicycle(counted[0], wheel / _WHEEL_HZ, counted[1], crank / _CRANK_HZ)
         yield _Value("cycling", turns, None)
         yield _Value("power", wire.power_meter(watts), (float(watts),))
 
@@ -155,6 +157,9 @@ class SimulatedHealthDevice(StrapDevice):
             characteristic = self._characteristics[names[number % len(names)]]
             await self._strap.peripheral.notify(characteristic, b"\x1f")
 
+    def _step_back(self, turns: float) -> None:
+        self._stepped_back += round(turns)
+
     def _forget(self, _: float) -> None:
         for characteristic in self._characteristics.values():
             self._strap.peripheral.forget_subscription(characteristic)
@@ -164,5 +169,6 @@ class SimulatedHealthDevice(StrapDevice):
             **on_part("_strap", STRAP_EFFECTS),
             FaultKind.GARBAGE: Effect(_babble),
             FaultKind.FORGET: Effect(_forget),
+            FaultKind.STEP_BACK: Effect(_step_back),
         }
     )

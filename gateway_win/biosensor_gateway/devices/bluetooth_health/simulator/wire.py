@@ -34,9 +34,9 @@ def thermometer(celsius: float) -> bytes:
     return struct.pack("<BI", 0, mantissa | (-2 & 0xFF) << 24)
 
 
-def foot_pod(metres_per_second: float, steps_per_minute: int) -> bytes:
+def foot_pod(metres_per_second: float, strides_per_minute: int) -> bytes:
     """Return speed and cadence of a runner."""
-    return struct.pack("<BHB", 4, round(256 * metres_per_second), steps_per_minute)
+    return struct.pack("<BHB", 4, round(256 * metres_per_second), strides_per_minute)
 
 
 def bicycle(wheel_turns: int, wheel_s: float, crank_turns: int, crank_s: float) -> bytes:
