@@ -13,9 +13,8 @@ from biosensor_gateway.cli.live_table import (
     Row,
     picture,
     running_foot,
-    sensor_title,
 )
-from biosensor_gateway.devices.registry import sensor_names
+from biosensor_gateway.devices.registry import sensor_names, sensor_title
 from biosensor_gateway.system.panel import Panel, Size
 
 WIDE = Size(80, 24)
@@ -110,6 +109,23 @@ def test_losses_of_all_streams_and_the_battery() -> None:
     assert row().battery == "-"
 
 
+@pytest.mark.parametrize(
+    "away", [{"state": "discovering"}, {"state": "backoff"}, {"state": "stopped"}, {"paused": True}]
+)
+def test_nothing_of_before_stands_beside_a_device_that_does_not_send(away: dict[str, Any]) -> None:
+    shown = table()
+    told: Row | None = None
+    for second in range(5):
+        streams = {"ecg": stream(130 * second + 1, 100.0 + second, 130, lost=3)}
+        changes: dict[str, Any] = away if second == 4 else {}
+        known = device(streams=streams, battery_percent=80.0, **changes)
+        (told,) = shown.rows(status(known, at=100.0 + second))
+        if not changes and second:
+            assert (told.rate, told.lost, told.battery) == ("130.0 Hz", "3", "80 %")
+    assert told is not None
+    assert (told.rate, told.lost, told.battery) == ("-", "-", "-")
+
+
 def test_two_of_a_name_are_told_apart_and_others_need_no_number() -> None:
     devices = [device(), device(unit="B"), device("zephyr"), device(label="left", participant="p1")]
     title = sensor_title("polar_h10")
@@ -130,7 +146,7 @@ def test_a_reason_stands_below_its_device_and_how_to_end_it_below_all() -> None:
     assert drawn(rows) == [
         "",
         "Device               State           Rate  Lost  Battery",
-        "Polar H10            looking for it     -     0        -",
+        "Polar H10            looking for it     -     -        -",
         "  COM17: the port is in use by another program; close the program that has it",
         "  open",
         "Zephyr BioHarness 3  streaming          -     0        -",

@@ -148,6 +148,7 @@ def test_who_had_withdrawn_is_paused_from_the_start_and_it_is_said(tmp_path: Pat
     with capture_logs() as logs:
         PauseCommands(tmp_path, lambda: sinks)
     assert [sink.is_paused for sink in sinks] == [True, False]
+    assert [sink.gate.since for sink in sinks] == [SINCE.timestamp(), None]
     (said,) = logs
     assert (said["log_level"], said["unit"]) == ("warning", "A1")
     assert said["since"] == "2026-03-29T09:30:15+02:00"

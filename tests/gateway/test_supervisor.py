@@ -211,6 +211,19 @@ async def test_a_connection_that_ends_is_made_anew(
 
 
 @pytest.mark.usefixtures("hasty")
+async def test_since_when_it_does_not_stream_is_kept_over_its_attempts(
+    start: Start, eventually: Eventually
+) -> None:
+    rig = start(ScriptedDriver(connect=failing(lost())))
+    away_since = rig.supervisor.away_since
+    assert away_since is not None
+    await eventually(lambda: DISCOVERING in rig.states)
+    assert rig.supervisor.away_since == away_since
+    await eventually(lambda: rig.supervisor.state is STREAMING)
+    assert rig.supervisor.away_since is None
+
+
+@pytest.mark.usefixtures("hasty")
 async def test_a_driver_that_just_stops_is_started_again(
     start: Start, eventually: Eventually
 ) -> None:

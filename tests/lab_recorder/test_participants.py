@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from biosensor_common.errors import ConfigReason
+from biosensor_gateway.agent.status_file import write_status
 from biosensor_gateway.recording.here.recording import Recording
+from biosensor_gateway.recording.labrecorder.errors import LabRecorderReason, SensorsAwayError
 from biosensor_gateway.recording.labrecorder.file_name import BidsLabels, Place
-from biosensor_gateway.recording.labrecorder.starting import Order, require_participant
-from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream
+from biosensor_gateway.recording.labrecorder.starting import (
+    Order,
+    require_participant,
+    require_sensors,
+)
+from biosensor_gateway.recording.labrecorder.streams import (
+    Presence,
+    VisibleStream,
+    expected_devices,
+)
 from biosensor_gateway.recording.participants import OtherParticipantsError, Worn
+from biosensor_gateway.settings.models import GatewaySettings
 
 SEEN = VisibleStream("P01-polar_h10-A1-ecg", "P01@polar_h10-ecg", "lab-pc")
 PRESENCE = Presence((SEEN,), (), (), (Worn("polar_h10/A1", "P01"),))
@@ -50,3 +63,30 @@ def test_nothing_is_made_of_a_recording_that_is_refused(tmp_path: Path) -> None:
         recording.start(order, lambda: PRESENCE)
     assert list(tmp_path.rglob("*.xdf")) == []
     assert not recording.is_running
+
+
+def test_a_sensor_that_does_not_stream_refuses_and_the_option_is_named(tmp_path: Path) -> None:
+    presence = replace(PRESENCE, away=("P01's strap is paused since 14:03",))
+    recording = Recording(tmp_path / "state")
+    with pytest.raises(SensorsAwayError, match="P01's strap is paused since 14:03") as caught:
+        recording.start(Order(Place(tmp_path, labels=BidsLabels("P01"))), lambda: presence)
+    assert "--allow-missing" in str(caught.value)
+    assert caught.value.reason is LabRecorderReason.STREAMS_MISSING
+    assert list(tmp_path.rglob("*.xdf")) == []
+    require_sensors(presence, Order(place("P01"), without_away=True))
+
+
+def test_what_the_agent_says_of_a_pause_is_known_before_it_begins(tmp_path: Path) -> None:
+    known: dict[str, object] = {"sensor": "polar_h10", "participant": "P01", "label": "", "error": None,
+             "paused": False, "since": None, "streams": {}}  # fmt: skip
+    devices: list[dict[str, object]] = [
+        {**known, "unit": "A1", "state": "streaming", "paused": True, "since": 1.0},
+        {**known, "unit": "A2", "state": "streaming"},
+        # A part of its streams may be all that it ever sends.
+        {**known, "unit": "A3", "state": "streaming", "error": "no data of acc"},
+        {**known, "unit": "A4", "state": "discovering", "since": 1.0},
+    ]
+    write_status(tmp_path, {"written": time.time(), "devices": devices})
+    found = expected_devices(GatewaySettings(), tmp_path)
+    told = [each.away.partition(" since ")[0] for each in found]
+    assert told == ["P01's Polar H10 A1 is paused", "", "", "P01's Polar H10 A4 is not found"]

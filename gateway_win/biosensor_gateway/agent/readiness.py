@@ -20,13 +20,12 @@ from biosensor_common.quantities import ContentType
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.declared_streams import declared_streams
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.state import CONNECTED
 from biosensor_gateway.agent.status import DeclaredStream
 
 FRESH_S = 5.0
 """Samples of a belt after a loss, and values of an E4, come in lumps of seconds."""
 _POLL_S = 0.25
-_CONNECTED = frozenset({State.STREAMING.value, State.ENABLING.value})
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,8 +180,7 @@ def steady_streams(device: Mapping[str, Any], excluded: frozenset[str]) -> tuple
 
 def _missing(device: Mapping[str, Any], streams: tuple[str, ...], watch: _Watch) -> Missing | None:
     silent = tuple(source for source in streams if not watch.delivers(source))
-    # While one stream is asked for again, the others flow.
-    is_connected = device["state"] in _CONNECTED
+    is_connected = device["state"] in CONNECTED
     if is_connected and not silent:
         return None
     parts = (device["participant"], device["sensor"], device["label"])

@@ -18,6 +18,9 @@ class State(Enum):
     STOPPED = "stopped"
 
 
+CONNECTED = frozenset({State.STREAMING.value, State.ENABLING.value})
+"""While one stream is asked for again, the others flow."""
+
 STATE_WORDS = {
     State.DISCOVERING.value: "looking for it",
     State.CONNECTING.value: "connecting",
@@ -27,3 +30,8 @@ STATE_WORDS = {
     State.STOPPED.value: "stopped",
 }
 """What people are told; files and streams have the value."""
+
+
+def is_sending(state: str, *, paused: bool) -> bool:
+    """Whether a device sends, so that what it sent last may be of now."""
+    return state in CONNECTED and not paused

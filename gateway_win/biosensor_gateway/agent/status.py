@@ -107,6 +107,8 @@ class DeviceFacts(BaseModel):
         Where it is on its way to streaming, a value of `biosensor_gateway.agent.state.State`.
     paused
         Whether its participant has withdrawn, so that nothing is sent.
+    since
+        Unix time in seconds since when it is paused or does not stream; None while it streams.
     worn
         None where nobody knows.
     connections
@@ -116,7 +118,7 @@ class DeviceFacts(BaseModel):
     dropped_bytes
         Bytes that made no valid message.
     battery_percent
-        None where nobody knows.
+        None where nobody knows, and while the device is not connected.
     clock
         None before its first packet.
     """
@@ -133,6 +135,7 @@ class DeviceFacts(BaseModel):
     dropped_bytes: int
     battery_percent: float | None
     clock: ClockStatus | None
+    since: float | None = None
 
 
 class DeviceStatus(DeviceFacts):

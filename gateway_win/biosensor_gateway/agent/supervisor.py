@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import asyncio
 import random
+import time
 from asyncio import sleep
 from collections.abc import Callable
 from typing import cast
@@ -32,7 +33,7 @@ import structlog
 
 from biosensor_common.errors import GatewayError, TransportError, TransportReason
 from biosensor_gateway.agent.reviving import Reviver
-from biosensor_gateway.agent.state import State
+from biosensor_gateway.agent.state import CONNECTED, State
 from biosensor_gateway.devices.driver import Connected, Driver
 from biosensor_gateway.streaming.silence import limits
 from biosensor_gateway.streaming.sink import DeviceSink
@@ -67,6 +68,8 @@ class Supervisor:
         Called with the reason, in one word, as soon as a connection has ended by itself.
     admit
         Called before each connection; raises what forbids it.
+    away_since
+        Unix time in s since when it does not stream, for people; None while it does.
     """
 
     def __init__(
@@ -83,13 +86,14 @@ class Supervisor:
         self._names = {"sensor": sink.identity.sensor, "unit": sink.identity.unit}
         self._delay_s = BACKOFF_FIRST_S
         self.state = State.DISCOVERING
+        self.away_since: float | None = time.time()
         self.connections = 0
         self.last_error: str | None = None
 
     @property
     def is_connected(self) -> bool:
         """Whether the device is connected, and whatever comes from it is passed on."""
-        return self.state in (State.STREAMING, State.ENABLING)
+        return self.state.value in CONNECTED
 
     async def run(self) -> None:
         """Keep the device connected; returns only by cancellation, with the device closed."""
@@ -211,6 +215,10 @@ class Supervisor:
 
     def _enter(self, state: State) -> None:
         self.state = state
+        if state is State.STREAMING:
+            self.away_since = None
+        elif self.away_since is None:
+            self.away_since = time.time()
         self._on_state(state)
         _log.debug("state", **self._names, state=state.value)
 

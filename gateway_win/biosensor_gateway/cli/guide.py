@@ -10,11 +10,10 @@ import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_gateway.cli.device_test import print_outcome
-from biosensor_gateway.cli.live_table import sensor_title
 from biosensor_gateway.cli.questions import can_ask, menu, several
 from biosensor_gateway.cli.screen import say
 from biosensor_gateway.devices.discovery import Found
-from biosensor_gateway.devices.registry import settings_models
+from biosensor_gateway.devices.registry import sensor_title, settings_models
 from biosensor_gateway.doctor import scan as search
 from biosensor_gateway.doctor.device_test import run_device_test
 from biosensor_gateway.settings import file as settings_file

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from time import monotonic
 from typing import Any, NamedTuple
 
 from rich.cells import cell_len, set_cell_size
 
-from biosensor_common.errors import SpecError
 from biosensor_common.terminal import shortened, wrapped
+from biosensor_gateway.agent.absences import names
 from biosensor_gateway.agent.rate_meter import RateMeter
-from biosensor_gateway.agent.state import STATE_WORDS
-from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.agent.state import STATE_WORDS, is_sending
 from biosensor_gateway.system.panel import Line, Panel, Size
 
 _WELL = frozenset({"streaming", "paused"})
@@ -35,14 +33,6 @@ class Row(NamedTuple):
     lost: str
     battery: str
     error: str
-
-
-def sensor_title(sensor: str) -> str:
-    """Return what people call a sensor; its name if nothing is known of it."""
-    try:
-        return declaration(sensor).title
-    except SpecError:
-        return sensor
 
 
 class LiveTable:
@@ -75,22 +65,24 @@ class LiveTable:
 
     def rows(self, status: Mapping[str, Any]) -> list[Row]:
         """Put the devices into words."""
-        names = _names(status["devices"])
         now = float(status["lsl_time"])
         return [
             self._row(name, device, now)
-            for name, device in zip(names, status["devices"], strict=True)
+            for name, device in zip(names(status["devices"]), status["devices"], strict=True)
         ]
 
     def _row(self, name: str, device: Mapping[str, Any], now: float) -> Row:
         state = "paused" if device["paused"] else STATE_WORDS[device["state"]]
+        # What it had before is not of now: what it loses meanwhile is counted when it is back.
+        is_of_now = is_sending(device["state"], paused=device["paused"])
         rate = self._rate(device, now)
-        battery = device["battery_percent"]
+        battery = device["battery_percent"] if is_of_now else None
+        lost = sum(each["lost"] for each in device["streams"].values())
         return Row(
             name,
             state,
-            "-" if rate is None else f"{rate:.1f} Hz",
-            str(sum(each["lost"] for each in device["streams"].values())),
+            "-" if rate is None or not is_of_now else f"{rate:.1f} Hz",
+            str(lost) if is_of_now else "-",
             "-" if battery is None else f"{battery:.0f} %",
             " ".join((device["error"] or "").split()),
         )
@@ -109,21 +101,6 @@ class LiveTable:
         meter = self._meters.setdefault(main, RateMeter())
         meter.note(each["pushed"], each["last_stamp"])
         return meter.rate_hz(now)
-
-
-def _names(devices: Iterable[Mapping[str, Any]]) -> list[str]:
-    """Return what people call the devices; with the unit where it takes one to tell them apart."""
-    known = list(devices)
-    short = [" ".join(part for part in _parts(each) if part) for each in known]
-    counts = Counter(short)
-    return [
-        f"{name} {each['unit']}" if counts[name] > 1 else name
-        for name, each in zip(short, known, strict=True)
-    ]
-
-
-def _parts(device: Mapping[str, Any]) -> tuple[str, ...]:
-    return device["participant"], sensor_title(device["sensor"]), device["label"]
 
 
 def picture(

@@ -15,8 +15,10 @@ from biosensor_gateway.cli.options import JsonOption, SettingsOption
 from biosensor_gateway.cli.recording_here import look_for
 from biosensor_gateway.cli.recording_words import as_text, start_text, stop_text, warn, window_text
 from biosensor_gateway.recording.here.recording import Recording
+from biosensor_gateway.recording.labrecorder.errors import SensorsAwayError
 from biosensor_gateway.recording.labrecorder.file_name import MAX_RUN, BidsLabels, Place
 from biosensor_gateway.recording.labrecorder.remote import DEFAULT_PORT, RemoteControl
+from biosensor_gateway.recording.labrecorder.results import Started
 from biosensor_gateway.recording.labrecorder.standing import standing as window_standing
 from biosensor_gateway.recording.labrecorder.starting import GROWTH_S, Order
 from biosensor_gateway.recording.labrecorder.starting import start as start_recording
@@ -81,7 +83,10 @@ def start(
         bool, typer.Option("--only-ours", help="No streams of others; a window refuses then.")
     ] = False,
     allow_missing: Annotated[
-        bool, typer.Option("--allow-missing", help="Start although streams are missing.")
+        bool,
+        typer.Option(
+            "--allow-missing", help="Start although streams are missing, or sensors do not stream."
+        ),
     ] = False,
     other_participants: Annotated[
         bool,
@@ -106,7 +111,7 @@ def start(
     """Start a recording, and see that it runs; exit code 1 if it does not.
 
     A file that is called after somebody else than who wears the sensors is refused with exit
-    code 2.
+    code 2. If a sensor is paused or does not stream, a terminal is asked, and else it is refused.
 
     LabRecorder's window records if it is open here or --host names its computer, else this
     computer by itself, and goes on when this terminal is closed. Every stream is recorded:
@@ -123,13 +128,24 @@ def start(
         run,
     )
     place = Place(folder, recorder_folder, file, labels)
-    order = Order(place, all_streams, only_ours, allow_missing, timeout, other_participants)
+    order = Order(
+        place, all_streams, only_ours, allow_missing, timeout, other_participants, allow_missing
+    )
     loaded = settings_or_defaults(settings)
-    if here or not (window or host or port or recording_here.has_window(_LOCAL, DEFAULT_PORT)):
-        started = recording_here.start(order, loaded, counts_up=run is None)
-    else:
+    is_here = here or not (
+        window or host or port or recording_here.has_window(_LOCAL, DEFAULT_PORT)
+    )
+
+    def begin(order: Order) -> Started:
+        if is_here:
+            return recording_here.start(order, loaded, counts_up=run is None)
         with RemoteControl(host or _LOCAL, port or DEFAULT_PORT) as remote:
-            started = start_recording(remote, order, partial(look_for, loaded), state_folder())
+            return start_recording(remote, order, partial(look_for, loaded), state_folder())
+
+    try:
+        started = begin(order)
+    except SensorsAwayError as error:
+        started = begin(recording_here.without_sensors(order, error))
     warn(started.warnings, silent=as_json)
     typer.echo(as_text(started) if as_json else start_text(started))
 

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import socket
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import typer
 
+from biosensor_common.errors import ConfigError
+from biosensor_gateway.agent import status_file
+from biosensor_gateway.cli.questions import can_ask, menu
 from biosensor_gateway.cli.recording_words import as_line, as_text, sight_text, standing_text
 from biosensor_gateway.recording.growing.growth import Growth
+from biosensor_gateway.recording.here.beside_agent import Devices
 from biosensor_gateway.recording.here.recording import Recording
 from biosensor_gateway.recording.here.results import StartedHere
-from biosensor_gateway.recording.labrecorder.errors import LabRecorderError
+from biosensor_gateway.recording.labrecorder.errors import LabRecorderError, SensorsAwayError
 from biosensor_gateway.recording.labrecorder.memory import last_started
 from biosensor_gateway.recording.labrecorder.remote import RemoteControl
 from biosensor_gateway.recording.labrecorder.starting import Order
@@ -60,18 +65,43 @@ def start(order: Order, settings: GatewaySettings, *, counts_up: bool) -> Starte
     )
 
 
+def without_sensors(order: Order, error: SensorsAwayError) -> Order:
+    """Ask whether to record without sensors that do not stream.
+
+    Raises
+    ------
+    SensorsAwayError
+        If nobody can answer.
+    typer.Exit
+        With code 2 if it is not wanted.
+    """
+    if not can_ask():
+        raise error
+    said = " ".join(f"{each[0].upper()}{each[1:].rstrip('.')}." for each in error.sentences)
+    if menu(said, ["Do not record yet", "Record without that"]) == 0:
+        raise typer.Exit(2)
+    return replace(order, without_away=True)
+
+
+def _devices() -> Devices | None:
+    try:
+        return status_file.running_status(state_folder())["devices"]
+    except ConfigError:
+        return None
+
+
 def status(*, watch: bool, as_json: bool) -> None:
     """Say how the recording of this computer itself stands; exit code 1 if not well."""
     recording = Recording(state_folder())
     in_json = as_line if watch else as_text
-    standing = recording.standing()
+    standing = recording.standing(_devices())
     while standing is not None:
         typer.echo(in_json(standing) if as_json else standing_text(standing))
         if not watch or not standing.recording:
             break
         time.sleep(_WATCH_S)
         # Who ends it in the meantime has seen the end of it.
-        standing = recording.standing()
+        standing = recording.standing(_devices())
     errors = () if standing is None else standing.problems
     if any(each.level is Level.ERROR for each in errors):
         raise typer.Exit(1)
@@ -82,7 +112,8 @@ def watch_file(file: Path, *, as_json: bool) -> None:
     growth = Growth(file)
     while True:
         sight = growth.look()
-        typer.echo(as_line(sight) if as_json else sight_text(str(file), sight, growth.problems()))
+        found = (*growth.problems(), *growth.gaps())
+        typer.echo(as_line(sight) if as_json else sight_text(str(file), sight, found))
         if sight.is_closed:
             return
         time.sleep(_WATCH_S)

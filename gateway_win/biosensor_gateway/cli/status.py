@@ -9,6 +9,7 @@ import typer
 
 from biosensor_common.errors import ConfigError, TransportError, TransportReason
 from biosensor_gateway.agent import status_file
+from biosensor_gateway.agent.state import is_sending
 from biosensor_gateway.cli.options import JsonOption
 from biosensor_gateway.cli.screen import console, say, table_of_names
 from biosensor_gateway.cli.status_words import device_sentence, restart_sentences
@@ -53,8 +54,10 @@ def _print_status(current: dict[str, Any]) -> None:
         )
     for device in current["devices"]:
         say(device_sentence(device))
+        # What is lost while it does not send is counted when it is back.
+        unknown = () if is_sending(device["state"], paused=device["paused"]) else ("lost",)
         rows = [
-            (source_id, *(str(counters[counter]) for counter in COUNTERS.values()))
-            for source_id, counters in device["streams"].items()
+            (source, *("-" if each in unknown else str(told[each]) for each in COUNTERS.values()))
+            for source, told in device["streams"].items()
         ]
         terminal.print(table_of_names(("stream", *COUNTERS), rows, terminal.width))

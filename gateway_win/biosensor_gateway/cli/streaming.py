@@ -19,11 +19,11 @@ from biosensor_gateway.agent.marking import MARKERS
 from biosensor_gateway.agent.reloading import ReadSettings
 from biosensor_gateway.agent.single_instance import single_instance
 from biosensor_gateway.cli.features_beside import FeaturesBeside
-from biosensor_gateway.cli.live_table import LiveTable, sensor_title
+from biosensor_gateway.cli.live_table import LiveTable
 from biosensor_gateway.cli.loading import settings_or_defaults
 from biosensor_gateway.cli.questions import can_ask
 from biosensor_gateway.cli.start_log import StartLog
-from biosensor_gateway.devices.registry import settings_models
+from biosensor_gateway.devices.registry import sensor_title, settings_models
 from biosensor_gateway.settings import file as settings_file
 from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.settings.places import settings_path, state_folder

@@ -91,6 +91,14 @@ def declaration(name: str) -> SensorSpec:
     return GATEWAY if name == GATEWAY.name else sensor(name).spec
 
 
+def sensor_title(name: str) -> str:
+    """Return what people call a kind of sensor; its name, if it is unknown."""
+    try:
+        return declaration(name).title
+    except SpecError:
+        return name
+
+
 def declared(settings: DeviceSettings) -> SensorSpec:
     """Return what a device emits: what its sensor declares, or the device's own settings.
 

@@ -7,8 +7,30 @@ from collections import deque
 from collections.abc import Collection, Iterator
 
 from biosensor_gateway.agent.feed_frames import Samples
+from biosensor_gateway.agent.rate_meter import STALE_AFTER_S
 
 KEPT_S = 60.0
+HOLDS_S = 30.0
+"""How long a heart rate or another value of a body is of now that comes when it comes."""
+
+
+def is_of_now(age_s: float | None, *, is_regular: bool, is_signal: bool) -> bool:
+    """Whether the newest sample of a stream that goes on is that of now.
+
+    Parameters
+    ----------
+    age_s
+        Of the sample; None if there is none.
+    is_regular
+        Whether the stream has a rate.
+    is_signal
+        Whether it tells of a body. What it tells of the device itself holds until it changes.
+    """
+    if age_s is None:
+        return False
+    if is_regular:
+        return age_s < STALE_AFTER_S
+    return not is_signal or age_s < HOLDS_S
 
 
 class History:

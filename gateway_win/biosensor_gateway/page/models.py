@@ -40,8 +40,10 @@ class DeviceView(DeviceFacts):
         What commands call it, ``sensor/unit``.
     title
         What people call the kind of sensor.
+    is_sending
+        Whether it sends now; if not, nothing that it told is of now, and nothing is shown of it.
     lost
-        Samples of all its streams.
+        Samples of all its streams; None while it does not send, so that more may be lost.
     streams
         By source_id.
     features
@@ -50,7 +52,8 @@ class DeviceView(DeviceFacts):
 
     name: str
     title: str
-    lost: int
+    is_sending: bool
+    lost: int | None
     streams: dict[str, StreamView]
     features: list[SeenStreamView] = Field(default_factory=list[SeenStreamView])
 
@@ -83,8 +86,15 @@ class RecordingView(BaseModel):
         Where recordings go if nothing else is said.
     elapsed_s, bytes, streams
         Of the recording that goes on.
+    colour
+        ``red`` if something is wrong, ``amber`` if not all is recorded that could be, or something
+        has happened that its analysis must know; else ``green``.
     problems
-        What is wrong with it, the worst first.
+        What is wrong with it.
+    notes
+        What is not as it should be, or was not for a while.
+    remarks
+        What else is good to know of it.
     verdict
         Of the last one that was ended on this page.
     """
@@ -96,7 +106,10 @@ class RecordingView(BaseModel):
     elapsed_s: float = 0.0
     bytes: int = 0
     streams: int = 0
+    colour: str = "green"
     problems: list[str] = Field(default_factory=list[str])
+    notes: list[str] = Field(default_factory=list[str])
+    remarks: list[str] = Field(default_factory=list[str])
     verdict: VerdictView | None = None
 
 
@@ -223,6 +236,8 @@ class NewRecording(BaseModel):
         Have the participant wear all sensors first.
     other_participants
         Record although others than the participant wear the sensors.
+    without_away
+        Record although sensors are paused or do not stream.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True)
@@ -234,6 +249,7 @@ class NewRecording(BaseModel):
     allow_missing: bool = False
     set_sensors: bool = False
     other_participants: bool = False
+    without_away: bool = False
 
 
 class Outcome(BaseModel):

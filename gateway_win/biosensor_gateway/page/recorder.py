@@ -5,13 +5,15 @@ from __future__ import annotations
 import asyncio
 import socket
 import time
-from collections.abc import Awaitable, Callable, Generator
+from collections.abc import Awaitable, Callable, Generator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 import platformdirs
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.agent.absences import absences
 from biosensor_gateway.page.models import (
     Choice,
     NewRecording,
@@ -19,14 +21,17 @@ from biosensor_gateway.page.models import (
     RecordingView,
     VerdictView,
 )
+from biosensor_gateway.page.recording_story import Story
 from biosensor_gateway.page.refusals import QuestionError
 from biosensor_gateway.page.session import Session
 from biosensor_gateway.recording.here.recording import Recording
 from biosensor_gateway.recording.here.results import StartedHere, StoppedHere
+from biosensor_gateway.recording.labrecorder.errors import SensorsAwayError
 from biosensor_gateway.recording.labrecorder.file_name import BidsLabels, Place
 from biosensor_gateway.recording.labrecorder.starting import Order
 from biosensor_gateway.recording.labrecorder.streams import Presence, expected_devices, look
 from biosensor_gateway.recording.participants import Mismatch, OtherParticipantsError, compare
+from biosensor_gateway.recording.xdf.findings import Finding, Level
 
 LOOK_S = 1.0
 _FOLDER = "Biosensor recordings"
@@ -54,6 +59,7 @@ class Recorder:
         self._verdict: VerdictView | None = None
         self._folder = platformdirs.user_documents_path() / _FOLDER
         self._used: set[Path] = set()
+        self._story = Story()
 
     async def run(self) -> None:
         """Look at the file every second, until cancelled."""
@@ -87,14 +93,19 @@ class Recorder:
         with self._doing("starting"):
             if wanted.set_sensors:
                 await self._set_participant(wanted.participant)
+            if not wanted.without_away:
+                _require_sensors(self._session.device_facts() or ())
             try:
                 begun = await asyncio.to_thread(self._start, wanted, labels)
             except OtherParticipantsError as error:
                 raise self._question(error.mismatch) from error
+            except SensorsAwayError as error:
+                raise _away_question(error.sentences) from error
         self._verdict = None
+        self._story = Story(begun)
         await self._show()
-        warnings = "".join(f" Note: {each}." for each in begun.warnings)
-        return Outcome(sentence=f"{begun.file} is being recorded.{warnings}")
+        notes = "".join(f" Note: {each}." for each in (*begun.warnings, *self._story.remarks))
+        return Outcome(sentence=f"{begun.file} is being recorded.{notes}")
 
     async def stop(self) -> Outcome:
         """End the recording and judge it.
@@ -151,8 +162,11 @@ class Recorder:
         self._used.add(folder)
         order = Order(
             Place(folder, labels=labels),
+            # Those of others are named as long as it goes on.
+            all_streams=True,
             allow_missing=wanted.allow_missing,
             other_participants=wanted.other_participants,
+            without_away=wanted.without_away,
         )
         return self._recording.start(order, self._streams, self._session.loaded().lsl.overrides)
 
@@ -170,11 +184,19 @@ class Recorder:
         return look(settings, expected, socket.gethostname())
 
     def _look(self) -> RecordingView:
-        standing = self._recording.standing(self._session.silent())
+        devices = self._session.device_facts()
+        standing = self._recording.standing(devices)
         view = RecordingView(folder=str(self._folder), verdict=self._verdict)
         if standing is None:
             return view
+        if not self._story.is_of(standing):
+            self._story = Story()
+        if standing.recording:
+            self._story.look(devices or (), standing)
         sight = standing.sight
+        problems = [_said(each) for each in standing.problems if each.level is Level.ERROR]
+        notes = [_said(each) for each in standing.problems if each.level is not Level.ERROR]
+        notes += self._story.notes
         return view.model_copy(
             update={
                 "is_running": standing.recording,
@@ -182,7 +204,10 @@ class Recorder:
                 "elapsed_s": max(0.0, time.time() - standing.started),
                 "bytes": 0 if sight is None else sight.bytes,
                 "streams": 0 if sight is None else len(sight.streams),
-                "problems": [_sentence(each.stream, each.text) for each in standing.problems],
+                "colour": "red" if problems else "amber" if notes else "green",
+                "problems": problems,
+                "notes": notes,
+                "remarks": self._story.remarks,
             }
         )
 
@@ -193,12 +218,25 @@ def _view(ended: StoppedHere) -> VerdictView:
         colour=str(verdict.colour.value),
         sentence=verdict.sentence,
         file=verdict.file,
-        findings=[
-            *(_sentence(each.stream, each.text) for each in verdict.findings),
-            *ended.warnings,
-        ],
+        findings=[*map(_said, verdict.findings), *ended.warnings],
     )
 
 
-def _sentence(stream: str, text: str) -> str:
-    return f"{stream}: {text}" if stream else text
+def _said(finding: Finding) -> str:
+    return f"{finding.stream}: {finding.text}" if finding.stream else finding.text
+
+
+def _require_sensors(devices: Sequence[Mapping[str, Any]]) -> None:
+    """Ask at once, and not only when all streams were looked for."""
+    away = [each.sentence for each in absences(devices) if not each.is_partial]
+    if away:
+        raise _away_question(away)
+
+
+def _away_question(sentences: Sequence[str]) -> QuestionError:
+    one = len(sentences) == 1
+    return QuestionError(
+        "A sensor does not stream" if one else f"{len(sentences)} sensors do not stream",
+        " ".join(f"{each[0].upper()}{each[1:].rstrip('.')}." for each in sentences),
+        [Choice(words=f"Record without {'it' if one else 'them'}", more={"without_away": True})],
+    )

@@ -10,13 +10,14 @@ from biosensor_common import naming
 from biosensor_common.quantities import TYPES_OF_DEVICE, ChannelRole
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.feed_frames import Samples
-from biosensor_gateway.agent.rate_meter import STALE_AFTER_S, RateMeter
+from biosensor_gateway.agent.rate_meter import RateMeter
+from biosensor_gateway.devices.registry import sensor_title
+from biosensor_gateway.page.history import is_of_now
 from biosensor_gateway.page.replay_models import (
     ReplayedDeviceView,
     ReplayedStreamView,
     ReplayView,
 )
-from biosensor_gateway.page.titles import title_of
 from biosensor_gateway.page.traces import Traces
 
 if TYPE_CHECKING:
@@ -113,7 +114,7 @@ class Replayed:
         first = streams[0]
         return ReplayedDeviceView(
             name=f"replay of {'/'.join(each for each in who if each)}",
-            title=title_of(first.sensor),
+            title=sensor_title(first.sensor),
             unit=first.unit,
             participant=first.participant,
             label=first.label,
@@ -128,8 +129,9 @@ class Replayed:
         self, stream: PlayedStream, topics: dict[str, str], now: float
     ) -> ReplayedStreamView:
         newest = self._traces.history.newest(stream.source_id)
-        is_regular = stream.nominal_hz > 0
-        is_fresh = newest is not None and (not is_regular or now - newest[0] < STALE_AFTER_S)
+        age_s = max(0.0, now - newest[0]) if newest else None
+        is_regular, is_signal = stream.nominal_hz > 0, stream.content_type not in TYPES_OF_DEVICE
+        is_fresh = is_of_now(age_s, is_regular=is_regular, is_signal=is_signal)
         meter = self._meters[stream.source_id]
         return ReplayedStreamView(
             source_id=stream.source_id,
@@ -142,9 +144,9 @@ class Replayed:
             nominal_hz=stream.nominal_hz,
             is_empty=stream.is_empty,
             measured_hz=meter.rate_hz(now) if is_regular else None,
-            age_s=max(0.0, now - newest[0]) if newest else None,
+            age_s=age_s,
             is_fresh=is_fresh,
-            is_signal=stream.content_type not in TYPES_OF_DEVICE,
+            is_signal=is_signal,
             values=newest[1] if newest and is_fresh else [],
         )
 

@@ -137,14 +137,11 @@ class Session:
         """Return the source_ids of the agent's streams."""
         return frozenset(source for device in self._devices() for source in device.streams)
 
-    def silent(self) -> tuple[str, ...]:
-        """Return the source_ids of streams that may say nothing: paused, or switched off."""
-        return tuple(
-            source
-            for device in self._devices()
-            for source, stream in device.streams.items()
-            if device.paused or stream.silent
-        )
+    def device_facts(self) -> list[dict[str, Any]] | None:
+        """Return the agent's devices as its status file has them; None if there is no agent."""
+        if self.agent is AgentState.ABSENT:
+            return None
+        return [each.model_dump() for each in self._devices()]
 
     def _devices(self) -> Sequence[DeviceStatus]:
         return () if self._status is None else self._status.devices

@@ -11,12 +11,16 @@ from biosensor_common.quantities import TYPES_OF_DEVICE
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent.declared_streams import declared_streams
 from biosensor_gateway.agent.pauses.selection import device_name
-from biosensor_gateway.agent.rate_meter import STALE_AFTER_S, RateMeter
+from biosensor_gateway.agent.rate_meter import RateMeter
+from biosensor_gateway.agent.state import is_sending
 from biosensor_gateway.agent.status import AgentStatus, DeclaredStream, DeviceStatus, StreamStatus
-from biosensor_gateway.page.history import History
+from biosensor_gateway.devices.registry import sensor_title
+from biosensor_gateway.page.history import History, is_of_now
 from biosensor_gateway.page.models import DeviceView, StreamView
 from biosensor_gateway.page.network.models import SeenStreamView
-from biosensor_gateway.page.titles import title_of
+
+_OF_NOW = ("worn", "battery_percent", "clock")
+"""What a device that does not send has told of these is not of now."""
 
 
 class Viewer:
@@ -52,7 +56,7 @@ class Viewer:
         ]
         for view in views:
             own = (each for each in features if each.derived_from in view.streams)
-            view.features = [_named(each, topics) for each in own]
+            view.features = [_named(each, topics, is_fresh=view.is_sending) for each in own]
         return views
 
     def _device(
@@ -63,17 +67,21 @@ class Viewer:
         topics: Mapping[str, str],
         now: float,
     ) -> DeviceView:
+        sends = is_sending(device.state, paused=device.paused)
         streams = {
-            source: self._stream(identity, declared[source], source, each, topics[source], now)
+            source: self._stream(
+                identity, declared[source], source, each, topics[source], now, is_sending=sends
+            )
             for source, each in device.streams.items()
             if source in declared
         }
         return DeviceView(
-            **_facts(device),
+            **_facts(device, sends=sends),
+            is_sending=sends,
             streams=streams,
             name=device_name(identity),
-            title=title_of(identity.sensor),
-            lost=sum(each.lost for each in streams.values()),
+            title=sensor_title(identity.sensor),
+            lost=sum(each.lost for each in streams.values()) if sends else None,
         )
 
     def _stream(
@@ -84,13 +92,16 @@ class Viewer:
         counted: StreamStatus,
         topic: str,
         now: float,
+        *,
+        is_sending: bool,
     ) -> StreamView:
         meter = self._meters.setdefault(source, RateMeter())
         meter.note(counted.pushed, counted.last_stamp)
+        rate_hz = meter.rate_hz(now)
         newest = self._history.newest(source)
-        is_regular = counted.nominal_hz > 0
-        # What comes when it changes holds until it changes again.
-        is_fresh = newest is not None and (not is_regular or now - newest[0] < STALE_AFTER_S)
+        age_s = max(0.0, now - newest[0]) if newest else None
+        is_regular, is_signal = counted.nominal_hz > 0, stream.content_type not in TYPES_OF_DEVICE
+        is_fresh = is_sending and is_of_now(age_s, is_regular=is_regular, is_signal=is_signal)
         return StreamView(
             **dict(counted),
             source_id=source,
@@ -100,22 +111,24 @@ class Viewer:
             content_type=stream.content_type,
             channels=stream.labels,
             units=stream.units,
-            measured_hz=meter.rate_hz(now) if is_regular else None,
-            age_s=max(0.0, now - newest[0]) if newest else None,
+            measured_hz=rate_hz if is_regular and is_sending else None,
+            age_s=age_s,
             is_fresh=is_fresh,
-            is_signal=stream.content_type not in TYPES_OF_DEVICE,
+            is_signal=is_signal,
             values=newest[1] if newest and is_fresh else [],
         )
 
 
-def _named(feature: SeenStreamView, topics: Mapping[str, str]) -> SeenStreamView:
-    """Give a feature the ROS topic that it has among the streams of all devices."""
+def _named(feature: SeenStreamView, topics: Mapping[str, str], *, is_fresh: bool) -> SeenStreamView:
+    """Give a feature the ROS topic that it has among all devices; no value if that is over."""
     device_topic = topics[feature.derived_from].rpartition("/")[0]
-    return feature.model_copy(update={"topic": f"{device_topic}/{feature.data_name}"})
+    told = feature if is_fresh else feature.outdated()
+    return told.model_copy(update={"topic": f"{device_topic}/{feature.data_name}"})
 
 
-def _facts(device: DeviceStatus) -> dict[str, Any]:
-    return {name: value for name, value in device if name not in ("streams", "declared")}
+def _facts(device: DeviceStatus, *, sends: bool) -> dict[str, Any]:
+    facts = {name: value for name, value in device if name not in ("streams", "declared")}
+    return facts if sends else facts | dict.fromkeys(_OF_NOW)
 
 
 def _identity(device: DeviceStatus) -> DeviceIdentity:

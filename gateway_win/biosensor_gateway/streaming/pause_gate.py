@@ -8,6 +8,7 @@ work when the pause ended is held back as well.
 from __future__ import annotations
 
 import math
+import time
 from collections import deque
 from collections.abc import Sequence
 
@@ -20,11 +21,18 @@ _REMEMBERED = 64
 
 
 class PauseGate:
-    """Decides by its stamp whether a sample may be sent. All times are LSL times in seconds."""
+    """Decides by its stamp whether a sample may be sent. All times are LSL times in seconds.
+
+    Attributes
+    ----------
+    since
+        Unix time in s at which the pause began, for people; None without one.
+    """
 
     def __init__(self) -> None:
         self._send_from = -math.inf
         self._began = math.nan
+        self.since: float | None = None
         self._pauses: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED)
 
     @property
@@ -37,15 +45,24 @@ class PauseGate:
         """What was measured before is not sent; infinite during a pause."""
         return self._send_from
 
-    def begin(self, now: float) -> None:
-        """Begin a pause; nothing happens during one."""
+    def begin(self, now: float, since: float | None = None) -> None:
+        """Begin a pause; nothing happens during one.
+
+        Parameters
+        ----------
+        now
+        since
+            Unix time in s at which it was asked for, if that was earlier.
+        """
         if not self.is_on:
+            self.since = time.time() if since is None else since
             self._began = now
             self._send_from = math.inf
 
     def end(self, now: float) -> None:
         """End the pause, if there is one."""
         if self.is_on:
+            self.since = None
             self._send_from = now + RESUME_GUARD_S
             self._pauses.append((self._began, self._send_from))
 

@@ -78,7 +78,7 @@ class DeviceSink:
         self._log = DeviceLog("biosensor_gateway.sink", identity)
         self._jumps = JumpReports(clock, self._say_jumps)
         self._is_new = Once()
-        self._gate = PauseGate()
+        self.gate = PauseGate()
         self._gaps = Gaps(clock)
         self.plausibility = Plausibility(spec, clock, self._log)
         self.info = DeviceInfo()
@@ -131,12 +131,12 @@ class DeviceSink:
     @property
     def is_paused(self) -> bool:
         """Whether the device's samples are withheld."""
-        return self._gate.is_on
+        return self.gate.is_on
 
-    def pause(self) -> None:
+    def pause(self, since: float | None = None) -> None:
         """Send nothing from now on, also not what is still in work; the device stays connected."""
         if not self.is_paused:
-            self._gate.begin(self.clock())
+            self.gate.begin(self.clock(), since)
             self._outlets.withhold_waiting()
             if self.observer is not None:
                 self.observer.paused()
@@ -144,9 +144,9 @@ class DeviceSink:
     def resume(self) -> None:
         """Send again what is measured from now on; see :class:`PauseGate`."""
         if self.is_paused:
-            self._gate.end(self.clock())
+            self.gate.end(self.clock())
             if self.observer is not None:
-                self.observer.resumed(self._gate.send_from)
+                self.observer.resumed(self.gate.send_from)
 
     def heard(self, *data_names: str) -> None:
         """Note that the device said something valid; see :meth:`StreamWatch.heard`.
@@ -252,7 +252,7 @@ class DeviceSink:
         the same part is not counted.
         """
         begin, end = self._gaps.widest(data_name)
-        missed = count - round(count * self._gate.share(begin, end))
+        missed = count - round(count * self.gate.share(begin, end))
         self._outlets[data_name].counters.lost += missed
         if missed and self.observer is not None:
             self.observer.lost(data_name, missed, begin)
@@ -264,7 +264,7 @@ class DeviceSink:
         if not len(times):
             return samples, times
         self._gaps.note(data_name, times)
-        may_send = self._gate.may_send(times)
+        may_send = self.gate.may_send(times)
         rows = np.asarray(samples)
         # Samples that do not fit their times are refused; there is no telling which is which.
         if all(may_send) or rows.shape[:1] != (len(times),):

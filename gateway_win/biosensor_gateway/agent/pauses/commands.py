@@ -67,7 +67,7 @@ class PauseCommands:
         return {sink.identity: sink for sink in self._all_sinks()}
 
     def _hold(self, sink: DeviceSink, pause: Pause) -> None:
-        sink.pause()
+        sink.pause(pause.since.timestamp())
         _log.warning(
             "the device is paused, and nothing of it is sent until it is resumed",
             sensor=sink.identity.sensor,

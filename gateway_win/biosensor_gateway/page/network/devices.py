@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from biosensor_common.quantities import ChannelRole
+from biosensor_gateway.devices.registry import sensor_title
 from biosensor_gateway.page.network.models import SeenDeviceView, SeenState, SeenStreamView
 from biosensor_gateway.page.network.stream import NetworkStream
 from biosensor_gateway.page.network.words import readable
-from biosensor_gateway.page.titles import title_of
 from biosensor_gateway.streaming.gateway import GATEWAY
 
 _AGENT = "Capture agent"
@@ -99,7 +99,7 @@ def _section_of_live(stream: NetworkStream) -> str:
 
 
 def _title(sensor: str) -> str:
-    return _AGENT if sensor == GATEWAY.name else readable(title_of(sensor))
+    return _AGENT if sensor == GATEWAY.name else readable(sensor_title(sensor))
 
 
 def _newest(

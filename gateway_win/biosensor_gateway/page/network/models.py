@@ -84,6 +84,13 @@ class SeenStreamView(ScreenStream):
     bytes_per_s: float
     derived_from: str
 
+    def outdated(self) -> SeenStreamView:
+        """Return the same without what is not of now."""
+        windows = {n: each.model_copy(update={"values": []}) for n, each in self.windows.items()}
+        over: dict[str, object] = {"is_fresh": False, "values": [], "measured_hz": None}
+        over["windows"] = windows
+        return self.model_copy(update=over)
+
 
 class SeenDeviceView(BaseModel):
     """One device of an agent, or what another program calls by one name on one computer.

@@ -11,6 +11,7 @@ from biosensor_common import naming
 from biosensor_common.quantities import TYPES_OF_DEVICE, ChannelFormat
 from biosensor_common.stream_header import CoreFields, StreamHeader
 from biosensor_gateway.agent.rate_meter import STALE_AFTER_S
+from biosensor_gateway.page.history import is_of_now
 from biosensor_gateway.page.network.devices import device_view, group_of
 from biosensor_gateway.page.network.inlets import MAX_INLETS
 from biosensor_gateway.page.network.listing import MAX_STREAMS, Listing
@@ -72,6 +73,9 @@ class Viewer:
             for each in streams
         }
         known = sorted((each for each in streams if each.header), key=group_of)
+        grouped = [list(parts) for _, parts in groupby(known, key=group_of)]
+        for parts in grouped:
+            _forget_values_of_silent(parts, views)
         return NetworkView(
             made_s=now,
             searched_s=now - self._begun_s,
@@ -79,9 +83,7 @@ class Viewer:
             most_inlets=MAX_INLETS,
             not_received=not_received,
             problems=_problems(listing),
-            devices=[
-                device_view(list(parts), views, lost) for _, parts in groupby(known, key=group_of)
-            ],
+            devices=[device_view(parts, views, lost) for parts in grouped],
         )
 
     def _name(self, streams: Sequence[NetworkStream]) -> None:
@@ -153,9 +155,23 @@ def _state(stream: NetworkStream, now: float) -> tuple[SeenState, float]:
 
 
 def _is_over(stream: NetworkStream, now: float) -> bool:
-    """Whether the newest value of a feature is not that of now any more."""
-    derived, newest_s = stream.header.derived if stream.header else None, stream.received.newest_s
-    return derived is not None and (newest_s is None or now - newest_s > derived.holds_s)
+    """Whether the newest value is not that of now any more, though the stream is there."""
+    core, age_s = stream.core, stream.received.age_s(now)
+    derived = stream.header.derived if stream.header else None
+    if derived is not None:
+        return age_s is None or age_s > derived.holds_s
+    is_signal = core.content_type not in TYPES_OF_DEVICE
+    return not core.rate and not is_of_now(age_s, is_regular=False, is_signal=is_signal)
+
+
+def _forget_values_of_silent(
+    streams: Sequence[NetworkStream], views: dict[int, SeenStreamView]
+) -> None:
+    """Show no value of a device of ours whose streams at a rate have all fallen silent."""
+    rated = {views[each.number].seen for each in streams if each.core.rate}
+    if streams[0].is_ours and rated and rated <= {SeenState.SILENT, SeenState.GONE}:
+        for each in streams:
+            views[each.number] = views[each.number].outdated()
 
 
 def _bytes_per_s(core: CoreFields) -> float:

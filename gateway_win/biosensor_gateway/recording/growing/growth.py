@@ -100,7 +100,7 @@ class Growth:
         )
 
     def problems(
-        self, required: Collection[str] = (), silent: Collection[str] = ()
+        self, required: Collection[str] = (), silent: Collection[str] = frozenset()
     ) -> tuple[Finding, ...]:
         """Say what is wrong by what was read so far, the worst first.
 
@@ -118,6 +118,20 @@ class Growth:
                 if not each.is_closed and each.source_id not in silent:
                     found += self._problems_of_stream(each)
         return tuple(sorted(found, key=lambda each: list(Level).index(each.level)))
+
+    def gaps(self) -> Iterator[Finding]:
+        """Say of each device how much is missing so far, by the stream that misses most."""
+        worst: dict[str, StreamProgress] = {}
+        for each in self._streams.values():
+            header = each.header
+            device = header.name.rpartition("-")[0] if header.is_ours else header.name
+            if each.gaps and not header.is_counters:
+                worst[device] = max(worst.get(device, each), each, key=lambda one: one.gaps)
+        for device, stream in worst.items():
+            many = "1 gap" if stream.gaps == 1 else f"{stream.gaps} gaps"
+            longest = "of" if stream.gaps == 1 else "the longest of"
+            text = f"{many} so far, {longest} {stream.longest_gap_s:.3g} s"
+            yield Finding(Level.WARNING, "gaps", device, text)
 
     @property
     def _length_s(self) -> float:
@@ -192,6 +206,8 @@ class Growth:
             clock_offsets=stream.offsets,
             offset_age_s=self._since(stream.measured_at) if stream.offsets else None,
             is_closed=stream.is_closed,
+            gaps=stream.gaps,
+            longest_gap_s=stream.longest_gap_s,
         )
 
     def _since(self, time_s: float | None) -> float:
@@ -241,7 +257,7 @@ class Growth:
                 f"its clock has not been measured for {unmeasured_s:.0f} s: its program is gone, "
                 "or its answers do not come through"
             )
-            yield Finding(Level.WARNING, "no-offsets", stream.name, text)
+            yield Finding(Level.ERROR, "no-offsets", stream.name, text)
 
     def _longest_age_s(self, stream: GrowingStream) -> float:
         periods_s = STOPPED_PERIODS / stream.nominal_hz if stream.nominal_hz else 0.0

@@ -6,9 +6,16 @@ import math
 import struct
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from biosensor_gateway.recording.xdf.container import ChunkError
 from biosensor_gateway.recording.xdf.header import RecordedHeader
-from biosensor_gateway.recording.xdf.measuring import MAX_STAMP_ERROR_S, MAX_UPTIME_S
+from biosensor_gateway.recording.xdf.measuring import (
+    MAX_STAMP_ERROR_S,
+    MAX_UPTIME_S,
+    find_gaps,
+)
 from biosensor_gateway.recording.xdf.samples import decode
 
 _CLOCK_OFFSET = struct.Struct("<dd")
@@ -33,6 +40,8 @@ class GrowingStream:
         How long ago the last time was, by the newest that the file has; None without any.
     is_closed
         Whether the recorder has ended it.
+    gaps, longest_gap_s
+        Places where samples of a regular stream are missing, and the longest of them.
     """
 
     name: str
@@ -45,6 +54,8 @@ class GrowingStream:
     clock_offsets: int
     offset_age_s: float | None
     is_closed: bool
+    gaps: int = 0
+    longest_gap_s: float = 0.0
 
 
 class StreamProgress:
@@ -64,7 +75,8 @@ class StreamProgress:
         self.reached = -math.inf
         self.heard_at: float | None = None
         self.measured_at: float | None = None
-        self.samples = self.offsets = 0
+        self.samples = self.offsets = self.gaps = 0
+        self.longest_gap_s = 0.0
         self.is_closed = False
         self._last_stamp = math.nan
         self._offset = 0.0
@@ -86,6 +98,7 @@ class StreamProgress:
         stamps = decode(content, self.header, before).stamps
         self.samples += len(stamps)
         if len(stamps):
+            self._find_gaps(stamps)
             self._last_stamp = float(stamps[-1])
             if self._is_on_the_lsl_clock():
                 self.reached = max(self.reached, self._last_stamp + self._offset)
@@ -113,6 +126,12 @@ class StreamProgress:
         # It tells what time it really was, whatever the samples say.
         self.reached = taken_at + offset
         return self.reached
+
+    def _find_gaps(self, stamps: NDArray[np.float64]) -> None:
+        run = np.concatenate(([self._last_stamp], stamps))
+        gaps = find_gaps(run[np.isfinite(run)], self.header)
+        self.gaps += gaps.count
+        self.longest_gap_s = max(self.longest_gap_s, *(each.length_s for each in gaps.listed), 0.0)
 
     def _is_on_the_lsl_clock(self) -> bool:
         time = self._last_stamp + self._offset

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from biosensor_common.lsl_config import LslOverrides
 from biosensor_gateway.recording.growing.growth import Growth
+from biosensor_gateway.recording.here import beside_agent
+from biosensor_gateway.recording.here.beside_agent import Devices
 from biosensor_gateway.recording.here.memory import RecorderFolder
 from biosensor_gateway.recording.here.results import StandingHere, StartedHere, StoppedHere
 from biosensor_gateway.recording.here.starting import begin
@@ -91,13 +93,13 @@ class Recording:
         """
         return end(self._folder)
 
-    def standing(self, silent: tuple[str, ...] = ()) -> StandingHere | None:
+    def standing(self, devices: Devices | None = ()) -> StandingHere | None:
         """Look at it; None if there is none, or it was ended.
 
         Parameters
         ----------
-        silent
-            source_ids of streams that may say nothing, as of a device that is paused.
+        devices
+            What the agent says of its devices; None if no agent runs.
         """
         is_running, kept = self._folder.is_kept(), self._folder.kept()
         if kept is None:
@@ -111,9 +113,13 @@ class Recording:
             sight = None
             text = f"{kept.file} cannot be read ({error.strerror or error})"
             findings.append(Finding(Level.ERROR, "unreadable", "", text))
-        if is_running:
-            findings += growth.problems(kept.required, silent)
         streams = () if sight is None else sight.streams
+        if is_running:
+            recorded = {each.source_id for each in streams}
+            findings += beside_agent.findings(devices, recorded, kept.started)
+            silent = beside_agent.excused(devices, kept.started)
+            findings += [*growth.problems(kept.required, silent), *growth.gaps()]
+            findings.sort(key=lambda each: list(Level).index(each.level))
         return StandingHere(
             by=By.GATEWAY,
             recording=is_running,

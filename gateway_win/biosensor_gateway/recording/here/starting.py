@@ -23,7 +23,9 @@ from biosensor_gateway.recording.labrecorder.recording_file import size_of
 from biosensor_gateway.recording.labrecorder.results import By
 from biosensor_gateway.recording.labrecorder.starting import (
     Order,
+    recorded_without,
     require_participant,
+    require_sensors,
     what_is_missing,
 )
 from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream, titles
@@ -57,6 +59,7 @@ def begin(
     begun, presence = time.monotonic(), look()
     ours = tuple(each for each in presence.visible if each not in presence.foreign)
     wanted = ours if order.only_ours else presence.visible
+    require_sensors(presence, order)
     _require_streams(presence, wanted, order)
     require_participant(presence, order)
     file = take_file(files)
@@ -71,6 +74,7 @@ def begin(
         failed.pop_all()
     recorded = tuple(each for each in wanted if each not in missed)
     foreign = tuple(each for each in recorded if each in presence.foreign)
+    left_out = (*recorded_without(presence.missing), *_missed(missed))
     return StartedHere(
         by=By.GATEWAY,
         verified=True,
@@ -79,7 +83,8 @@ def begin(
         took_s=time.monotonic() - begun,
         streams=recorded,
         foreign=foreign,
-        warnings=(*remarks, *_warnings(presence, order, foreign, missed)),
+        warnings=(*remarks, *recorded_without(presence.away), *left_out, *_foreign(order, foreign)),
+        left_out=left_out,
     )
 
 
@@ -229,20 +234,16 @@ def _require_space(file: Path) -> None:
         raise RecorderError(RecorderReason.UNWRITABLE, message)
 
 
-def _warnings(
-    presence: Presence,
-    order: Order,
-    foreign: tuple[VisibleStream, ...],
-    missed: tuple[VisibleStream, ...],
-) -> Iterator[str]:
-    if presence.missing:
-        yield f"recorded without: {'; '.join(presence.missing)}"
-    if missed:
-        yield f"these cannot be found or opened, and so are not recorded: {titles(missed)}"
-    if foreign and not order.all_streams:
+def _missed(streams: tuple[VisibleStream, ...]) -> Iterator[str]:
+    if streams:
+        yield f"these cannot be found or opened, and so are not recorded: {titles(streams)}"
+
+
+def _foreign(order: Order, streams: tuple[VisibleStream, ...]) -> Iterator[str]:
+    if streams and not order.all_streams:
         yield (
             "every stream is recorded, and these are not of this agent (--only-ours leaves them "
-            f"out): {titles(foreign)}"
+            f"out): {titles(streams)}"
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import Enum, unique
 
 from biosensor_common.errors import GatewayError
@@ -32,3 +33,21 @@ class LabRecorderReason(Enum):
 
 class LabRecorderError(GatewayError):
     """A recording was not started, or not stopped as it should be."""
+
+
+class SensorsAwayError(GatewayError):
+    """Nobody has confirmed that a recording is to begin without sensors that do not stream.
+
+    Attributes
+    ----------
+    sentences
+        One for each sensor, without a full stop.
+    """
+
+    def __init__(self, sentences: Sequence[str]) -> None:
+        message = (
+            f"{'; '.join(sentences)}. Wait for that with: biosensor-gateway wait-ready, or record "
+            "without it with --allow-missing"
+        )
+        super().__init__(LabRecorderReason.STREAMS_MISSING, message)
+        self.sentences = tuple(sentences)

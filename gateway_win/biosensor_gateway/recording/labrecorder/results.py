@@ -42,6 +42,8 @@ class Started:
         Those of them that are not of this agent.
     warnings
         Sentences.
+    left_out
+        Those of them that name what is not recorded until its end.
     """
 
     by: By
@@ -52,6 +54,7 @@ class Started:
     streams: tuple[VisibleStream, ...]
     foreign: tuple[VisibleStream, ...]
     warnings: tuple[str, ...]
+    left_out: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from biosensor_gateway.recording.labrecorder.errors import LabRecorderError, LabRecorderReason
+from biosensor_gateway.recording.labrecorder.errors import (
+    LabRecorderError,
+    LabRecorderReason,
+    SensorsAwayError,
+)
 from biosensor_gateway.recording.labrecorder.file_name import Place, Target, choose_target
 from biosensor_gateway.recording.labrecorder.memory import Remembered, recall, remember
 from biosensor_gateway.recording.labrecorder.recording_file import (
@@ -45,6 +49,8 @@ class Order:
         Refuse if there are streams of others.
     allow_missing
         Start although streams are missing.
+    without_away
+        Start although sensors of the agent do not stream.
     other_participants
         Start although the file is called after somebody else than who wears the sensors.
     growth_s
@@ -57,6 +63,7 @@ class Order:
     allow_missing: bool = False
     growth_s: float = GROWTH_S
     other_participants: bool = False
+    without_away: bool = False
 
     @property
     def participant(self) -> str:
@@ -93,6 +100,7 @@ def start(
     _require_idle(remote, state)
     _require_free(target)
     presence = look()
+    require_sensors(presence, order)
     _require_streams(presence, order)
     require_participant(presence, order)
     warnings = [*_warnings(presence, order)]
@@ -189,6 +197,18 @@ def require_participant(presence: Presence, order: Order) -> None:
         raise OtherParticipantsError(mismatch)
 
 
+def require_sensors(presence: Presence, order: Order) -> None:
+    """Refuse while a sensor of the agent is paused or does not stream.
+
+    Raises
+    ------
+    SensorsAwayError
+        Unless `order` confirms it.
+    """
+    if presence.away and not order.without_away:
+        raise SensorsAwayError(presence.away)
+
+
 def _require_streams(presence: Presence, order: Order) -> None:
     message = what_is_missing(presence, presence.visible, order)
     if message is not None:
@@ -201,9 +221,14 @@ def _require_streams(presence: Presence, order: Order) -> None:
         raise LabRecorderError(LabRecorderReason.FOREIGN_STREAMS, message)
 
 
+def recorded_without(what: Sequence[str]) -> Iterator[str]:
+    """Name what is missing in a recording that begins all the same."""
+    if what:
+        yield f"recorded without: {'; '.join(what)}"
+
+
 def _warnings(presence: Presence, order: Order) -> Iterator[str]:
-    if presence.missing:
-        yield f"recorded without: {'; '.join(presence.missing)}"
+    yield from recorded_without((*presence.away, *presence.missing))
     if presence.foreign and not order.all_streams:
         yield (
             "started by remote control, LabRecorder records every stream that it sees; these are "

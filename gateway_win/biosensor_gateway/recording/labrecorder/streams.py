@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from biosensor_common import naming
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import status_file
+from biosensor_gateway.agent.absences import absences
 from biosensor_gateway.agent.declared_streams import declared_streams
 from biosensor_gateway.agent.status import DeclaredStream
 from biosensor_gateway.devices.registry import declared
@@ -58,12 +59,15 @@ class ExpectedDevice:
         Of all its streams.
     worn
         Who wears it.
+    away
+        How and since when it does not stream, as the agent says; empty if it does.
     """
 
     title: str
     why: str
     source_ids: frozenset[str]
     worn: Worn
+    away: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,15 +81,18 @@ class Presence:
     foreign
         Those of other programs, or of agents on other computers.
     missing
-        One sentence part a device.
+        One sentence part a device of which streams are not seen that should be there.
     worn
         Who wears the devices of which there is a stream.
+    away
+        One sentence part a device that does not stream, by what the agent says.
     """
 
     visible: tuple[VisibleStream, ...]
     foreign: tuple[VisibleStream, ...]
     missing: tuple[str, ...]
     worn: tuple[Worn, ...] = ()
+    away: tuple[str, ...] = ()
 
 
 def expected_devices(settings: GatewaySettings, state: Path) -> tuple[ExpectedDevice, ...]:
@@ -110,15 +117,17 @@ def expected_devices(settings: GatewaySettings, state: Path) -> tuple[ExpectedDe
             )
             for each in enabled
         )
-    return tuple(_of_status(device) for device in status["devices"])
+    away = {e.device: e.sentence for e in absences(status["devices"]) if not e.is_partial}
+    return tuple(_of_status(device, away) for device in status["devices"])
 
 
-def _of_status(device: Mapping[str, Any]) -> ExpectedDevice:
+def _of_status(device: Mapping[str, Any], away: Mapping[str, str]) -> ExpectedDevice:
     names = (device["sensor"], device["unit"], device["participant"], device["label"])
     why = " - ".join(part for part in (device["state"], device["error"]) if part)
     own = [DeclaredStream.model_validate(each) for each in device.get("declared", ())]
     data_names = [each.data_name for each in declared_streams(device["sensor"], own)]
-    return _expected(DeviceIdentity(*names), data_names, why)
+    expected = _expected(DeviceIdentity(*names), data_names, why)
+    return replace(expected, away=away.get(f"{device['sensor']}/{device['unit']}", ""))
 
 
 def _expected(identity: DeviceIdentity, data_names: Iterable[str], why: str) -> ExpectedDevice:
@@ -141,17 +150,19 @@ def look(settings: GatewaySettings, expected: Sequence[ExpectedDevice], own_host
         Name of this computer, by which the agent's own streams are known.
     """
     configure_lsl(settings.lsl.overrides)
+    there = [device for device in expected if not device.away]
     needed = frozenset[str]().union(*(device.source_ids for device in expected))
-    seen = _search(needed)
+    seen = _search(frozenset[str]().union(*(device.source_ids for device in there)))
     agent = DeviceIdentity(naming.AGENT, own_host)
     ours = needed | {naming.source_id(agent, each.data_name) for each in GATEWAY.streams}
     present = {each.source_id for each in seen}
     return Presence(
         visible=seen,
         foreign=tuple(each for each in seen if each.source_id not in ours),
-        missing=tuple(_missing(device, present) for device in expected
+        missing=tuple(_missing(device, present) for device in there
                       if not device.source_ids <= present),
         worn=tuple(device.worn for device in expected if device.source_ids & present),
+        away=tuple(device.away for device in expected if device.away),
     )  # fmt: skip
 
 

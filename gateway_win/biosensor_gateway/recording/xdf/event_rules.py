@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.agent.state import STATE_WORDS, State
+from biosensor_gateway.agent.state import CONNECTED, STATE_WORDS
 from biosensor_gateway.recording.xdf.findings import Finding, Level
 from biosensor_gateway.recording.xdf.recording import Recording
 from biosensor_gateway.recording.xdf.report import Extent, Measured
 from biosensor_gateway.streaming.events import EventKind
 
-_CONNECTED = frozenset({State.STREAMING.value, State.ENABLING.value})
+_PAUSED, _NOT_CONNECTED = "paused", "not connected"
+_LINK = {EventKind.CONNECTED: "", EventKind.DISCONNECTED: _NOT_CONNECTED}
+_MOST_SPELLS = 3
 
 
 def tells_devices(recording: Recording) -> bool:
@@ -30,6 +32,7 @@ def judge_devices(streams: Sequence[Measured], extent: Extent) -> Iterator[Findi
         own = [each for each in streams if _is_beside(each, events)]
         yield from _left_out(own, events)
         yield from _removed(own, events, extent)
+        yield from _away(own, events, extent)
 
 
 def _is_beside(stream: Measured, events: Measured) -> bool:
@@ -44,7 +47,7 @@ def _left_out(own: Sequence[Measured], events: Measured) -> Iterator[Finding]:
     for device, states in _states(events.stream.texts).items():
         if device in recorded:
             continue
-        if not _CONNECTED & states.keys():
+        if not CONNECTED & states.keys():
             how = ", ".join(STATE_WORDS.get(each, each) for each in states)
             text = f"{device} was never there ({how}), so nothing of it was recorded"
             yield Finding(Level.WARNING, "absent", "", text)
@@ -71,6 +74,86 @@ def _removed(own: Sequence[Measured], events: Measured, extent: Extent) -> Itera
             f"{extent.since_begin(at, events):.1f} s, and nothing of it was recorded since"
         )
         yield Finding(Level.ERROR, "removed", "", text)
+
+
+def _away(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterator[Finding]:
+    """Say of each recorded device when it was paused, or not connected."""
+    for device, spells in _spells(events.stream.texts).items():
+        streams = [each for each in own if _device(each) == device]
+        if not streams or not spells:
+            continue
+        said = ", ".join(_spell(each, events, extent) for each in spells[:_MOST_SPELLS])
+        more = len(spells) - _MOST_SPELLS
+        said += f" and {more} times more" if more > 0 else ""
+        person = streams[0].stream.header.identity
+        who = f" of {person.participant}" if person and person.participant else ""
+        # A battery's level may be older than the recording.
+        due = [each for each in streams if not each.stream.header.may_be_older] or streams
+        if any(each.stream.sample_count for each in due):
+            yield Finding(Level.WARNING, "away", "", f"{device}{who} was {said}")
+        else:
+            text = f"{device}{who} was {said}, and nothing of it was recorded"
+            yield Finding(Level.ERROR, "away", "", text)
+
+
+def _device(stream: Measured) -> str:
+    identity = stream.stream.header.identity
+    return f"{identity.sensor}/{identity.unit}" if identity else ""
+
+
+class _Spell(NamedTuple):
+    """How a device was away, from one LSL time in s to another; None where nothing says when."""
+
+    how: str
+    since: float | None
+    until: float | None
+
+
+def _spells(texts: Sequence[str]) -> Mapping[str, list[_Spell]]:
+    """Return when each device did not send, by ``sensor/unit``."""
+    now: dict[str, tuple[str, float | None]] = {}
+    found: dict[str, list[_Spell]] = {}
+    for event in _events(texts):
+        for device, how in _ways(event, {name: each for name, (each, _) in now.items()}):
+            before, since = now.get(device, ("", None))
+            if device in now and how == before:
+                continue
+            # How it was at first, it has been since the recording began.
+            now[device] = how, _time(event) if device in now else None
+            if before:
+                found.setdefault(device, []).append(_Spell(before, since, _time(event)))
+    for device, (how, since) in now.items():
+        if how:
+            found.setdefault(device, []).append(_Spell(how, since, None))
+    return found
+
+
+def _ways(event: Mapping[str, Any], before: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    """Say of devices how they are away from an event on; empty if they are not."""
+    kind, devices = event.get("event"), event.get("devices")
+    if kind == EventKind.HEARTBEAT and isinstance(devices, dict):
+        for device, state in cast("dict[str, object]", devices).items():
+            is_here = str(state) in CONNECTED
+            yield device, "" if is_here else _PAUSED if state == _PAUSED else _NOT_CONNECTED
+        return
+    device = f"{event.get('sensor')}/{event.get('unit')}"
+    if kind == EventKind.PAUSED:
+        yield device, _PAUSED
+    elif kind == EventKind.RESUMED:
+        yield device, ""
+    elif before.get(device) != _PAUSED and kind in _LINK:
+        yield device, _LINK[EventKind(kind)]
+
+
+def _spell(spell: _Spell, events: Measured, extent: Extent) -> str:
+    def at(time: float) -> str:
+        return f"{max(0.0, extent.since_begin(time, events)):.1f} s"
+
+    if spell.since is None and spell.until is None:
+        return f"{spell.how} the whole time"
+    since = "from the begin" if spell.since is None else f"from {at(spell.since)}"
+    until = "to the end" if spell.until is None else f"to {at(spell.until)}"
+    return f"{spell.how} {since} {until}"
 
 
 def _states(texts: Sequence[str]) -> Mapping[str, dict[str, None]]:

@@ -38,7 +38,7 @@ function Card({ live, device, onOpen }) {
       ${device.error && html`<p class="reason small">${device.error}</p>`}
       <p class="facts small soft">
         <span>battery ${battery === null ? "–" : `${battery.toFixed(0)} %`}</span>
-        ${device.replay ? html`<span class="file">from ${device.replay}</span>` : html`<span>lost ${device.lost}</span>`}
+        ${device.replay ? html`<span class="file">from ${device.replay}</span>` : html`<span>lost ${device.lost ?? "–"}</span>`}
         ${device.connections > 1 && html`<span>${device.connections} connections</span>`}
       </p>
       <div class="buttons"><button onClick=${() => onOpen(device.name)}>Traces and details<span class="hidden"> of ${device.title} ${device.unit}${device.replay ? ", a replay" : ""}</span></button></div>

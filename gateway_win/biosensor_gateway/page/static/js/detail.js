@@ -68,7 +68,7 @@ function Streams({ device }) {
               <th scope="row">${stream.data_name}</th>
               <td class="figure values">${values(stream)}</td>
               <td class="figure">${stream.silent ? "switched off" : rateOf(stream)}</td>
-              <td class="figure">${stream.lost ?? "–"}</td>
+              <td class="figure">${device.is_sending === false ? "–" : stream.lost ?? "–"}</td>
               <td class="figure">${ageOf(stream)}</td>
               <td><${Copied} text=${stream.lsl_name} /></td>
               <td>${stream.topic ? html`<${Copied} text=${stream.topic} />` : "–"}</td>

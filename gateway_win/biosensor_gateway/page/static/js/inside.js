@@ -12,7 +12,7 @@ function jumps(count) {
 }
 
 export function Clock({ clock }) {
-  if (!clock) return html`<h3>Clock</h3><p class="small soft">Known from the first packet on.</p>`;
+  if (!clock) return html`<h3>Clock</h3><p class="small soft">Known while the device sends, from its first packet on.</p>`;
   const anHour = Math.abs(clock.drift_ppm * 3.6);
   return html`
     <h3>Clock</h3>

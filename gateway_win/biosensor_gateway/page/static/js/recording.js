@@ -5,15 +5,17 @@ import { useKept } from "./kept.js";
 import { useOneAtATime } from "./one_at_a_time.js";
 import { clock, listed } from "./words.js";
 
-const COLOURS = { green: ["●", "good"], amber: ["◐", "warn"], red: ["▲", "bad"] };
+const COLOURS = {
+  green: ["●", "good", "recording, all streams grow"],
+  amber: ["◐", "warn", "recording, all streams grow but for what is said below"],
+  red: ["▲", "bad", "recording, but not all is well"],
+};
 
 function Progress({ recording, children }) {
-  const isWell = !recording.problems.length;
+  const [sign, tone, word] = COLOURS[recording.colour] ?? COLOURS.red;
   return html`
     <div class="card-head">
-      <p class="state ${isWell ? "good" : "bad"}" role="status">
-        <span aria-hidden="true">${isWell ? "●" : "▲"}</span> ${isWell ? "recording, all streams grow" : "recording, but not all is well"}
-      </p>
+      <p class="state ${tone}" role="status"><span aria-hidden="true">${sign}</span> ${word}</p>
       <p class="facts small">
         <span class="clock">${clock(recording.elapsed_s)}</span>
         <span>${(recording.bytes / 1e6).toFixed(1)} MB</span>
@@ -22,7 +24,9 @@ function Progress({ recording, children }) {
       ${children}
     </div>
     <p class="small soft file">${recording.file}</p>
-    ${recording.problems.length > 0 && html`<ul class="problems" role="alert">${recording.problems.map((each) => html`<li>${each}</li>`)}</ul>`}`;
+    ${recording.problems.length > 0 && html`<ul class="problems" role="alert">${recording.problems.map((each) => html`<li>${each}</li>`)}</ul>`}
+    ${recording.notes.length > 0 && html`<ul class="notes" aria-label="What else is not as it should be">${recording.notes.map((each) => html`<li>${each}</li>`)}</ul>`}
+    ${recording.remarks.map((each) => html`<p class="small soft file">${each}</p>`)}`;
 }
 
 function Running({ recording, act }) {
