@@ -198,6 +198,20 @@ def test_marked_is_when_the_command_was_given(run: Run, monkeypatch: pytest.Monk
     assert sent == {"command": "mark", "marker": "task", "kind": "api", "source": "command"}
 
 
+def test_a_marker_that_nobody_receives_is_said(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    sent = {"id": 1, "marker": "task", "note": "", "kind": "api", "lsl_time": 0.0, "undone": False}
+    lost = {**sent, "received": False}
+
+    def ask(_folder: Path, name: str, _arguments: object = None) -> dict[str, Any]:
+        return lost if name == "mark" else {"markers": [lost, {**sent, "id": 2}], "buttons": []}
+
+    monkeypatch.setattr(control, "ask", ask)
+    assert run("mark", "task") == (0, "marker 1 was sent, but no program receives it\n", "")
+    first, second = run("mark", "--list")[1].splitlines()
+    assert first.endswith("task, received by nobody")
+    assert second.endswith("task")
+
+
 def test_a_list_fits_a_terminal(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -281,11 +281,13 @@ async def test_a_marker_that_nobody_receives_is_said(
     desk: Desk, inlet: OpenInlet, eventually: Eventually
 ) -> None:
     with capture_logs() as logs:
-        await desk.ask("mark", marker="m")
+        assert (await desk.ask("mark", marker="m"))["received"] is False
         assert [each["event"] for each in logs] == ["a marker was sent that nobody receives"]
         await listened_to(desk, inlet, eventually)
-        await desk.ask("mark", marker="m")
+        assert "received" not in await desk.ask("mark", marker="m")
         assert len(logs) == 1
+    listed = (await desk.ask("markers"))["markers"]
+    assert [each["received"] for each in listed] == [False, True]
 
 
 async def test_without_a_stream_markers_are_refused_and_nothing_else_fails(

@@ -77,8 +77,8 @@ def test_a_sensor_that_does_not_stream_refuses_and_the_option_is_named(tmp_path:
 
 
 def test_what_the_agent_says_of_a_pause_is_known_before_it_begins(tmp_path: Path) -> None:
-    known: dict[str, object] = {"sensor": "polar_h10", "participant": "P01", "label": "", "error": None,
-             "paused": False, "since": None, "streams": {}}  # fmt: skip
+    known: dict[str, object] = {"sensor": "polar_h10", "participant": "P01", "label": "",
+                                "error": None, "paused": False, "streams": {}}  # fmt: skip
     devices: list[dict[str, object]] = [
         {**known, "unit": "A1", "state": "streaming", "paused": True, "since": 1.0},
         {**known, "unit": "A2", "state": "streaming"},

@@ -44,6 +44,7 @@ def test_without_a_sensor_it_is_asked(change: dict[str, Any], how: str, tmp_path
     assert (code, answer["title"]) == (409, "A sensor does not stream")
     assert answer["problem"].startswith("P01's Zephyr BioHarness 3 ")
     assert how in answer["problem"]
+    assert answer["problem"].endswith(". Record without it?")
     assert answer["choices"] == [{"words": "Record without it", "more": {"without_away": True}}]
     assert not page.session.recording.busy
 

@@ -222,8 +222,36 @@ def test_everybody_can_use_it(server: Server, window: OpenWindow) -> None:
     page.keyboard.press("Enter")
     expect(page.locator(".card")).to_have_count(2)
 
-    # Narrow, and at 200 %: nothing is lost beside the edge.
-    for width in (400, 320):
-        page.set_viewport_size({"width": width, "height": 700})
-        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-        expect(button).to_be_visible()
+    # Narrow, and at 200 %: nothing is lost beside the edge, nor where plots were wider before.
+    for is_open in (False, True):
+        if is_open:
+            page.set_viewport_size({"width": 1280, "height": 700})
+            button.click()
+            expect(page.get_by_role("heading", name="Streams")).to_be_visible()
+        for width in (640, 400, 320):
+            page.set_viewport_size({"width": width, "height": 700})
+            page.wait_for_function("document.documentElement.scrollWidth <= innerWidth")
+            expect(page.get_by_role("button", name="Traces" if not is_open else "Back").first
+                   ).to_be_visible()  # fmt: skip
+
+
+BUTTONS = '[markers]\nbuttons = ["baseline", "task", "pause"]\n'
+OVERLAP = """() => {
+  const own = document.querySelector(".toast").getBoundingClientRect();
+  const buttons = [...document.querySelectorAll("[aria-labelledby=markers] .buttons button")];
+  return buttons.map((each) => each.getBoundingClientRect()).some((box) =>
+    own.left < box.right && box.left < own.right && own.top < box.bottom && box.top < own.bottom);
+}"""
+
+
+def test_what_came_of_something_covers_no_marker_button(server: Server, window: OpenWindow) -> None:
+    server.programs.settings.write_text(BUTTONS)
+    server.programs.start("run", "--simulate", "zephyr")
+    page = window()
+    page.goto(server.address)
+    button = page.get_by_role("region", name="Markers").get_by_role("button", name="task")
+    for width, height in ((1280, 800), (400, 800), (1280, 260), (400, 500)):
+        page.set_viewport_size({"width": width, "height": height})
+        button.click()
+        expect(page.locator(".toast")).to_contain_text("Marked: task")
+        page.wait_for_function(f"!({OVERLAP})()")

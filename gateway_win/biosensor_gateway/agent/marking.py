@@ -82,10 +82,11 @@ class MarkerCommands:
             _time(arguments, MAX_WEB_AGE_S if is_web else MAX_AGE_S, self._stream.clock()),
             _timing(arguments) if is_web else None,
         )
-        if not self._stream.is_received:
+        if not sent.received:
             people = "a marker was sent that nobody receives: no program records the markers"
             _log.warning("a marker was sent that nobody receives", id=sent.id, for_people=people)
-        return {"id": sent.id, "lsl_time": sent.lsl_time}
+        told = {"id": sent.id, "lsl_time": sent.lsl_time}
+        return told if sent.received else told | {"received": False}
 
     async def _undo(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
         """Undo the marker with the argument ``id``; without it the last that holds."""

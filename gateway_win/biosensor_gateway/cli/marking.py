@@ -64,7 +64,8 @@ def mark(
     else:
         said = {"note": text, "kind": "note"} if note else {"marker": text, "kind": "api"}
         sent = control.ask(folder, "mark", {**said, "source": _SOURCE, "at": _when_given()})
-        typer.echo(f"marker {sent['id']} was sent")
+        lost = "" if sent.get("received", True) else ", but no program receives it"
+        typer.echo(f"marker {sent['id']} was sent{lost}")
 
 
 def _show_web(save: Path | None, *, renew: bool) -> None:
@@ -103,6 +104,7 @@ def _row(marker: Mapping[str, Any], now: float) -> tuple[str, str]:
     said = f"{marker['marker']}: {marker['note']}" if marker["note"] else marker["marker"]
     undone = " (undone)" if marker["undone"] else ""
     origin = f", from {marker['source']}" if marker["kind"] == "web" else ""
+    origin += "" if marker.get("received", True) else ", received by nobody"
     return f"{marker['id']:>5}  {now - marker['lsl_time']:8.1f} s ago  ", f"{said}{origin}{undone}"
 
 

@@ -77,7 +77,7 @@ def without_sensors(order: Order, error: SensorsAwayError) -> Order:
     """
     if not can_ask():
         raise error
-    said = " ".join(f"{each[0].upper()}{each[1:].rstrip('.')}." for each in error.sentences)
+    said = " ".join(f"{each.rstrip('.')}." for each in error.sentences)
     if menu(said, ["Do not record yet", "Record without that"]) == 0:
         raise typer.Exit(2)
     return replace(order, without_away=True)

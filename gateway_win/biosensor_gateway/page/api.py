@@ -127,8 +127,7 @@ def _add_markers(router: APIRouter, marking: Marking) -> None:
     @router.post("/markers")
     async def mark(marker: NewMarker) -> Outcome:
         """Send a marker, stamped with now."""
-        await marking.mark(marker)
-        return Outcome(sentence=f"Marked: {marker.note or marker.marker}")
+        return Outcome(sentence=await marking.mark(marker))
 
     @router.post("/markers/undo")
     async def undo(which: MarkerNumber) -> Outcome:

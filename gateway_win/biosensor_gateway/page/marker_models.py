@@ -16,6 +16,10 @@ class MarkerView(BaseModel):
         Of a web experiment, where its page comes from.
     uncertainty_s
         By how many seconds its time may be wrong, where that was measured.
+    received
+        Whether any program received it.
+    time
+        Its Unix time in s, for people.
     """
 
     id: int
@@ -26,6 +30,8 @@ class MarkerView(BaseModel):
     lsl_time: float
     undone: bool
     uncertainty_s: float | None = None
+    received: bool = True
+    time: float | None = None
 
 
 class MarkersView(BaseModel):

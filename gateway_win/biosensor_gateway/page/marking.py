@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -35,8 +36,8 @@ class Marking:
                     await self._look()
             await asyncio.sleep(LOOK_S)
 
-    async def mark(self, marker: NewMarker) -> None:
-        """Send a marker, stamped with now.
+    async def mark(self, marker: NewMarker) -> str:
+        """Send a marker, stamped with now; say what has become of it.
 
         Raises
         ------
@@ -45,8 +46,12 @@ class Marking:
         """
         # A thread may begin late.
         at = self._session.now()
-        await self._ask("mark", {**marker.model_dump(), "source": "page", "at": at})
+        sent = await self._ask("mark", {**marker.model_dump(), "source": "page", "at": at})
         await self._look()
+        said = f"Marked: {marker.note or marker.marker}"
+        if not sent.get("received", True):
+            return f"{said}, but no program receives it, so it is in no recording."
+        return said if self._session.recording.is_running else f"{said}; this page records nothing."
 
     async def undo(self, number: int | None) -> None:
         """Say that a marker was a mistake; nothing is deleted.
@@ -60,7 +65,11 @@ class Marking:
         await self._look()
 
     async def _look(self) -> None:
-        self._session.markers = MarkersView.model_validate(await self._ask("markers", {}))
+        view = MarkersView.model_validate(await self._ask("markers", {}))
+        to_unix_s = time.time() - self._session.now()
+        for each in view.markers:
+            each.time = each.lsl_time + to_unix_s
+        self._session.markers = view
 
     async def _ask(self, command: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
         return await asyncio.to_thread(control.ask, self._session.folder, command, arguments)

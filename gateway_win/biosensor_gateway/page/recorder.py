@@ -235,8 +235,11 @@ def _require_sensors(devices: Sequence[Mapping[str, Any]]) -> None:
 
 def _away_question(sentences: Sequence[str]) -> QuestionError:
     one = len(sentences) == 1
+    words = f"Record without {'it' if one else 'them'}"
+    # As they are: they begin with a participant's name.
+    said = [f"{each.rstrip('.')}." for each in sentences]
     return QuestionError(
         "A sensor does not stream" if one else f"{len(sentences)} sensors do not stream",
-        " ".join(f"{each[0].upper()}{each[1:].rstrip('.')}." for each in sentences),
-        [Choice(words=f"Record without {'it' if one else 'them'}", more={"without_away": True})],
+        f"{' '.join(said)} {words}?",
+        [Choice(words=words, more={"without_away": True})],
     )

@@ -101,7 +101,7 @@ class Timing(NamedTuple):
 
 @dataclass(slots=True)
 class Marker:
-    """A marker that was sent, and whether it was undone."""
+    """A marker that was sent, whether it was undone, and whether any program received it."""
 
     id: int
     marker: str
@@ -111,6 +111,7 @@ class Marker:
     lsl_time: float
     timing: Timing | None = None
     undone: bool = False
+    received: bool = True
 
 
 class MarkerStream:
@@ -185,7 +186,10 @@ class MarkerStream:
         said = {"note": note, "source": source, **known}
         facts = {name: each for name, each in said.items() if each not in ("", None)}
         number = self._send(marker, kind, happened, facts)
-        sent = Marker(number, marker, note, kind, source, round(happened, 6), timing)
+        received = self.is_received
+        sent = Marker(
+            number, marker, note, kind, source, round(happened, 6), timing, received=received
+        )
         self._kept[number] = sent
         if len(self._kept) > KEPT:
             del self._kept[next(iter(self._kept))]

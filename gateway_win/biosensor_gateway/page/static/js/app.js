@@ -2,18 +2,22 @@
 
 import { html, render, useEffect, useRef, useState } from "../vendor/preact-htm.js";
 import { ask } from "./api.js";
+import { Bar, useScrolledPast } from "./bar.js";
 import { Cards } from "./cards.js";
 import { Detail } from "./detail.js";
 import { Doctor } from "./doctor.js";
 import { Live } from "./live.js";
-import { Markers } from "./markers.js";
+import { Markers, useMarkerKeys } from "./markers.js";
+import { useOpen } from "./open.js";
 import { Question } from "./question.js";
 import { Ended, Quit } from "./quit.js";
 import { Session } from "./recording.js";
-import { Replay, ReplayNotice } from "./replay.js";
+import { Over, Replay, ReplayNotice } from "./replay.js";
 import { Setup } from "./setup.js";
 import { Share } from "./share.js";
 import { Agent, Notices, useShown } from "./status.js";
+import { useTitle } from "./title.js";
+import { Toast } from "./toast.js";
 
 const TOLD_MS = 8000;
 const LATE_MS = 400;
@@ -52,9 +56,14 @@ function Welcome({ act, onSetup, onReplay }) {
     </section>`;
 }
 
+// Whether there is something to record, or was.
+function isKept(status) {
+  return Boolean(status) && (status.agent === "running" || status.recording.is_running || status.recording.file !== "");
+}
+
 function App() {
   const [status, setStatus] = useState(undefined);
-  const [open, setOpen] = useState(null);
+  const [open, setOpen] = useOpen();
   const [isSetup, setSetup] = useState(false);
   const [isReplay, setReplay] = useState(false);
   const [isExamined, setExamined] = useState(false);
@@ -96,12 +105,20 @@ function App() {
     }
   };
 
+  useTitle(status);
+  useMarkerKeys(status?.agent === "running" ? status.markers.buttons : [], act);
+  const session = useRef(null);
+  // Then the recording has no panel on the screen, or one that is somewhere below.
+  const isElsewhere = Boolean(device) || isSetup || isReplay || isExamined;
+  const isPast = useScrolledPast(session, Boolean(status) && !isElsewhere);
+
   if (status?.ended) return html`<${Ended} told=${told} />`;
   if (status === undefined) return html`<p class="wait">Opening …</p>`;
   const isEmpty = status && !status.devices.length && !status.configured && status.agent !== "starting" && !status.experiments && !status.replay.is_running;
   return html`
     <${Head} status=${status} act=${act} onSetup=${() => setSetup(true)} onReplay=${() => setReplay(true)} onDoctor=${() => setExamined(true)} />
     <main>
+      ${isKept(status) && (isElsewhere || isPast) && html`<${Bar} status=${status} act=${act} isOver=${!isElsewhere} />`}
       ${status && html`<${Notices} status=${status} />`}
       ${status && html`<${ReplayNotice} replay=${status.replay} act=${act} />`}
       ${status?.share && html`<${Share} share=${status.share} />`}
@@ -112,17 +129,17 @@ function App() {
       ${isEmpty && !isSetup && !isReplay && html`<${Welcome} act=${act} onSetup=${() => setSetup(true)} onReplay=${() => setReplay(true)} />`}
       ${status && !isEmpty && !device && html`
         <div class="pair">
-          <${Session} status=${status} act=${act} />
-          ${status.agent === "running" && html`<${Markers} markers=${status.markers} experiments=${status.experiments} act=${act} />`}
+          <div><span ref=${session}></span><${Session} status=${status} act=${act} /></div>
+          ${status.agent === "running" && html`<${Markers} markers=${status.markers} experiments=${status.experiments} isRecorded=${status.recording.is_running} act=${act} />`}
         </div>`}
+      ${status && !status.replay.is_running && html`<${Over} replay=${status.replay} />`}
       ${device
         ? html`<${Detail} live=${live.current} device=${device} isVirtual=${status.virtual} act=${device.replay ? undefined : act} onClose=${() => setOpen(null)} />`
         : html`<${Cards} live=${live.current} devices=${devices} onOpen=${setOpen} />`}
     </main>
     <footer class="small">${status?.settings_file && html`Settings: ${status.settings_file}`}</footer>
     ${question && html`<${Question} question=${question} />`}
-    <div aria-live="polite">${told && html`
-      <p class="toast">${told.text} ${told.isProblem && html`<button onClick=${() => setTold(null)}>Close</button>`}</p>`}</div>`;
+    <div aria-live="polite">${told && html`<${Toast} told=${told} onClose=${() => setTold(null)} />`}</div>`;
 }
 
 render(html`<${App} />`, document.getElementById("page"));

@@ -3,7 +3,7 @@
 import { html } from "../vendor/preact-htm.js";
 import { Features, marksOf } from "./features.js";
 import { Spark } from "./spark.js";
-import { rateOf, stateOf, streamsOf, valueOf } from "./words.js";
+import { momentOf, rateOf, stateOf, streamsOf, valueOf } from "./words.js";
 
 const SHOWN = 4;
 
@@ -17,7 +17,7 @@ export function mainStreams(device) {
 
 export function State({ device }) {
   const { sign, tone, word } = stateOf(device);
-  return html`<span class="state ${tone}"><span aria-hidden="true">${sign}</span> ${word}</span>`;
+  return html`<span class="state ${tone}"><span aria-hidden="true">${sign}</span> ${word}${device.since && html` <span class="small since">since ${momentOf(device.since)}</span>`}</span>`;
 }
 
 function Card({ live, device, onOpen }) {

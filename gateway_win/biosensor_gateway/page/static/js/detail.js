@@ -6,6 +6,7 @@ import { State } from "./cards.js";
 import { lineOf, Plot } from "./draw.js";
 import { Features, featuresOf, marksOf } from "./features.js";
 import { Clock, Log } from "./inside.js";
+import { useKept } from "./kept.js";
 import { ageOf, figure, rateOf, streamsOf } from "./words.js";
 
 const NAMED = 12;
@@ -88,21 +89,25 @@ export function values(stream) {
 }
 
 function Edit({ device, act }) {
-  const [participant, setParticipant] = useState(device.participant);
-  const [label, setLabel] = useState(device.label);
-  const save = (event) => {
+  const [typed, setTyped] = useKept(`worn ${device.name}`, { participant: null, label: null });
+  const participant = typed.participant ?? device.participant;
+  const label = typed.label ?? device.label;
+  const isNew = participant !== device.participant || label !== device.label;
+  const save = async (event) => {
     event.preventDefault();
-    act("PATCH", "/devices", { sensor: device.sensor, unit: device.unit, participant, label });
+    const isSaved = await act("PATCH", "/devices", { sensor: device.sensor, unit: device.unit, participant, label });
+    if (isSaved) setTyped({ participant: null, label: null });
   };
   return html`
     <form onSubmit=${save}>
       <label>Participant (a pseudonym)
-        <input type="text" maxlength="32" value=${participant} onInput=${(event) => setParticipant(event.target.value)} />
+        <input type="text" maxlength="32" value=${participant} onInput=${(event) => setTyped({ participant: event.target.value })} />
       </label>
       <label>Label, such as left
-        <input type="text" maxlength="32" value=${label} onInput=${(event) => setLabel(event.target.value)} />
+        <input type="text" maxlength="32" value=${label} onInput=${(event) => setTyped({ label: event.target.value })} />
       </label>
       <button>Save</button>
+      ${isNew && html`<span class="small warned">not saved yet</span>`}
     </form>
     <p class="small soft">Saving makes new streams: their names have participant and label in them. Other devices stream on.</p>`;
 }

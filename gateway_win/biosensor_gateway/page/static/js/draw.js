@@ -150,9 +150,17 @@ export class Plot {
       [[], ...stream.channels.map(() => [])],
       element,
     );
+    // Also of one without samples, which is never drawn: else the page stays as wide as it was.
+    this.sizes = new ResizeObserver(() => this.fit());
+    this.sizes.observe(element);
     // One without samples is drawn at no other time.
     this.repaint = () => this.plot.redraw();
     DARK.addEventListener("change", this.repaint);
+  }
+
+  fit() {
+    const width = this.element.clientWidth;
+    if (width && width !== this.plot.width) this.plot.setSize({ width, height: 150 });
   }
 
   drawMarks(plot) {
@@ -168,13 +176,11 @@ export class Plot {
     this.marks = marks;
     const trace = this.live.traces.get(this.stream.source_id);
     if (!trace || trace.channels !== this.stream.channels.length) return;
-    if (this.element.clientWidth !== this.plot.width) {
-      this.plot.setSize({ width: this.element.clientWidth, height: 150 });
-    }
     this.plot.setData(series(this.live, this.stream, trace));
   }
 
   end() {
+    this.sizes.disconnect();
     DARK.removeEventListener("change", this.repaint);
     this.plot.destroy();
   }

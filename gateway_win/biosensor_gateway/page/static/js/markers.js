@@ -1,7 +1,8 @@
 // Markers of the experimenter: a button or key for each name of the settings, notes, and undo;
 // and those of web experiments.
 
-import { html, useEffect, useState } from "../vendor/preact-htm.js";
+import { html, useEffect } from "../vendor/preact-htm.js";
+import { useKept } from "./kept.js";
 
 const KEYS = 9;
 
@@ -17,6 +18,34 @@ function within(seconds) {
   return seconds == null ? "" : `, to within ${(1000 * seconds).toFixed(1)} ms`;
 }
 
+function when({ time }) {
+  if (!time) return "";
+  const at = new Date(1000 * time);
+  return html`<time datetime=${at.toISOString()}>${at.toLocaleTimeString()}</time>`;
+}
+
+const marking = (act) => (marker) => act("POST", "/markers", { marker, kind: "button" });
+
+// The keys 1 to 9, in whatever view.
+export function useMarkerKeys(names, act) {
+  useEffect(() => {
+    const press = (event) => {
+      const name = names[Number(event.key) - 1];
+      if (name && !isTyping(event) && !event.repeat) marking(act)(name);
+    };
+    addEventListener("keydown", press);
+    return () => removeEventListener("keydown", press);
+  }, [names.join("\n")]);
+}
+
+export function MarkerButtons({ names, act }) {
+  return html`
+    <div class="buttons" data-clear>
+      ${names.map((name, index) => html`
+        <button key=${name} onClick=${() => marking(act)(name)}>${name}${index < KEYS && html` <kbd aria-label=${`key ${index + 1}`}>${index + 1}</kbd>`}</button>`)}
+    </div>`;
+}
+
 export function MarkerList({ markers, undo }) {
   const shown = markers.markers.filter((each) => each.kind !== "undo").reverse();
   if (!shown.length) return null;
@@ -24,7 +53,7 @@ export function MarkerList({ markers, undo }) {
     <ol class="marks small" reversed>
       ${shown.map((each) => html`
         <li key=${each.id} class=${each.undone ? "undone" : ""}>
-          ${said(each)}${each.kind === "web" && html`<span class="soft"> from ${each.source}${within(each.uncertainty_s)}</span>`}${each.undone ? " (marked as a mistake)" : undo && html` <button class="plain" onClick=${() => undo(each.id)}>undo<span class="hidden"> ${said(each)}</span></button>`}
+          ${when(each)} ${said(each)}${each.kind === "web" && html`<span class="soft"> from ${each.source}${within(each.uncertainty_s)}</span>`}${!each.received && html` <span class="warned">received by nobody</span>`}${each.undone ? " (marked as a mistake)" : undo && html` <button class="plain" onClick=${() => undo(each.id)}>undo<span class="hidden"> ${said(each)}</span></button>`}
         </li>`)}
     </ol>`;
 }
@@ -42,34 +71,22 @@ function Experiments({ experiments }) {
       </ul>`}`;
 }
 
-export function Markers({ markers, experiments, act }) {
-  const [note, setNote] = useState("");
-  const names = markers.buttons.join("\n");
-  const mark = (marker) => act("POST", "/markers", { marker, kind: "button" });
-  useEffect(() => {
-    const press = (event) => {
-      const name = markers.buttons[Number(event.key) - 1];
-      if (name && !isTyping(event) && !event.repeat) mark(name);
-    };
-    addEventListener("keydown", press);
-    return () => removeEventListener("keydown", press);
-  }, [names]);
+export function Markers({ markers, experiments, isRecorded, act }) {
+  const [{ note }, setNote] = useKept("note", { note: "" });
   const send = (event) => {
     event.preventDefault();
-    act("POST", "/markers", { marker: "note", note, kind: "note" }).then((isDone) => isDone && setNote(""));
+    act("POST", "/markers", { marker: "note", note, kind: "note" }).then((isDone) => isDone && setNote({ note: "" }));
   };
   const undo = (id) => act("POST", "/markers/undo", { id });
   return html`
     <section class="panel" aria-labelledby="markers">
       <h2 id="markers">Markers</h2>
-      <div class="buttons">
-        ${markers.buttons.map((name, index) => html`
-          <button key=${name} onClick=${() => mark(name)}>${name}${index < KEYS && html` <kbd aria-label=${`key ${index + 1}`}>${index + 1}</kbd>`}</button>`)}
-        ${!markers.buttons.length && html`<p class="small soft">Name buttons in the settings file: <code>[markers]</code>, then <code>buttons = ["baseline", "task"]</code>.</p>`}
-      </div>
+      ${!isRecorded && html`<p class="small notes">This page records nothing now: a marker is in a file only if another program records it.</p>`}
+      <${MarkerButtons} names=${markers.buttons} act=${act} />
+      ${!markers.buttons.length && html`<p class="small soft">Name buttons in the settings file: <code>[markers]</code>, then <code>buttons = ["baseline", "task"]</code>.</p>`}
       <form onSubmit=${send}>
         <label>Note, stamped when it is sent
-          <input type="text" maxlength="200" size="40" required value=${note} onInput=${(event) => setNote(event.target.value)} />
+          <input type="text" maxlength="200" size="40" required value=${note} onInput=${(event) => setNote({ note: event.target.value })} />
         </label>
         <button>Send note</button>
       </form>

@@ -7,8 +7,9 @@ export function useOneAtATime(act) {
   const [isUnderWay, setUnderWay] = useState(false);
   const once = async (...request) => {
     setUnderWay(true);
-    await act(...request);
+    const isDone = await act(...request);
     setUnderWay(false);
+    return isDone;
   };
   return [isUnderWay, once];
 }

@@ -1,14 +1,15 @@
 // The session bar: what is recorded, whether it is complete, and how good it was.
 
-import { html, useEffect, useState } from "../vendor/preact-htm.js";
+import { html, useEffect } from "../vendor/preact-htm.js";
 import { useKept } from "./kept.js";
 import { useOneAtATime } from "./one_at_a_time.js";
 import { clock, listed } from "./words.js";
 
-const COLOURS = {
-  green: ["●", "good", "recording, all streams grow"],
-  amber: ["◐", "warn", "recording, all streams grow but for what is said below"],
-  red: ["▲", "bad", "recording, but not all is well"],
+// A sign, a tone, a sentence, and the same for a narrow place.
+export const COLOURS = {
+  green: ["●", "good", "recording, all streams grow", "recording"],
+  amber: ["◐", "warn", "recording, all streams grow but for what is said below", "recording, with a note"],
+  red: ["▲", "bad", "recording, but not all is well", "recording, not all is well"],
 };
 
 function Progress({ recording, children }) {
@@ -33,7 +34,7 @@ function Running({ recording, act }) {
   const [isUnderWay, once] = useOneAtATime(act);
   return html`
     <${Progress} recording=${recording}>
-      <button class="main" disabled=${isUnderWay} onClick=${() => once("POST", "/recording/stop")}>
+      <button class="main" data-clear disabled=${isUnderWay} onClick=${() => once("POST", "/recording/stop")}>
         ${recording.busy === "ending" ? "Ending and checking …" : "Stop recording"}
       </button>
     <//>`;
@@ -78,7 +79,7 @@ function Wearers({ status, people, participant, act }) {
 function Begin({ status, act }) {
   const { recording } = status;
   const [fields, setFields] = useKept("recording", { participant: null, session: "S001", task: "Default", folder: "" });
-  const [isLax, setLax] = useState(false);
+  const [{ isLax }, setLax] = useKept("recording-lax", { isLax: false });
   const [isUnderWay, once] = useOneAtATime(act);
   const people = [...new Set(status.devices.map((each) => each.participant).filter(Boolean))];
   // Until somebody types another one, it is who wears the sensors.
@@ -86,9 +87,11 @@ function Begin({ status, act }) {
   const isAsWorn = people.length === 1 && fields.participant === people[0];
   useEffect(() => { if (isAsWorn) setFields({ participant: null }); }, [isAsWorn]);
   const set = (name) => (event) => setFields({ [name]: event.target.value });
-  const begin = (event) => {
+  const begin = async (event) => {
     event.preventDefault();
-    once("POST", "/recording/start", { ...fields, participant, allow_missing: isLax });
+    const isBegun = await once("POST", "/recording/start", { ...fields, participant, allow_missing: isLax });
+    // It is meant for one recording, and not for the next.
+    if (isBegun) setLax({ isLax: false });
   };
   const box = (name, label, value, more = {}) => html`
     <label>${label}<input type="text" value=${value} onInput=${set(name)} ...${more} /></label>`;
@@ -99,8 +102,8 @@ function Begin({ status, act }) {
       ${box("session", "Session", fields.session, NAME)}
       ${box("task", "Task", fields.task, NAME)}
       ${box("folder", "Folder", fields.folder, { placeholder: recording.folder, size: 34 })}
-      <button class="main" disabled=${isUnderWay}>${isUnderWay || recording.busy !== "" ? "Opening all streams …" : "Record"}</button>
-      <label class="check"><input type="checkbox" checked=${isLax} onChange=${(event) => setLax(event.target.checked)} /> also without streams that are missing</label>
+      <button class="main" data-clear disabled=${isUnderWay}>${isUnderWay || recording.busy !== "" ? "Opening all streams …" : "Record"}</button>
+      <label class="check"><input type="checkbox" checked=${isLax} onChange=${(event) => setLax({ isLax: event.target.checked })} /> also without streams that are missing</label>
     </form>`;
 }
 

@@ -2,6 +2,7 @@
 
 import { html, useEffect, useState } from "../vendor/preact-htm.js";
 import { ask } from "./api.js";
+import { useKept } from "./kept.js";
 import { useOneAtATime } from "./one_at_a_time.js";
 import { clock } from "./words.js";
 
@@ -25,15 +26,15 @@ function place(replay) {
 }
 
 // What came of it must not vanish by itself: nobody may have looked as it ended.
-function Over({ replay }) {
-  const [read, setRead] = useState("");
+export function Over({ replay }) {
+  const [{ read }, setRead] = useKept("replay-over", { read: "" });
   const told = replay.said.join(" ");
   if (!told || told === read) return null;
   return html`
     <section class="panel notice" aria-labelledby="replay-over">
       <div class="card-head">
         <h2 id="replay-over">The replay has ended</h2>
-        <button onClick=${() => setRead(told)}>Close<span class="hidden"> this notice</span></button>
+        <button onClick=${() => setRead({ read: told })}>Close<span class="hidden"> this notice</span></button>
       </div>
       <p class="file small">${replay.file}</p>
       <p class="small">${told}</p>
@@ -43,7 +44,7 @@ function Over({ replay }) {
 // Above everything else while something is played.
 export function ReplayNotice({ replay, act }) {
   const [isUnderWay, once] = useOneAtATime(act);
-  if (!replay?.is_running) return act && html`<${Over} replay=${replay} />`;
+  if (!replay?.is_running) return null;
   return html`
     <section class="panel replay" aria-labelledby="replay-now">
       <div class="card-head">

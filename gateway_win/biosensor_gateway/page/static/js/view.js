@@ -1,20 +1,24 @@
 // The page as other computers see it: everything is shown, and nothing can be changed.
 
 import { html, render, useEffect, useRef, useState } from "../vendor/preact-htm.js";
+import { Bar } from "./bar.js";
 import { Cards } from "./cards.js";
 import { Detail } from "./detail.js";
 import { Live } from "./live.js";
 import { MarkerList } from "./markers.js";
+import { useOpen } from "./open.js";
 import { State as Recording } from "./recording.js";
 import { ReplayNotice } from "./replay.js";
 import { Agent, Notices, useShown } from "./status.js";
+import { useTitle } from "./title.js";
 
 function View() {
   const [status, setStatus] = useState(undefined);
-  const [open, setOpen] = useState(null);
+  const [open, setOpen] = useOpen();
   const live = useRef(null);
   useEffect(() => { live.current = new Live(setStatus); }, []);
   const { devices, device } = useShown(live, status, open);
+  useTitle(status);
   if (status === undefined) return html`<p class="wait">Opening …</p>`;
   if (!status || status.ended) {
     return html`<main><p class="panel problem" role="alert">The page on the other computer does not answer. Nothing can be seen of now. It may have been ended there, or the network is cut.</p></main>`;
@@ -25,6 +29,7 @@ function View() {
       <${Agent} status=${status} />
     </header>
     <main>
+      ${device && html`<${Bar} status=${status} />`}
       <${Notices} status=${status} />
       <${ReplayNotice} replay=${status.replay} />
       ${!device && html`

@@ -18,6 +18,13 @@ export function clock(seconds) {
   return `${Math.floor(whole / 3600)}:${two(Math.floor(whole / 60) % 60)}:${two(whole % 60)}`;
 }
 
+// A time of day; of another day with its date.
+export function momentOf(unixS) {
+  const at = new Date(1000 * unixS);
+  const time = at.toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" });
+  return at.toDateString() === new Date().toDateString() ? time : `${at.toLocaleDateString()} ${time}`;
+}
+
 export function stateOf(device) {
   if (device.replay) return { sign: "↻", tone: "replayed", word: "replay, not a person" };
   const isOff = device.state === "streaming" && device.worn === false;

@@ -2,6 +2,7 @@
 
 import { html, render, useEffect, useRef, useState } from "../../vendor/preact-htm.js";
 import { Live } from "../live.js";
+import { useOpen } from "../open.js";
 import { SeenCards, cardStreams } from "./cards.js";
 import { SeenDetail, detailStreams } from "./detail.js";
 
@@ -55,7 +56,7 @@ function matches(device, text) {
 
 function App() {
   const [status, setStatus] = useState(undefined);
-  const [open, setOpen] = useState(null);
+  const [open, setOpen] = useOpen();
   const [text, setText] = useState("");
   const [firsts, setFirsts] = useState({});
   const live = useRef(null);
