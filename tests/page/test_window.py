@@ -235,7 +235,15 @@ def test_everybody_can_use_it(server: Server, window: OpenWindow) -> None:
                    ).to_be_visible()  # fmt: skip
 
 
-BUTTONS = '[markers]\nbuttons = ["baseline", "task", "pause"]\n'
+MARKED = """
+[markers]
+buttons = ["task"]
+
+[[device]]
+sensor = "zephyr"
+unit = "A"
+port = "nowhere"
+"""
 OVERLAP = """() => {
   const own = document.querySelector(".toast").getBoundingClientRect();
   const buttons = [...document.querySelectorAll("[aria-labelledby=markers] .buttons button")];
@@ -245,11 +253,11 @@ OVERLAP = """() => {
 
 
 def test_what_came_of_something_covers_no_marker_button(server: Server, window: OpenWindow) -> None:
-    server.programs.settings.write_text(BUTTONS)
-    server.programs.start("run", "--simulate", "zephyr")
+    server.programs.settings.write_text(MARKED)
+    server.programs.start("run", "--no-ask")
     page = window()
     page.goto(server.address)
-    button = page.get_by_role("region", name="Markers").get_by_role("button", name="task")
+    button = page.get_by_role("region", name="Markers").get_by_role("button", name="task key")
     for width, height in ((1280, 800), (400, 800), (1280, 260), (400, 500)):
         page.set_viewport_size({"width": width, "height": height})
         button.click()
