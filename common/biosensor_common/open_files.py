@@ -110,7 +110,12 @@ def require(each: int, what: str) -> None:
 
 def exhausted(what: str) -> TransportError:
     """Return the error of a stream that does not fit."""
-    return TransportError(TransportReason.EXHAUSTED, f"{what}: {reason()}; {fix()}")
+    return TransportError(TransportReason.EXHAUSTED, f"{what}: {no_room()}")
+
+
+def no_room() -> str:
+    """Say why a stream does not fit, and what makes room."""
+    return f"{reason()}; {fix()}"
 
 
 def reason() -> str:

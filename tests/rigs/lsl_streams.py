@@ -14,6 +14,7 @@ import numpy as np
 import pylsl
 import pytest
 
+from biosensor_common.refusals import Refusals
 from lsl_to_ros.lsl.blocks import Block
 from lsl_to_ros.lsl.inlets import Inlet, InletState
 
@@ -150,7 +151,7 @@ def inlets(warn: Callable[[str], None]) -> Generator[Open]:
     opened: list[Inlet] = []
 
     def open_(info: pylsl.StreamInfo) -> Inlet:
-        inlet = Inlet(info, warn)
+        inlet = Inlet(info, Refusals(warn))
         opened.append(inlet)
         wait_until(lambda: inlet.state is not InletState.OPENING, "an inlet that is open")
         assert inlet.state is InletState.READY

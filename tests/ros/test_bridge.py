@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from std_msgs.msg import Float32, Float32MultiArray, UInt8
 
 from biosensor_common.quantities import ChannelFormat, MessageType
+from biosensor_common.refusals import Refusals
 from biosensor_common.stream_header import StreamHeader
-from lsl_to_ros.accounts.counters import NodeCounters, Refusals
+from lsl_to_ros.accounts.counters import NodeCounters
 from lsl_to_ros.accounts.gaps import FOREIGN_JITTER_S
 from lsl_to_ros.lsl.blocks import Block
 from lsl_to_ros.parameters.streams import StreamSettings
@@ -40,13 +41,13 @@ class Setup:
     def __init__(self, ros: Ros, header: StreamHeader, settings: StreamSettings) -> None:
         self.raw = RecordedPublisher(CLASSES[header.message_type])
         self.chunk = RecordedPublisher(Float32MultiArray, "biosensors/zephyr/ecg_chunk")
-        self.counters = NodeCounters()
         self.warnings: list[str] = []
-        refuse = Refusals(header, self.counters, self.warnings.append)
-        outputs = Outputs(raw=NumberWriter(self.raw, header.message_type, 1, refuse))
+        self.counters = NodeCounters(refusals=Refusals(self.warnings.append, "zephyr ecg"))
+        refusals = self.counters.refusals
+        outputs = Outputs(raw=NumberWriter(self.raw, header.message_type, 1, refusals))
         if header.chunk:
             outputs.chunk = ChunkWriter(self.chunk, MessageType.FLOAT32_MULTI_ARRAY, 1)
-        self.bridge = Bridge(header, outputs, settings, self.counters, Clocks(ros.node), refuse)
+        self.bridge = Bridge(header, outputs, settings, self.counters, Clocks(ros.node))
 
     def send(self, *values: float, start: float = 1000.0, step: float = 0.01) -> None:
         """Send samples one by one."""
@@ -261,10 +262,9 @@ def test_the_end_of_a_stream_discards_its_partial_chunk_and_counts_what_lsl_drop
 
 
 def test_who_listens_gets_every_sample_whether_or_not_somebody_reads(ros: Ros) -> None:
-    header, counters = HEADER, NodeCounters()
+    header, counters = HEADER, NodeCounters(refusals=Refusals(pytest.fail))
     publisher = RecordedPublisher(Float32, readers=0)
-    refuse = Refusals(header, counters, pytest.fail)
-    outputs = Outputs(raw=NumberWriter(publisher, header.message_type, 1, refuse))
+    outputs = Outputs(raw=NumberWriter(publisher, header.message_type, 1, counters.refusals))
     heard: list[list[float]] = []
     bridge = Bridge(
         header,
@@ -272,7 +272,6 @@ def test_who_listens_gets_every_sample_whether_or_not_somebody_reads(ros: Ros) -
         ON,
         counters,
         Clocks(ros.node),
-        refuse,
         listen=lambda sample: heard.append(sample.tolist()),
     )
     assert bridge.wants_each_sample

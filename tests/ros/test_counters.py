@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from lsl_to_ros.accounts.counters import Delays, Lost, NodeCounters, Refusals, can_estimate_losses
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
+from lsl_to_ros.accounts.counters import Delays, Lost, NodeCounters, can_estimate_losses
 from lsl_to_ros.accounts.losses import Losses
 from tests.rigs.recorded_topics import header_of
 
@@ -88,20 +90,11 @@ def test_delays_are_those_since_the_last_look() -> None:
 
 
 def test_what_does_not_fit_is_counted_and_said_once() -> None:
-    counters = NodeCounters()
     said: list[str] = []
-    refuse = Refusals(ECG, counters, said.append)
-    refuse(3, "300 does not fit into UInt8")
-    refuse(2, "something else")
+    counters = NodeCounters(refusals=Refusals(said.append, "zephyr ecg"))
+    counters.refusals.refuse(Refusal.UNFIT, 3, why="300 does not fit into UInt8")
+    counters.refusals.refuse(Refusal.UNFIT, 2, why="something else")
     assert counters.unfit == 5
     (sentence,) = said
     for part in ("zephyr ecg", "300 does not fit into UInt8"):
         assert part in sentence
-
-
-def test_a_new_connection_of_the_same_stream_does_not_say_it_again() -> None:
-    counters = NodeCounters()
-    said: list[str] = []
-    Refusals(ECG, counters, said.append)(1, "too large")
-    Refusals(ECG, counters, said.append)(1, "too large")
-    assert (counters.unfit, len(said)) == (2, 1)

@@ -11,9 +11,10 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from biosensor_common.quantities import ChannelFormat, ChannelRole, ContentType, MessageType
+from biosensor_common.refusals import Refusals
 from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.devices.registry import declaration, declaration_names
-from lsl_to_ros.accounts.counters import NodeCounters, Refusals
+from lsl_to_ros.accounts.counters import NodeCounters
 from lsl_to_ros.lsl.blocks import Block
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.reports.devices import LOW_BATTERY_PERCENT, device_statuses
@@ -38,9 +39,9 @@ class Lab:
 
     def tell(self, device: str, header: StreamHeader, *sample: float) -> Lab:
         """Add a stream of a device; without a sample if none is given."""
-        counters = NodeCounters()
-        clocks, refuse = Clocks(self._ros.node), Refusals(header, counters, pytest.fail)
-        bridge = Bridge(header, Outputs(), SETTINGS, counters, clocks, refuse)
+        counters = NodeCounters(refusals=Refusals(pytest.fail))
+        clocks = Clocks(self._ros.node)
+        bridge = Bridge(header, Outputs(), SETTINGS, counters, clocks)
         if sample:
             bridge.receive(Block(np.array([sample], np.float32), np.array([100.0])))
         self._bridges.append((device, bridge))

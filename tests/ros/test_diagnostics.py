@@ -14,13 +14,15 @@ from std_msgs.msg import Float32MultiArray
 
 from biosensor_common.naming import TopicName
 from biosensor_common.quantities import MessageType
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.outlets import Outlet
 from lsl_to_ros.accounts import rates, status
-from lsl_to_ros.accounts.counters import NodeCounters, Refusals
+from lsl_to_ros.accounts.counters import NodeCounters
 from lsl_to_ros.accounts.rates import RATE_WINDOW_S
 from lsl_to_ros.lsl.blocks import Block
 from lsl_to_ros.parameters.streams import StreamSettings
@@ -46,16 +48,18 @@ class Stream:
     """One stream, looked at by ``/diagnostics`` once a second."""
 
     def __init__(self, ros: Ros, clock: SetClock, header: StreamHeader = HEADER) -> None:
-        self.counters = NodeCounters()
         self.clocks = Clocks(ros.node)
         self.topic = NAME
         self._clock = clock
-        refuse = Refusals(header, self.counters, pytest.fail)
+        self.counters = NodeCounters(refusals=Refusals(clock=clock))
+        refusals = self.counters.refusals
         raw = RecordedPublisher(Float32MultiArray, NAME.name, readers=2)
         chunk = RecordedPublisher(Float32MultiArray, f"{NAME.name}_chunk")
         kind = MessageType.FLOAT32_MULTI_ARRAY
-        outputs = Outputs(raw=NumberWriter(raw, kind, 3, refuse), chunk=ChunkWriter(chunk, kind, 3))
-        self.bridge = Bridge(header, outputs, SETTINGS, self.counters, self.clocks, refuse)
+        outputs = Outputs(
+            raw=NumberWriter(raw, kind, 3, refusals), chunk=ChunkWriter(chunk, kind, 3)
+        )
+        self.bridge = Bridge(header, outputs, SETTINGS, self.counters, self.clocks)
         self._status = StreamStatus(begun_s=clock.now_s, heard_s=clock.now_s)
 
     def receive(self, *ages: float) -> Stream:
@@ -183,7 +187,7 @@ def test_agents_of_many_computers_may_share_a_name(ros: Ros, clock: SetClock) ->
 
 def test_samples_that_do_not_fit_are_a_warning_for_a_while(irregular: Stream) -> None:
     assert irregular.receive(0.0).look().level == DiagnosticStatus.OK
-    irregular.counters.unfit = 3
+    irregular.counters.refusals.refuse(Refusal.UNFIT, 3, why="it is too large")
     status = irregular.pass_time(1.0).receive(0.0).look()
     assert (status.level, values(status)["unfit"]) == (DiagnosticStatus.WARN, "3")
     irregular.pass_time(RATE_WINDOW_S - 1.0)

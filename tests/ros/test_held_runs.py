@@ -12,8 +12,9 @@ from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float32
 
 from biosensor_common.quantities import MessageType
+from biosensor_common.refusals import Refusals
 from biosensor_gateway.streaming.counters import Counters, counters_text
-from lsl_to_ros.accounts.counters import NodeCounters, Refusals
+from lsl_to_ros.accounts.counters import NodeCounters
 from lsl_to_ros.lsl.blocks import Block
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.topics import bridge as bridge_module
@@ -39,14 +40,14 @@ class Skin:
         header = header_of("zephyr", "st")
         self.clocks = Clocks(ros.node, correction)
         self.raw, self.timed = RecordedPublisher(Float32), RecordedPublisher(Temperature)
-        self.counters = NodeCounters()
         self.warnings: list[str] = []
-        refuse = Refusals(header, self.counters, self.warnings.append)
+        self.counters = NodeCounters(refusals=Refusals(self.warnings.append))
+        refusals = self.counters.refusals
         outputs = Outputs(
-            raw=NumberWriter(self.raw, MessageType.FLOAT32, 1, refuse),
+            raw=NumberWriter(self.raw, MessageType.FLOAT32, 1, refusals),
             timed=[TemperatureWriter(self.timed, header, "zephyr", self.clocks)],
         )
-        self.bridge = Bridge(header, outputs, SETTINGS, self.counters, self.clocks, refuse)
+        self.bridge = Bridge(header, outputs, SETTINGS, self.counters, self.clocks)
 
     def send(self, *stamps: float) -> None:
         """Send a block of samples that have their stamps as values."""
@@ -177,11 +178,10 @@ class Agent:
         header = header_of("gateway", "counters")
         self.clocks = Clocks(ros.node, OFFSET_S)
         self.publisher = RecordedPublisher(DiagnosticArray)
-        self.counters = NodeCounters()
         self.warnings: list[str] = []
-        refuse = Refusals(header, self.counters, self.warnings.append)
+        self.counters = NodeCounters(refusals=Refusals(self.warnings.append))
         outputs = Outputs(timed=[CountersWriter(self.publisher, self.clocks)])
-        self.bridge = Bridge(header, outputs, SETTINGS, self.counters, self.clocks, refuse)
+        self.bridge = Bridge(header, outputs, SETTINGS, self.counters, self.clocks)
 
     def send(self, *texts: str) -> None:
         samples: np.ndarray[Any, Any] = np.array([[text] for text in texts], object)

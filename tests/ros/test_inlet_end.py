@@ -9,6 +9,7 @@ import pylsl
 import pytest
 from pylsl import util
 
+from biosensor_common.refusals import Refusals
 from lsl_to_ros.lsl.blocks import Block
 from lsl_to_ros.lsl.inlets import Inlet, InletState
 from lsl_to_ros.lsl.liblsl import samples_available
@@ -129,7 +130,7 @@ def test_a_stream_that_ends_before_it_is_open_is_lost(warnings: list[str]) -> No
     source = Source()
     found = source.find()
     source.end()
-    inlet = Inlet(found, warnings.append)
+    inlet = Inlet(found, Refusals(warnings.append))
     wait_until(lambda: inlet.state is InletState.LOST, "the end of the attempt")
     assert inlet.header is None
     assert warnings == []
@@ -144,7 +145,7 @@ def test_a_stopped_inlet_has_delivered_what_had_come_and_leaves_no_thread(
     found = {wanted: source.find() for wanted, source in sources.items()}
     python_threads, all_threads = threading.active_count(), thread_count()
     for wants_each_sample, source in sources.items():
-        inlet = Inlet(found[wants_each_sample], warnings.append)
+        inlet = Inlet(found[wants_each_sample], Refusals(warnings.append))
         receiver = Collector(wants_each_sample=wants_each_sample)
         wait_until(lambda inlet=inlet: inlet.state is InletState.READY, "an inlet that is open")
         inlet.deliver_to(receiver)
@@ -170,6 +171,6 @@ def test_an_inlet_that_is_stopped_while_it_opens_leaves_no_thread(warnings: list
     found = source.find()
     all_threads = thread_count()
     for _ in range(5):
-        Inlet(found, warnings.append).stop().join(DEADLINE_S)
+        Inlet(found, Refusals(warnings.append)).stop().join(DEADLINE_S)
     wait_until(lambda: thread_count() <= all_threads, "no thread")
     assert warnings == []

@@ -10,6 +10,7 @@ import pytest
 from biosensor_common.announcements import MAX_RATE_HZ, read_core
 from biosensor_common.errors import SpecError, SpecReason
 from biosensor_common.lsl.predicates import EVERYTHING, of_user
+from biosensor_common.refusals import Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.outlets import Outlet
@@ -130,4 +131,4 @@ def test_an_announcement_that_cannot_be_is_refused(channels: int, rate: float) -
         read_core(announced)
     assert caught.value.reason is SpecReason.INVALID
     with pytest.raises(SpecError, match="odd one"):
-        Inlet(announced, pytest.fail)
+        Inlet(announced, Refusals(pytest.fail))

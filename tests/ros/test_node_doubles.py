@@ -11,7 +11,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import String
 
-from lsl_to_ros.reports.diagnostics import DOUBLED, UNIX_STAMPS
+from biosensor_common.refusal import Refusal
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros, RunningNode, Status
@@ -44,7 +44,7 @@ def test_a_node_that_runs_twice_is_an_error(ros: Ros, start_node: Start) -> None
     ros.until(lambda: is_said(DiagnosticStatus.WARN), "a warning")
     ros.until(lambda: is_said(DiagnosticStatus.ERROR), "an error")
     assert "runs twice" in status_of(ros, "node").message
-    assert status_of(ros, topic).message == DOUBLED
+    assert status_of(ros, topic).message == Refusal.DOUBLED.told()
     ros.until(
         lambda: all(each.count("runs twice") for each in (first, second)), "a line in each log"
     )
@@ -54,17 +54,27 @@ def test_a_node_that_runs_twice_is_an_error(ros: Ros, start_node: Start) -> None
     del outlet
 
 
-def test_two_senders_with_one_source_id_are_an_error(ros: Ros, start_node: Start) -> None:
+def test_two_senders_with_one_source_id_are_both_published_and_said(
+    ros: Ros, start_node: Start
+) -> None:
     outlets = [markers("MyMarkerStream", "myuidw43536") for _ in range(2)]
+    topics = [f"/biosensors/MyMarkerStream/Markers{end}" for end in ("", "_2")]
+    heard = [ros.listen(String, topic) for topic in topics]
     start_node()
+    ros.until(lambda: all(ros.status(topic) for topic in topics), "a topic of each")
 
-    def reasons() -> list[str]:
-        found = [status_of(ros, name) for name in ros.present() if "MyMarkerStream" in name]
-        return [each.message for each in found if each.level == DiagnosticStatus.ERROR]
+    def push() -> bool:
+        for number, outlet in enumerate(outlets):
+            outlet.push_sample([f"sender {number}"])
+        return all(heard)
 
-    ros.until(lambda: bool(reasons()), "an error")
-    assert "another sender has the same source_id" in reasons()[0]
-    del outlets
+    ros.until(push, "the markers of both")
+    # The first that was started has the stream's own name.
+    told = [{message.data for message in each} for each in heard]
+    assert told == [{"sender 0"}, {"sender 1"}]
+    for topic in topics:
+        assert status_of(ros, topic).level == DiagnosticStatus.WARN
+        assert "2 senders have the same source_id" in status_of(ros, topic).message
 
 
 def test_a_sender_with_unix_stamps_is_told_so(ros: Ros, start_node: Start) -> None:
@@ -76,7 +86,7 @@ def test_a_sender_with_unix_stamps_is_told_so(ros: Ros, start_node: Start) -> No
 
     def push() -> bool:
         outlet.push_sample(["go"], time.time())
-        return bool(heard) and status_of(ros, topic).message == UNIX_STAMPS
+        return bool(heard) and status_of(ros, topic).message == Refusal.UNIX_STAMPS.told()
 
     ros.until(push, "events and a warning")
     assert status_of(ros, topic).level == DiagnosticStatus.WARN

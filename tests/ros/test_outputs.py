@@ -18,6 +18,7 @@ from std_msgs.msg import (
 
 from biosensor_common.naming import TopicName
 from biosensor_common.quantities import ChannelFormat, MessageType
+from biosensor_common.refusals import Refusals
 from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
 from biosensor_gateway.devices.registry import declaration, declaration_names
 from lsl_to_ros.accounts.counters import Lost
@@ -44,8 +45,7 @@ def publishers(ros: Ros) -> Iterator[TopicPublishers]:
     publishers.close(lambda _: True)
 
 
-def must_not_refuse(count: int, reason: str) -> None:
-    pytest.fail(f"{count} refused: {reason}")
+MUST_NOT_REFUSE = Refusals(pytest.fail)
 
 
 def context(ros: Ros, header: StreamHeader, base: str) -> StreamContext:
@@ -55,7 +55,7 @@ def context(ros: Ros, header: StreamHeader, base: str) -> StreamContext:
         frame_id=header.identity.sensor,
         stamping=Clocks(ros.node),
         lost=lambda: Lost(0, is_estimated=False),
-        refuse=must_not_refuse,
+        refusals=MUST_NOT_REFUSE,
     )
 
 
@@ -168,7 +168,7 @@ def test_subscribers_get_what_was_written_as_bytes(
 ) -> None:
     publisher = publishers.open(f"bytes/{kind.name.lower()}", CLASSES[kind])
     heard = hear(ros, publisher, CLASSES[kind])
-    writer = NumberWriter(publisher, kind, samples.shape[1], must_not_refuse)
+    writer = NumberWriter(publisher, kind, samples.shape[1], MUST_NOT_REFUSE)
     writer.write(Run(samples, np.arange(1.0, 1.0 + len(samples)), 0))
     ros.until(lambda: len(heard) == len(samples), "every sample")
     data = [list(message.data) if kind.is_array else [message.data] for message in heard]

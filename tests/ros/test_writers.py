@@ -17,6 +17,7 @@ from std_msgs.msg import (
 )
 
 from biosensor_common.quantities import MessageType
+from biosensor_common.refusals import Refusals
 from lsl_to_ros.lsl.blocks import Run
 from lsl_to_ros.topics.messages import CLASSES
 from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter, TextWriter
@@ -34,12 +35,11 @@ def column(values: Sequence[float], dtype: type[Any]) -> NDArray[Any]:
 
 
 def write(kind: MessageType, samples: NDArray[Any], refused: Refused) -> list[Any]:
-    def refuse(count: int, reason: str) -> None:
-        refused.append((count, reason))
-
+    refusals = Refusals()
     publisher = RecordedPublisher(CLASSES[kind])
-    writer = NumberWriter(publisher, kind, samples.shape[1], refuse)
+    writer = NumberWriter(publisher, kind, samples.shape[1], refusals)
     writer.write(run(samples))
+    refused += [(each.count, each.sentence) for each in refusals.all]
     return publisher.values
 
 

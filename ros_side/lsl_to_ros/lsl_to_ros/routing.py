@@ -12,9 +12,11 @@ from rclpy.node import Node
 from biosensor_common import naming
 from biosensor_common.naming import TopicName, resolve_topics
 from biosensor_common.quantities import MessageType
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
 from biosensor_common.stream_header import StreamHeader
 from biosensor_common.topic_text import clock_of, read_counters
-from lsl_to_ros.accounts.counters import NodeCounters, Refusals, can_estimate_losses
+from lsl_to_ros.accounts.counters import NodeCounters, can_estimate_losses
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.accounts.stamping import Stamping
 from lsl_to_ros.accounts.status import StreamStatus
@@ -47,9 +49,9 @@ class Route:
 class _Record:
     """What is remembered of a stream over all its outlets."""
 
+    counters: NodeCounters
     uid: str = ""
     shape: tuple[object, ...] = ()
-    counters: NodeCounters = field(default_factory=NodeCounters)
 
 
 class Routing:
@@ -61,6 +63,11 @@ class Routing:
         First part of every topic, relative.
     names
         By which streams there are in all.
+
+    Attributes
+    ----------
+    refusals
+        What is not published as it came, and has no entry of its own.
     """
 
     def __init__(
@@ -80,6 +87,7 @@ class Routing:
         self._time = ros_time
         self._log = log
         self._warn = log.warn
+        self.refusals = pacer.refusals
         self._routes: dict[str, Route] = {}
         self._records: dict[tuple[str, str], _Record] = {}
         self._counters: dict[str, NodeCounters] = {}
@@ -100,7 +108,8 @@ class Routing:
         # What is gone need not have been here: a dead outlet is reported for a while.
         left = [route for inlet in gone if (route := self._routes.pop(inlet.uid, None))]
         for route in left:
-            self._say_gone(route)
+            name = route.topic.name if route.topic else route.inlet.core.name
+            self._log.inform(f"{name}: its stream is gone")
         for inlet in ready:
             if inlet.header is not None and inlet.is_served:
                 self._routes[inlet.uid] = Route(inlet, inlet.header)
@@ -143,13 +152,6 @@ class Routing:
             if is_here and route.bridge is not None and not route.inlet.is_delivering:
                 route.inlet.deliver_to(route.bridge)
 
-    def _say_gone(self, route: Route) -> None:
-        name = route.topic.name if route.topic else route.inlet.core.name
-        self._log.inform(f"{name}: its stream is gone")
-        undelivered = route.bridge.counters.undelivered if route.bridge else 0
-        if undelivered:
-            self._warn(f"{name}: {undelivered} samples were lost with the connection")
-
     def map_topics(self) -> None:
         """Give every stream its topic; a stream whose topic changes gets a new bridge."""
         claims = self._names.claims
@@ -159,6 +161,7 @@ class Routing:
         for uid, route in self._routes.items():
             topic = topics.get(uid)
             if topic is None:
+                # nothing is dropped: liblsl keeps it until all processes know of it
                 continue
             old, route.topic = route.topic, topic
             if old is None or old.name != topic.name:
@@ -205,37 +208,36 @@ class Routing:
         if counters.received:
             # What is lost before it is back counts as lost now.
             lost = counters.lost(can_estimate=can_estimate_losses(header))
-            route.status.recent(max(lost.count, 0), counters.unfit + counters.unstamped)
+            route.status.recent(max(lost.count, 0), 0)
         self._parameters.declare(header.identity, header.data_name, header.chunk)
         stamping = Stamping(self._time, lambda: inlet.correction)
-        refuse = Refusals(header, counters, self._warn)
         context = StreamContext(
             header=header,
             topic=topic,
             frame_id=topic.frame_id(self._prefix),
             stamping=stamping,
             lost=lambda: counters.lost(can_estimate=can_estimate_losses(header)),
-            refuse=refuse,
+            refusals=counters.refusals,
         )
         used = self._used_publishers()
         try:
             outputs = open_outputs(self._publishers, context, used)
         except TopicTypeError as error:
             route.bridge = None
-            self._warn(f"{error}; LSL stream {inlet.core.name!r} is not published")
+            told = {"why": error, "name": inlet.core.name}
+            self.refusals.refuse(Refusal.NO_TOPIC, about=topic.name, **told)
             return
+        self.refusals.over(Refusal.NO_TOPIC, topic.name)
         route.bridge = Bridge(
             header,
             outputs,
             settings=self._parameters.settings(header.identity, header.data_name, header.chunk),
             counters=counters,
             stamping=stamping,
-            refuse=refuse,
             listen=self._listener(header),
         )
-        # A lab may have many agents, and nobody can give one a label.
         if topic.conflict and header.identity.sensor != naming.AGENT:
-            self._warn(f"{topic.name}: two units share a name; give each a label in its settings")
+            self._warn(f"{topic.name}: {Refusal.TWO_UNITS.told()}")
         if inlet.is_delivering:
             inlet.deliver_to(route.bridge)
         else:
@@ -251,7 +253,6 @@ class Routing:
             settings=StreamSettings(raw=False, chunk=False, chunk_length=1),
             counters=NodeCounters(),
             stamping=Stamping(self._time, lambda: inlet.correction),
-            refuse=lambda count, reason: None,
             listen=self._listener(header),
         )
         inlet.deliver_to(bridge)
@@ -259,14 +260,16 @@ class Routing:
     def _record(self, route: Route) -> _Record:
         inlet, header = route.inlet, route.header
         key = (inlet.source_id or inlet.uid, header.data_name)
-        record = self._records.setdefault(key, _Record())
+        if key not in self._records:
+            about = f"{header.identity.sensor} {header.data_name}"
+            self._records[key] = _Record(NodeCounters(refusals=Refusals(self._warn, about)))
+        record = self._records[key]
         shape = (len(header.labels), header.format, header.rate)
         if record.uid != inlet.uid:
             if record.uid:
                 record.counters.outlet_changed()
             if record.shape not in ((), shape):
-                name = route.topic.name if route.topic else inlet.core.name
-                self._warn(f"{name}: the stream came back as {_shape_text(shape)}")
+                record.counters.refusals.refuse(Refusal.FORMAT_CHANGED, shape=_shape_text(shape))
             record.uid, record.shape = inlet.uid, shape
         if not header.foreign:
             self._counters[inlet.source_id] = record.counters
@@ -281,7 +284,8 @@ class Routing:
         """Hand on the agent's counters; runs in the thread that reads that stream."""
         try:
             told = read_counters(sample[0])
-        except ValueError:
+        except ValueError as error:
+            self.refusals.refuse(Refusal.NO_COUNTS, about="gateway/counters", why=error)
             return
         for source_id, entry in told.items():
             known = self._counters.get(source_id)

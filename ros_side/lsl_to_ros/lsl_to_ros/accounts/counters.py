@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
 from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros.accounts.losses import CountersComparison
 
@@ -60,12 +62,8 @@ class NodeCounters:
         Samples received.
     missing
         Samples that did not come, estimated from the stamps of a regular stream.
-    unfit
-        Samples that do not fit a message type, and were not published there.
-    unstamped
-        Samples that no stamped topic got, because the sender's clock stayed unknown.
-    discarded
-        Samples of partial chunks that ended at a gap. They went out raw.
+    refusals
+        What was not published as it came.
     undelivered
         Samples that LSL dropped with the last connection.
     comparison
@@ -79,13 +77,26 @@ class NodeCounters:
 
     received: int = 0
     missing: int = 0
-    unfit: int = 0
-    unstamped: int = 0
-    discarded: int = 0
+    refusals: Refusals = field(default_factory=Refusals)
     undelivered: int = 0
     comparison: CountersComparison = field(default_factory=CountersComparison)
     delays: Delays = field(default_factory=Delays)
     clock: Mapping[str, float] = field(default_factory=dict[str, float])
+
+    @property
+    def unfit(self) -> int:
+        """Samples that do not fit a message type, and were not published there."""
+        return self.refusals.count(Refusal.UNFIT, Refusal.NO_TIME)
+
+    @property
+    def unstamped(self) -> int:
+        """Samples that no stamped topic got, because the sender's clock stayed unknown."""
+        return self.refusals.count(Refusal.UNSTAMPED)
+
+    @property
+    def discarded(self) -> int:
+        """Samples of partial chunks that ended at a gap; they went out raw."""
+        return self.refusals.count(Refusal.CHUNK_CUT)
 
     def lost(self, *, can_estimate: bool) -> Lost:
         """By the agent's count, else by an estimate, else unknown."""
@@ -100,6 +111,8 @@ class NodeCounters:
         """Take note of what LSL dropped; an outlet that continues reports it itself."""
         self.undelivered = undelivered
         self.missing += undelivered
+        if undelivered:
+            self.refusals.refuse(Refusal.UNDELIVERED, undelivered)
 
     def outlet_changed(self) -> None:
         """Take note that the samples to come are another outlet's."""
@@ -110,29 +123,6 @@ class NodeCounters:
         """Return the delays since the last call."""
         delays, self.delays = self.delays, Delays()
         return delays
-
-
-class Refusals:
-    """Counts samples that do not fit a message, and says it of the first.
-
-    Parameters
-    ----------
-    warn
-        Called with a sentence.
-    """
-
-    def __init__(
-        self, header: StreamHeader, counters: NodeCounters, warn: Callable[[str], None]
-    ) -> None:
-        self._name = f"{header.identity.sensor} {header.data_name}"
-        self._counters = counters
-        self._warn = warn
-
-    def __call__(self, count: int, reason: str) -> None:
-        """Take note of *count* samples."""
-        if not self._counters.unfit:
-            self._warn(f"{self._name}: a sample is not published ({reason})")
-        self._counters.unfit += count
 
 
 def can_estimate_losses(header: StreamHeader) -> bool:

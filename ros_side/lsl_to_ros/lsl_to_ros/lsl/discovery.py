@@ -2,38 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import count
 from time import monotonic
 from typing import NamedTuple
 
 import pylsl
 
-from biosensor_common import open_files
 from biosensor_common.errors import SpecError
-from biosensor_common.lsl.predicates import (
-    EVERYTHING,
-    Predicate,
-    all_of,
-    any_of,
-    equals,
-    none_of,
-    of_user,
-)
 from biosensor_common.naming import NODE
 from biosensor_common.quantities import ContentType
-from lsl_to_ros.lsl.inlets import FROM_ROS, Inlet, InletState
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
+from lsl_to_ros.lsl.descriptions import about
+from lsl_to_ros.lsl.file_room import FileRoom
+from lsl_to_ros.lsl.inlets import Inlet, InletState
+from lsl_to_ros.lsl.namesakes import Namesakes, by_start
 from lsl_to_ros.lsl.rivals import Rivals, Swap
+from lsl_to_ros.lsl.searching import FORGET_AFTER_S, asks_for_ros, resolver, wanted_by
 from lsl_to_ros.lsl.share import ALL, Share
 
 # An outlet that has just died is still reported by the resolver for a while.
 RETRY_S = 0.5
 RETRY_FAILED_S = 5.0
-FORGET_AFTER_S = 5.0
 # An outlet that is reported for longer after another took its place is alive.
 ALIVE_AFTER_S = FORGET_AFTER_S + 2.0
 STOP_TIMEOUT_S = 1.0
-_ROS_BLOCK = "desc/ros"
+# So long an outlet waits until it is known whose another one is that claims to be the same.
+SETTLED_S = 2.0
 
 
 class Changes(NamedTuple):
@@ -55,25 +51,35 @@ class Discovery:
     by itself, with its backlog. Where it does not within some seconds after the
     resolver sees the stream again, a second inlet is opened, and the first that
     brings something stays (:class:`~lsl_to_ros.lsl.rivals.Rivals`).
+
+    Several live senders of other programs that claim to be one stream all get an inlet, and
+    their streams are numbered. Of ours the later one is taken: a device is in one place.
+
+    Attributes
+    ----------
+    refusals
+        What is left out, or not what it seems.
     """
 
     def __init__(
         self, warn: Callable[[str], None], predicate: str = "", share: Share = ALL
     ) -> None:
-        self._warn = warn
-        self._predicate = _wanted(predicate)
+        self.refusals = Refusals(warn)
+        self._predicate = wanted_by(predicate)
         self._share = share
-        self._resolver = _resolver(self._predicate)
+        self._resolver = resolver(self._predicate)
         self._inlets: dict[str, Inlet] = {}
         self._announced: set[str] = set()
         self._order: dict[str, int] = {}
         self._numbers = count()
         self._not_before: dict[str, float] = {}
         self._left_out: dict[str, float] = {}
-        self._refused: set[str] = set()
+        self._seen_s: dict[str, float] = {}
+        self._refused: dict[str, str] = {}
+        self._namesakes = Namesakes()
         self._twins: dict[str, pylsl.StreamInfo] = {}
-        self._crowded_out: dict[str, str] = {}
-        self._rivals = Rivals(warn)
+        self._room = FileRoom(self.refusals)
+        self._rivals = Rivals(warn, self.refusals)
 
     @property
     def inlets(self) -> list[Inlet]:
@@ -88,12 +94,17 @@ class Discovery:
     @property
     def crowded_out(self) -> Collection[str]:
         """Names of the present streams for which this process may open no more files."""
-        return self._crowded_out.values()
+        return self._room.crowded_out
 
     def twins(self, inlet: Inlet) -> list[str]:
         """Return the computers of live senders that are left out because they claim to be this."""
         found = [info for info in self._twins.values() if inlet.continues_as(info)]
         return sorted(info.hostname() for info in found)
+
+    def senders(self, inlet: Inlet) -> list[str]:
+        """Return the computers of all senders that are served and claim to be one stream."""
+        others = [other for other in self.inlets if other.continues_as(inlet.info)]
+        return sorted(other.info.hostname() for other in others) if len(others) > 1 else []
 
     def set_predicate(self, predicate: str) -> None:
         """Serve other streams from now on.
@@ -108,25 +119,26 @@ class Discovery:
         SpecError
             ``INVALID``, if a bracket or a quote in it has no partner.
         """
-        wanted = _wanted(predicate)
+        wanted = wanted_by(predicate)
         if wanted != self._predicate:
             self._predicate = wanted
-            self._resolver = _resolver(wanted)
+            self._resolver = resolver(wanted)
 
     def update(self) -> Changes:
         """Open inlets for new streams; return those that became ready or ended."""
         gone = self._ended()
-        found = {info.uid(): info for info in self._resolver.results() if self._is_for_us(info)}
+        results = sorted(filter(self._is_for_us, self._resolver.results()), key=by_start)
+        found = {info.uid(): info for info in results}
         swaps = self._swaps(gone, found)
         gone += [swap.old for swap in swaps if swap.old not in gone]
         for uid, info in found.items():
             self._order.setdefault(uid, next(self._numbers))
-            if self._is_new(uid) and not self._is_superseded(info):
-                gone += self._open(info)
+            if self._is_new(uid):
+                gone += self._admit(info, found)
         self._close(gone)
         self._inlets.update((swap.new.uid, swap.new) for swap in swaps)
         self._forget_all_but(found)
-        self._warn_of_duplicates(found)
+        self._tell_of_twins(found)
         ready = [
             inlet
             for inlet in self.inlets
@@ -153,7 +165,7 @@ class Discovery:
             if wait is not None:
                 self._not_before[inlet.uid] = monotonic() + wait
             if inlet.state is InletState.REFUSED:
-                self._refused.add(inlet.uid)
+                self._refused[inlet.uid] = inlet.about
                 ended.append(inlet)
             elif wait is not None or self._is_served_otherwise(inlet):
                 ended.append(inlet)
@@ -172,45 +184,56 @@ class Discovery:
 
     def _is_to_be_served(self, inlet: Inlet) -> bool:
         is_wanted = inlet.matches(self._predicate) and self._share.has(inlet.info)
-        return is_wanted and (not inlet.is_from_ros or _asks_for_ros(self._predicate))
+        return is_wanted and (not inlet.is_from_ros or asks_for_ros(self._predicate))
 
     def _is_for_us(self, info: pylsl.StreamInfo) -> bool:
         if _is_of_a_node(info):
             return False
         return self._share.has(info) or info.type() == ContentType.COUNTERS
 
-    def _open(self, info: pylsl.StreamInfo) -> list[Inlet]:
-        """Open an inlet; return those that it replaces."""
+    def _admit(self, info: pylsl.StreamInfo, found: Collection[str]) -> list[Inlet]:
+        """Open an inlet if it is time; return those that it replaces."""
+        before = [other for other in self.inlets if other.continues_as(info)]
+        waited_s = monotonic() - self._seen_s.setdefault(info.uid(), monotonic())
+        is_opening = any(other.state is InletState.OPENING for other in before)
+        if is_opening and waited_s < SETTLED_S:
+            # nothing is dropped: it is known soon whose stream it is
+            return []
+        live = [other for other in before if _is_of_another(other) and other.uid in found]
+        if self._is_superseded(info) and (len(live) < len(before) or not self._is_alive(info)):
+            # nothing is dropped: it has ended, or `_tell_of_twins` reports it
+            return []
+        return self._open(info, live, [other for other in before if other not in live])
+
+    def _is_alive(self, info: pylsl.StreamInfo) -> bool:
+        """Whether an outlet that another one seemed to follow is still reported."""
+        return monotonic() - self._left_out[info.uid()] > ALIVE_AFTER_S
+
+    def _open(
+        self, info: pylsl.StreamInfo, beside: Sequence[Inlet], replaced: list[Inlet]
+    ) -> list[Inlet]:
         if not self._has_room(info):
+            # nothing is dropped: `_has_room` reports it
             return []
+        number = self._namesakes.number(info, {other.uid for other in beside})
         try:
-            inlet = Inlet(info, self._warn)
+            inlet = Inlet(info, self.refusals, number)
         except SpecError as error:
-            self._warn(f"an LSL stream is ignored: {error}")
-            self._refused.add(info.uid())
+            self._refused[info.uid()] = about(info)
+            self.refusals.refuse(Refusal.UNUSABLE, about=about(info), why=error)
             return []
-        replaced = [other for other in self.inlets if other.continues_as(info)]
         self._inlets[inlet.uid] = inlet
         self._left_out.pop(inlet.uid, None)
         return replaced
 
     def _has_room(self, info: pylsl.StreamInfo) -> bool:
         """Whether an inlet fits beside those that are there and those that are being opened."""
-        uid = info.uid()
         opening = sum(each.state is InletState.OPENING for each in self.inlets)
-        has_room = open_files.has_room((1 + opening) * open_files.INLET)
-        if has_room:
-            self._crowded_out.pop(uid, None)
-            return True
-        if opening:
-            # They have some of their files already, and there may be room when they have all.
-            self._not_before[uid] = monotonic() + RETRY_S
-            return False
-        self._not_before[uid] = monotonic() + RETRY_FAILED_S
-        if uid not in self._crowded_out:
-            self._crowded_out[uid] = info.name()
-            self._warn(str(open_files.exhausted(f"the stream {info.name()} is left out")))
-        return False
+        has_room = self._room.has_room(info, opening)
+        if not has_room:
+            # Those that open have some files already; there may be room when they have all.
+            self._not_before[info.uid()] = monotonic() + (RETRY_S if opening else RETRY_FAILED_S)
+        return has_room
 
     def _is_new(self, uid: str) -> bool:
         if uid in self._inlets or uid in self._refused:
@@ -230,15 +253,13 @@ class Discovery:
         self._left_out.setdefault(uid, monotonic())
         return True
 
-    def _warn_of_duplicates(self, found: Mapping[str, pylsl.StreamInfo]) -> None:
-        """Say that a live outlet is left out because a later one claims to be the same stream."""
+    def _tell_of_twins(self, found: Mapping[str, pylsl.StreamInfo]) -> None:
+        """Report live outlets that are left out because a later one claims to be that stream."""
         for uid, since in self._left_out.items():
             if monotonic() - since > ALIVE_AFTER_S and uid not in self._twins:
                 self._twins[uid] = found[uid]
-                name, host = found[uid].name(), found[uid].hostname()
-                self._warn(
-                    f"two LSL streams {name!r} share a source_id; that on {host} is left out"
-                )
+                host = found[uid].hostname()
+                self.refusals.refuse(Refusal.SAME_SOURCE, about=about(found[uid]), hosts=host)
 
     def _close(self, gone: list[Inlet]) -> None:
         for inlet in gone:
@@ -249,12 +270,14 @@ class Discovery:
 
     def _forget_all_but(self, found: Mapping[str, pylsl.StreamInfo]) -> None:
         known = found.keys() | self._inlets.keys()
-        for record in (self._not_before, self._left_out, self._order, self._crowded_out):
+        for record in (self._not_before, self._left_out, self._order, self._seen_s):
             for uid in record.keys() - known:
                 del record[uid]
+        self._room.forget_all_but(known)
         for uid in self._twins.keys() - (found.keys() & self._left_out.keys()):
-            del self._twins[uid]
-        self._refused.intersection_update(found)
+            self.refusals.over(Refusal.SAME_SOURCE, about(self._twins.pop(uid)))
+        for uid in self._refused.keys() - found.keys():
+            self.refusals.over(Refusal.UNUSABLE, self._refused.pop(uid))
 
 
 def _is_of_a_node(info: pylsl.StreamInfo) -> bool:
@@ -265,16 +288,7 @@ def _is_of_a_node(info: pylsl.StreamInfo) -> bool:
     return name.startswith(f"{NODE}-") and info.source_id().endswith(name)
 
 
-def _wanted(query: str) -> Predicate:
-    return of_user(query) if query else EVERYTHING
-
-
-def _asks_for_ros(predicate: Predicate) -> bool:
-    return _ROS_BLOCK in predicate
-
-
-def _resolver(predicate: Predicate) -> pylsl.ContinuousResolver:
-    """Look for what a predicate names, and for the counts of losses of all agents."""
-    served = predicate if _asks_for_ros(predicate) else all_of(predicate, none_of(FROM_ROS))
-    counters = equals("type", ContentType.COUNTERS)
-    return pylsl.ContinuousResolver(pred=any_of(served, counters), forget_after=FORGET_AFTER_S)
+def _is_of_another(inlet: Inlet) -> bool:
+    """Whether a stream that is served is another program's, and not lost."""
+    is_foreign = inlet.header is None or inlet.header.foreign
+    return inlet.state is InletState.READY and is_foreign

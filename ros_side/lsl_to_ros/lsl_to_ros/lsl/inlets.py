@@ -11,15 +11,16 @@ import pylsl
 from pylsl import util
 
 from biosensor_common.announcements import read_core
-from biosensor_common.errors import SpecError
 from biosensor_common.lsl.inlets import read_description, unopened_inlet
 from biosensor_common.lsl.predicates import Predicate, all_of, has, none_of
-from biosensor_common.lsl_header import read_header
 from biosensor_common.quantities import ChannelFormat
-from biosensor_common.stream_header import StreamHeader, foreign_header
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
+from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros.lsl.buffering import buffer_length
 from lsl_to_ros.lsl.corrections import Corrections
 from lsl_to_ros.lsl.delivery import Delivery, Receiver
+from lsl_to_ros.lsl.descriptions import about, header_of, numbered
 from lsl_to_ros.lsl.liblsl import matches_query
 from lsl_to_ros.lsl.reading import Reading
 
@@ -56,9 +57,10 @@ class Inlet:
     ----------
     info
         As a resolver gave it, without description.
-    warn
-        Called with a sentence when the stream's description is unusable, and when
-        reading it failed.
+    refusals
+        Is told when the stream or its description is unusable, and when reading it failed.
+    number
+        Of those that claim to be this stream, see :class:`~lsl_to_ros.lsl.namesakes.Namesakes`.
 
     Raises
     ------
@@ -77,7 +79,8 @@ class Inlet:
         Whether ``ros_to_lsl`` makes it of a topic.
     """
 
-    def __init__(self, info: pylsl.StreamInfo, warn: Callable[[str], None]) -> None:
+    def __init__(self, info: pylsl.StreamInfo, refusals: Refusals, number: int = 1) -> None:
+        self.number = number
         self.uid = info.uid()
         self.info = info
         self.state = InletState.OPENING
@@ -88,7 +91,7 @@ class Inlet:
         self._corrections = Corrections()
         self._delivery = Delivery()
         self._full_info: pylsl.StreamInfo | None = None
-        self._warn = warn
+        self._refusals = refusals
         self._is_stopped = threading.Event()
         # Held by whoever reads, so that samples stay in order.
         self._pulling = threading.Lock()
@@ -99,6 +102,11 @@ class Inlet:
     def source_id(self) -> str:
         """The outlet's, possibly empty."""
         return self.core.source_id
+
+    @property
+    def about(self) -> str:
+        """What people know it by."""
+        return about(self.info)
 
     @property
     def is_ready(self) -> bool:
@@ -227,7 +235,7 @@ class Inlet:
         try:
             lsl = unopened_inlet(self.info, length, as_numpy=True)
         except RuntimeError as error:
-            self._warn(f"{self.core}: it is ignored, for LSL cannot open it ({error})")
+            self._refusals.refuse(Refusal.UNUSABLE, about=self.about, why=f"LSL says: {error}")
             self.state = InletState.REFUSED
             return
         if not self._is_stopped.is_set():
@@ -240,17 +248,9 @@ class Inlet:
         lsl.open_stream(OPEN_TIMEOUT_S)
         self._full_info = read_description(lsl, self.uid, OPEN_TIMEOUT_S)
         self.is_from_ros = matches_query(self._full_info, FROM_ROS)
-        self.header = self._read_header(self._full_info)
+        header = header_of(self._full_info, self.core, self._refusals)
+        self.header = numbered(header, self.number)
         self.state = InletState.READY
-
-    def _read_header(self, info: pylsl.StreamInfo) -> StreamHeader:
-        try:
-            return read_header(info.as_xml())
-        except SpecError as error:
-            # What cannot be parsed does not say whose it is.
-            said = str(error).removeprefix(f"{self.core}: ")
-            self._warn(f"{self.core}: {said}; it is published as an unknown one")
-            return foreign_header(self.core)
 
     def _guarded(self, work: Callable[[Reading], None]) -> None:
         """Do something with liblsl's inlet; the state says how it ended."""
@@ -270,7 +270,7 @@ class Inlet:
             count.start()
         except Exception as error:  # noqa: BLE001 - else the stream would end unsaid
             if not self._is_stopped.is_set():
-                self._warn(f"{self.core}: reading it failed, it is opened anew ({error!r})")
+                self._refusals.refuse(Refusal.READ_FAILED, about=self.about, why=repr(error))
             self._delivery.end(reading.lsl.flush())
             self.state = InletState.FAILED
 

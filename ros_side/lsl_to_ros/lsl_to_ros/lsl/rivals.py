@@ -16,6 +16,7 @@ from typing import NamedTuple
 import pylsl
 
 from biosensor_common.errors import SpecError
+from biosensor_common.refusals import Refusals
 from lsl_to_ros.lsl.inlets import Inlet, InletState
 
 # After a cut, TCP sends again after 6.3 s or 12.7 s, with all that it kept; the tries
@@ -58,11 +59,13 @@ class Rivals:
     Parameters
     ----------
     warn
-        Called with a sentence when one is opened, and as an inlet does.
+        Called with a sentence when one is opened.
+    refusals
+        For the inlets.
     """
 
-    def __init__(self, warn: Callable[[str], None]) -> None:
-        self._warn = warn
+    def __init__(self, warn: Callable[[str], None], refusals: Refusals) -> None:
+        self._warn, self._refusals = warn, refusals
         self._unseen: set[str] = set()
         self._seen_again: dict[str, float] = {}
         self._rivals: dict[str, _Rival] = {}
@@ -80,7 +83,7 @@ class Rivals:
         self._note_seen(inlets, found)
         for inlet in self._stranded(inlets):
             if inlet.uid not in self._rivals:
-                self._open(found[inlet.uid])
+                self._open(found[inlet.uid], inlet.number)
         return [swap for uid in list(self._rivals) if (swap := self._settle(inlets[uid]))]
 
     def successor(self, ended: Inlet) -> Inlet | None:
@@ -131,11 +134,11 @@ class Rivals:
         hosts = {inlet.core.hostname for inlet in silent if inlet.core.rate > 0 < inlet.heard_s}
         return [inlet for inlet in silent if inlet.core.hostname in hosts]
 
-    def _open(self, info: pylsl.StreamInfo) -> None:
+    def _open(self, info: pylsl.StreamInfo, number: int) -> None:
         try:
-            inlet = Inlet(info, self._warn)
+            inlet = Inlet(info, self._refusals, number)
         except SpecError:
-            # It was fit to be used before, and the first inlet is still there.
+            # nothing is dropped: it was fit to be used before, and the first inlet is still there
             return
         self._rivals[inlet.uid] = _Rival(inlet)
         self._warn(

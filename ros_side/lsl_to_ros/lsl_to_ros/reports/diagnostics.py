@@ -2,15 +2,14 @@
 
 Levels of a stream:
 
-* ERROR: its name is not its own, because two units or two streams claim it; another sender with
-  the same source_id is left out; another node has published it, too, for longer than a node that
-  was killed stays known.
+* ERROR: what :class:`biosensor_common.refusal.Refusal` says is one: its name is not its own,
+  because two units or two streams claim it; another sender with the same source_id is left out;
+  another node has published it, too, for longer than a node that was killed stays known.
 * STALE: a regular stream, without a sample for 5 s; any stream of a computer with an
   agent, from which nothing at all has come for 1.5 s.
-* WARN: in the last 10 s samples were lost or did not fit their message, or the
-  measured rate is more than 10 % off; the sender's clock is not known, or its
-  stamps are not LSL times; another node publishes it, too; a topic goes out faster
-  than subscribers take it.
+* WARN: what else was left out, doubled, renamed or guessed, if it lasts or was in the last 10 s;
+  in the last 10 s samples were lost, or the measured rate is more than 10 % off; a topic goes
+  out faster than subscribers take it.
 * OK: none of these.
 """
 
@@ -23,6 +22,8 @@ from time import monotonic
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from biosensor_common.naming import AGENT, TopicName
+from biosensor_common.refusal import Level, Refusal
+from biosensor_common.refusals import Refusals, Refused
 from lsl_to_ros.accounts.counters import Delays, NodeCounters, can_estimate_losses
 from lsl_to_ros.accounts.rates import RATE_WINDOW_S
 from lsl_to_ros.accounts.status import StreamStatus
@@ -37,12 +38,6 @@ CLOCK_TOLERANCE_S = 30.0
 # A clock that is unknown for longer cannot be asked: UDP does not get through.
 CLOCK_PATIENCE_S = 10.0
 
-UNIX_STAMPS = (
-    "its stamps are Unix times, not times of the LSL clock: _stamped has them as they are, and no"
-    " recording aligns them; push samples without a stamp, or with local_clock()"
-)
-DOUBLED = "another node publishes this topic, too: each sample comes twice"
-MAY_BE_DOUBLED = "another node publishes this topic, too, or was killed less than half a minute ago"
 # For so long DDS keeps the publishers of a node that was killed.
 LEASE_S = 25.0
 
@@ -64,8 +59,10 @@ class StreamFacts:
         offset is None if it is not measured yet.
     delays
         Of the samples since the last report, from their stamps to their receipt.
-    lost_lately, unfit_lately
+    lost_lately
         In the last 10 s.
+    refused
+        What was not published as it came, and shows now.
     silent_s
         Since a report first saw the newest sample.
     attached_s
@@ -83,6 +80,8 @@ class StreamFacts:
         What is wrong with the computer that sends it; empty if nothing is.
     twins
         Computers of other senders with the same source_id, which are left out.
+    senders
+        Computers of all senders with the same source_id, which have a topic each.
     doubled_s
         For how many seconds somebody else has published its first topic, too; 0 if nobody does.
     best_effort
@@ -97,7 +96,7 @@ class StreamFacts:
     spread_s: float
     delays: Delays
     lost_lately: int
-    unfit_lately: int
+    refused: Sequence[Refused]
     silent_s: float
     attached_s: float
     not_taken_lately: int
@@ -107,6 +106,7 @@ class StreamFacts:
     trouble: str = ""
     best_effort: Sequence[str] = ()
     twins: Sequence[str] = ()
+    senders: Sequence[str] = ()
     doubled_s: float = 0.0
 
 
@@ -124,9 +124,7 @@ def stream_facts(
     lost = counters.lost(can_estimate=can_estimate_losses(bridge.header))
     first = bridge.outputs.of_samples[0].publisher
     not_taken_lately = status.outflow.look(first.lane.sent, first.lane.not_taken)
-    lost_lately, unfit_lately = status.recent(
-        max(lost.count, 0), counters.unfit + counters.unstamped
-    )
+    lost_lately, _ = status.recent(max(lost.count, 0), 0)
     return StreamFacts(
         topic=topic,
         bridge=bridge,
@@ -136,7 +134,7 @@ def stream_facts(
         spread_s=spread_s,
         delays=counters.take_delays(),
         lost_lately=lost_lately,
-        unfit_lately=unfit_lately,
+        refused=counters.refusals.present,
         silent_s=status.silence(counters.received),
         attached_s=monotonic() - status.begun_s,
         not_taken_lately=not_taken_lately,
@@ -173,6 +171,7 @@ def stream_status(facts: StreamFacts) -> DiagnosticStatus:
         "unfit": str(counters.unfit),
         "unstamped": str(counters.unstamped),
         "chunk_discarded": str(counters.discarded),
+        "refusals": words_of(counters.refusals),
         "published": str(raw.lane.sent),
         "waiting": str(bridge.waiting),
         "queue_age_s": f"{facts.waited_s:.3f}",
@@ -208,55 +207,64 @@ def status(
     )
 
 
+def words_of(refusals: Refusals) -> str:
+    """Return what was not passed on as it came since the start, by its words."""
+    return ", ".join(f"{each.what.word} {each.count}" for each in refusals.all)
+
+
 def judge(facts: StreamFacts) -> tuple[bytes, str]:
     """Return level and reason; the module's text has the thresholds."""
     bridge = facts.bridge
-    is_regular = bridge.header.rate > 0
-    for is_so, reason in _errors(facts):
-        if is_so:
-            return DiagnosticStatus.ERROR, reason
+    refused = sorted(_refused(facts), key=lambda each: -each[0])
+    errors = [sentence for level, sentence in refused if level is Level.ERROR]
+    if errors:
+        return DiagnosticStatus.ERROR, errors[0]
     if facts.trouble:
         return DiagnosticStatus.STALE, facts.trouble
     # Not by the samples' age: their stamps may be old, or of another clock, and keep coming.
     is_silent = facts.silent_s > STALE_AFTER_S or not bridge.last_stamp
-    if is_regular and is_silent:
+    if bridge.header.rate > 0 and is_silent:
         return DiagnosticStatus.STALE, "no samples"
-    for is_so, reason in _warnings(facts):
-        if is_so:
-            return DiagnosticStatus.WARN, reason
+    others = [reason for is_so, reason in _warnings(facts) if is_so]
+    # One of what can be measured, which often has one cause; all that was left out or guessed.
+    warnings = [*(sentence for _, sentence in refused), *others[:1]]
+    if warnings:
+        return DiagnosticStatus.WARN, "; ".join(warnings)
     return DiagnosticStatus.OK, "streaming" if bridge.last_stamp else "no sample yet"
 
 
-def _errors(facts: StreamFacts) -> list[tuple[bool, str]]:
-    is_agent = facts.bridge.header.identity.sensor == AGENT
-    units = "two units of one sensor: give each a label in its settings"
-    return [
-        (facts.topic.conflict and not is_agent, units),
-        (facts.topic.duplicate, "two streams claim to be this one"),
-        (bool(facts.twins), left_out_twins(facts.twins)),
-        (facts.doubled_s > LEASE_S, DOUBLED),
+def _refused(facts: StreamFacts) -> list[tuple[Level, str]]:
+    """Return what is left out, doubled or guessed of a stream, as far as it is known."""
+    bridge = facts.bridge
+    is_agent = bridge.header.identity.sensor == AGENT
+    is_foreign_clock = _has_foreign_clock(facts) and not bridge.has_unix_stamps
+    is_unknown = facts.correction_s is None and facts.attached_s > CLOCK_PATIENCE_S
+    twins, senders = ", ".join(facts.twins), ", ".join(dict.fromkeys(facts.senders))
+    hosts = {Refusal.SAME_SOURCE: twins, Refusal.SECOND_SENDER: senders}
+    found = {
+        Refusal.TWO_UNITS: facts.topic.conflict and not is_agent,
+        Refusal.TWO_STREAMS: facts.topic.duplicate,
+        Refusal.SAME_SOURCE: bool(facts.twins),
+        Refusal.DOUBLED: facts.doubled_s > LEASE_S,
+        Refusal.MAYBE_DOUBLED: 0 < facts.doubled_s <= LEASE_S,
+        Refusal.SECOND_SENDER: len(facts.senders) > 1,
+        Refusal.UNIX_STAMPS: bridge.has_unix_stamps,
+        Refusal.FOREIGN_STAMPS: is_foreign_clock,
+        Refusal.UNKNOWN_CLOCK: is_unknown,
+    }
+    told = [
+        (what.level, what.told(hosts=hosts.get(what, ""), senders=len(facts.senders)))
+        for what, is_so in found.items()
+        if is_so
     ]
-
-
-def left_out_twins(hosts: Sequence[str]) -> str:
-    """Say that other senders are not published, because they claim to be a stream."""
-    return (
-        f"another sender has the same source_id, name and type; that on {', '.join(hosts)} is not"
-        " published: give each sender a source_id of its own"
-    )
+    return [*told, *((each.what.level, each.sentence) for each in facts.refused)]
 
 
 def _warnings(facts: StreamFacts) -> list[tuple[bool, str]]:
     nominal = facts.bridge.header.rate
     is_measured = nominal > 0 and facts.rate > 0 and facts.attached_s > RATE_WINDOW_S
     is_off = is_measured and abs(facts.rate / nominal - 1) > RATE_TOLERANCE
-    is_unknown = facts.correction_s is None and facts.attached_s > CLOCK_PATIENCE_S
     return [
-        (facts.doubled_s > 0, MAY_BE_DOUBLED),
-        (facts.bridge.has_unix_stamps, UNIX_STAMPS),
-        (facts.unfit_lately > 0, "samples do not fit the message type"),
-        (_has_foreign_clock(facts), "its stamps are not times of the LSL clock"),
-        (is_unknown, "the sender's clock cannot be asked: is UDP blocked? stamped topics wait"),
         (facts.lost_lately > 0, f"{facts.lost_lately} samples lost in the last 10 s"),
         (facts.not_taken_lately > 0, not_taken(facts.not_taken_lately)),
         (facts.is_fast, too_fast(facts.published_hz, _slower(facts.bridge), facts.best_effort)),

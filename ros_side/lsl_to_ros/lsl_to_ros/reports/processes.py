@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import pylsl
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -12,8 +11,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from lsl_to_ros.lsl.share import Share
 from lsl_to_ros.reports.diagnostics import status
 from lsl_to_ros.reports.overload import crowded_out, overload
-from lsl_to_ros.reports.survey import Part
+from lsl_to_ros.reports.survey import Concern, Part
 
+_MOST_NAMED = 5
 COMPUTER_BUSY = "computer_busy"
 """Whether other programs keep data waiting in the node, ``true`` or ``false``."""
 
@@ -57,13 +57,6 @@ class ProcessFacts:
         return [_stale(each, self.trouble) for each in statuses] if self.is_gone else statuses
 
 
-class Concern(NamedTuple):
-    """Something about the node as a whole that is not as it should be."""
-
-    level: bytes
-    text: str
-
-
 def node_status(
     processes: Sequence[ProcessFacts], values: Mapping[str, str], concerns: Sequence[Concern]
 ) -> DiagnosticStatus:
@@ -91,8 +84,9 @@ def node_status(
         "processes": str(len(processes)),
     }
     judged = [_judge(each) for each in processes]
-    level = max(level for level, _ in (*judged, *concerns))
-    reasons = [reason for _, reason in (*judged, *concerns) if reason]
+    level = max([level for level, _ in judged] + [bytes([each.level]) for each in concerns])
+    told = [*(reason for _, reason in judged), *(each.text for each in concerns)]
+    reasons = [reason for reason in told if reason]
     return status("node", level, "; ".join(reasons) or f"{streams} streams", facts)
 
 
@@ -118,8 +112,12 @@ def _judge(facts: ProcessFacts) -> tuple[bytes, str]:
     load = facts.part.load if facts.part else None
     too_much = overload(load, facts.share) if load else ""
     left_out = crowded_out(facts.part.crowded_out) if facts.part else ""
-    reason = "; ".join(each for each in (too_much, left_out, facts.trouble) if each)
-    return (DiagnosticStatus.WARN if reason else DiagnosticStatus.OK), reason
+    reasons = [each for each in (too_much, left_out, facts.trouble) if each]
+    concerns = facts.part.concerns if facts.part else ()
+    level = max([int(bool(reasons)), *(each.level for each in concerns)])
+    named = [each.text for each in concerns[:_MOST_NAMED]]
+    more = [f"and {len(concerns) - len(named)} more"] * (len(concerns) > len(named))
+    return bytes([level]), "; ".join([*reasons, *named, *more])
 
 
 def _stale(entry: DiagnosticStatus, trouble: str) -> DiagnosticStatus:

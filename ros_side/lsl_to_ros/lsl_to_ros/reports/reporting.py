@@ -9,6 +9,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 from std_msgs.msg import Header
 
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.reports.diagnostics import LEASE_S
 from lsl_to_ros.reports.merging import merged
@@ -18,19 +20,6 @@ from lsl_to_ros.topics.publishers import make_publisher
 
 TOPIC = "~/streams"
 USE_SIM_TIME = "use_sim_time"
-_NO_STAMPS = "biosensor_msgs is not installed: there are no _stamped topics; build it with colcon"
-_TWICE = (
-    "this node runs twice, under one name: each sample is published twice; end one of them, or give"
-    " one another topic_prefix and name"
-)
-_MAY_BE_TWICE = (
-    "another node of this name is known to DDS: it runs, too, or was killed less than half a minute"
-    " ago"
-)
-_SIMULATED = (
-    "use_sim_time is on: _stamped topics have the simulated time at which samples came, which is 0"
-    " without /clock, and not when they were measured; leave it off for this node"
-)
 
 
 class Reporting:
@@ -43,8 +32,8 @@ class Reporting:
         self._streams = make_publisher(node, TOPIC, DiagnosticArray, latched=True)
         self._listed: list[DiagnosticStatus] | None = None
         self.list_streams([])
-        self._node, self._warn = node, warn
-        self._said: set[str] = set()
+        self._node = node
+        self._refusals = Refusals(warn)
         self._doubled_s = monotonic()
         self._concerns()
 
@@ -70,24 +59,21 @@ class Reporting:
         self._diagnostics.publish(DiagnosticArray(header=self._header(), status=statuses))
 
     def _concerns(self) -> list[Concern]:
-        """Look at what concerns the whole node; say what is new in the log."""
+        """Look at what concerns the whole node."""
         now_s = monotonic()
         if self._node.count_publishers(self._streams.topic_name) < 2:
             self._doubled_s = now_s
         twice_s = now_s - self._doubled_s
         is_simulated = self._node.get_parameter_or(USE_SIM_TIME).value is True
-        found = [
-            Concern(DiagnosticStatus.WARN, _NO_STAMPS) if not HAS_STAMPED_TOPICS else None,
-            Concern(DiagnosticStatus.WARN, _SIMULATED) if is_simulated else None,
-            Concern(DiagnosticStatus.ERROR, _TWICE) if twice_s > LEASE_S else None,
-            Concern(DiagnosticStatus.WARN, _MAY_BE_TWICE) if 0 < twice_s <= LEASE_S else None,
-        ]
-        concerns = [each for each in found if each is not None]
-        for _, text in concerns:
-            if text not in self._said and text != _MAY_BE_TWICE:
-                self._warn(text)
-        self._said = {text for _, text in concerns}
-        return concerns
+        found = {
+            Refusal.NO_STAMPED_TOPICS: not HAS_STAMPED_TOPICS,
+            Refusal.SIMULATED_TIME: is_simulated,
+            Refusal.NODE_TWICE: twice_s > LEASE_S,
+            Refusal.NODE_MAYBE_TWICE: 0 < twice_s <= LEASE_S,
+        }
+        for what, is_so in found.items():
+            self._refusals.hold(what, is_so)
+        return [Concern(each.what.level, each.sentence) for each in self._refusals.present]
 
     def _header(self) -> Header:
         return Header(stamp=self._clock.now().to_msg())

@@ -5,20 +5,29 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from time import monotonic
+from typing import NamedTuple
 
 import pylsl
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 from rclpy.qos import ReliabilityPolicy
 
+from biosensor_common.refusal import Refusal
 from lsl_to_ros.accounts.load import Load, LoadFacts
 from lsl_to_ros.lsl.discovery import Discovery
 from lsl_to_ros.lsl.hosts import Senders
 from lsl_to_ros.lsl.share import Share
 from lsl_to_ros.reports.devices import device_statuses
-from lsl_to_ros.reports.diagnostics import DOUBLED, LEASE_S, stream_facts, stream_status
+from lsl_to_ros.reports.diagnostics import LEASE_S, stream_facts, stream_status
 from lsl_to_ros.reports.overload import overload
 from lsl_to_ros.routing import Route, Routing
+
+
+class Concern(NamedTuple):
+    """Something that is not as it should be; its level is that of ``/diagnostics``."""
+
+    level: int
+    text: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +40,8 @@ class Part:
         How many it has, and how many it cannot use.
     crowded_out
         Names of streams for which it may open no more files.
+    concerns
+        What was left out or guessed and has no entry of its own.
     statuses, devices
         Of its streams, and of their devices as far as these streams tell.
     """
@@ -39,6 +50,7 @@ class Part:
     streams: int
     refused: int
     crowded_out: Sequence[str]
+    concerns: Sequence[Concern]
     statuses: Sequence[DiagnosticStatus]
     devices: Sequence[DiagnosticStatus]
 
@@ -98,7 +110,22 @@ class Survey:
         devices = list(device_statuses(bridges))
         discovery = self._discovery
         crowded_out = sorted(discovery.crowded_out)
-        return Part(load, len(routes), discovery.refused, crowded_out, statuses, devices)
+        return Part(
+            load,
+            len(routes),
+            discovery.refused,
+            crowded_out,
+            self._concerns(),
+            statuses,
+            devices,
+        )
+
+    def _concerns(self) -> list[Concern]:
+        books = (self._discovery.refusals, self._routing.refusals)
+        shown = [each for book in books for each in book.present]
+        # Those are counted and named together.
+        others = [each for each in shown if each.what is not Refusal.NO_FILES]
+        return [Concern(each.what.level, each.sentence_about) for each in others]
 
     def _stream_status(self, route: Route) -> DiagnosticStatus | None:
         if route.bridge is None or route.topic is None:
@@ -115,7 +142,10 @@ class Survey:
         )
         topic = route.bridge.outputs.of_samples[0].publisher.name
         facts = replace(
-            facts, twins=self._discovery.twins(inlet), doubled_s=self._doubled_for_s(topic)
+            facts,
+            twins=self._discovery.twins(inlet),
+            senders=self._discovery.senders(inlet),
+            doubled_s=self._doubled_for_s(topic),
         )
         if facts.is_fast:
             facts = replace(facts, best_effort=self._best_effort_readers(topic))
@@ -129,7 +159,7 @@ class Survey:
             return 0.0
         for_s = monotonic() - self._doubled.setdefault(topic, monotonic())
         if for_s > LEASE_S and not self._has_said_doubled:
-            self._warn(f"{topic}: {DOUBLED}; does this node run twice?")
+            self._warn(f"{topic}: {Refusal.DOUBLED.told()}; does this node run twice?")
         self._has_said_doubled |= for_s > LEASE_S
         return max(1e-9, for_s)
 

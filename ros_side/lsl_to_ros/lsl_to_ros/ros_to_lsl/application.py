@@ -20,6 +20,8 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import Header
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
 from lsl_to_ros import spinning
 from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.limited_log import LimitedLog
@@ -73,6 +75,7 @@ class RosToLsl(Node):
         value = self.get_parameter
         configure_lsl(value(SESSION_ID).value, value(KNOWN_PEERS).value)
         self._log = LimitedLog(self.get_logger())
+        self._refusals = Refusals(self._log.warn)
         self._ros_time = RosTime(self)
         self._topics: dict[str, TopicStatus] = {}
         self._events = Events(self, self._facts)
@@ -127,9 +130,12 @@ class RosToLsl(Node):
     def _open_small(self, graph: Graph) -> None:
         """Open what has been seen for a while: by then it is known whose it is."""
         self._left_out = sorted(set(graph.left_out()) - self._topics.keys())
+        topics = ", ".join(self._left_out)
+        self._refusals.hold(Refusal.NOT_SMALL, bool(topics), topics=topics)
         self._seen = {name: self._seen.get(name, 0) + 1 for name in graph.small()}
         for name in sorted(self._seen.keys() - self._topics.keys()):
             if self._seen[name] <= LOOKS_TO_SETTLE:
+                # nothing is dropped: it is not subscribed yet
                 continue
             publishers = graph.publishers(name)
             if publishers and are_named(publishers) and not graph.is_ours(publishers):
@@ -138,6 +144,7 @@ class RosToLsl(Node):
     def _follow(self, graph: Graph, topic: Topic) -> None:
         publishers = graph.publishers(topic.name)
         if topic.kind is None and publishers and not self._is_met(graph, topic.name, publishers):
+            # nothing is dropped: it is not subscribed yet
             return
         if graph.is_ours(publishers):
             topic.refuse("lsl_to_ros publishes it, and it is an LSL stream already")
@@ -145,7 +152,7 @@ class RosToLsl(Node):
         was_known = topic.kind is not None
         lost = topic.follow(publishers)
         if lost:
-            self._say(topic.name, f"{lost} messages were lost on the way from its publisher")
+            topic.bridge.refusals.refuse(Refusal.LOST_ON_THE_WAY, lost)
         if topic.kind is not None and not was_known and not topic.bridge.fault:
             self._log.inform(f"{topic.name} ({topic.kind.name}): {topic.quality}")
 
@@ -171,7 +178,8 @@ class RosToLsl(Node):
 
     def _fail(self, subscription: Subscription, error: Exception) -> None:
         # It may be each message, so it is no event: the log says it once a minute.
-        self._log.warn(f"{subscription.topic_name}: a message could not be sent: {error!r}")
+        topic = subscription.topic_name
+        self._refusals.refuse(Refusal.SEND_FAILED, about=topic, why=repr(error))
 
     def _facts(self) -> dict[str, Any]:
         return {name: topic_facts(each.topic) for name, each in list(self._topics.items())}
@@ -184,7 +192,11 @@ class RosToLsl(Node):
             for each in self._topics.values():
                 each.topic.bridge.clock_was_set()
         streams = sum(len(each.topic.bridge.streams) for each in self._topics.values())
-        statuses = [node_status(len(self._topics), streams, self._ros_time.steps, self._left_out)]
+        statuses = [
+            node_status(
+                len(self._topics), streams, self._ros_time.steps, self._left_out, self._refusals
+            )
+        ]
         statuses += [topic_status(each) for each in self._topics.values()]
         header = Header(stamp=self.get_clock().now().to_msg())
         self._diagnostics.publish(DiagnosticArray(header=header, status=statuses))

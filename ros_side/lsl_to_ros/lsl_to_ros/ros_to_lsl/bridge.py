@@ -11,20 +11,18 @@ from time import time_ns
 from typing import Any
 
 from biosensor_common.errors import GatewayError
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
 from lsl_to_ros.accounts.ros_time import RosTime
-from lsl_to_ros.ros_to_lsl.fields import (
-    FRAMES,
-    HEADER,
-    FramedList,
-    has_header,
-)
+from lsl_to_ros.ros_to_lsl.doubts import SAID_AGAIN_S, Doubts
+from lsl_to_ros.ros_to_lsl.fields import FramedList, frames_of, has_header
 from lsl_to_ros.ros_to_lsl.losses import PublicationLosses
 from lsl_to_ros.ros_to_lsl.outlets import MarkerOutlet, Origin, with_stamp
 from lsl_to_ros.ros_to_lsl.pairs import Pairs, parted
 from lsl_to_ros.ros_to_lsl.publisher_clock import ClockState, Offset
 from lsl_to_ros.ros_to_lsl.requests import SendAs, TopicRequest
 from lsl_to_ros.ros_to_lsl.senders import NumberSender, Sender, senders_for
-from lsl_to_ros.ros_to_lsl.stamping import Doubt, MessageStamping, StampSource, doubt_of, worst_of
+from lsl_to_ros.ros_to_lsl.stamping import Doubt, MessageStamping, StampSource, worst_of
 from lsl_to_ros.taking import MessageInfo, RosMessage
 
 MAX_HELD = 5000
@@ -49,6 +47,8 @@ class Bridge:
     ----------
     say
         Called with what a person should know of the topic.
+    whole
+        The topic's own bridge, of the bridge of a part.
 
     Attributes
     ----------
@@ -56,8 +56,8 @@ class Bridge:
         Messages.
     newest_s
         LSL time of the newest one, 0 before the first.
-    fault
-        Why nothing is sent; empty if something is.
+    refusals
+        What is not sent as it came.
     is_latched
         Whether its publishers keep their last messages for those who come later.
     """
@@ -69,25 +69,25 @@ class Bridge:
         say: Callable[[str], None],
         *,
         by_arrival: bool,
-        is_part: bool = False,
+        whole: Bridge | None = None,
     ) -> None:
         self.request = request
-        self.received, self.newest_s, self.fault = 0, 0.0, ""
+        self.received, self.newest_s, self._fault = 0, 0.0, ""
+        self._is_part = whole is not None
+        self.refusals = whole.refusals if whole else Refusals(say, again_s=SAID_AGAIN_S)
         self.losses = PublicationLosses()
         self.stamping = MessageStamping(ros_time, has_header=False, by_arrival=by_arrival)
         self._ros_time, self._by_arrival = ros_time, by_arrival
         self._say = say
-        # The clocks of the parts of a topic are said together.
-        self._is_part = is_part
         self._lock = threading.Lock()
         self._origin = Origin(request.topic, request.type_name, stamp_source=self.stamping.expected)
         self._senders: list[Sender] = []
         self._markers: MarkerOutlet | None = None
         self.is_latched = False
-        self._pairs = Pairs(request, self._new_part, say)
+        self._pairs = Pairs(request, self._new_part, self.refusals)
         self._list: FramedList | None = None
         self._held: deque[tuple[RosMessage, MessageInfo]] = deque()
-        self._said_wrong: set[tuple[StampSource, ClockState]] = set()
+        self._doubts = Doubts(self.refusals)
         if request.send_as in (SendAs.MARKERS, SendAs.JSON):
             # Before anybody publishes: a recorder must see it before the first event.
             try:
@@ -128,12 +128,14 @@ class Bridge:
         return len(self._pairs.left_out)
 
     @property
-    def is_empty(self) -> bool:
-        """Whether messages have come, and none had a number for a stream yet."""
-        if self.fault or not self.received:
-            return False
-        waits = any(isinstance(each, NumberSender) and not each.outlet for each in self._senders)
-        return waits if self._list is None else not self.streams
+    def fault(self) -> str:
+        """Why nothing is sent; empty if something is."""
+        return self._fault
+
+    def refuse(self, reason: str) -> None:
+        """Send nothing while there is a reason; an empty one says that there is none."""
+        self._fault = reason
+        self.refusals.hold(Refusal.NOT_SENT, bool(reason), why=reason)
 
     @property
     def stampings(self) -> list[MessageStamping]:
@@ -165,10 +167,11 @@ class Bridge:
             )
             self._list = parted(kind.message_class, self.request)
             if self._list is not None:
+                # nothing is dropped: each pair of frames gets senders of its own
                 return
             try:
                 self._senders = senders_for(
-                    kind.message_class, self.request, self._marker_outlet, self._say
+                    kind.message_class, self.request, self._marker_outlet, self.refusals
                 )
             except GatewayError as error:
                 self._fail(error)
@@ -187,17 +190,19 @@ class Bridge:
             self.received += 1
             self.losses.take(info["publication_sequence_number"])
             if self.fault:
+                self.refuse(self.fault)
                 return
             if not info["received_timestamp"]:
                 info["received_timestamp"] = time_ns()
             if self._list is not None:
                 self._take_parts(message, info, may_be_old=may_be_old)
-                return
+                return  # nothing is dropped: its elements are sent
             if not may_be_old:
                 self.stamping.observe(message, info)
             if self._held or self.stamping.is_in_doubt:
                 self._held.append((message, info))
                 if self.stamping.is_in_doubt and len(self._held) < MAX_HELD:
+                    # nothing is dropped: it is held
                     return
                 self._send_held()
             else:
@@ -217,14 +222,14 @@ class Bridge:
                 each.look(now)
             if not self._senders and self._markers is not None:
                 self._markers.look(now)
-            self._say_wrong_clocks()
+            self.judge_clocks()
 
     def clock_was_set(self) -> None:
         """Judge the publishers' clocks anew: this computer's own one has jumped."""
         with self._lock:
             for each in self.stampings:
                 each.restart()
-            self._said_wrong.clear()
+            self._doubts.restart()
 
     def end(self) -> None:
         """Send what is held, and nothing more."""
@@ -248,43 +253,40 @@ class Bridge:
             self._fail(error)
 
     def _fail(self, error: GatewayError) -> None:
-        self.fault = str(error)
+        self.refuse(str(error))
         # A stream that will never have anything must not be in anybody's list.
         self._senders, self._markers = [], None
-        self._say(f"{error}; it is not sent")
 
     def _take_parts(self, message: RosMessage, info: MessageInfo, *, may_be_old: bool) -> None:
         """Send each element of a list as a message of its own."""
         assert self._list is not None
-        for element in getattr(message, self._list.name):
+        elements = getattr(message, self._list.name)
+        self.refusals.hold(Refusal.NO_NUMBER, not (elements or self.parts))
+        for element in elements:
             part = self._pairs.part_of(element, self._list.element)
             if part is None:
+                # nothing is dropped: `part_of` reports it
                 continue
             part.is_latched = self.is_latched
             part.take(element, info, may_be_old=may_be_old)
             self.newest_s = max(self.newest_s, part.newest_s)
-            self.fault = self.fault or part.fault
+            self._fault = self._fault or part.fault
 
     def _new_part(self, request: TopicRequest, kind: type[Any]) -> Bridge:
-        part = Bridge(request, self._ros_time, self._say, by_arrival=self._by_arrival, is_part=True)
+        part = Bridge(request, self._ros_time, self._say, by_arrival=self._by_arrival, whole=self)
         part.connect(MessageType(request.type_name, "", kind))
         return part
 
     def _origin_of(self, message: RosMessage, source: StampSource) -> Origin:
-        holders = (getattr(message, HEADER, None), message)
-        frames = {
-            name: str(getattr(holder, name))
-            for name in FRAMES
-            for holder in holders
-            if hasattr(holder, name)
-        }
         clocks = self.stamping.clocks
         doubts = self.stamping.doubtful_clocks
         suspect = next(iter(doubts)) if doubts else source
         state, edge_s = ClockState.UNKNOWN, math.nan
         if suspect in clocks:
             state, edge_s = clocks[suspect].state, clocks[suspect].bound_s
-        origin = Origin(self._origin.topic, self._origin.type_name, self._origin.type_hash, frames)
+        origin = Origin(
+            self._origin.topic, self._origin.type_name, self._origin.type_hash, frames_of(message)
+        )
         return with_stamp(origin, source, state, edge_s)
 
     def _marker_outlet(self) -> MarkerOutlet:
@@ -292,8 +294,7 @@ class Bridge:
             self._markers = MarkerOutlet(self.request.name, self._origin)
         return self._markers
 
-    def _say_wrong_clocks(self) -> None:
-        for source, doubt in () if self._is_part else self.doubtful_clocks.items():
-            if (source, doubt.state) not in self._said_wrong:
-                self._said_wrong.add((source, doubt.state))
-                self._say(doubt_of(source, doubt))
+    def judge_clocks(self) -> None:
+        """Report clocks that may be wrong."""
+        if not self._is_part:
+            self._doubts.tell(self.doubtful_clocks)

@@ -270,3 +270,14 @@ def _constants(owner: type[Any], path: str) -> dict[int, str]:
     constants = (name for name in vars(type(owner)) if name.startswith(prefix))
     named = {getattr(owner, name): name.removeprefix(prefix) for name in constants}
     return {value: name for value, name in named.items() if type(value) is int}
+
+
+def frames_of(message: object) -> dict[str, str]:
+    """Return the frames that a message names, in its header or itself."""
+    holders = (getattr(message, HEADER, None), message)
+    return {
+        name: str(getattr(holder, name))
+        for name in FRAMES
+        for holder in holders
+        if hasattr(holder, name)
+    }

@@ -8,6 +8,8 @@ from dataclasses import replace
 from itertools import count
 from typing import Any, Generic, TypeVar
 
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
 from lsl_to_ros.ros_to_lsl.fields import FramedList, framed_list, type_name
 from lsl_to_ros.ros_to_lsl.layout import is_part
 from lsl_to_ros.ros_to_lsl.requests import SendAs, TopicRequest
@@ -28,8 +30,8 @@ class Pairs(Generic[Part]):
         Of the topic.
     make
         Makes the part for a request, whose messages are of the class.
-    say
-        Called with a sentence about the topic.
+    refusals
+        Of the topic.
 
     Attributes
     ----------
@@ -41,9 +43,9 @@ class Pairs(Generic[Part]):
         self,
         request: TopicRequest,
         make: Callable[[TopicRequest, type[Any]], Part],
-        say: Callable[[str], None],
+        refusals: Refusals,
     ) -> None:
-        self._request, self._make, self._say = request, make, say
+        self._request, self._make, self._refusals = request, make, refusals
         self._parts: dict[tuple[str, str], Part] = {}
         self._names: set[str] = set()
         self.left_out: set[tuple[str, str]] = set()
@@ -57,9 +59,8 @@ class Pairs(Generic[Part]):
         """Return the part to which an element belongs; None if there are too many."""
         pair = (element.header.frame_id, element.child_frame_id)
         if pair not in self._parts and len(self._parts) >= MAX_PAIRS:
-            if not self.left_out:
-                self._say(too_many_pairs())
             self.left_out.add(pair)
+            self._refusals.refuse(Refusal.TOO_MANY_PAIRS, len(self.left_out), most=MAX_PAIRS)
             return None
         if pair not in self._parts:
             request = replace(self._request, name=self._name(pair), type_name=type_name(kind))
@@ -81,11 +82,3 @@ def parted(message_class: type[Any], request: TopicRequest) -> FramedList | None
     if found is None or request.send_as in (SendAs.MARKERS, SendAs.JSON):
         return None
     return None if any(is_part(each, found.name) for each in request.fields) else found
-
-
-def too_many_pairs() -> str:
-    """Say that some pairs of frames have no stream."""
-    return (
-        f"it has more than {MAX_PAIRS} pairs of frames; the others are not sent: send it as json,"
-        " which has all of them"
-    )

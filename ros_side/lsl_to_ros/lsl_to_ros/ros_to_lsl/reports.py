@@ -4,8 +4,8 @@ Levels of a topic:
 
 * ERROR: it cannot be sent, and why.
 * STALE: a topic with a nominal rate, without a message for 5 s.
-* WARN: in the last 10 s messages were lost on the way, or its stream was replaced; a clock
-  is not synchronised; an integer was too large.
+* WARN: something of it is not sent as it came, now or in the last 10 s; a clock is not
+  synchronised. :class:`biosensor_common.refusal.Refusal` has all that there is.
 * OK: none of these.
 """
 
@@ -18,12 +18,12 @@ from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from biosensor_common.refusal import Level
+from biosensor_common.refusals import Refusals, Refused
 from lsl_to_ros.accounts.status import StreamStatus
-from lsl_to_ros.reports.diagnostics import STALE_AFTER_S, status
+from lsl_to_ros.reports.diagnostics import STALE_AFTER_S, status, words_of
 from lsl_to_ros.ros_to_lsl.bridge import Bridge
-from lsl_to_ros.ros_to_lsl.pairs import too_many_pairs
-from lsl_to_ros.ros_to_lsl.senders import NO_NUMBER_YET
-from lsl_to_ros.ros_to_lsl.stamping import StampSource, doubt_of
+from lsl_to_ros.ros_to_lsl.stamping import StampSource
 from lsl_to_ros.ros_to_lsl.topic import Topic
 
 PROGRAM = "ros_to_lsl"
@@ -38,16 +38,19 @@ class TopicStatus:
 
 
 def node_status(
-    topics: int, streams: int, clock_steps: int, left_out: Sequence[str]
+    topics: int, streams: int, clock_steps: int, left_out: Sequence[str], refusals: Refusals
 ) -> DiagnosticStatus:
     """Describe the node, and which topics ``all_small`` leaves out."""
+    present = refusals.present
     values = {
         "topics": str(topics),
         "streams": str(streams),
         "clock_steps": str(clock_steps),
         "left_out": ", ".join(left_out),
+        "refusals": words_of(refusals),
     }
-    return status("node", DiagnosticStatus.OK, f"{streams} streams", values, program=PROGRAM)
+    message = "; ".join(each.sentence_about for each in present) or f"{streams} streams"
+    return status("node", _level(present), message, values, program=PROGRAM)
 
 
 def topic_status(each: TopicStatus) -> DiagnosticStatus:
@@ -71,6 +74,7 @@ def topic_status(each: TopicStatus) -> DiagnosticStatus:
         "stamps_moved": str(sum(each.moved for each in bridge.stampings)),
         **{f"clock_{source.value}": _clock(*told) for source, told in _clocks(bridge).items()},
         "is_received": str(bridge.is_received).lower(),
+        "refusals": words_of(bridge.refusals),
     }
     return status(topic.name, level, message, values, program=PROGRAM)
 
@@ -98,26 +102,23 @@ def topic_facts(topic: Topic) -> dict[str, object]:
 
 def _judge(topic: Topic, status: StreamStatus) -> tuple[bytes, str]:
     bridge = topic.bridge
-    lost_lately, replaced_lately = status.recent(bridge.losses.lost or 0, bridge.replaced)
     silent_s = status.silence(bridge.received)
-    if bridge.fault:
-        return DiagnosticStatus.ERROR, bridge.fault
+    bridge.judge_clocks()
+    present = bridge.refusals.present
+    errors = [each.sentence for each in present if each.what.level is Level.ERROR]
+    if errors:
+        return DiagnosticStatus.ERROR, errors[0]
     if bridge.request.rate and silent_s > STALE_AFTER_S:
         return DiagnosticStatus.STALE, "no messages"
-    warnings = [doubt_of(*each) for each in bridge.doubtful_clocks.items()]
-    if lost_lately:
-        warnings.append(f"{lost_lately} messages lost in the last 10 s")
-    if replaced_lately:
-        warnings.append("its sequences have changed, and so has the stream")
-    if bridge.left_out:
-        warnings.append(too_many_pairs())
-    if bridge.is_empty:
-        warnings.append(NO_NUMBER_YET)
-    if warnings:
-        return DiagnosticStatus.WARN, "; ".join(warnings)
+    if present:
+        return DiagnosticStatus.WARN, "; ".join(each.sentence for each in present)
     if bridge.received:
         return DiagnosticStatus.OK, "sending"
     return DiagnosticStatus.OK, "no message yet" if topic.publishers else "nobody publishes it"
+
+
+def _level(present: Sequence[Refused]) -> bytes:
+    return bytes([max((each.what.level for each in present), default=0)])
 
 
 def _stamped_by(bridge: Bridge) -> str:

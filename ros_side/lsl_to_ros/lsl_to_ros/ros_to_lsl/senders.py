@@ -8,6 +8,8 @@ from time import monotonic
 from typing import Any, Protocol
 
 from biosensor_common.errors import SpecError, SpecReason
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
 from lsl_to_ros.ros_to_lsl.fields import Field, FieldKind, all_fields, bulk_of, fields_of
 from lsl_to_ros.ros_to_lsl.layout import Layout, LayoutChangedError, is_part
 from lsl_to_ros.ros_to_lsl.outlets import MarkerOutlet, Origin, SampleOutlet
@@ -17,7 +19,6 @@ from lsl_to_ros.taking import RosMessage
 
 LINGER_S = 0.25
 """How long an outlet stays after its last sample, which LSL sends from a thread of its own."""
-NO_NUMBER_YET = "no number yet: its messages came without any"
 MAX_REPLACED, REPLACED_WITHIN_S = 10, 60.0
 _BULK = (
     "its messages carry bulk data in {!r} (images, clouds of points and the like), which is not"
@@ -69,17 +70,15 @@ class NumberSender:
         Label of a channel that had an integer which is too large for a float; empty if none had.
     """
 
-    def __init__(
-        self, fields: Sequence[Field], request: TopicRequest, say: Callable[[str], None]
-    ) -> None:
+    def __init__(self, fields: Sequence[Field], request: TopicRequest, refusals: Refusals) -> None:
         self.name = request.name
         self.outlet: SampleOutlet | None = None
         self.replaced = 0
         self.inexact = ""
-        self._fields, self._request, self._say = fields, request, say
+        self._fields, self._request, self._refusals = fields, request, refusals
         self._layout: Layout | None = None
         self._newest: Sequence[float] | None = None
-        self._was_empty = self._had_consumers = False
+        self._had_consumers = False
         self._left: list[tuple[float, SampleOutlet]] = []
         self._replaced_at: deque[float] = deque(maxlen=MAX_REPLACED)
 
@@ -88,10 +87,12 @@ class NumberSender:
         try:
             values = self._layout.read(message) if self._layout else None
         except LayoutChangedError:
+            # nothing is dropped: it is read by a new layout
             values = None
         if values is None:
             self._open(message, origin)
             if self._layout is None:
+                # nothing is dropped: it has no number, which `_open` reports
                 return
             values = self._layout.read(message)
         assert self._layout is not None
@@ -99,7 +100,7 @@ class NumberSender:
         inexact = self._layout.inexact(values)
         if inexact and not self.inexact:
             self.inexact = inexact
-            self._say(f"{inexact} has integers above 2**53, which a float of 64 bits rounds")
+            self._refusals.refuse(Refusal.ROUNDED, label=inexact)
         self._newest = values
         self.outlet.push(values, stamp)
 
@@ -126,17 +127,14 @@ class NumberSender:
         layout = Layout(self._fields, message, self._request.fields)
         if not layout.channels:
             # All of its sequences are empty: wait for one that says how many channels there are.
-            if not self._was_empty:
-                self._was_empty = True
-                self._say(f"{NO_NUMBER_YET}; there is no stream of it until one has")
+            self._refusals.refuse(Refusal.NO_NUMBER)
             return
+        self._refusals.over(Refusal.NO_NUMBER)
         if before is not None:
             self._note_replaced()
             self._left.append((monotonic(), before))
-            self._say(
-                f"its sequences have changed: {len(layout.channels)} channels now; the stream"
-                f" {self.name} goes on as a new one, which a recording that runs may not have"
-            )
+            channels = len(layout.channels)
+            self._refusals.refuse(Refusal.NEW_CHANNELS, channels=channels, name=self.name)
         self._layout = layout
         self.outlet = SampleOutlet(self.name, origin(), layout.channels, self._request.rate)
         self.outlet.pushed = before.pushed if before else 0
@@ -206,7 +204,7 @@ def senders_for(
     message_class: type[Any],
     request: TopicRequest,
     markers: Callable[[], MarkerOutlet],
-    say: Callable[[str], None],
+    refusals: Refusals,
 ) -> list[Sender]:
     """Return what sends the messages of a type.
 
@@ -214,8 +212,8 @@ def senders_for(
     ----------
     markers
         Gives the outlet of markers under the topic's own name.
-    say
-        Called with a sentence about the topic.
+    refusals
+        Of the topic.
 
     Raises
     ------
@@ -237,12 +235,12 @@ def senders_for(
         with_text = send_as is SendAs.SAMPLES and not request.fields
         if with_text and any(is_text(each) for each in fields):
             text = TextSender(fields, request.name + TEXT_SUFFIX)
-            return [NumberSender(fields, request, say), text]
+            return [NumberSender(fields, request, refusals), text]
     if send_as is SendAs.SAMPLES:
         if not any(each.kind is not FieldKind.TEXT for each in _leaves(fields)):
             message = "its messages have no numbers; leave out 'as', or say markers"
             raise SpecError(SpecReason.INVALID, message)
-        return [NumberSender(fields, request, say)]
+        return [NumberSender(fields, request, refusals)]
     if send_as is SendAs.JSON:
         read: ToText = as_json
     else:

@@ -11,6 +11,7 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from biosensor_common.errors import GatewayError
+from biosensor_common.refusal import Refusal
 from lsl_to_ros.ros_to_lsl.bridge import OLD_MESSAGES_S, Bridge, MessageType
 from lsl_to_ros.ros_to_lsl.fields import message_class
 from lsl_to_ros.ros_to_lsl.graph import Quality, are_named, full_name, quality_of
@@ -52,7 +53,6 @@ class Topic:
         self.publishers, self.sender = 0, ""
         self._subscription: Subscription | None = None
         self._subscribed_s = 0.0
-        self._others: set[str] = set()
         if bridge.request.type_name:
             # Before anybody publishes, for the first message may be the only one.
             self._connect(bridge.request.type_name, "")
@@ -92,30 +92,23 @@ class Topic:
         """Send nothing while there is a reason."""
         self._unsubscribe()
         self.kind = None
-        if self.bridge.fault != reason:
-            self.bridge.fault = reason
-            self._say(f"{reason}; it is not sent")
+        self.bridge.refuse(reason)
 
     def _connect(self, type_name: str, type_hash: str, quality: Quality = _USUAL) -> None:
         try:
             self.kind = MessageType(type_name, type_hash, message_class(type_name))
         except GatewayError as error:
-            if not self.bridge.fault:
-                self.bridge.fault = str(error)
-                self._say(f"{error}; it is not sent")
+            self.bridge.refuse(str(error))
             return
-        self.bridge.fault = ""
+        self.bridge.refuse("")
         self.bridge.connect(self.kind)
         if not self.bridge.fault:
             self._subscribe(quality)
 
     def _tell_others(self, publishers: Sequence[TopicEndpointInfo], type_name: str) -> None:
-        others = {each.topic_type for each in publishers} - {type_name} - self._others
-        if others:
-            self._others |= others
-            self._say(
-                f"{', '.join(sorted(others))} is published on it, too; only {type_name} is sent"
-            )
+        others = sorted({each.topic_type for each in publishers} - {type_name})
+        hold = self.bridge.refusals.hold
+        hold(Refusal.OTHER_TYPE, bool(others), types=", ".join(others), sent=type_name)
 
     def _subscribe(self, quality: Quality) -> None:
         assert self.kind is not None

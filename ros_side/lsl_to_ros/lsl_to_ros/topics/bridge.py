@@ -9,6 +9,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from biosensor_common.refusal import Refusal
 from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros.accounts.counters import NodeCounters
 from lsl_to_ros.accounts.gaps import Gap, GapFinder
@@ -17,7 +18,7 @@ from lsl_to_ros.lsl.blocks import Block, Run, part, split
 from lsl_to_ros.lsl.liblsl import local_clock
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.topics.publishers import TopicPublisher
-from lsl_to_ros.topics.writers import ChunkWriter, Refuse, Writer
+from lsl_to_ros.topics.writers import ChunkWriter, Writer
 
 # Runs that wait until the sender's clock has been measured, which takes 0.7 s.
 HELD_RUNS = 10_000
@@ -60,8 +61,8 @@ class Bridge:
 
     Parameters
     ----------
-    refuse
-        Called when samples cannot be published.
+    counters
+        Their refusals are told what cannot be published.
     listen
         Called with each sample before it is published.
 
@@ -78,7 +79,6 @@ class Bridge:
         settings: StreamSettings,
         counters: NodeCounters,
         stamping: Stamping,
-        refuse: Refuse,
         listen: Callable[[NDArray[Any]], None] | None = None,
     ) -> None:
         self.header = header
@@ -87,7 +87,7 @@ class Bridge:
         self.counters = counters
         self.newest: NDArray[Any] | None = None
         self._stamping = stamping
-        self._refuse = refuse
+        self._refuse = counters.refusals.refuse
         self._listen = listen
         self._is_counted_by_agent = not header.foreign
         self._keeps_newest = header.rate == 0 and not header.message_type.is_text
@@ -166,8 +166,9 @@ class Bridge:
     def end(self, undelivered: int) -> None:
         """Give up what is not complete: what comes next, comes after a break."""
         self.counters.connection_ended(undelivered)
-        self.counters.unstamped += sum(len(run.stamps) for run in self._held)
-        self._held.clear()
+        if self._held:
+            self._refuse(Refusal.UNSTAMPED, sum(len(run.stamps) for run in self._held))
+            self._held.clear()
         self._discard()
 
     def _write_around(self, gaps: Iterable[Gap], block: Block, sequence: int) -> None:
@@ -195,6 +196,7 @@ class Bridge:
         if outputs.raw is not None:
             self._publish(outputs.raw, run)
         if not any(writer.publisher.is_wanted for writer in outputs.timed):
+            # nothing is dropped: nobody has subscribed
             return
         if self._held or not self._stamping.is_known:
             self._hold(run)
@@ -203,14 +205,15 @@ class Bridge:
 
     def _hold(self, run: Run) -> None:
         if len(self._held) == HELD_RUNS:
-            self.counters.unstamped += len(self._held[0].stamps)
+            self._refuse(Refusal.UNSTAMPED, len(self._held[0].stamps))
         # A view would keep the whole block in memory.
         self._held.append(Run(run.samples.copy(), run.stamps.copy(), run.sequence))
 
     def _write_timed(self, run: Run) -> None:
         fits = self._stamping.are_times(run.stamps)
         if not fits.all():
-            self._refuse(int((~fits).sum()), "its stamp is no time")
+            why = f"a stamp of {run.stamps[~fits][0]:g} s is no time"
+            self._refuse(Refusal.NO_TIME, int((~fits).sum()), why=why)
         # A text that cannot be read must not cost those that came with it.
         is_text = self.header.message_type.is_text
         for piece in split(run, fits, alone=is_text):
@@ -222,8 +225,9 @@ class Bridge:
             try:
                 writer.write(run)
             except (OverflowError, TypeError, ValueError) as error:
-                self._refuse(len(run.stamps), str(error))
+                self._refuse(Refusal.UNFIT, len(run.stamps), why=error)
 
     def _discard(self) -> None:
-        if self.outputs.chunk is not None:
-            self.counters.discarded += self.outputs.chunk.discard()
+        given_up = 0 if self.outputs.chunk is None else self.outputs.chunk.discard()
+        if given_up:
+            self._refuse(Refusal.CHUNK_CUT, given_up)

@@ -32,6 +32,7 @@ class Chunker:
         size = length * self._sample_size
         end = len(collected) - len(collected) % size
         if not end:
+            # nothing is dropped: they wait for more
             return []
         full = [bytes(collected[start : start + size]) for start in range(0, end, size)]
         del collected[:end]

@@ -7,6 +7,7 @@ from importlib import import_module
 from types import ModuleType
 
 from biosensor_common.quantities import MessageType
+from biosensor_common.refusal import Refusal
 from biosensor_common.topic_shape import chunk_type
 from lsl_to_ros.accounts.stamping import Stamping
 from lsl_to_ros.lsl.blocks import Run
@@ -21,6 +22,7 @@ def _stamped() -> ModuleType | None:
     try:
         return import_module("lsl_to_ros.topics.stamped")
     except ImportError:
+        # nothing is dropped: the reports say that there are no stamped topics
         return None
 
 
@@ -75,7 +77,9 @@ def open_outputs(
                 publisher = opened(name, standard.message_class)
             except TopicTypeError:
                 # Another stream of the device has that name as its own.
+                context.refusals.refuse(Refusal.NO_STANDARD_TOPIC, topic=f"{topic.base}/{name}")
                 continue
+            context.refusals.over(Refusal.NO_STANDARD_TOPIC)
             outputs.timed.append(standard(publisher, header, context.frame_id, context.stamping))
     if header.chunk:
         kind = chunk_type(header.message_type)
@@ -90,4 +94,4 @@ def _raw_writer(publisher: TopicPublisher, context: StreamContext) -> Writer:
     header = context.header
     if header.message_type.is_text:
         return TextWriter(publisher, header.message_type)
-    return NumberWriter(publisher, header.message_type, len(header.labels), context.refuse)
+    return NumberWriter(publisher, header.message_type, len(header.labels), context.refusals)

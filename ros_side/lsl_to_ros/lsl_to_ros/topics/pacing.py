@@ -16,6 +16,9 @@ from typing import Any, cast
 
 from rclpy.serialization import deserialize_message, serialize_message
 
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
+
 MOST_RATE_HZ = 100_000.0
 # Sent without a pause: what a busy computer reads together of a stream without bursts. A
 # subscriber with a queue of 5 then has room for what the next 6 ms bring.
@@ -77,6 +80,8 @@ class Lane:
         Of the messages in Hz, 0 if they are irregular.
     piece
         After how many messages of a backlog the subscribers must have all.
+    topic
+        What is told of it is about that.
 
     Attributes
     ----------
@@ -96,7 +101,9 @@ class Lane:
         *,
         rate: float,
         piece: int,
+        topic: str = "",
     ) -> None:
+        self._topic = topic
         self.sent = self.unsent = self.not_taken = 0
         self._publish = publish
         self._is_taken = is_taken
@@ -161,6 +168,7 @@ class Lane:
             while self._messages and self._is_next():
                 self._send_waiting()
             if not self._messages:
+                # nothing is dropped: nothing waits
                 return None
             return self._turn_s - self._now_s if self._held_until_s is None else TAKEN_CHECK_S
 
@@ -206,7 +214,7 @@ class Lane:
         except RuntimeError as error:
             # Each of rclpy's errors is one. Other topics and the rest of this one go on.
             self.unsent += 1
-            self._pacer.warn(f"ROS has not published a message ({error})")
+            self._pacer.refusals.refuse(Refusal.UNSENT, about=self._topic, why=error)
 
 
 class Pacer:
@@ -216,13 +224,18 @@ class Pacer:
     ----------
     warn
         Called with a sentence when ROS fails to publish something that waited.
+
+    Attributes
+    ----------
+    refusals
+        What ROS failed to publish, and what else concerns topics.
     """
 
     def __init__(
         self, pace: Pace, warn: Callable[[str], None], clock: Clock = time.monotonic
     ) -> None:
         self.pace = pace
-        self.warn = warn
+        self.refusals = Refusals(warn)
         self.clock = clock
         self._busy: set[Lane] = set()
         self._changed = threading.Condition()

@@ -64,7 +64,9 @@ class TopicPublisher:
         self.readers = 0
         self.ros_publisher = ros_publisher
         piece = piece_messages(rate)
-        self.lane = Lane(ros_publisher.publish, self._is_taken, pacer, rate=rate, piece=piece)
+        self.lane = Lane(
+            ros_publisher.publish, self._is_taken, pacer, rate=rate, piece=piece, topic=self.name
+        )
 
     def publish(self, *messages: object) -> None:
         """Publish messages, or their bytes, in their order; of many at once most wait a little."""

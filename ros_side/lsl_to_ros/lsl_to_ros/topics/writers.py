@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from biosensor_common.naming import TopicName
 from biosensor_common.quantities import MessageType
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
 from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros.accounts.counters import Lost
 from lsl_to_ros.accounts.stamping import Stamping
@@ -17,9 +19,6 @@ from lsl_to_ros.lsl.blocks import Run
 from lsl_to_ros.topics import cdr, messages
 from lsl_to_ros.topics.chunker import Chunker
 from lsl_to_ros.topics.publishers import TopicPublisher
-
-Refuse = Callable[[int, str], None]
-"""Takes note that so many samples do not fit their message, and why."""
 
 
 class StreamContext(NamedTuple):
@@ -36,7 +35,7 @@ class StreamContext(NamedTuple):
     frame_id: str
     stamping: Stamping
     lost: Callable[[], Lost]
-    refuse: Refuse
+    refusals: Refusals
 
 
 class Writer(ABC):
@@ -60,13 +59,17 @@ class NumberWriter(Writer):
     """One message of numbers a sample, without a stamp."""
 
     def __init__(
-        self, publisher: TopicPublisher, message_type: MessageType, channels: int, refuse: Refuse
+        self,
+        publisher: TopicPublisher,
+        message_type: MessageType,
+        channels: int,
+        refusals: Refusals,
     ) -> None:
         super().__init__(publisher)
         self._type = message_type
         self._limits = message_type.integer_range
         self._encode = cdr.SampleEncoder(message_type, channels).encode
-        self._refuse = refuse
+        self._refuse = refusals.refuse
 
     def write(self, run: Run) -> None:
         """Publish each sample; those beyond an integer message's range are refused alone."""
@@ -80,7 +83,8 @@ class NumberWriter(Writer):
         if fits.all():
             return samples
         value = samples[~fits][0, 0]
-        self._refuse(int((~fits).sum()), f"{value} does not fit into {self._type}")
+        why = f"{value} does not fit into {self._type}"
+        self._refuse(Refusal.UNFIT, int((~fits).sum()), why=why)
         return samples[fits]
 
 

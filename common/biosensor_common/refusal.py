@@ -1,0 +1,242 @@
+"""Says in one enum all that the programs do not pass on as it came, or double, rename or guess.
+
+What is a member is reported to :class:`biosensor_common.refusals.Refusals`.
+"""
+
+from __future__ import annotations
+
+from enum import Enum, IntEnum, unique
+from typing import NamedTuple
+
+_NOUNS = ("samples", "messages", "streams")
+
+
+class Level(IntEnum):
+    """How bad it is; the numbers are those of ``/diagnostics``, where 0 is OK."""
+
+    WARN = 1
+    ERROR = 2
+
+
+_ERROR = Level.ERROR
+
+
+class _Kind(NamedTuple):
+    word: str
+    level: Level
+    sentence: str
+    stands: bool
+
+
+def _standing(word: str, sentence: str, level: Level = Level.WARN) -> _Kind:
+    return _Kind(word, level, sentence, stands=True)
+
+
+def _passing(word: str, sentence: str, level: Level = Level.WARN) -> _Kind:
+    return _Kind(word, level, sentence, stands=False)
+
+
+@unique
+class Refusal(Enum):
+    """What is not passed on as it came.
+
+    Attributes
+    ----------
+    word
+        By which programs know it; stays the same.
+    level
+    sentence
+        With placeholders: ``count``; ``samples``, ``messages`` or ``streams``, which are counted
+        nouns; ``are`` and ``were``, which fit the count; and facts that are given with the report.
+    stands
+        Whether it holds until it is said to be over; else it is shown for some seconds.
+    """
+
+    # Streams and topics that are left out, or not what they seem.
+    UNUSABLE = _standing("unusable", "it is left out: {why}")
+    NO_FILES = _standing("no_files", "it is left out: {why}")
+    NO_DESCRIPTION = _standing(
+        "no_description",
+        "{why}; it is published as a stream of an unknown program",
+    )
+    SAME_SOURCE = _standing(
+        "same_source",
+        "another sender has the same source_id, name and type; that on {hosts} is not "
+        "published: give each sender a source_id of its own",
+        _ERROR,
+    )
+    SECOND_SENDER = _standing(
+        "second_sender",
+        "{senders} senders have the same source_id, name and type, on {hosts}; each has a "
+        "topic of its own, in the order of their starts: give each a source_id of its own",
+    )
+    EITHER_SENDER = _standing(
+        "either_sender",
+        "another stream has the same source_id: programs that look for it may take either",
+    )
+    TWO_UNITS = _standing(
+        "two_units",
+        "two units of one sensor: give each a label in its settings",
+        _ERROR,
+    )
+    TWO_STREAMS = _standing("two_streams", "two streams claim to be this one", _ERROR)
+    NO_TOPIC = _standing("no_topic", "{why}; the LSL stream {name!r} is not published", _ERROR)
+    NO_STANDARD_TOPIC = _standing(
+        "no_standard_topic",
+        "there is no topic {topic} of sensor_msgs beside it: another stream of the device has"
+        " that name",
+    )
+    FORMAT_CHANGED = _passing("format_changed", "the stream came back as {shape}")
+    DOUBLED = _standing(
+        "doubled",
+        "another node publishes this topic, too: each sample comes twice",
+        _ERROR,
+    )
+    MAYBE_DOUBLED = _standing(
+        "maybe_doubled",
+        "another node publishes this topic, too, or was killed less than half a minute ago",
+    )
+    NODE_TWICE = _standing(
+        "node_twice",
+        "this node runs twice, under one name: each sample is published twice; end one of "
+        "them, or give one another topic_prefix and name",
+        _ERROR,
+    )
+    NODE_MAYBE_TWICE = _standing(
+        "node_maybe_twice",
+        "another node of this name is known to DDS: it runs, too, or was killed less than "
+        "half a minute ago",
+    )
+    NO_STAMPED_TOPICS = _standing(
+        "no_stamped_topics",
+        "biosensor_msgs is not installed: there are no _stamped topics; build it with colcon",
+    )
+    NOT_LISTED = _standing("not_listed", "{streams} {are} not listed: {most} are the most")
+    NOT_RECEIVED = _standing(
+        "not_received",
+        "{streams} {are} shown and not received: {most} are received at once",
+    )
+
+    # Samples and messages on their way.
+    UNFIT = _passing("unfit", "{samples} {were} not published: {why}")
+    NO_TIME = _passing("no_time", "{samples} {are} on no stamped topic: {why}")
+    UNSTAMPED = _passing(
+        "unstamped",
+        "{samples} {were} given up: the sender's clock stayed unknown; is UDP blocked?",
+    )
+    CHUNK_CUT = _passing(
+        "chunk_cut",
+        "{samples} of an unfinished chunk {are} on the raw topic only",
+    )
+    UNDELIVERED = _passing("undelivered", "{samples} {were} lost with the connection")
+    READ_FAILED = _passing("read_failed", "reading it failed, it is opened anew ({why})")
+    UNSENT = _passing("unsent", "ROS has not published {messages} ({why})")
+    NO_COUNTS = _passing(
+        "no_counts",
+        "the agent's counts cannot be read ({why}): what was lost is not known",
+    )
+    SIMULATED_TIME = _standing(
+        "simulated_time",
+        "use_sim_time is on: _stamped topics have the simulated time at which samples came, "
+        "which is 0 without /clock, and not when they were measured; leave it off for this "
+        "node",
+    )
+    UNIX_STAMPS = _standing(
+        "unix_stamps",
+        "its stamps are Unix times, not times of the LSL clock: _stamped has them as they "
+        "are, and no recording aligns them; push samples without a stamp, or with "
+        "local_clock()",
+    )
+    FOREIGN_STAMPS = _standing("foreign_stamps", "its stamps are not times of the LSL clock")
+    UNKNOWN_CLOCK = _standing(
+        "unknown_clock",
+        "the sender's clock cannot be asked: is UDP blocked? stamped topics wait",
+    )
+    BY_ARRIVAL = _standing(
+        "by_arrival",
+        "its stamps are of another clock; its samples are shown when they arrive",
+    )
+
+    # Topics that become streams.
+    NOT_SENT = _standing("not_sent", "{why}; it is not sent", _ERROR)
+    NO_NUMBER = _standing("no_number", "no number yet: its messages came without any")
+    OTHER_TYPE = _standing("other_type", "{types} is published on it, too; only {sent} is sent")
+    NEW_CHANNELS = _passing(
+        "new_channels",
+        "its sequences have changed: {channels} channels now; the stream {name} goes on as a "
+        "new one, which a recording that runs may not have",
+    )
+    ROUNDED = _standing(
+        "rounded",
+        "{label} has integers above 2**53, which a float of 64 bits rounds",
+    )
+    TOO_MANY_PAIRS = _standing(
+        "too_many_pairs",
+        "it has more than {most} pairs of frames; the others are not sent: send it as json, "
+        "which has all of them",
+    )
+    SEND_FAILED = _passing("send_failed", "{messages} could not be sent: {why}")
+    LOST_ON_THE_WAY = _passing(
+        "lost_on_the_way",
+        "{messages} {were} lost on the way from its publisher",
+    )
+    NOT_SMALL = _standing(
+        "not_small",
+        "all_small leaves out {topics}: bulk data (images, clouds of points and the like), or"
+        " a type that is not installed here; record them with ros2 bag",
+    )
+    DOUBTFUL_STAMPS = _standing("doubtful_stamps", "{why}")
+    DOUBTFUL_CLOCK = _standing("doubtful_clock", "{why}")
+
+    # Samples on their way from a device to LSL.
+    WRONG_SHAPE = _passing(
+        "wrong_shape",
+        "{samples} {were} refused: samples of shape {shape} instead of {expected}",
+    )
+    BACKWARDS = _passing("backwards", "{samples} {were} refused: stamps run backwards")
+    NOT_LSL_TIME = _passing(
+        "not_lsl_time",
+        "{samples} {were} refused: stamps are not on the LSL clock",
+    )
+    INFINITE = _passing("infinite", "{samples} {were} refused: infinite values")
+    NO_VALUE = _passing("no_value", "{samples} {were} refused: no value in {kind} stream")
+    OUT_OF_RANGE = _passing(
+        "out_of_range",
+        "{samples} {were} refused: values outside {low}..{high}",
+    )
+    PAUSED = _passing("paused", "{samples} {were} withheld, because of a pause")
+    WAITED_TOO_LONG = _passing(
+        "waited_too_long",
+        "{samples} {were} given up: nobody received the stream, and {most} are the most that wait",
+    )
+    GARBLED = _passing("garbled", "{count} bytes of the device made no valid message")
+    NO_OUTLET = _standing(
+        "no_outlet",
+        "there is no stream of {name}, and nothing of it is sent",
+        _ERROR,
+    )
+    UNHEARD_MARKER = _passing(
+        "unheard_marker",
+        "a marker was sent that nobody receives: no program records the markers",
+    )
+
+    # Features of streams.
+    NO_FEATURES = _standing("no_features", "{why}")
+    STAMPS_LEFT_OUT = _passing("stamps_left_out", "{why}")
+    NO_FINITE_VALUE = _passing(
+        "no_finite_value",
+        "{samples} {were} left out: their values are infinite or too large to be true",
+    )
+
+    def __init__(self, word: str, level: Level, sentence: str, stands: bool) -> None:
+        self.word = word
+        self.level = level
+        self.sentence = sentence
+        self.stands = stands
+
+    def told(self, count: int = 1, **facts: object) -> str:
+        """Return the sentence."""
+        is_one = count == 1
+        nouns = {each: f"{count} {each[: -1 if is_one else None]}" for each in _NOUNS}
+        verbs = {"are": "is" if is_one else "are", "were": "was" if is_one else "were"}
+        return self.sentence.format(**{"count": count, **nouns, **verbs, **facts})
