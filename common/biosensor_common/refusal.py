@@ -6,7 +6,6 @@ What is a member is reported to :class:`biosensor_common.refusals.Refusals`.
 from __future__ import annotations
 
 from enum import Enum, IntEnum, unique
-from typing import NamedTuple
 
 _NOUNS = ("samples", "messages", "streams")
 
@@ -21,19 +20,15 @@ class Level(IntEnum):
 _ERROR = Level.ERROR
 
 
-class _Kind(NamedTuple):
-    word: str
-    level: Level
-    sentence: str
-    stands: bool
+_Told = tuple[str, Level, str, bool]
 
 
-def _standing(word: str, sentence: str, level: Level = Level.WARN) -> _Kind:
-    return _Kind(word, level, sentence, stands=True)
+def _standing(word: str, sentence: str, level: Level = Level.WARN) -> _Told:
+    return word, level, sentence, True
 
 
-def _passing(word: str, sentence: str, level: Level = Level.WARN) -> _Kind:
-    return _Kind(word, level, sentence, stands=False)
+def _passing(word: str, sentence: str, level: Level = Level.WARN) -> _Told:
+    return word, level, sentence, False
 
 
 @unique
@@ -53,7 +48,7 @@ class Refusal(Enum):
     """
 
     # Streams and topics that are left out, or not what they seem.
-    UNUSABLE = _standing("unusable", "it is left out: {why}")
+    UNUSABLE = _standing("unusable", "it is ignored: {why}")
     NO_FILES = _standing("no_files", "it is left out: {why}")
     NO_DESCRIPTION = _standing(
         "no_description",
@@ -112,10 +107,6 @@ class Refusal(Enum):
         "biosensor_msgs is not installed: there are no _stamped topics; build it with colcon",
     )
     NOT_LISTED = _standing("not_listed", "{streams} {are} not listed: {most} are the most")
-    NOT_RECEIVED = _standing(
-        "not_received",
-        "{streams} {are} shown and not received: {most} are received at once",
-    )
 
     # Samples and messages on their way.
     UNFIT = _passing("unfit", "{samples} {were} not published: {why}")
@@ -204,6 +195,7 @@ class Refusal(Enum):
         "out_of_range",
         "{samples} {were} refused: values outside {low}..{high}",
     )
+    IMPLAUSIBLE = _passing("implausible", "{samples} {were} not sent: {why}")
     PAUSED = _passing("paused", "{samples} {were} withheld, because of a pause")
     WAITED_TOO_LONG = _passing(
         "waited_too_long",
@@ -234,9 +226,13 @@ class Refusal(Enum):
         self.sentence = sentence
         self.stands = stands
 
-    def told(self, count: int = 1, **facts: object) -> str:
+    def told(self, /, count: int = 1, **facts: object) -> str:
         """Return the sentence."""
         is_one = count == 1
         nouns = {each: f"{count} {each[: -1 if is_one else None]}" for each in _NOUNS}
         verbs = {"are": "is" if is_one else "are", "were": "was" if is_one else "were"}
         return self.sentence.format(**{"count": count, **nouns, **verbs, **facts})
+
+    def cause(self, **facts: object) -> str:
+        """Return what the sentence has behind the colon."""
+        return self.told(1, **facts).partition(": ")[2]

@@ -12,7 +12,7 @@ import pytest
 
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
-from lsl_to_ros.lsl.discovery import ALIVE_AFTER_S, Discovery
+from lsl_to_ros.lsl.discovery import ALIVE_AFTER_S, SETTLED_S, Discovery
 from lsl_to_ros.lsl.inlets import InletState
 
 
@@ -83,7 +83,9 @@ class Lab:
         """Let the node look; return the numbers of those that it serves."""
         self.now_s += after_s
         self.present[:] = present
-        self.discovery.update()
+        for _ in present:
+            self.discovery.update()
+            self.now_s += SETTLED_S
         self.discovery.update()
         return {inlet.uid: inlet.number for inlet in self.discovery.inlets}
 

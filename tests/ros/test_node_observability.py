@@ -109,6 +109,7 @@ def test_the_status_of_a_stream_says_everything_about_it(ros: Ros, flow: Begin) 
         "sent_before": "0",
         "unfit": "0",
         "unstamped": "0",
+        "refusals": "",
         "chunk_discarded": status["chunk_discarded"],
         "published": str(count + 2),
         "waiting": "0",

@@ -158,7 +158,9 @@ class Agent:
                 device.sink.release()
                 merged |= device.sink.counters
             outlet.push_text(counters_text(merged, self._clocks()), pylsl.local_clock())
-            status = snapshot(self.devices, virtual=self._reloading.is_virtual).model_dump()
+            own = (announcer.refusals, self._markers.refusals)
+            virtual = self._reloading.is_virtual
+            status = snapshot(self.devices, virtual=virtual, own=own).model_dump()
             self.on_status(status)
             self._status.write(status)
             self._feed.tell(status)

@@ -9,7 +9,13 @@ from math import isfinite
 from biosensor_common import naming
 from biosensor_common.device_clock import ClockState
 from biosensor_gateway.agent.pauses.selection import device_name
-from biosensor_gateway.agent.status import ClockStatus, DeclaredStream, DeviceStatus, StreamStatus
+from biosensor_gateway.agent.status import (
+    ClockStatus,
+    DeclaredStream,
+    DeviceStatus,
+    RefusedStatus,
+    StreamStatus,
+)
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.registry import declared, driver
 from biosensor_gateway.settings.models import DeviceSettings
@@ -91,6 +97,7 @@ class Device:
             dropped_bytes=sink.dropped_bytes,
             battery_percent=sink.charge.percent if supervisor.is_connected else None,
             clock=_clock_status(sink.clock_state),
+            refusals=RefusedStatus.of(sink.refusals),
             streams=_stream_status(sink),
             declared=self._own,
         )
@@ -105,7 +112,10 @@ def _stream_status(sink: DeviceSink) -> dict[str, StreamStatus]:
     silent = {naming.source_id(sink.identity, data_name) for data_name in sink.silent}
     return {
         source: StreamStatus(
-            **asdict(counters), nominal_hz=sink.nominal_rates[source], silent=source in silent
+            **asdict(counters),
+            nominal_hz=sink.nominal_rates[source],
+            silent=source in silent,
+            refusals=RefusedStatus.of(sink.refused[source]),
         )
         for source, counters in sink.counters.items()
     }

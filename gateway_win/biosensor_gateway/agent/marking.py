@@ -10,6 +10,7 @@ from typing import Any, TypeGuard
 import structlog
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.refusal import Refusal
 from biosensor_gateway.agent.control_server import Command
 from biosensor_gateway.settings.models import MarkerSettings
 from biosensor_gateway.streaming.markers import (
@@ -83,7 +84,8 @@ class MarkerCommands:
             _timing(arguments) if is_web else None,
         )
         if not sent.received:
-            people = "a marker was sent that nobody receives: no program records the markers"
+            people = Refusal.UNHEARD_MARKER.told()
+            # nothing is dropped: the stream has reported it
             _log.warning("a marker was sent that nobody receives", id=sent.id, for_people=people)
         told = {"id": sent.id, "lsl_time": sent.lsl_time}
         return told if sent.received else told | {"received": False}

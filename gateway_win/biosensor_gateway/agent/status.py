@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from pydantic import BaseModel, Field
 
+from biosensor_common.refusals import Refusals
 from biosensor_common.spec import FromDevice, StreamSpec
 
 
@@ -40,6 +41,52 @@ class ClockStatus(BaseModel):
     newest_s: float
 
 
+class RefusedStatus(BaseModel):
+    """Something that was not passed on as it came; see `biosensor_common.refusals`.
+
+    Attributes
+    ----------
+    what
+        A word of `biosensor_common.refusal.Refusal`.
+    level
+        ``warn`` or ``error``.
+    sentence
+        For a person.
+    count
+        In all.
+    first_s, last_s
+        LSL time in seconds.
+    now
+        Whether it lasts, or was within the last seconds.
+    """
+
+    what: str
+    level: str
+    sentence: str
+    count: int
+    first_s: float
+    last_s: float
+    now: bool
+
+    @classmethod
+    def of(cls, refusals: Refusals) -> list[RefusedStatus]:
+        """Describe everything that was reported, what is worst and now first."""
+        present = refusals.present
+        others = [each for each in refusals.all if each not in present]
+        return [
+            cls(
+                what=each.what.word,
+                level=each.what.level.name.lower(),
+                sentence=each.sentence_about,
+                count=each.count,
+                first_s=each.first_s,
+                last_s=each.last_s,
+                now=each in present,
+            )
+            for each in (*present, *others)
+        ]
+
+
 class StreamStatus(BaseModel):
     """What happened to one stream's samples on their way into LSL.
 
@@ -51,6 +98,8 @@ class StreamStatus(BaseModel):
         Declared rate, 0 for streams that come when they come.
     silent
         Whether the settings switch it off.
+    refusals
+        What was not passed on as it came.
     """
 
     pushed: int
@@ -61,6 +110,7 @@ class StreamStatus(BaseModel):
     waited: int
     nominal_hz: float
     silent: bool
+    refusals: list[RefusedStatus] = Field(default_factory=list[RefusedStatus])
 
 
 class DeclaredStream(BaseModel):
@@ -121,6 +171,8 @@ class DeviceFacts(BaseModel):
         None where nobody knows, and while the device is not connected.
     clock
         None before its first packet.
+    refusals
+        What came of it and is no sample of any stream.
     """
 
     sensor: str
@@ -136,6 +188,7 @@ class DeviceFacts(BaseModel):
     battery_percent: float | None
     clock: ClockStatus | None
     since: float | None = None
+    refusals: list[RefusedStatus] = Field(default_factory=list[RefusedStatus])
 
 
 class DeviceStatus(DeviceFacts):
@@ -168,6 +221,8 @@ class AgentFacts(BaseModel):
         Whether its devices are virtual.
     restarts, last_end
         How often the agent died and came back, and how it ended last.
+    refusals
+        What of the agent's own streams is not sent, or not received.
     """
 
     written: float | None = None
@@ -176,6 +231,7 @@ class AgentFacts(BaseModel):
     virtual: bool = False
     restarts: int = 0
     last_end: str = ""
+    refusals: list[RefusedStatus] = Field(default_factory=list[RefusedStatus])
 
 
 class AgentStatus(AgentFacts):

@@ -12,7 +12,7 @@ from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.state import is_sending
 from biosensor_gateway.cli.options import JsonOption
 from biosensor_gateway.cli.screen import console, say, table_of_names
-from biosensor_gateway.cli.status_words import device_sentence, restart_sentences
+from biosensor_gateway.cli.status_words import device_sentence, refusal_sentences, restart_sentences
 from biosensor_gateway.settings.places import state_folder
 
 COUNTERS = {"sent": "pushed", "lost": "lost", "refused": "refused", "paused": "withheld"}
@@ -45,7 +45,7 @@ def status(
 
 def _print_status(current: dict[str, Any]) -> None:
     terminal = console()
-    for sentence in restart_sentences(current):
+    for sentence in (*restart_sentences(current), *refusal_sentences(current)):
         say(sentence)
     if not current["devices"]:
         say(
@@ -54,6 +54,8 @@ def _print_status(current: dict[str, Any]) -> None:
         )
     for device in current["devices"]:
         say(device_sentence(device))
+        for sentence in refusal_sentences(device):
+            say(f"  {sentence}")
         # What is lost while it does not send is counted when it is back.
         unknown = () if is_sending(device["state"], paused=device["paused"]) else ("lost",)
         rows = [
@@ -61,3 +63,6 @@ def _print_status(current: dict[str, Any]) -> None:
             for source, told in device["streams"].items()
         ]
         terminal.print(table_of_names(("stream", *COUNTERS), rows, terminal.width))
+        for source_id, counters in device["streams"].items():
+            for sentence in refusal_sentences(counters):
+                say(f"  {source_id}: {sentence}")

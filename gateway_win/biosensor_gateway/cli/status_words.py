@@ -15,6 +15,12 @@ def restart_sentences(status: Mapping[str, Any]) -> Iterator[str]:
         yield f"started again {times}, last after: {status['last_end']}"
 
 
+def refusal_sentences(status: Mapping[str, Any]) -> Iterator[str]:
+    """Say what was not passed on as it came, of an agent, a device or a stream."""
+    for each in status.get("refusals", ()):
+        yield each["sentence"] + ("" if each["now"] else " (not lately)")
+
+
 def device_sentence(device: Mapping[str, Any]) -> str:
     """Say who wears a device, how it does, and what is wrong."""
     name = " ".join(

@@ -41,7 +41,7 @@ class _Intervals:
         events: list[Event] = []
         for stamp, interval_s in zip(stamps.tolist(), values.tolist(), strict=True):
             if interval_s <= 0:
-                continue
+                continue  # nothing is dropped: an interval that is not positive is no beat
             if self._last is not None and stamp - self._last > 1.5 * interval_s:
                 self._heart = Heart()
             self._last = stamp

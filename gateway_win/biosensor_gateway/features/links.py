@@ -12,6 +12,7 @@ import numpy as np
 import pylsl
 
 from biosensor_common.lsl.inlets import open_inlet
+from biosensor_common.refusal import Refusal
 from biosensor_gateway.features.runs import Event
 from biosensor_gateway.features.sources import Source
 
@@ -21,6 +22,10 @@ _MOST_HELD = 4096
 """Runs of events that wait for the first correction of their stamps."""
 _BUFFER_S = 360
 _MOST_SAMPLES = 8192
+
+
+Remark = tuple[Refusal, int, str]
+"""What was left out, how much, and why."""
 
 
 class _Correction:
@@ -71,7 +76,8 @@ class Link:
         self._is_here = info.hostname() == socket.gethostname()
         self._correction: _Correction | None = None
         self._computer = source.new_computer()
-        self._told = 0
+        self._told = self._gone = self._told_gone = self._told_values = 0
+        # nothing is dropped: what is given up is counted in `read` and told by `remarks`
         self._held: deque[Sequence[Event]] = deque(maxlen=_MOST_HELD)
 
     @property
@@ -94,7 +100,7 @@ class Link:
             The outlet is gone, or does not answer.
         """
         if not self._opening.done():
-            return []
+            return []  # nothing is dropped: it is being opened
         inlet = self._opening.result()
         pulled: tuple[Any, Any] = inlet.pull_chunk(0.0, _MOST_SAMPLES)
         samples, stamps = pulled
@@ -103,6 +109,7 @@ class Link:
                 np.array(stamps, np.float64), np.array(samples, np.float64)
             )
             if events:
+                self._gone += len(self._held) == _MOST_HELD
                 self._held.append(events)
         seconds = 0.0 if self._is_here else self._seconds(inlet, now_s)
         known: list[tuple[Sequence[Event], float]] = []
@@ -110,12 +117,20 @@ class Link:
             known.append((self._held.popleft(), seconds))
         return known
 
-    def remark(self) -> str:
-        """Say what is wrong with its stamps, at first and whenever it is twice as much."""
-        if self._computer.left_out <= self._told:
-            return ""
-        self._told = 2 * self._computer.left_out
-        return self._computer.remark()
+    def remarks(self) -> list[Remark]:
+        """Say what was left out since the last call; of stamps when it is twice as much."""
+        found: list[Remark] = []
+        if self._computer.left_out > self._told:
+            new = self._computer.left_out - self._told // 2
+            self._told = 2 * self._computer.left_out
+            found.append((Refusal.STAMPS_LEFT_OUT, new, self._computer.remark()))
+        if new := self._computer.without_value - self._told_values:
+            self._told_values += new
+            found.append((Refusal.NO_FINITE_VALUE, new, ""))
+        if new := self._gone - self._told_gone:
+            self._told_gone += new
+            found.append((Refusal.UNSTAMPED, new, ""))
+        return found
 
     def close(self) -> None:
         """Close the inlet; one that is being opened closes by itself."""

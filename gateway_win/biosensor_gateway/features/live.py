@@ -17,10 +17,12 @@ from biosensor_common.lsl.inlets import read_description, unopened_inlet
 from biosensor_common.lsl.predicates import any_of, equals
 from biosensor_common.lsl_header import read_header
 from biosensor_common.lsl_outlet import LslOutlet
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
 from biosensor_gateway.features.choosing import Taken, choose
 from biosensor_gateway.features.errors import FeatureError
 from biosensor_gateway.features.headers import is_feature, stream_info
-from biosensor_gateway.features.links import Link
+from biosensor_gateway.features.links import Link, Remark
 from biosensor_gateway.features.outputs import TYPES
 from biosensor_gateway.features.runs import Event
 from biosensor_gateway.features.sources import Source, judge
@@ -102,7 +104,7 @@ class _Stage:
             No more files may be opened.
         """
         if self.is_lost:
-            return
+            return  # nothing is dropped: its outlet has ended
         known = self._link.read(now_s)
         if self._link.is_open:
             # Not before: who receives features shall not find any of a stream that is gone.
@@ -110,9 +112,9 @@ class _Stage:
             for events, seconds in known:
                 self._sender.send(events, seconds)
 
-    def remark(self) -> str:
+    def remarks(self) -> list[Remark]:
         """See `Link`."""
-        return self._link.remark()
+        return self._link.remarks()
 
     def close(self) -> None:
         """Close the inlet."""
@@ -140,6 +142,7 @@ class Live:
 
     def __init__(self, told: Told, clock: Callable[[], float] = pylsl.local_clock) -> None:
         self._told, self._clock = told, clock
+        self._refuse = Refusals(told.refused).refuse
         # By uid: what it is called over restarts.
         self._known: dict[str, str] = {}
         self._waiting: list[_Seen] = []
@@ -193,15 +196,16 @@ class Live:
             try:
                 stage.read(now_s)
             except RuntimeError:
+                # nothing is dropped: the outlet has ended, and is looked for again
                 self._lose(key, stage)
             except TransportError as error:
                 # No more files may be opened: neither for an inlet nor for outlets.
-                self._told.refused(str(error))
+                self._refuse(Refusal.NO_FEATURES, about=stage.source.name, why=error)
                 self._give_up(key)
             if stage.has_begun and not had_begun:
                 self._told.found(stage.source)
-            if remark := stage.remark():
-                self._told.refused(remark)
+            for what, count, why in stage.remarks():
+                self._refuse(what, count, about=stage.source.name, why=why)
 
     def _lose(self, key: str, stage: _Stage) -> None:
         """Look for the stream again, whatever outlet it has then."""
@@ -238,31 +242,32 @@ class Live:
         since_s = self._rivals.setdefault(info.uid(), self._clock())
         if self._clock() - since_s > RIVAL_S:
             self._rivals[info.uid()] = math.inf
-            self._told.refused(
+            why = (
                 f"two streams {info.name()!r} share the source_id {info.source_id()!r}; that on "
                 f"{info.hostname()} is left out, so give it one of its own"
             )
+            self._refuse(Refusal.NO_FEATURES, about=info.name(), why=why)
 
     def _judge(self, info: pylsl.StreamInfo, description: Future[str]) -> None:
         try:
             xml = description.result()
         except (TimeoutError, RuntimeError):
-            # It may have ended; if not, the next look finds it again.
+            # nothing is dropped: it may have ended; if not, the next look finds it again
             self._known.pop(info.uid(), None)
-            return
+            return  # nothing is dropped: as above
         if is_feature(xml):
-            return
+            return  # nothing is dropped: features of features are not asked for
         try:
             source = judge(info.name(), info.source_id(), read_header(xml))
         except (FeatureError, SpecError) as error:
-            self._told.refused(str(error))
+            self._refuse(Refusal.NO_FEATURES, about=info.name(), why=error)
             return
         if source is None:
-            return
+            return  # nothing is dropped: no feature is of its type
         stage = self._stages.get(_key(info))
         if stage is not None and stage.source.header == source.header:
             stage.follow(info)
-            return
+            return  # nothing is dropped: it goes on
         if stage is not None:
             self._give_up(_key(info))
         self._waiting.append(_Seen(source, info, self._clock()))

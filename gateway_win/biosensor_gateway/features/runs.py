@@ -72,6 +72,8 @@ class Runs:
         Samples so far whose stamps are no numbers or do not follow the ones before.
     steps_back
         How often stamps stepped back so far that a run began.
+    without_value
+        Samples so far that had an infinite value, or one that is too large to be true.
     """
 
     def __init__(self, make: Callable[[], Stage], rate: float, *, foreign: bool = False) -> None:
@@ -80,13 +82,13 @@ class Runs:
         self._longest_step = max(at.GAP_PERIODS / rate, jitter) if rate > 0 else np.inf
         self._stage: Stage | None = None
         self._last = -np.inf
-        self.left_out = self.steps_back = 0
+        self.left_out = self.steps_back = self.without_value = 0
 
     def take(self, stamps: Array, values: Array) -> list[Event]:
         """Take samples in, cut anyhow; shapes (n,) and (n, n_channels)."""
         events: list[Event] = []
         if not len(stamps):
-            return events
+            return events  # nothing is dropped: there is nothing
         latest, steps_back = self._latest_before(stamps)
         with np.errstate(invalid="ignore"):
             is_value = (np.abs(values) <= at.LARGEST_VALUE).all(axis=1)
@@ -95,6 +97,9 @@ class Runs:
             begins = is_good & (stamps - latest > self._longest_step)
         begins[steps_back] = is_good[steps_back]
         self.left_out += int(np.count_nonzero(~follows))
+        # What is no number says itself that it is no value.
+        wrong = (np.abs(values) > at.LARGEST_VALUE).any(axis=1)
+        self.without_value += int(np.count_nonzero(wrong))
         self.steps_back += len(steps_back)
         cuts = np.flatnonzero(begins | (is_good != np.roll(is_good, 1)))
         bounds = sorted({0, *cuts.tolist(), len(stamps)})
@@ -140,7 +145,7 @@ class Hops:
         self._pending.append((stamps, values))
         self._count += len(stamps)
         if self._count < self._length:
-            return
+            return  # nothing is dropped: they wait for more
         all_stamps = np.concatenate([each for each, _ in self._pending])
         all_values = np.concatenate([each for _, each in self._pending])
         done = self._count - self._count % self._length

@@ -85,6 +85,11 @@ class Computer:
         """How many samples were left out for their stamps, and how often these stepped back."""
         return self._runs.left_out + self._runs.steps_back
 
+    @property
+    def without_value(self) -> int:
+        """How many samples were left out because a value was infinite or too large."""
+        return self._runs.without_value
+
     def remark(self) -> str:
         """Say what was wrong with the stamps so far; empty if nothing was."""
         parts: list[str] = []
@@ -106,7 +111,7 @@ def judge(name: str, source_id: str, header: StreamHeader) -> Source | None:
     """
     kind = header.content_type
     if kind not in TYPES:
-        return None
+        return None  # nothing is dropped: no feature is of its type
     columns = _columns(header)
     if header.format is ChannelFormat.STRING or len(header.labels) < columns.stop:
         message = f"stream {name!r} has no {len(columns)} channels of numbers, as {kind} needs"
@@ -133,7 +138,7 @@ def _columns(header: StreamHeader) -> range:
 
 def _require_rate(name: str, header: StreamHeader) -> None:
     if header.content_type == ContentType.RR:
-        return
+        return  # nothing is dropped: beats have no rate
     low, high = at.RATES_HZ[header.content_type]
     if not low <= header.rate <= high:
         rate = f"{header.rate:g} Hz" if header.rate else "no nominal rate"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 
+from biosensor_common.refusals import Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, SensorSpec
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.outlets import Outlet
@@ -106,7 +107,22 @@ class DeviceOutlets:
         return {outlet.source_id: outlet.counters for outlet in self._outlets.values()}
 
     @property
+    def refusals(self) -> dict[str, Refusals]:
+        """What was not passed on as it came, by source_id."""
+        return {outlet.source_id: outlet.refusals for outlet in self._outlets.values()}
+
+    @property
     def rates(self) -> dict[str, float]:
         """Nominal rates in Hz by source_id, 0 of irregular streams."""
         outlets = self._outlets.values()
         return {each.source_id: each.nominal_rate for each in outlets}
+
+
+def differences(before: DeviceInfo, after: DeviceInfo) -> dict[str, tuple[object, object]]:
+    """Return what a device says of itself now and did not before, where it says both."""
+    then, now = asdict(before), asdict(after)
+    return {
+        name: (then[name], now[name])
+        for name in then
+        if then[name] and now[name] and then[name] != now[name]
+    }

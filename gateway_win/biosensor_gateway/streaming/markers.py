@@ -43,6 +43,8 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.events.log_errors import log_errors
 from biosensor_gateway.streaming.outlets import Outlet
@@ -125,10 +127,13 @@ class MarkerStream:
     ----------
     clock
         Tells when something happens.
+    refusals
+        Markers that nobody receives, or that cannot be sent.
     """
 
     def __init__(self, clock: Clock = LSL_CLOCK) -> None:
         self.clock = clock
+        self.refusals = Refusals(clock=clock)
         self._stamps = MonotonicStamps()
         self._count = 0
         self._kept: dict[int, Marker] = {}
@@ -147,7 +152,7 @@ class MarkerStream:
 
     def open(self) -> None:
         """Make the outlet. What goes wrong is logged, and markers are refused then."""
-        self._outlet = spare_outlet("markers", self.clock)
+        self._outlet = spare_outlet("markers", self.refusals, self.clock)
 
     @log_errors
     def tick(self, now: float) -> None:
@@ -191,6 +196,8 @@ class MarkerStream:
             number, marker, note, kind, source, round(happened, 6), timing, received=received
         )
         self._kept[number] = sent
+        if not self.is_received:
+            self.refusals.refuse(Refusal.UNHEARD_MARKER)
         if len(self._kept) > KEPT:
             del self._kept[next(iter(self._kept))]
         return sent
@@ -228,6 +235,7 @@ class MarkerStream:
     async def end(self) -> None:
         """Destroy the outlet, when what was marked has been sent."""
         if self._outlet is None:
+            # nothing is dropped: there was none, which `spare_outlet` has reported
             return
         if self.is_received:
             await asyncio.sleep(LINGER_S)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import os
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pylsl
@@ -21,6 +21,8 @@ from biosensor_common.lsl_config import LslOverrides, effective_config, user_con
 from biosensor_common.lsl_header import describe
 from biosensor_common.lsl_outlet import LslOutlet
 from biosensor_common.quantities import ChannelFormat, waits_for_receivers
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, FromDevice, StreamSpec
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
@@ -59,6 +61,15 @@ def configure_lsl(overrides: LslOverrides) -> Path | None:
     return path
 
 
+class _Fault(NamedTuple):
+    what: Refusal
+    facts: Mapping[str, Any]
+
+
+def _fault(what: Refusal, **facts: object) -> _Fault:
+    return _Fault(what, facts)
+
+
 class Outlet:
     """One LSL outlet of a declared stream.
 
@@ -67,6 +78,11 @@ class Outlet:
     shows a state wait, with their own stamps, until there was time to attach and
     somebody did; see `release`. So do those of any stream whose receivers have lost it a moment
     ago; see `await_return`.
+
+    Attributes
+    ----------
+    counters, refusals
+        What became of its samples, and what was not passed on as it came.
     """
 
     def __init__(
@@ -87,6 +103,7 @@ class Outlet:
         self.source_id = naming.source_id(identity, stream.data_name)
         self.name = naming.lsl_name(identity, stream.data_name)
         self.counters = Counters()
+        self.refusals = Refusals(clock=clock)
         lsl_info = pylsl.StreamInfo(
             self.name,
             stream.content_type.value,
@@ -102,6 +119,7 @@ class Outlet:
             stream.content_type, is_regular=stream.is_regular, is_state=stream.is_state
         )
         self._ready_s, self._latest_s = self._clock() + ATTACH_TIME_S, math.inf
+        # nothing is dropped: `_wait` reports what is given up
         self._waiting: deque[tuple[NDArray[Any], float]] = deque(maxlen=MAX_WAITING)
 
     def await_return(self) -> None:
@@ -110,7 +128,7 @@ class Outlet:
             self._waits = True
             now = self._clock()
             self._ready_s, self._latest_s = now + RETURN_TIME_S, now + LATEST_RETURN_S
-            self._waiting = deque(maxlen=MAX_AWAITING_RETURN)
+            self._waiting = deque(maxlen=MAX_AWAITING_RETURN)  # nothing is dropped: as above
 
     def push(self, samples: ArrayLike, stamps: Sequence[float]) -> str | None:
         """Push samples that are newer than all before them.
@@ -134,19 +152,29 @@ class Outlet:
         fault = self._fault(values, stamps)
         if fault is not None:
             self.counters.refused += len(stamps)
-            return fault
+            self.refusals.refuse(fault.what, len(stamps), **fault.facts)
+            return fault.what.cause(**fault.facts)
         if len(stamps):
             dtype = _DTYPES[self.stream.format]
             data = np.ascontiguousarray(values, dtype=dtype)
             if self._waits and not self._has_audience():
-                self._waiting.extend(zip(data, stamps, strict=True))
-                self.counters.waited += len(stamps)
+                self._wait(data, stamps)
+                # nothing is dropped: they wait for a receiver
                 return None
             if self._waiting:
                 self.release()
             self._outlet.push_chunk(data, list(stamps))
             self._count(stamps)
+        # nothing is dropped: they are pushed
         return None
+
+    def _wait(self, data: NDArray[Any], stamps: Sequence[float]) -> None:
+        most = self._waiting.maxlen or 0
+        given_up = min(len(stamps), len(self._waiting) + len(stamps) - most)
+        if given_up > 0:
+            self.refusals.refuse(Refusal.WAITED_TOO_LONG, given_up, most=most)
+        self._waiting.extend(zip(data, stamps, strict=True))
+        self.counters.waited += len(stamps)
 
     def release(self) -> None:
         """Push the samples that wait for receivers, if they need not wait any longer."""
@@ -158,8 +186,14 @@ class Outlet:
 
     def withhold_waiting(self) -> None:
         """Drop the samples that wait for receivers: their device has been paused."""
-        self.counters.withheld += len(self._waiting)
-        self._waiting.clear()
+        if self._waiting:
+            self.withhold(len(self._waiting))
+            self._waiting.clear()
+
+    def withhold(self, count: int) -> None:
+        """Count samples that are not sent because of a pause."""
+        self.counters.withheld += count
+        self.refusals.refuse(Refusal.PAUSED, count)
 
     def _has_audience(self) -> bool:
         if not self._waits:
@@ -191,36 +225,37 @@ class Outlet:
         self.counters.pushed += len(stamps)
         self.counters.last_stamp = stamps[-1]
 
-    def _fault(self, values: NDArray[np.float64], stamps: Sequence[float]) -> str | None:
+    def _fault(self, values: NDArray[np.float64], stamps: Sequence[float]) -> _Fault | None:
         expected = (len(stamps), len(self.stream.channels))
         if values.shape != expected and (values.size or len(stamps)):
-            return f"samples of shape {values.shape} instead of {expected}"
+            return _fault(Refusal.WRONG_SHAPE, shape=values.shape, expected=expected)
         if not len(stamps):
+            # nothing is dropped: there is nothing
             return None
         return self._stamp_fault(stamps) or self._value_fault(values)
 
-    def _stamp_fault(self, stamps: Sequence[float]) -> str | None:
+    def _stamp_fault(self, stamps: Sequence[float]) -> _Fault | None:
         neighbours = pairwise([self.counters.last_stamp, *stamps])
         if not all(math.isfinite(b) and a <= b for a, b in neighbours):
-            return "stamps run backwards"
+            return _fault(Refusal.BACKWARDS)
         now = self._clock()
         if stamps[0] < now - MAX_STAMP_AGE_S or stamps[-1] > now + MAX_STAMP_ERROR_S:
-            return "stamps are not on the LSL clock"
-        return None
+            return _fault(Refusal.NOT_LSL_TIME)
+        return None  # nothing is dropped: they are as they should be
 
-    def _value_fault(self, values: NDArray[np.float64]) -> str | None:
+    def _value_fault(self, values: NDArray[np.float64]) -> _Fault | None:
         missing = np.isnan(values)
         # A value may become infinite in the stream's format.
         if (np.abs(values) > self._largest).any():
-            return "infinite values"
+            return _fault(Refusal.INFINITE)
         if not self._is_regular and missing.all(axis=1).any():
-            return "no value in an irregular stream"
+            return _fault(Refusal.NO_VALUE, kind="an irregular")
         if self._is_float:
-            return None
+            return None  # nothing is dropped: the others hold any number
         if missing.any():
-            return "no value in an integer stream"
+            return _fault(Refusal.NO_VALUE, kind="an integer")
         limits = np.iinfo(_DTYPES[self.stream.format])
         low, high = self.stream.message_type.integer_range or (limits.min, limits.max)
         if (values < low).any() or (values > high).any():
-            return f"values outside {low}..{high}"
-        return None
+            return _fault(Refusal.OUT_OF_RANGE, low=low, high=high)
+        return None  # nothing is dropped: they fit

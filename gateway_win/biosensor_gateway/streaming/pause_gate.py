@@ -33,6 +33,7 @@ class PauseGate:
         self._send_from = -math.inf
         self._began = math.nan
         self.since: float | None = None
+        # nothing is dropped: these are times
         self._pauses: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED)
 
     @property

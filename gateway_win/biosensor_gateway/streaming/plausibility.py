@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from biosensor_common.quantities import ContentType, Unit
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
 from biosensor_common.spec import SensorSpec, StreamSpec
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.system.clock import Clock
@@ -66,12 +68,18 @@ class Plausibility:
         }
 
     def believed(
-        self, data_name: str, samples: ArrayLike, times: Sequence[float], counters: Counters
+        self,
+        data_name: str,
+        samples: ArrayLike,
+        times: Sequence[float],
+        counters: Counters,
+        refusals: Refusals,
     ) -> tuple[ArrayLike, Sequence[float]]:
         """Return what may be sent; the rest is counted and said, once in the log."""
         checked = self._check(data_name, samples, times)
         if checked.why:
             counters.refused += checked.refused
+            refusals.refuse(Refusal.IMPLAUSIBLE, checked.refused, why=checked.why)
             self._doubts[data_name] = self._clock(), checked.why, counters
             if self._is_new(data_name, checked.what):
                 self._log.warning("values are not sent", data=data_name, cause=checked.why)

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.device_clock import ClockState, DeviceClock
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
 from biosensor_gateway.streaming.charge import Charge
 from biosensor_gateway.streaming.counters import Counters
-from biosensor_gateway.streaming.device_outlets import DeviceOutlets
+from biosensor_gateway.streaming.device_outlets import DeviceOutlets, differences
 from biosensor_gateway.streaming.gaps import Gaps
 from biosensor_gateway.streaming.jumps import JumpReports, Jumps
 from biosensor_gateway.streaming.observer import SinkObserver
@@ -56,6 +57,8 @@ class DeviceSink:
         What is known of its battery.
     plausibility
         Keeps back what cannot be.
+    refusals
+        What of the device's bytes is no sample.
     own_delay
         Tells for how many seconds a packet may have had to wait for this computer lately.
     """
@@ -83,7 +86,13 @@ class DeviceSink:
         self.plausibility = Plausibility(spec, clock, self._log)
         self.info = DeviceInfo()
         self.told_rates: Mapping[str, float] = {}
-        self.dropped_bytes = 0
+        self.dropped_bytes = self._told_bytes = 0
+        self.refusals = Refusals(clock=clock)
+
+    @property
+    def refused(self) -> dict[str, Refusals]:
+        """What of each stream was not passed on as it came, by source_id."""
+        return self._outlets.refusals
 
     @property
     def clock_state(self) -> ClockState:
@@ -115,7 +124,7 @@ class DeviceSink:
         rebuilt = self._outlets.open(info, rates)
         if self.observer is not None:
             changes = {f"{name}.rate_hz": rate for name, rate in rebuilt.items()}
-            self.observer.connected(info, {**changes, **_differences(self.info, info)})
+            self.observer.connected(info, {**changes, **differences(self.info, info)})
         self.info, self.told_rates = info, rates
 
     def close(self) -> None:
@@ -127,6 +136,9 @@ class DeviceSink:
         """Push states that wait for a receiver; to be called once a second or so."""
         self._outlets.release()
         self._jumps.release()
+        if garbled := self.dropped_bytes - self._told_bytes:
+            self._told_bytes += garbled
+            self.refusals.refuse(Refusal.GARBLED, garbled)
 
     @property
     def is_paused(self) -> bool:
@@ -219,9 +231,11 @@ class DeviceSink:
             self.watch.heard(data_name)
         samples, stamps = self._sendable(data_name, samples, lsl_times)
         outlet = self._outlets[data_name]
-        samples, stamps = self.plausibility.believed(data_name, samples, stamps, outlet.counters)
+        samples, stamps = self.plausibility.believed(
+            data_name, samples, stamps, outlet.counters, outlet.refusals
+        )
         if len(lsl_times) and not len(stamps):
-            return
+            return  # nothing is dropped: `_sendable` has counted what a pause withholds
         if max(stamps, default=0.0) < self.clock() + MAX_STAMP_ERROR_S:
             # One from the future is refused; guarded, it would push all later ones there, too.
             stamps = self._stamps[data_name].apply(stamps)
@@ -230,6 +244,7 @@ class DeviceSink:
             self.charge.sampled(data_name, samples, stamps)
             self._tell_sampled(data_name, samples, stamps)
         elif self._is_new(data_name, refusal):
+            # nothing is dropped: the outlet reports it
             self._log.error("samples were refused", data=data_name, cause=refusal)
 
     def emit_value(self, data_name: str, value: float | None, device_s: float) -> None:
@@ -269,12 +284,12 @@ class DeviceSink:
         # Samples that do not fit their times are refused; there is no telling which is which.
         if all(may_send) or rows.shape[:1] != (len(times),):
             return samples, times
-        self._outlets[data_name].counters.withheld += may_send.count(False)
+        self._outlets[data_name].withhold(may_send.count(False))
         return rows[may_send], [time for time, sent in zip(times, may_send, strict=True) if sent]
 
     def _say_jumps(self, jumps: Jumps) -> None:
         if jumps.cause != DEVICE_RESTARTED or jumps.times > 1:
-            self._log.warning(
+            self._log.warning(  # nothing is dropped: stamps are told anew
                 "the device's clock jumped; its stamps are re-anchored",
                 cause=jumps.cause,
                 **({} if jumps.seconds is None else {"seconds": round(jumps.seconds, 3)}),
@@ -285,16 +300,9 @@ class DeviceSink:
 
     def _tell_sampled(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
         if self.tap is not None and len(stamps):
+        if not len(stamps):
+            return  # nothing is dropped: there is nothing
+        if self.tap is not None:
             self.tap(data_name, samples, stamps)
         if self.observer is not None and len(stamps):
             self.observer.sampled(data_name, samples, stamps)
-
-
-def _differences(before: DeviceInfo, after: DeviceInfo) -> dict[str, tuple[object, object]]:
-    """Return what a device says of itself now and did not before, where it says both."""
-    then, now = asdict(before), asdict(after)
-    return {
-        name: (then[name], now[name])
-        for name in then
-        if then[name] and now[name] and then[name] != now[name]
-    }

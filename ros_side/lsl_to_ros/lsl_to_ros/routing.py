@@ -11,7 +11,7 @@ from rclpy.node import Node
 
 from biosensor_common import naming
 from biosensor_common.naming import TopicName, resolve_topics
-from biosensor_common.quantities import MessageType
+from biosensor_common.quantities import ChannelFormat, MessageType
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.stream_header import StreamHeader
@@ -51,7 +51,7 @@ class _Record:
 
     counters: NodeCounters
     uid: str = ""
-    shape: tuple[object, ...] = ()
+    shape: tuple[int, ChannelFormat, float] | None = None
 
 
 class Routing:
@@ -190,6 +190,7 @@ class Routing:
             lambda publisher: publisher.name in names and publisher not in used
         )
         for topic in changed:
+            # nothing is dropped: the topic goes on with the other type
             self._warn(
                 f"{topic}: the stream came back in another format; the topic changes its type"
             )
@@ -224,8 +225,8 @@ class Routing:
             outputs = open_outputs(self._publishers, context, used)
         except TopicTypeError as error:
             route.bridge = None
-            told = {"why": error, "name": inlet.core.name}
-            self.refusals.refuse(Refusal.NO_TOPIC, about=topic.name, **told)
+            refuse, name = self.refusals.refuse, inlet.core.name
+            refuse(Refusal.NO_TOPIC, about=topic.name, why=error, name=name)
             return
         self.refusals.over(Refusal.NO_TOPIC, topic.name)
         route.bridge = Bridge(
@@ -237,12 +238,14 @@ class Routing:
             listen=self._listener(header),
         )
         if topic.conflict and header.identity.sensor != naming.AGENT:
+            # nothing is dropped: each has a topic, and its entry says so
             self._warn(f"{topic.name}: {Refusal.TWO_UNITS.told()}")
         if inlet.is_delivering:
             inlet.deliver_to(route.bridge)
         else:
             self._newest.append(route)
         replay = f", a replay of {header.replay.title}" if header.replay else ""
+        # nothing is dropped: it begins
         self._log.inform(f"{topic.name} ({header.message_type}){replay}")
 
     def _listen_only(self, inlet: Inlet, header: StreamHeader) -> None:
@@ -268,8 +271,9 @@ class Routing:
         if record.uid != inlet.uid:
             if record.uid:
                 record.counters.outlet_changed()
-            if record.shape not in ((), shape):
-                record.counters.refusals.refuse(Refusal.FORMAT_CHANGED, shape=_shape_text(shape))
+            if record.shape not in (None, shape):
+                name = route.topic.name if route.topic else inlet.core.name
+                record.counters.shape_changed(name, *shape)
             record.uid, record.shape = inlet.uid, shape
         if not header.foreign:
             self._counters[inlet.source_id] = record.counters
@@ -293,8 +297,3 @@ class Routing:
                 pushed, lost = int(entry["pushed"]), int(entry["lost"])
                 known.comparison.reported(pushed, lost, entry["last_stamp"])
                 known.clock = clock_of(entry)
-
-
-def _shape_text(shape: tuple[object, ...]) -> str:
-    channels, channel_format, rate = shape
-    return f"{channels} channels of {channel_format} at {rate or 'an irregular rate'}"

@@ -117,7 +117,7 @@ class Taker:
             self._do_what_is_to_do()
             if not self._entries:
                 time.sleep(_WAIT_NS / 1e9)
-                continue
+                continue  # nothing is dropped: nothing is subscribed
             if wait_set is None or len(self._entries) != before[0]:
                 size = len(self._entries)
                 wait_set = rclpy_implementation.WaitSet(size, 0, 0, 0, 0, 0, self._context.handle)
@@ -145,7 +145,8 @@ class Taker:
             for _ in range(_MAX_TAKEN):
                 taken = take_message(kind, False)
                 if taken is None:
-                    return
+                    return  # nothing is dropped: nothing has come
                 entry.take(*taken)
         except Exception as error:  # noqa: BLE001 - else no topic would be sent any more
+            # nothing is dropped: `failed` reports it
             self._failed(entry.subscription, error)

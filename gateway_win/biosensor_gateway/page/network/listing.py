@@ -9,6 +9,8 @@ import pylsl
 
 from biosensor_common.announcements import read_core
 from biosensor_common.errors import SpecError
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
 from biosensor_common.stream_header import CoreFields
 from biosensor_gateway.page.network.receiver import Receiver
 from biosensor_gateway.page.network.stream import UNSEEN_S, NetworkStream
@@ -17,8 +19,6 @@ MAX_STREAMS = 400
 FORGET_S = 300.0
 # A resolver reports an outlet that has died for another 5 s.
 _BOTH_ALIVE_S = 7.0
-_MOST_REFUSED = 20
-_TWIN = "another stream has the same source_id: programs that look for it may take either"
 
 
 class Listing:
@@ -27,16 +27,15 @@ class Listing:
     Attributes
     ----------
     streams
-    refused
-        Why streams cannot be used, one sentence each, by uid.
-    left_out
-        How many streams are one too many.
+    refusals
+        What is not listed, and why.
     """
 
     def __init__(self) -> None:
         self.streams: dict[int, NetworkStream] = {}
-        self.refused: dict[str, str] = {}
-        self.left_out = 0
+        self.refusals = Refusals()
+        self._refused: dict[str, str] = {}
+        self._left_out = 0
         self._numbers = count(1)
         self._waiting: dict[str, float] = {}
 
@@ -56,19 +55,21 @@ class Listing:
             if stream.uid in found:
                 stream.seen_s = now
         self._forget(found, now)
-        self.left_out = 0
+        self._left_out = 0
         closing = [
             self._take(info, now) for uid, info in found.items()
-            if uid not in known and uid not in self.refused
+            if uid not in known and uid not in self._refused
         ]  # fmt: skip
+        hold = self.refusals.hold
+        hold(Refusal.NOT_LISTED, bool(self._left_out), self._left_out, most=MAX_STREAMS)
         return [each for each in closing if each is not None]
 
     def _take(self, info: pylsl.StreamInfo, now: float) -> Receiver | None:
         try:
             core = read_core(info)
         except SpecError as error:
-            if len(self.refused) < _MOST_REFUSED:
-                self.refused[info.uid()] = str(error)
+            self._refused[info.uid()] = about = info.name()
+            self.refusals.refuse(Refusal.UNUSABLE, about=about, why=error)
             return None
         before = [each for each in self.streams.values() if each.continues_as(core)]
         away = [each for each in before if each.lost_s is not None or _is_unseen(each, now)]
@@ -77,12 +78,14 @@ class Listing:
             return away[0].follow(info, core, now)
         since = self._waiting.setdefault(info.uid(), now)
         if not before or now - since > _BOTH_ALIVE_S:
-            self._add(info, core, now, note=_TWIN if before else "")
-        return None
+            twin = Refusal.EITHER_SENDER.told()
+            self._add(info, core, now, note=twin if before else "")
+        return None  # nothing is dropped: it is listed, or waits for the end of another one
 
     def _add(self, info: pylsl.StreamInfo, core: CoreFields, now: float, note: str) -> None:
         if len(self.streams) >= MAX_STREAMS and not self._drop_one(now):
-            self.left_out += 1
+            self._left_out += 1
+            self.refusals.refuse(Refusal.NOT_LISTED, self._left_out, most=MAX_STREAMS)
             return
         self._waiting.pop(info.uid(), None)
         number = next(self._numbers)
@@ -99,9 +102,10 @@ class Listing:
         for number, stream in list(self.streams.items()):
             if now - stream.seen_s > FORGET_S and stream.is_gone(now):
                 del self.streams[number]
-        for record in (self._waiting, self.refused):
-            for uid in record.keys() - found.keys():
-                del record[uid]
+        for uid in self._waiting.keys() - found.keys():
+            del self._waiting[uid]
+        for uid in self._refused.keys() - found.keys():
+            self.refusals.over(Refusal.UNUSABLE, self._refused.pop(uid))
 
 
 def _is_unseen(stream: NetworkStream, now: float) -> bool:

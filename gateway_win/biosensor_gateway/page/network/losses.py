@@ -7,6 +7,8 @@ from collections.abc import Iterable, Mapping
 from typing import Any, cast
 
 from biosensor_common.quantities import ContentType
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
 from biosensor_gateway.page.network.received import MAX_COUNTERS
 from biosensor_gateway.page.network.stream import NetworkStream
 
@@ -16,24 +18,25 @@ def is_counters(stream: NetworkStream) -> bool:
     return stream.is_ours and stream.core.content_type == ContentType.COUNTERS
 
 
-def lost_by_source(streams: Iterable[NetworkStream]) -> dict[str, int]:
+def lost_by_source(streams: Iterable[NetworkStream], refusals: Refusals) -> dict[str, int]:
     """Return how many samples never reached their agent, by source_id."""
     found: dict[str, int] = {}
     for stream in streams:
         # What an agent counted in a recording is of another day.
         if is_counters(stream) and not (stream.header and stream.header.replay):
-            found.update(_lost(stream.received.raw))
+            found.update(_lost(stream, refusals))
     return found
 
 
-def _lost(text: bytes) -> dict[str, int]:
-    if len(text) > MAX_COUNTERS:
-        return {}
+def _lost(stream: NetworkStream, refusals: Refusals) -> dict[str, int]:
+    text, about = stream.received.raw, stream.core.name
     try:
-        counted = json.loads(text)
-    except (ValueError, RecursionError):
+        counted = json.loads(text[:MAX_COUNTERS]) if text else {}
+    except (ValueError, RecursionError) as error:
+        refusals.refuse(Refusal.NO_COUNTS, about=about, why=error)
         return {}
     if not isinstance(counted, Mapping):
+        refusals.refuse(Refusal.NO_COUNTS, about=about, why="they are no object")
         return {}
     entries = cast("Mapping[str, Any]", counted).items()
     return {source: count for source, entry in entries if (count := _count(entry)) is not None}

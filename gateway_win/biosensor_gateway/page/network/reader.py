@@ -87,6 +87,7 @@ class Reader:
                 count += 1
                 self._read()
         except Exception:  # noqa: BLE001 - its view gets old, which the page says
+            # nothing is dropped: the view gets old, which the page says
             _log.exception("the network is not looked at any more")
 
     def _look(self, now: float) -> None:
@@ -114,15 +115,16 @@ class Reader:
         try:
             block = receiver.pull()
         except RuntimeError as error:
+            # nothing is dropped: its state says that it is gone, or its note why
             self._inlets.drop(stream, now, error)
-            return []
+            return []  # nothing is dropped: as above
         if block is None:
-            return []
+            return []  # nothing is dropped: nothing has come
         stream.lost_s = None
         stream.received.placer.correction = receiver.correction
         times = stream.received.take(block, now)
         if not len(stream.received.values):
-            return []
+            return []  # nothing is dropped: it is text, which `take` keeps
         rate = max(stream.core.rate, measured_rate(times))
         firsts = [each for each in windows.get(stream.number, ()) if each < block.samples.shape[1]]
         return [

@@ -64,6 +64,7 @@ class Received:
 
     def __init__(self, core: CoreFields) -> None:
         self.count = self.missing = 0
+        # nothing is dropped: the page shows the newest only
         self.texts: deque[Entry] = deque(maxlen=TEXTS_KEPT)
         self.begin(core)
 
@@ -108,7 +109,7 @@ class Received:
     def _find_gaps(self, stamps: NDArray[np.float64]) -> None:
         finite = stamps[np.isfinite(stamps)]
         if not self._rate or not len(finite):
-            return
+            return  # nothing is dropped: there is nothing to find
         before, self._last_stamp = self._last_stamp, float(finite[-1])
         with np.errstate(over="ignore"):
             steps = np.diff(finite, prepend=finite[0] if before is None else before)

@@ -96,10 +96,10 @@ class Receiver:
             The stream is lost, or was not opened.
         """
         if not self._opening.done():
-            return None
+            return None  # nothing is dropped: it is being opened
         lsl = self._opening.result()
         if self.correction is None and self.age_s < CLOCK_WITHIN_S:
-            return None
+            return None  # nothing is dropped: they wait in liblsl
         # Only a pull finds out about a loss, so at least one sample is asked for.
         most = _MOST_TEXTS if self._is_text else min(max(1, lsl.samples_available()), self._most)
         samples, stamps = lsl.pull_chunk(0.0, most)

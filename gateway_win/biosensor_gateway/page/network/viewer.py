@@ -9,12 +9,13 @@ import numpy as np
 
 from biosensor_common import naming
 from biosensor_common.quantities import TYPES_OF_DEVICE, ChannelFormat
+from biosensor_common.refusal import Refusal
 from biosensor_common.stream_header import CoreFields, StreamHeader
 from biosensor_gateway.agent.rate_meter import STALE_AFTER_S
 from biosensor_gateway.page.history import is_of_now
 from biosensor_gateway.page.network.devices import device_view, group_of
 from biosensor_gateway.page.network.inlets import MAX_INLETS
-from biosensor_gateway.page.network.listing import MAX_STREAMS, Listing
+from biosensor_gateway.page.network.listing import Listing
 from biosensor_gateway.page.network.losses import is_counters, lost_by_source
 from biosensor_gateway.page.network.models import (
     NetworkView,
@@ -35,7 +36,7 @@ _BYTES = {
     ChannelFormat.INT64: 8,
 }
 _STAMP_BYTES = 8
-_BY_ARRIVAL = "its stamps are of another clock; its samples are shown when they arrive"
+_MOST_PROBLEMS = 20
 
 
 class Viewer:
@@ -65,7 +66,7 @@ class Viewer:
         self._begun_s = now if self._begun_s is None else self._begun_s
         streams = list(listing.streams.values())
         self._name(streams)
-        lost = lost_by_source(streams)
+        lost = lost_by_source(streams, listing.refusals)
         windows = chosen(wanted)
         self._keys = {each.core.source_id: str(each.number) for each in streams}
         views = {
@@ -214,13 +215,10 @@ def _texts(stream: NetworkStream, now: float) -> list[TextView]:
 
 def _clock_note(stream: NetworkStream) -> str:
     is_known = stream.receiver is not None and stream.receiver.correction is not None
-    return _BY_ARRIVAL if is_known and stream.received.placer.is_by_arrival else ""
+    return Refusal.BY_ARRIVAL.told() if is_known and stream.received.placer.is_by_arrival else ""
 
 
 def _problems(listing: Listing) -> list[str]:
-    problems = [readable(each, 400) for each in listing.refused.values()]
-    if listing.left_out:
-        problems.append(
-            f"{listing.left_out} further streams are not listed: {MAX_STREAMS} are the most"
-        )
-    return problems
+    problems = [readable(each.sentence_about, 400) for each in listing.refusals.present]
+    more = len(problems) - _MOST_PROBLEMS
+    return [*problems[:_MOST_PROBLEMS], *([f"and {more} more"] if more > 0 else [])]

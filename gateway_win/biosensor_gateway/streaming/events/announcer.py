@@ -11,6 +11,7 @@ from importlib.metadata import version
 
 from biosensor_common.clock_pair import measure_clock_pair
 from biosensor_common.clocks import MonotonicStamps
+from biosensor_common.refusals import Refusals
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.log_errors import log_errors
@@ -55,7 +56,8 @@ class Announcer:
         self._started_s = round(clock(), 6)
         self._due_s = -math.inf
         self._had_consumers = False
-        self._outlet = spare_outlet("events", clock)
+        self.refusals = Refusals(clock=clock)
+        self._outlet = spare_outlet("events", self.refusals, clock)
         self._start = dict(start or {})
         facts = {"version": version("biosensor-gateway"), **self._start, **self._clock_pair()}
         self.announce(EventKind.AGENT_STARTED, facts)
@@ -89,6 +91,7 @@ class Announcer:
             LSL time in seconds at which it happened; now if it is not said.
         """
         if self._outlet is None:
+            # nothing is dropped: `spare_outlet` has reported that there is no stream
             return
         happened = self._clock() if at is None else at
         content = {"event": kind.value, **facts, "lsl_time": round(happened, 6)}
@@ -105,6 +108,7 @@ class Announcer:
     async def end(self) -> None:
         """Destroy the outlet, when what was announced has been sent."""
         if self._outlet is None:
+            # nothing is dropped: `spare_outlet` has reported that there is no stream
             return
         if self._outlet.have_consumers():
             await asyncio.sleep(LINGER_S)
@@ -117,6 +121,7 @@ class Announcer:
         for watcher in tuple(self._watchers):
             watcher(now)
         if self._outlet is None or not self._period_s:
+            # nothing is dropped: none is wanted, or there is no stream
             return
         has_consumers = self._outlet.have_consumers()
         has_come = has_consumers and not self._had_consumers

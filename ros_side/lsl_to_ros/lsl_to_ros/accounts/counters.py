@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from biosensor_common.quantities import ChannelFormat
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.stream_header import StreamHeader
@@ -113,6 +114,12 @@ class NodeCounters:
         self.missing += undelivered
         if undelivered:
             self.refusals.refuse(Refusal.UNDELIVERED, undelivered)
+
+    def shape_changed(self, name: str, channels: int, kind: ChannelFormat, rate: float) -> None:
+        """Report that a stream came back in another shape; each time, however soon."""
+        shape = f"{channels} channels of {kind} at {rate or 'an irregular rate'}"
+        self.refusals.over(Refusal.FORMAT_CHANGED, name)
+        self.refusals.refuse(Refusal.FORMAT_CHANGED, about=name, shape=shape)
 
     def outlet_changed(self) -> None:
         """Take note that the samples to come are another outlet's."""

@@ -28,7 +28,7 @@ RETRY_FAILED_S = 5.0
 # An outlet that is reported for longer after another took its place is alive.
 ALIVE_AFTER_S = FORGET_AFTER_S + 2.0
 STOP_TIMEOUT_S = 1.0
-# So long an outlet waits until it is known whose another one is that claims to be the same.
+# So long an outlet waits until it is known whether another one that claims to be the same lives.
 SETTLED_S = 2.0
 
 
@@ -196,10 +196,10 @@ class Discovery:
         before = [other for other in self.inlets if other.continues_as(info)]
         waited_s = monotonic() - self._seen_s.setdefault(info.uid(), monotonic())
         is_opening = any(other.state is InletState.OPENING for other in before)
-        if is_opening and waited_s < SETTLED_S:
-            # nothing is dropped: it is known soon whose stream it is
-            return []
         live = [other for other in before if _is_of_another(other) and other.uid in found]
+        if (is_opening or live) and waited_s < SETTLED_S:
+            # nothing is dropped: it is known soon whether it follows one that has ended
+            return []
         if self._is_superseded(info) and (len(live) < len(before) or not self._is_alive(info)):
             # nothing is dropped: it has ended, or `_tell_of_twins` reports it
             return []

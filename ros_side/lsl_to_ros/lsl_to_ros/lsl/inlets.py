@@ -256,19 +256,17 @@ class Inlet:
         """Do something with liblsl's inlet; the state says how it ended."""
         reading = self._reading
         if reading is None or self.state in _ENDED:
-            return
+            return  # nothing is dropped: there is no inlet
         try:
             work(reading)
         except (util.LostError, util.TimeoutError):
+            # nothing is dropped: `end` is told what LSL dropped
             self.state = InletState.ENDING
-            count = threading.Thread(
-                target=self._count_undelivered,
-                args=(reading.lsl,),
-                daemon=True,
-                name="count what is lost",
-            )
-            count.start()
+            threading.Thread(
+                target=self._count_undelivered, args=(reading.lsl,), daemon=True, name="count lost"
+            ).start()
         except Exception as error:  # noqa: BLE001 - else the stream would end unsaid
+            # nothing is dropped: `end` is told what LSL dropped
             if not self._is_stopped.is_set():
                 self._refusals.refuse(Refusal.READ_FAILED, about=self.about, why=repr(error))
             self._delivery.end(reading.lsl.flush())

@@ -63,7 +63,7 @@ class Reading:
             if len(block.stamps):
                 self._deliver(block)
             if wanted < BATCH_SAMPLES:
-                return
+                return  # nothing is dropped: all that had come is delivered
 
     def follow(self, is_to_go_on: Condition) -> None:
         """Deliver each sample as it comes, for as long as that is wanted.
@@ -76,7 +76,7 @@ class Reading:
         while is_to_go_on():
             if not self._delivery.has_room:
                 time.sleep(ROOM_S)
-                continue
+                continue  # nothing is dropped: they wait in liblsl
             block = pull_one(self.lsl, PULL_TIMEOUT_S)
             if block is not None:
                 self._deliver_with_what_waits(block)

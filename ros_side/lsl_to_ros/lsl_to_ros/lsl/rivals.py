@@ -90,10 +90,10 @@ class Rivals:
         """Return the second inlet of a stream whose first one has ended, if it has one."""
         rival = self._rivals.get(ended.uid)
         if rival is None:
-            return None
+            return None  # nothing is dropped: it has none
         if rival.is_behind(ended):
             self.close(ended.uid)
-            return None
+            return None  # nothing is dropped: the first inlet was heard
         return self._swapped(ended).new
 
     def close(self, uid: str) -> None:
@@ -141,6 +141,7 @@ class Rivals:
             # nothing is dropped: it was fit to be used before, and the first inlet is still there
             return
         self._rivals[inlet.uid] = _Rival(inlet)
+        # nothing is dropped: a second connection is tried
         self._warn(
             f"{inlet.core}: seen again after a cut, but not heard; a second connection is tried"
         )
@@ -151,7 +152,7 @@ class Rivals:
             self.close(old.uid)
         elif rival.has_won and old.give_up(rival.opened_s):
             return self._swapped(old)
-        return None
+        return None  # nothing is dropped: both stay open
 
     def _swapped(self, old: Inlet) -> Swap:
         self._seen_again.pop(old.uid, None)

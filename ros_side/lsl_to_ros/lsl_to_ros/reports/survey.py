@@ -13,6 +13,7 @@ from rclpy.node import Node
 from rclpy.qos import ReliabilityPolicy
 
 from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
 from lsl_to_ros.accounts.load import Load, LoadFacts
 from lsl_to_ros.lsl.discovery import Discovery
 from lsl_to_ros.lsl.hosts import Senders
@@ -115,17 +116,10 @@ class Survey:
             len(routes),
             discovery.refused,
             crowded_out,
-            self._concerns(),
+            concerns_of(discovery.refusals, self._routing.refusals),
             statuses,
             devices,
         )
-
-    def _concerns(self) -> list[Concern]:
-        books = (self._discovery.refusals, self._routing.refusals)
-        shown = [each for book in books for each in book.present]
-        # Those are counted and named together.
-        others = [each for each in shown if each.what is not Refusal.NO_FILES]
-        return [Concern(each.what.level, each.sentence_about) for each in others]
 
     def _stream_status(self, route: Route) -> DiagnosticStatus | None:
         if route.bridge is None or route.topic is None:
@@ -181,3 +175,11 @@ class Survey:
             self._warn(overload(load, self._share))
         self._overloads = load.is_busy, load.is_late
         return load
+
+
+def concerns_of(*books: Refusals) -> list[Concern]:
+    """Return what is left out or guessed now and has no entry of its own."""
+    shown = [each for book in books for each in book.present]
+    # Those are counted and named together.
+    others = [each for each in shown if each.what is not Refusal.NO_FILES]
+    return [Concern(each.what.level, each.sentence_about) for each in others]

@@ -154,6 +154,7 @@ class RosToLsl(Node):
         if lost:
             topic.bridge.refusals.refuse(Refusal.LOST_ON_THE_WAY, lost)
         if topic.kind is not None and not was_known and not topic.bridge.fault:
+            # nothing is dropped: it begins
             self._log.inform(f"{topic.name} ({topic.kind.name}): {topic.quality}")
 
     def _is_met(self, graph: Graph, topic: str, publishers: Sequence[TopicEndpointInfo]) -> bool:
@@ -170,9 +171,11 @@ class RosToLsl(Node):
             if not each.topic.publishers:
                 similar = get_close_matches(name, published, n=1)
                 question = f"; is {similar[0]} meant?" if similar else ""
+                # nothing is dropped: there is nothing yet
                 self._log.inform(f"{name}: nobody publishes it yet{question}")
 
     def _say(self, topic: str, sentence: str) -> None:
+        # nothing is dropped: this is where refusals are said
         self._log.warn(f"{topic}: {sentence}")
         self._events.notice(topic, sentence)
 
@@ -188,6 +191,7 @@ class RosToLsl(Node):
         step = self._ros_time.refresh()
         if step is not None:
             self._offsets.restart()
+            # nothing is dropped: clocks are judged anew
             self._log.warn(f"the system clock jumped by {step.size_ns / 1e9:.6f} s; stamps follow")
             for each in self._topics.values():
                 each.topic.bridge.clock_was_set()

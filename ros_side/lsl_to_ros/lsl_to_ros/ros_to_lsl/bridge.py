@@ -92,7 +92,7 @@ class Bridge:
             # Before anybody publishes: a recorder must see it before the first event.
             try:
                 self._marker_outlet()
-            except GatewayError as error:
+            except GatewayError as error:  # nothing is dropped: `_fail` reports it
                 self._fail(error)
 
     @property
@@ -173,7 +173,7 @@ class Bridge:
                 self._senders = senders_for(
                     kind.message_class, self.request, self._marker_outlet, self.refusals
                 )
-            except GatewayError as error:
+            except GatewayError as error:  # nothing is dropped: `_fail` reports it
                 self._fail(error)
 
     def take(self, message: RosMessage, info: MessageInfo, *, may_be_old: bool = False) -> None:
@@ -249,7 +249,7 @@ class Bridge:
         try:
             for each in self._senders:
                 each.send(message, stamped.lsl_s, lambda: self._origin_of(message, stamped.source))
-        except GatewayError as error:
+        except GatewayError as error:  # nothing is dropped: `_fail` reports it
             self._fail(error)
 
     def _fail(self, error: GatewayError) -> None:

@@ -198,11 +198,11 @@ def _read_parts(
         parts.append(_Names(*names))
     for each in fields:
         if each.kind is FieldKind.TEXT:
-            continue
+            continue  # nothing is dropped: text goes out as markers
         if not each.is_array:
             found.append(channel_of(each, before.path + each.path, before.label + each.path))
             scalars.append(each)
-            continue
+            continue  # nothing is dropped: it is a part by now
         if scalars:
             parts.append(_Scalars(scalars))
             scalars = []
@@ -262,7 +262,7 @@ def _names_in(
             names = list(get(message))
             is_one_each = all(names) and len(set(names)) == len(names)
             return (get, names) if names and is_one_each else None
-    return None
+    return None  # nothing is dropped: names are labels only
 
 
 def _is_wanted(channel: Channel, wanted: Sequence[str]) -> bool:

@@ -26,7 +26,7 @@ class PublicationLosses:
         """Take in the number of a message; None if the middleware gives none."""
         if number is None:
             self._is_unknown = True
-            return
+            return  # nothing is dropped: this counts only
         # A smaller one is of a publisher that was started anew.
         if self._newest is not None and number > self._newest + 1:
             self._missing += number - self._newest - 1

@@ -80,5 +80,5 @@ def parted(message_class: type[Any], request: TopicRequest) -> FramedList | None
     """Return the list whose elements become streams, if a topic is to be sent so."""
     found = framed_list(message_class)
     if found is None or request.send_as in (SendAs.MARKERS, SendAs.JSON):
-        return None
+        return None  # nothing is dropped: it is sent as a whole
     return None if any(is_part(each, found.name) for each in request.fields) else found

@@ -80,6 +80,7 @@ class NumberSender:
         self._newest: Sequence[float] | None = None
         self._had_consumers = False
         self._left: list[tuple[float, SampleOutlet]] = []
+        # nothing is dropped: these are times
         self._replaced_at: deque[float] = deque(maxlen=MAX_REPLACED)
 
     def send(self, message: RosMessage, stamp: float, origin: Callable[[], Origin]) -> None:

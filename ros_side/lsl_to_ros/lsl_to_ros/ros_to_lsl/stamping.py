@@ -115,7 +115,7 @@ class MessageStamping:
     def observe(self, message: RosMessage, info: MessageInfo) -> None:
         """Compare a message's stamps with its arrival."""
         if self._by_arrival:
-            return
+            return  # nothing is dropped: its stamps are not used
         arrival_ns = info["received_timestamp"]
         if self._has_header and (stamp_ns := _header_ns(message)):
             self.clocks[StampSource.HEADER].observe(stamp_ns, arrival_ns)

@@ -92,6 +92,7 @@ class Bridge:
         self._is_counted_by_agent = not header.foreign
         self._keeps_newest = header.rate == 0 and not header.message_type.is_text
         self._gaps = GapFinder(header.rate, foreign=header.foreign)
+        # nothing is dropped: `_hold` reports what is given up
         self._held: deque[Run] = deque(maxlen=HELD_RUNS)
         # Asked for with each block of samples.
         self._publishers = outputs.publishers

@@ -78,7 +78,7 @@ class Register:
     def put(self, index: int, claims: Mapping[str, Claim]) -> None:
         """Take in what a process has now."""
         if claims == self._parts.get(index, {}):
-            return
+            return  # nothing is dropped: they are known
         self.version += 1
         self._parts[index] = dict(claims)
         self._claims = {uid: claim for part in self._parts.values() for uid, claim in part.items()}

@@ -1,0 +1,120 @@
+"""Finds places that may drop data and report no refusal.
+
+The rule, for each function of a data room: an empty ``return``, a ``continue``, an ``except``, a
+``suppress`` and a line for the log stand in a block that calls ``refuse`` (or ``hold``) before, or
+have a comment that begins with ``nothing is dropped:`` and says why, in the line or in the one
+above. A bounded ``deque`` has such a comment, too. What answers a question, a function that returns
+``bool`` or ``str`` and a property, may return what it likes.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from typing import NamedTuple
+
+EXCUSE = "nothing is dropped:"
+REPORTS = frozenset({"refuse", "hold", "_refuse"})
+_LOGS = frozenset(
+    {"debug", "info", "inform", "warn", "warning", "error", "exception", "critical", "print"}
+    | {"_warn", "_say", "say", "_inform"}
+)
+_ANSWERS = frozenset({"bool", "str", "int", "float", "bool | None", "int | None", "float | None"})
+_Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+class Drop(NamedTuple):
+    """A place that may drop data unsaid."""
+
+    line: int
+    what: str
+
+
+def drops(source: str) -> list[Drop]:
+    """Return all of a module."""
+    tree, lines = ast.parse(source), source.splitlines()
+    # A comment in a line of its own is of the next one.
+    excused = {
+        number + line.lstrip().startswith("#")
+        for number, line in enumerate(lines, 1)
+        if EXCUSE in line
+    }
+    found: set[Drop] = set()
+    for function in ast.walk(tree):
+        if isinstance(function, _Function) and not is_answer(function):
+            found.update(_in_block(function.body, excused, is_reported=False))
+    return sorted(found)
+
+
+def is_answer(function: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
+    """Whether it answers a question."""
+    is_property = any("property" in ast.unparse(each) for each in function.decorator_list)
+    returns = ast.unparse(function.returns) if function.returns else ""
+    return is_property or returns.strip("'\"") in _ANSWERS
+
+
+def _in_block(body: list[ast.stmt], excused: set[int], *, is_reported: bool) -> Iterator[Drop]:
+    """Look at the statements of a block; a report in one covers those that follow it there."""
+    reported = is_reported
+    for statement in body:
+        reported = reported or _calls(statement, REPORTS)
+        is_excused = statement.lineno in excused
+        if not (reported or is_excused):
+            yield from _of(statement)
+        for block in _blocks(statement):
+            inside = [each for each in block if not isinstance(each, _Function | ast.ClassDef)]
+            yield from _in_block(inside, excused, is_reported=False)
+        for handler in getattr(statement, "handlers", []):
+            first = handler.body[0].lineno
+            is_excused = bool({handler.lineno, first} & excused)
+            is_told = _reports_or_raises(handler)
+            if not (is_excused or is_told):
+                yield Drop(handler.lineno, "except")
+            yield from _in_block(handler.body, excused, is_reported=False)
+
+
+def _of(statement: ast.stmt) -> Iterator[Drop]:
+    line = statement.lineno
+    if isinstance(statement, ast.Continue):
+        yield Drop(line, "continue")
+    if isinstance(statement, ast.Return) and _is_empty(statement.value):
+        yield Drop(line, "return")
+    if isinstance(statement, ast.With) and "suppress(" in ast.unparse(statement.items[0]):
+        yield Drop(line, "except")
+    if isinstance(statement, ast.Expr) and _calls(statement, _LOGS):
+        yield Drop(line, "log")
+    if isinstance(statement, ast.Assign | ast.AnnAssign) and "maxlen=" in ast.unparse(statement):
+        yield Drop(line, "deque")
+
+
+def _is_empty(value: ast.expr | None) -> bool:
+    if value is None or (isinstance(value, ast.Constant) and not value.value):
+        return True
+    if isinstance(value, ast.Dict):
+        return not value.keys
+    return isinstance(value, ast.List | ast.Tuple) and not value.elts
+
+
+def _reports_or_raises(handler: ast.ExceptHandler) -> bool:
+    is_raised = any(isinstance(each, ast.Raise) for each in ast.walk(handler))
+    return is_raised or any(_calls(each, REPORTS) for each in handler.body)
+
+
+def _calls(statement: ast.stmt, names: frozenset[str]) -> bool:
+    """Whether a simple statement calls one of these; of a compound one, what stands inside not."""
+    if list(_blocks(statement)):
+        return False
+    calls = (each.func for each in ast.walk(statement) if isinstance(each, ast.Call))
+    return any(
+        (each.attr if isinstance(each, ast.Attribute) else getattr(each, "id", "")) in names
+        for each in calls
+    )
+
+
+def _blocks(statement: ast.stmt) -> Iterator[list[ast.stmt]]:
+    for name in ("body", "orelse", "finalbody"):
+        block = getattr(statement, name, None)
+        if isinstance(block, list) and block:
+            yield block
+    for case in getattr(statement, "cases", []):
+        yield case.body

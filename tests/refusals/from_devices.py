@@ -1,0 +1,214 @@
+"""Provokes what an agent, its markers, the features and the page refuse."""
+
+from __future__ import annotations
+
+import math
+import socket
+from collections.abc import Sequence
+from concurrent.futures import Future
+from typing import Any
+
+import numpy as np
+import pylsl
+import pytest
+
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
+from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.features import links
+from biosensor_gateway.features.live import Live
+from biosensor_gateway.page.network import listing as listing_module
+from biosensor_gateway.page.network.listing import Listing
+from biosensor_gateway.page.network.placing import Placer
+from biosensor_gateway.page.network.viewer import Viewer, _clock_note
+from biosensor_gateway.streaming import outlets
+from biosensor_gateway.streaming.markers import MarkerKind, MarkerStream
+from biosensor_gateway.streaming.outlets import MAX_WAITING, Outlet
+from biosensor_gateway.streaming.own_outlets import spare_outlet
+from biosensor_gateway.streaming.sink import DeviceSink
+from tests.refusals.provoked import Shown, fake, in_status, provokes
+from tests.rigs.memory_outlet import MemoryOutlet
+from tests.ros.test_namesakes import Info
+
+NOW_S = 1000.0
+
+
+class Unheard(MemoryOutlet):
+    def have_consumers(self) -> bool:
+        return False
+
+
+def sink(patch: pytest.MonkeyPatch) -> DeviceSink:
+    patch.setattr(outlets, "LslOutlet", MemoryOutlet)
+    opened = DeviceSink(DeviceIdentity("zephyr", "U1"), declaration("zephyr"), lambda: NOW_S)
+    opened.open(DeviceInfo(), {})
+    return opened
+
+
+def emitted(patch: pytest.MonkeyPatch, data: str, samples: Any, *stamps: float) -> Shown:
+    zephyr = sink(patch)
+    zephyr.emit_at(data, samples, list(stamps))
+    return in_status(zephyr.refused[f"zephyr-U1-{data}"])
+
+
+@provokes(Refusal.WRONG_SHAPE)
+def wrong_shape(patch: pytest.MonkeyPatch) -> Shown:
+    return emitted(patch, "ecg", [[1.0, 2.0]], NOW_S)
+
+
+@provokes(Refusal.BACKWARDS)
+def backwards(patch: pytest.MonkeyPatch) -> Shown:
+    return emitted(patch, "ecg", [1.0], math.nan)
+
+
+@provokes(Refusal.NOT_LSL_TIME)
+def not_lsl_time(patch: pytest.MonkeyPatch) -> Shown:
+    return emitted(patch, "ecg", [1.0], NOW_S + 1e6)
+
+
+@provokes(Refusal.INFINITE)
+def infinite(patch: pytest.MonkeyPatch) -> Shown:
+    return emitted(patch, "ecg", [math.inf], NOW_S)
+
+
+@provokes(Refusal.NO_VALUE)
+def no_value(patch: pytest.MonkeyPatch) -> Shown:
+    return emitted(patch, "hr", [math.nan], NOW_S)
+
+
+@provokes(Refusal.OUT_OF_RANGE)
+def out_of_range(patch: pytest.MonkeyPatch) -> Shown:
+    return emitted(patch, "hr", [300.0], NOW_S)
+
+
+@provokes(Refusal.PAUSED)
+def paused(patch: pytest.MonkeyPatch) -> Shown:
+    zephyr = sink(patch)
+    zephyr.pause()
+    zephyr.emit_at("ecg", [1.0, 2.0], [NOW_S, NOW_S])
+    return in_status(zephyr.refused["zephyr-U1-ecg"])
+
+
+@provokes(Refusal.WAITED_TOO_LONG)
+def waited_too_long(patch: pytest.MonkeyPatch) -> Shown:
+    patch.setattr(outlets, "LslOutlet", Unheard)
+    stream = declaration("zephyr").stream("bat")
+    outlet = Outlet(stream, DeviceIdentity("zephyr", "U1"), DeviceInfo(), lambda: NOW_S)
+    for _ in range(MAX_WAITING + 1):
+        outlet.push([50.0] * len(stream.channels), [NOW_S])
+    return in_status(outlet.refusals)
+
+
+@provokes(Refusal.GARBLED)
+def garbled(patch: pytest.MonkeyPatch) -> Shown:
+    zephyr = sink(patch)
+    zephyr.dropped_bytes += 3
+    zephyr.release()
+    return in_status(zephyr.refusals)
+
+
+@provokes(Refusal.NO_OUTLET)
+def no_outlet(patch: pytest.MonkeyPatch) -> Shown:
+    def nameless() -> str:
+        raise OSError
+
+    patch.setattr(socket, "gethostname", nameless)
+    refusals = Refusals()
+    assert spare_outlet("markers", refusals) is None
+    return in_status(refusals)
+
+
+@provokes(Refusal.UNHEARD_MARKER)
+def unheard_marker(patch: pytest.MonkeyPatch) -> Shown:
+    patch.setattr(outlets, "LslOutlet", Unheard)
+    stream = MarkerStream(lambda: NOW_S)
+    stream.open()
+    stream.mark("start", "", MarkerKind.API, "")
+    return in_status(stream.refusals)
+
+
+class Immediate:
+    """Runs what it is given at once."""
+
+    def submit(self, work: Any, *arguments: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        future.set_result(work(*arguments))
+        return future
+
+
+def features(patch: pytest.MonkeyPatch, unit: str, stamps: Sequence[float], value: float) -> Shown:
+    """Have features computed of an ECG of another program; they tell the agent's log."""
+    info = pylsl.StreamInfo("strap", "ECG", 1, 130.0, "float32", "strap")
+    channel = info.desc().append_child("channels").append_child("channel")
+    channel.append_child_value("label", "ECG")
+    channel.append_child_value("unit", unit)
+    chunks = [([[value]] * len(stamps), list(stamps))]
+    inlet = fake(
+        pull_chunk=lambda *_: chunks.pop() if chunks else ([], []),
+        close_stream=lambda: None,
+        time_correction=lambda _: 0.0,
+    )
+    patch.setattr(links, "open_inlet", lambda *_: inlet)
+    patch.setattr("biosensor_gateway.features.live.LslOutlet", MemoryOutlet)
+    said: list[str] = []
+    now = [NOW_S]
+    live = Live(fake(found=lambda _: None, refused=said.append), lambda: now[0])
+    live._asking = Immediate()  # type: ignore[assignment]
+    patch.setattr("biosensor_gateway.features.live._description", lambda _: info.as_xml())
+    for _ in range(4):
+        live.look([info])
+        now[0] += 2.0
+    live.read()
+    # A line of the agent's log is all that there is of it.
+    return Shown(1, said[0])
+
+
+@provokes(Refusal.NO_FEATURES)
+def no_features(patch: pytest.MonkeyPatch) -> Shown:
+    return features(patch, "", [], 0.0)
+
+
+@provokes(Refusal.STAMPS_LEFT_OUT)
+def stamps_left_out(patch: pytest.MonkeyPatch) -> Shown:
+    return features(patch, "microvolts", [NOW_S, NOW_S - 0.5, NOW_S + 0.1], 1.0)
+
+
+@provokes(Refusal.NO_FINITE_VALUE)
+def no_finite_value(patch: pytest.MonkeyPatch) -> Shown:
+    return features(patch, "microvolts", [NOW_S, NOW_S + 0.01], math.inf)
+
+
+def problems(listing: Listing) -> Shown:
+    (sentence,) = Viewer().view(listing, 0, (), NOW_S).problems
+    return Shown(1, sentence)
+
+
+@provokes(Refusal.NOT_LISTED)
+def not_listed(patch: pytest.MonkeyPatch) -> Shown:
+    patch.setattr(listing_module, "MAX_STREAMS", 0)
+    listing = Listing()
+    listing.update([pylsl.StreamInfo("a", "EEG", 1, 100.0, "float32", "a")], NOW_S)
+    return problems(listing)
+
+
+@provokes(Refusal.EITHER_SENDER)
+def either_sender(patch: pytest.MonkeyPatch) -> Shown:
+    del patch
+    infos: Any = [Info("1", "lab-pc", 1.0), Info("2", "lab-pc", 2.0)]
+    listing = Listing()
+    for now in (NOW_S, NOW_S + 1, NOW_S + 9):
+        listing.update(infos, now)
+    first, second = listing.streams.values()
+    assert not first.note
+    return Shown(1, second.note)
+
+
+@provokes(Refusal.BY_ARRIVAL)
+def by_arrival(patch: pytest.MonkeyPatch) -> Shown:
+    del patch
+    placer = Placer()
+    placer.correction = 0.0
+    placer.place(np.array([1.79e9]), NOW_S)
+    stream = fake(receiver=fake(correction=0.0), received=fake(placer=placer))
+    return Shown(1, _clock_note(stream))

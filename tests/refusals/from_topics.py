@@ -1,0 +1,118 @@
+"""Provokes what ``ros_to_lsl`` does not send as it came."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
+from lsl_to_ros.ros_to_lsl import outlets, pairs
+from lsl_to_ros.ros_to_lsl.application import RosToLsl
+from lsl_to_ros.ros_to_lsl.fields import message_class
+from lsl_to_ros.ros_to_lsl.reports import node_status
+from lsl_to_ros.ros_to_lsl.topic import Topic
+from tests.refusals.provoked import Shown, fake, provokes
+from tests.ros_to_lsl.test_bridge import Outlet, Sent, TFMessage, transform
+
+PoseArray, Pose = (message_class(f"geometry_msgs/msg/{each}") for each in ("PoseArray", "Pose"))
+PoseStamped = message_class("geometry_msgs/msg/PoseStamped")
+
+
+def sent(patch: pytest.MonkeyPatch, kind: Any, *messages: Any) -> Sent:
+    patch.setattr(outlets, "LslOutlet", Outlet)
+    topic = Sent("/topic", kind)
+    for number, message in enumerate(messages):
+        topic.take(message, 10 * number)
+    return topic
+
+
+def entry(topic: Sent) -> Shown:
+    status = topic.status()
+    return Shown(status.level[0], status.message)
+
+
+def node(refusals: Refusals) -> Shown:
+    status = node_status(1, 1, 0, [], refusals)
+    return Shown(status.level[0], status.message)
+
+
+@provokes(Refusal.NOT_SENT)
+def not_sent(patch: pytest.MonkeyPatch) -> Shown:
+    image = message_class("sensor_msgs/msg/Image")
+    return entry(sent(patch, image, image()))
+
+
+@provokes(Refusal.NO_NUMBER)
+def no_number(patch: pytest.MonkeyPatch) -> Shown:
+    return entry(sent(patch, PoseArray, PoseArray()))
+
+
+@provokes(Refusal.NEW_CHANNELS)
+def new_channels(patch: pytest.MonkeyPatch) -> Shown:
+    return entry(sent(patch, PoseArray, PoseArray(poses=[Pose()]), PoseArray(poses=[Pose()] * 2)))
+
+
+@provokes(Refusal.ROUNDED)
+def rounded(patch: pytest.MonkeyPatch) -> Shown:
+    int64 = message_class("std_msgs/msg/Int64")
+    return entry(sent(patch, int64, int64(data=2**60 + 1)))
+
+
+@provokes(Refusal.TOO_MANY_PAIRS)
+def too_many_pairs(patch: pytest.MonkeyPatch) -> Shown:
+    patch.setattr(pairs, "MAX_PAIRS", 1)
+    message = TFMessage([transform("odom", "base", 1.0), transform("base", "hand", 2.0)])
+    return entry(sent(patch, TFMessage, message))
+
+
+@provokes(Refusal.DOUBTFUL_STAMPS)
+def doubtful_stamps(patch: pytest.MonkeyPatch) -> Shown:
+    topic = sent(patch, PoseStamped)
+    topic.run(PoseStamped, header_s=0.5, source_s=0.0005)
+    return entry(topic)
+
+
+@provokes(Refusal.DOUBTFUL_CLOCK)
+def doubtful_clock(patch: pytest.MonkeyPatch) -> Shown:
+    topic = sent(patch, PoseStamped)
+    topic.run(PoseStamped, header_s=0.5, source_s=0.5)
+    return entry(topic)
+
+
+@provokes(Refusal.OTHER_TYPE)
+def other_type(patch: pytest.MonkeyPatch) -> Shown:
+    topic = sent(patch, PoseStamped)
+    publishers: Any = [fake(topic_type=f"geometry_msgs/msg/{x}") for x in ("PoseStamped", "Pose")]
+    Topic._tell_others(fake(bridge=topic.bridge), publishers, topic.kind.name)
+    return entry(topic)
+
+
+@provokes(Refusal.LOST_ON_THE_WAY)
+def lost_on_the_way(patch: pytest.MonkeyPatch) -> Shown:
+    topic = sent(patch, PoseStamped)
+    graph = fake(publishers=lambda _: [fake()], is_ours=lambda _: False)
+    losses = topic.bridge.losses
+    for number in (1, 5):
+        losses.take(number)
+    known = fake(name="/topic", kind=topic.kind, bridge=topic.bridge, quality="reliable")
+    known.follow = lambda publishers: losses.look(len(publishers))
+    RosToLsl._follow(fake(), graph, known)
+    return entry(topic)
+
+
+@provokes(Refusal.SEND_FAILED)
+def send_failed(patch: pytest.MonkeyPatch) -> Shown:
+    del patch
+    own = fake(_refusals=Refusals())
+    RosToLsl._fail(own, fake(topic_name="/topic"), ValueError("no such thing"))
+    return node(own._refusals)
+
+
+@provokes(Refusal.NOT_SMALL)
+def not_small(patch: pytest.MonkeyPatch) -> Shown:
+    del patch
+    own = fake(_refusals=Refusals(), _topics={}, _seen={}, _left_out=[])
+    RosToLsl._open_small(own, fake(left_out=lambda: ["/camera"], small=list))
+    return node(own._refusals)

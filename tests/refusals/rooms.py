@@ -1,0 +1,36 @@
+"""The modules through which samples and messages pass: the data rooms."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+_NODE, _AGENT = "ros_side/lsl_to_ros/lsl_to_ros", "gateway_win/biosensor_gateway"
+_PATTERNS = (
+    *(f"{_NODE}/lsl/{each}.py" for each in (
+        "delivery", "descriptions", "discovery", "file_room", "inlets", "namesakes", "pulls",
+        "reading", "rivals",
+    )),
+    f"{_NODE}/topics/*.py",
+    f"{_NODE}/routing.py",
+    f"{_NODE}/taking.py",
+    *(f"{_NODE}/ros_to_lsl/{each}.py" for each in (
+        "application", "bridge", "doubts", "events", "graph", "layout", "losses", "outlets",
+        "pairs", "senders", "stamping", "texts", "topic",
+    )),
+    *(f"{_AGENT}/streaming/{each}.py" for each in (
+        "sink", "outlets", "device_outlets", "own_outlets", "pause_gate", "markers",
+        "events/announcer",
+    )),
+    f"{_AGENT}/agent/marking.py",
+    *(f"{_AGENT}/features/{each}.py" for each in ("chains", "links", "live", "runs", "sources")),
+    *(f"{_AGENT}/page/network/{each}.py" for each in (
+        "inlets", "listing", "losses", "placing", "reader", "received", "receiver",
+    )),
+)  # fmt: skip
+
+
+def data_rooms() -> list[Path]:
+    """Return their files."""
+    found = sorted(path for each in _PATTERNS for path in ROOT.glob(each))
+    return [path for path in found if path.name != "__init__.py"]

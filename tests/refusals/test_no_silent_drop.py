@@ -1,0 +1,74 @@
+"""No data room drops data without reporting it, and the check finds drops that are put in."""
+
+from __future__ import annotations
+
+import ast
+import random
+from pathlib import Path
+
+import pytest
+
+from tests.refusals.drops import EXCUSE, drops, is_answer
+from tests.refusals.rooms import ROOT, data_rooms
+
+ROOMS = data_rooms()
+SEEDS = range(40)
+_KINDS = {
+    "return": ("if drop_it:", "    return"),
+    "continue": ("for _ in (1,):", "    continue"),
+    "except": ("try:", "    take_it()", "except ValueError:", "    pass"),
+    "log": ('self._log.warning("a sample is dropped")',),
+}
+
+
+@pytest.mark.parametrize("room", ROOMS, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_a_data_room_drops_nothing_unsaid(room: Path) -> None:
+    found = [f"{room.name}:{each.line}: {each.what}" for each in drops(room.read_text())]
+    assert not found, (
+        f"{', '.join(found)}: report a member of Refusal (biosensor_common/refusal.py) by `refuse`"
+        f" before, or say why not: `# {EXCUSE} ...`"
+    )
+
+
+def test_an_excuse_says_why() -> None:
+    for room in ROOMS:
+        for line in room.read_text().splitlines():
+            if EXCUSE in line:
+                assert len(line.partition(EXCUSE)[2].split()) >= 2, f"{room.name}: {line.strip()}"
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_three_drops_at_places_of_a_seed_are_found(seed: int) -> None:
+    chance = random.Random(seed)
+    for room in chance.sample(ROOMS, 3):
+        source = room.read_text()
+        statement = chance.choice(_statements(source))
+        what = chance.choice(sorted(_KINDS))
+        seeded, begin, end = _seeded(source, statement, _KINDS[what])
+        found = [each for each in drops(seeded) if begin <= each.line <= end]
+        assert what in {each.what for each in found}, f"{room.name}:{begin}: {what}"
+
+
+def _statements(source: str) -> list[ast.stmt]:
+    """Return where something can be put in: statements behind which nothing is reported."""
+    lines = source.splitlines()
+    functions = [
+        each
+        for each in ast.walk(ast.parse(source))
+        if isinstance(each, ast.FunctionDef | ast.AsyncFunctionDef) and not is_answer(each)
+    ]
+    return [
+        statement
+        for body in (each.body for each in functions)
+        # A docstring stays the first, and a comment with what it is about.
+        for statement in body[isinstance(body[0], ast.Expr) and len(body) > 1 :]
+        if not lines[statement.lineno - 2].lstrip().startswith(("#", "@"))
+        and not any("refuse(" in ast.unparse(each) or "hold(" in ast.unparse(each) for each in body)
+    ] or [functions[0].body[-1]]
+
+
+def _seeded(source: str, before: ast.stmt, lines: tuple[str, ...]) -> tuple[str, int, int]:
+    """Put lines before a statement; return where they are."""
+    all_lines, at = source.splitlines(), before.lineno - 1
+    put = [" " * before.col_offset + line for line in lines]
+    return "\n".join([*all_lines[:at], *put, *all_lines[at:]]), at + 1, at + len(put)
