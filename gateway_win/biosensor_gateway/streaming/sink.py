@@ -299,10 +299,9 @@ class DeviceSink:
             self.observer.reanchored(*jumps)
 
     def _tell_sampled(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
-        if self.tap is not None and len(stamps):
         if not len(stamps):
             return  # nothing is dropped: there is nothing
         if self.tap is not None:
             self.tap(data_name, samples, stamps)
-        if self.observer is not None and len(stamps):
+        if self.observer is not None:
             self.observer.sampled(data_name, samples, stamps)

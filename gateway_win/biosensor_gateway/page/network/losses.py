@@ -31,7 +31,7 @@ def lost_by_source(streams: Iterable[NetworkStream], refusals: Refusals) -> dict
 def _lost(stream: NetworkStream, refusals: Refusals) -> dict[str, int]:
     text, about = stream.received.raw, stream.core.name
     try:
-        counted = json.loads(text[:MAX_COUNTERS]) if text else {}
+        counted: object = json.loads(text[:MAX_COUNTERS]) if text else {}
     except (ValueError, RecursionError) as error:
         refusals.refuse(Refusal.NO_COUNTS, about=about, why=error)
         return {}

@@ -44,9 +44,8 @@ class CsvReader:
         if len(values) != len(self._labels):
             return Wrong(Flaw.COUNT, self._miscounted(line, len(values)))
         row: list[float] = []
-        for position, value in enumerate(values):
-            label = self._labels[position]
-            value = _without_label(value, label)
+        for position, label in enumerate(self._labels):
+            value = _without_label(values[position], label)
             number = 0.0 if label == SKIPPED else self._number(value)
             if number is None or (position in self._needed and isnan(number)):
                 if tuple(values) == self._labels:
