@@ -2,29 +2,47 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 
+import numpy as np
+
 from biosensor_common.quantities import ContentType
 from biosensor_gateway.features import quality
+from biosensor_gateway.features import thresholds as at
 from biosensor_gateway.features.activity import Activity
 from biosensor_gateway.features.breathing import Breathing
 from biosensor_gateway.features.heart import Heart
 from biosensor_gateway.features.pulse import Pulses
 from biosensor_gateway.features.r_peaks import RPeaks
-from biosensor_gateway.features.runs import Array, Event, Runs, Stage
+from biosensor_gateway.features.runs import Array, Event, Hops, Runs, Stage
 from biosensor_gateway.features.skin import Skin
+
+_MOST_S = 10.0
+"""In blocks no longer than this, qualities are kept until the beats of their time are found."""
 
 
 class _Beating:
-    """Beats of a waveform."""
+    """Beats of a waveform, and its quality."""
 
-    def __init__(self, find: RPeaks | Pulses) -> None:
-        self._find, self._heart = find, Heart()
+    def __init__(self, content_type: str, find: RPeaks | Pulses, rate: float) -> None:
+        self._quality = quality.Quality(content_type, rate)
+        self._find, self._heart = find, Heart(self._quality)
+        self._apex_s = math.nan
+        self._most = max(1, round(_MOST_S * rate))
 
     def take(self, stamps: Array, values: Array) -> list[Event]:
-        found = self._find.take(stamps, values)
-        return [event for stamp in found for event in self._heart.beat(stamp)]
+        column = values[:, 0]
+        events: list[Event] = []
+        for begin in range(0, len(stamps), self._most):
+            here = slice(begin, begin + self._most)
+            # What is told beside a beat is of windows that have ended before it.
+            events += self._quality.take(stamps[here], column[here])
+            for beat in self._find.take(stamps[here], column[here]):
+                events += self._heart.beat(beat.stamp, beat.apex_s - self._apex_s)
+                self._apex_s = beat.apex_s
+        return events
 
 
 class _Intervals:
@@ -47,6 +65,23 @@ class _Intervals:
             self._last = stamp
             events += self._heart.beat(stamp, interval_s)
         return events
+
+
+class _Averaged:
+    """Has a stage take means of neighbours, each stamped with their middle."""
+
+    def __init__(self, factor: int, stage: Stage) -> None:
+        self._hops, self._stage = Hops(factor), stage
+
+    def take(self, stamps: Array, values: Array) -> list[Event]:
+        means = [
+            ((times[0] + times[-1]) / 2, group.mean(axis=0))
+            for times, group in self._hops.take(stamps, values)
+        ]
+        if not means:
+            return []
+        times, groups = zip(*means, strict=True)
+        return self._stage.take(np.array(times), np.array(groups))
 
 
 class _Together:
@@ -78,12 +113,17 @@ def new_runs(content_type: str, rate: float, *, foreign: bool) -> Runs:
     foreign
         See :class:`.Runs`.
     """
+    factor = max(1, math.ceil(rate / at.MOST_HZ))
+    slow = rate / factor
     makers: dict[str, Callable[[], Stage]] = {
-        ContentType.ECG: _waveform("ECG", lambda hz: _Beating(RPeaks(hz)), rate),
-        ContentType.PPG: _waveform("PPG", lambda hz: _Beating(Pulses(hz)), rate),
-        ContentType.GSR: _waveform("GSR", Skin, rate),
-        ContentType.RESPIRATION: _waveform("Respiration", Breathing, rate),
+        ContentType.ECG: lambda: _Beating("ECG", RPeaks(slow), slow),
+        ContentType.PPG: lambda: _Beating("PPG", Pulses(slow), slow),
+        ContentType.GSR: _waveform("GSR", Skin, slow),
+        ContentType.RESPIRATION: _waveform("Respiration", Breathing, slow),
         ContentType.RR: lambda: _Together(_Intervals()),
-        ContentType.ACCELEROMETER: partial(Activity, rate),
+        ContentType.ACCELEROMETER: partial(Activity, slow),
     }
-    return Runs(makers[content_type], rate, foreign=foreign)
+    make = makers[content_type]
+    if factor > 1:
+        return Runs(lambda: _Averaged(factor, make()), rate, foreign=foreign)
+    return Runs(make, rate, foreign=foreign)

@@ -46,6 +46,15 @@ class Fir:
         return np.convolve(joined, self._taps, "valid")
 
 
+def between_samples(before: float, apex: float, after: float) -> float:
+    """Return where the top of the parabola through three samples is, from the middle one on.
+
+    In sampling intervals, half of one at most.
+    """
+    bend = before - 2 * apex + after
+    return min(0.5, max(-0.5, (before - after) / (2 * bend))) if bend else 0.0
+
+
 class Biquad:
     """A second-order Butterworth filter, sample by sample, in transposed direct form II.
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,9 @@ from biosensor_gateway.features import thresholds as at
 from biosensor_gateway.features.runs import Array, Event
 
 NOTHING = math.nan
+HR_QUALITY = "hr_live_quality"
+_QUALITY_AGE_S = 1.5
+"""How old the newest quality of a window may be; there is one every second."""
 
 
 class Variability(NamedTuple):
@@ -46,8 +50,8 @@ def variability(intervals_s: Array, is_valid: NDArray[np.bool_]) -> Variability:
         return Variability(NOTHING, sdnn, NOTHING)
     rmssd = math.sqrt(float(np.mean(steps * steps))) * 1e3
     # A step of exactly 50 ms is none, however its last bit was rounded.
-    share = float(np.mean(np.abs(steps) > at.NN50_S + 1e-9))
-    return Variability(rmssd, sdnn, share * 100)
+    count = int(np.count_nonzero(np.abs(steps) > at.NN50_S + 1e-9))
+    return Variability(rmssd, sdnn, 100 * count / len(valid))
 
 
 def is_artefact(interval_s: float, before_s: float) -> bool:
@@ -66,14 +70,28 @@ class _Interval(NamedTuple):
     is_valid: bool
 
 
+class Trust(Protocol):
+    """Says how far the signal can be trusted in which beats are found."""
+
+    def worst(self, begin_s: float, end_s: float) -> float:
+        """Return the lowest quality of the windows that lie in between; NaN without any."""
+        ...
+
+
 class Heart:
-    """Takes beats of one run; gives `beats`, `hr_live` and `hrv_live`.
+    """Takes beats of one run; gives `beats`, `hr_live`, `hr_live_quality` and `hrv_live`.
 
     Windows go by the times of the beats. A window gives nothing before it is full, and NaN where
-    too few of its intervals are valid.
+    too few of its intervals are valid. Motion is told by another: it is NaN here.
+
+    Parameters
+    ----------
+    trust
+        Of the signal; without one, a device says what the intervals are, and it is believed.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, trust: Trust | None = None) -> None:
+        self._trust = trust
         self._kept: deque[_Interval] = deque()
         self._begin: float | None = None
         self._stamp = self._before = NOTHING
@@ -86,7 +104,7 @@ class Heart:
         stamp
             Of its apex, after that of the one before.
         interval_s
-            Since the one before, if the device says so; else from the stamps.
+            Since the one before, NaN if there is none; None to take it from the stamps.
         """
         if interval_s is None:
             interval_s = stamp - self._stamp
@@ -104,33 +122,62 @@ class Heart:
         events = [Event("beats", stamp, (interval_s, float(wrong)))]
         return events + self._rate() + self._variability()
 
+    def _quality(self, window_s: float) -> float:
+        """Return that of the signal over a window up to now; NaN where it is not known."""
+        if self._trust is None:
+            return NOTHING
+        return self._trust.worst(self._stamp - window_s, self._stamp)
+
     def _rate(self) -> list[Event]:
-        valid: list[float] = []
-        for each in reversed(self._kept):
-            if each.stamp <= self._stamp - at.HR_WINDOW_S:
-                break
-            if each.is_valid:
-                valid.append(each.length_s)
-        if len(valid) < at.HR_LEAST:
+        """Return the mean of the valid intervals, or of all where many are not: `HR_VALID_SHARE`.
+
+        Few are where the rhythm is irregular, and what is left of it would be a biased choice; or
+        where the signal is bad.
+        """
+        window_s = at.HR_WINDOW_S
+        last = [each for each in self._kept if each.stamp > self._stamp - window_s]
+        valid = [each for each in last if each.is_valid]
+        low, high = at.RATE_INTERVAL_S
+        taken = valid
+        quality = self._quality(window_s + _QUALITY_AGE_S)
+        if len(valid) < at.HR_VALID_SHARE * len(last):
+            is_good = self._trust is None or quality >= at.GOOD_QUALITY
+            taken = [each for each in last if is_good and low <= each.length_s <= high]
+        if len(taken) < at.HR_LEAST:
             return []
-        return [Event("hr_live", self._stamp, (60 * len(valid) / math.fsum(valid),))]
+        rate = 60 * len(taken) / math.fsum(each.length_s for each in taken)
+        covered = _covered(taken, self._stamp, window_s)
+        beside = (float(len(taken)), len(valid) / len(last), covered, quality, NOTHING)
+        return [
+            Event("hr_live", self._stamp, (rate,)),
+            Event(HR_QUALITY, self._stamp, beside),
+        ]
 
     def _variability(self) -> list[Event]:
         assert self._begin is not None
         if self._stamp - self._begin < min(at.HRV_WINDOWS_S):
             return []
-        stamps = np.array([each.stamp for each in self._kept])
-        intervals = np.array([each.length_s for each in self._kept])
-        is_valid = np.array([each.is_valid for each in self._kept])
         values: list[float] = []
+        beside: list[float] = []
         for window_s in at.HRV_WINDOWS_S:
             if self._stamp - self._begin < window_s:
                 values += [NOTHING] * 4
+                beside += [NOTHING] * 4
                 continue
-            first = int(np.searchsorted(stamps, self._stamp - window_s, side="right"))
-            share = float(np.mean(is_valid[first:]))
-            found = variability(intervals[first:], is_valid[first:])
-            if share < at.HRV_LEAST_SHARE:
-                found = Variability(NOTHING, NOTHING, NOTHING)
+            last = [each for each in self._kept if each.stamp > self._stamp - window_s]
+            valid = [each for each in last if each.is_valid]
+            share, covered = len(valid) / len(last), _covered(valid, self._stamp, window_s)
+            found = Variability(NOTHING, NOTHING, NOTHING)
+            if min(share, covered) >= at.HRV_LEAST_SHARE:
+                intervals = np.array([each.length_s for each in last])
+                found = variability(intervals, np.array([each.is_valid for each in last]))
             values += [*found, share]
-        return [Event("hrv_live", self._stamp, tuple(values))]
+            beside += [float(len(valid)), covered, self._quality(window_s), NOTHING]
+        return [Event("hrv_live", self._stamp, (*values, *beside))]
+
+
+def _covered(intervals: Sequence[_Interval], end_s: float, window_s: float) -> float:
+    """Return the share of a window's time that these intervals take up."""
+    begin_s = end_s - window_s
+    inside = (min(each.length_s, each.stamp - begin_s) for each in intervals)
+    return min(1.0, math.fsum(inside) / window_s)

@@ -13,6 +13,7 @@ import pylsl
 
 from biosensor_common.lsl.inlets import open_inlet
 from biosensor_common.refusal import Refusal
+from biosensor_gateway.features.motion import Motions
 from biosensor_gateway.features.runs import Event
 from biosensor_gateway.features.sources import Source
 
@@ -61,6 +62,8 @@ class Link:
         As a resolver gave it.
     asking
         Its threads wait for the sender.
+    motions
+        Of all devices.
 
     Attributes
     ----------
@@ -68,14 +71,20 @@ class Link:
         Of the outlet.
     """
 
-    def __init__(self, source: Source, info: pylsl.StreamInfo, asking: ThreadPoolExecutor) -> None:
+    def __init__(
+        self,
+        source: Source,
+        info: pylsl.StreamInfo,
+        asking: ThreadPoolExecutor,
+        motions: Motions,
+    ) -> None:
         self.uid = info.uid()
         self._asking = asking
         self._opening = asking.submit(open_inlet, info, _OPEN_S, _BUFFER_S)
         # On one computer stamps stay as they are, to the last bit.
         self._is_here = info.hostname() == socket.gethostname()
         self._correction: _Correction | None = None
-        self._computer = source.new_computer()
+        self._computer = source.new_computer(motions)
         self._told = self._gone = self._told_gone = self._told_values = 0
         # nothing is dropped: what is given up is counted in `read` and told by `remarks`
         self._held: deque[Sequence[Event]] = deque(maxlen=_MOST_HELD)

@@ -23,6 +23,7 @@ from biosensor_gateway.features.choosing import Taken, choose
 from biosensor_gateway.features.errors import FeatureError
 from biosensor_gateway.features.headers import is_feature, stream_info
 from biosensor_gateway.features.links import Link, Remark
+from biosensor_gateway.features.motion import Motions
 from biosensor_gateway.features.outputs import TYPES
 from biosensor_gateway.features.runs import Event
 from biosensor_gateway.features.sources import Source, judge
@@ -71,12 +72,18 @@ class Sender:
 class _Stage:
     """One source, over all outlets that it has one after the other."""
 
-    def __init__(self, source: Source, info: pylsl.StreamInfo, asking: ThreadPoolExecutor) -> None:
-        self.source = source
+    def __init__(
+        self,
+        source: Source,
+        info: pylsl.StreamInfo,
+        asking: ThreadPoolExecutor,
+        motions: Motions,
+    ) -> None:
+        self.source, self._motions = source, motions
         self.is_lost = False
         self._sender: Sender | None = None
         self._asking = asking
-        self._link = Link(source, info, asking)
+        self._link = Link(source, info, asking, motions)
 
     @property
     def uid(self) -> str:
@@ -91,7 +98,8 @@ class _Stage:
     def follow(self, info: pylsl.StreamInfo) -> None:
         """Go on with another outlet, whose header is the same."""
         self._link.close()
-        self._link, self.is_lost = Link(self.source, info, self._asking), False
+        self._link = Link(self.source, info, self._asking, self._motions)
+        self.is_lost = False
 
     def read(self, now_s: float) -> None:
         """Take in what has come, and send what can be told by now.
@@ -150,6 +158,7 @@ class Live:
         self._spare: dict[str, _Seen] = {}
         self._taken: Taken = set()
         self._stages: dict[str, _Stage] = {}
+        self._motions: Motions = {}
         self._asking = ThreadPoolExecutor(_ASKING, thread_name_prefix="asking")
         self._described: list[tuple[pylsl.StreamInfo, Future[str]]] = []
         self._rivals: dict[str, float] = {}
@@ -294,7 +303,7 @@ class Live:
         if (earlier := self._stages.pop(_key(info), None)) is not None:
             earlier.close()
             source = replace(source, features=(*earlier.source.features, *source.features))
-        self._stages[_key(info)] = _Stage(source, info, self._asking)
+        self._stages[_key(info)] = _Stage(source, info, self._asking, self._motions)
 
 
 def _key(info: pylsl.StreamInfo) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from biosensor_gateway.features.choosing import choose
 from biosensor_gateway.features.errors import FeatureError, FeatureReason
 from biosensor_gateway.features.headers import is_feature, stream_info
+from biosensor_gateway.features.motion import Motions
 from biosensor_gateway.features.outputs import Feature
 from biosensor_gateway.features.runs import Event
 from biosensor_gateway.features.sources import Source, judge
@@ -101,12 +103,28 @@ def _sources(streams: Sequence[Stream]) -> tuple[_Pairs, list[str]]:
     return [(by_header[id(each.header)], each) for each in choose(found, set())], refused
 
 
+def _motions(pairs: _Pairs) -> Motions:
+    """Return the motion of each device, over the whole recording."""
+    motions: Motions = {}
+    for stream, source in pairs:
+        motion = source.new_motion(keep_s=math.inf)
+        if motion is not None:
+            motions[source.identity] = motion
+            for samples in stream.blocks():
+                motion.take(samples.stamps, source.scaled(samples.values))
+    return motions
+
+
 def _computed(
-    stream: Stream, source: Source, remarks: list[str]
+    stream: Stream, source: Source, motions: Motions, remarks: list[str]
 ) -> Iterator[tuple[Samples, list[Event]]]:
-    computer = source.new_computer()
+    # A copy, for an accelerometer has its motion told from its first sample on.
+    computer = source.new_computer(dict(motions))
+    samples: Samples | None = None
     for samples in stream.blocks():
         yield samples, computer.take(samples.stamps, samples.values)
+    if samples is not None:
+        yield samples, computer.finish()
     if remark := computer.remark():
         remarks.append(remark)
 
@@ -134,7 +152,7 @@ class _Written:
 def _write_xdf(file: BinaryIO, pairs: _Pairs, begun: str, remarks: list[str]) -> dict[str, int]:
     writing.begin(file, begun, ())
     counts: dict[str, int] = {}
-    number = 0
+    motions, number = _motions(pairs), 0
     for stream, source in pairs:
         written: list[_Written] = []
         names: list[str] = []
@@ -146,7 +164,7 @@ def _write_xdf(file: BinaryIO, pairs: _Pairs, begun: str, remarks: list[str]) ->
             written.append(_Written(number, stream, feature))
             for taken_at, offset in stream.clock_offsets:
                 file.write(writing.clock_offset(number, taken_at, offset))
-        for _, events in _computed(stream, source, remarks):
+        for _, events in _computed(stream, source, motions, remarks):
             file.writelines(each.chunk(events) for each in written)
         for name, each in zip(names, written, strict=True):
             file.write(writing.boundary() + writing.footer(each.number, each))
@@ -159,11 +177,12 @@ def _write_csv(file: BinaryIO, pairs: _Pairs, _begun: str, remarks: list[str]) -
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["time_s", "stream", "channel", "unit", "value"])
     counts: dict[str, int] = {}
+    motions = _motions(pairs)
     for stream, source in pairs:
         known = {each.name: each for each in source.features}
         names = {name: stream_info(source, each).name() for name, each in known.items()}
         counts |= dict.fromkeys(names.values(), 0)
-        for samples, events in _computed(stream, source, remarks):
+        for samples, events in _computed(stream, source, motions, remarks):
             to_recorder = _clock(stream, samples)
             for event in events:
                 name = names[event.feature]

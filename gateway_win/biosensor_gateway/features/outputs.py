@@ -10,20 +10,36 @@ from biosensor_common.quantities import ContentType, Unit
 from biosensor_common.spec import ChannelSpec, StreamSpec
 from biosensor_common.table import channels, hardware, raw
 from biosensor_gateway.features import thresholds as at
+from biosensor_gateway.features.heart import HR_QUALITY
 from biosensor_gateway.features.quality import REASONS
 
-VERSION = "2"
+VERSION = "3"
 """Of all algorithms here; another one where a value may differ for the same samples."""
 
-_HRV = tuple(
-    channel
-    for window_s in at.HRV_WINDOWS_S
-    for channel in (
-        ChannelSpec(f"RMSSD_{window_s:.0f}s", Unit.MILLISECONDS),
-        ChannelSpec(f"SDNN_{window_s:.0f}s", Unit.MILLISECONDS),
-        ChannelSpec(f"pNN50_{window_s:.0f}s", Unit.PERCENT),
-        ChannelSpec(f"valid_{window_s:.0f}s", Unit.FRACTION),
+
+def _of_each_window(labels: Mapping[str, Unit]) -> tuple[ChannelSpec, ...]:
+    return tuple(
+        ChannelSpec(f"{label}_{window_s:.0f}s", unit)
+        for window_s in at.HRV_WINDOWS_S
+        for label, unit in labels.items()
     )
+
+
+_MS = Unit.MILLISECONDS
+_HRV = _of_each_window(
+    {"RMSSD": _MS, "SDNN": _MS, "pNN50": Unit.PERCENT, "valid": Unit.FRACTION}
+) + _of_each_window(
+    {
+        "intervals": Unit.COUNTS,
+        "covered": Unit.FRACTION,
+        "quality": Unit.FRACTION,
+        "motion": Unit.BOOLEAN,
+    }
+)
+_HR_QUALITY = (
+    *channels(Unit.COUNTS, "intervals"),
+    *channels(Unit.FRACTION, "valid", "covered", "quality"),
+    *channels(Unit.BOOLEAN, "motion"),
 )
 _BEATS = (*channels(Unit.SECONDS, "interval"), *channels(Unit.BOOLEAN, "artefact"))
 _SCR = (
@@ -31,7 +47,7 @@ _SCR = (
     *channels(Unit.SECONDS, "rise_time"),
     *channels(Unit.MICROSIEMENS, "onset_level"),
 )
-_SQI = (*channels(Unit.FRACTION, "quality"), *channels(Unit.BOOLEAN, *REASONS))
+_SQI = (*channels(Unit.FRACTION, "quality"), *channels(Unit.BOOLEAN, *REASONS, "motion"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +90,16 @@ def _heart(algorithm: str, delay_s: float) -> tuple[Feature, ...]:
         Feature(
             "hr_live",
             raw("hr_live", ContentType.HR, channels(Unit.BEATS_PER_MINUTE, "HR")),
-            f"{algorithm}; mean of the valid intervals",
+            f"{algorithm}; mean of the valid intervals, of all if many are not",
+            at.HR_WINDOW_S,
+            delay_s,
+            every_s,
+        ),
+        # Beside it, for a stream of one channel is a plain number in ROS and stays one.
+        Feature(
+            HR_QUALITY,
+            hardware(HR_QUALITY, ContentType.QUALITY, _HR_QUALITY),
+            "what hr_live is the mean of, and the quality of its signal",
             at.HR_WINDOW_S,
             delay_s,
             every_s,
@@ -93,7 +118,7 @@ def _heart(algorithm: str, delay_s: float) -> tuple[Feature, ...]:
 def _sqi(content_type: str, data_name: str, algorithm: str) -> Feature:
     stream = hardware(f"{data_name}_sqi", ContentType.QUALITY, _SQI)
     window_s = at.QUALITY_WINDOW_S[content_type]
-    return Feature("sqi", stream, algorithm, window_s, 0, window_s)
+    return Feature("sqi", stream, algorithm, window_s, 0, at.QUALITY_EVERY_S[content_type])
 
 
 def _skin() -> tuple[Feature, ...]:

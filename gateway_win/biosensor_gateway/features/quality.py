@@ -5,8 +5,9 @@ References are in :mod:`.thresholds`.
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +19,15 @@ from biosensor_gateway.features.likeness import (
     ppg_likeness,
     unevenness,
 )
+from biosensor_gateway.features.moments import moment
 from biosensor_gateway.features.runs import Array, Event, Hops
 
 REASONS = ("flat", "clipped", "noisy", "baseline", "out_of_range")
 """What a window may suffer from, in the order of the channels."""
 
 Judged = tuple[float, tuple[str, ...]]
-_GOOD = 0.5
+_KEPT_S = max(at.HRV_WINDOWS_S) + 60.0
+"""How long qualities are kept: samples may come in lumps."""
 
 
 def _scaled(value: float, limits: tuple[float, float]) -> float:
@@ -51,31 +54,45 @@ def _share(part: float, whole: float) -> float:
     return part / whole if whole > 0 else 0.0
 
 
-def _held(values: Array) -> dict[str, bool]:
-    """Whether a signal stands still, or stays at one of its ends."""
-    still: NDArray[np.bool_] = values[1:] == values[:-1]
-    at_end = (values[1:] == values.max()) | (values[1:] == values.min())
+def _held(values: Array, rate: float) -> dict[str, bool]:
+    """Whether a signal stands still, or stays at one of its ends.
+
+    Both go by time, not by samples: a converter with coarse steps repeats values the more often the
+    faster it is.
+    """
+    changes = np.flatnonzero(np.diff(values)) + 1
+    begins, ends = np.append(0, changes), np.append(changes, len(values))
+    runs_s = (ends - begins) / rate
+    flat_s = runs_s[runs_s >= at.FLAT_RUN_S].sum()
+    before = values[np.maximum(0, begins - max(1, round(at.CLIPPED_APPROACH_S * rate)))]
+    levels = values[begins]
+    is_fast = np.abs(levels - before) >= at.CLIPPED_APPROACH * np.ptp(values)
+    clipped_s = sum(_clipped_s(sign * levels, runs_s, is_fast, 1 / rate) for sign in (1, -1))
+    whole_s = len(values) / rate
     return {
-        "flat": int(np.count_nonzero(still)) >= at.FLAT_SHARE * len(still),
-        "clipped": int(np.count_nonzero(still & at_end)) >= at.CLIPPED_SHARE * len(still),
+        "flat": bool(flat_s >= at.FLAT_SHARE * whole_s),
+        "clipped": bool(clipped_s >= at.CLIPPED_SHARE * whole_s),
     }
 
 
-def _moment(values: Array, order: Literal[3, 4]) -> float:
-    """Return skewness or kurtosis."""
-    centred = values - values.mean()
-    spread = float(np.sqrt(np.square(centred).mean()))
-    if spread <= 0:
+def _clipped_s(levels: Array, runs_s: Array, is_fast: NDArray[np.bool_], period_s: float) -> float:
+    """Return how long a signal stays at its upper end, to which it came too fast to rest there.
+
+    At a top that is only rounded it is about as long as at the level below.
+    """
+    highest = levels.max()
+    below = levels[levels < highest]
+    if not len(below):
         return 0.0
-    scaled: Array = centred / spread
-    squares = np.square(scaled)
-    # np.power takes twenty times as long.
-    return float((squares * (scaled if order == 3 else squares)).mean())
+    top_s = runs_s[(levels == highest) & is_fast]
+    below_s = runs_s[levels == below.max()]
+    is_rounded = top_s.sum() <= at.CLIPPED_TO_BELOW * below_s.sum()
+    return 0.0 if is_rounded else float((top_s - period_s).sum())
 
 
 def _judged(scores: Mapping[str, float], held: Mapping[str, bool]) -> Judged:
     wrong = tuple(name for name, is_so in held.items() if is_so)
-    poor = tuple(name for name, score in scores.items() if score < _GOOD)
+    poor = tuple(name for name, score in scores.items() if score < at.GOOD_QUALITY)
     quality = 0.0 if wrong else min(scores.values())
     return quality, wrong + poor
 
@@ -88,14 +105,14 @@ def ecg(values: Array, rate: float) -> Judged:
     power = _power(values, rate)
     usual = power(1, 40)
     noisy = min(
-        _scaled(_moment(values, 4), at.ECG_KURTOSIS),
+        _scaled(moment(values, 4), at.ECG_KURTOSIS),
         _scaled(_share(power(5, 15), power(5, 40)), at.ECG_QRS_SHARE),
         _scaled(_share(usual, power(1, rate)), at.ECG_HUM_SHARE),
         _scaled(ecg_likeness(values, rate), at.ECG_LIKENESS),
         _even(values, rate, at.ECG_UNEVENNESS),
     )
     baseline = _scaled(_share(usual, power(0, 40)), at.ECG_BASELINE_SHARE)
-    return _judged({"noisy": noisy, "baseline": baseline}, _held(values))
+    return _judged({"noisy": noisy, "baseline": baseline}, _held(values, rate))
 
 
 def _upright(values: Array, rate: float) -> Array:
@@ -105,8 +122,23 @@ def _upright(values: Array, rate: float) -> Array:
     low, high = at.PULSE_BAND_HZ
     spectrum[(frequencies < low) | (frequencies > high)] = 0
     return (
-        -values if _moment(np.fft.irfft(spectrum, len(values)), 3) < -at.PULSE_SKEWNESS else values
+        -values if moment(np.fft.irfft(spectrum, len(values)), 3) < -at.PULSE_SKEWNESS else values
     )
+
+
+def _overtones(values: Array, rate: float) -> float:
+    """Return the power above the strongest frequency of a pulse, of that within its band.
+
+    A pulse rises faster than it falls; the light of a lamp that is sampled too slowly does not.
+    """
+    low, high = at.PULSE_BAND_HZ
+    spectrum = np.square(np.abs(np.fft.rfft((values - values.mean()) * np.hanning(len(values)))))
+    frequencies = np.fft.rfftfreq(len(values), 1 / rate)
+    inside = (frequencies >= low) & (frequencies < high)
+    spectrum, frequencies = spectrum[inside], frequencies[inside]
+    strongest = frequencies[spectrum.argmax()]
+    above = frequencies > at.PPG_OVERTONE_FROM * strongest
+    return _share(float(spectrum[above].sum()), float(spectrum.sum()))
 
 
 def ppg(values: Array, rate: float) -> Judged:
@@ -118,10 +150,11 @@ def ppg(values: Array, rate: float) -> Judged:
     power = _power(values, rate)
     inside = power(*at.PULSE_BAND_HZ)
     noisy = _scaled(_share(inside, power(at.PULSE_BAND_HZ[0], rate)), at.PPG_BAND_SHARE)
-    shape = _scaled(_moment(values, 3), at.PPG_SKEWNESS)
+    shape = _scaled(moment(values, 3), at.PPG_SKEWNESS)
     like = _scaled(ppg_likeness(values, rate), at.PPG_LIKENESS)
     even = _even(values, rate, at.PPG_UNEVENNESS)
-    return _judged({"noisy": min(noisy, shape, like, even)}, _held(values))
+    waves = _scaled(_overtones(values, rate), at.PPG_OVERTONES)
+    return _judged({"noisy": min(noisy, shape, like, even, waves)}, _held(values, rate))
 
 
 def gsr(values: Array, rate: float) -> Judged:
@@ -145,7 +178,7 @@ def respiration(values: Array, rate: float) -> Judged:
     share = _share(power(*at.BREATH_BAND_HZ), power(0, rate))
     inside = _scaled(share, at.BREATH_BAND_SHARE)
     even = _even(values, rate, at.BREATH_UNEVENNESS, at.BREATH_BLOCK_S)
-    return _judged({"noisy": min(inside, even)}, _held(values))
+    return _judged({"noisy": min(inside, even)}, _held(values, rate))
 
 
 JUDGES: Mapping[str, Callable[[Array, float], Judged]] = {
@@ -158,7 +191,9 @@ JUDGES: Mapping[str, Callable[[Array, float], Judged]] = {
 
 
 class Quality:
-    """Gives `sqi` for each window of a run, stamped with the window's end.
+    """Gives `sqi` of the last window of a run, now and then once there is one.
+
+    It is stamped with the window's end. Motion is told by another: it is NaN here.
 
     Parameters
     ----------
@@ -170,13 +205,30 @@ class Quality:
 
     def __init__(self, content_type: str, rate: float) -> None:
         self._judge, self._rate = JUDGES[content_type], rate
-        self._hops = Hops(max(8, round(at.QUALITY_WINDOW_S[content_type] * rate)))
+        piece = max(1, round(at.QUALITY_EVERY_S[content_type] * rate))
+        self._hops = Hops(piece)
+        self._window_s = at.QUALITY_WINDOW_S[content_type]
+        self._pieces: deque[Array] = deque(maxlen=max(1, round(self._window_s * rate / piece)))
+        self._told: deque[tuple[float, float]] = deque()
 
     def take(self, stamps: Array, values: Array) -> list[Event]:
         """Take samples of one run in; both of shape (n,)."""
         events: list[Event] = []
-        for times, window in self._hops.take(stamps, values):
-            quality, reasons = self._judge(window, self._rate)
+        for times, piece in self._hops.take(stamps, values):
+            self._pieces.append(piece)
+            if len(self._pieces) < (self._pieces.maxlen or 0):
+                continue
+            quality, reasons = self._judge(np.concatenate(self._pieces), self._rate)
             told = tuple(float(each in reasons) for each in REASONS)
-            events.append(Event("sqi", float(times[-1]), (quality, *told)))
+            stamp = float(times[-1])
+            events.append(Event("sqi", stamp, (quality, *told, math.nan)))
+            self._told.append((stamp, quality))
+            while self._told[0][0] < stamp - _KEPT_S:
+                self._told.popleft()
         return events
+
+    def worst(self, begin_s: float, end_s: float) -> float:
+        """See `heart.Trust`."""
+        earliest = begin_s + self._window_s
+        inside = (quality for stamp, quality in self._told if earliest <= stamp <= end_s)
+        return min(inside, default=math.nan)

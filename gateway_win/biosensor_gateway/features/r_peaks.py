@@ -14,20 +14,20 @@ from typing import NamedTuple
 import numpy as np
 
 from biosensor_gateway.features import thresholds as at
-from biosensor_gateway.features.filters import Fir, band_pass
-from biosensor_gateway.features.runs import Array, Hops
+from biosensor_gateway.features.filters import Fir, band_pass, between_samples
+from biosensor_gateway.features.runs import Array, Beat, Hops
 
 
 class _Peak(NamedTuple):
     place: int
     energy: float
     apex: int
-    stamp: float
+    beat: Beat
     slope: float
 
 
 class RPeaks:
-    """Gives the stamp of the apex of each QRS complex, at a fixed delay.
+    """Gives the apex of each QRS complex, at a fixed delay.
 
     Parameters
     ----------
@@ -52,26 +52,26 @@ class RPeaks:
         self._rule = _Hamilton(rate)
         self._polarity = 0.0
 
-    def take(self, stamps: Array, values: Array) -> list[float]:
-        """Return the stamps of the beats that are decided by now.
+    def take(self, stamps: Array, values: Array) -> list[Beat]:
+        """Return the beats that are decided by now.
 
         Parameters
         ----------
         stamps, values : ndarray of float64, shape (n,)
         """
         return [
-            stamp
+            beat
             for times, piece in self._hops.take(stamps, values)
-            for stamp in self._piece(times, piece)
+            for beat in self._piece(times, piece)
         ]
 
-    def _piece(self, stamps: Array, values: Array) -> list[float]:
+    def _piece(self, stamps: Array, values: Array) -> list[Beat]:
         energy = self._mean.take(np.square(self._filter.take(values)))
         self._stamps = np.concatenate([self._stamps, stamps])[-self._keep :]
         self._signal = np.concatenate([self._signal, values])[-self._keep :]
         self._energy = np.concatenate([self._energy, energy])[-self._keep :]
         self._count += self._hop
-        beats: list[float] = []
+        beats: list[Beat] = []
         for place in self._candidates():
             beats += self._rule.take(self._peak(place))
         return beats + self._rule.pass_time(self._count - self._near)
@@ -104,7 +104,9 @@ class RPeaks:
         slope = float(np.abs(np.diff(around)).max(initial=0.0))
         start = self._count - len(self._signal)
         stamp = float(self._stamps[apex])
-        return _Peak(start + top, float(self._energy[top]), start + apex, stamp, slope)
+        late = between_samples(*self._signal[apex - 1 : apex + 2].tolist())
+        beat = Beat(stamp, stamp + late / self._rate)
+        return _Peak(start + top, float(self._energy[top]), start + apex, beat, slope)
 
 
 class _Hamilton:
@@ -124,14 +126,14 @@ class _Hamilton:
         self._noise: deque[float] = deque([0.0], maxlen=at.PEAKS_KEPT)
         self._passed_over: list[_Peak] = []
 
-    def take(self, peak: _Peak) -> list[float]:
-        """Take a peak in; return the stamps of beats."""
+    def take(self, peak: _Peak) -> list[Beat]:
+        """Take a peak in; return beats."""
         if self._learnt is not None:
             self._learnt.append(peak)
             return []
         return self._judge(peak)
 
-    def pass_time(self, place: int) -> list[float]:
+    def pass_time(self, place: int) -> list[Beat]:
         """Take note that every peak before that place has been given; return beats."""
         if self._learnt is not None:
             return self._learn(place)
@@ -141,7 +143,7 @@ class _Hamilton:
             self._begin_anew(place)
         return beats
 
-    def _learn(self, place: int) -> list[float]:
+    def _learn(self, place: int) -> list[Beat]:
         if place - self._learns_from < self._learns_until or not self._learnt:
             return []
         second = round(self._rate)
@@ -152,14 +154,14 @@ class _Hamilton:
         self._beats.extend(largest.values())
         peaks, self._learnt = self._learnt, None
         self._learns_from = place
-        return [stamp for peak in peaks for stamp in self._judge(peak)]
+        return [beat for peak in peaks for beat in self._judge(peak)]
 
     @property
     def _threshold(self) -> float:
         noise, beat = median(self._noise), median(self._beats)
         return noise + at.DETECTION_THRESHOLD * (beat - noise)
 
-    def _judge(self, peak: _Peak) -> list[float]:
+    def _judge(self, peak: _Peak) -> list[Beat]:
         last = self._last
         since_s = np.inf if last is None else (peak.apex - last.apex) / self._rate
         if since_s < at.REFRACTORY_S:
@@ -174,7 +176,7 @@ class _Hamilton:
             self._passed_over.append(peak)
         return []
 
-    def _search_back(self, place: int) -> list[float]:
+    def _search_back(self, place: int) -> list[Beat]:
         if self._last is None or len(self._intervals) < 2 or not self._passed_over:
             return []
         usual = median(self._intervals)
@@ -185,10 +187,10 @@ class _Hamilton:
             return []
         return self._accept(best)
 
-    def _accept(self, peak: _Peak) -> list[float]:
+    def _accept(self, peak: _Peak) -> list[Beat]:
         if self._last is not None:
             self._intervals.append(peak.place - self._last.place)
         self._last = peak
         self._beats.append(peak.energy)
         self._passed_over = [each for each in self._passed_over if each.place > peak.place]
-        return [peak.stamp]
+        return [peak.beat]

@@ -32,6 +32,21 @@ class Event(NamedTuple):
     values: tuple[float, ...]
 
 
+class Beat(NamedTuple):
+    """A beat of a heart, found in a waveform.
+
+    Attributes
+    ----------
+    stamp
+        Of the sample that is its apex.
+    apex_s
+        Where the apex is between samples, in the time of stamps.
+    """
+
+    stamp: float
+    apex_s: float
+
+
 class Stage(Protocol):
     """Makes events of the samples of one run; it is dropped at the run's end."""
 
@@ -52,8 +67,8 @@ class Runs:
     """Gives each run of a stream a stage of its own, so that nothing is bridged.
 
     A run ends where a value is no number (or as large as none can be), a stamp does not follow the
-    ones before it, or, in a regular stream, is further away than neighbours are. Samples of the
-    first two kinds are left out, but where stamps step back by more than `STEP_BACK_S` a run
+    ones before it, or, in a regular stream, so much is lost before it that a beat may be. Samples
+    of the first two kinds are left out, but where stamps step back by more than `STEP_BACK_S` a run
     begins: the ones before were wrong, or the clock was set back. What a stage had not decided by
     then is not decided.
 
@@ -78,8 +93,11 @@ class Runs:
 
     def __init__(self, make: Callable[[], Stage], rate: float, *, foreign: bool = False) -> None:
         self._make = make
-        jitter = at.FOREIGN_JITTER_S if foreign else 0.0
-        self._longest_step = max(at.GAP_PERIODS / rate, jitter) if rate > 0 else np.inf
+        longest_s = at.FOREIGN_JITTER_S if foreign else at.HOLE_S
+        # Half of a period more, for stamps jitter.
+        self._longest_step = np.inf
+        if rate > 0:
+            self._longest_step = max(at.GAP_PERIODS / rate, longest_s + (not foreign) * 1.5 / rate)
         self._stage: Stage | None = None
         self._last = -np.inf
         self.left_out = self.steps_back = self.without_value = 0

@@ -13,6 +13,7 @@ from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.features import thresholds as at
 from biosensor_gateway.features.chains import new_runs
 from biosensor_gateway.features.errors import FeatureError, FeatureReason
+from biosensor_gateway.features.motion import Beside, Motion, Motions
 from biosensor_gateway.features.outputs import TYPES, Feature, features_of
 from biosensor_gateway.features.runs import Array, Event
 
@@ -58,27 +59,56 @@ class Source:
     columns: range
     scale: float
 
-    def new_computer(self) -> Computer:
-        """Return what computes its features, from its first sample on."""
-        return Computer(self)
+    def new_computer(self, motions: Motions | None = None) -> Computer:
+        """Return what computes its features, from its first sample on.
+
+        Parameters
+        ----------
+        motions
+            Of the devices; that of an accelerometer is added.
+        """
+        return Computer(self, {} if motions is None else motions)
+
+    def new_motion(self, keep_s: float = at.MOTION_KEPT_S) -> Motion | None:
+        """Return what tells motion of its samples, if it is an accelerometer."""
+        if self.header.content_type != ContentType.ACCELEROMETER:
+            return None
+        return Motion(self.header.rate, foreign=self.header.foreign, keep_s=keep_s)
+
+    def scaled(self, values: object) -> Array:
+        """Return those channels that are taken, in the unit that features are computed in."""
+        numbers = np.asarray(values, dtype=np.float64).reshape(-1, len(self.header.labels))
+        return numbers[:, self.columns.start : self.columns.stop] * self.scale
 
 
 class Computer:
     """Computes the features of one source, whatever blocks its samples come in."""
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: Source, motions: Motions) -> None:
         header = source.header
-        self._name = source.name
-        self._columns, self._scale = source.columns, source.scale
+        self._source = source
+        self._motion = source.new_motion()
+        if self._motion is not None:
+            motions[source.identity] = self._motion
+        is_pulse = header.content_type == ContentType.PPG
+        self._beside = Beside(motions, source.identity, lowers=is_pulse)
         self._wanted = {each.name for each in source.features}
         self._runs = new_runs(header.content_type, header.rate, foreign=header.foreign)
 
     def take(self, stamps: Array, values: object) -> list[Event]:
         """Take samples in, of shapes (n,) and (n, n_channels), in the source's unit."""
-        numbers = np.asarray(values, dtype=np.float64).reshape(len(stamps), -1)
-        taken = numbers[:, self._columns.start : self._columns.stop]
-        events = self._runs.take(stamps, taken * self._scale)
-        return [each for each in events if each.feature in self._wanted]
+        if not len(stamps):
+            return []
+        scaled = self._source.scaled(values)
+        if self._motion is not None:
+            self._motion.take(stamps, scaled)
+        events = self._runs.take(stamps, scaled)
+        told = self._beside.take(events, float(stamps[-1]))
+        return [each for each in told if each.feature in self._wanted]
+
+    def finish(self) -> list[Event]:
+        """Return what would have waited for other streams."""
+        return [each for each in self._beside.finish() if each.feature in self._wanted]
 
     @property
     def left_out(self) -> int:
@@ -98,7 +128,7 @@ class Computer:
         if count := self._runs.left_out:
             samples = "1 sample was" if count == 1 else f"{count} samples were"
             parts.append(f"{samples} left out, for stamps that did not follow the ones before")
-        return f"{self._name}: {'; '.join(parts)}" if parts else ""
+        return f"{self._source.name}: {'; '.join(parts)}" if parts else ""
 
 
 def judge(name: str, source_id: str, header: StreamHeader) -> Source | None:

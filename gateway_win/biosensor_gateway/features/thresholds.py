@@ -39,6 +39,9 @@ HOP_S = 0.1
 """ECG is computed in steps of this length, counted from the begin of a run."""
 GAP_PERIODS, FOREIGN_JITTER_S = 1.5, 0.1
 """As in the node and in ``xdf check``: two samples further apart are not neighbours."""
+HOLE_S = 0.05
+"""What is lost for no longer hides at most a beat on which it lies, and that is told by its rule of
+artefacts."""
 
 STEP_BACK_S = 1.0
 """Stamps that step back by more begin again; a sample that is late by less is left out."""
@@ -79,9 +82,17 @@ PULSE_OFFSET = 0.02
 """[3]_: beta, of the mean of the squared signal."""
 PULSE_MEAN_S = 3.0
 """How long that mean looks back."""
-PULSE_SKEWNESS, PULSE_SKEWNESS_S, PULSE_SKEWNESS_LEAST_S = 0.3, 15.0, 1.0
+PULSE_SKEWNESS = 0.3
 """[9]_: a good pulse is skewed to the right, so one that is skewed to the left by this much is
-upside down; for how long it is remembered, and the least that is looked at."""
+upside down."""
+PULSE_SKEWNESS_PIECE_S, PULSE_SKEWNESS_PIECES = 2.0, 8
+"""It is told of pieces of this length, and the median of so many decides."""
+PULSE_LEAST_SHARE, PULSE_RISE_S = 0.15, 0.4
+"""What rises by less than this share of what is usual, within this time before its top, is no
+pulse: between slow ones the filter makes waves of its own."""
+PULSE_EARLY_S, PULSE_EARLY_SHARE = 0.27, 0.4
+"""A pulse may come so soon after another, and has at least this share of the usual height."""
+PULSE_VALLEY_SHARE = 0.25
 PULSE_RATE_HZ = 100.0
 """What is faster is averaged to between this and twice as much."""
 
@@ -91,10 +102,14 @@ INTERVAL_CHANGE = 0.2
 """[4]_: an interval that differs more from the one before it is none between normal beats."""
 NN50_S = 0.05
 """[5]_."""
+RATE_INTERVAL_S = (0.24, 2.5)
+"""24 to 250 beats a minute: between these, an interval may be one of an irregular rhythm."""
 HR_WINDOW_S, HR_LEAST = 10.0, 3
+HR_VALID_SHARE = 0.8
+"""With fewer valid intervals all count if the signal is good, and none does if it is not."""
 HRV_WINDOWS_S = (30.0, 60.0, 300.0)
 HRV_LEAST_SHARE = 0.8
-"""With fewer valid intervals in a window there is no value."""
+"""With fewer valid intervals in a window, or where these cover less of it, there is no value."""
 
 EDA_RATE_HZ = 8.0
 SCL_WINDOW_S, SCL_EVERY_S = 8.0, 1.0
@@ -125,9 +140,26 @@ ACTIVITY_EPOCH_S = 5.0
 """[10]_: mean amplitude deviation of epochs."""
 STANDARD_GRAVITY = 9.80665
 
+MOTION_PIECE_S, MOTION_WINDOW_S, MOTION_LEAST_S = 1.0, 10.0, 3.0
+"""Each piece is judged by itself; so many seconds of motion in a window are motion."""
+MOTION_LEAST_G = 0.04
+"""How far acceleration is from its mean, as a root of the mean square. Who sits and types stays
+below it, and who walks is at 0.1 and more."""
+MOTION_QUALITY = 0.4
+"""The quality of a pulse is not above it while its wearer moves."""
+MOTION_KEPT_S = max(HRV_WINDOWS_S) + 60.0
+
 QUALITY_WINDOW_S = {"ECG": 10.0, "PPG": 10.0, "GSR": 5.0, "Respiration": 30.0}
-FLAT_SHARE, CLIPPED_SHARE = 0.5, 0.01
-"""Of samples that are like the one before, and of those at a limit in runs."""
+QUALITY_EVERY_S = {"ECG": 1.0, "PPG": 1.0, "GSR": 5.0, "Respiration": 30.0}
+"""A window ends so long after the one before: what a heart rate is of is known soon."""
+GOOD_QUALITY = 0.5
+FLAT_SHARE, FLAT_RUN_S = 0.5, 1.0
+"""Of the time, in runs of one value that last so long."""
+CLIPPED_SHARE, CLIPPED_APPROACH, CLIPPED_APPROACH_S = 0.01, 0.05, 0.05
+"""Of the time, at one of the ends, which was come to by this share of what is between the ends, or
+more, within this time."""
+CLIPPED_TO_BELOW = 3.0
+"""How much longer a signal is at such an end than at the level before it."""
 ECG_KURTOSIS = (3.0, 5.0)
 """[8]_: noise has 3, a good ECG more than 5."""
 ECG_QRS_SHARE = (0.3, 0.5)
@@ -138,6 +170,8 @@ ECG_HUM_SHARE = (0.5, 0.8)
 """Power of 1 to 40 Hz to that of everything above 1 Hz."""
 PPG_BAND_SHARE = (0.6, 0.9)
 """Power of 0.5 to 8 Hz to that of everything."""
+PPG_OVERTONES, PPG_OVERTONE_FROM = (0.002, 0.012), 1.5
+"""Power above so many times the strongest frequency, to that of the whole band: a sine has none."""
 PPG_SKEWNESS = (-1.0, 0.0)
 """[9]_: a good pulse is skewed to the right."""
 ECG_LIKENESS, PPG_LIKENESS = (0.5, 0.82), (0.76, 0.96)
@@ -164,11 +198,13 @@ LUMP_S = 3.0
 SCR_HOLDS_S = 10.0
 """[6]_: half of a response is gone again after 2 to 10 s."""
 
+MOST_HZ = 2000.0
+"""What is faster is averaged to between half of it and this."""
 RATES_HZ = {
-    "ECG": (80.0, 2000.0),
-    "PPG": (20.0, 2000.0),
-    "GSR": (4.0, 2000.0),
-    "Respiration": (4.0, 2000.0),
-    "Accelerometer": (4.0, 2000.0),
+    "ECG": (80.0, 50000.0),
+    "PPG": (20.0, 50000.0),
+    "GSR": (4.0, 50000.0),
+    "Respiration": (4.0, 50000.0),
+    "Accelerometer": (4.0, 50000.0),
 }
 """Below it, what is to be found is not in the signal."""

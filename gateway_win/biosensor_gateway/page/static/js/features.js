@@ -54,7 +54,9 @@ export function marksOf(device, stream) {
 function qualityOf(device, feature) {
   const quality = featuresOf(device).find((each) => isQuality(each) && each.derived_from === feature.derived_from);
   if (!quality?.is_fresh || !quality.values.length || quality.values[0] === null) return null;
-  const [value, ...flags] = quality.values;
+  const [now, ...flags] = quality.values;
+  // HRV looks further back than the quality of its signal, and says the lowest of its window.
+  const value = Math.min(now, feature.values[feature.channels.indexOf("quality_30s")] ?? now);
   const reasons = quality.channels.slice(1).filter((_, i) => flags[i] > 0.5).map((each) => each.replaceAll("_", " "));
   const [sign, tone, word] = value >= GOOD ? ["●", "good", "good"] : value >= FAIR ? ["◐", "warn", "fair"] : ["▲", "bad", "poor"];
   return { sign, tone, signal: quality.data_name.slice(0, -"_sqi".length), word: reasons.length ? `${word}: ${reasons.join(", ")}` : word };

@@ -1,0 +1,222 @@
+"""How far what is told of hearts is off, where every beat is known; and how it is judged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from biosensor_gateway.features.runs import Event
+from tests.features import hearts, signals
+from tests.features.signals import Array
+
+SECONDS = 90.0
+LEARNT_S = 12.0
+ECG_HZ, PULSE_HZ = 250.0, 64.0
+Make = Callable[[Array], tuple[str, Array, float]]
+
+
+class Told(NamedTuple):
+    """Heart rates after learning: how far each is off, and whether it is called good."""
+
+    off_bpm: Array
+    is_good: NDArray[np.bool_]
+
+    @property
+    def wrong(self) -> float:
+        """The share of those called good that are off by more than 5 a minute."""
+        good = self.off_bpm[self.is_good]
+        return float(np.mean(np.abs(good) > 5)) if len(good) else 0.0
+
+
+def _ecg(beats: Array) -> tuple[str, Array, float]:
+    return "ECG", hearts.ecg_of(beats, ECG_HZ, SECONDS), ECG_HZ
+
+
+def _pulse(beats: Array) -> tuple[str, Array, float]:
+    return "PPG", hearts.pulse_of(beats, PULSE_HZ, SECONDS), PULSE_HZ
+
+
+def told_of(events: list[Event], beats: Array) -> Told:
+    stamps = signals.stamps_of(events, "hr_live")
+    rates = signals.values_of(events, "hr_live")[:, 0]
+    qualities = signals.values_of(events, "hr_live_quality")[:, 3]
+    assert np.array_equal(stamps, signals.stamps_of(events, "hr_live_quality"))
+    off: list[float] = []
+    for stamp, rate in zip(stamps, rates, strict=True):
+        inside = beats[(beats > stamp - 10.3) & (beats <= stamp + 0.3)]
+        off.append(rate - 60 / np.mean(np.diff(inside)) if len(inside) > 1 else np.inf)
+    learnt = stamps > LEARNT_S
+    return Told(np.array(off)[learnt], (qualities >= 0.5)[learnt])
+
+
+RHYTHMS: dict[str, tuple[Array, float]] = {
+    **{f"sinus at {bpm}": (hearts.regular(bpm, SECONDS), 0.0) for bpm in (45, 70, 120, 180, 205)},
+    **{
+        f"fibrillation by {spread} at {bpm}": (hearts.fibrillation(bpm, SECONDS, spread), 0.04)
+        for spread in (0.18, 0.28)
+        for bpm in (70, 100)
+    },
+    **{
+        f"arrhythmia by {swing} at {bpm}": (hearts.arrhythmia(bpm, SECONDS, swing), 0.02)
+        for swing in (0.2, 0.3)
+        for bpm in (50, 75)
+    },
+    "bigeminy": (hearts.bigeminy(SECONDS), 0.0),
+}
+
+
+@pytest.mark.parametrize("rhythm", RHYTHMS)
+@pytest.mark.parametrize("make", [_ecg, _pulse], ids=["ECG", "PPG"])
+def test_a_rate_that_is_called_good_is_right_in_any_rhythm(make: Make, rhythm: str) -> None:
+    beats, most = RHYTHMS[rhythm]
+    told = told_of(signals.events_of(*make(beats)), beats)
+    assert told.wrong <= most
+    # Nobody is silent: there is a value for nearly every beat.
+    assert len(told.off_bpm) > 0.75 * np.sum(beats > LEARNT_S)
+
+
+@pytest.mark.parametrize("bpm", [30, 34, 38])
+def test_of_a_slow_pulse_no_wave_is_counted_twice(bpm: float) -> None:
+    beats = hearts.regular(bpm, SECONDS, 0.02)
+    told = told_of(signals.events_of(*_pulse(beats)), beats)
+    assert told.wrong == 0
+    assert len(told.off_bpm) == pytest.approx(np.sum(beats > LEARNT_S), abs=3)
+
+
+@pytest.mark.parametrize("bpm", [45, 60, 80, 100])
+def test_a_large_second_wave_is_no_pulse_and_does_not_turn_it_over(bpm: float) -> None:
+    beats = hearts.regular(bpm, SECONDS, 0.02)
+    signal = hearts.pulse_of(beats, PULSE_HZ, SECONDS, second=0.9)
+    events = signals.events_of("PPG", signal, PULSE_HZ)
+    assert told_of(events, beats).wrong == 0
+    found = signals.stamps_of(events, "beats")
+    assert max(np.abs(beats - each).min() for each in found[found > LEARNT_S]) < 0.1
+
+
+@pytest.mark.parametrize("sign", [1, -1], ids=["upright", "reflected"])
+@pytest.mark.parametrize("width_s", [0.05, 0.15, 0.4])
+@pytest.mark.parametrize("height", [10, 30, -10, -30])
+def test_an_artefact_moves_no_stamp_fifteen_seconds_later(
+    height: float, width_s: float, sign: float
+) -> None:
+    beats = hearts.regular(70, SECONDS)
+    bump = hearts.artefact(SECONDS, PULSE_HZ, 40.0, width_s)
+    signal = sign * hearts.pulse_of(beats, PULSE_HZ, SECONDS) + height * bump
+    found = signals.stamps_of(signals.events_of("PPG", signal, PULSE_HZ), "beats")
+    later = found[found > 55]
+    assert len(later) >= np.sum((beats > 55) & (beats < SECONDS - 1.5))
+    assert max(np.abs(beats - each).min() for each in later) < 0.1
+
+
+@pytest.mark.parametrize("hertz", [0.8, 1.1, 2.0])
+def test_the_light_of_a_lamp_is_no_good_pulse(hertz: float) -> None:
+    t = np.arange(SECONDS * PULSE_HZ) / PULSE_HZ
+    noise = 0.02 * np.random.default_rng(2).standard_normal(len(t))
+    events = signals.events_of("PPG", np.sin(2 * np.pi * hertz * t) + noise, PULSE_HZ)
+    assert signals.values_of(events, "sqi")[:, 0].max() < 0.5
+    qualities = signals.values_of(events, "hr_live_quality")[:, 3]
+    assert np.nanmax(qualities) < 0.5
+
+
+def _rmssd_ms(intervals_s: Array) -> float:
+    steps = np.diff(intervals_s)
+    return float(np.sqrt(np.mean(steps * steps))) * 1e3
+
+
+@pytest.mark.parametrize("swing", [0.004, 0.0102, 0.03])
+@pytest.mark.parametrize(
+    ("kind", "rate"), [("ECG", 100), ("ECG", 130), ("ECG", 250), ("PPG", 25), ("PPG", 64)]
+)
+def test_variability_is_finer_than_the_sampling(kind: str, rate: float, swing: float) -> None:
+    beats = hearts.regular(70, 120, swing)
+    make = hearts.ecg_of if kind == "ECG" else hearts.pulse_of
+    events = signals.events_of(kind, make(beats, rate, 120), rate)
+    stamps = signals.stamps_of(events, "beats")
+    intervals = signals.values_of(events, "beats")[:, 0]
+    inside = (stamps > beats[10] + 0.1) & (stamps < beats[-3] + 0.1)
+    expected = _rmssd_ms(np.diff(beats[10:-2]))
+    assert _rmssd_ms(intervals[inside]) == pytest.approx(expected, abs=1.0)
+    # Stamps stay those of samples.
+    assert np.abs(stamps * rate - np.round(stamps * rate)).max() < 1e-3
+
+
+def test_variability_says_what_it_was_told_from() -> None:
+    beats = hearts.regular(70, SECONDS)
+    signal = hearts.ecg_of(beats, ECG_HZ, SECONDS)
+    here = slice(round(40 * ECG_HZ), round(52 * ECG_HZ))
+    signal[here] += 0.5 * np.random.default_rng(1).standard_normal(here.stop - here.start)
+    events = signals.events_of("ECG", signal, ECG_HZ)
+    stamps, values = signals.stamps_of(events, "hrv_live"), signals.values_of(events, "hrv_live")
+    rmssd, count, covered, quality = values[:, 0], values[:, 12], values[:, 13], values[:, 14]
+    bad = (stamps > 55) & (stamps < 65)
+    assert bad.any()
+    assert quality[bad].max() < 0.5
+    clean = (stamps > 30) & (stamps < 40)
+    assert quality[clean].min() > 0.9
+    assert covered[clean].min() > 0.95
+    assert count[clean] == pytest.approx(35, abs=2)
+    assert np.isfinite(rmssd[clean]).all()
+
+
+def test_variability_is_withheld_where_most_of_the_window_is_not_covered() -> None:
+    beats = hearts.regular(70, SECONDS)
+    paused = beats[(beats < 40) | (beats > 60)]
+    events = signals.events_of("ECG", hearts.ecg_of(paused, ECG_HZ, SECONDS), ECG_HZ)
+    stamps, values = signals.stamps_of(events, "hrv_live"), signals.values_of(events, "hrv_live")
+    after = (stamps > 61) & (stamps < 70)
+    assert after.any()
+    assert values[after, 13].max() < 0.7
+    assert np.isnan(values[after, 0]).all()
+
+
+@pytest.mark.parametrize("lost", [1, 12])
+def test_a_hole_that_hides_no_beat_ends_no_window(lost: int) -> None:
+    beats = hearts.regular(70, SECONDS)
+    signal = hearts.ecg_of(beats, ECG_HZ, SECONDS)
+    stamps = 100.0 + np.arange(len(signal)) / ECG_HZ
+    kept = np.arange(len(signal)) % 500 >= lost
+    whole = signals.events_of("ECG", signal, ECG_HZ)
+    runs = signals.new_runs("ECG", ECG_HZ, foreign=False)
+    events = runs.take(stamps[kept], signal[kept, np.newaxis])
+    for feature in ("beats", "sqi", "hrv_live"):
+        count = len(signals.stamps_of(whole, feature))
+        # One of the longer ones may lie on a top.
+        assert len(signals.stamps_of(events, feature)) == pytest.approx(count, abs=6), feature
+    found, expected = (signals.stamps_of(each, "beats") for each in (events, whole))
+    # Where the top itself is lost, one of its neighbours is taken.
+    assert np.median([np.abs(expected - each).min() for each in found]) < 1e-9
+
+
+@pytest.mark.parametrize("rate", [2048.0, 5000.0])
+def test_a_fast_ecg_is_averaged(rate: float) -> None:
+    beats = hearts.regular(70, 40)
+    events = signals.events_of("ECG", hearts.ecg_of(beats, rate, 40), rate)
+    found = signals.stamps_of(events, "beats")
+    decided = beats[beats < 39]
+    assert max(np.abs(found - each).min() for each in decided[1:]) < 0.003
+    assert signals.values_of(events, "sqi")[:, 0].min() > 0.9
+
+
+@pytest.mark.parametrize("rate", [130, 250, 1000])
+@pytest.mark.parametrize("step", [0.01, 0.025, 0.05])
+def test_coarse_steps_of_an_ecg_are_not_flat_at_any_rate(step: float, rate: float) -> None:
+    beats = hearts.regular(70, 30)
+    signal = np.round(hearts.ecg_of(beats, rate, 30) / step) * step
+    assert signals.values_of(signals.events_of("ECG", signal, rate), "sqi")[:, 0].min() >= 0.5
+
+
+@pytest.mark.parametrize("rate", [64, 250, 1000])
+@pytest.mark.parametrize("steps", [20, 50])
+def test_coarse_steps_of_a_pulse_are_not_clipped_at_any_rate(steps: int, rate: float) -> None:
+    beats = hearts.regular(70, 30)
+    signal = hearts.pulse_of(beats, rate, 30)
+    coarse = signals.values_of(signals.events_of("PPG", np.round(signal * steps), rate), "sqi")
+    assert coarse[:, 0].min() >= 0.5
+    cut = np.floor(np.minimum(signal, 0.9) * steps + 0.5)
+    assert signals.values_of(signals.events_of("PPG", cut, rate), "sqi")[:, 2].min() == 1
+    held = np.full(len(signal), 7.0, np.float64)
+    assert signals.values_of(signals.events_of("PPG", held, rate), "sqi")[:, 1].min() == 1
