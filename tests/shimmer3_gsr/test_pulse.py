@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from biosensor_gateway.devices.shimmer3_gsr.driver.pulse import HeartRate, PulseDetector
+from biosensor_gateway.devices.shimmer3_gsr.driver.pulse import HeartRate, PulseRate
 from biosensor_gateway.simulation.wearer import Wearer
 
 Floats = NDArray[np.float64]
@@ -29,19 +29,19 @@ def wave(times: Floats, bpm: float, noise_mv: float = 0.5) -> Floats:
     return 40 * (systole + dicrotic) + drift + noise
 
 
-def detect(detector: PulseDetector, times: Floats, values: Floats) -> list[HeartRate]:
+def detect(detector: PulseRate, times: Floats, values: Floats) -> list[HeartRate]:
     fed = (
         detector.feed(time_s, value)
         for time_s, value in zip(times.tolist(), values.tolist(), strict=True)
     )
-    return [rate for rate in fed if rate is not None]
+    return [rate for rates in fed for rate in rates]
 
 
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
 @pytest.mark.parametrize("bpm", [48, 72, 110, 165])
 def test_a_steady_pulse_is_told_within_half_a_beat_a_minute(bpm: float, rate_hz: float) -> None:
     times = clock(60, rate_hz)
-    found = detect(PulseDetector(rate_hz), times, wave(times, bpm))
+    found = detect(PulseRate(rate_hz), times, wave(times, bpm))
     settled = [rate for rate in found if rate.time_s > times[0] + 10]
     assert max(abs(rate.bpm - bpm) for rate in settled) < 0.5
     # One value a beat, once there have been five.
@@ -52,7 +52,7 @@ def test_a_steady_pulse_is_told_within_half_a_beat_a_minute(bpm: float, rate_hz:
 def test_a_rate_that_breathes_is_followed() -> None:
     wearer = Wearer(seed=3)
     times = clock(120, 128)
-    found = detect(PulseDetector(128), times, 1500 + 60 * wearer.pulse(times))
+    found = detect(PulseRate(128), times, 1500 + 60 * wearer.pulse(times))
     beats = wearer.beats_between(times[0], times[-1])
     errors = [
         rate.bpm - 60 / np.median(wearer.rr_before(beats[beats < rate.time_s - 0.2][-5:]))
@@ -64,7 +64,7 @@ def test_a_rate_that_breathes_is_followed() -> None:
 def test_nothing_before_five_beats() -> None:
     times = clock(30, 128)
     values = np.where(times < times[0] + 10, 1500.0, wave(times, 60, 0))
-    found = detect(PulseDetector(128), times, values)
+    found = detect(PulseRate(128), times, values)
     assert found[0].time_s - times[0] > 10 + 4
 
 
@@ -72,7 +72,7 @@ def test_nothing_before_five_beats() -> None:
 def test_without_a_pulse_nothing_is_told(quiet_mv: float) -> None:
     times = clock(120, 128)
     noise = np.random.default_rng(5).normal(1500, quiet_mv, times.size)
-    detector = PulseDetector(128)
+    detector = PulseRate(128)
     assert detect(detector, times, noise) == []
     assert not detector.found(float(times[-1]))
 
@@ -82,7 +82,7 @@ def test_a_pulse_that_ends_is_missed_after_two_seconds_and_must_show_anew() -> N
     begin = times[0]
     silent = (times >= begin + 20) & (times < begin + 40)
     values = np.where(silent, 1500.0, wave(times, 72, 0))
-    detector = PulseDetector(128)
+    detector = PulseRate(128)
     before = times < begin + 20
     last = detect(detector, times[before], values[before])[-1].time_s
     assert detector.found(last + 1.9)
@@ -97,7 +97,7 @@ def test_a_hole_in_the_signal_makes_no_beat_and_no_false_rate() -> None:
     times = clock(60, 128)
     values = wave(times, 90, 0)
     kept = (times < times[0] + 20) | (times > times[0] + 20.4)
-    found = detect(PulseDetector(128), times[kept], values[kept])
+    found = detect(PulseRate(128), times[kept], values[kept])
     assert max(abs(rate.bpm - 90) for rate in found if rate.time_s > times[0] + 5) < 1.0
     gap = [rate for rate in found if 20.4 < rate.time_s - times[0] < 20.4 + 4 * 60 / 90]
     assert gap == []
@@ -107,7 +107,7 @@ def test_a_few_lost_samples_cost_nothing() -> None:
     times = clock(60, 128)
     values = wave(times, 90, 0)
     kept = np.arange(times.size) % 40 > 2
-    found = detect(PulseDetector(128), times[kept], values[kept])
+    found = detect(PulseRate(128), times[kept], values[kept])
     assert max(abs(rate.bpm - 90) for rate in found if rate.time_s > times[0] + 5) < 3.0
     assert len(found) > 75
 
@@ -117,7 +117,7 @@ def test_one_false_beat_does_not_change_the_rate_and_a_new_rate_is_believed_soon
     artefact = 120 * np.exp(-0.5 * ((times - times[0] - 20.13) / 0.05) ** 2)
     slow, fast = wave(times, 60, 0), wave(times, 120, 0)
     values = np.where(times < times[0] + 40, slow + artefact, fast)
-    found = detect(PulseDetector(128), times, values)
+    found = detect(PulseRate(128), times, values)
     steady = [rate.bpm for rate in found if 10 < rate.time_s - times[0] < 40]
     assert steady == pytest.approx([60.0] * len(steady), abs=3)
     after = [rate.bpm for rate in found if rate.time_s - times[0] > 47]
@@ -129,8 +129,20 @@ def test_it_is_causal() -> None:
     times = clock(30, 128)
     values = wave(times, 72)
     half = times.size // 2
-    whole = detect(PulseDetector(128), times, values)
+    whole = detect(PulseRate(128), times, values)
     other = np.concatenate([values[:half], 1500 + 300 * np.sin(times[half:] * 50)])
-    changed = detect(PulseDetector(128), times, other)
+    changed = detect(PulseRate(128), times, other)
     known = [rate for rate in whole if rate.time_s < times[half - 2]]
     assert changed[: len(known)] == known
+
+
+@pytest.mark.parametrize("bpm", [40, 60, 100])
+def test_a_pulse_that_is_upside_down_is_found_where_it_is(bpm: float) -> None:
+    times = clock(60, 128)
+    upright, reflected = (
+        detect(PulseRate(128), times, sign * wave(times, bpm, 0)) for sign in (1, -1)
+    )
+    later = [rate for rate in reflected if rate.time_s > times[0] + 15]
+    assert len(later) > 0.7 * bpm
+    known = np.array([rate.time_s for rate in upright])
+    assert max(np.abs(known - rate.time_s).min() for rate in later) < 0.02

@@ -11,8 +11,9 @@ from statistics import fmean, median
 from typing import NamedTuple
 
 from biosensor_gateway.features import thresholds as at
-from biosensor_gateway.features.filters import Biquad, Decimator
+from biosensor_gateway.features.filters import Decimator
 from biosensor_gateway.features.runs import Array, Event
+from biosensor_gateway.pulses.filters import Biquad
 
 
 class _Point(NamedTuple):

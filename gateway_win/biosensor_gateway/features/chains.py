@@ -14,7 +14,7 @@ from biosensor_gateway.features import thresholds as at
 from biosensor_gateway.features.activity import Activity
 from biosensor_gateway.features.breathing import Breathing
 from biosensor_gateway.features.heart import Heart
-from biosensor_gateway.features.pulse import Pulses
+from biosensor_gateway.features.pulse import PulsesOfAnyRate
 from biosensor_gateway.features.r_peaks import RPeaks
 from biosensor_gateway.features.runs import Array, Event, Hops, Runs, Stage
 from biosensor_gateway.features.skin import Skin
@@ -26,7 +26,7 @@ _MOST_S = 10.0
 class _Beating:
     """Beats of a waveform, and its quality."""
 
-    def __init__(self, content_type: str, find: RPeaks | Pulses, rate: float) -> None:
+    def __init__(self, content_type: str, find: RPeaks | PulsesOfAnyRate, rate: float) -> None:
         self._quality = quality.Quality(content_type, rate)
         self._find, self._heart = find, Heart(self._quality)
         self._apex_s = math.nan
@@ -117,7 +117,7 @@ def new_runs(content_type: str, rate: float, *, foreign: bool) -> Runs:
     slow = rate / factor
     makers: dict[str, Callable[[], Stage]] = {
         ContentType.ECG: lambda: _Beating("ECG", RPeaks(slow), slow),
-        ContentType.PPG: lambda: _Beating("PPG", Pulses(slow), slow),
+        ContentType.PPG: lambda: _Beating("PPG", PulsesOfAnyRate(slow), slow),
         ContentType.GSR: _waveform("GSR", Skin, slow),
         ContentType.RESPIRATION: _waveform("Respiration", Breathing, slow),
         ContentType.RR: lambda: _Together(_Intervals()),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from biosensor_gateway.features import thresholds as at
 from biosensor_gateway.features.runs import Array
+from biosensor_gateway.pulses import thresholds as pulses
 
 
 def ecg_likeness(values: Array, rate: float) -> float:
@@ -29,7 +30,7 @@ def ecg_likeness(values: Array, rate: float) -> float:
 def ppg_likeness(values: Array, rate: float) -> float:
     """Return the mean correlation of pulses with their template; 0 with fewer than three."""
     slow, rate = averaged(values, rate, at.TEMPLATE_RATE_HZ)
-    tops = _tops(_band(slow, rate, at.PULSE_BAND_HZ), rate)
+    tops = _tops(_band(slow, rate, pulses.BAND_HZ), rate)
     return _likeness(slow, tops, rate, at.PPG_TEMPLATE_S)
 
 

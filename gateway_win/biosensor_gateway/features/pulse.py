@@ -1,65 +1,14 @@
-"""Finds pulses in a photoplethysmogram by two moving averages, as in Elgendi 2013.
-
-References are in :mod:`.thresholds`. The filter is causal, so the apex is looked for in the signal
-as it was measured, around where the filtered one had its own.
-"""
+"""Finds pulses in samples of any rate, as they come."""
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Sequence
-from statistics import median
-
-import numpy as np
-
 from biosensor_gateway.features import thresholds as at
-from biosensor_gateway.features.filters import Biquad, Decimator, MovingMean, between_samples
-from biosensor_gateway.features.moments import moment
-from biosensor_gateway.features.runs import Array, Beat
-
-# How far the filter's group delay moves an apex, at most.
-_APEX_S = 0.12
-_KEPT_S = 3.0
-_Kept = tuple[float, float, float]
-"""Stamp, value, and value after the filter."""
+from biosensor_gateway.features.filters import Decimator
+from biosensor_gateway.features.runs import Array
+from biosensor_gateway.pulses.finding import Beat, Pulses
 
 
-class Polarity:
-    """Tells which way up a pulse is by its skewness: upright it is skewed to the right.
-
-    A sensor that counts reflected light shows it upside down, for blood takes light up. Each piece
-    of the signal is judged by its own spread, and the median of the last ones decides: an artefact
-    spoils one piece or two, however large it is.
-
-    Parameters
-    ----------
-    rate
-        Of the samples, in Hz.
-
-    Attributes
-    ----------
-    sign
-        -1 while it is upside down, else 1.
-    """
-
-    def __init__(self, rate: float) -> None:
-        self.sign = 1.0
-        self._length = round(at.PULSE_SKEWNESS_PIECE_S * rate)
-        self._piece: list[float] = []
-        self._kept: deque[float] = deque(maxlen=at.PULSE_SKEWNESS_PIECES)
-
-    def take(self, filtered: float) -> float:
-        """Return the sign after this sample."""
-        self._piece.append(filtered)
-        if len(self._piece) == self._length:
-            self._kept.append(moment(np.array(self._piece), 3))
-            self._piece.clear()
-            if -self.sign * median(self._kept) > at.PULSE_SKEWNESS:
-                self.sign = -self.sign
-        return self.sign
-
-
-class Pulses:
+class PulsesOfAnyRate:
     """Gives the apex of each pulse.
 
     Parameters
@@ -70,103 +19,11 @@ class Pulses:
 
     def __init__(self, rate: float) -> None:
         self._decimator = Decimator(rate, at.PULSE_RATE_HZ)
-        self._rate = slow = self._decimator.rate
-        self._high_pass = Biquad(at.PULSE_BAND_HZ[0], slow, is_high_pass=True)
-        self._low_pass = Biquad(at.PULSE_BAND_HZ[1], slow, is_high_pass=False)
-        self._polarity = Polarity(slow)
-        peak, beat = (2 * round(s * slow / 2) + 1 for s in (at.PULSE_PEAK_S, at.PULSE_BEAT_S))
-        self._peak_mean, self._beat_mean = MovingMean(peak), MovingMean(beat)
-        self._offset = MovingMean(round(at.PULSE_MEAN_S * slow))
-        # Centred, the longer mean would look ahead by 0.28 s; less will do for an upstroke.
-        self._wait = min((beat - peak) // 2, round(at.PULSE_AHEAD_S * slow))
-        self._late = self._wait + (peak - 1) // 2
-        self._least = peak
-        self._peaks: deque[float] = deque(maxlen=self._wait + 1)
-        self._around = round(_APEX_S * slow)
-        self._kept: deque[_Kept] = deque(maxlen=round(_KEPT_S * slow))
-        self._heights: deque[float] = deque(maxlen=at.PEAKS_KEPT)
-        self._rises: deque[float] = deque(maxlen=at.PEAKS_KEPT)
-        self._length = 0
-        self._last = float("-inf")
+        self._pulses = Pulses(self._decimator.rate)
 
     def take(self, stamps: Array, values: Array) -> list[Beat]:
         """Return the pulses that are decided by now; both of shape (n,)."""
         found: list[Beat] = []
         for stamp, value in self._decimator.take(stamps, values):
-            found += self._sample(stamp, value)
+            found += self._pulses.take(stamp, value)
         return found
-
-    def _sample(self, stamp: float, value: float) -> list[Beat]:
-        filtered = self._low_pass.take(self._high_pass.take(value))
-        upright = filtered * self._polarity.take(filtered)
-        clipped = upright * upright if upright > 0 else 0.0
-        self._kept.append((stamp, value, filtered))
-        self._peaks.append(self._peak_mean.take(clipped))
-        beat = self._beat_mean.take(clipped)
-        limit = beat + at.PULSE_OFFSET * self._offset.take(clipped)
-        if self._peaks[0] > limit and len(self._kept) > self._late + self._around:
-            self._length += 1
-            return []
-        length, self._length = self._length, 0
-        return self._block(length) if length >= self._least else []
-
-    def _block(self, length: int) -> list[Beat]:
-        """Return the pulse of a block that ends now, after those that were passed over."""
-        kept, sign = list(self._kept), self._polarity.sign
-        upright = [sign * each[2] for each in kept]
-        end = len(kept) - 1 - self._late
-        begin = max(1, end - length)
-        top = max(range(begin, end), key=upright.__getitem__, default=None)
-        if top is None:
-            return []
-        beat = self._beat(kept, top)
-        since_s = beat.stamp - self._last
-        if since_s > at.LOST_S:
-            self._heights.clear()
-            self._rises.clear()
-        rise = self._rise(kept, top)
-        usual = median(self._rises) if self._rises else 0.0
-        if since_s < at.REFRACTORY_S or rise < at.PULSE_LEAST_SHARE * usual:
-            return []
-        passed = [self._beat(kept, each) for each in self._passed_over(kept, upright, top)]
-        self._last = beat.stamp
-        self._heights.append(upright[top])
-        self._rises.append(rise)
-        return [*passed, beat]
-
-    def _passed_over(self, kept: Sequence[_Kept], upright: Sequence[float], top: int) -> list[int]:
-        """Return tops of pulses that came so early that the one before hid them from the means.
-
-        Each is nearly as high as others, and the signal has been below its mean in between; the
-        second wave of a pulse is not and has not.
-        """
-        if not self._heights:
-            return []
-        near = round(at.PULSE_EARLY_S * self._rate)
-        begin = next((n for n in range(top) if kept[n][0] >= self._last), top)
-        limit = at.PULSE_EARLY_SHARE * min(median(self._heights), upright[top])
-        found: list[int] = []
-        last = begin
-        for place in range(begin + near, top - near):
-            is_top = upright[place - 1] < upright[place] >= upright[place + 1]
-            if not is_top or upright[place] < limit or place - last < near:
-                continue
-            valley = max(min(upright[last:place]), min(upright[place:top]))
-            if valley < at.PULSE_VALLEY_SHARE * upright[place]:
-                found.append(place)
-                last = place
-        return found
-
-    def _rise(self, kept: Sequence[_Kept], top: int) -> float:
-        """Return by how much the signal, as it was measured, rises to a top."""
-        before = range(max(0, top - round(at.PULSE_RISE_S * self._rate)), top + 1)
-        levels = [self._polarity.sign * kept[place][1] for place in before]
-        return levels[-1] - min(levels)
-
-    def _beat(self, kept: Sequence[_Kept], top: int) -> Beat:
-        sign = self._polarity.sign
-        around = range(max(0, top - self._around), min(len(kept), top + self._around // 2 + 1))
-        stamp = kept[max(around, key=lambda place: sign * kept[place][1])][0]
-        # The filter is late by what hardly changes from beat to beat, and noise moves a flat top.
-        late = between_samples(*(each[2] for each in kept[top - 1 : top + 2]))
-        return Beat(stamp, kept[top][0] + late / self._rate)

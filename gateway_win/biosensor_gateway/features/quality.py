@@ -19,8 +19,9 @@ from biosensor_gateway.features.likeness import (
     ppg_likeness,
     unevenness,
 )
-from biosensor_gateway.features.moments import moment
 from biosensor_gateway.features.runs import Array, Event, Hops
+from biosensor_gateway.pulses import thresholds as pulses
+from biosensor_gateway.pulses.moments import moment
 
 REASONS = ("flat", "clipped", "noisy", "baseline", "out_of_range")
 """What a window may suffer from, in the order of the channels."""
@@ -119,11 +120,9 @@ def _upright(values: Array, rate: float) -> Array:
     """Turn a pulse over that is upside down, as where reflected light is counted."""
     spectrum = np.fft.rfft(values - values.mean())
     frequencies = np.fft.rfftfreq(len(values), 1 / rate)
-    low, high = at.PULSE_BAND_HZ
+    low, high = pulses.BAND_HZ
     spectrum[(frequencies < low) | (frequencies > high)] = 0
-    return (
-        -values if moment(np.fft.irfft(spectrum, len(values)), 3) < -at.PULSE_SKEWNESS else values
-    )
+    return -values if moment(np.fft.irfft(spectrum, len(values)), 3) < -pulses.SKEWNESS else values
 
 
 def _overtones(values: Array, rate: float) -> float:
@@ -131,7 +130,7 @@ def _overtones(values: Array, rate: float) -> float:
 
     A pulse rises faster than it falls; the light of a lamp that is sampled too slowly does not.
     """
-    low, high = at.PULSE_BAND_HZ
+    low, high = pulses.BAND_HZ
     spectrum = np.square(np.abs(np.fft.rfft((values - values.mean()) * np.hanning(len(values)))))
     frequencies = np.fft.rfftfreq(len(values), 1 / rate)
     inside = (frequencies >= low) & (frequencies < high)
@@ -148,8 +147,8 @@ def ppg(values: Array, rate: float) -> Judged:
     """
     values = _upright(values, rate)
     power = _power(values, rate)
-    inside = power(*at.PULSE_BAND_HZ)
-    noisy = _scaled(_share(inside, power(at.PULSE_BAND_HZ[0], rate)), at.PPG_BAND_SHARE)
+    inside = power(*pulses.BAND_HZ)
+    noisy = _scaled(_share(inside, power(pulses.BAND_HZ[0], rate)), at.PPG_BAND_SHARE)
     shape = _scaled(moment(values, 3), at.PPG_SKEWNESS)
     like = _scaled(ppg_likeness(values, rate), at.PPG_LIKENESS)
     even = _even(values, rate, at.PPG_UNEVENNESS)

@@ -14,8 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from biosensor_gateway.features import thresholds as at
-from biosensor_gateway.features.filters import Fir, band_pass, between_samples
-from biosensor_gateway.features.runs import Array, Beat, Hops
+from biosensor_gateway.features.filters import Fir, band_pass
+from biosensor_gateway.features.runs import Array, Hops
+from biosensor_gateway.pulses.filters import between_samples
+from biosensor_gateway.pulses.finding import Beat
 
 
 class _Peak(NamedTuple):

@@ -32,21 +32,6 @@ class Event(NamedTuple):
     values: tuple[float, ...]
 
 
-class Beat(NamedTuple):
-    """A beat of a heart, found in a waveform.
-
-    Attributes
-    ----------
-    stamp
-        Of the sample that is its apex.
-    apex_s
-        Where the apex is between samples, in the time of stamps.
-    """
-
-    stamp: float
-    apex_s: float
-
-
 class Stage(Protocol):
     """Makes events of the samples of one run; it is dropped at the run's end."""
 

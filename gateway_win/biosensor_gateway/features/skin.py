@@ -10,8 +10,9 @@ from statistics import median
 from typing import NamedTuple
 
 from biosensor_gateway.features import thresholds as at
-from biosensor_gateway.features.filters import Decimator, MovingMean
+from biosensor_gateway.features.filters import Decimator
 from biosensor_gateway.features.runs import Array, Event
+from biosensor_gateway.pulses.filters import MovingMean
 
 
 class _Point(NamedTuple):

@@ -73,26 +73,6 @@ LOST_S = 4.0
 APEX_S = 0.08
 """How far from the middle of its energy the apex of a QRS complex may be."""
 
-PULSE_BAND_HZ = (0.5, 8.0)
-PULSE_PEAK_S, PULSE_BEAT_S = 0.111, 0.667
-"""[3]_: the two moving averages."""
-PULSE_AHEAD_S = 0.15
-"""How far the longer mean looks ahead; by 0.28 s in [3]_, where it is centred."""
-PULSE_OFFSET = 0.02
-"""[3]_: beta, of the mean of the squared signal."""
-PULSE_MEAN_S = 3.0
-"""How long that mean looks back."""
-PULSE_SKEWNESS = 0.3
-"""[9]_: a good pulse is skewed to the right, so one that is skewed to the left by this much is
-upside down."""
-PULSE_SKEWNESS_PIECE_S, PULSE_SKEWNESS_PIECES = 2.0, 8
-"""It is told of pieces of this length, and the median of so many decides."""
-PULSE_LEAST_SHARE, PULSE_RISE_S = 0.15, 0.4
-"""What rises by less than this share of what is usual, within this time before its top, is no
-pulse: between slow ones the filter makes waves of its own."""
-PULSE_EARLY_S, PULSE_EARLY_SHARE = 0.27, 0.4
-"""A pulse may come so soon after another, and has at least this share of the usual height."""
-PULSE_VALLEY_SHARE = 0.25
 PULSE_RATE_HZ = 100.0
 """What is faster is averaged to between this and twice as much."""
 

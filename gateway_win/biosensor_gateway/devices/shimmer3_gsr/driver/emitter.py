@@ -15,7 +15,7 @@ from biosensor_gateway.devices.shimmer.driver.commands import TICKS_PER_S
 from biosensor_gateway.devices.shimmer.driver.messages import BatteryReading, Packet
 from biosensor_gateway.devices.shimmer.driver.packets import Batch, PacketTimes
 from biosensor_gateway.devices.shimmer3_gsr.driver.gsr import conductance_us, gsr_ranges
-from biosensor_gateway.devices.shimmer3_gsr.driver.pulse import PulseDetector
+from biosensor_gateway.devices.shimmer3_gsr.driver.pulse import PulseRate
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog
 
@@ -67,7 +67,7 @@ class GsrEmitter:
         self._packets.started(measurement.divisor, WAVEFORMS)
         self._gsr_at = measurement.layout.index(Channel.GSR)
         self._ppg_at = measurement.layout.index(Channel.PPG)
-        self._pulse = PulseDetector(measurement.rate_hz)
+        self._pulse = PulseRate(measurement.rate_hz)
         self._quality = []
 
     def kept_measuring_until(self, lsl_s: float) -> None:
@@ -99,8 +99,7 @@ class GsrEmitter:
 
     def _emit_heart_rate(self, times: Sequence[float], ppg: Floats) -> None:
         for time_s, value in zip(times, ppg.tolist(), strict=True):
-            rate = self._pulse.feed(time_s, value) if isfinite(value) else None
-            if rate is not None:
+            for rate in self._pulse.feed(time_s, value) if isfinite(value) else ():
                 self._sink.emit_value("hr", rate.bpm, rate.time_s)
 
     def _emit_quality(self, time_s: float, closed: bool, gsr_range: int) -> None:

@@ -1,8 +1,8 @@
-"""Heart rate from the pulse wave: found beat by beat, with nothing but the past.
+"""Heart rate from the pulse wave, beat by beat, with nothing but the past.
 
-Band-pass 0.7 to 4 Hz, peaks above half of the largest in the last 2.5 s, intervals that
-fit those before them, median of five. The device sends no heart rate, and the vendor's
-software computes its own in a closed library; this is no reconstruction of it.
+Pulses are those of live features; intervals that fit those before them, median of five. The device
+sends no heart rate, and the vendor's software computes its own in a closed library; this is no
+reconstruction of it.
 """
 
 from __future__ import annotations
@@ -11,14 +11,9 @@ from collections import deque
 from statistics import median
 from typing import NamedTuple
 
-from biosensor_gateway.devices.shimmer3_gsr.driver.filters import HighPass, LowPass
+from biosensor_gateway.pulses.finding import Pulses
 
-LOW_PASS_HZ = 4.0
-HIGH_PASS_HZ = 0.7
-PEAK_WINDOW_S = 2.5
-PEAK_SHARE = 0.5
 SMALLEST_PEAK_MV = 0.5
-REFRACTORY_S = 0.30
 LONGEST_INTERVAL_S = 2.0
 MOST_DEVIATION = 0.35
 BEATS_NEEDED = 5
@@ -36,11 +31,11 @@ class HeartRate(NamedTuple):
     bpm: float
 
 
-class PulseDetector:
-    """Finds beats in a pulse signal that comes in sample by sample.
+class PulseRate:
+    """Tells the heart rate of a pulse signal that comes in sample by sample.
 
-    A peak's time is that of the filtered wave, 30 ms (at 48 beats a minute) to 53 ms (at
-    165) after the one at the finger. Rates up to 200/min can be told.
+    A peak's time is that of the filtered wave, 40 ms before (at 35 beats a minute) to 20 ms after
+    (at 165) the one at the finger. Rates up to 200/min can be told.
 
     Parameters
     ----------
@@ -53,8 +48,8 @@ class PulseDetector:
         self._intervals: deque[float] = deque(maxlen=INTERVALS_KEPT)
         self._restart()
 
-    def feed(self, time_s: float, millivolts: float) -> HeartRate | None:
-        """Take the next sample; return the heart rate if it shows that a beat has happened.
+    def feed(self, time_s: float, millivolts: float) -> list[HeartRate]:
+        """Take the next sample; return the heart rate at each beat that it shows.
 
         Parameters
         ----------
@@ -63,16 +58,13 @@ class PulseDetector:
         millivolts
             The raw signal, with its offset.
         """
-        if self._curve and time_s - self._curve[-1][0] > LONGEST_GAP_S:
+        if time_s - self._latest_s > LONGEST_GAP_S:
             self._restart()
-        if not self._curve:
-            # Else the offset would look like a step.
-            self._offset = millivolts
-        filtered = self._high_pass.step(self._low_pass.step(millivolts - self._offset))
-        self._curve.append((time_s, filtered))
-        self._note_largest(time_s, filtered)
-        peak_s = self._peak()
-        return self._beat(peak_s) if peak_s is not None else None
+        self._latest_s = time_s
+        found = self._pulses.take(time_s, millivolts)
+        if self._pulses.height < SMALLEST_PEAK_MV:
+            return []
+        return [rate for beat in found for rate in self._beat(beat.apex_s)]
 
     def found(self, time_s: float) -> bool:
         """Whether there is a pulse: a heart rate is known, and no beat is missing at this time."""
@@ -83,48 +75,25 @@ class PulseDetector:
         return len(self._intervals) >= BEATS_NEEDED - 1
 
     def _restart(self) -> None:
-        self._low_pass = LowPass(LOW_PASS_HZ, self._rate_hz)
-        self._high_pass = HighPass(HIGH_PASS_HZ, self._rate_hz)
-        self._offset = 0.0
-        self._curve: deque[tuple[float, float]] = deque(maxlen=3)
-        self._largest: deque[tuple[float, float]] = deque()
-        self._last_beat_s = float("-inf")
+        self._pulses = Pulses(self._rate_hz)
+        self._latest_s = self._last_beat_s = float("-inf")
         self._misfits = 0
         self._intervals.clear()
 
-    def _note_largest(self, time_s: float, value: float) -> None:
-        """Keep the samples that are, or will become, the largest of the window."""
-        while self._largest and self._largest[-1][1] <= value:
-            self._largest.pop()
-        self._largest.append((time_s, value))
-        while self._largest[0][0] < time_s - PEAK_WINDOW_S:
-            self._largest.popleft()
-
-    def _peak(self) -> float | None:
-        """Time of the peak that the last three samples make, between them by a parabola."""
-        if len(self._curve) < 3:
-            return None
-        (_, before), (time_s, middle), (last_s, after) = self._curve
-        if not before < middle >= after or time_s - self._last_beat_s < REFRACTORY_S:
-            return None
-        if middle < max(SMALLEST_PEAK_MV, PEAK_SHARE * self._largest[0][1]):
-            return None
-        return time_s + (last_s - time_s) * 0.5 * (before - after) / (before - 2 * middle + after)
-
-    def _beat(self, peak_s: float) -> HeartRate | None:
+    def _beat(self, peak_s: float) -> list[HeartRate]:
         interval_s = peak_s - self._last_beat_s
         self._last_beat_s = peak_s
         if interval_s > LONGEST_INTERVAL_S:
             self._intervals.clear()
-            return None
+            return []
         if not self._fits(interval_s):
             self._misfits += 1
             if self._misfits >= MISFITS_TOLERATED:
                 self._intervals.clear()
-            return None
+            return []
         self._misfits = 0
         self._intervals.append(interval_s)
-        return HeartRate(peak_s, 60 / median(self._intervals)) if self._has_rate else None
+        return [HeartRate(peak_s, 60 / median(self._intervals))] if self._has_rate else []
 
     def _fits(self, interval_s: float) -> bool:
         if not self._intervals:

@@ -1,0 +1,70 @@
+"""Filters with state, one sample at a time, and what is between samples."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+
+def between_samples(before: float, apex: float, after: float) -> float:
+    """Return where the top of the parabola through three samples is, from the middle one on.
+
+    In sampling intervals, half of one at most.
+    """
+    bend = before - 2 * apex + after
+    return min(0.5, max(-0.5, (before - after) / (2 * bend))) if bend else 0.0
+
+
+class Biquad:
+    """A second-order Butterworth filter, sample by sample, in transposed direct form II.
+
+    Coefficients are those of the bilinear transform, as in R. Bristow-Johnson's "Cookbook
+    formulae for audio EQ biquad filter coefficients" with Q = 1/sqrt(2).
+    """
+
+    def __init__(self, cut_hz: float, rate: float, *, is_high_pass: bool) -> None:
+        angle = 2 * math.pi * min(cut_hz, 0.45 * rate) / rate
+        cosine, alpha = math.cos(angle), math.sin(angle) / math.sqrt(2)
+        side = (1 + cosine) / 2 if is_high_pass else (1 - cosine) / 2
+        middle = -2 * side if is_high_pass else 2 * side
+        scale = 1 + alpha
+        self._b0, self._b1 = side / scale, middle / scale
+        self._a1, self._a2 = -2 * cosine / scale, (1 - alpha) / scale
+        self._is_high_pass = is_high_pass
+        self._s1 = self._s2 = 0.0
+        self._is_settled = False
+
+    def take(self, value: float) -> float:
+        """Return the next value; it begins as if the first had been there for ever."""
+        if not self._is_settled:
+            self._is_settled = True
+            out = 0.0 if self._is_high_pass else value
+            self._s2 = self._b0 * value - self._a2 * out
+            self._s1 = self._s2 + self._b1 * value - self._a1 * out
+        out = self._b0 * value + self._s1
+        self._s1 = self._b1 * value - self._a1 * out + self._s2
+        self._s2 = self._b0 * value - self._a2 * out
+        return out
+
+
+class MovingMean:
+    """The mean of the last values; before there are enough, of all.
+
+    It is summed up anew now and then, so that rounding never piles up.
+    """
+
+    def __init__(self, length: int) -> None:
+        self._length = length
+        self._values: deque[float] = deque(maxlen=length)
+        self._sum, self._count = 0.0, 0
+
+    def take(self, value: float) -> float:
+        """Return the mean with this value."""
+        if len(self._values) == self._length:
+            self._sum -= self._values[0]
+        self._values.append(value)
+        self._sum += value
+        self._count += 1
+        if self._count % (16 * self._length) == 0:
+            self._sum = math.fsum(self._values)
+        return self._sum / len(self._values)

@@ -1,0 +1,186 @@
+"""Finds pulses in a photoplethysmogram by two moving averages, as in Elgendi 2013.
+
+References are in :mod:`.thresholds`. The filter is causal, so the apex is looked for in the signal
+as it was measured, around where the filtered one had its own.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from statistics import median
+from typing import NamedTuple
+
+import numpy as np
+
+from biosensor_gateway.pulses import thresholds as at
+from biosensor_gateway.pulses.filters import Biquad, MovingMean, between_samples
+from biosensor_gateway.pulses.moments import moment
+
+# How far the filter's group delay moves an apex, at most.
+_APEX_S = 0.12
+_KEPT_S = 3.0
+_Kept = tuple[float, float, float]
+"""Stamp, value, and value after the filter."""
+
+
+class Beat(NamedTuple):
+    """A beat of a heart, found in a waveform.
+
+    Attributes
+    ----------
+    stamp
+        Of the sample that is its apex.
+    apex_s
+        Where the apex is between samples, in the time of stamps.
+    """
+
+    stamp: float
+    apex_s: float
+
+
+class Polarity:
+    """Tells which way up a pulse is by its skewness: upright it is skewed to the right.
+
+    A sensor that counts reflected light shows it upside down, for blood takes light up. Each piece
+    of the signal is judged by its own spread, and the median of the last ones decides: an artefact
+    spoils one piece or two, however large it is.
+
+    Parameters
+    ----------
+    rate
+        Of the samples, in Hz.
+
+    Attributes
+    ----------
+    sign
+        -1 while it is upside down, else 1.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self.sign = 1.0
+        self._length = round(at.SKEWNESS_PIECE_S * rate)
+        self._piece: list[float] = []
+        self._kept: deque[float] = deque(maxlen=at.SKEWNESS_PIECES)
+
+    def take(self, filtered: float) -> float:
+        """Return the sign after this sample."""
+        self._piece.append(filtered)
+        if len(self._piece) == self._length:
+            self._kept.append(moment(np.array(self._piece), 3))
+            self._piece.clear()
+            if -self.sign * median(self._kept) > at.SKEWNESS:
+                self.sign = -self.sign
+        return self.sign
+
+
+class Pulses:
+    """Gives the apex of each pulse.
+
+    Parameters
+    ----------
+    rate
+        Nominal, in Hz; from 20 to some hundreds.
+
+    Attributes
+    ----------
+    height
+        Of the last pulse, after the filter.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self.height = 0.0
+        self._rate = rate
+        self._high_pass = Biquad(at.BAND_HZ[0], rate, is_high_pass=True)
+        self._low_pass = Biquad(at.BAND_HZ[1], rate, is_high_pass=False)
+        self._polarity = Polarity(rate)
+        peak, beat = (2 * round(s * rate / 2) + 1 for s in (at.PEAK_S, at.BEAT_S))
+        self._peak_mean, self._beat_mean = MovingMean(peak), MovingMean(beat)
+        self._offset = MovingMean(round(at.MEAN_S * rate))
+        # Centred, the longer mean would look ahead by 0.28 s; less will do for an upstroke.
+        self._wait = min((beat - peak) // 2, round(at.AHEAD_S * rate))
+        self._late = self._wait + (peak - 1) // 2
+        self._least = peak
+        self._peaks: deque[float] = deque(maxlen=self._wait + 1)
+        self._around = round(_APEX_S * rate)
+        self._kept: deque[_Kept] = deque(maxlen=round(_KEPT_S * rate))
+        self._heights: deque[float] = deque(maxlen=at.KEPT)
+        self._rises: deque[float] = deque(maxlen=at.KEPT)
+        self._length = 0
+        self._last = float("-inf")
+
+    def take(self, stamp: float, value: float) -> list[Beat]:
+        """Take the next sample in; return the pulses that are decided by now."""
+        filtered = self._low_pass.take(self._high_pass.take(value))
+        upright = filtered * self._polarity.take(filtered)
+        clipped = upright * upright if upright > 0 else 0.0
+        self._kept.append((stamp, value, filtered))
+        self._peaks.append(self._peak_mean.take(clipped))
+        beat = self._beat_mean.take(clipped)
+        limit = beat + at.OFFSET * self._offset.take(clipped)
+        if self._peaks[0] > limit and len(self._kept) > self._late + self._around:
+            self._length += 1
+            return []
+        length, self._length = self._length, 0
+        return self._block(length) if length >= self._least else []
+
+    def _block(self, length: int) -> list[Beat]:
+        """Return the pulse of a block that ends now, after those that were passed over."""
+        kept, sign = list(self._kept), self._polarity.sign
+        upright = [sign * each[2] for each in kept]
+        end = len(kept) - 1 - self._late
+        begin = max(1, end - length)
+        top = max(range(begin, end), key=upright.__getitem__, default=None)
+        if top is None:
+            return []
+        beat = self._beat(kept, top)
+        since_s = beat.stamp - self._last
+        if since_s > at.LOST_S:
+            self._heights.clear()
+            self._rises.clear()
+        rise = self._rise(kept, top)
+        usual = median(self._rises) if self._rises else 0.0
+        if since_s < at.REFRACTORY_S or rise < at.LEAST_SHARE * usual:
+            return []
+        passed = [self._beat(kept, each) for each in self._passed_over(kept, upright, top)]
+        self._last, self.height = beat.stamp, upright[top]
+        self._heights.append(upright[top])
+        self._rises.append(rise)
+        return [*passed, beat]
+
+    def _passed_over(self, kept: Sequence[_Kept], upright: Sequence[float], top: int) -> list[int]:
+        """Return tops of pulses that came so early that the one before hid them from the means.
+
+        Each is nearly as high as others, and the signal has been below its mean in between; the
+        second wave of a pulse is not and has not.
+        """
+        if not self._heights:
+            return []
+        near = round(at.EARLY_S * self._rate)
+        begin = next((n for n in range(top) if kept[n][0] >= self._last), top)
+        limit = at.EARLY_SHARE * min(median(self._heights), upright[top])
+        found: list[int] = []
+        last = begin
+        for place in range(begin + near, top - near):
+            is_top = upright[place - 1] < upright[place] >= upright[place + 1]
+            if not is_top or upright[place] < limit or place - last < near:
+                continue
+            valley = max(min(upright[last:place]), min(upright[place:top]))
+            if valley < at.VALLEY_SHARE * upright[place]:
+                found.append(place)
+                last = place
+        return found
+
+    def _rise(self, kept: Sequence[_Kept], top: int) -> float:
+        """Return by how much the signal, as it was measured, rises to a top."""
+        before = range(max(0, top - round(at.RISE_S * self._rate)), top + 1)
+        levels = [self._polarity.sign * kept[place][1] for place in before]
+        return levels[-1] - min(levels)
+
+    def _beat(self, kept: Sequence[_Kept], top: int) -> Beat:
+        sign = self._polarity.sign
+        around = range(max(0, top - self._around), min(len(kept), top + self._around // 2 + 1))
+        stamp = kept[max(around, key=lambda place: sign * kept[place][1])][0]
+        # The filter is late by what hardly changes from beat to beat, and noise moves a flat top.
+        late = between_samples(*(each[2] for each in kept[top - 1 : top + 2]))
+        return Beat(stamp, kept[top][0] + late / self._rate)
