@@ -115,6 +115,21 @@ def test_breathing_has_rate_and_depth(rate: float, per_minute: float) -> None:
     assert signals.values_of(events, "breath_depth")[2:, 0] == pytest.approx(6.0, rel=0.1)
 
 
+def test_the_rate_of_breaths_with_a_pause_is_told_without_and_with_it() -> None:
+    breath_s, held_s = 4.0, 8.2
+    t = np.arange(20 * 60) / 20
+    phase = np.where(t < 40, t / breath_s, 10 + np.maximum(0, t - 40 - held_s) / breath_s)
+    events = signals.events_of("Respiration", -np.cos(2 * np.pi * phase), 20)
+    stamps = signals.stamps_of(events, "br_live")
+    assert np.array_equal(stamps, signals.stamps_of(events, "br_live_quality"))
+    rate, beside = (signals.values_of(events, each) for each in ("br_live", "br_live_quality"))
+    after = (stamps > 50) & (stamps < 60)
+    assert rate[after, 0] == pytest.approx(15, abs=0.5)
+    assert beside[after, 1].max() < 1
+    assert beside[after, 3].max() < 13
+    assert beside[~after, 3][:5] == pytest.approx(15, abs=0.5)
+
+
 @pytest.mark.parametrize("coughs", [False, True])
 @pytest.mark.parametrize("per_minute", [8, 15, 25])
 def test_the_rate_of_breaths_that_vary_is_right_in_nearly_all_windows(

@@ -15,6 +15,8 @@ from biosensor_gateway.features.filters import Decimator
 from biosensor_gateway.features.runs import Array, Event
 from biosensor_gateway.pulses.filters import Biquad
 
+BR_QUALITY = "br_live_quality"
+
 
 class _Point(NamedTuple):
     stamp: float
@@ -22,7 +24,7 @@ class _Point(NamedTuple):
 
 
 class Breathing:
-    """Gives `breaths`, `br_live` and `breath_depth` at each end of breathing in.
+    """Gives `breaths`, `breath_depth`, `br_live` and `br_live_quality` at each end of breathing in.
 
     The smoothed signal has turned where it has come back by a share of how far it usually moves:
     what is less belongs to the same breath, whatever the level is. Tops are ends of breathing in.
@@ -83,19 +85,26 @@ class Breathing:
             self._intervals.popleft()
         events = [Event("breaths", stamp, (interval_s,)), Event("breath_depth", stamp, (depth,))]
         if len(self._intervals) >= at.BR_LEAST:
-            events.append(Event("br_live", stamp, (self._rate(),)))
+            events += self._rate(stamp)
         return events
 
-    def _rate(self) -> float:
-        """Return breaths a minute, of the intervals that are like their median.
+    def _rate(self, stamp: float) -> list[Event]:
+        """Return breaths a minute, of the intervals that are like their median, and of all.
 
-        A breath that was missed makes one interval of two, and a cough makes two of one.
+        A breath that was missed makes one interval of two, and a cough makes two of one; but a
+        pause is one, too.
         """
         intervals = [each.value for each in self._intervals]
         middle = median(intervals)
         alike = [s for s in intervals if middle / at.BR_ALIKE <= s <= middle * at.BR_ALIKE]
         # Of an even number none need be like the median, which lies between two of them.
-        return 60 / fmean(alike or intervals)
+        taken = alike or intervals
+        covered = min(1.0, math.fsum(taken) / at.BR_WINDOW_S)
+        beside = (float(len(taken)), len(taken) / len(intervals), covered, 60 / fmean(intervals))
+        return [
+            Event("br_live", stamp, (60 / fmean(taken),)),
+            Event(BR_QUALITY, stamp, beside),
+        ]
 
 
 def _value(point: _Point) -> float:

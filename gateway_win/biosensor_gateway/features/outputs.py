@@ -10,6 +10,7 @@ from biosensor_common.quantities import ContentType, Unit
 from biosensor_common.spec import ChannelSpec, StreamSpec
 from biosensor_common.table import channels, hardware, raw
 from biosensor_gateway.features import thresholds as at
+from biosensor_gateway.features.breathing import BR_QUALITY
 from biosensor_gateway.features.heart import HR_QUALITY
 from biosensor_gateway.features.quality import REASONS
 
@@ -35,6 +36,11 @@ _HRV = _of_each_window(
         "quality": Unit.FRACTION,
         "motion": Unit.BOOLEAN,
     }
+)
+_BR_QUALITY = (
+    *channels(Unit.COUNTS, "intervals"),
+    *channels(Unit.FRACTION, "valid", "covered"),
+    *channels(Unit.BREATHS_PER_MINUTE, "counted"),
 )
 _HR_QUALITY = (
     *channels(Unit.COUNTS, "intervals"),
@@ -154,6 +160,14 @@ def _breathing(unit: str) -> tuple[Feature, ...]:
         Feature("breaths", breaths, algorithm, 0, 2, every_s),
         Feature("breath_depth", depth, algorithm, 0, 2, every_s),
         Feature("br_live", rate, algorithm, at.BR_WINDOW_S, 2, every_s),
+        Feature(
+            BR_QUALITY,
+            hardware(BR_QUALITY, ContentType.QUALITY, _BR_QUALITY),
+            "what br_live is the mean of",
+            at.BR_WINDOW_S,
+            2,
+            every_s,
+        ),
     )
 
 
