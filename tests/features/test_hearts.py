@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from biosensor_common.quantities import ChannelFormat
+from biosensor_common.stream_header import CoreFields, foreign_header
 from biosensor_gateway.features.runs import Event
+from biosensor_gateway.features.sources import judge
 from tests.features import hearts, signals
 from tests.features.signals import Array
 
@@ -193,6 +196,8 @@ def test_a_hole_that_hides_no_beat_ends_no_window(lost: int) -> None:
 
 @pytest.mark.parametrize("rate", [2048.0, 5000.0])
 def test_a_fast_ecg_is_averaged(rate: float) -> None:
+    core = CoreFields("Amp", "ECG", "amp", "host", 1, rate, ChannelFormat.FLOAT32)
+    assert judge("Amp", "amp", foreign_header(core, ("x",), ("mV",))) is not None
     beats = hearts.regular(70, 40)
     events = signals.events_of("ECG", hearts.ecg_of(beats, rate, 40), rate)
     found = signals.stamps_of(events, "beats")

@@ -14,7 +14,12 @@ import pyxdf
 from typer import Typer
 from typer.testing import CliRunner
 
+from biosensor_common import naming
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_common.lsl_header import describe
+from biosensor_common.quantities import ContentType, Unit
+from biosensor_common.spec import DeviceIdentity, DeviceInfo, StreamSpec
+from biosensor_common.table import channels, raw
 from biosensor_gateway.cli.features import features
 from biosensor_gateway.cli.featuring import compute_recording
 from tests.features import signals
@@ -33,6 +38,42 @@ def _described(unit: str) -> ET.Element:
     if unit:
         ET.SubElement(channel, "unit").text = unit
     return desc
+
+
+def _own(number: int, spec: StreamSpec, values: signals.Array, rate: float) -> bytes:
+    """Return a stream of a watch of ours, which says whose it is."""
+    watch = DeviceIdentity("watch", "")
+    desc = describe(spec, watch, DeviceInfo(model="any"))
+    stamps: list[float] = (BEGIN_S + np.arange(len(values)) / rate).tolist()
+    kind, count = spec.content_type.value, len(spec.channels)
+    header = made.stream_header(
+        number,
+        naming.lsl_name(watch, spec.data_name),
+        kind=kind,
+        rate=rate,
+        channels=count,
+        source_id=naming.source_id(watch, spec.data_name),
+        desc=desc,
+    )
+    rows = values.reshape(len(values), count).tolist()
+    return header + made.samples(number, "float32", rows, stamps)
+
+
+def test_motion_of_a_recording_is_that_of_its_accelerometer(tmp_path: Path) -> None:
+    path, target = tmp_path / "walk.xdf", tmp_path / "features.xdf"
+    ppg = raw("ppg", ContentType.PPG, channels("counts", "green"), 64)
+    acc = raw("acc", ContentType.ACCELEROMETER, channels(Unit.G, "x", "y", "z"), 32)
+    moves = np.tile([0.0, 0.0, 1.0], (40 * 32, 1))
+    moves[20 * 32 :, 0] = 0.2 * np.sin(2 * np.pi * np.arange(20 * 32) / 32)
+    path.write_bytes(made.xdf(_own(1, ppg, signals.pulse(64, 40)[0], 64)) + _own(2, acc, moves, 32))
+    compute_recording(path, target, print_json=False)
+    (quality,) = [e for e in _loaded(str(target)) if e["info"]["name"][0].endswith("ppg_sqi")]
+    stamps, values = quality["time_stamps"] - BEGIN_S, quality["time_series"]
+    assert set(values[stamps < 20, 6]) == {0.0}
+    assert values[stamps < 20, 0].min() > 0.9
+    after = (stamps > 24) & (stamps < 39)
+    assert set(values[after, 6]) == {1.0}
+    assert values[after, 0].max() < 0.5
 
 
 def _loaded(path: str) -> list[Any]:
