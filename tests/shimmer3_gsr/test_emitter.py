@@ -214,11 +214,13 @@ def test_battery_is_stamped_by_arrival(emitter: GsrEmitter, sink: EmitterSink) -
     assert sink.times["bat"] == [ARRIVAL_S]
 
 
-def test_a_pulse_signal_of_unknown_scale_has_no_value(sink: EmitterSink) -> None:
-    emitter = GsrEmitter(sink)
-    emitter.started(Measurement(Layout([0x12, 0x1C]), DIVISOR, AUTO, has_ppg_scale=False))
-    for number in range(0, 1280, 8):
-        emitter.take([(pulse(each), ARRIVAL_S) for each in range(number, number + 8)])
-    np.testing.assert_array_equal(sink.emitted["ppg"], np.full((1280, 1), NAN))
-    assert sink.emitted["gsr"][0] == [pytest.approx(FINGER_US)]
-    assert "hr" not in sink.emitted
+def test_the_pulse_of_a_shimmer3r_has_the_scale_of_a_shimmer3(sink: EmitterSink) -> None:
+    emitted: list[list[list[float]]] = []
+    for is_3r in (False, True):
+        emitter = GsrEmitter(sink)
+        emitter.started(Measurement(Layout([0x12, 0x1C], is_3r=is_3r), DIVISOR, AUTO))
+        for number in range(0, 1280, 8):
+            emitter.take([(pulse(each), ARRIVAL_S) for each in range(number, number + 8)])
+        emitted.append(sink.emitted.pop("ppg"))
+    assert emitted[0] == emitted[1]
+    assert np.isfinite(emitted[1]).all()

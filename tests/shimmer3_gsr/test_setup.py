@@ -141,13 +141,11 @@ async def test_bt_stream_is_not_asked_what_it_does_not_know() -> None:
 
 
 @pytest.mark.parametrize(("patch", "status_bytes"), [(23, 1), (24, 2)])
-async def test_a_shimmer3r_has_longer_answers_and_a_pulse_of_unknown_scale(
-    patch: int, status_bytes: int
-) -> None:
+async def test_a_shimmer3r_has_longer_answers(patch: int, status_bytes: int) -> None:
     device = Device((1, 0, patch), hardware=10)
     await device.identify()
     assert device.form == ReplyForm(7, status_bytes, calibration_blocks=6)
-    assert not (await device.set_up()).has_ppg_scale
+    assert (await device.set_up()).layout.channels == (0x12, 0x1C)
 
 
 async def test_what_is_right_is_not_written_again() -> None:
@@ -156,7 +154,6 @@ async def test_what_is_right_is_not_written_again() -> None:
     assert device.told == []
     assert measurement.layout.channels == (0x12, 0x1C)
     assert (measurement.divisor, measurement.gsr_setting) == (256, 4)
-    assert measurement.has_ppg_scale
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import isfinite
 
-import numpy as np
-
 from biosensor_gateway.devices.shimmer.driver.adc import Floats, millivolts
 from biosensor_gateway.devices.shimmer.driver.battery import emit_charge
 from biosensor_gateway.devices.shimmer.driver.channels import Channel, Layout
@@ -35,14 +33,11 @@ class Measurement:
         The sampling rate is 32768 Hz divided by it.
     gsr_setting
         Feedback resistor, 4 for automatic.
-    has_ppg_scale
-        Whether the scale of the pulse signal is known; if not, it has no value.
     """
 
     layout: Layout
     divisor: int
     gsr_setting: int
-    has_ppg_scale: bool = True
 
     @property
     def rate_hz(self) -> float:
@@ -89,8 +84,6 @@ class GsrEmitter:
         setting = self._measurement.gsr_setting
         gsr = conductance_us(raw, setting)
         ppg = millivolts([row[self._ppg_at] for row in batch.rows])
-        if not self._measurement.has_ppg_scale:
-            ppg = np.full_like(ppg, np.nan)
         self._sink.emit("gsr", gsr, times)
         self._sink.emit("ppg", ppg, times)
         self._emit_heart_rate(times, ppg)

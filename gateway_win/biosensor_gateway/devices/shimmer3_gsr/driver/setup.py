@@ -14,7 +14,7 @@ from biosensor_gateway.devices.shimmer.driver.flash import (
     expansion_board,
     make_right,
 )
-from biosensor_gateway.devices.shimmer.driver.kind import SHIMMER3, Kind
+from biosensor_gateway.devices.shimmer.driver.kind import Kind
 from biosensor_gateway.devices.shimmer.driver.messages import Inquiry
 from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import Measurement
 
@@ -48,10 +48,7 @@ async def set_up(talk: Conversation, kind: Kind, wanted: Wanted, name: str) -> M
         _log.warning("the expansion board is no GSR+ board", port=name, board=board)
     await ask_for_the_state(talk, kind)
     present = await make_right(talk, lambda inquiry: _changes(inquiry, wanted), name)
-    # The scale of a Shimmer3R's ADC inputs was never confirmed.
-    has_ppg_scale = kind.hardware == SHIMMER3
-    layout = kind.layout(present.channels)
-    return Measurement(layout, wanted.divisor, wanted.gsr_setting, has_ppg_scale)
+    return Measurement(kind.layout(present.channels), wanted.divisor, wanted.gsr_setting)
 
 
 def _changes(present: Inquiry, wanted: Wanted) -> dict[str, bytes]:
