@@ -169,9 +169,9 @@ def test_a_stray_line_is_left_out_and_loses_nothing(
     stray: tuple[float, ...], way: dict[str, Any]
 ) -> None:
     good = [row(number, 10.0 * number) for number in range(1, 2000)]
-    rows = [*good[:500], stray, *good[500:900], stray, *good[900:901], stray, *good[901:]]
+    rows = [*good[:500], stray, stray, *good[500:900], stray, *good[900:901], stray, *good[901:]]
     arrivals = [1000.0 + each[0] / 100 for each in good]
-    for at in (500, 901, 903):
+    for at in (500, 501, 902, 904):
         arrivals.insert(at, arrivals[at - 1])
     sink = emitted(rows, arrivals, **way)
     assert [each[0] for each in sink.emitted["acc"]] == [each[0] for each in good]

@@ -123,9 +123,17 @@ class LineEmitter:
             follower.begin_anew()
         self._placed(count, before, self._at_count, 0.0)
         self._placed(time, before, self._at_time, 0.0)
-        return self._is_next(row, count, time, 0.0)
+        # The same greeting twice is no device that counts.
+        return row != before and self._is_next(row, count, time, 0.0, (Order.NEXT,))
 
-    def _is_next(self, row: Row, count: Unwrapped, time: Unwrapped, gap_s: float) -> bool:
+    def _is_next(
+        self,
+        row: Row,
+        count: Unwrapped,
+        time: Unwrapped,
+        gap_s: float,
+        orders: Sequence[Order] = (Order.NEXT, Order.LATE),
+    ) -> bool:
         places = (
             (self._placed(copy(count), row, self._at_count, self._most(gap_s)), self._leap(gap_s)),
             (
@@ -134,7 +142,7 @@ class LineEmitter:
             ),
         )
         return all(
-            place is None or (place.order is not Order.RESTART and place.step <= leap)
+            place is None or (place.order in orders and place.step <= leap)
             for place, leap in places
         )
 
