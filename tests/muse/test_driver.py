@@ -14,7 +14,7 @@ from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.muse.driver.gatt import EEG, FRAMES
 from biosensor_gateway.devices.muse.simulator import SimulatedAthena, SimulatedMuse
-from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.faults import Fault, FaultKind, Untidiness
 from biosensor_gateway.transports.ble import BleLink
 from tests.rigs.bluetooth import ON_BUMBLE
 from tests.rigs.driver_run import Run, connected, streaming
@@ -166,6 +166,34 @@ async def test_a_headband_of_an_unknown_generation_is_said(
         async with connected(headband()):
             pass
     assert caught.value.reason is ProtocolReason.UNSUPPORTED
+
+
+@ON_BUMBLE
+async def test_answers_that_share_a_packet_are_heard(headband: Make) -> None:
+    device = headband()
+    device.apply(Fault(Untidiness.GLUED, 3600.0))
+    async with streaming(device) as run:
+        await until(run.sink.has(200, "eeg"))
+        assert run.supervisor.connections == 1
+    assert_complete(run, device, "eeg")
+
+
+@pytest.mark.parametrize("wanted", ["00:55:da:b0:77:01", ""])
+@ON_BUMBLE
+async def test_a_headband_without_a_name_is_found(headband: Make, wanted: str) -> None:
+    device = headband(address="00:55:DA:B0:77:01")
+    device.apply(Fault(Untidiness.NAMELESS, 3600.0))
+    async with connected(device, device=wanted) as found:
+        assert found.info.serial_number
+
+
+@ON_BUMBLE
+async def test_a_full_battery_is_told_as_full(headband: Make) -> None:
+    device = headband()
+    device.apply(Fault(FaultKind.LOW_BATTERY, 100.0))
+    async with streaming(device) as run:
+        await until(run.sink.has(1, "bat"))
+    assert run.sink.rows["bat"][0] == [100]
 
 
 @ON_BUMBLE

@@ -13,7 +13,7 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver import driver as 
 from biosensor_gateway.devices.vernier_respiration_belt.driver.driver import VernierSettings
 from biosensor_gateway.devices.vernier_respiration_belt.simulator import SimulatedBelt
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import Command
-from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.faults import Fault, FaultKind, Untidiness
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.transports import ble_choice
 from tests.rigs.driver_run import connected, streaming
@@ -34,6 +34,16 @@ async def test_every_sample_arrives_with_its_time(belt: SimulatedBelt) -> None:
     assert run.sink.rows["quality"][-1] == [1.0, 0.0]
     assert (run.sink.values("bat"), run.sink.values("rssi")) == ([76.0], [-62.0])
     assert (run.sink.lost_count("force"), run.sink.dropped_bytes) == (0, 0)
+
+
+async def test_what_comes_in_bundles_is_stamped_as_measured(belt: SimulatedBelt) -> None:
+    async with streaming(belt) as run:
+        await until(run.sink.has(20, "force"))
+        belt.apply(Fault(Untidiness.BUNDLED, 1.5))
+        await run.goes_on(60, "force")
+        assert run.sink.lost_count("force") == 0
+    index = assert_true(run.sink, belt)
+    assert index.tolist() == list(range(len(index)))
 
 
 async def test_the_belt_says_who_it_is(

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.faults import Kind
 
 _T = TypeVar("_T")
 
@@ -29,7 +29,7 @@ class Effect(Generic[_T]):
     end: Callable[[_T], None] | None = None
 
 
-Effects = Mapping[FaultKind, Effect[_T]]
+Effects = Mapping[Kind, Effect[_T]]
 """By kind, for each fault that something can have."""
 
 
@@ -38,7 +38,7 @@ def lasting(begin: Callable[[_T], None], end: Callable[[_T], None]) -> Effect[_T
     return Effect(lambda hit, _: begin(hit), end)
 
 
-def on_part(name: str, effects: Effects[Any]) -> dict[FaultKind, Effect[Any]]:
+def on_part(name: str, effects: Effects[Any]) -> dict[Kind, Effect[Any]]:
     """Return the effects on a device of which one part is hit.
 
     Parameters

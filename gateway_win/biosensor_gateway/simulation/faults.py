@@ -52,23 +52,54 @@ class FaultKind(Enum):
 OF_A_KIND = frozenset({FaultKind.DENY, FaultKind.REPEAT, FaultKind.STEP_BACK})
 """Only devices of some kinds can have these; the others need not say why they cannot."""
 
-_UNITS = {
+@unique
+class Untidiness(Enum):
+    """What devices of some kinds do besides, though nothing is wrong with them."""
+
+    APART = "apart"
+    """Now and then a channel of a sensor is read a sample later than the others [s]."""
+    OVERTAKEN = "overtaken"
+    """Each third message comes behind the next one [s]."""
+    GLUED = "glued"
+    """Answers come two at a time, and in pieces that are cut anywhere [s]."""
+    RATE = "rate"
+    """It starts anew and measures so often, which is not what its settings say [Hz]; for 30 s."""
+    BUNDLED = "bundled"
+    """What it sends waits for so long and comes together [s]; for 30 s."""
+    STRAY = "stray"
+    """So many messages that are like its own, and mean nothing."""
+    NAMELESS = "nameless"
+    """It advertises no name [s]."""
+
+
+Kind = FaultKind | Untidiness
+
+_UNITS: dict[Kind, str] = {
     FaultKind.GARBAGE: "",
     FaultKind.STEP_BACK: "",
     FaultKind.FORGET: "",
     FaultKind.LOW_BATTERY: "%",
     FaultKind.DRIFT: "ppm",
+    Untidiness.RATE: "Hz",
+    Untidiness.STRAY: "",
 }
-_DEFAULTS = {
+_DEFAULTS: dict[Kind, float] = {
     FaultKind.GARBAGE: 64.0,
     FaultKind.LOW_BATTERY: 4.0,
     FaultKind.DRIFT: 150.0,
     FaultKind.LATE: 1.0,
     FaultKind.STEP_BACK: 1.0,
+    Untidiness.RATE: 100.0,
+    Untidiness.BUNDLED: 2.0,
+    Untidiness.STRAY: 3.0,
 }
-_RANGES = {
+_KINDS: dict[str, Kind] = {kind.value: kind for kind in (*FaultKind, *Untidiness)}
+_RANGES: dict[Kind, tuple[float, float]] = {
     FaultKind.LOW_BATTERY: (0.0, 100.0),
     FaultKind.GARBAGE: (0.0, 1e6),
+    Untidiness.STRAY: (0.0, 1e6),
+    Untidiness.RATE: (1.0, 1000.0),
+    Untidiness.BUNDLED: (0.0, 60.0),
     # Far beyond any crystal, and far from one that stands still.
     FaultKind.DRIFT: (-100_000.0, 100_000.0),
 }
@@ -76,8 +107,8 @@ _SECONDS = "s"
 _DEFAULT_SECONDS = 5.0
 _FAULT = re.compile(
     r"(?:(?P<sensor>[a-z][a-z0-9_]*(?::[a-z][a-z0-9_]*)?):)?"
-    rf"(?P<kind>{'|'.join(kind.value for kind in FaultKind)})"
-    r"(?::(?P<value>-?[0-9]+(?:\.[0-9]+)?)(?P<unit>s|%|ppm)?)?"
+    rf"(?P<kind>{'|'.join(_KINDS)})"
+    r"(?::(?P<value>-?[0-9]+(?:\.[0-9]+)?)(?P<unit>s|%|ppm|Hz)?)?"
     r"@(?P<start>[0-9]+(?:\.[0-9]+)?)s?"
 )
 
@@ -93,7 +124,7 @@ class Fault:
         In the unit of the kind; for those in seconds, infinity never ends.
     """
 
-    kind: FaultKind
+    kind: Kind
     value: float
 
     def __post_init__(self) -> None:
@@ -130,9 +161,9 @@ def parse_fault(text: str) -> ScheduledFault:
         ``WRONG_VALUE``, with the text and what is allowed.
     """
     found = _FAULT.fullmatch(text.strip())
-    kind = FaultKind(found["kind"]) if found else None
+    kind = _KINDS[found["kind"]] if found else None
     if found is None or kind is None or (found["unit"] or _unit(kind)) != _unit(kind):
-        kinds = ", ".join(kind.value for kind in FaultKind)
+        kinds = ", ".join(_KINDS)
         message = f"{text!r} is no fault; write [SENSOR:]KIND[:VALUE]@START, as in drop:5s@10s"
         raise ConfigError(ConfigReason.WRONG_VALUE, f"{message}; kinds are {kinds}")
     value = float(found["value"]) if found["value"] else _DEFAULTS.get(kind, _DEFAULT_SECONDS)
@@ -143,5 +174,5 @@ def parse_fault(text: str) -> ScheduledFault:
     return ScheduledFault(fault, float(found["start"]), found["sensor"] or "")
 
 
-def _unit(kind: FaultKind) -> str:
+def _unit(kind: Kind) -> str:
     return _UNITS.get(kind, _SECONDS)

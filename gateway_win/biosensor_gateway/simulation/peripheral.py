@@ -20,6 +20,7 @@ from biosensor_gateway.simulation.protection import (
 )
 from biosensor_gateway.simulation.radio import MAX_MTU, Radio
 from biosensor_gateway.simulation.transceiver import Transceiver
+from biosensor_gateway.simulation.untidy_radio import Bundles
 
 _ADVERTISING_INTERVAL_MS = 50.0
 # bumble's emulated advertiser takes its interval, counted in 0.625 ms, for milliseconds.
@@ -55,6 +56,7 @@ class Peripheral:
     ----------
     on_connected, on_disconnected
         Called in the world's loop.
+    bundles: where notifications may wait for each other.
     demand_pairing
         Whether the characteristics whose permissions contain
         ``READ_REQUIRES_AUTHENTICATION`` or ``WRITE_REQUIRES_AUTHENTICATION`` answer
@@ -91,6 +93,8 @@ class Peripheral:
         self._dropped = False
         self._breaking = False
         self._stalled = False
+        self._scan_response = pack_name(name)
+        self.bundles = Bundles(lambda: self._connection)
         self._indications = Indications(self._can_indicate)
         self._advertisement = pack_advertisement(self._uuids, manufacturer_data or {})
 
@@ -152,7 +156,7 @@ class Peripheral:
         await device.start_advertising(
             auto_restart=True,
             advertising_data=self._advertisement,
-            scan_response_data=pack_name(self.name),
+            scan_response_data=self._scan_response,
             advertising_interval_min=_BUMBLE_INTERVAL,
             advertising_interval_max=_BUMBLE_INTERVAL,
         )
@@ -206,9 +210,16 @@ class Peripheral:
             notification = att.ATT_Handle_Value_Notification(
                 attribute_handle=characteristic.handle, attribute_value=value
             )
-            connection.send_l2cap_pdu(att.ATT_CID, bytes(notification))
+            self.bundles.send(connection, bytes(notification))
             return True
         return await self._indications.send(connection, characteristic, value)
+
+    def set_nameless(self, nameless: bool) -> None:
+        """Advertise no name from now on, or the name again."""
+        self._scan_response = b"" if nameless else pack_name(self.name)
+        if self._device and self._transceiver:
+            self._device.scan_response_data = self._scan_response
+            self._transceiver.le_legacy_advertiser.scan_response_data = self._scan_response
 
     def set_advertising(self, on: bool) -> None:
         """Advertise, when not connected, or do not."""
@@ -234,6 +245,7 @@ class Peripheral:
         What `notify` accepted before still arrives.
         """
         self._dropped = True
+        self.bundles.flush()
         self._update_audible()
         if self._connection:
             self._breaking = True

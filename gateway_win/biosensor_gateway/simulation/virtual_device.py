@@ -11,22 +11,25 @@ from typing import Any, ClassVar, NamedTuple, Self, Unpack
 
 from biosensor_gateway.simulation.effects import Effects
 from biosensor_gateway.simulation.expected import Expected
-from biosensor_gateway.simulation.faults import Fault, FaultKind
+from biosensor_gateway.simulation.faults import Fault, FaultKind, Kind, Untidiness
 from biosensor_gateway.simulation.specimen import Specimen, SpecimenOptions
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
 
 LATE_LASTS_S = 30.0
-_AT_ONCE = frozenset(
+_AT_ONCE: frozenset[Kind] = frozenset(
     {
         FaultKind.LOW_BATTERY,
         FaultKind.DRIFT,
         FaultKind.GARBAGE,
         FaultKind.FORGET,
         FaultKind.STEP_BACK,
+        Untidiness.STRAY,
     }
 )
+_OF_FIXED_LENGTH: frozenset[Kind] = frozenset({FaultKind.LATE, Untidiness.RATE, Untidiness.BUNDLED})
+"""Their value says something else than how long they last."""
 
 
 class Filled(NamedTuple):
@@ -72,7 +75,7 @@ class VirtualDevice(ABC):
     effects: ClassVar[Effects[Any]] = MappingProxyType({})
     """What each fault does that it can have; those that last have an end."""
     faults: ClassVar[frozenset[FaultKind]] = frozenset()
-    """Which faults it can have: those of `effects`."""
+    """Which faults it can have: those of `effects`, besides its untidiness."""
     on_air: ClassVar[bool] = False
     """Whether it is made with a :class:`~biosensor_gateway.simulation.radio.Radio`, too."""
     filled: ClassVar[Mapping[str, Filled]] = MappingProxyType({})
@@ -91,13 +94,13 @@ class VirtualDevice(ABC):
         ]
         if endless:
             raise TypeError(f"{cls.__name__} has no end for the faults {', '.join(endless)}")
-        cls.faults = frozenset(cls.effects)
+        cls.faults = frozenset(kind for kind in cls.effects if isinstance(kind, FaultKind))
 
     def __init__(self, world: World, **specimen: Unpack[SpecimenOptions]) -> None:
         self.world = world
         self.specimen = Specimen(**specimen)
         self.truth = Truth(self.specimen.kept)
-        self._lasting: dict[FaultKind, asyncio.TimerHandle | None] = {}
+        self._lasting: dict[Kind, asyncio.TimerHandle | None] = {}
 
     @classmethod
     def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
@@ -156,12 +159,12 @@ class VirtualDevice(ABC):
         self._require(fault)
         self.world.call(lambda: self.world.loop.call_later(after_s, self._apply, fault))
 
-    def clear(self, kind: FaultKind) -> None:
+    def clear(self, kind: Kind) -> None:
         """End a fault now; without effect where there is none."""
         self.world.call(lambda: self._clear(kind))
 
     def _require(self, fault: Fault) -> None:
-        if fault.kind not in self.faults:
+        if fault.kind not in self.effects:
             raise ValueError(f"{self.sensor} cannot have the fault {fault.kind.value}")
 
     def _apply(self, fault: Fault) -> None:
@@ -169,15 +172,14 @@ class VirtualDevice(ABC):
         self.effects[fault.kind].begin(self, fault.value)
         if fault.kind in _AT_ONCE:
             return
-        # A late answer has its delay as value, so the fault lasts for a fixed time.
-        seconds = LATE_LASTS_S if fault.kind is FaultKind.LATE else fault.value
+        seconds = LATE_LASTS_S if fault.kind in _OF_FIXED_LENGTH else fault.value
         self._lasting[fault.kind] = (
             self.world.loop.call_later(seconds, self._clear, fault.kind)
             if isfinite(seconds)
             else None
         )
 
-    def _clear(self, kind: FaultKind) -> None:
+    def _clear(self, kind: Kind) -> None:
         if kind not in self._lasting:
             return
         timer = self._lasting.pop(kind)

@@ -24,12 +24,13 @@ from biosensor_gateway.devices.ble_heart_rate.simulator.services import (
     Identity,
 )
 from biosensor_gateway.simulation.crystal import Crystal
-from biosensor_gateway.simulation.effects import Effect, Effects, lasting
+from biosensor_gateway.simulation.effects import Effect, Effects, lasting, on_part
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.power import PowerSwitch
 from biosensor_gateway.simulation.specimen import Specimen
 from biosensor_gateway.simulation.truth import Truth
+from biosensor_gateway.simulation.untidy_radio import UNTIDY_RADIO
 
 _BATTERY_PERCENT = 87
 
@@ -280,6 +281,7 @@ STRAP_EFFECTS: Effects[Strap] = MappingProxyType(
         FaultKind.LOW_BATTERY: Effect(Strap.discharge),
         FaultKind.OFF_BODY: lasting(Strap.take_off, Strap.put_on),
         FaultKind.DRIFT: Effect(Strap.drift),
+        **on_part("peripheral", UNTIDY_RADIO),
     }
 )
 """What can happen to every strap."""

@@ -1,10 +1,4 @@
-"""A virtual EmotiBit in the Wi-Fi of this computer.
-
-::
-
-    with World() as world, SimulatedEmotiBit(world) as device:
-        print(device.settings)
-"""
+"""A virtual EmotiBit in the Wi-Fi of this computer."""
 
 from __future__ import annotations
 
@@ -18,12 +12,17 @@ import numpy as np
 from biosensor_gateway.devices.emotibit.simulator import wire
 from biosensor_gateway.devices.emotibit.simulator.expected import EXPECTED
 from biosensor_gateway.devices.emotibit.simulator.host import Host
-from biosensor_gateway.devices.emotibit.simulator.rounds import ROUND_S, Round, Rounds
+from biosensor_gateway.devices.emotibit.simulator.rounds import (
+    ROUND_S,
+    ROUNDS_EFFECTS,
+    Round,
+    Rounds,
+)
 from biosensor_gateway.devices.emotibit.simulator.sending import OnItsWay, Sending
-from biosensor_gateway.devices.emotibit.simulator.wifi import Wifi
+from biosensor_gateway.devices.emotibit.simulator.wifi import WIFI_EFFECTS, Wifi
 from biosensor_gateway.simulation.crystal import Crystal
-from biosensor_gateway.simulation.effects import Effect, lasting
-from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.effects import Effect, lasting, on_part
+from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.tcp_port import LOOPBACK
 from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
@@ -79,7 +78,7 @@ class SimulatedEmotiBit(VirtualDevice):
     ) -> None:
         super().__init__(world, **specimen)
         self.device = device
-        self._ppg_hz = ppg_hz
+        self._ppg_hz = self._rate_hz = ppg_hz
         self._rng = np.random.default_rng(self.specimen.seed)
         self._battery_percent = battery_percent
         self._crystal = Crystal(world.clock, self.specimen.drift_ppm)
@@ -120,7 +119,7 @@ class SimulatedEmotiBit(VirtualDevice):
         self._wifi.close()
 
     def _switched_on(self) -> Rounds:
-        return Rounds(self._crystal, self.specimen.wearer, self._worn_since_s, self._ppg_hz)
+        return Rounds(self._crystal, self.specimen.wearer, self._worn_since_s, self._rate_hz)
 
     async def _run(self) -> None:
         due_s = ROUND_S
@@ -149,7 +148,7 @@ class SimulatedEmotiBit(VirtualDevice):
         if self._is_unreadable:
             host.send(datagram.replace(b",", b";"))
             return
-        is_sent = self._wifi.is_let_through() and host.send(datagram)
+        is_sent = self._wifi.is_let_through() and all(map(host.send, self._wifi.in_turn(datagram)))
         for data_name, times, values in samples:
             if is_sent:
                 note = self.truth.told if data_name == "bat" else self.truth.sent
@@ -270,6 +269,14 @@ class SimulatedEmotiBit(VirtualDevice):
     def _drift(self, ppm: float) -> None:
         self._crystal.set_drift(ppm)
 
+    def _change_rate(self, hz: float) -> None:
+        self._rate_hz = hz
+        self._vanish()
+        self._power_cycle()
+
+    def _usual_rate(self) -> None:
+        self._change_rate(self._ppg_hz)
+
     effects = MappingProxyType(
         {
             FaultKind.DROP: lasting(_vanish, _return),
@@ -282,5 +289,8 @@ class SimulatedEmotiBit(VirtualDevice):
             FaultKind.UNREADABLE: lasting(_become_unreadable, _become_readable),
             FaultKind.LOW_BATTERY: Effect(_discharge),
             FaultKind.DRIFT: Effect(_drift),
+            **on_part("_rounds", ROUNDS_EFFECTS),
+            **on_part("_wifi", WIFI_EFFECTS),
+            Untidiness.RATE: Effect(_change_rate, _usual_rate),
         }
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -10,12 +11,15 @@ import numpy as np
 from biosensor_gateway.devices.emotibit.simulator import wire
 from biosensor_gateway.devices.emotibit.simulator.sensors import Part, Reading, Sampler, parts
 from biosensor_gateway.simulation.crystal import Crystal
+from biosensor_gateway.simulation.effects import Effects, lasting
+from biosensor_gateway.simulation.faults import Untidiness
 from biosensor_gateway.simulation.wearer import Wearer
 
 ROUND_S = 0.1
 """How often it sends what there is."""
 SYNC_EVERY_ROUNDS = 51
 BATTERY_EVERY_ROUNDS = 10
+APART_EVERY_ROUNDS = 7
 _DIGITS = {"eda": 6, "ppg": 0, "st": 3, "acc": 4, "gyro": 3, "mag": 2}
 
 
@@ -46,6 +50,11 @@ class Rounds:
         LSL time at which the wearer's time is 0.
     ppg_hz
         Of its firmware.
+
+    Attributes
+    ----------
+    is_apart
+        Whether a channel of a sensor is now and then read a sample later than the others.
     """
 
     def __init__(
@@ -59,6 +68,8 @@ class Rounds:
         self._last_beat_s = worn_since_s
         self._count = 0
         self._number = 0
+        self._kept: dict[str, list[list[str]]] = {}
+        self.is_apart = False
 
     def next(self, now_s: float, battery_percent: float) -> Round:
         """Return the round that ends now, in device seconds; numbers go on with it."""
@@ -69,11 +80,7 @@ class Rounds:
             sampler.read(self._before_s, now_s, reading)
             if reading.times_s:
                 measured, texts = self._measured(sampler.part, reading)
-                channels = zip(sampler.part.tags, texts, strict=True)
-                for place, (tag, channel) in enumerate(channels):
-                    # The pulse's channels are stamped one after another.
-                    late_ms = place // 2 if sampler.part.data_name == "ppg" else 0
-                    packets.append(self._packet(reading.stamp_ms + late_ms, tag, channel))
+                packets += self._channels(sampler.part, reading, texts)
                 samples[len(packets) - 1] = measured
         now_ms = int(now_s * 1000)
         beats = self._beats(now_s, samples, len(packets))
@@ -96,6 +103,21 @@ class Rounds:
         it has yet to send, and a real one does not.
         """
         return self._packet(int(self._before_s * 1000), tag, payload)
+
+    def _channels(self, part: Part, reading: Reading, texts: list[list[str]]) -> Iterator[bytes]:
+        """Write a packet for each channel."""
+        is_apart = self.is_apart and self._count % APART_EVERY_ROUNDS == 0
+        kept = self._kept.pop(part.data_name, [[] for _ in part.tags])
+        for place, (tag, new) in enumerate(zip(part.tags, texts, strict=True)):
+            channel, stamp_ms = kept[place] + new, reading.stamps_ms[-1]
+            if is_apart and place < len(part.tags) - 1 and len(new) > 1:
+                # The last channel is read a moment later, when there is one sample more.
+                left = self._kept.setdefault(part.data_name, [[] for _ in part.tags])
+                left[place] = channel[-1:]
+                channel, stamp_ms = channel[:-1], reading.stamps_ms[-2]
+            # The pulse's channels are stamped one after another.
+            late_ms = place // 2 if part.data_name == "ppg" else 0
+            yield self._packet(stamp_ms + late_ms, tag, channel)
 
     def _measured(self, part: Part, reading: Reading) -> tuple[Measured, list[list[str]]]:
         times = [self._crystal.true_time(each) for each in reading.times_s]
@@ -127,3 +149,16 @@ class Rounds:
     def _packet(self, time_ms: int, tag: str, payload: list[str]) -> bytes:
         self._number += 1
         return wire.packet(time_ms, self._number - 1, tag, payload)
+
+
+def _read_apart(rounds: Rounds) -> None:
+    rounds.is_apart = True
+
+
+def _read_together(rounds: Rounds) -> None:
+    rounds.is_apart = False
+
+
+ROUNDS_EFFECTS: Effects[Rounds] = MappingProxyType(
+    {Untidiness.APART: lasting(_read_apart, _read_together)}
+)

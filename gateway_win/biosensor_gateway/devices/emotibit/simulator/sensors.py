@@ -60,13 +60,13 @@ class Reading:
 
     Attributes
     ----------
-    stamp_ms
-        Of the last time that something was read.
+    stamps_ms
+        Of when each sample was read.
     times_s
         When each sample was measured, device seconds.
     """
 
-    stamp_ms: int = 0
+    stamps_ms: list[int] = field(default_factory=list[int])
     times_s: list[float] = field(default_factory=list[float])
 
 
@@ -92,7 +92,7 @@ class Sampler:
     def _read_at(self, look_s: float, into: Reading) -> None:
         while (at := self._next * self.part.period_s) <= look_s:
             into.times_s.append(at)
-            into.stamp_ms = int(look_s * 1000)
+            into.stamps_ms.append(int(look_s * 1000))
             self._next += 1
 
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from types import MappingProxyType
 
 from biosensor_gateway.devices.emotibit.simulator import wire
+from biosensor_gateway.simulation.effects import Effects, lasting
+from biosensor_gateway.simulation.faults import Untidiness
 
 Address = tuple[str, int]
 
@@ -28,6 +31,8 @@ class Wifi(asyncio.DatagramProtocol):
         Whether it is in the Wi-Fi.
     to_lose
         So many datagrams of data do not come through.
+    overtakes
+        Whether each third datagram comes behind the next one.
     """
 
     def __init__(
@@ -40,6 +45,9 @@ class Wifi(asyncio.DatagramProtocol):
         self._number = 0
         self.is_there = True
         self.to_lose = 0
+        self.overtakes = False
+        self._datagrams = 0
+        self._overtaken: bytes | None = None
 
     @property
     def port(self) -> int:
@@ -68,6 +76,17 @@ class Wifi(asyncio.DatagramProtocol):
             return False
         return True
 
+    def in_turn(self, datagram: bytes) -> list[bytes]:
+        """Return what of the data arrives now: usually the datagram, as long as none overtakes."""
+        self._datagrams += 1
+        overtaken, self._overtaken = self._overtaken, None
+        if overtaken is not None:
+            return [datagram, overtaken]
+        if self.overtakes and self._datagrams % 3 == 0:
+            self._overtaken = datagram
+            return []
+        return [datagram]
+
     def tell(self, time_ms: int, tag: str, payload: list[str], address: Address) -> None:
         """Send a host a packet."""
         if self._transport is not None and self.is_there:
@@ -81,3 +100,16 @@ class Wifi(asyncio.DatagramProtocol):
 
     def error_received(self, exc: Exception) -> None:
         """Pass over a host that is gone."""
+
+
+def _overtake(wifi: Wifi) -> None:
+    wifi.overtakes = True
+
+
+def _keep_order(wifi: Wifi) -> None:
+    wifi.overtakes = False
+
+
+WIFI_EFFECTS: Effects[Wifi] = MappingProxyType(
+    {Untidiness.OVERTAKEN: lasting(_overtake, _keep_order)}
+)

@@ -27,7 +27,7 @@ from biosensor_gateway.devices.line_sensor.simulator.wire import (
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, lasting
 from biosensor_gateway.simulation.expected import Expected, Gap, LossTolerance
-from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
@@ -183,6 +183,12 @@ class SimulatedLineSensor(VirtualDevice):
     def _drift(self, ppm: float) -> None:
         self._crystal.set_drift(ppm)
 
+    def _greet(self, count: float) -> None:
+        """Say what another part of the sketch prints, with as many numbers as a line has."""
+        for _ in range(int(count)):
+            if self._way is not None:
+                self._way.write(self._written(Measured(0, 0, (0.1, 0.2, 0.3), 0.4)))
+
     effects = MappingProxyType(
         {
             FaultKind.DROP: lasting(_hang_up, _reopen),
@@ -191,6 +197,7 @@ class SimulatedLineSensor(VirtualDevice):
             FaultKind.UNREADABLE: lasting(_write_otherwise, _write_as_ever),
             FaultKind.RESTART: lasting(_go_down, _come_up),
             FaultKind.DRIFT: Effect(_drift),
+            Untidiness.STRAY: Effect(_greet),
         }
     )
 

@@ -82,9 +82,12 @@ def motion(g: Floats, degrees_per_s: Floats) -> tuple[bytes, Floats, Floats]:
 
 
 def charge(percent: float) -> tuple[bytes, float]:
-    """Return the battery's state of charge, and the percentage that it holds."""
-    raw = round(percent * 256)
-    return raw.to_bytes(2, "little") + bytes(18), raw / 256
+    """Return the battery's state of charge, and the percentage that it holds.
+
+    Of a full one, a headband was seen to say 100.5 %.
+    """
+    raw = 25728 if percent >= 100 else round(percent * 256)
+    return raw.to_bytes(2, "little") + bytes(18), min(100.0, raw / 256)
 
 
 def _packed(counts: np.ndarray[tuple[int, ...], np.dtype[np.int64]], width: int) -> bytes:

@@ -17,12 +17,13 @@ from bumble.gatt import Characteristic, CharacteristicValue, Service
 from biosensor_gateway.devices.muse.simulator import wire
 from biosensor_gateway.devices.muse.simulator.signals import Signals
 from biosensor_gateway.simulation.crystal import Crystal
-from biosensor_gateway.simulation.effects import Effect, lasting
-from biosensor_gateway.simulation.faults import FaultKind
+from biosensor_gateway.simulation.effects import Effect, lasting, on_part
+from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.power import PowerSwitch
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.specimen import SpecimenOptions
+from biosensor_gateway.simulation.untidy_radio import UNTIDY_RADIO
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
 
@@ -79,7 +80,7 @@ class Headband(VirtualDevice):
         self._patience_s = patience_s
         self._percent, self._preset = 87.0, "p21"
         self._answer_delay_s = 0.0
-        self._refuses = self._is_unreadable = False
+        self._refuses = self._is_unreadable = self._glues = False
         self._crystal = Crystal(world.clock, self._drift_ppm)
         self._power = PowerSwitch(self._power_on, self._power_off)
         self._tasks: set[asyncio.Task[None]] = set()
@@ -146,7 +147,10 @@ class Headband(VirtualDevice):
         answer: Mapping[str, object] = {"rc": _REFUSED}
         if command is not None and not self._refuses:
             answer = self._carry_out(command)
-        for piece in wire.pieces(answer):
+        # Such as to a command to stay awake, which is answered together with this one.
+        answers = [answer, {"rc": 0}] if self._glues else [answer]
+        cuts = self._rng if self._glues else None
+        for piece in wire.pieces(answers, cuts):
             await self._peripheral.notify(self._control, piece)
 
     def _carry_out(self, command: str) -> Mapping[str, object]:
@@ -272,6 +276,12 @@ class Headband(VirtualDevice):
         self._drift_ppm = ppm
         self._crystal.set_drift(ppm)
 
+    def _glue(self) -> None:
+        self._glues = True
+
+    def _unglue(self) -> None:
+        self._glues = False
+
     effects = MappingProxyType(
         {
             FaultKind.DROP: lasting(_drop, _restore),
@@ -284,5 +294,7 @@ class Headband(VirtualDevice):
             FaultKind.RESTART: lasting(_go_down, _come_up),
             FaultKind.LOW_BATTERY: Effect(_discharge),
             FaultKind.DRIFT: Effect(_drift),
+            Untidiness.GLUED: lasting(_glue, _unglue),
+            **on_part("_peripheral", UNTIDY_RADIO),
         }
     )

@@ -7,7 +7,9 @@ for UUIDs, framing and the fields of answers.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+
+import numpy as np
 
 SERVICE = "fe8d"
 _BASE = "273e{:04x}-4c4d-454d-96be-f03bac821358"
@@ -29,12 +31,23 @@ def command_text(written: bytes) -> str | None:
     return written[1:-1].decode("ascii", "replace")
 
 
-def pieces(answer: Mapping[str, object]) -> Iterator[bytes]:
-    """Cut an answer into notifications: a count, so many characters, zeros."""
-    text = json.dumps(answer, separators=(",", ":")).encode("ascii")
+def pieces(
+    answers: Iterable[Mapping[str, object]], cuts: np.random.Generator | None = None
+) -> Iterator[bytes]:
+    """Cut answers into notifications: a count, so many characters, zeros.
+
+    Parameters
+    ----------
+    answers
+        One behind the other.
+    cuts
+        Makes pieces of any length; None fills them.
+    """
+    text = b"".join(json.dumps(each, separators=(",", ":")).encode("ascii") for each in answers)
     room = _PIECE_BYTES - 1
-    for at in range(0, len(text), room):
-        piece = text[at : at + room]
+    while text:
+        length = room if cuts is None else int(cuts.integers(1, room, endpoint=True))
+        piece, text = text[:length], text[length:]
         yield bytes((len(piece),)) + piece.ljust(room, b"\0")
 
 

@@ -21,12 +21,13 @@ from biosensor_gateway.devices.vernier_respiration_belt.simulator.signals import
 )
 from biosensor_gateway.devices.vernier_respiration_belt.simulator.wire import Command
 from biosensor_gateway.simulation.crystal import Crystal
-from biosensor_gateway.simulation.effects import Effect, lasting
+from biosensor_gateway.simulation.effects import Effect, lasting, on_part
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
 from biosensor_gateway.simulation.power import PowerSwitch
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.specimen import SpecimenOptions
+from biosensor_gateway.simulation.untidy_radio import UNTIDY_RADIO
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.simulation.world import World
@@ -288,5 +289,6 @@ class SimulatedBelt(VirtualDevice):
             FaultKind.LOW_BATTERY: Effect(_discharge),
             FaultKind.OFF_BODY: lasting(_take_off, _put_on),
             FaultKind.DRIFT: Effect(_drift),
+            **on_part("_peripheral", UNTIDY_RADIO),
         }
     )
