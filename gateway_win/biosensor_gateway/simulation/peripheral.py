@@ -13,6 +13,7 @@ from bumble.gatt import Characteristic, ClientCharacteristicConfigurationBits, S
 from bumble.keys import MemoryKeyStore
 
 from biosensor_gateway.simulation.advertising import pack_advertisement, pack_name
+from biosensor_gateway.simulation.bundles import Bundles
 from biosensor_gateway.simulation.indications import Indications
 from biosensor_gateway.simulation.protection import (
     protect_subscriptions,
@@ -20,7 +21,6 @@ from biosensor_gateway.simulation.protection import (
 )
 from biosensor_gateway.simulation.radio import MAX_MTU, Radio
 from biosensor_gateway.simulation.transceiver import Transceiver
-from biosensor_gateway.simulation.untidy_radio import Bundles
 
 _ADVERTISING_INTERVAL_MS = 50.0
 # bumble's emulated advertiser takes its interval, counted in 0.625 ms, for milliseconds.
