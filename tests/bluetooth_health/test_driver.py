@@ -116,7 +116,11 @@ async def test_a_service_that_is_refused_is_said_and_the_others_come(
 async def test_an_oximeter_with_spot_checks_alone_is_told_from_others(
     device: SimulatedHealthDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(BleLink, "has", lambda _, uuid: uuid == SPOT_CHECK)
+    def has(link: BleLink, uuid: str) -> bool:
+        del link
+        return uuid == SPOT_CHECK
+
+    monkeypatch.setattr(BleLink, "has", has)
     with pytest.raises(ProtocolError, match="has only spot checks"):
         async with connected(device):
             pass

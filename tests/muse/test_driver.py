@@ -162,7 +162,7 @@ async def test_a_headband_of_an_unknown_generation_is_said(
         return uuid not in (*EEG, *FRAMES) and has(link, uuid)
 
     monkeypatch.setattr(BleLink, "has", without_data)
-    with pytest.raises(ProtocolError, match="no Muse that is known") as caught:
+    with pytest.raises(ProtocolError, match="hold its button for 30 s") as caught:
         async with connected(headband()):
             pass
     assert caught.value.reason is ProtocolReason.UNSUPPORTED

@@ -89,7 +89,10 @@ class MuseSession:
         """
         self._seen = await self._link.open(), self._link.clock()
         if not self._link.has(CONTROL) or not (self._link.has(EEG[0]) or self._is_athena):
-            message = f"{self._link.what} is no Muse that is known; a Muse of 2014 is none"
+            message = (
+                f"{self._link.what} does not offer the services of a Muse of 2016 or later; if it "
+                "is one, hold its button for 30 s, which resets it"
+            )
             raise ProtocolError(ProtocolReason.UNSUPPORTED, message)
         await self._conversation.begin()
         offer = commands.VERSION_OF_FRAMES if self._is_athena else commands.VERSION
