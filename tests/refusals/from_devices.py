@@ -1,5 +1,9 @@
 """Provokes what an agent, its markers, the features and the page refuse."""
 
+# Parts stand in for what is around the part that refuses, and some of that is private.
+# pyright: reportPrivateUsage=false, reportUnknownLambdaType=false, reportUnknownArgumentType=false
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
+
 from __future__ import annotations
 
 import math
@@ -29,6 +33,7 @@ from biosensor_gateway.streaming.own_outlets import spare_outlet
 from biosensor_gateway.streaming.sink import DeviceSink
 from tests.refusals.provoked import Shown, fake, in_status, provokes
 from tests.rigs.memory_outlet import MemoryOutlet
+from tests.rigs.set_clock import SetClock
 from tests.ros.test_namesakes import Info
 
 NOW_S = 1000.0
@@ -41,7 +46,7 @@ class Unheard(MemoryOutlet):
 
 def sink(patch: pytest.MonkeyPatch) -> DeviceSink:
     patch.setattr(outlets, "LslOutlet", MemoryOutlet)
-    opened = DeviceSink(DeviceIdentity("zephyr", "U1"), declaration("zephyr"), lambda: NOW_S)
+    opened = DeviceSink(DeviceIdentity("zephyr", "U1"), declaration("zephyr"), SetClock(NOW_S))
     opened.open(DeviceInfo(), {})
     return opened
 
@@ -94,7 +99,7 @@ def paused(patch: pytest.MonkeyPatch) -> Shown:
 def waited_too_long(patch: pytest.MonkeyPatch) -> Shown:
     patch.setattr(outlets, "LslOutlet", Unheard)
     stream = declaration("zephyr").stream("bat")
-    outlet = Outlet(stream, DeviceIdentity("zephyr", "U1"), DeviceInfo(), lambda: NOW_S)
+    outlet = Outlet(stream, DeviceIdentity("zephyr", "U1"), DeviceInfo(), SetClock(NOW_S))
     for _ in range(MAX_WAITING + 1):
         outlet.push([50.0] * len(stream.channels), [NOW_S])
     return in_status(outlet.refusals)
@@ -122,7 +127,7 @@ def no_outlet(patch: pytest.MonkeyPatch) -> Shown:
 @provokes(Refusal.UNHEARD_MARKER)
 def unheard_marker(patch: pytest.MonkeyPatch) -> Shown:
     patch.setattr(outlets, "LslOutlet", Unheard)
-    stream = MarkerStream(lambda: NOW_S)
+    stream = MarkerStream(SetClock(NOW_S))
     stream.open()
     stream.mark("start", "", MarkerKind.API, "")
     return in_status(stream.refusals)

@@ -1,5 +1,9 @@
 """Provokes what ``lsl_to_ros`` does not publish as it came."""
 
+# Parts stand in for what is around the part that refuses, and some of that is private.
+# pyright: reportPrivateUsage=false, reportUnknownLambdaType=false, reportUnknownArgumentType=false
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
+
 from __future__ import annotations
 
 import time

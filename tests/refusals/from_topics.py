@@ -1,5 +1,9 @@
 """Provokes what ``ros_to_lsl`` does not send as it came."""
 
+# Parts stand in for what is around the part that refuses, and some of that is private.
+# pyright: reportPrivateUsage=false, reportUnknownLambdaType=false, reportUnknownArgumentType=false
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
+
 from __future__ import annotations
 
 from typing import Any
