@@ -52,6 +52,7 @@ class FaultKind(Enum):
 OF_A_KIND = frozenset({FaultKind.DENY, FaultKind.REPEAT, FaultKind.STEP_BACK})
 """Only devices of some kinds can have these; the others need not say why they cannot."""
 
+
 @unique
 class Untidiness(Enum):
     """What devices of some kinds do besides, though nothing is wrong with them."""

@@ -50,7 +50,7 @@ class CsvReader:
             if number is None or (position in self._needed and isnan(number)):
                 if tuple(values) == self._labels:
                     return None
-                shown = told[:_SHOWN]
+                shown = value[:_SHOWN]
                 return Wrong(Flaw.NOT_A_NUMBER, f"has {shown!r} in column {label}, no number")
             row.append(number)
         return tuple(row)
