@@ -6,9 +6,11 @@
 ; UNINSTALLER gets it, by COPY ("copy /b" on Windows); it is the same in both.
 ;
 ; Silent:  setup.exe /S [/FIREWALL=0|1] [/AUTOSTART=0|1] [/FORCE=1] [/D=folder, last, without quotes]
-;          uninstall.exe /S [/REMOVE_SETTINGS=1] [/FORCE=1]
+;          uninstall.exe /S [/REMOVE_SETTINGS=1] [/FORCE=1] [_?=folder, last, without quotes]
 ; Exit codes: 0 done, 1 cancelled, 2 not done (Windows too old, the program cannot be
-; closed, or a file cannot be written), 3 not done because it runs and /FORCE=1 was not given.
+; closed, or a file cannot be written), 3 not done because it runs and /FORCE=1 was not given,
+; 4 installed, but without the firewall rule, the start at logon or the command in PATH.
+; Without _?= the uninstaller goes on as a copy of itself, and the code is 0 whatever comes of it.
 
 ; The 32-bit stub does nothing on a Wine that has no 32-bit part, and still says 0. NSIS for Windows
 ; has no other one: build.ps1 defines TARGET.
@@ -42,6 +44,10 @@ ManifestDPIAware true
 !define OWN_KEY "Software\${PROGRAM}"
 !define UNINSTALL_KEY "Software\Microsoft\Windows\CurrentVersion\Uninstall\${PROGRAM}"
 !define APP_PATH_KEY "Software\Microsoft\Windows\CurrentVersion\App Paths\${EXE}"
+
+; Exit code of `installation holders` if something runs that it cannot close.
+!define HELD 4
+!define INCOMPLETE 4
 
 ; What "Check this PC" runs.
 !define CHECK_COMMAND "doctor"
@@ -129,12 +135,25 @@ Function ${un}CloseProgram
     ${EndIf}
   ${Else}
     MessageBox MB_OKCANCEL|MB_ICONEXCLAMATION \
-      "${NAME} is running. Press OK to close it: its devices are disconnected and its streams end." \
+      "${NAME} is running. Press OK to close it: a recording is ended, its devices are disconnected \
+      and its streams end." \
       IDOK close
     SetErrorLevel 1
     Quit
   ${EndIf}
 close:
+  ; Nothing is closed unless all can be: what a version says that knows the question.
+  StrCpy $R3 ""
+  nsExec::ExecToStack '"$R8\bin\${EXE}" installation holders'
+  Pop $R1
+  ${If} $R1 == ${HELD}
+    Pop $R3
+    Goto held
+  ${EndIf}
+  Pop $R1
+  ; First, so that its file is closed while its streams are there.
+  nsExec::Exec '"$R8\bin\${EXE}" record stop'
+  Pop $R1
   nsExec::Exec '"$R8\bin\${EXE}" page --end'
   Pop $R1
   nsExec::Exec '"$R8\bin\${EXE}" stop'
@@ -151,8 +170,13 @@ wait:
     Sleep 500
     Goto wait
   ${EndIf}
+held:
+  ${If} $R3 == ""
+    StrCpy $R3 "It did not end within 10 seconds."
+  ${EndIf}
   MessageBox MB_OK|MB_ICONSTOP \
-    "${NAME} is still running, perhaps for another user. End it there, then try again." /SD IDOK
+    "${NAME} cannot be closed from here; nothing was changed. What runs:$\r$\n$\r$\n$R3$\r$\n$\r$\nEnd it where it \
+    was started, then try again." /SD IDOK
   SetErrorLevel 2
   Quit
 FunctionEnd
@@ -243,6 +267,9 @@ Section "${NAME}" SectionProgram
   ${If} $R0 == 1
     nsExec::ExecToLog '"${BIN}\${EXE}" installation add-to-path "${BIN}"'
     Pop $R0
+    ${If} $R0 != 0
+      SetErrorLevel ${INCOMPLETE}
+    ${EndIf}
   ${Else}
     DetailPrint "Not below $PROGRAMFILES64, where only administrators can write."
     StrCpy $R0 1
@@ -257,7 +284,8 @@ Section "${NAME}" SectionProgram
   WriteRegStr HKLM "${UNINSTALL_KEY}" "Publisher" "${PUBLISHER}"
   WriteRegStr HKLM "${UNINSTALL_KEY}" "InstallLocation" "$INSTDIR"
   WriteRegStr HKLM "${UNINSTALL_KEY}" "UninstallString" '"$INSTDIR\uninstall.exe"'
-  WriteRegStr HKLM "${UNINSTALL_KEY}" "QuietUninstallString" '"$INSTDIR\uninstall.exe" /S'
+  ; Where it lies, for only then winget and scripts learn what came of it.
+  WriteRegStr HKLM "${UNINSTALL_KEY}" "QuietUninstallString" '"$INSTDIR\uninstall.exe" /S _?=$INSTDIR'
   WriteRegDWORD HKLM "${UNINSTALL_KEY}" "NoModify" 1
   WriteRegDWORD HKLM "${UNINSTALL_KEY}" "NoRepair" 1
   ${GetSize} "$INSTDIR" "/S=0K" $R0 $R1 $R2
@@ -272,6 +300,7 @@ Section /o "Firewall rule" SectionFirewall
   ${If} $R0 == 0
     WriteRegDWORD HKLM "${OWN_KEY}" "Firewall" 1
   ${Else}
+    SetErrorLevel ${INCOMPLETE}
     DetailPrint "The firewall rule could not be added (netsh: $R0)."
     MessageBox MB_OK|MB_ICONEXCLAMATION \
       "The firewall rule could not be added. Allow ${EXE} by hand in the firewall's settings." \
@@ -290,6 +319,7 @@ SectionEnd
 Section /o "Start at logon" SectionAutostart
   !insertmacro Autostart "--on"
   ${If} $R0 != 0
+    SetErrorLevel ${INCOMPLETE}
     DetailPrint "It will not start at logon: no user is logged on in this session."
     MessageBox MB_OK|MB_ICONEXCLAMATION \
       "It could not be set to start when you log on: Windows did not tell who you are." /SD IDOK
@@ -359,6 +389,26 @@ Function .onInit
   ClearErrors
 FunctionEnd
 
+; NSIS keeps its own file open, so where it works in place it cannot be deleted before it has ended.
+Function un.RemoveItself
+  SetOutPath "$TEMP"
+  Delete "$INSTDIR\uninstall.exe"
+  ${IfNot} ${FileExists} "$INSTDIR\uninstall.exe"
+    Return
+  ${EndIf}
+  ${GetParameters} $R0
+  ClearErrors
+  ${GetOptions} $R0 "/UPGRADE=" $R1
+  ${IfNot} ${Errors}
+    ; The installer that waits deletes it.
+    Return
+  ${EndIf}
+  ; `ping` waits a second; `rmdir` takes an empty folder only.
+  ExecShell "open" "$SYSDIR\cmd.exe" '/d /c for /l %i in (1,1,60) do (\
+    ping -n 2 127.0.0.1 >nul & del /q "$INSTDIR\uninstall.exe" 2>nul & \
+    if not exist "$INSTDIR\uninstall.exe" (rmdir "$INSTDIR" 2>nul & exit))' SW_HIDE
+FunctionEnd
+
 ; ---- Removal -----------------------------------------------------------------------------
 
 ; First, because the program itself takes its secrets out of the system's keyring.
@@ -410,7 +460,7 @@ Section "un.${NAME}" SectionRemoval
   RMDir /r "$INSTDIR\docs"
   RMDir /r "$INSTDIR\licenses"
   Delete "$INSTDIR\sbom.cdx.json"
-  Delete "$INSTDIR\uninstall.exe"
+  Call un.RemoveItself
   RMDir "$INSTDIR"
 SectionEnd
 

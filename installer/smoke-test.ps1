@@ -38,6 +38,7 @@ $AppPathKey = "HKLM:\SOFTWARE\Microsoft\Windows\CurrentVersion\App Paths\$Exe"
 $Shortcuts = @("$Name.lnk", 'Run in a console.lnk', 'Check this PC.lnk', 'Settings.lnk', 'Documentation.lnk', 'Uninstall.lnk')
 $Variables = @('BIOSENSOR_GATEWAY_SETTINGS', 'BIOSENSOR_GATEWAY_STATE', 'BIOSENSOR_GATEWAY_LSL__SESSION_ID')
 $StreamingSeconds = 20
+$RecordingSeconds = 20
 
 function Assert-That {
     param([bool] $Condition, [string] $Sentence)
@@ -139,7 +140,7 @@ function Assert-Registry {
         DisplayName          = $Name
         DisplayVersion       = $Version
         InstallLocation      = $Folder
-        QuietUninstallString = """$(Join-Path $Folder 'uninstall.exe')"" /S"
+        QuietUninstallString = """$(Join-Path $Folder 'uninstall.exe')"" /S _?=$Folder"
     }
     foreach ($value in $expected.Keys) {
         $written = Get-Value $UninstallKey $value
@@ -212,6 +213,21 @@ function Test-Settings {
     return $sensors
 }
 
+function Test-Recording {
+    # What all virtual sensors send for a while must be in a file that is judged green, and by
+    # LabRecorder's own program, not by the one that takes its place where that fails.
+    param([string] $Folder)
+    Invoke-Gateway 'wait-ready', '--timeout', '120' | Out-Host
+    $started = Invoke-Gateway 'record', 'start', '--here', '--folder', $Folder, '--participant', 'smoke', '--json' | ConvertFrom-Json
+    $instead = @($started.warnings | Where-Object { $_ -match 'records instead' })
+    Assert-That ($instead.Count -eq 0) "LabRecorder's program did not record: $($instead -join '; ')"
+    Start-Sleep -Seconds $RecordingSeconds
+    $stopped = Invoke-Gateway 'record', 'stop', '--json' | ConvertFrom-Json
+    $verdict = $stopped.verdict
+    $findings = @($verdict.findings | Where-Object { $_.level -ne 'note' } | ForEach-Object { "$($_.stream): $($_.text)" })
+    Assert-That ($verdict.colour -eq 'green') "The recording is $($verdict.colour), not green: $($findings -join '; ')"
+}
+
 function Test-Streaming {
     # All virtual sensors must stream, go on streaming, and end when they are told to.
     param([string[]] $Sensors, [string] $Logs)
@@ -230,6 +246,7 @@ function Test-Streaming {
         Start-Sleep -Seconds $StreamingSeconds
         $silent = @(Get-Silent $Sensors $before)
         Assert-That ($silent.Count -eq 0) "Within $StreamingSeconds s no sample came from: $($silent -join ', ')."
+        Test-Recording (Join-Path $Logs 'recordings')
         Invoke-Gateway 'stop' | Out-Host
         Assert-That ($agent.WaitForExit(30000)) 'The agent runs on 30 s after stop.'
         Assert-That ($agent.ExitCode -eq 0) "The agent that was stopped ended with exit code $($agent.ExitCode)."
@@ -256,7 +273,7 @@ function Test-Program {
         $sensors = Test-Settings
         Write-Host 'ok: config init and config check'
         Test-Streaming $sensors $temporary
-        Write-Host "ok: samples of $($sensors -join ', '), and stop"
+        Write-Host "ok: samples of $($sensors -join ', '), a green recording of them, and stop"
     }
     finally {
         $Variables | ForEach-Object { Remove-Item -LiteralPath "Env:$_" }

@@ -7,6 +7,8 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from dataclasses import fields
+from inspect import getsource
 from pathlib import Path
 from typing import Any, cast
 
@@ -15,6 +17,10 @@ from packaging.specifiers import SpecifierSet
 from ruamel.yaml import YAML
 
 from biosensor_gateway.devices.registry import sensor_names, settings_models
+from biosensor_gateway.recording.here import starting
+from biosensor_gateway.recording.here.results import StartedHere, StoppedHere
+from biosensor_gateway.recording.xdf.findings import Level
+from biosensor_gateway.recording.xdf.verdict import Colour
 from biosensor_gateway.settings import models as settings
 from biosensor_gateway.settings import places
 from biosensor_gateway.settings.template import template
@@ -300,6 +306,20 @@ def test_the_smoke_test_finds_every_sensor_in_a_new_settings_file() -> None:
     (pattern,) = re.findall(r"-Pattern '(.+)'", SMOKE_TEST)
     found = re.findall(pattern, template(settings_models()), re.MULTILINE)
     assert sorted(found) == sorted(sensor_names())
+
+
+def test_the_smoke_test_wants_a_green_recording_of_labrecorder() -> None:
+    """Nowhere else is seen whether its program records on Windows."""
+    (judged,) = re.findall(r"\$verdict\.colour -eq '(\w+)'", SMOKE_TEST)
+    assert judged == Colour.GREEN
+    (taken_over,) = re.findall(r"\$_ -match '(.+)' }", SMOKE_TEST)
+    assert taken_over in getsource(starting)
+    assert "Test-Recording (" in SMOKE_TEST
+    # As JSON has them.
+    assert {"warnings", "verdict"} <= {each.name for each in fields(StartedHere)} | {
+        each.name for each in fields(StoppedHere)
+    }
+    assert f"'{Level.NOTE.value}'" in SMOKE_TEST
 
 
 def test_the_smoke_test_and_the_installer_agree_on_names() -> None:

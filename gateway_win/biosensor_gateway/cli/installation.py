@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
+from biosensor_gateway.settings.places import state_folder
 from biosensor_gateway.system import windows_autostart, windows_path
 
 app = typer.Typer(help="Used by the Windows installer.", no_args_is_help=True)
@@ -15,6 +16,8 @@ app = typer.Typer(help="Used by the Windows installer.", no_args_is_help=True)
 FolderArgument = Annotated[str, typer.Argument(help="Folder of the program.")]
 EXIT_NOT_CHOSEN = 3
 """Of ``autostart-state``; 1 would also be an error."""
+EXIT_HELD = 4
+"""Of ``holders``; a version that does not know it ends with 2."""
 
 
 @app.command("add-to-path")
@@ -49,6 +52,18 @@ def autostart_state() -> None:
 def remove_autostart() -> None:
     """Let no user start the program at logon any more."""
     _entries(windows_autostart.remove_all)
+
+
+@app.command("holders")
+def holders() -> None:
+    """Name the programs that run and that cannot be closed by commands; end with 4 if any."""
+    from biosensor_gateway.cli.holders import what_cannot_be_closed  # only then
+
+    found = what_cannot_be_closed(state_folder())
+    for each in found:
+        typer.echo(each)
+    if found:
+        raise typer.Exit(EXIT_HELD)
 
 
 def _changed(change: Callable[[str], None], folder: str) -> None:
