@@ -21,6 +21,7 @@ from biosensor_gateway.recording.here.memory import Kept, RecorderFolder
 from biosensor_gateway.recording.here.program import library_folder
 from biosensor_gateway.recording.here.said import Said
 from biosensor_gateway.recording.here.ways import OWN
+from biosensor_gateway.system.ansi_path import ansi_folder
 from biosensor_gateway.system.keep_alive import ending_in_words
 from biosensor_gateway.system.own_command import own_command
 
@@ -138,7 +139,9 @@ class _Keeper:
 
 
 def _environment(lsl_config: Path) -> Mapping[str, str]:
-    environment = {**os.environ, "LSLAPICFG": str(lsl_config)}
+    # LabRecorder's program loses letters of a name that its code page lacks.
+    folder = ansi_folder(lsl_config.parent) or lsl_config.parent
+    environment = {**os.environ, "LSLAPICFG": str(folder / lsl_config.name)}
     libraries = library_folder()
     if libraries is not None:
         environment["PATH"] = os.pathsep.join((str(libraries), environment.get("PATH", "")))

@@ -36,8 +36,10 @@ from biosensor_gateway.system import state_file
 _POLL_S = 0.1
 WAY_S = 20.0
 """A program has so long to start, to look, and to open all streams; then the next one is tried."""
-_TRY_S = 15.0
-"""It may be tried again until then, and each try has so long."""
+LAST_WAY_S = 60.0
+"""For the last one, after which there is none to be tried."""
+_KEEPER_S = 60.0
+"""Until the program itself is started; on a busy computer that takes its time."""
 _LEAST_FREE_BYTES = 10_000_000
 _NO_STREAM_CODE = 2
 _OF_THE_PROGRAM = frozenset({RecorderReason.NOT_BEGUN, RecorderReason.STREAMS_MISSING})
@@ -105,14 +107,14 @@ class _Starter:
         self, wanted: tuple[VisibleStream, ...], required: tuple[VisibleStream, ...]
     ) -> tuple[tuple[VisibleStream, ...], tuple[str, ...]]:
         """Return the wanted streams that are not recorded, none of the required, and remarks."""
-        left, tried = find_ways()
+        with contextlib.suppress(OSError):
+            # That it cannot be made is said when a program is to be started.
+            self._folder.path.mkdir(parents=True, exist_ok=True)
+        left, tried = find_ways(self._folder.path)
         while True:
             way, *left = left
-            until = time.monotonic() + WAY_S
-            # The last one has all the time that there is.
-            until = min(until, self._deadline) if left else max(until, self._deadline)
             try:
-                missed = self._start_by(way, until, wanted, required)
+                missed = self._start_by(way, WAY_S if left else LAST_WAY_S, wanted, required)
             except RecorderError as error:
                 if error.reason not in _OF_THE_PROGRAM:
                     raise
@@ -125,16 +127,18 @@ class _Starter:
     def _start_by(
         self,
         way: Way,
-        deadline: float,
+        limit_s: float,
         wanted: tuple[VisibleStream, ...],
         required: tuple[VisibleStream, ...],
     ) -> tuple[VisibleStream, ...]:
+        # Some tries, if streams are missed; each may take as long.
+        until = min(time.monotonic() + WAY_S, self._deadline)
         while True:
             self._launch(way)
             with contextlib.ExitStack() as failed:
                 failed.callback(self._end)
-                missed = self._wait(way, deadline).missed(wanted)
-                if missed and time.monotonic() < deadline:
+                missed = self._wait(way, limit_s).missed(wanted)
+                if missed and time.monotonic() < until:
                     continue
                 _require_all_but_others(way, missed, wanted, required)
                 failed.pop_all()
@@ -159,10 +163,9 @@ class _Starter:
             if lock is not None:
                 lock.release()
 
-    def _wait(self, way: Way, deadline: float) -> Said:
+    def _wait(self, way: Way, limit_s: float) -> Said:
         """Wait until all streams that were found are open."""
-        # The last try may begin just before the time is over.
-        deadline = max(deadline, time.monotonic() + _TRY_S)
+        deadline, has_begun = time.monotonic() + _KEEPER_S, False
         while True:
             kept, said = self._folder.kept(), Said(self._folder.what_was_said())
             if kept is not None and kept.ended:
@@ -173,6 +176,8 @@ class _Starter:
                 raise RecorderError(RecorderReason.NOT_BEGUN, message)
             if said.records:
                 return said
+            if kept is not None and not has_begun:
+                deadline, has_begun = time.monotonic() + limit_s, True
             if time.monotonic() > deadline:
                 message = (
                     f"{way.title} does not open all streams in time; it had said: "

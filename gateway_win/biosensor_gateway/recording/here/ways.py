@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from biosensor_gateway.recording.here.errors import RecorderError
 from biosensor_gateway.recording.here.program import find_program
+from biosensor_gateway.system.ansi_path import ansi_folder
 from biosensor_gateway.system.own_command import own_command
 
 RECORD_STREAMS = "record-streams"
@@ -29,10 +31,23 @@ class Way:
     command: tuple[str, ...]
 
 
-def find_ways() -> tuple[list[Way], list[str]]:
-    """Return them in the order in which they are tried, and what is said of those not here."""
+def find_ways(folder: Path) -> tuple[list[Way], list[str]]:
+    """Return them in the order in which they are tried, and what is said of those not here.
+
+    Parameters
+    ----------
+    folder
+        Has the settings of LSL, by which sessions and peers are told.
+    """
     own = Way(OWN, tuple(own_command([RECORD_STREAMS])))
     try:
-        return [Way(LAB_RECORDER, (str(find_program()),)), own], []
+        program = find_program()
     except RecorderError as error:
         return [own], [str(error)]
+    if ansi_folder(folder) is None:
+        message = (
+            f"{LAB_RECORDER} cannot read the LSL session and peers in {folder}, whose name has "
+            "letters that this Windows' code page lacks"
+        )
+        return [own], [message]
+    return [Way(LAB_RECORDER, (str(program),)), own], []
