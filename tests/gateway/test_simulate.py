@@ -23,7 +23,13 @@ from biosensor_gateway.demo.virtual_devices import virtual_class, virtual_names
 from biosensor_gateway.devices.registry import sensor
 from biosensor_gateway.simulation import virtual_device
 from biosensor_gateway.simulation.effects import Effect
-from biosensor_gateway.simulation.faults import Fault, FaultKind, ScheduledFault, parse_fault
+from biosensor_gateway.simulation.faults import (
+    Fault,
+    FaultKind,
+    Kind,
+    ScheduledFault,
+    parse_fault,
+)
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
 from biosensor_gateway.system.logs import LOG_FILE_NAME
@@ -179,7 +185,7 @@ def test_real_devices_are_given_no_faults(run: Run) -> None:
     assert "--simulate" in err
 
 
-def _noted(kinds: Iterable[FaultKind]) -> Mapping[FaultKind, Effect[Recording]]:
+def _noted(kinds: Iterable[FaultKind]) -> Mapping[Kind, Effect[Recording]]:
     return MappingProxyType({kind: _effect(kind.value) for kind in kinds})
 
 
