@@ -67,7 +67,7 @@ async def told_the_truth(device: VirtualDevice) -> AsyncGenerator[Run]:
         yield run
     # A recording knows no truth, and its clock begins anew with it.
     for name in measured(device) if device.truth.data_names else ():
-        assert np.all(np.diff(run.sink.times[name]) > 0)
+        assert np.all(np.diff(run.sink.times[name]) > 0), name
         places(device, run, name)
 
 

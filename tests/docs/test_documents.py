@@ -98,9 +98,11 @@ def _cli_fault(arguments: list[str]) -> str:
 def _launch_fault(file: Path, arguments: list[str]) -> str:
     if not file.is_file():
         return "no such launch file"
-    text = file.read_text(encoding="utf-8")
+    of_every_node = ROOT / "ros_side" / "lsl_to_ros" / "lsl_to_ros" / "launching.py"
+    text = file.read_text(encoding="utf-8") + of_every_node.read_text(encoding="utf-8")
     given = [argument.partition(":=")[0] for argument in arguments]
-    unknown = [name for name in given if f'"{name}"' not in text]
+    known = set(re.findall(r'"(\w+)"', text))
+    unknown = [name for name in given if name not in known]
     return f"no such arguments: {unknown}" if unknown else ""
 
 

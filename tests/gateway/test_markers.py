@@ -171,7 +171,16 @@ async def test_the_list_has_the_last_ones_and_who_is_undone(desk: Desk) -> None:
     assert [each["id"] for each in listed] == list(range(3, LISTED + 3))
     assert [each["id"] for each in listed if each["undone"]] == [11]
     newest = listed[-1]
-    assert set(newest) == {"id", "marker", "note", "kind", "source", "lsl_time", "undone"}
+    assert set(newest) == {
+        "id",
+        "marker",
+        "note",
+        "kind",
+        "source",
+        "lsl_time",
+        "received",
+        "undone",
+    }
     assert (newest["marker"], newest["kind"], newest["source"]) == ("m11", "api", "page")
     desk.commands.settings = MarkerSettings(buttons=("other",))
     assert json.loads(json.dumps(await desk.ask("markers")))["buttons"] == ["other"]

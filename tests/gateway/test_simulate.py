@@ -43,6 +43,7 @@ StartCli = Callable[..., AbstractContextManager["subprocess.Popen[bytes]"]]
 
 _UNITS = {
     FaultKind.GARBAGE: "",
+    FaultKind.STEP_BACK: "",
     FaultKind.FORGET: "",
     FaultKind.LOW_BATTERY: "%",
     FaultKind.DRIFT: "ppm",

@@ -84,7 +84,8 @@ def test_status(terminal: io.StringIO) -> None:
     assert words.count(f"({UNIT}):") == len(STATUS["devices"])
     streams = sum(len(each["streams"]) for each in STATUS["devices"])
     for figure in FIGURES.values():
-        assert words.count(str(figure)) == streams
+        # What is lost while a device does not send is not known yet.
+        assert words.count(str(figure)) == (0 if figure == FIGURES["lost"] else streams)
     assert " ".join(REASON.split()) in " ".join(words)
 
 

@@ -228,7 +228,7 @@ async def test_drift_changes_what_the_stamps_say_of_the_truth(h10: SimulatedPola
     np.testing.assert_allclose(np.diff(h10.truth.samples("ecg").times), 1 / 130 / 1.01)
 
 
-@pytest.mark.parametrize("kind", list(FaultKind))
+@pytest.mark.parametrize("kind", list(SimulatedPolarH10.effects))
 async def test_a_strap_without_pmd_survives_every_fault(make_h10: MakeH10, kind: FaultKind) -> None:
     h10 = make_h10(Quirks(firmware=Firmware.HEART_RATE_ONLY))
     h10.apply(Fault(kind, 5.0))

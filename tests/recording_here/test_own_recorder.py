@@ -10,6 +10,7 @@ import stat
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Generator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -305,3 +306,24 @@ def test_without_a_stream_it_says_so_and_ends(tmp_path: Path) -> None:
         env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
     )
     assert ended.returncode == 2
+
+
+def test_it_goes_on_with_an_outlet_that_was_started_again(tmp_path: Path) -> None:
+    file = tmp_path / "again.xdf"
+    info = pylsl.StreamInfo("again", "EEG", 1, 0.0, "float32", "again-id")
+    other = pylsl.StreamInfo("again", "EEG", 2, 0.0, "float32", "again-id")
+    first = pylsl.StreamOutlet(info)
+    with own_recorder(file):
+        first.push_chunk([[float(each)] for each in range(10)])
+        # An outlet that ends at once takes what it has not sent yet along.
+        time.sleep(0.1)
+        del first
+        # Another shape is another stream.
+        wrong = pylsl.StreamOutlet(other)
+        second = pylsl.StreamOutlet(info)
+        wait_until(second.have_consumers, "the recorder goes on")
+        second.push_chunk([[float(each)] for each in range(10, 20)])
+        del wrong
+    (stream,) = contents(file).values()
+    values = [float(np.frombuffer(value, np.float32)[0]) for _, value in stream.samples]
+    assert values == [float(each) for each in range(20)]

@@ -87,6 +87,11 @@ def out_of_range(patch: pytest.MonkeyPatch) -> Shown:
     return emitted(patch, "hr", [300.0], NOW_S)
 
 
+@provokes(Refusal.IMPLAUSIBLE)
+def implausible(patch: pytest.MonkeyPatch) -> Shown:
+    return emitted(patch, "br", [500.0], NOW_S)
+
+
 @provokes(Refusal.PAUSED)
 def paused(patch: pytest.MonkeyPatch) -> Shown:
     zephyr = sink(patch)

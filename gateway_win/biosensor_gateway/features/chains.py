@@ -79,7 +79,7 @@ class _Averaged:
             for times, group in self._hops.take(stamps, values)
         ]
         if not means:
-            return []
+            return []  # nothing is dropped: what makes no mean yet waits in `Hops`
         times, groups = zip(*means, strict=True)
         return self._stage.take(np.array(times), np.array(groups))
 

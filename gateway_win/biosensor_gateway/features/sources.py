@@ -72,7 +72,7 @@ class Source:
     def new_motion(self, keep_s: float = at.MOTION_KEPT_S) -> Motion | None:
         """Return what tells motion of its samples, if it is an accelerometer."""
         if self.header.content_type != ContentType.ACCELEROMETER:
-            return None
+            return None  # nothing is dropped: it says nothing of motion
         return Motion(self.header.rate, foreign=self.header.foreign, keep_s=keep_s)
 
     def scaled(self, values: object) -> Array:
@@ -98,7 +98,7 @@ class Computer:
     def take(self, stamps: Array, values: object) -> list[Event]:
         """Take samples in, of shapes (n,) and (n, n_channels), in the source's unit."""
         if not len(stamps):
-            return []
+            return []  # nothing is dropped: there is nothing
         scaled = self._source.scaled(values)
         if self._motion is not None:
             self._motion.take(stamps, scaled)

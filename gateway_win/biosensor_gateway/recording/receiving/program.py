@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import BinaryIO
@@ -25,7 +26,9 @@ from biosensor_common.heap import limit_arenas
 from biosensor_gateway.recording.receiving.stream import ReceivedStream
 from biosensor_gateway.recording.xdf import writing
 
-TAKE_EVERY_S = 0.5
+TAKE_EVERY_S = 0.02
+"""What liblsl has and nobody has taken is gone with the outlet that sent it."""
+FLUSH_EVERY_S = 0.5
 BOUNDARY_EVERY_S = 10.0
 _SEARCH_S, _MOST_STREAMS = 2.0, 1 << 16
 _OPEN_S = 8.0
@@ -74,6 +77,8 @@ class _Recorder:
     def __init__(self, target: BinaryIO, predicate: str) -> None:
         self._target, self._predicate = target, predicate
         self._lock, self._is_over = threading.Lock(), False
+        self._pool = ThreadPoolExecutor(_OPENED_AT_ONCE)
+        self._following: set[ReceivedStream] = set()
 
     def run(self, over: threading.Event) -> int:
         try:
@@ -94,9 +99,15 @@ class _Recorder:
         _say("Starting the recording")
         for each in streams:
             _say(f"Started data collection for stream {each.title}")
-        marked_s = time.monotonic()
+        marked_s = flushed_s = time.monotonic()
+        # As every resolver of the program it sees streams of the own session alone.
+        resolver = pylsl.ContinuousResolver(pred=self._predicate)
         while not over.wait(TAKE_EVERY_S):
             self._take(streams)
+            if time.monotonic() - flushed_s >= FLUSH_EVERY_S:
+                flushed_s = time.monotonic()
+                self._flush()
+                self._look_for_lost(streams, resolver)
             if time.monotonic() - marked_s >= BOUNDARY_EVERY_S:
                 marked_s = time.monotonic()
                 self._write(writing.boundary())
@@ -104,16 +115,33 @@ class _Recorder:
         self._take(streams)
         for each in streams:
             each.end()
-        with self._lock:
-            self._target.flush()
+        self._flush()
         return 0
+
+    def _look_for_lost(
+        self, streams: Sequence[ReceivedStream], resolver: pylsl.ContinuousResolver
+    ) -> None:
+        """Go on with the streams of an agent that was started again."""
+        lost = [each for each in streams if each.is_lost and each not in self._following]
+        infos = resolver.results() if lost else []
+        for stream in lost:
+            info = next((each for each in infos if stream.goes_on_as(each)), None)
+            if info is not None:
+                self._following.add(stream)
+                self._pool.submit(self._follow, stream, info)
+
+    def _follow(self, stream: ReceivedStream, info: pylsl.StreamInfo) -> None:
+        # The one that has gone is announced for some seconds more; then it is tried again.
+        with suppress(RuntimeError):
+            stream.follow(info, _OPEN_S)
+            _say(f"{stream.title} goes on")
+        self._following.discard(stream)
 
     def _opened(self) -> list[ReceivedStream]:
         """Open all that there are; those that do not answer are as if they were not there."""
         infos = pylsl.resolve_bypred(self._predicate, _MOST_STREAMS, _SEARCH_S)
         found = {info.uid(): info for info in infos}.values()
-        with ThreadPoolExecutor(_OPENED_AT_ONCE) as pool:
-            opened = list(pool.map(self._open, range(1, len(found) + 1), found))
+        opened = list(self._pool.map(self._open, range(1, len(found) + 1), found))
         streams = [each for each in opened if each is not None]
         for each in streams:
             _say(f"Found {each.title} matching '{self._predicate}'")
@@ -130,9 +158,12 @@ class _Recorder:
 
     def _take(self, streams: Sequence[ReceivedStream]) -> None:
         for each in streams:
-            each.take()
+            if (gone := each.take()) is not None:
+                _say(f"{each.title} has ended; {gone} of its samples were not received")
+
+    def _flush(self) -> None:
+        """Whoever watches the file sees it grow, and what was written outlives this process."""
         with self._lock:
-            # Whoever watches the file sees it grow, and what was written outlives this process.
             self._target.flush()
 
     def _write(self, chunk: bytes) -> None:

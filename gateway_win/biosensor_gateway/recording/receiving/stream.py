@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 import pylsl
 from numpy.typing import NDArray
+from pylsl import util
 from pylsl.lib import lib
 
 from biosensor_common.announcements import read_core
+from biosensor_common.errors import SpecError
+from biosensor_common.lsl.inlets import read_description, unopened_inlet
 from biosensor_common.quantities import ChannelFormat
 from biosensor_gateway.recording.xdf import writing
 
@@ -40,6 +44,8 @@ class ReceivedStream:
     first, last
         Stamps of the first and the last sample, 0 without samples.
     sample_count
+    is_lost
+        Whether its outlet has gone; another one may go on with it.
     clock_offsets
         LSL time on the sender's clock, and what to add to get this computer's, in s.
 
@@ -56,8 +62,8 @@ class ReceivedStream:
     ) -> None:
         self._core = read_core(info)
         self._number, self._write = number, write
-        # Recovered as LabRecorder's are: the file goes on with an agent that was started again.
-        self._inlet = pylsl.StreamInlet(info, max_buflen=_BUFFER_S, recover=True, as_numpy=True)
+        self._inlet = unopened_inlet(info, _BUFFER_S, as_numpy=True)
+        self._uid, self.is_lost = info.uid(), False
         self._most = max(1, _MOST_VALUES // self._core.channel_count)
         self._xml = b""
         self._over = threading.Event()
@@ -85,9 +91,30 @@ class ReceivedStream:
             ``TimeoutError`` or ``LostError`` of pylsl: the sender does not answer.
         """
         self._inlet.open_stream(limit_s)
-        info = self._inlet.info(limit_s)
+        info = read_description(self._inlet, self._uid, limit_s)
         # The bytes as they came: a header of another program may be no UTF-8.
         self._xml = cast("bytes", lib.lsl_get_xml(info.obj))
+
+    def goes_on_as(self, info: pylsl.StreamInfo) -> bool:
+        """Whether *info* is of the outlet of this stream, started again with the same shape."""
+        core = self._core
+        try:
+            other = read_core(info)
+        except SpecError:
+            return False
+        return bool(core.source_id) and replace(other, hostname=core.hostname) == core
+
+    def follow(self, info: pylsl.StreamInfo, limit_s: float) -> None:
+        """Go on with another outlet, which LabRecorder's inlets do by themselves.
+
+        Raises
+        ------
+        RuntimeError
+            As `open`.
+        """
+        inlet = unopened_inlet(info, _BUFFER_S, as_numpy=True)
+        inlet.open_stream(limit_s)
+        self._inlet, self._uid, self.is_lost = inlet, info.uid(), False
 
     def begin(self) -> None:
         """Write the header, and measure the sender's clock from now on."""
@@ -95,13 +122,25 @@ class ReceivedStream:
         if self.is_recordable:
             self._measuring.start()
 
-    def take(self) -> None:
-        """Write what has come."""
-        while self.is_recordable and (waiting := self._inlet.samples_available()):
-            pulled = self._inlet.pull_chunk(0.0, min(waiting, self._most))
+    def take(self) -> int | None:
+        """Write what has come.
+
+        Returns
+        -------
+        int or None
+            When its outlet has gone: how many samples went with it. None otherwise.
+        """
+        while self.is_recordable and not self.is_lost:
+            # No more than there are: at the end of a lost stream liblsl throws away the rest.
+            waiting = max(1, self._inlet.samples_available())
+            try:
+                pulled = self._inlet.pull_chunk(0.0, min(waiting, self._most))
+            except util.LostError:
+                self.is_lost = True
+                return self._inlet.flush()
             values, stamps = cast("tuple[NDArray[Any], NDArray[np.float64]]", pulled)
             if not len(stamps):
-                return
+                break
             is_text = self._core.format is ChannelFormat.STRING
             rows = [tuple(each) for each in values] if is_text else values
             self._write(writing.samples(self._number, self._core.format, stamps, rows))
@@ -109,6 +148,7 @@ class ReceivedStream:
                 self.first = float(stamps[0])
             self.last = float(stamps[-1])
             self.sample_count += len(stamps)
+        return None
 
     def end(self) -> None:
         """Write the footer; nothing is written after it."""

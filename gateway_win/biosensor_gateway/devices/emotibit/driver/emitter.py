@@ -63,6 +63,7 @@ class EmotiBitEmitter:
             **{name: _sensor(name, MOTION_HZ, READ_LATE_S) for name in ("acc", "gyro", "mag")},
         }
         self._order, self._times = InOrder(), PacketTimeline(TIMES_MS)
+        self._is_first = False
         self._gaps = 0
         self._gaps_before: dict[str, int] = {}
         self._observed_s: float | None = None
@@ -71,7 +72,8 @@ class EmotiBitEmitter:
         self._battery: float | None = None
 
     def connected(self) -> None:
-        """Expect packets to have been lost since the last one."""
+        """Expect packets to have been lost since the last one, or the device to have restarted."""
+        self._is_first = True
         self.ended()
         for sensor in self._sensors.values():
             sensor.break_off()
@@ -113,7 +115,9 @@ class EmotiBitEmitter:
         """Return the device's time, over roll-overs; begin anew where the device did."""
         expected_ms = 0.0
         steps = self._times.steps(packet.time_ms, expected_ms, None)
-        if steps is not None and steps < -_RESTARTED_MS:
+        # What is late came before the connection was lost, so the first packet is never late.
+        limit, self._is_first = (0 if self._is_first else -_RESTARTED_MS), False
+        if steps is not None and steps < limit:
             self._restart()
             steps = None
         if steps is None or steps > 0:
