@@ -22,8 +22,9 @@ MODULES = {
     "doctor/survey.py",
     "features/live.py",
     "labrecorder/streams.py",
-    "lsl/discovery.py",
+    "lsl/searching.py",
     "network/reader.py",
+    "receiving/program.py",
     "replay/live.py",
 }
 

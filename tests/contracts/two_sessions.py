@@ -8,6 +8,7 @@ prints for each the sessions of which it found streams. SESSION is its own.
 
 from __future__ import annotations
 
+import io
 import json
 import sys
 import threading
@@ -26,6 +27,7 @@ from biosensor_gateway.features.sources import Source
 from biosensor_gateway.page.network.reader import Reader
 from biosensor_gateway.recording.here.said import predicate
 from biosensor_gateway.recording.labrecorder import streams
+from biosensor_gateway.recording.receiving import program
 from biosensor_gateway.recording.replay.errors import ReplayError
 from biosensor_gateway.recording.replay.live import refuse_if_present
 from lsl_to_ros.lsl.discovery import Discovery
@@ -107,6 +109,11 @@ def _recorder_of_ours() -> None:
     pylsl.resolve_bypred(predicate([streams.VisibleStream(each, each, "") for each in ids]))
 
 
+def _own_recorder() -> None:
+    program._say = _ignore
+    program._Recorder(io.BytesIO(), EVERYTHING).run(_done)
+
+
 def _replay() -> None:
     # It ends at the first stream of ours, which may come before those of others.
     with suppress(ReplayError):
@@ -136,6 +143,7 @@ CASES: dict[str, Callable[[], None]] = {
     "before a recording": _again(lambda: streams._search(frozenset())),
     "the recorder, all streams": _again(lambda: pylsl.resolve_bypred(EVERYTHING)),
     "the recorder, only ours": _again(_recorder_of_ours),
+    "our own recorder": _own_recorder,
     "before a replay": _again(_replay),
     "doctor, the survey": _again(lambda: survey.survey(1.0, 0.1, 0.0)),
     "doctor, the list": _again(lambda: survey.list_streams(1.0)),

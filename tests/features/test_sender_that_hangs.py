@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 
+import psutil
 import pylsl
 import pytest
 
@@ -60,6 +61,9 @@ def test_another_stream_is_taken_while_one_does_not_say_what_it_is(
             assert sender.stdout.readline() == b"up\n"
             both = [*_resolved("held"), *_resolved("own")]
             os.kill(sender.pid, signal.SIGSTOP)
+            # One of its threads may still be at work, and answer.
+            while psutil.Process(sender.pid).status() != psutil.STATUS_STOPPED:
+                time.sleep(0.01)
             noted = Noted()
             live = Live(noted)
             end = time.monotonic() + DEADLINE_S

@@ -218,7 +218,7 @@ def test_what_lsl_drops_with_a_dead_program_is_said_and_counted(
             node.send(signal.SIGCONT)
         pushed += burst
         ros.until(lambda: topic not in ros.present(), "its end")
-        dropped = node.count("[WARN]", f"{topic[1:]}: ", "samples were lost with the connection")
+        dropped = node.count("[WARN]", f"{name} EEG: ", "samples were lost with the connection")
     program = run(BURSTING, name, 1000)
     ros.attached(topic)
     ros.until(is_balanced, "the sum of all samples")

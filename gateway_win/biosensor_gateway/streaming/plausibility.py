@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from biosensor_common.quantities import ContentType, Unit
 from biosensor_common.refusal import Refusal
@@ -61,11 +61,6 @@ class Plausibility:
             for stream in spec.streams
             if any(channel.bounds is not None for channel in stream.channels)
         }
-        self._beats = {
-            stream.data_name: _Beats()
-            for stream in spec.streams
-            if stream.content_type is ContentType.RR and stream.channels[0].unit == Unit.SECONDS
-        }
 
     def believed(
         self,
@@ -76,7 +71,10 @@ class Plausibility:
         refusals: Refusals,
     ) -> tuple[ArrayLike, Sequence[float]]:
         """Return what may be sent; the rest is counted and said, once in the log."""
-        checked = self._check(data_name, samples, times)
+        bounds = self._bounds.get(data_name)
+        if bounds is None:
+            return samples, times
+        checked = bounds.check(samples, times)
         if checked.why:
             counters.refused += checked.refused
             refusals.refuse(Refusal.IMPLAUSIBLE, checked.refused, why=checked.why)
@@ -97,33 +95,32 @@ class Plausibility:
         said = "connected, but it tells what cannot be, which is not sent"
         return f"{said}: {'; '.join(parts)}" if parts else None
 
-    def _check(self, data_name: str, samples: ArrayLike, times: Sequence[float]) -> _Checked:
-        bounds = self._bounds.get(data_name)
-        checked = _Checked(samples, times)
-        if bounds is None or not len(times):
-            return checked
-        values = np.asarray(samples, np.float64)
-        # Samples that do not fit their times are refused later on.
-        if values.shape[:1] != (len(times),) or values.size != len(times) * bounds.width:
-            return checked
-        rows = values.reshape(len(times), bounds.width)
-        beats = self._beats.get(data_name)
-        if beats is not None and beats.are_ahead(float(np.nansum(rows[:, 0])), max(times)):
-            return _Checked((), (), len(times), _TOLD_TWICE)
-        return bounds.check(checked, rows)
-
 
 class _Bounds:
-    """Those of one stream."""
+    """Those of one stream, and how fast its beats may follow each other."""
 
     def __init__(self, stream: StreamSpec) -> None:
-        self.width = len(stream.channels)
+        self._width = len(stream.channels)
         self._stream = stream
         bounds = [channel.bounds or (-np.inf, np.inf) for channel in stream.channels]
         self._low, self._high = np.array(bounds, np.float64).T
+        is_intervals = stream.content_type is ContentType.RR
+        in_seconds = stream.channels[0].unit == Unit.SECONDS
+        self._beats = _Beats() if is_intervals and in_seconds else None
 
-    def check(self, checked: _Checked, rows: NDArray[np.float64]) -> _Checked:
+    def check(self, samples: ArrayLike, times: Sequence[float]) -> _Checked:
         """Put NaN in the place of what is outside; leave out samples that have nothing else."""
+        checked = _Checked(samples, times)
+        values = np.asarray(samples, np.float64)
+        # Samples that do not fit their times are refused later on.
+        if not len(times) or values.shape[:1] != (len(times),):
+            return checked
+        if values.size != len(times) * self._width:
+            return checked
+        rows = values.reshape(len(times), self._width)
+        beats = self._beats
+        if beats is not None and beats.are_ahead(float(np.nansum(rows[:, 0])), max(times)):
+            return _Checked((), (), len(times), _TOLD_TWICE)
         outside = (rows < self._low) | (rows > self._high)
         if not outside.any():
             return checked

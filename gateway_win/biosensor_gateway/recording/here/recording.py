@@ -116,7 +116,9 @@ class Recording:
         streams = () if sight is None else sight.streams
         if is_running:
             recorded = {each.source_id for each in streams}
-            findings += beside_agent.findings(devices, recorded, kept.started)
+            # Streams of other programs are recorded without an agent, too.
+            if devices is not None or kept.required:
+                findings += beside_agent.findings(devices, recorded, kept.started)
             silent = beside_agent.excused(devices, kept.started)
             findings += [*growth.problems(kept.required, silent), *growth.gaps()]
             findings.sort(key=lambda each: list(Level).index(each.level))
