@@ -85,7 +85,8 @@ def test_a_stream_that_stops_is_said_and_one_that_comes_back_too(
     assert codes(Recording(state)) == {"wrist": "stopped"}
     sources.add("wrist")
     wait_until(lambda: samples("wrist") > before, "it is recorded again")
-    assert codes(recording) == {}
+    # It stays said to the end that there is a gap.
+    assert codes(recording) == {"wrist": "gaps"}
 
     ended = recording.stop()
     json.dumps(asdict(ended), allow_nan=False, default=str)
