@@ -79,10 +79,13 @@ def test_who_streams_and_came_too_late_is_red(running: Running) -> None:
     assert "stop it and record anew" in found[0][2]
 
 
-def test_without_an_agent_nothing_is_green(running: Running) -> None:
+def test_without_their_agent_nothing_is_green(running: Running, tmp_path: Path) -> None:
+    sources = ("one-id", "two-id")
+    RecorderFolder(tmp_path).keep(Kept(str(tmp_path / "a.xdf"), sources, STARTED))
     assert (Level.ERROR, "no-agent") in [each[:2] for each in running.findings(None)]
 
 
 def test_streams_of_others_alone_need_no_agent(running: Running) -> None:
-    # As at a computer that only records; `standing` is asked without devices then.
-    assert "no-agent" not in [code for _, code, _ in running.findings([])]
+    # As at a computer that only records.
+    found = [*running.findings(None), *running.findings([])]
+    assert "no-agent" not in [code for _, code, _ in found]
