@@ -22,7 +22,7 @@ MODULES = {
     "doctor/survey.py",
     "features/live.py",
     "labrecorder/streams.py",
-    "lsl/searching.py",
+    "lsl/discovery.py",
     "network/reader.py",
     "receiving/program.py",
     "replay/live.py",

@@ -29,8 +29,7 @@ from lsl_to_ros.accounts.stamping import Stamping
 from lsl_to_ros.limited_log import LimitedLog
 from lsl_to_ros.lsl.blocks import Block
 from lsl_to_ros.lsl.descriptions import header_of
-from lsl_to_ros.lsl.discovery import ALIVE_AFTER_S, Discovery
-from lsl_to_ros.lsl.file_room import FileRoom
+from lsl_to_ros.lsl.discovery import ALIVE_AFTER_S, Discovery, FileRoom
 from lsl_to_ros.lsl.inlets import Inlet, InletState
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.reports import reporting
@@ -181,7 +180,7 @@ def same_source(patch: pytest.MonkeyPatch) -> Shown:
 def unusable(patch: pytest.MonkeyPatch) -> Shown:
     info = pylsl.StreamInfo("no channels", "EEG", 0, 0.0, "float32", "zero")
     resolver = fake(results=lambda: [info])
-    patch.setattr("lsl_to_ros.lsl.searching.pylsl.ContinuousResolver", lambda **_: resolver)
+    patch.setattr("lsl_to_ros.lsl.discovery.pylsl.ContinuousResolver", lambda **_: resolver)
     discovery = Discovery(lambda _: None)
     discovery.update()
     assert not discovery.inlets

@@ -8,14 +8,14 @@ ROOT = Path(__file__).parents[2]
 _NODE, _AGENT = "ros_side/lsl_to_ros/lsl_to_ros", "gateway_win/biosensor_gateway"
 _PATTERNS = (
     *(f"{_NODE}/lsl/{each}.py" for each in (
-        "delivery", "descriptions", "discovery", "file_room", "inlets", "namesakes", "pulls",
+        "delivery", "descriptions", "discovery", "inlets", "namesakes", "pulls",
         "reading", "rivals",
     )),
     f"{_NODE}/topics/*.py",
     f"{_NODE}/routing.py",
     f"{_NODE}/taking.py",
     *(f"{_NODE}/ros_to_lsl/{each}.py" for each in (
-        "application", "bridge", "doubts", "events", "graph", "layout", "losses", "outlets",
+        "application", "bridge", "events", "graph", "layout", "losses", "outlets",
         "pairs", "senders", "stamping", "texts", "topic",
     )),
     *(f"{_AGENT}/streaming/{each}.py" for each in (

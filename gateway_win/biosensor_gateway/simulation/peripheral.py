@@ -13,7 +13,6 @@ from bumble.gatt import Characteristic, ClientCharacteristicConfigurationBits, S
 from bumble.keys import MemoryKeyStore
 
 from biosensor_gateway.simulation.advertising import pack_advertisement, pack_name
-from biosensor_gateway.simulation.bundles import Bundles
 from biosensor_gateway.simulation.indications import Indications
 from biosensor_gateway.simulation.protection import (
     protect_subscriptions,
@@ -27,6 +26,43 @@ _ADVERTISING_INTERVAL_MS = 50.0
 _BUMBLE_INTERVAL = _ADVERTISING_INTERVAL_MS * 0.625
 _NOTIFICATION_HEADER = 3
 _Bits = ClientCharacteristicConfigurationBits
+
+
+class Bundles:
+    """Sends notifications at once, or has them wait for each other.
+
+    Parameters
+    ----------
+    connection
+        Returns the one that stands.
+    """
+
+    def __init__(self, connection: Callable[[], Connection | None]) -> None:
+        self._connection = connection
+        self._wait_s = 0.0
+        self._waiting: list[tuple[Connection, bytes]] = []
+
+    def wait(self, seconds: float) -> None:
+        """Have them wait for so long and come together; 0 sends them at once."""
+        self._wait_s = seconds
+        if not seconds:
+            self.flush()
+
+    def send(self, connection: Connection, pdu: bytes) -> None:
+        """Send one, now or later."""
+        if not self._wait_s:
+            connection.send_l2cap_pdu(att.ATT_CID, pdu)
+            return
+        if not self._waiting:
+            asyncio.get_running_loop().call_later(self._wait_s, self.flush)
+        self._waiting.append((connection, pdu))
+
+    def flush(self) -> None:
+        """Send those that wait, if their host is still there."""
+        waiting, self._waiting = self._waiting, []
+        for connection, pdu in waiting:
+            if connection is self._connection():
+                connection.send_l2cap_pdu(att.ATT_CID, pdu)
 
 
 class Peripheral:

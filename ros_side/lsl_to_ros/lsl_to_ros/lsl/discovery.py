@@ -9,20 +9,29 @@ from typing import NamedTuple
 
 import pylsl
 
+from biosensor_common import open_files
 from biosensor_common.errors import SpecError
+from biosensor_common.lsl.predicates import (
+    EVERYTHING,
+    Predicate,
+    all_of,
+    any_of,
+    equals,
+    none_of,
+    of_user,
+)
 from biosensor_common.naming import NODE
 from biosensor_common.quantities import ContentType
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from lsl_to_ros.lsl.descriptions import about
-from lsl_to_ros.lsl.file_room import FileRoom
-from lsl_to_ros.lsl.inlets import Inlet, InletState
+from lsl_to_ros.lsl.inlets import FROM_ROS, Inlet, InletState
 from lsl_to_ros.lsl.namesakes import Namesakes, by_start
 from lsl_to_ros.lsl.rivals import Rivals, Swap
-from lsl_to_ros.lsl.searching import FORGET_AFTER_S, asks_for_ros, resolver, wanted_by
 from lsl_to_ros.lsl.share import ALL, Share
 
-# An outlet that has just died is still reported by the resolver for a while.
+# An outlet that has just died is still reported by the resolver for so long.
+FORGET_AFTER_S = 5.0
 RETRY_S = 0.5
 RETRY_FAILED_S = 5.0
 # An outlet that is reported for longer after another took its place is alive.
@@ -30,6 +39,57 @@ ALIVE_AFTER_S = FORGET_AFTER_S + 2.0
 STOP_TIMEOUT_S = 1.0
 # So long an outlet waits until it is known whether another one that claims to be the same lives.
 SETTLED_S = 2.0
+_ROS_BLOCK = "desc/ros"
+
+
+def wanted_by(query: str) -> Predicate:
+    """Return what a user asks for; all streams of an empty query."""
+    return of_user(query) if query else EVERYTHING
+
+
+def asks_for_ros(predicate: Predicate) -> bool:
+    """Whether a predicate asks for streams that are made of topics."""
+    return _ROS_BLOCK in predicate
+
+
+def resolver(predicate: Predicate) -> pylsl.ContinuousResolver:
+    """Look for what a predicate names, and for the counts of losses of all agents."""
+    served = predicate if asks_for_ros(predicate) else all_of(predicate, none_of(FROM_ROS))
+    counters = equals("type", ContentType.COUNTERS)
+    return pylsl.ContinuousResolver(pred=any_of(served, counters), forget_after=FORGET_AFTER_S)
+
+
+class FileRoom:
+    """Remembers which streams found no room, until they do or are gone."""
+
+    def __init__(self, refusals: Refusals) -> None:
+        self._refusals = refusals
+        self._names: dict[str, tuple[str, str]] = {}
+
+    @property
+    def crowded_out(self) -> list[str]:
+        """Names of the streams that are left out."""
+        return [name for name, _ in self._names.values()]
+
+    def has_room(self, info: pylsl.StreamInfo, opening: int) -> bool:
+        """Whether a stream fits beside so many that are being opened."""
+        if open_files.has_room((1 + opening) * open_files.INLET):
+            self._forget(info.uid())
+            return True
+        if not opening:
+            self._names[info.uid()] = info.name(), about(info)
+            why = open_files.no_room()
+            self._refusals.refuse(Refusal.NO_FILES, about=about(info), why=why)
+        return False
+
+    def forget_all_but(self, known: Collection[str]) -> None:
+        """Forget streams that are gone; *known* are the uids of the others."""
+        for uid in [uid for uid in self._names if uid not in known]:
+            self._forget(uid)
+
+    def _forget(self, uid: str) -> None:
+        if uid in self._names:
+            self._refusals.over(Refusal.NO_FILES, self._names.pop(uid)[1])
 
 
 class Changes(NamedTuple):

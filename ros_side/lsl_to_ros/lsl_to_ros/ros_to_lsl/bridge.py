@@ -14,7 +14,6 @@ from biosensor_common.errors import GatewayError
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from lsl_to_ros.accounts.ros_time import RosTime
-from lsl_to_ros.ros_to_lsl.doubts import SAID_AGAIN_S, Doubts
 from lsl_to_ros.ros_to_lsl.fields import FramedList, frames_of, has_header
 from lsl_to_ros.ros_to_lsl.losses import PublicationLosses
 from lsl_to_ros.ros_to_lsl.outlets import MarkerOutlet, Origin, with_stamp
@@ -22,13 +21,43 @@ from lsl_to_ros.ros_to_lsl.pairs import Pairs, parted
 from lsl_to_ros.ros_to_lsl.publisher_clock import ClockState, Offset
 from lsl_to_ros.ros_to_lsl.requests import SendAs, TopicRequest
 from lsl_to_ros.ros_to_lsl.senders import NumberSender, Sender, senders_for
-from lsl_to_ros.ros_to_lsl.stamping import Doubt, MessageStamping, StampSource, worst_of
+from lsl_to_ros.ros_to_lsl.stamping import Doubt, MessageStamping, StampSource, doubt_of, worst_of
 from lsl_to_ros.taking import MessageInfo, RosMessage
 
 MAX_HELD = 5000
 """So many messages wait while it is in doubt whether a clock is right."""
 OLD_MESSAGES_S = 1.0
 """What a latched topic sends to a new subscriber comes within that, and may be of any age."""
+
+
+SAID_AGAIN_S = 1.0
+"""Each loss and each change of channels is said: a recording of the events shall have it."""
+_WHAT = {
+    StampSource.HEADER: Refusal.DOUBTFUL_STAMPS,
+    StampSource.SOURCE: Refusal.DOUBTFUL_CLOCK,
+}
+
+
+class Doubts:
+    """What was said of the clocks of one topic."""
+
+    def __init__(self, refusals: Refusals) -> None:
+        self._refusals = refusals
+        self._said: set[tuple[StampSource, ClockState]] = set()
+
+    def tell(self, doubtful: Mapping[StampSource, Doubt]) -> None:
+        """Report what is known now."""
+        for source, what in _WHAT.items():
+            doubt = doubtful.get(source)
+            if doubt is None or (source, doubt.state) not in self._said:
+                self._refusals.over(what)
+            if doubt is not None:
+                self._said.add((source, doubt.state))
+                self._refusals.refuse(what, why=doubt_of(source, doubt))
+
+    def restart(self) -> None:
+        """Say everything anew: this computer's own clock has jumped."""
+        self._said.clear()
 
 
 @dataclass(frozen=True, slots=True)
