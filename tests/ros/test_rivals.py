@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from lsl_to_ros.lsl import rivals, searching
+from lsl_to_ros.lsl import discovery, rivals
 from lsl_to_ros.lsl.discovery import Discovery
 from lsl_to_ros.lsl.inlets import Inlet, InletState
 from tests.rigs.lsl_streams import DEADLINE_S, Collector, wait_until
@@ -102,7 +102,7 @@ def sender() -> Iterator[Sender]:
 
 @pytest.fixture
 def node(monkeypatch: pytest.MonkeyPatch) -> Iterator[Node]:
-    monkeypatch.setattr(searching, "FORGET_AFTER_S", FORGET_S)
+    monkeypatch.setattr(discovery, "FORGET_AFTER_S", FORGET_S)
     monkeypatch.setattr(rivals, "PATIENCE_S", PATIENCE_S)
     monkeypatch.setattr(rivals, "SEEN_AGAIN_S", 0.5)
     node = Node()
