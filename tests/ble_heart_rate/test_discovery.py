@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from biosensor_gateway.devices.ble_heart_rate.driver.discovery import (
+from biosensor_gateway.devices.ble_heart_rate.driver.driver import (
+    HeartRateStrapSettings,
     identify,
     identify_any,
     recognise,
 )
-from biosensor_gateway.devices.ble_heart_rate.driver.driver import HeartRateStrapSettings
 from biosensor_gateway.doctor.scan import drivers_by_precedence, recognised
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 

@@ -15,7 +15,7 @@ from biosensor_gateway.devices.ble_heart_rate.simulator.measurement import (
     damaged,
     encode,
 )
-from biosensor_gateway.devices.ble_heart_rate.simulator.pulse import Pulse
+from biosensor_gateway.devices.ble_heart_rate.simulator.strap import Pulse
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.wearer import Wearer

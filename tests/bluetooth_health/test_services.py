@@ -13,9 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_gateway.devices.bluetooth_health.declaration import SPEC
-from biosensor_gateway.devices.bluetooth_health.driver.layouts import long_float, sfloat
-from biosensor_gateway.devices.bluetooth_health.driver.revolutions import Revolutions
-from biosensor_gateway.devices.bluetooth_health.driver.services import ROWS
+from biosensor_gateway.devices.bluetooth_health.driver.services import (
+    ROWS,
+    Revolutions,
+    long_float,
+    sfloat,
+)
 
 VECTORS: list[dict[str, Any]] = json.loads(
     (Path(__file__).parent / "vectors/bluetooth_health.json").read_text(encoding="utf-8")

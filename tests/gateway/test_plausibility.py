@@ -18,7 +18,7 @@ from biosensor_common.spec import ChannelSpec, DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent.device import Device
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
-from biosensor_gateway.devices.bluetooth_health.driver.emitter import HealthEmitter
+from biosensor_gateway.devices.bluetooth_health.driver.driver import HealthEmitter
 from biosensor_gateway.devices.bluetooth_health.driver.services import ROWS
 from biosensor_gateway.devices.registry import declaration, declaration_names
 from biosensor_gateway.streaming.counters import Counters

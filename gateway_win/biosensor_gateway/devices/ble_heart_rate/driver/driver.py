@@ -17,14 +17,13 @@ from biosensor_common.errors import (
     ProtocolReason,
 )
 from biosensor_common.spec import DeviceInfo
-from biosensor_gateway.devices.ble_heart_rate.driver.discovery import (
-    identify,
-    identify_any,
-    recognise,
-)
 from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
-from biosensor_gateway.devices.ble_heart_rate.driver.protocol import HEART_RATE_MEASUREMENT
+from biosensor_gateway.devices.ble_heart_rate.driver.protocol import (
+    HEART_RATE_MEASUREMENT,
+    HEART_RATE_SERVICE,
+)
 from biosensor_gateway.devices.ble_heart_rate.driver.strap import DUE, Strap
+from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
@@ -32,7 +31,7 @@ from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_errors import AttError
 from biosensor_gateway.transports.ble_pairing import PAIR_DESCRIPTION, Pairing, PairSetting
-from biosensor_gateway.transports.nearby import Advertisement
+from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 GOODBYE_LIMIT_S = 0.4
 _log = structlog.get_logger("biosensor_gateway.ble_heart_rate")
@@ -130,6 +129,24 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], HeartRateStrapDr
         return HeartRateStrapDriver(BleLink(choice, sink.clock, pairing=pairing), emitter, pairing)
 
     return make
+
+
+def identify(seen: Advertisement) -> str | None:
+    """Return the address of a device that advertises the Heart Rate service, else None."""
+    return seen.address if HEART_RATE_SERVICE in seen.service_uuids else None
+
+
+def identify_any(seen: Advertisement) -> str | None:
+    """Return the address of any device: some straps do not say that they are one."""
+    return seen.address
+
+
+def recognise(seen: Advertisement | SerialPort) -> Found | None:
+    """Tell whether this is a strap; one that another driver knows better is left to that one."""
+    if not isinstance(seen, Advertisement) or identify(seen) is None:
+        return None
+    settings = {"unit": seen.address, "device": seen.address}
+    return Found("ble_heart_rate", seen.name or seen.address, settings, seen.rssi_dbm)
 
 
 DRIVER = DriverEntry(HeartRateStrapSettings, _make, recognise=recognise)

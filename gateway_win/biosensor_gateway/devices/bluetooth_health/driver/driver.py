@@ -9,8 +9,8 @@ from contextlib import suppress
 from pydantic import Field
 
 from biosensor_common.errors import GatewayError, ProtocolError, ProtocolReason
+from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
 from biosensor_gateway.devices.ble_heart_rate.driver.strap import Strap
-from biosensor_gateway.devices.bluetooth_health.driver.emitter import HealthEmitter
 from biosensor_gateway.devices.bluetooth_health.driver.services import ROWS, SPOT_CHECK, Row
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
@@ -46,6 +46,49 @@ class HealthDeviceSettings(DeviceSettings):
     pair: bool = Field(
         default=False, description="Pair before connecting, for devices that demand it."
     )
+
+
+class HealthEmitter:
+    """Turns values into samples; one instance a device, over all its connections.
+
+    These services stamp nothing, or by a clock that somebody set by hand: times are those of
+    arrival.
+
+    Attributes
+    ----------
+    strap
+        Emits battery and signal strength.
+
+    Parameters
+    ----------
+    sink
+    wheel_m
+        Circumference of the wheel.
+    """
+
+    def __init__(self, sink: Sink, wheel_m: float) -> None:
+        self.strap = StrapEmitter(sink)
+        self._sink = sink
+        self._wheel_m = wheel_m
+        self.reconnected()
+
+    def reconnected(self) -> None:
+        """Prepare for a new connection of the same device."""
+        self._samples = {row.characteristic: row.sample(self._wheel_m) for row in ROWS}
+
+    def take(self, row: Row, data: bytes, arrival_s: float) -> None:
+        """Emit what a value holds; one that is cut short is counted and dropped."""
+        found = row.parse(data)
+        if found is None:
+            self._sink.dropped_bytes += len(data)
+            return
+        self._sink.heard(row.stream)
+        sample = self._samples[row.characteristic](found, arrival_s)
+        contact = row.contact(found) if row.contact is not None else None
+        if sample is not None and contact is not False:
+            self._sink.emit_at(row.stream, [sample], [arrival_s])
+        if contact is not None:
+            self._sink.emit_at("quality", [[float(contact)]], [arrival_s])
 
 
 class HealthDeviceDriver:

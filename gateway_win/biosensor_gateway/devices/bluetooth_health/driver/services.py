@@ -6,9 +6,6 @@ import math
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-from biosensor_gateway.devices.bluetooth_health.driver.layouts import Field, read
-from biosensor_gateway.devices.bluetooth_health.driver.revolutions import Revolutions
-
 Values = Mapping[str, float]
 Sampling = Callable[[Values, float], list[float] | None]
 """Makes a sample of fields and their LSL time of arrival; None where there is none."""
@@ -18,6 +15,174 @@ _FAHRENHEIT = 1
 _TICKS_PER_S = 1024
 # Sensor unconnected to user, displaced, disconnected.
 _OFF = 1 << 11 | 1 << 13 | 1 << 15
+
+STANDSTILL_S = 3.0
+"""Who turns more slowly than once in this time stands still."""
+_TIME_TURNS = 1 << 16
+
+
+class _Event(NamedTuple):
+    """A count, and when it was reached: in ticks, and when it was first heard of on LSL's clock."""
+
+    turns: float
+    ticks: float
+    heard_s: float
+
+
+class Revolutions:
+    """Counts made rates.
+
+    Parameters
+    ----------
+    bits
+        At which the count rolls over; 0 where it does not, as of a wheel, which may turn
+        backwards [1]_. A rate is negative then, as it is when a device counts anew.
+    ticks_per_s
+        Of the time, which has 16 bits.
+
+    .. [1] Bluetooth SIG, Cycling Speed and Cadence Service 1.0, 3.1.1.
+    """
+
+    def __init__(self, bits: int, ticks_per_s: int) -> None:
+        self._modulus = 1 << bits if bits else math.inf
+        self._ticks_per_s = ticks_per_s
+        self._last: _Event | None = None
+        self._turned_s = -math.inf
+
+    def rate(self, count: float | None, ticks: float | None, arrival_s: float) -> float:
+        """Return turns per second since the last one; NaN while that is not known.
+
+        Parameters
+        ----------
+        count, ticks
+            As the device sends them; None where it does not.
+        arrival_s
+            LSL clock.
+        """
+        if count is None or ticks is None:
+            return math.nan
+        last, now = self._last, _Event(count, ticks, arrival_s)
+        if last is None or (count, ticks) != last[:2]:
+            self._last = now
+        if last is None:
+            return math.nan
+        turns = count - last.turns
+        if not math.isinf(self._modulus):
+            turns %= self._modulus
+        elapsed_s = self._elapsed_s(last, now)
+        if turns and elapsed_s:
+            self._turned_s = arrival_s
+            return turns / elapsed_s
+        return 0.0 if arrival_s - self._turned_s > STANDSTILL_S else math.nan
+
+    def _elapsed_s(self, last: _Event, now: _Event) -> float:
+        """Return the time between two events: how often ticks rolled over, the arrivals tell."""
+        rest_s = (now.ticks - last.ticks) % _TIME_TURNS / self._ticks_per_s
+        period_s = _TIME_TURNS / self._ticks_per_s
+        periods = max(0, round((now.heard_s - last.heard_s - rest_s) / period_s))
+        return rest_s + periods * period_s
+
+
+# A value begins with flags that say which fields follow, in an order that never changes. The
+# layouts are those of the Bluetooth SIG's GATT Specification Supplement, its decimal numbers those
+# of IEEE 11073-20601.
+ALWAYS = 0
+_INTEGERS = {
+    "u8": (1, False),
+    "u16": (2, False),
+    "s16": (2, True),
+    "u24": (3, False),
+    "u32": (4, False),
+}
+_SFLOAT_LIMIT, _FLOAT_LIMIT = 0x7FE, 0x7FFFFE
+"""From so large a mantissa on, its negative as well, a decimal number is none."""
+
+
+class Field(NamedTuple):
+    """A field of a characteristic.
+
+    Attributes
+    ----------
+    name
+    kind
+        ``u8``, ``u16``, ``s16``, ``u24``, ``u32``, ``sfloat`` or ``float``.
+    flag
+        Bit of the flags that says that it is there; `ALWAYS`.
+    scale
+        Physical unit of one count.
+    """
+
+    name: str
+    kind: str
+    flag: int = ALWAYS
+    scale: float = 1.0
+
+
+def sfloat(data: bytes) -> float:
+    """Read a decimal number of 16 bits: 4 of exponent, 12 of mantissa; NaN where it is none."""
+    return _decimal(int.from_bytes(data, "little"), 12, 4, _SFLOAT_LIMIT)
+
+
+def long_float(data: bytes) -> float:
+    """Read a decimal number of 32 bits: 8 of exponent, 24 of mantissa; NaN where it is none."""
+    return _decimal(int.from_bytes(data, "little"), 24, 8, _FLOAT_LIMIT)
+
+
+def _read(data: bytes, flag_bytes: int, fields: tuple[Field, ...]) -> Mapping[str, float] | None:
+    """Read a value; None if it is cut short.
+
+    Parameters
+    ----------
+    data
+    flag_bytes
+        How many bytes the flags have.
+    fields
+        In their order; what comes behind the last one is passed over.
+
+    Returns
+    -------
+    mapping of str to float, or None
+        By name, ``flags`` among them; of fields that are not there, nothing.
+    """
+    if len(data) < flag_bytes:
+        return None
+    flags = int.from_bytes(data[:flag_bytes], "little")
+    found: dict[str, float] = {"flags": flags}
+    at = flag_bytes
+    for field in fields:
+        if field.flag != ALWAYS and not flags & field.flag:
+            continue
+        size = _size(field.kind)
+        if at + size > len(data):
+            return None
+        found[field.name] = _number(field.kind, data[at : at + size]) * field.scale
+        at += size
+    return found
+
+
+def _size(kind: str) -> int:
+    return _INTEGERS[kind][0] if kind in _INTEGERS else {"sfloat": 2, "float": 4}[kind]
+
+
+def _number(kind: str, data: bytes) -> float:
+    if kind == "sfloat":
+        return sfloat(data)
+    if kind == "float":
+        return long_float(data)
+    return int.from_bytes(data, "little", signed=_INTEGERS[kind][1])
+
+
+def _decimal(number: int, mantissa_bits: int, exponent_bits: int, limit: int) -> float:
+    mantissa = _signed(number & (1 << mantissa_bits) - 1, mantissa_bits)
+    exponent = _signed(number >> mantissa_bits, exponent_bits)
+    # Of the largest, each has a meaning of its own: infinity, no number, not at this resolution.
+    if abs(mantissa) >= limit:
+        return math.nan
+    return mantissa / 10**-exponent if exponent < 0 else float(mantissa * 10**exponent)
+
+
+def _signed(number: int, bits: int) -> int:
+    return number - (1 << bits) if number >> (bits - 1) else number
 
 
 class Row(NamedTuple):
@@ -53,7 +218,7 @@ class Row(NamedTuple):
 
     def parse(self, data: bytes) -> Values | None:
         """Read a value; None if it is cut short."""
-        return read(data, self.flag_bytes, self.fields)
+        return _read(data, self.flag_bytes, self.fields)
 
 
 def _uuid(number: int) -> str:

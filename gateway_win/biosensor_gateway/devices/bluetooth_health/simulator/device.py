@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from itertools import count
 from types import MappingProxyType
 from typing import Any, NamedTuple, Unpack
@@ -12,11 +14,10 @@ from bumble.att import Attribute
 from bumble.core import UUID
 from bumble.gatt import Characteristic, Service
 
+from biosensor_gateway.devices.ble_heart_rate.simulator.expected import EXPECTED as ANY_STRAP
 from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
 from biosensor_gateway.devices.ble_heart_rate.simulator.strap import STRAP_EFFECTS, Strap
 from biosensor_gateway.devices.ble_heart_rate.simulator.strap_device import StrapDevice
-from biosensor_gateway.devices.bluetooth_health.simulator import wire
-from biosensor_gateway.devices.bluetooth_health.simulator.expected import EXPECTED
 from biosensor_gateway.simulation.effects import Effect, on_part
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral
@@ -35,6 +36,60 @@ _SERVICES = {
     "power": (0x1818, 0x2A63, _NOTIFY),
 }
 _WHEEL_HZ, _CRANK_HZ = 2.0, 1.25
+
+# Layouts of values: Bluetooth SIG, Pulse Oximeter Service 1.0.1, Health Thermometer Service 1.0,
+# Running Speed and Cadence Service 1.0, Cycling Speed and Cadence Service 1.0, Cycling Power
+# Service 1.1.
+_NO_NUMBER = 0x07FF
+_STATUS_AND_AMPLITUDE = 0x18
+_UNCONNECTED_TO_USER = 1 << 11
+_TENTHS = 0xF000
+"""Exponent -1, above a mantissa of 12 bits."""
+
+
+def _tenths(value: float) -> int:
+    """Return a decimal number of 16 bits with one place."""
+    return _TENTHS | round(10 * value) & 0x0FFF
+
+
+def _oximeter(spo2: float, pulse: float, amplitude: float, *, worn: bool) -> bytes:
+    """Return a continuous measurement with device status and pulse amplitude index."""
+    status = 0 if worn else _UNCONNECTED_TO_USER
+    numbers = [_tenths(each) if worn else _NO_NUMBER for each in (spo2, pulse, amplitude)]
+    head = struct.pack("<BHH", _STATUS_AND_AMPLITUDE, *numbers[:2])
+    return head + status.to_bytes(3, "little") + struct.pack("<H", numbers[2])
+
+
+def _thermometer(celsius: float) -> bytes:
+    """Return a temperature with two places."""
+    mantissa = round(100 * celsius) & 0xFFFFFF
+    return struct.pack("<BI", 0, mantissa | (-2 & 0xFF) << 24)
+
+
+def _foot_pod(metres_per_second: float, strides_per_minute: int) -> bytes:
+    """Return speed and cadence of a runner."""
+    return struct.pack("<BHB", 4, round(256 * metres_per_second), strides_per_minute)
+
+
+def _bicycle(wheel_turns: int, wheel_s: float, crank_turns: int, crank_s: float) -> bytes:
+    """Return counted turns, and when the last ones were."""
+    times = [round(1024 * each) & 0xFFFF for each in (wheel_s, crank_s)]
+    counts = wheel_turns & 0xFFFFFFFF, times[0], crank_turns & 0xFFFF, times[1]
+    return struct.pack("<BIHHH", 3, *counts)
+
+
+def _power_meter(watts: int) -> bytes:
+    """Return a power and nothing else."""
+    return struct.pack("<Hh", 0, watts)
+
+
+EXPECTED = replace(
+    ANY_STRAP,
+    without_contact=("spo2",),
+    # Speed and cadence are reckoned from counted turns.
+    by_agent=frozenset({"quality", "cycling"}),
+    unstamped_s={"spo2": 0.0, "temp": 0.0, "running": 0.0, "power": 0.0},
+)
 
 
 class _Value(NamedTuple):
@@ -128,14 +183,14 @@ class SimulatedHealthDevice(StrapDevice):
         watts = round(180 + float(wearer.noise(t, 20.0, "power")[0]))
         worn = self._strap.worn
         sample = (spo2, pulse, amplitude) if worn else None
-        yield _Value("spo2", wire.oximeter(spo2, pulse, amplitude, worn=worn), sample)
-        yield _Value("temp", wire.thermometer(celsius), (celsius,))
-        yield _Value("running", wire.foot_pod(speed, 82), (speed, 82.0))
+        yield _Value("spo2", _oximeter(spo2, pulse, amplitude, worn=worn), sample)
+        yield _Value("temp", _thermometer(celsius), (celsius,))
+        yield _Value("running", _foot_pod(speed, 82), (speed, 82.0))
         wheel, crank = int(second * _WHEEL_HZ), int(second * _CRANK_HZ)
         counted = [each - self._stepped_back for each in (wheel, crank)]
-        turns = wire.bicycle(counted[0], wheel / _WHEEL_HZ, counted[1], crank / _CRANK_HZ)
+        turns = _bicycle(counted[0], wheel / _WHEEL_HZ, counted[1], crank / _CRANK_HZ)
         yield _Value("cycling", turns, None)
-        yield _Value("power", wire.power_meter(watts), (float(watts),))
+        yield _Value("power", _power_meter(watts), (float(watts),))
 
     async def _send(self, value: _Value, measured_s: float) -> None:
         characteristic = self._characteristics[value.data_name]
