@@ -16,7 +16,7 @@ from structlog.testing import capture_logs
 
 from biosensor_common.errors import GatewayError, ProtocolError, TransportError
 from biosensor_gateway.devices.brainflow.declaration import board_spec, board_streams
-from biosensor_gateway.devices.brainflow.driver import link as link_module
+from biosensor_gateway.devices.brainflow.driver import process as process_module
 from biosensor_gateway.devices.brainflow.driver.driver import DRIVER
 from tests.brainflow.conftest import ENVIRONMENT, BoardRun, board_settings
 from tests.rigs.driver_run import NotedSink, supervised
@@ -92,13 +92,13 @@ async def test_a_process_that_is_killed_or_hangs_is_replaced(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     started: list[subprocess.Popen[bytes]] = []
-    real = link_module.start
+    real = process_module.start
 
     def noted(*arguments: object) -> subprocess.Popen[bytes]:
         started.append(real(*arguments))  # type: ignore[arg-type]
         return started[-1]
 
-    monkeypatch.setattr(link_module, "start", noted)
+    monkeypatch.setattr(process_module, "start", noted)
     async with supervised(BoardRun()) as run:
         for number, act in enumerate((signal.SIGKILL, signal.SIGSTOP), start=1):
             await until_started(lambda number=number: run.supervisor.connections == number)

@@ -15,8 +15,7 @@ from biosensor_gateway.devices.brainflow.declaration import (
 )
 from biosensor_gateway.devices.brainflow.driver.emitter import PresetEmitter, own_clock
 from biosensor_gateway.devices.brainflow.driver.frames import Frames, Rows, Told
-from biosensor_gateway.devices.brainflow.driver.link import ProcessLink
-from biosensor_gateway.devices.brainflow.driver.process import described, refusal
+from biosensor_gateway.devices.brainflow.driver.process import ProcessLink, described, refusal
 from biosensor_gateway.devices.brainflow.driver.settings import BrainFlowSettings
 from biosensor_gateway.devices.brainflow.driver.timeline import COUNTS_UP_TO
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
