@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 
 from biosensor_gateway.devices.emotibit.driver.emitter import EmotiBitEmitter
-from biosensor_gateway.devices.emotibit.driver.oscillator import Oscillator
 from biosensor_gateway.devices.emotibit.driver.packets import NUMBERS, read
-from biosensor_gateway.devices.emotibit.driver.rows import SensorRows
+from biosensor_gateway.devices.emotibit.driver.rows import Oscillator, SensorRows
 from tests.fuzz.breaking import Fault, always
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink
 from tests.fuzz.contract import ensure
@@ -63,7 +62,7 @@ def seeds() -> Seeds:
 
 
 FAULT: Fault = (
-    "biosensor_gateway.devices.emotibit.driver.oscillator.Oscillator",
+    "biosensor_gateway.devices.emotibit.driver.rows.Oscillator",
     "time_s",
     always(math.nan),
 )

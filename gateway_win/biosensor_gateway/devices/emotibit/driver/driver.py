@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Literal
@@ -17,6 +17,7 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_common.spec import DeviceInfo
+from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.emotibit.driver.advertising import (
     ADVERTISING_PORT,
@@ -24,7 +25,6 @@ from biosensor_gateway.devices.emotibit.driver.advertising import (
     Advertising,
     Nearby,
 )
-from biosensor_gateway.devices.emotibit.driver.discovery import find
 from biosensor_gateway.devices.emotibit.driver.emitter import EmotiBitEmitter
 from biosensor_gateway.devices.emotibit.driver.link import (
     PING_EVERY_S,
@@ -47,6 +47,7 @@ _RATE_TOLERANCE = 0.3
 _RATES = (25, 100)
 _MOST_EARLY = 1024
 _LOCAL_TIME = "%Y-%m-%d_%H-%M-%S-%f"
+_LISTEN_S = 1.5
 
 
 class EmotiBitSettings(DeviceSettings):
@@ -278,6 +279,46 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], EmotiBitDriver]:
     own = own_settings(EmotiBitSettings, settings)
     emitter = EmotiBitEmitter(sink, own.ppg_rate)
     return lambda: EmotiBitDriver(own, sink, emitter)
+
+
+async def find(configured: Sequence[DeviceSettings]) -> list[Found]:
+    """Ask where the settings say, or in the whole network, which EmotiBits there are.
+
+    Raises
+    ------
+    TransportError
+        This computer has no network.
+    """
+    places = {_place(each) for each in configured} or {("", ADVERTISING_PORT)}
+    return [
+        _found(nearby, host, port)
+        for host, port in sorted(places)
+        for nearby in await _nearby(host, port)
+    ]
+
+
+def _place(settings: DeviceSettings) -> tuple[str, int]:
+    values = settings.model_dump()
+    return values["host"], values["port"]
+
+
+async def _nearby(host: str, port: int) -> list[Nearby]:
+    advertising = Advertising(host, port)
+    try:
+        await advertising.open()
+        return await advertising.nearby(_LISTEN_S, first=False)
+    finally:
+        advertising.close()
+
+
+def _found(nearby: Nearby, host: str, port: int) -> Found:
+    unit = nearby.device or nearby.address[0]
+    settings: dict[str, str | int | float | bool] = {"unit": unit, "device": nearby.device}
+    if host or not nearby.device:
+        settings["host"] = nearby.address[0]
+    if port != ADVERTISING_PORT:
+        settings["port"] = port
+    return Found("emotibit", f"EmotiBit {unit}", settings)
 
 
 DRIVER = DriverEntry(EmotiBitSettings, _make, find=find)

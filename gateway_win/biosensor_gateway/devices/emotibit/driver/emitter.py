@@ -10,7 +10,6 @@ from biosensor_gateway.devices.emotibit.declaration import (
     MOTION_HZ,
     TEMPERATURE_HZ,
 )
-from biosensor_gateway.devices.emotibit.driver.oscillator import Oscillator
 from biosensor_gateway.devices.emotibit.driver.packets import (
     TIMES_MS,
     InOrder,
@@ -18,7 +17,7 @@ from biosensor_gateway.devices.emotibit.driver.packets import (
     Packet,
     Tag,
 )
-from biosensor_gateway.devices.emotibit.driver.rows import SensorRows
+from biosensor_gateway.devices.emotibit.driver.rows import Oscillator, SensorRows
 from biosensor_gateway.devices.sink import Sink
 
 CHANNELS = {

@@ -3,34 +3,210 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, Unpack
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
 from biosensor_gateway.devices.emotibit.simulator import wire
-from biosensor_gateway.devices.emotibit.simulator.expected import EXPECTED
 from biosensor_gateway.devices.emotibit.simulator.host import Host
 from biosensor_gateway.devices.emotibit.simulator.rounds import (
     ROUND_S,
     ROUNDS_EFFECTS,
+    Measured,
     Round,
     Rounds,
 )
-from biosensor_gateway.devices.emotibit.simulator.sending import OnItsWay, Sending
-from biosensor_gateway.devices.emotibit.simulator.wifi import WIFI_EFFECTS, Wifi
 from biosensor_gateway.simulation.crystal import Crystal
-from biosensor_gateway.simulation.effects import Effect, lasting, on_part
+from biosensor_gateway.simulation.effects import Effect, Effects, lasting, on_part
+from biosensor_gateway.simulation.expected import Expected, Gap, LossTolerance
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
 from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.tcp_port import LOOPBACK
 from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
 from biosensor_gateway.simulation.world import World
+from biosensor_gateway.system.clock import Clock
 
 _FORGOTTEN_S = 10.0
 """A host that does not ask for so long is gone."""
 _UNREACHABLE = frozenset({FaultKind.DROP, FaultKind.RESTART})
+
+_UNAWARE = "nothing in it knows whether it is worn"
+
+EXPECTED = Expected(
+    by_agent=frozenset({"st"}),
+    gaps={
+        # Its clock begins anew, so nobody knows how long it was off.
+        FaultKind.RESTART: Gap.UNKNOWN,
+    },
+    # Across a gap, samples are told by times at which they were read, up to a period late.
+    loss_tolerance=LossTolerance(over_break=2),
+    impossible={FaultKind.OFF_BODY: _UNAWARE},
+)
+
+Address = tuple[str, int]
+
+
+class _Wifi(asyncio.DatagramProtocol):
+    """The advertising channel, and how good the air is.
+
+    Parameters
+    ----------
+    asked
+        Gets each packet of a host, with its address.
+    host, port
+        Address and UDP port on which it can be asked; 0 takes a free one.
+
+    Attributes
+    ----------
+    host
+        Its address.
+    is_there
+        Whether it is in the Wi-Fi.
+    to_lose
+        So many datagrams of data do not come through.
+    overtakes
+        Whether each third datagram comes behind the next one.
+    """
+
+    def __init__(
+        self, asked: Callable[[wire.Message, Address], None], host: str, port: int
+    ) -> None:
+        self._asked = asked
+        self.host = host
+        self._port = port
+        self._transport: asyncio.DatagramTransport | None = None
+        self._number = 0
+        self.is_there = True
+        self.to_lose = 0
+        self.overtakes = False
+        self._datagrams = 0
+        self._overtaken: bytes | None = None
+
+    @property
+    def port(self) -> int:
+        """The UDP port on which it can be asked."""
+        if self._transport is None:
+            raise RuntimeError("the virtual EmotiBit is not switched on")
+        return int(self._transport.get_extra_info("sockname")[1])
+
+    async def open(self) -> None:
+        """Be in the Wi-Fi."""
+        loop = asyncio.get_running_loop()
+        self._transport, _ = await loop.create_datagram_endpoint(
+            lambda: self, (self.host, self._port)
+        )
+
+    def close(self) -> None:
+        """Leave the Wi-Fi."""
+        if self._transport is not None:
+            self._transport.close()
+            self._transport = None
+
+    def is_let_through(self) -> bool:
+        """Whether the next datagram of data arrives."""
+        if self.to_lose:
+            self.to_lose -= 1
+            return False
+        return True
+
+    def in_turn(self, datagram: bytes) -> list[bytes]:
+        """Return what of the data arrives now: usually the datagram, as long as none overtakes."""
+        self._datagrams += 1
+        overtaken, self._overtaken = self._overtaken, None
+        if overtaken is not None:
+            return [datagram, overtaken]
+        if self.overtakes and self._datagrams % 3 == 0:
+            self._overtaken = datagram
+            return []
+        return [datagram]
+
+    def tell(self, time_ms: int, tag: str, payload: list[str], address: Address) -> None:
+        """Send a host a packet."""
+        if self._transport is not None and self.is_there:
+            self._transport.sendto(wire.packet(time_ms, self._number, tag, payload), address)
+            self._number += 1
+
+    def datagram_received(self, data: bytes, addr: Address) -> None:
+        """Hand a host's packet on; one a datagram, as the firmware has it."""
+        if self.is_there:
+            self._asked(wire.heard(data.split(b"\n")[0]), (addr[0], addr[1]))
+
+    def error_received(self, exc: Exception) -> None:
+        """Pass over a host that is gone."""
+
+
+def _overtake(wifi: _Wifi) -> None:
+    wifi.overtakes = True
+
+
+def _keep_order(wifi: _Wifi) -> None:
+    wifi.overtakes = False
+
+
+WIFI_EFFECTS: Effects[_Wifi] = MappingProxyType(
+    {Untidiness.OVERTAKEN: lasting(_overtake, _keep_order)}
+)
+
+
+class OnItsWay(NamedTuple):
+    """A datagram, to whom, and the samples in it."""
+
+    host: Host
+    datagram: bytes
+    samples: Sequence[Measured]
+
+
+class _Sending:
+    """Puts datagrams out after a delay, none before one that was sent earlier.
+
+    Parameters
+    ----------
+    clock
+        Of the world.
+    rng, jitter_s
+        Makes delays, from 0 to the longest.
+    put_out
+        Called when one is through.
+    """
+
+    def __init__(
+        self,
+        clock: Clock,
+        rng: np.random.Generator,
+        jitter_s: float,
+        put_out: Callable[[OnItsWay], None],
+    ) -> None:
+        self._clock, self._rng, self._jitter_s = clock, rng, jitter_s
+        self._put_out = put_out
+        self._pending: set[asyncio.TimerHandle] = set()
+        self._waiting: deque[OnItsWay] = deque()
+        self._until_s = 0.0
+
+    def send(self, host: Host, datagram: bytes, samples: Sequence[Measured]) -> None:
+        """Put one on its way."""
+        delay_s = self._jitter_s * float(self._rng.random())
+        self._until_s = max(self._until_s, self._clock() + delay_s)
+
+        def arrive() -> None:
+            self._pending.discard(timer)
+            # Timers of the same moment come in any order.
+            self._put_out(self._waiting.popleft())
+
+        self._waiting.append(OnItsWay(host, datagram, samples))
+        loop = asyncio.get_running_loop()
+        timer = loop.call_later(max(0.0, self._until_s - self._clock()), arrive)
+        self._pending.add(timer)
+
+    def forget(self) -> None:
+        """Drop what is on its way."""
+        for timer in self._pending:
+            timer.cancel()
+        self._pending.clear()
+        self._waiting.clear()
+        self._until_s = 0.0
 
 
 class SimulatedEmotiBit(VirtualDevice):
@@ -84,10 +260,10 @@ class SimulatedEmotiBit(VirtualDevice):
         self._crystal = Crystal(world.clock, self.specimen.drift_ppm)
         self._worn_since_s = world.clock()
         self._rounds = self._switched_on()
-        self._wifi = Wifi(self._asked, host, port)
+        self._wifi = _Wifi(self._asked, host, port)
         self._host: Host | None = None
         self._running: asyncio.Task[None] | None = None
-        self._sending = Sending(world.clock, self._rng, self.specimen.jitter_s, self._put_out)
+        self._sending = _Sending(world.clock, self._rng, self.specimen.jitter_s, self._put_out)
         self._answer_delay_s = 0.0
         self._stalled = self._refuses = self._sleeps = self._is_unreadable = False
 
