@@ -20,8 +20,11 @@ from biosensor_common.errors import (
 )
 from biosensor_gateway.devices.emotiv_insight.driver import cortex as module
 from biosensor_gateway.devices.emotiv_insight.driver.codes import ErrorKind, Event
-from biosensor_gateway.devices.emotiv_insight.driver.cortex import CortexClient, CortexError
-from biosensor_gateway.devices.emotiv_insight.driver.cortex_warnings import KEPT_WARNINGS
+from biosensor_gateway.devices.emotiv_insight.driver.cortex import (
+    KEPT_WARNINGS,
+    CortexClient,
+    CortexError,
+)
 from biosensor_gateway.devices.emotiv_insight.driver.messages import FaultCode
 from biosensor_gateway.transports.websocket import ReceivedText
 

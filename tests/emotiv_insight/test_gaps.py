@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.emotiv_insight.driver.gaps import SampleCount
+from biosensor_gateway.devices.emotiv_insight.driver.emitter import SampleCount
 
 START_S = 1.7e9
 NAN = math.nan

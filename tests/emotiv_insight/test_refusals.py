@@ -26,9 +26,8 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_gateway.agent.state import State
-from biosensor_gateway.devices.emotiv_insight.driver import discovery
-from biosensor_gateway.devices.emotiv_insight.driver.discovery import find
-from biosensor_gateway.devices.emotiv_insight.driver.driver import DRIVER
+from biosensor_gateway.devices.emotiv_insight.driver import driver
+from biosensor_gateway.devices.emotiv_insight.driver.driver import DRIVER, find
 from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.system.logs import LOG_FILE_NAME, configure_logs
 
@@ -258,7 +257,7 @@ async def failed_search(run: InsightRun) -> GatewayError:
 async def test_a_search_returns_the_headsets_of_cortex(
     cortex: ScriptedCortex, run: InsightRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(discovery, "SEARCH_S", 0.3)
+    monkeypatch.setattr(driver, "SEARCH_S", 0.3)
     cortex.headsets = [cortex.headset("discovered"), {"id": "EPOCX-1", "status": "discovered"}]
     with capture_logs() as logs:
         (first,) = await find([run.settings, run.settings])

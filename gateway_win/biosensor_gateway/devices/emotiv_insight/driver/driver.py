@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
+from urllib.parse import urlsplit
 
 import structlog
 
 from biosensor_common.errors import TransportError, TransportReason
 from biosensor_common.spec import IRREGULAR, DeviceInfo
+from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.emotiv_insight.driver import account as accounts
 from biosensor_gateway.devices.emotiv_insight.driver import results
-from biosensor_gateway.devices.emotiv_insight.driver.account import SECRETS, Account
+from biosensor_gateway.devices.emotiv_insight.driver.account import (
+    SECRETS,
+    Account,
+    find_credentials,
+)
 from biosensor_gateway.devices.emotiv_insight.driver.cortex import (
     ArrivedData,
     CortexClient,
     CortexError,
 )
-from biosensor_gateway.devices.emotiv_insight.driver.discovery import find
 from biosensor_gateway.devices.emotiv_insight.driver.emitter import (
     EEG_RATE_HZ,
     GYROSCOPE,
@@ -26,13 +31,25 @@ from biosensor_gateway.devices.emotiv_insight.driver.emitter import (
     EmotivEmitter,
 )
 from biosensor_gateway.devices.emotiv_insight.driver.failures import ENDINGS, ending, gateway_error
-from biosensor_gateway.devices.emotiv_insight.driver.headsets import known_headsets, reach
-from biosensor_gateway.devices.emotiv_insight.driver.licence import unlicensed
+from biosensor_gateway.devices.emotiv_insight.driver.headsets import (
+    is_insight,
+    known_headsets,
+    reach,
+    search,
+)
 from biosensor_gateway.devices.emotiv_insight.driver.messages import Fault
 from biosensor_gateway.devices.emotiv_insight.driver.protocol import Decoder
 from biosensor_gateway.devices.emotiv_insight.driver.results import Headset, Subscription
-from biosensor_gateway.devices.emotiv_insight.driver.session import Session, open_session
-from biosensor_gateway.devices.emotiv_insight.driver.settings import EmotivInsightSettings
+from biosensor_gateway.devices.emotiv_insight.driver.session import (
+    Session,
+    open_session,
+    unlicensed,
+)
+from biosensor_gateway.devices.emotiv_insight.driver.settings import (
+    DEFAULT_URL,
+    EmotivInsightSettings,
+    is_loopback,
+)
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.websocket import WebSocketLink
@@ -45,6 +62,7 @@ DUE = {"dev": 15.0}
 """Battery and contact come twice a second."""
 
 _log = structlog.get_logger("biosensor_gateway.emotiv_insight")
+SEARCH_S = 10.0
 
 
 class EmotivInsightDriver:
@@ -203,6 +221,61 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], EmotivInsightDri
     emitter = EmotivEmitter(sink)
     account = Account(own.license, own.debit)
     return lambda: EmotivInsightDriver(own, sink, emitter, account)
+
+
+async def find(configured: Sequence[DeviceSettings]) -> list[Found]:
+    """Return the headsets that the services of the settings, or the usual one, have in reach.
+
+    Raises
+    ------
+    CredentialError
+        Client id or secret, login or approval are missing.
+    TransportError
+        ``ABSENT``: no Cortex service runs there.
+    ProtocolError
+        Cortex refuses or does not answer.
+    """
+    await find_credentials()
+    services = {_service(each) for each in configured} or {(DEFAULT_URL, "")}
+    found: list[Found] = []
+    for url, ca_file in sorted(services):
+        for each in await _headsets(url, ca_file):
+            if is_insight(each):
+                found.append(_found(url, ca_file, each))
+            else:
+                _log.warning("a headset is no Insight and cannot be used", headset=each.headset_id)
+    return found
+
+
+def _service(settings: DeviceSettings) -> tuple[str, str]:
+    values = settings.model_dump()
+    return values["url"], values["ca_file"]
+
+
+async def _headsets(url: str, ca_file: str) -> list[Headset]:
+    client = CortexClient(WebSocketLink(url, ca_file))
+    try:
+        await client.open()
+        # Nobody waits in front of a search for somebody to log in.
+        await Account().sign_in(client, patience_s=0.0)
+        return await search(client, SEARCH_S, lambda _: False)
+    except CortexError as error:
+        raise gateway_error(error) from error
+    finally:
+        await client.close()
+
+
+def _found(url: str, ca_file: str, headset: Headset) -> Found:
+    settings: dict[str, str | int | float | bool] = {
+        "unit": headset.headset_id,
+        "headset": headset.headset_id,
+    }
+    if url != DEFAULT_URL:
+        settings["url"] = url
+        settings["allow_remote"] = not is_loopback(urlsplit(url).hostname or "")
+    if ca_file:
+        settings["ca_file"] = ca_file
+    return Found("emotiv_insight", headset.name or headset.headset_id, settings)
 
 
 DRIVER = DriverEntry(

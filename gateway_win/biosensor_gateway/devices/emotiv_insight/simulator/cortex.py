@@ -14,15 +14,85 @@ from types import MappingProxyType
 from typing import Any, Unpack
 
 from biosensor_gateway.devices.emotiv_insight.simulator.circumstances import APP, Circumstances
-from biosensor_gateway.devices.emotiv_insight.simulator.expected import EXPECTED
-from biosensor_gateway.devices.emotiv_insight.simulator.faults import EFFECTS
 from biosensor_gateway.devices.emotiv_insight.simulator.headset import Timing
 from biosensor_gateway.devices.emotiv_insight.simulator.models import INSIGHT_1, Model
 from biosensor_gateway.devices.emotiv_insight.simulator.service import Service, Setup
-from biosensor_gateway.simulation.effects import on_part
+from biosensor_gateway.simulation.effects import Effect, Effects, lasting, on_part
+from biosensor_gateway.simulation.expected import Contact, Expected, Gap
+from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import Filled, VirtualDevice
 from biosensor_gateway.simulation.world import World
+
+EXPECTED = Expected(
+    # The contact of all electrodes together, in percent.
+    contact=Contact("dev", 7),
+    without_contact=("met",),
+    # Cortex lets go of the headset, which then measures nothing. Its numbers and times tell
+    # exactly what is lost.
+    gaps={FaultKind.RESTART: Gap.STOPPED},
+)
+
+
+def _stall(service: Service) -> None:
+    service.listener.stall()
+
+
+def _resume(service: Service) -> None:
+    service.listener.resume()
+
+
+def _babble(service: Service, messages: float) -> None:
+    service.send_garbage(round(messages))
+
+
+def _send_unannounced(service: Service) -> None:
+    service.mishaps.unannounced = True
+
+
+def _send_announced(service: Service) -> None:
+    service.mishaps.unannounced = False
+
+
+def _comply(service: Service) -> None:
+    service.manners.refusal = None
+
+
+def _answer_in_time(service: Service) -> None:
+    service.manners.late_s = 0.0
+
+
+def _forget(service: Service, _: float) -> None:
+    service.sessions.forget_subscriptions()
+
+
+def _discharge(service: Service, percent: float) -> None:
+    service.set_battery(round(percent))
+
+
+def _take_off(service: Service) -> None:
+    service.set_worn(is_worn=False)
+
+
+def _put_on(service: Service) -> None:
+    service.set_worn(is_worn=True)
+
+
+EFFECTS: Effects[Service] = MappingProxyType(
+    {
+        FaultKind.DROP: lasting(Service.drop, Service.restore),
+        FaultKind.STALL: lasting(_stall, _resume),
+        FaultKind.GARBAGE: Effect(_babble),
+        FaultKind.REFUSE: lasting(Service.refuse, _comply),
+        FaultKind.LATE: Effect(Service.delay, _answer_in_time),
+        FaultKind.FORGET: Effect(_forget),
+        FaultKind.UNREADABLE: lasting(_send_unannounced, _send_announced),
+        FaultKind.RESTART: lasting(Service.go_down, Service.come_up),
+        FaultKind.LOW_BATTERY: Effect(_discharge),
+        FaultKind.OFF_BODY: lasting(_take_off, _put_on),
+        FaultKind.DRIFT: Effect(Service.set_drift),
+    }
+)
 
 
 class SimulatedCortex(VirtualDevice):
