@@ -11,7 +11,6 @@ import pytest
 from structlog.testing import capture_logs
 
 from biosensor_gateway.devices.empatica_e4.driver import emitter as emitter_module
-from biosensor_gateway.devices.empatica_e4.driver import loss as loss_module
 from biosensor_gateway.devices.empatica_e4.simulator import Timing
 from biosensor_gateway.simulation.faults import Fault, FaultKind
 from biosensor_gateway.simulation.world import World
@@ -27,8 +26,7 @@ Running = Callable[[Mapping[str, Any]], AbstractAsyncContextManager[Any]]
 @pytest.fixture
 def short_window(monkeypatch: pytest.MonkeyPatch) -> float:
     """Estimate losses every two seconds."""
-    for module in (loss_module, emitter_module):
-        monkeypatch.setattr(module, "WINDOW_S", 2.0)
+    monkeypatch.setattr(emitter_module, "WINDOW_S", 2.0)
     return 2.0
 
 

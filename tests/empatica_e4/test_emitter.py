@@ -10,8 +10,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from biosensor_gateway.devices.empatica_e4.declaration import SPEC
-from biosensor_gateway.devices.empatica_e4.driver.emitter import E4Emitter
-from biosensor_gateway.devices.empatica_e4.driver.loss import WINDOW_S
+from biosensor_gateway.devices.empatica_e4.driver.emitter import WINDOW_S, E4Emitter
 from biosensor_gateway.devices.empatica_e4.driver.messages import Sample, Stream
 from tests.rigs.emitter_sink import EmitterSink
 

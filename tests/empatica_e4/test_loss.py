@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.empatica_e4.driver.loss import BRIDGED_S, WINDOW_S, LossEstimate
+from biosensor_gateway.devices.empatica_e4.driver.emitter import BRIDGED_S, WINDOW_S, LossEstimate
 
 RATE_HZ = 64.0
 HOUR_S = 3600.0

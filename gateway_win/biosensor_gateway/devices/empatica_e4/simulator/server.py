@@ -2,18 +2,145 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import asyncio
+import socket
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from biosensor_gateway.devices.empatica_e4.simulator.client import Client, Hear
 from biosensor_gateway.devices.empatica_e4.simulator.commands import Commands, Manners
 from biosensor_gateway.devices.empatica_e4.simulator.delivery import Delivery
-from biosensor_gateway.devices.empatica_e4.simulator.garbage import damaged_line
-from biosensor_gateway.devices.empatica_e4.simulator.listener import Listener
 from biosensor_gateway.devices.empatica_e4.simulator.number_format import NumberFormat
 from biosensor_gateway.devices.empatica_e4.simulator.wall_clock import WallClock
 from biosensor_gateway.devices.empatica_e4.simulator.wristband import Wristband
+from biosensor_gateway.simulation.tcp_port import TcpPort
 from biosensor_gateway.system.clock import Clock
+
+_STAMP = "1680442024,64479"
+_DAMAGED: Sequence[bytes] = tuple(
+    line.encode()
+    for line in (
+        "E4_Bvp 16804420",
+        f"E4_Bvp {_STAMP}",
+        f"E4_Bvp {_STAMP} NaN",
+        f"E4_Bvp {_STAMP} -Infinity",
+        f"E4_Acc {_STAMP} 1 2",
+        f"E4_Gsr {_STAMP} 0,08 0,09",
+        f"E4_Gsr {_STAMP} abc",
+        "E4_Bvp 1680442024,64,479 1,0",
+        f"E4_Foo {_STAMP} 1,0",
+        f"E4_Bvp {_STAMP} 21,54169E4_Bvp 1680442024,66041 20,6037",
+        "4479 21,5",
+        "hello world",
+        "R",
+        "R device_frobnicate OK",
+        "R device_list x",
+        "R device_list 2 | 9ff167 Empatica_E4",
+    )
+)
+_BROKEN_TEXT = b"E4\xff_Bvp 1680442024,6 1\xc3"
+
+
+def damaged_line(rng: np.random.Generator) -> bytes:
+    """One damaged line, with its end."""
+    kind = int(rng.integers(len(_DAMAGED) + 2))
+    if kind < len(_DAMAGED):
+        return _DAMAGED[kind] + b"\r\n"
+    if kind == len(_DAMAGED):
+        return _BROKEN_TEXT + b"\r\n"
+    return rng.bytes(48).replace(b"\n", b"\0") + b"\r\n"
+
+
+class _Listener:
+    """A TCP server whose port stays its own while it is shut.
+
+    Parameters
+    ----------
+    hear
+        Gets each client's requests.
+
+    Attributes
+    ----------
+    clients
+        Those that are connected.
+    """
+
+    def __init__(self, hear: Hear) -> None:
+        self.clients: set[Client] = set()
+        self._hear = hear
+        self._port = TcpPort(self._connected)
+        self._connecting: set[asyncio.Task[object]] = set()
+        self._is_stalled = False
+
+    @property
+    def port(self) -> int:
+        """TCP port, the same over all openings; 0 before the first."""
+        return self._port.number
+
+    def open(self) -> None:
+        """Accept clients from now on.
+
+        Raises
+        ------
+        TransportError
+            BUSY if the port cannot be had.
+        """
+        self._port.open()
+
+    def shut(self) -> None:
+        """Refuse clients from now on, break off those that are connected, keep the port."""
+        self._port.shut()
+        self.reset_all()
+
+    def reset_all(self) -> None:
+        """Break every connection off."""
+        for client in tuple(self.clients):
+            client.reset()
+
+    def stall(self) -> None:
+        """Send and read nothing; connections stand, and new ones are taken."""
+        self._is_stalled = True
+        for client in self.clients:
+            client.stall()
+
+    def resume(self) -> None:
+        """End a `stall`."""
+        self._is_stalled = False
+        for client in self.clients:
+            client.resume()
+
+    async def stop(self) -> None:
+        """Close every connection and give the port back."""
+        self._port.close()
+        for client in tuple(self.clients):
+            await client.end()
+
+    def let_in(self, client: Client) -> bool:
+        """Take a client, unless the port was shut since it was accepted."""
+        if not self._port.is_open:
+            return False
+        self.clients.add(client)
+        # In Python 3.11.2, which Debian 12 has, asyncio reads from a new connection although that
+        # was paused as it was made, so it is paused right after.
+        asyncio.get_running_loop().call_soon(self._stall_new, client)
+        return True
+
+    def _stall_new(self, client: Client) -> None:
+        if self._is_stalled:
+            client.stall()
+
+    def let_go(self, client: Client) -> None:
+        """Forget a client whose connection has ended."""
+        self.clients.discard(client)
+
+    def _connected(self, connection: socket.socket) -> None:
+        loop = asyncio.get_running_loop()
+        task = loop.create_task(
+            loop.connect_accepted_socket(lambda: Client(self, self._hear), connection)
+        )
+        self._connecting.add(task)
+        task.add_done_callback(self._connecting.discard)
 
 
 class Server:
@@ -49,7 +176,7 @@ class Server:
         self.wristbands: dict[str, Wristband] = {}
         self.manners = Manners()
         self.commands = Commands(self.wristbands, self.manners, self._connect)
-        self.listener = Listener(self.commands.hear)
+        self.listener = _Listener(self.commands.hear)
         self.delivery = Delivery(lambda: self.listener.clients, style)
         self._is_automatic = is_automatic
         self._is_up = self._is_over = False
