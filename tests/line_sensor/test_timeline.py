@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.line_sensor.driver.emitter import LineEmitter
-from biosensor_gateway.devices.line_sensor.driver.timeline import Order, Unwrapped
+from biosensor_gateway.devices.line_sensor.driver.emitter import LineEmitter, Order, Unwrapped
 from tests.line_sensor.conftest import line_settings
 from tests.rigs.emitter_sink import EmitterSink
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import struct
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, ClassVar, Unpack
+from typing import Any, ClassVar, NamedTuple, Unpack
 
 import numpy as np
 
@@ -17,13 +19,6 @@ from biosensor_gateway.devices.line_sensor.declaration import (
     NAME,
 )
 from biosensor_gateway.devices.line_sensor.simulator.ways import Serial, Udp, Way, WebSocket
-from biosensor_gateway.devices.line_sensor.simulator.wire import (
-    RECORD_FORMAT,
-    Measured,
-    csv_line,
-    json_line,
-    record,
-)
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, lasting
 from biosensor_gateway.simulation.expected import Expected, Gap, LossTolerance
@@ -35,6 +30,67 @@ from biosensor_gateway.simulation.world import World
 _DIGITS = 4
 _NO_COMMANDS = "it takes no command and sends all the time"
 _NO_STATE = "its lines say nothing of it"
+
+MICROS_TURN = 1 << 32
+"""Where an Arduino's ``micros()`` begins anew."""
+
+_RECORD = struct.Struct("<IIffff")
+_RECORD_START = b"\xaa\x55"
+RECORD_FORMAT = "<IIffff"
+
+
+class Measured(NamedTuple):
+    """One look of a board at its sensors.
+
+    Attributes
+    ----------
+    number
+        Of the look, since it was switched on.
+    micros
+        Its clock.
+    acc_g, gsr_us
+        As they are written, in g and in microsiemens.
+    """
+
+    number: int
+    micros: int
+    acc_g: tuple[float, float, float]
+    gsr_us: float
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """All values, in the order of the columns."""
+        return (self.number, self.micros % MICROS_TURN, *self.acc_g, self.gsr_us)
+
+
+def _csv_line(measured: Measured) -> bytes:
+    """Write values between commas, as ``Serial.println`` ends a line."""
+    number, micros, *values = measured.numbers
+    return f"{number},{micros},{','.join(f'{each:.4f}' for each in values)}\r\n".encode()
+
+
+def _json_line(measured: Measured) -> bytes:
+    """Write an object with one inside it."""
+    number, micros, x, y, z, gsr = measured.numbers
+    said = {"n": number, "t": micros, "acc": {"x": x, "y": y, "z": z}, "gsr": gsr}
+    return json.dumps(said, separators=(",", ":")).encode() + b"\n"
+
+
+def _record(measured: Measured) -> bytes:
+    """Write a packed C struct behind two bytes, and the CRC of its values."""
+    values = _RECORD.pack(*measured.numbers)
+    return _RECORD_START + values + struct.pack("<H", crc16(values))
+
+
+def crc16(data: bytes) -> int:
+    """Compute CRC-16 with the polynomial 0x1021, begun with 0xFFFF, bit by bit."""
+    crc = 0xFFFF
+    for byte in data:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1) ^ (0x1021 if crc & 0x8000 else 0)
+            crc &= 0xFFFF
+    return crc
 
 
 class SimulatedLineSensor(VirtualDevice):
@@ -78,7 +134,7 @@ class SimulatedLineSensor(VirtualDevice):
 
     @staticmethod
     def _written(measured: Measured) -> bytes:
-        return csv_line(measured)
+        return _csv_line(measured)
 
     @property
     def settings(self) -> Mapping[str, Any]:
@@ -213,7 +269,7 @@ class UdpLineSensor(SimulatedLineSensor):
 
     @staticmethod
     def _written(measured: Measured) -> bytes:
-        return json_line(measured)
+        return _json_line(measured)
 
 
 class WebSocketLineSensor(SimulatedLineSensor):
@@ -227,7 +283,7 @@ class WebSocketLineSensor(SimulatedLineSensor):
 
     @staticmethod
     def _written(measured: Measured) -> bytes:
-        return json_line(measured)
+        return _json_line(measured)
 
 
 class StructLineSensor(SimulatedLineSensor):
@@ -248,4 +304,4 @@ class StructLineSensor(SimulatedLineSensor):
 
     @staticmethod
     def _written(measured: Measured) -> bytes:
-        return record(measured)
+        return _record(measured)
