@@ -7,7 +7,7 @@ negative number of samples is lost.
 from __future__ import annotations
 
 from biosensor_gateway.devices.movesense.driver.assembly import Assembler
-from biosensor_gateway.devices.movesense.driver.emitter import MovesenseEmitter
+from biosensor_gateway.devices.movesense.driver.emitter import MovesenseEmitter, PacketSeries
 from biosensor_gateway.devices.movesense.driver.measurements import (
     HEART_RATE,
     MOVEMENT,
@@ -22,7 +22,6 @@ from biosensor_gateway.devices.movesense.driver.protocol import (
     parse_greeting,
     parse_message,
 )
-from biosensor_gateway.devices.movesense.driver.timeline import PacketSeries
 from tests.fuzz.breaking import Fault, always
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink
 from tests.fuzz.contract import ensure
@@ -89,7 +88,7 @@ def seeds() -> Seeds:
 
 
 FAULT: Fault = (
-    "biosensor_gateway.devices.movesense.driver.timeline.PacketSeries",
+    "biosensor_gateway.devices.movesense.driver.emitter.PacketSeries",
     "_missing",
     always(-1),
 )

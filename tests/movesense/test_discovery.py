@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from biosensor_gateway.devices.movesense.driver.discovery import identify, recognise
-from biosensor_gateway.devices.movesense.driver.driver import MovesenseSettings
+from biosensor_gateway.devices.movesense.driver.driver import MovesenseSettings, identify, recognise
 from biosensor_gateway.doctor.scan import drivers_by_precedence, recognised
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.movesense.driver.timeline import PacketSeries, StampClock
+from biosensor_gateway.devices.movesense.driver.emitter import PacketSeries, StampClock
 
 
 def stamp(index: int, rate_hz: float) -> float:

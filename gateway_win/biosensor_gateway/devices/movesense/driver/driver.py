@@ -7,13 +7,8 @@ from typing import Literal
 
 from pydantic import Field
 
+from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
-from biosensor_gateway.devices.movesense.driver.discovery import (
-    ADVICE,
-    KIND,
-    identify,
-    recognise,
-)
 from biosensor_gateway.devices.movesense.driver.emitter import MovesenseEmitter
 from biosensor_gateway.devices.movesense.driver.measurements import (
     HEART_RATE,
@@ -29,8 +24,14 @@ from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_pairing import Pairing
+from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 _REGULAR = frozenset({"ecg", *MOVEMENT})
+KIND = "Movesense"
+ADVICE = (
+    "snap it into its strap and put that on with wet electrodes, and end its connection to "
+    "phones and other programs"
+)
 
 
 class MovesenseSettings(DeviceSettings):
@@ -141,6 +142,23 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], MovesenseDriver]
         return MovesenseDriver(session, silent, rates)
 
     return make
+
+
+def identify(seen: Advertisement) -> str | None:
+    """Return the serial number from the name ``Movesense <serial>``; None for other devices."""
+    kind, _, serial = seen.name.strip().partition(" ")
+    return serial.strip() if kind == KIND else None
+
+
+def recognise(seen: Advertisement | SerialPort) -> Found | None:
+    """Tell whether this is a Movesense sensor."""
+    if not isinstance(seen, Advertisement):
+        return None
+    serial = identify(seen)
+    if serial is None:
+        return None
+    settings = {"unit": serial or seen.address, "device": seen.address}
+    return Found("movesense", seen.name, settings, seen.rssi_dbm)
 
 
 DRIVER = DriverEntry(MovesenseSettings, _make, recognise=recognise)
