@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from biosensor_gateway.devices.muse.driver.discovery import identify, recognise
-from biosensor_gateway.devices.muse.driver.models import (
-    ATHENA,
-    CLASSIC,
+from biosensor_gateway.devices.muse.driver.driver import identify, recognise
+from biosensor_gateway.devices.muse.driver.session import (
+    ATHENA_PRESETS,
+    CLASSIC_PRESETS,
     athena_preset,
     classic_preset,
     model_of,
@@ -56,7 +56,7 @@ def test_a_serial_port_is_none() -> None:
 def test_the_preset_of_a_classic_has_what_is_wanted_and_no_more(
     serial: str, aux: bool, ppg: bool
 ) -> None:
-    sent = CLASSIC[classic_preset(serial, aux=aux, ppg=ppg)]
+    sent = CLASSIC_PRESETS[classic_preset(serial, aux=aux, ppg=ppg)]
     assert (sent.has_aux, sent.light > 0) == (aux, ppg)
 
 
@@ -76,7 +76,7 @@ def test_the_preset_of_an_athena_is_the_smallest_that_has_what_is_wanted(
     aux: bool, light: int, preset: str
 ) -> None:
     assert athena_preset(aux=aux, light=light) == preset
-    assert preset in ATHENA
+    assert preset in ATHENA_PRESETS
 
 
 def test_the_model_is_told_by_the_serial_number() -> None:

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from biosensor_gateway.devices.muse.driver.classic_emitter import PATIENCE, RowAssembler, Rows
 from biosensor_gateway.devices.muse.driver.packets import (
     ACC_G,
     GYRO_DPS,
@@ -19,7 +20,6 @@ from biosensor_gateway.devices.muse.driver.packets import (
     parse_light,
     parse_motion,
 )
-from biosensor_gateway.devices.muse.driver.rows import PATIENCE, RowAssembler, Rows
 from tests.muse.known import bytes_of, of_kind
 
 READERS: dict[str, Callable[[bytes], Packet | None]] = {

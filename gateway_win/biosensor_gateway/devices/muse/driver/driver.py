@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
+from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
-from biosensor_gateway.devices.muse.driver.discovery import ADVICE, KIND, identify, recognise
 from biosensor_gateway.devices.muse.driver.emitter import MuseEmitter
+from biosensor_gateway.devices.muse.driver.gatt import SERVICE
 from biosensor_gateway.devices.muse.driver.session import MuseSession
 from biosensor_gateway.devices.muse.driver.settings import MuseSettings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
+from biosensor_gateway.transports.nearby import Advertisement, SerialPort
+
+KIND = "Muse"
+ADVICE = "switch it on (its lights run), and end its connection to phones and other programs"
+_NAME = re.compile(r"Muse(?:S|Athena| Athena)?-(?P<number>\w+)")
+
+_SEPARATORS = re.compile(r"[^0-9A-Fa-f]")
 
 
 class MuseDriver:
@@ -58,6 +67,29 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], MuseDriver]:
         return MuseDriver(MuseSession(BleLink(choice, sink.clock), emitter, sink, own))
 
     return make
+
+
+def identify(seen: Advertisement) -> str | None:
+    """Return the digits of a name like ``Muse-3A1F`` or ``MuseS-3A1F``; None for other devices.
+
+    Some headbands advertise no name: their service tells them, and nothing their digits.
+    """
+    if not seen.name.strip():
+        return "" if SERVICE in seen.service_uuids else None
+    found = _NAME.fullmatch(seen.name.strip())
+    return found["number"] if found else None
+
+
+def recognise(seen: Advertisement | SerialPort) -> Found | None:
+    """Tell whether this is a Muse."""
+    if not isinstance(seen, Advertisement):
+        return None
+    number = identify(seen)
+    if number is None:
+        return None
+    unit = number or _SEPARATORS.sub("", seen.address)[-4:]
+    settings = {"unit": unit, "device": seen.address}
+    return Found("muse", seen.name or f"{KIND} without a name", settings, seen.rssi_dbm)
 
 
 DRIVER = DriverEntry(MuseSettings, _make, recognise=recognise)

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
 from biosensor_common.errors import GatewayError, ProtocolError, ProtocolReason
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.muse.driver import commands
-from biosensor_gateway.devices.muse.driver.commands import text_of
-from biosensor_gateway.devices.muse.driver.conversation import Conversation
+from biosensor_gateway.devices.muse.driver.commands import Answer, Answers, text_of
 from biosensor_gateway.devices.muse.driver.emitter import MuseEmitter, Started
 from biosensor_gateway.devices.muse.driver.gatt import (
     ACC,
@@ -23,16 +22,10 @@ from biosensor_gateway.devices.muse.driver.gatt import (
     PPG,
     TELEMETRY,
 )
-from biosensor_gateway.devices.muse.driver.models import (
-    ATHENA,
-    CLASSIC,
-    athena_preset,
-    classic_preset,
-    model_of,
-)
 from biosensor_gateway.devices.muse.driver.settings import MuseSettings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.transports.ble import BleLink, Notification
+from biosensor_gateway.transports.dialogue import Dialogue
 from biosensor_gateway.transports.nearby import Advertisement
 
 KEEP_ALIVE_S = 10.0
@@ -40,6 +33,170 @@ KEEP_ALIVE_S = 10.0
 GOODBYE_LIMIT_S = 0.45
 _ALWAYS = frozenset({"eeg", "acc", "gyro"})
 _OPTIONAL = frozenset({"aux", "ppg", "optics"})
+
+# Sources: BrainFlow's list of supported boards for what presets send; recordings of an Athena in
+# OpenMuse (`tests/test_data`), in which those of two digits send no light; the package openble-muse
+# for serial numbers.
+_MODELS = {
+    "2": "Muse 2016",
+    "4": "Muse 2",
+    "5": "Muse S",
+    "6": "Muse S",
+    "7": "Muse S Athena",
+}
+MUSE_S = frozenset({"5", "6"})
+
+
+class _Preset(NamedTuple):
+    """What a headband sends besides four channels of EEG, acceleration and rotation.
+
+    Attributes
+    ----------
+    has_aux
+        The inputs for electrodes of one's own.
+    light
+        Channels of light.
+    """
+
+    has_aux: bool
+    light: int
+
+
+CLASSIC_PRESETS = {
+    "p20": _Preset(True, 0),
+    "p21": _Preset(False, 0),
+    "p50": _Preset(True, 3),
+    "p51": _Preset(False, 3),
+    "p60": _Preset(True, 3),
+    "p61": _Preset(False, 3),
+}
+"""Of headbands before the Athena; the last two of a Muse S."""
+ATHENA_PRESETS = {
+    "p21": _Preset(False, 0),
+    "p1034": _Preset(False, 8),
+    "p1035": _Preset(False, 4),
+    "p1041": _Preset(True, 16),
+    "p1042": _Preset(True, 16),
+    "p1043": _Preset(True, 8),
+    "p1044": _Preset(True, 8),
+    "p1045": _Preset(True, 4),
+    "p1046": _Preset(True, 4),
+}
+
+
+def model_of(serial: str) -> str:
+    """Return the model by its serial number, empty if that tells nothing."""
+    return _MODELS.get(serial[:1], "")
+
+
+def classic_preset(serial: str, *, aux: bool, ppg: bool) -> str:
+    """Return the preset of a Muse 2 or Muse S."""
+    decade = 20 if not ppg else 60 if serial[:1] in MUSE_S else 50
+    return f"p{decade if aux else decade + 1}"
+
+
+def athena_preset(*, aux: bool, light: int) -> str:
+    """Return the preset of an Athena with the fewest channels that has what is wanted."""
+    fitting = [
+        (preset.light, preset.has_aux, name)
+        for name, preset in ATHENA_PRESETS.items()
+        if preset.light >= light and preset.has_aux >= aux
+    ]
+    return min(fitting)[2]
+
+
+ANSWER_LIMIT_S = 5.0
+
+
+class _Conversation:
+    """What is said over one connection.
+
+    Parameters
+    ----------
+    link
+    """
+
+    def __init__(self, link: BleLink) -> None:
+        self._link = link
+        # One for all questions: a packet may end an answer and begin the next one.
+        self._answers = Answers()
+        self._fresh: list[Answer] = []
+        self._dialogue: Dialogue[Notification, str] = Dialogue(self._receive, self.tell)
+
+    async def begin(self) -> None:
+        """Listen to answers.
+
+        Raises
+        ------
+        TransportError
+            ``LOST`` or ``SILENT``.
+        ProtocolError
+            ``UNSUPPORTED``: it is no Muse of these generations.
+        """
+        # Before the first command, whose answer would be lost otherwise.
+        await self._link.subscribe(CONTROL)
+        self._dialogue.begin()
+
+    async def ask(self, command: str, key: str = "rc") -> Answer:
+        """Send a command and return its answer.
+
+        Parameters
+        ----------
+        command
+        key
+            A field that the answer has, and no other one: an earlier one may come late.
+
+        Raises
+        ------
+        TransportError
+            ``LOST`` or ``SILENT``.
+        ProtocolError
+            ``NO_REPLY`` or ``REFUSED``.
+        """
+
+        def match(notification: Notification) -> Answer | None:
+            if notification.uuid != CONTROL:
+                return None
+            fits = (each for each in self._fresh if key in each or commands.return_code(each))
+            return next(fits, None)
+
+        answer = await self._dialogue.ask(command, match, ANSWER_LIMIT_S)
+        if answer is None:
+            message = f"{self._link.what}: no answer to the command {command}; switch it off and on"
+            raise ProtocolError(ProtocolReason.NO_REPLY, message)
+        code = commands.return_code(answer)
+        if code:
+            message = (
+                f"{self._link.what} refuses the command {command} ({code}); switch it off and on, "
+                "and leave preset empty in its settings"
+            )
+            raise ProtocolError(ProtocolReason.REFUSED, message)
+        return answer
+
+    async def tell(self, command: str) -> None:
+        """Send a command without waiting for its answer; raises as `ask` does."""
+        await self._link.write(CONTROL, commands.encode(command), response=False)
+
+    async def stream(self, listener: Callable[[Sequence[Notification]], None]) -> None:
+        """Pass on all notifications since `begin`.
+
+        Raises
+        ------
+        TransportError
+            ``LOST``, once everything that had arrived was passed on.
+        """
+        await self._dialogue.stream(listener)
+
+    async def close(self) -> None:
+        """Listen no more."""
+        await self._dialogue.close()
+
+    async def _receive(self) -> Sequence[Notification]:
+        notification = await self._link.next()
+        if notification.uuid == CONTROL:
+            first = self._answers.feed(notification.data)
+            self._fresh = [] if first is None else [first, *self._answers.complete]
+        return (notification,)
 
 
 class Opened(NamedTuple):
@@ -74,7 +231,7 @@ class MuseSession:
         self._emitter = emitter
         self._sink = sink
         self._settings = settings
-        self._conversation = Conversation(link)
+        self._conversation = _Conversation(link)
         self._seen: tuple[Advertisement, float] | None = None
         self._preset = ""
         self._started = Started(_ALWAYS, None)
@@ -160,7 +317,7 @@ class MuseSession:
     def _chosen(self, serial: str) -> tuple[str, frozenset[str]]:
         """Return the preset, and which optional streams are to come with it."""
         own, has_ppg = self._settings, self._link.has(PPG[0])
-        known = ATHENA if self._is_athena else CLASSIC
+        known = ATHENA_PRESETS if self._is_athena else CLASSIC_PRESETS
         preset = own.preset or (
             athena_preset(aux=own.aux, light=own.optics)
             if self._is_athena

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Coroutine, Iterable, Mapping
 from itertools import count
 from types import MappingProxyType
@@ -9,9 +10,9 @@ from typing import NamedTuple, Unpack
 
 import numpy as np
 
-from biosensor_gateway.devices.muse.simulator import packets
 from biosensor_gateway.devices.muse.simulator.expected import CLASSIC
 from biosensor_gateway.devices.muse.simulator.headband import Headband
+from biosensor_gateway.devices.muse.simulator.wire import uuid
 from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.virtual_device import Filled
@@ -26,6 +27,53 @@ _SILENT = "it is switched off unless the settings ask"
 
 Packets = list[tuple[str, bytes]]
 Rows = dict[str, Floats]
+
+# Sources: muse-lsl (`muse.py`), muse-js (`muse-parse.ts`) and BrainFlow (`muse.cpp`), which agree
+# on 12 samples of 12 bits, 6 of 24 bits, 3 times 3 of 16 bits, and on their scales.
+EEG_UUIDS = {"TP9": uuid(3), "AF7": uuid(4), "AF8": uuid(5), "TP10": uuid(6)}
+AUX_UUID, GYRO_UUID, ACC_UUID, TELEMETRY_UUID = uuid(7), uuid(9), uuid(10), uuid(11)
+LIGHT_UUIDS = {"ambient": uuid(15), "infrared": uuid(16), "red": uuid(17)}
+EEG_COUNT, LIGHT_COUNT, MOTION_COUNT = 12, 6, 3
+_UV, _G, _DPS = 0.48828125, 1 / 16384, 245 / 32768
+_FULL_12, _FULL_24 = (1 << 12) - 1, (1 << 24) - 1
+
+
+def _eeg_packet(number: int, microvolts: Floats) -> tuple[bytes, Floats]:
+    """Return a packet of one electrode, and the values that it holds [uV]."""
+    counts = np.clip(np.rint(microvolts / _UV) + 2048, 0, _FULL_12).astype(int)
+    bits = 0
+    for each in counts:
+        bits = bits << 12 | int(each)
+    return struct.pack(">H", number & 0xFFFF) + bits.to_bytes(18, "big"), (counts - 2048) * _UV
+
+
+def _light_packet(number: int, values: Floats) -> tuple[bytes, Floats]:
+    """Return a packet of one photodiode, and the values that it holds [counts]."""
+    counts = np.clip(np.rint(values), 0, _FULL_24).astype(int)
+    body = b"".join(int(count).to_bytes(3, "big") for count in counts)
+    return struct.pack(">H", number & 0xFFFF) + body, counts.astype(float)
+
+
+def _acceleration_packet(number: int, g: Floats) -> tuple[bytes, Floats]:
+    """Return a packet of acceleration, and the values that it holds [g]."""
+    return _motion(number, g, _G)
+
+
+def _rotation_packet(number: int, degrees_per_s: Floats) -> tuple[bytes, Floats]:
+    """Return a packet of rotation, and the values that it holds [deg/s]."""
+    return _motion(number, degrees_per_s, _DPS)
+
+
+def _telemetry_packet(number: int, percent: float) -> tuple[bytes, float]:
+    """Return a packet of battery and temperature, and the percentage that it holds."""
+    raw = round(percent * 512)
+    fields = struct.pack(">HHHHH", number & 0xFFFF, raw, 1700, 3900, 25)
+    return fields.ljust(20, b"\0"), raw / 512
+
+
+def _motion(number: int, values: Floats, unit: float) -> tuple[bytes, Floats]:
+    counts = np.clip(np.rint(values / unit), -32768, 32767).astype(">i2")
+    return struct.pack(">H", number & 0xFFFF) + counts.tobytes(), counts * unit
 
 
 class _Source(NamedTuple):
@@ -91,12 +139,12 @@ class SimulatedMuse(Headband):
         self._motion_hz = _MOTION_HZ * (1 + motion_deviation)
         self._offer(
             [
-                *packets.EEG_UUIDS.values(),
-                packets.AUX_UUID,
-                packets.GYRO_UUID,
-                packets.ACC_UUID,
-                packets.TELEMETRY_UUID,
-                *packets.LIGHT_UUIDS.values(),
+                *EEG_UUIDS.values(),
+                AUX_UUID,
+                GYRO_UUID,
+                ACC_UUID,
+                TELEMETRY_UUID,
+                *LIGHT_UUIDS.values(),
             ]
         )
 
@@ -107,11 +155,11 @@ class SimulatedMuse(Headband):
         return {**super().worn_by(wearer, number), **own}
 
     def _streams(self) -> Iterable[Coroutine[None, None, None]]:
-        yield self._send_all(_Source(_EEG_HZ, packets.EEG_COUNT, self._eeg))
+        yield self._send_all(_Source(_EEG_HZ, EEG_COUNT, self._eeg))
         for measure in (self._acceleration, self._rotation):
-            yield self._send_all(_Source(self._motion_hz, packets.MOTION_COUNT, measure))
+            yield self._send_all(_Source(self._motion_hz, MOTION_COUNT, measure))
         if self._preset in _WITH_LIGHT:
-            yield self._send_all(_Source(_LIGHT_HZ, packets.LIGHT_COUNT, self._light))
+            yield self._send_all(_Source(_LIGHT_HZ, LIGHT_COUNT, self._light))
         yield self._tell_battery()
 
     async def _send_all(self, source: _Source) -> None:
@@ -134,15 +182,15 @@ class SimulatedMuse(Headband):
     def _eeg(self, number: int, times: Floats) -> tuple[Packets, Rows]:
         values: Packets = []
         columns: list[Floats] = []
-        for electrode, uuid in packets.EEG_UUIDS.items():
-            data, held = packets.eeg(number, self._signals.eeg_uv(times, electrode))
-            values.append((uuid, data))
+        for electrode, characteristic in EEG_UUIDS.items():
+            data, held = _eeg_packet(number, self._signals.eeg_uv(times, electrode))
+            values.append((characteristic, data))
             columns.append(held)
         rows = {"eeg": np.stack(columns, axis=1)}
-        if self._preset in _WITH_AUX and self._is_heard(packets.AUX_UUID):
-            data, held = packets.eeg(number, self._signals.eeg_uv(times, "AUX"))
+        if self._preset in _WITH_AUX and self._is_heard(AUX_UUID):
+            data, held = _eeg_packet(number, self._signals.eeg_uv(times, "AUX"))
             # It is the first one that comes, as handles are numbered from behind.
-            values.insert(0, (packets.AUX_UUID, data))
+            values.insert(0, (AUX_UUID, data))
             nothing = np.full((len(held), 3), np.nan)
             rows["aux"] = np.concatenate((held[:, np.newaxis], nothing), axis=1)
         return values, rows
@@ -150,29 +198,29 @@ class SimulatedMuse(Headband):
     def _light(self, number: int, times: Floats) -> tuple[Packets, Rows]:
         values: Packets = []
         columns: list[Floats] = []
-        for colour, uuid in packets.LIGHT_UUIDS.items():
-            data, held = packets.light(number, self._signals.light(times, colour))
-            values.append((uuid, data))
+        for colour, characteristic in LIGHT_UUIDS.items():
+            data, held = _light_packet(number, self._signals.light(times, colour))
+            values.append((characteristic, data))
             columns.append(held)
         return values, {"ppg": np.stack(columns, axis=1)}
 
     def _acceleration(self, number: int, times: Floats) -> tuple[Packets, Rows]:
-        data, held = packets.acceleration(number, self._signals.acceleration_g(times))
-        return [(packets.ACC_UUID, data)], {"acc": held}
+        data, held = _acceleration_packet(number, self._signals.acceleration_g(times))
+        return [(ACC_UUID, data)], {"acc": held}
 
     def _rotation(self, number: int, times: Floats) -> tuple[Packets, Rows]:
-        data, held = packets.rotation(number, self._signals.rotation_dps(times))
-        return [(packets.GYRO_UUID, data)], {"gyro": held}
+        data, held = _rotation_packet(number, self._signals.rotation_dps(times))
+        return [(GYRO_UUID, data)], {"gyro": held}
 
     async def _tell_battery(self) -> None:
         device_s = self._crystal.now()
         for number in count():
             measured_s = await self._crystal.reach(device_s + number * _TELEMETRY_S)
-            value, percent = packets.telemetry(number, self._percent)
-            sent = await self._notify(packets.TELEMETRY_UUID, value)
+            value, percent = _telemetry_packet(number, self._percent)
+            sent = await self._notify(TELEMETRY_UUID, value)
             self._note("bat", [measured_s], [(percent,)], sent=sent)
 
     def _garbage(self, number: int) -> tuple[str, bytes]:
         """Return packets that are too short or too long."""
-        uuids = [each for each in self._characteristics if each != packets.TELEMETRY_UUID]
+        uuids = [each for each in self._characteristics if each != TELEMETRY_UUID]
         return uuids[number % len(uuids)], self._rng.bytes(17 + 4 * (number % 2))

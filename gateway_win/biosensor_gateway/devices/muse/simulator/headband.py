@@ -15,7 +15,6 @@ from bumble.device import Connection
 from bumble.gatt import Characteristic, CharacteristicValue, Service
 
 from biosensor_gateway.devices.muse.simulator import wire
-from biosensor_gateway.devices.muse.simulator.signals import Signals
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, lasting, on_part
 from biosensor_gateway.simulation.faults import FaultKind, Untidiness
@@ -25,10 +24,55 @@ from biosensor_gateway.simulation.radio import Radio
 from biosensor_gateway.simulation.specimen import SpecimenOptions
 from biosensor_gateway.simulation.untidy_radio import UNTIDY_RADIO
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
+from biosensor_gateway.simulation.wearer import Floats, Wearer
 from biosensor_gateway.simulation.world import World
 
 _P = Characteristic.Properties
 _REFUSED = 1
+
+_LIGHT = {
+    # Level, share of the pulse and noise [counts].
+    "ambient": (4000.0, 0.0, 12.0),
+    "infrared": (150_000.0, 2500.0, 20.0),
+    "red": (90_000.0, 900.0, 20.0),
+}
+
+
+class _Signals:
+    """The wearer's signals at true times on the LSL clock.
+
+    Parameters
+    ----------
+    wearer
+
+    Attributes
+    ----------
+    origin_s
+        LSL time at which the wearer's time is 0.
+    """
+
+    def __init__(self, wearer: Wearer) -> None:
+        self.origin_s = 0.0
+        self._wearer = wearer
+
+    def eeg_uv(self, times: Floats, electrode: str) -> Floats:
+        """Potential of an electrode [uV]."""
+        return self._wearer.eeg_uv(times - self.origin_s, electrode)
+
+    def light(self, times: Floats, colour: str) -> Floats:
+        """Light that comes back from the skin [counts]."""
+        level, share, noise = _LIGHT[colour]
+        t = times - self.origin_s
+        return level + share * self._wearer.pulse(t) + self._wearer.noise(t, noise, colour)
+
+    def acceleration_g(self, times: Floats) -> Floats:
+        """Acceleration [g], shape (n, 3)."""
+        return self._wearer.acceleration_g(times - self.origin_s)
+
+    def rotation_dps(self, times: Floats) -> Floats:
+        """Rate of rotation [deg/s], shape (n, 3)."""
+        t = times - self.origin_s
+        return np.stack([self._wearer.noise(t, 0.5, f"gyro{axis}") for axis in "xyz"], axis=1)
 
 
 class Headband(VirtualDevice):
@@ -75,7 +119,7 @@ class Headband(VirtualDevice):
         self._number = address.replace(":", "")[-4:]
         self._serial = serial
         self._rng = np.random.default_rng(self.specimen.seed)
-        self._signals = Signals(self.specimen.wearer)
+        self._signals = _Signals(self.specimen.wearer)
         self._drift_ppm = self.specimen.drift_ppm
         self._patience_s = patience_s
         self._percent, self._preset = 87.0, "p21"
