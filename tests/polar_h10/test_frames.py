@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.polar_h10.driver.protocol.compression import expand
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement
 from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     Acceleration,
@@ -24,6 +23,7 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     PulseIntervals,
     Rejected,
     Rotation,
+    expand,
 )
 from biosensor_gateway.devices.polar_h10.driver.protocol.layouts import measurement_of, parse_frame
 

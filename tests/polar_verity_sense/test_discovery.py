@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from biosensor_gateway.devices.polar_verity_sense.driver.discovery import identify, recognise
-from biosensor_gateway.devices.polar_verity_sense.driver.settings import PolarVeritySenseSettings
+from biosensor_gateway.devices.polar_verity_sense.driver.driver import (
+    PolarVeritySenseSettings,
+    identify,
+    recognise,
+)
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 HEART_RATE = frozenset({"0000180d-0000-1000-8000-00805f9b34fb"})

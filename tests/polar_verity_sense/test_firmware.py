@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from biosensor_common.spec import DeviceInfo
-from biosensor_gateway.devices.polar_verity_sense.driver.firmware import true_ppg_rates
+from biosensor_gateway.devices.polar_verity_sense.driver.driver import true_ppg_rates
 
 
 @pytest.mark.parametrize(

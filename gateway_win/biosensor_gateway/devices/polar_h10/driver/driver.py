@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Literal
 
 import structlog
@@ -18,8 +18,9 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_common.spec import DeviceInfo
+from biosensor_gateway.devices.ble_heart_rate.driver.protocol import HEART_RATE_SERVICE
+from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
-from biosensor_gateway.devices.polar_h10.driver.discovery import identify, recognise
 from biosensor_gateway.devices.polar_h10.driver.emitter import DATA_NAMES, PolarEmitter
 from biosensor_gateway.devices.polar_h10.driver.measurements import Wanted
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement, Setting
@@ -29,6 +30,7 @@ from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_pairing import PAIR_DESCRIPTION, Pairing, PairSetting
+from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 ECG_RATE_HZ = 130
 PATIENCE_S = 5.0
@@ -37,6 +39,8 @@ FULL_FRAME = 110
 _ADVICE = "put it on with wet electrodes, and close the apps that use it"
 
 _log = structlog.get_logger("biosensor_gateway.polar_h10")
+MANUFACTURER_ID = 0x006B
+_MODELS = frozenset({"H10"})
 
 
 class PolarH10Settings(DeviceSettings):
@@ -186,6 +190,27 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], PolarDriver]:
         return PolarSession(BleLink(choice, sink.clock, pairing=pairing), emitter, plan)
 
     return lambda: PolarDriver(meet, pairing, emitter, silent)
+
+
+def identify(seen: Advertisement, models: Collection[str] = _MODELS) -> str | None:
+    """Return the id printed on a sensor of these models, None for anything else.
+
+    Its name is ``Polar <model> <id>``, which comes in the scan response only.
+    """
+    words = seen.name.split()
+    if len(words) < 3 or words[0] != "Polar" or " ".join(words[1:-1]) not in models:
+        return None
+    is_polar = MANUFACTURER_ID in seen.manufacturer_data or HEART_RATE_SERVICE in seen.service_uuids
+    return words[-1] if is_polar else None
+
+
+def recognise(seen: Advertisement | SerialPort) -> Found | None:
+    """Tell whether this is an H10."""
+    identity = identify(seen) if isinstance(seen, Advertisement) else None
+    if not isinstance(seen, Advertisement) or identity is None:
+        return None
+    settings = {"unit": identity, "device": seen.address}
+    return Found("polar_h10", seen.name.strip(), settings, seen.rssi_dbm)
 
 
 DRIVER = DriverEntry(PolarH10Settings, _make, recognise=recognise)

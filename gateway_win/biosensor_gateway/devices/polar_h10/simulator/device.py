@@ -14,11 +14,6 @@ from bumble.gatt import Characteristic, Service
 from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
 from biosensor_gateway.devices.ble_heart_rate.simulator.strap import STRAP_EFFECTS, Strap
 from biosensor_gateway.devices.ble_heart_rate.simulator.strap_device import StrapDevice
-from biosensor_gateway.devices.polar_h10.simulator.advertisement import (
-    POLAR_COMPANY_ID,
-    SERVICE_UUIDS,
-    manufacturer_data,
-)
 from biosensor_gateway.devices.polar_h10.simulator.expected import EXPECTED
 from biosensor_gateway.devices.polar_h10.simulator.pmd_service import PmdService
 from biosensor_gateway.devices.polar_h10.simulator.products import H10, Product
@@ -37,6 +32,26 @@ _FILE_TRANSFER_UUIDS = (
     "FB005C51-02E7-F387-1CAD-8ACD2D8DF0C8",
     "FB005C52-02E7-F387-1CAD-8ACD2D8DF0C8",
 )
+
+POLAR_COMPANY_ID = 0x006B
+SERVICE_UUIDS = ("180d", "feee")
+"""Heart rate, and Polar's file transfer."""
+_BROADCAST = 0x20
+
+
+def manufacturer_data(*, battery_low: bool, contact: bool, counter: int, bpm: int) -> bytes:
+    """Return the payload behind the company id.
+
+    Parameters
+    ----------
+    battery_low, contact
+    counter
+        Of payloads; shows that the sensor is alive.
+    bpm
+        Heart rate, sent as fast and as slow average.
+    """
+    status = battery_low | contact << 1 | (counter & 7) << 2 | _BROADCAST
+    return bytes((status, 0, bpm, bpm))
 
 
 class Usual(NamedTuple):

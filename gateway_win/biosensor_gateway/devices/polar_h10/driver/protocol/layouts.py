@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterator, Mapping
 
-from biosensor_gateway.devices.polar_h10.driver.protocol.compression import Sample, expand
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement
 from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     PPG_CHANNELS,
@@ -19,6 +18,8 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     PulseIntervals,
     Rejected,
     Rotation,
+    Sample,
+    expand,
 )
 
 _HEADER = struct.Struct("<BQB")
