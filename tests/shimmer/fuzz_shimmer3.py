@@ -18,7 +18,6 @@ from biosensor_gateway.devices.shimmer.driver.crc import CrcMode, checksum
 from biosensor_gateway.devices.shimmer.driver.emitter import Measurement, ShimmerEmitter
 from biosensor_gateway.devices.shimmer.driver.exg import GAINS, Exg, Use, registers_for
 from biosensor_gateway.devices.shimmer.driver.kind import Kind
-from biosensor_gateway.devices.shimmer.driver.memory import typical_calibrations
 from biosensor_gateway.devices.shimmer.driver.messages import (
     BatteryReading,
     Calibration,
@@ -33,6 +32,7 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
 from biosensor_gateway.devices.shimmer.driver.pressure import compensation
 from biosensor_gateway.devices.shimmer.driver.protocol import TICK_MODULUS, ShimmerProtocol
 from biosensor_gateway.devices.shimmer.driver.replies import ReplyForm
+from biosensor_gateway.devices.shimmer.driver.setup import typical_calibrations
 from biosensor_gateway.devices.shimmer.driver.signals import (
     air_signals,
     exg_signal,

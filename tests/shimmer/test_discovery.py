@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from biosensor_gateway.devices.registry import sensor
-from biosensor_gateway.devices.shimmer.driver.discovery import recognise
+from biosensor_gateway.devices.shimmer.driver.driver import recognise
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 

@@ -13,8 +13,8 @@ from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.agent import supervisor as supervisor_module
-from biosensor_gateway.devices.shimmer.driver import stopping
-from biosensor_gateway.devices.shimmer.driver.settings import Shimmer3Settings
+from biosensor_gateway.devices.shimmer.driver import conversation
+from biosensor_gateway.devices.shimmer.driver.driver import Shimmer3Settings
 from biosensor_gateway.devices.shimmer.simulator import (
     SimulatedEmgUnit,
     SimulatedExgUnit,
@@ -44,8 +44,8 @@ def world() -> Generator[World]:
 def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(supervisor_module, "PROBE_INTERVAL_S", 0.05)
     monkeypatch.setattr(supervisor_module, "BACKOFF_CAP_S", 0.2)
-    monkeypatch.setattr(stopping, "LISTEN_S", 0.2)
-    monkeypatch.setattr(stopping, "QUIET_S", 0.1)
+    monkeypatch.setattr(conversation, "LISTEN_S", 0.2)
+    monkeypatch.setattr(conversation, "QUIET_S", 0.1)
 
 
 async def streams_of(device: SimulatedShimmer, **fields: Any) -> Run:

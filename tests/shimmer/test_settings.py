@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from biosensor_gateway.devices.shimmer.driver.settings import Shimmer3Settings
+from biosensor_gateway.devices.shimmer.driver.driver import Shimmer3Settings
 from biosensor_gateway.devices.shimmer.driver.setup import Wanted
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.shimmer.driver.timeline import Placed, TickTimeline
+from biosensor_gateway.devices.shimmer.driver.packets import Placed, TickTimeline
 
 DIVISOR = 256
 PERIOD_S = DIVISOR / 32768

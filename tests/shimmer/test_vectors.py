@@ -15,7 +15,6 @@ from biosensor_gateway.devices.shimmer.driver.calibration import Block, stored
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
 from biosensor_gateway.devices.shimmer.driver.exg import Exg, Use, microvolts, registers_for
 from biosensor_gateway.devices.shimmer.driver.kind import Kind
-from biosensor_gateway.devices.shimmer.driver.memory import typical_calibrations
 from biosensor_gateway.devices.shimmer.driver.messages import (
     Firmware,
     Inquiry,
@@ -25,6 +24,7 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
 )
 from biosensor_gateway.devices.shimmer.driver.pressure import are_real, compensation
 from biosensor_gateway.devices.shimmer.driver.protocol import ShimmerProtocol
+from biosensor_gateway.devices.shimmer.driver.setup import typical_calibrations
 from biosensor_gateway.devices.shimmer.driver.signals import motion_signals
 
 Vector = dict[str, Any]

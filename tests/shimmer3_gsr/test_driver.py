@@ -18,7 +18,7 @@ from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.agent import supervisor as supervisor_module
 from biosensor_gateway.agent.state import State
 from biosensor_gateway.devices.shimmer.driver import connection as module
-from biosensor_gateway.devices.shimmer.driver import conversation, stopping
+from biosensor_gateway.devices.shimmer.driver import conversation
 from biosensor_gateway.devices.shimmer3_gsr.driver.driver import DRIVER, ShimmerSettings
 from biosensor_gateway.devices.shimmer3_gsr.simulator import SimulatedShimmer3
 from biosensor_gateway.simulation.faults import Fault, FaultKind
@@ -92,8 +92,8 @@ def world() -> Generator[World]:
 def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(supervisor_module, "PROBE_INTERVAL_S", 0.05)
     monkeypatch.setattr(supervisor_module, "BACKOFF_CAP_S", 0.2)
-    monkeypatch.setattr(stopping, "LISTEN_S", 0.2)
-    monkeypatch.setattr(stopping, "QUIET_S", 0.1)
+    monkeypatch.setattr(conversation, "LISTEN_S", 0.2)
+    monkeypatch.setattr(conversation, "QUIET_S", 0.1)
 
 
 Streaming = Callable[..., AbstractAsyncContextManager[ShimmerRun]]
@@ -404,7 +404,7 @@ async def test_firmware_with_short_stamps_is_refused_with_an_advice(world: World
 async def test_a_stop_while_connecting_leaves_the_device_idle(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stopping, "LISTEN_S", 0.01)
+    monkeypatch.setattr(conversation, "LISTEN_S", 0.01)
     for delay_s in (0.0, 0.1, 0.2, 0.3):
         with SimulatedShimmer3(world) as device:
             run = ShimmerRun(device)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from biosensor_gateway.devices.shimmer3_gsr.driver.pulse import HeartRate, PulseRate
+from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import HeartRate, PulseRate
 from biosensor_gateway.simulation.wearer import Wearer
 
 Floats = NDArray[np.float64]

@@ -24,8 +24,8 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
     StatusFlag,
 )
 from biosensor_gateway.devices.shimmer.driver.replies import ReplyForm
+from biosensor_gateway.devices.shimmer3_gsr.driver.driver import Wanted, set_up
 from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import Measurement
-from biosensor_gateway.devices.shimmer3_gsr.driver.setup import Wanted, set_up
 
 WANTED = Wanted(256, 4)
 RIGHT: dict[str, int] = {"mask": commands.GSR_AND_PPG, "range": 4, "power": 1, "divisor": 256}

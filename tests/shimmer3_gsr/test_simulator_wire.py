@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_gateway.devices.shimmer.simulator import battery
-from biosensor_gateway.devices.shimmer.simulator.conversation import Conversation
+from biosensor_gateway.devices.shimmer.simulator.device import Conversation
 from biosensor_gateway.devices.shimmer.simulator.interpreter import Interpreter
 from biosensor_gateway.devices.shimmer.simulator.memory import Flash
 from biosensor_gateway.devices.shimmer.simulator.packets import channels_of, data_packet
@@ -28,13 +28,15 @@ from biosensor_gateway.devices.shimmer.simulator.wire import (
     crc16,
     sealed,
 )
-from biosensor_gateway.devices.shimmer3_gsr.simulator.gsr import (
+from biosensor_gateway.devices.shimmer3_gsr.simulator.shimmer3 import (
     AUTO_RANGE,
+    Conditions,
     GsrAmplifier,
+    GsrMeter,
     conductance_us,
     counts_in,
+    ppg_mv,
 )
-from biosensor_gateway.devices.shimmer3_gsr.simulator.inputs import Conditions, GsrMeter, ppg_mv
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.wearer import Wearer
 from biosensor_gateway.system.clock import LSL_CLOCK

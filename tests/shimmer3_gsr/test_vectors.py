@@ -29,10 +29,10 @@ from biosensor_gateway.devices.shimmer.driver.messages import (
     Nack,
     Packet,
 )
+from biosensor_gateway.devices.shimmer.driver.packets import TickTimeline
 from biosensor_gateway.devices.shimmer.driver.protocol import ShimmerProtocol
 from biosensor_gateway.devices.shimmer.driver.replies import ReplyForm, decode_reply
-from biosensor_gateway.devices.shimmer.driver.timeline import TickTimeline
-from biosensor_gateway.devices.shimmer3_gsr.driver.gsr import (
+from biosensor_gateway.devices.shimmer3_gsr.driver.emitter import (
     LARGEST_OPEN_ADC,
     clamped_kohm,
     conductance_us,

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import sys
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, ClassVar, Unpack
 
 import numpy as np
 
 from biosensor_gateway.devices.shimmer.simulator import battery
-from biosensor_gateway.devices.shimmer.simulator.conversation import Conversation
 from biosensor_gateway.devices.shimmer.simulator.interpreter import Interpreter
 from biosensor_gateway.devices.shimmer.simulator.memory import Flash, Memory
-from biosensor_gateway.devices.shimmer.simulator.notes import Notes
 from biosensor_gateway.devices.shimmer.simulator.packets import channels_of
 from biosensor_gateway.devices.shimmer.simulator.streaming import (
     Meter,
@@ -24,21 +23,134 @@ from biosensor_gateway.devices.shimmer.simulator.streaming import (
     samples,
 )
 from biosensor_gateway.devices.shimmer.simulator.wire import (
+    NACK,
     TICKS_PER_S,
+    Command,
+    CommandReader,
     Firmware,
     Opcode,
     in_unknown_kind,
+    sealed,
 )
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.effects import Effect, lasting
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.patient_port import PatientPort
 from biosensor_gateway.simulation.specimen import SpecimenOptions
+from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.virtual_device import VirtualDevice
 from biosensor_gateway.simulation.world import World
 
 _TX_QUEUE_BYTES = 256
 _UNREACHABLE = frozenset({FaultKind.DROP, FaultKind.RESTART})
+
+_AT_CHANGES = "quality"
+
+
+class _Notes:
+    """Writes samples into a truth: each of them, and ``quality`` at each change.
+
+    Parameters
+    ----------
+    truth
+    """
+
+    def __init__(self, truth: Truth) -> None:
+        self._truth = truth
+        self._quality: tuple[float, ...] = ()
+
+    def sent(self, sample: Sample) -> None:
+        """Note a sample that left."""
+        for name, values in sample.values.items():
+            if name != _AT_CHANGES:
+                self._truth.sent(name, [sample.measured_s], [values])
+            elif not np.array_equal(values, self._quality, equal_nan=True):
+                self._quality = values
+                self._truth.sent(name, [sample.measured_s], [values])
+
+    def kept_back(self, sample: Sample) -> None:
+        """Note a sample that was measured and never left."""
+        for name in sample.values.keys() - {_AT_CHANGES}:
+            self._truth.unsent(name, 1)
+
+
+class Conversation:
+    """Commands in, answers out, in order and, as a fault, late or refused.
+
+    Parameters
+    ----------
+    firmware, interpreter
+    write
+        Sends bytes; tells whether the link took them.
+    obeyed
+        Called after each command that was carried out, when its answer is on the link,
+        with whether the link took it.
+
+    Attributes
+    ----------
+    refusing
+        Carry out no command.
+    answer_delay_s
+        Carry out each command so much later.
+    """
+
+    def __init__(
+        self,
+        firmware: Firmware,
+        interpreter: Interpreter,
+        write: Callable[[bytes], bool],
+        obeyed: Callable[[Opcode, bool], None],
+    ) -> None:
+        self._firmware = firmware
+        self._interpreter = interpreter
+        self._write = write
+        self._obeyed = obeyed
+        self.refusing = False
+        self.answer_delay_s = 0.0
+        self._reader = CommandReader(firmware)
+        self._spoken_to = False
+        self._delayed: list[asyncio.TimerHandle] = []
+
+    @property
+    def spoken_to(self) -> bool:
+        """Whether the host has said anything; before, the device says nothing."""
+        return self._spoken_to
+
+    def hear(self, data: bytes) -> None:
+        """Take the host's bytes."""
+        self._spoken_to = True
+        for command in self._reader.feed(data):
+            if self.answer_delay_s:
+                loop = asyncio.get_running_loop()
+                self._delayed.append(loop.call_later(self.answer_delay_s, self._carry_out, command))
+            else:
+                self._carry_out(command)
+
+    def say(self, message: bytes) -> bool:
+        """Send a message with its check; tell whether the link took it."""
+        return self._write(sealed(message, self._interpreter.crc_bytes))
+
+    def dock(self, *, docked: bool) -> None:
+        """Be put into the dock or taken out, and say so unasked."""
+        self._interpreter.docked = docked
+        if self._spoken_to:
+            self.say(self._interpreter.pushed_status())
+
+    def link_lost(self) -> None:
+        """Forget the host, what it set for the link, and what it is owed."""
+        for handle in self._delayed:
+            handle.cancel()
+        self._delayed.clear()
+        self._spoken_to = False
+        self._reader = CommandReader(self._firmware)
+        self._interpreter.link_lost()
+
+    def _carry_out(self, command: Command) -> None:
+        if not self.refusing:
+            taken = self.say(self._interpreter.execute(command))
+            self._obeyed(command.opcode, taken)
+        elif self._firmware.has_nack:  # older firmware knows no refusal but silence
+            self.say(NACK)
 
 
 class SimulatedShimmer(VirtualDevice):
@@ -96,7 +208,7 @@ class SimulatedShimmer(VirtualDevice):
         self._crystal = Crystal(world.clock, self.specimen.drift_ppm)
         self._started_s = self.world.clock()
         self._port: PatientPort | None = None
-        self._notes = Notes(self.truth)
+        self._notes = _Notes(self.truth)
         self._streams = Streams(world.clock, self._send, self._notes.kept_back)
         self._worn = True
         self._stalled = self._is_unreadable = False

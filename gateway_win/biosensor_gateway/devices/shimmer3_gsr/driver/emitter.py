@@ -2,23 +2,183 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import isfinite
+from statistics import median
+from typing import NamedTuple
 
-from biosensor_gateway.devices.shimmer.driver.adc import Floats, millivolts
+import numpy as np
+from numpy.typing import ArrayLike
+
+from biosensor_gateway.devices.shimmer.driver.adc import (
+    ADC_MAX,
+    ADC_VOLTS,
+    Floats,
+    Ints,
+    millivolts,
+)
 from biosensor_gateway.devices.shimmer.driver.battery import emit_charge
 from biosensor_gateway.devices.shimmer.driver.channels import Channel, Layout
-from biosensor_gateway.devices.shimmer.driver.commands import TICKS_PER_S
+from biosensor_gateway.devices.shimmer.driver.commands import AUTO_RANGE, TICKS_PER_S
 from biosensor_gateway.devices.shimmer.driver.messages import BatteryReading, Packet
 from biosensor_gateway.devices.shimmer.driver.packets import Batch, PacketTimes
-from biosensor_gateway.devices.shimmer3_gsr.driver.gsr import conductance_us, gsr_ranges
-from biosensor_gateway.devices.shimmer3_gsr.driver.pulse import PulseRate
 from biosensor_gateway.devices.sink import Sink
+from biosensor_gateway.pulses.finding import Pulses
 from biosensor_gateway.system.device_log import DeviceLog
 
 QUALITY_PERIOD_S = 10.0
 WAVEFORMS = ("gsr", "ppg")
+
+# Pulses are those of live features; intervals that fit those before them, median of five. The
+# device sends no heart rate, and the vendor's software computes its own in a closed library; this
+# is no reconstruction of it.
+SMALLEST_PEAK_MV = 0.5
+LONGEST_INTERVAL_S = 2.0
+MOST_DEVIATION = 0.35
+BEATS_NEEDED = 5
+INTERVALS_KEPT = 5
+MISFITS_TOLERATED = 3
+"""So many misfits in a row, and it is the intervals before that were wrong."""
+LONGEST_GAP_S = 0.25
+"""After a longer hole in the signal a beat may be missing, so counting starts anew."""
+
+
+class HeartRate(NamedTuple):
+    """Heart rate at a beat: device time of the pulse wave's peak [s], and its value [1/min]."""
+
+    time_s: float
+    bpm: float
+
+
+class PulseRate:
+    """Tells the heart rate of a pulse signal that comes in sample by sample.
+
+    A peak's time is that of the filtered wave, 40 ms before (at 35 beats a minute) to 20 ms after
+    (at 165) the one at the finger. Rates up to 200/min can be told.
+
+    Parameters
+    ----------
+    rate_hz
+        Sampling rate, 25 Hz or more.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        self._rate_hz = rate_hz
+        self._intervals: deque[float] = deque(maxlen=INTERVALS_KEPT)
+        self._restart()
+
+    def feed(self, time_s: float, millivolts: float) -> list[HeartRate]:
+        """Take the next sample; return the heart rate at each beat that it shows.
+
+        Parameters
+        ----------
+        time_s
+            Device time, later than that of every sample before.
+        millivolts
+            The raw signal, with its offset.
+        """
+        if time_s - self._latest_s > LONGEST_GAP_S:
+            self._restart()
+        self._latest_s = time_s
+        found = self._pulses.take(time_s, millivolts)
+        if self._pulses.height < SMALLEST_PEAK_MV:
+            return []
+        return [rate for beat in found for rate in self._beat(beat.apex_s)]
+
+    def found(self, time_s: float) -> bool:
+        """Whether there is a pulse: a heart rate is known, and no beat is missing at this time."""
+        return self._has_rate and time_s - self._last_beat_s <= LONGEST_INTERVAL_S
+
+    @property
+    def _has_rate(self) -> bool:
+        return len(self._intervals) >= BEATS_NEEDED - 1
+
+    def _restart(self) -> None:
+        self._pulses = Pulses(self._rate_hz)
+        self._latest_s = self._last_beat_s = float("-inf")
+        self._misfits = 0
+        self._intervals.clear()
+
+    def _beat(self, peak_s: float) -> list[HeartRate]:
+        interval_s = peak_s - self._last_beat_s
+        self._last_beat_s = peak_s
+        if interval_s > LONGEST_INTERVAL_S:
+            self._intervals.clear()
+            return []
+        if not self._fits(interval_s):
+            self._misfits += 1
+            if self._misfits >= MISFITS_TOLERATED:
+                self._intervals.clear()
+            return []
+        self._misfits = 0
+        self._intervals.append(interval_s)
+        return [HeartRate(peak_s, 60 / median(self._intervals))] if self._has_rate else []
+
+    def _fits(self, interval_s: float) -> bool:
+        if not self._intervals:
+            return True
+        usual_s = median(self._intervals)
+        return abs(interval_s - usual_s) <= MOST_DEVIATION * usual_s
+
+
+# The GSR+ unit puts 0.5 V across the skin and amplifies the current with one of four feedback
+# resistors, so the ADC sees 0.5 V * (1 + Rf / Rskin). Constants and limits are those of Shimmer's
+# Java and C# APIs.
+FEEDBACK_KOHM = (40.2, 287.0, 1000.0, 3300.0)
+LARGEST_OPEN_ADC = 683
+"""Of range 3: the amplifier's output for no current at all, rounded up."""
+
+_EXCITATION_VOLTS = 0.5
+_RANGE_SHIFT = 14
+_ADC_MASK = 0x0FFF
+_AUTO_LIMITS_KOHM = (8.0, np.inf)
+_FIXED_LIMITS_KOHM = ((8.0, 63.0), (63.0, 220.0), (220.0, 680.0), (680.0, 4700.0))
+
+
+def gsr_ranges(raw: ArrayLike, setting: int) -> Ints:
+    """Return the feedback resistor in use for each sample, 0 to 3.
+
+    Parameters
+    ----------
+    raw : array_like of int, shape (n,)
+        16-bit values of the GSR channel.
+    setting : int
+        0 to 3, or 4 for automatic; only then the device says it in the upper bits.
+    """
+    raw = np.asarray(raw, np.int64)
+    return raw >> _RANGE_SHIFT if setting == AUTO_RANGE else np.full(raw.shape, setting)
+
+
+def conductance_us(raw: ArrayLike, setting: int) -> Floats:
+    """Return the skin conductance in microsiemens; NaN where no current flows.
+
+    Parameters
+    ----------
+    raw, setting
+        As for `gsr_ranges`.
+
+    Returns
+    -------
+    ndarray of float, shape (n,)
+        With a fixed range, resistances outside of it are taken to its end, as the
+        vendor's APIs do.
+    """
+    ranges = gsr_ranges(raw, setting)
+    adc = np.asarray(raw, np.int64) & _ADC_MASK
+    volts = adc * ADC_VOLTS / ADC_MAX
+    # At the ADC value nearest to 0.5 V range 3 cannot tell a current from none.
+    flows = (volts > _EXCITATION_VOLTS) & ((ranges != 3) | (adc > LARGEST_OPEN_ADC))
+    gain = np.where(flows, volts / _EXCITATION_VOLTS - 1, np.nan)
+    resistance = np.take(FEEDBACK_KOHM, ranges) / gain
+    return 1000.0 / clamped_kohm(resistance, setting)
+
+
+def clamped_kohm(resistance: ArrayLike, setting: int) -> Floats:
+    """Limit resistances [kohm] to what a range setting can measure; NaN stays NaN."""
+    limits = _AUTO_LIMITS_KOHM if setting == AUTO_RANGE else _FIXED_LIMITS_KOHM[setting]
+    return np.clip(np.asarray(resistance, np.float64), *limits)
 
 
 @dataclass(frozen=True, slots=True)
