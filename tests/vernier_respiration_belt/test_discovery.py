@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from biosensor_gateway.devices.discovery import Found
-from biosensor_gateway.devices.vernier_respiration_belt.driver.discovery import identify, recognise
+from biosensor_gateway.devices.vernier_respiration_belt.driver.driver import identify, recognise
 from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 ADDRESS = "E0:F5:BD:94:6A:1B"

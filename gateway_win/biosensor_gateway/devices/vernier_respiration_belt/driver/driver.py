@@ -16,6 +16,7 @@ from biosensor_common.errors import (
     TransportReason,
 )
 from biosensor_common.spec import DeviceInfo
+from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.vernier_respiration_belt.driver import protocol, replies
@@ -28,23 +29,22 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.conversation impo
     Conversation,
     Heard,
 )
-from biosensor_gateway.devices.vernier_respiration_belt.driver.discovery import (
-    ADVICE,
-    KIND,
-    identify,
-    recognise,
-)
 from biosensor_gateway.devices.vernier_respiration_belt.driver.emitter import VernierEmitter
 from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import Unknown
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
+from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 WAKING_LIMIT_S = 1.0
 RESTART_LIMIT_S = 2.0
 GOODBYE_LIMIT_S = 0.4
 STATUS_PERIOD_S = 60.0
 PATIENCE_S = 2.0
+KIND = "GDX-RB"
+ADVICE = (
+    "press its button until its Bluetooth light blinks red, and end its connection to other apps"
+)
 
 
 class VernierSettings(DeviceSettings):
@@ -197,6 +197,23 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], VernierDriver]:
     choice = Choice(identify, KIND, own.device, ADVICE)
     emitter = VernierEmitter(sink)
     return lambda: VernierDriver(own, choice, sink, emitter)
+
+
+def identify(seen: Advertisement) -> str | None:
+    """Return a belt's serial number from the name ``GDX-RB <serial>``; None for other devices."""
+    model, _, serial = seen.name.partition(" ")
+    return serial.strip() if model == KIND else None
+
+
+def recognise(seen: Advertisement | SerialPort) -> Found | None:
+    """Tell whether this is a belt."""
+    if not isinstance(seen, Advertisement):
+        return None
+    serial = identify(seen)
+    if serial is None:
+        return None
+    settings = {"unit": serial or seen.address, "device": seen.address}
+    return Found("vernier_respiration_belt", seen.name, settings, seen.rssi_dbm)
 
 
 DRIVER = DriverEntry(VernierSettings, _make, recognise=recognise)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections import deque
+from collections.abc import Iterable
+from statistics import fmean, pstdev
 
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import BeltChannels
-from biosensor_gateway.devices.vernier_respiration_belt.driver.fit import Fit
 from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import (
     Measurement,
     MeasurementKind,
@@ -22,6 +24,51 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.replies import St
 from biosensor_gateway.system.device_log import DeviceLog
 
 QUALITY_PERIOD_S = 10.0
+
+LOOSE = -1.0
+GOOD = 0.0
+TIGHT = 1.0
+
+LOOSE_BELOW_N = 1.0
+TIGHT_ABOVE_N = 40.0
+JUDGED_S = 3.0
+"""About one breath: what one sample is does not matter."""
+FLAT_BELOW_N = 0.02
+FLAT_FOR_S = 10.0
+"""Nobody holds his breath so still: a standard deviation below means that nobody wears it."""
+
+
+class _Fit:
+    """The last seconds of the force.
+
+    Parameters
+    ----------
+    period_s
+        Sampling period.
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self._breath: deque[float] = deque(maxlen=max(1, round(JUDGED_S / period_s)))
+        self._still: deque[float] = deque(maxlen=max(2, round(FLAT_FOR_S / period_s)))
+
+    def add(self, forces: Iterable[float]) -> None:
+        """Take in samples in newtons; NaN is passed over."""
+        finite = [force for force in forces if math.isfinite(force)]
+        self._breath.extend(finite)
+        self._still.extend(finite)
+
+    @property
+    def tension(self) -> float:
+        """-1 loose or not worn, 0 good, 1 tight; NaN before the first sample."""
+        if not self._breath:
+            return math.nan
+        mean = fmean(self._breath)
+        if mean < LOOSE_BELOW_N or self._is_flat():
+            return LOOSE
+        return TIGHT if mean > TIGHT_ABOVE_N else GOOD
+
+    def _is_flat(self) -> bool:
+        return len(self._still) == self._still.maxlen and pstdev(self._still) < FLAT_BELOW_N
 
 
 class VernierEmitter:
@@ -39,7 +86,7 @@ class VernierEmitter:
         self._force = self._rate = -1
         self._period_s = 1.0
         self._last_s: float | None = None
-        self._fit = Fit(self._period_s)
+        self._fit = _Fit(self._period_s)
         self._rate_valid = 0.0
         self._quality = (math.nan, math.nan)
         self._quality_s = -math.inf
@@ -50,7 +97,7 @@ class VernierEmitter:
         self._force, self._rate = channels.force.number, channels.rate.number
         self._period_s = period_s
         self._numbering.restart(period_s)
-        self._fit = Fit(period_s)
+        self._fit = _Fit(period_s)
 
     def ended(self) -> None:
         """Emit what was held back: nothing more comes before the next start."""
