@@ -12,8 +12,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_gateway.devices.zephyr.simulator.bioharness import BioHarness
-from biosensor_gateway.devices.zephyr.simulator.session import Session
+from biosensor_gateway.devices.zephyr.simulator.bioharness import BioHarness, Session
 from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing, Source
 from biosensor_gateway.devices.zephyr.simulator.synthetic import SyntheticSource
 from biosensor_gateway.devices.zephyr.simulator.wire import WAVEFORMS, Packet, Request

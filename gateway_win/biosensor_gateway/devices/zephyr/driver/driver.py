@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -10,9 +11,9 @@ import structlog
 from pydantic import Field
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
+from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.sink import Sink
-from biosensor_gateway.devices.zephyr.driver.discovery import recognise
 from biosensor_gateway.devices.zephyr.driver.emitter import ZephyrEmitter
 from biosensor_gateway.devices.zephyr.driver.messages import Message, Reply, RrIntervals, Summary
 from biosensor_gateway.devices.zephyr.driver.protocol import (
@@ -24,6 +25,7 @@ from biosensor_gateway.devices.zephyr.driver.protocol import (
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.byte_links import byte_link
 from biosensor_gateway.transports.dialogue import Dialogue
+from biosensor_gateway.transports.nearby import Advertisement, SerialPort
 
 # The order in which the recorded device was started.
 PACKETS = (
@@ -53,6 +55,7 @@ TORN_FRAME_S = 1.0
 SUMMARY_PATIENCE_S = 5.0
 
 _log = structlog.get_logger("biosensor_gateway.zephyr")
+_PORT_NAME = re.compile(r"BH ?([A-Z]{3}[0-9]{6})")
 
 
 class ZephyrSettings(DeviceSettings):
@@ -196,6 +199,16 @@ def _make(settings: DeviceSettings, sink: Sink) -> Callable[[], ZephyrDriver]:
     own = own_settings(ZephyrSettings, settings)
     emitter = ZephyrEmitter(sink)
     return lambda: ZephyrDriver(own, sink, emitter)
+
+
+def recognise(seen: Advertisement | SerialPort) -> Found | None:
+    """Return how to add a paired BioHarness; its unit is its serial number."""
+    if not isinstance(seen, SerialPort):
+        return None
+    name = _PORT_NAME.fullmatch(seen.remote_name)
+    if name is None:
+        return None
+    return Found("zephyr", seen.remote_name, {"unit": name[1], "port": seen.port})
 
 
 DRIVER = DriverEntry(ZephyrSettings, _make, recognise=recognise)

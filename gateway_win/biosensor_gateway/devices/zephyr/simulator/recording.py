@@ -1,16 +1,18 @@
-"""Recordings of a real BioHarness 3 as the source of a virtual one."""
+"""A virtual device that plays bytes of a real BioHarness 3."""
 
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from importlib.resources import files
 from itertools import accumulate
 from math import inf
+from types import MappingProxyType
 from typing import Literal, NamedTuple
 
+from biosensor_gateway.devices.zephyr.simulator.bioharness import BioHarness
 from biosensor_gateway.devices.zephyr.simulator.sources import Outgoing
 from biosensor_gateway.devices.zephyr.simulator.wire import (
     ACK,
@@ -25,6 +27,9 @@ from biosensor_gateway.devices.zephyr.simulator.wire import (
     crc8,
     duration_ms,
 )
+from biosensor_gateway.simulation.virtual_device import Filled
+from biosensor_gateway.simulation.wearer import Wearer
+from biosensor_gateway.simulation.world import World
 from biosensor_gateway.system.clock import Clock
 
 RECORDING_150_S = "zephyr_bh3_2012-09-26_150s"
@@ -265,3 +270,34 @@ def _due_by_stamps(items: Sequence[RecordedItem]) -> list[float]:
     times = list(accumulate((item.leaves_at_ms for item in items), max))
     first = next((time for time in times if time > -inf), 0.0)
     return [max(time, first) / 1000 for time in times]
+
+
+class RecordedZephyr(BioHarness):
+    """The recording of 150 s, from its start whenever it has ended.
+
+    Its bytes cannot be changed, so it has only the faults of its link, and no truth.
+
+    Parameters
+    ----------
+    world
+        Where it lives.
+    kept
+        Without effect.
+    """
+
+    filled = MappingProxyType(
+        {
+            "hrv": Filled(76, "the recording's first valid value comes at 76 s"),
+            "breathing": Filled(1, "the recording's first valid value comes at 1 s"),
+            "st": Filled(None, "the recorded device never reports a valid value"),
+        }
+    )
+
+    @classmethod
+    def worn_by(cls, wearer: Wearer, number: int) -> Mapping[str, object]:
+        """Play the same for everybody."""
+        del wearer, number
+        return {}
+
+    def __init__(self, world: World, *, kept: int | None = None) -> None:
+        super().__init__(world, RecordedSource.shipped(on_end="hang_up"), kept=kept)
