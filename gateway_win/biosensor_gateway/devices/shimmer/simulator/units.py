@@ -15,37 +15,36 @@ from typing import ClassVar
 
 import numpy as np
 
-from biosensor_gateway.devices.shimmer.simulator import exg
-from biosensor_gateway.devices.shimmer.simulator.air import (
-    PRESSURE,
-    TEMPERATURE,
-    AirSensor,
-    Bmp180,
-    Bmp280,
-    Bmp581,
-)
 from biosensor_gateway.devices.shimmer.simulator.device import SimulatedShimmer
-from biosensor_gateway.devices.shimmer.simulator.exg import (
+from biosensor_gateway.devices.shimmer.simulator.memory import Flash, Memory
+from biosensor_gateway.devices.shimmer.simulator.packets import OLDER_SHIMMER3, SHIMMER3R
+from biosensor_gateway.devices.shimmer.simulator.sensors import (
     CHANNELS_16,
     CHANNELS_24,
-    STATUS,
-    ExgChips,
-    voltages,
-)
-from biosensor_gateway.devices.shimmer.simulator.memory import Flash, Memory
-from biosensor_gateway.devices.shimmer.simulator.motion import (
+    ECG_WITH_LEAD_OFF,
+    EMG,
     GRAVITY_MS2,
     GYRO,
     LN_ACCEL,
     MAG,
+    MASKS_16,
+    MASKS_24,
+    PRESSURE,
+    STATUS,
+    TEMPERATURE,
     WR_ACCEL,
+    AirSensor,
+    Bmp180,
+    Bmp280,
+    Bmp581,
+    ExgChips,
     MotionSensor,
     Words,
     acting_on,
     memory_of,
     tuples,
+    voltages,
 )
-from biosensor_gateway.devices.shimmer.simulator.packets import OLDER_SHIMMER3, SHIMMER3R
 from biosensor_gateway.devices.shimmer.simulator.streaming import Block
 from biosensor_gateway.simulation.effects import Effects
 from biosensor_gateway.simulation.expected import Expected, Gap, LossTolerance
@@ -234,7 +233,7 @@ class _Unit(SimulatedShimmer):
         return Flash(name, self.sensors, _DIVIDER, bytearray(self.setup), exg_registers)
 
     def _meter(self, channels: tuple[int, ...]) -> _UnitMeter:
-        chips = exg.ExgChips([bytes(each) for each in self._flash.exg])
+        chips = ExgChips([bytes(each) for each in self._flash.exg])
         return _UnitMeter(channels, self.motion, self.air, chips, self.wearer, lambda: self._worn)
 
 
@@ -253,8 +252,8 @@ class SimulatedExgUnit(_Unit):
         calibration=memory_of(*motion),
         pressure_coefficients=air.coefficients,
     )
-    registers = exg.ECG_WITH_LEAD_OFF
-    sensors = MOTION_AND_AIR | sum(exg.MASKS_24)
+    registers = ECG_WITH_LEAD_OFF
+    sensors = MOTION_AND_AIR | sum(MASKS_24)
 
 
 class SimulatedEmgUnit(SimulatedExgUnit):
@@ -264,8 +263,8 @@ class SimulatedEmgUnit(SimulatedExgUnit):
     expected = WITHOUT_ELECTRODES
     filled = MappingProxyType({"ecg": _EMG_INSTEAD, "quality": _EMG_INSTEAD})
     usual_name = "Shimmer3-3D2C"
-    registers = exg.EMG
-    sensors = MOTION_AND_AIR | exg.MASKS_16[0]
+    registers = EMG
+    sensors = MOTION_AND_AIR | MASKS_16[0]
 
 
 class SimulatedImuUnit(_Unit):
