@@ -21,7 +21,7 @@ import pytest
 import serial
 
 from biosensor_gateway.devices.emotibit.driver import link as emotibit_link
-from biosensor_gateway.devices.empatica_e4.driver import conversation
+from biosensor_gateway.devices.empatica_e4.driver import driver as e4_driver
 from biosensor_gateway.devices.line_sensor.driver import links
 from biosensor_gateway.simulation import async_serial
 from biosensor_gateway.simulation.tcp_serial import TcpSerialPort
@@ -267,7 +267,7 @@ def links_in_memory() -> Generator[None]:
         patch.setattr(byte_links, "SerialLink", MemorySerialLink)
         for opened in ("Serial", "serial_for_url"):
             patch.setattr(serial, opened, MemorySerial)
-        for user in (byte_links, conversation):
+        for user in (byte_links, e4_driver):
             patch.setattr(user, "TcpLink", MemoryTcpLink)
         for user in (links, emotibit_link):
             patch.setattr(user, "UdpPort", MemoryUdpPort)
