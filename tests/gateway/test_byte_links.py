@@ -12,10 +12,9 @@ import pytest
 from pylsl import local_clock
 
 from biosensor_common.errors import ConfigError, ConfigReason, TransportError, TransportReason
-from biosensor_gateway.transports import rfcomm, socket_link, tcp_link
-from biosensor_gateway.transports.byte_links import byte_link
+from biosensor_gateway.transports import byte_links, socket_link, tcp_link
+from biosensor_gateway.transports.byte_links import RfcommLink, byte_link
 from biosensor_gateway.transports.link import ByteLink
-from biosensor_gateway.transports.rfcomm import RfcommLink
 from biosensor_gateway.transports.serial_port import SerialLink
 from biosensor_gateway.transports.tcp_link import TcpLink
 from biosensor_gateway.transports.threads import in_daemon_thread
@@ -382,7 +381,7 @@ async def test_what_the_system_says_of_bluetooth_becomes_a_reason_and_an_advice(
     def make(*_: object) -> BluetoothSocket:
         return made
 
-    monkeypatch.setattr(rfcomm.socket, "socket", make)
+    monkeypatch.setattr(byte_links.socket, "socket", make)
     error = await open_error(RfcommLink(ADDRESS, channel=2))
     assert error.reason is reason
     assert words in str(error)
@@ -398,7 +397,7 @@ async def test_a_system_without_bluetooth_sockets_has_no_bluetooth(
     def refuse(*_: object) -> None:
         raise OSError(errno.EAFNOSUPPORT, "x")
 
-    monkeypatch.setattr(rfcomm.socket, "socket", refuse)
+    monkeypatch.setattr(byte_links.socket, "socket", refuse)
     error = await open_error(RfcommLink(ADDRESS))
     assert error.reason is TransportReason.UNAVAILABLE
 

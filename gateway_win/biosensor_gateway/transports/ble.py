@@ -16,14 +16,14 @@ from weakref import WeakKeyDictionary
 from bleak import BleakClient
 from bleak.args.winrt import WinRTClientArgs
 from bleak.backends.characteristic import BleakGATTCharacteristic
+from bleak.backends.service import BleakGATTServiceCollection
 from bleak.exc import BleakError
+from bleak.uuids import normalize_uuid_str
 
 from biosensor_common.errors import ProtocolError, ProtocolReason, TransportError, TransportReason
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
-from biosensor_gateway.transports.ble_characteristics import Characteristics
 from biosensor_gateway.transports.ble_choice import Choice
 from biosensor_gateway.transports.ble_errors import connect_error, is_forgotten, request_error
-from biosensor_gateway.transports.ble_hang_up import hang_up
 from biosensor_gateway.transports.ble_pairing import Pairing
 from biosensor_gateway.transports.ble_scanner import Sighting, forget
 from biosensor_gateway.transports.deadlines import in_background, outlasting, within
@@ -38,6 +38,56 @@ _Asking: TypeAlias = Callable[[BleakClient], Coroutine[Any, Any, _T]]
 
 # Radios fail when they have to make two connections at a time.
 _connecting: WeakKeyDictionary[asyncio.AbstractEventLoop, asyncio.Lock] = WeakKeyDictionary()
+
+CLOSE_LIMIT_S = 1.5
+"""Leaves a driver half a second to say good-bye."""
+
+
+async def _hang_up(
+    client: BleakClient, attempt: asyncio.Task[None] | None, pairing: Pairing
+) -> None:
+    """Disconnect, and unpair where that is wished; never raises.
+
+    Parameters
+    ----------
+    attempt
+        To connect; it may still be under way.
+    """
+    # Left to itself after a while: some calls never return when the service has died.
+    ending = in_background(_disconnect(client, attempt, pairing))
+    await asyncio.wait({ending}, timeout=CLOSE_LIMIT_S)
+
+
+async def _disconnect(
+    client: BleakClient, attempt: asyncio.Task[None] | None, pairing: Pairing
+) -> None:
+    if attempt is not None:
+        # An attempt that was cancelled tidies up behind itself first.
+        await asyncio.wait({attempt})
+    if pairing.ends_with_connection:
+        # Whatever comes of it, the connection has to end.
+        with suppress(BleakError, NotImplementedError, OSError):
+            await client.unpair()
+        pairing.note_unpaired()
+    await client.disconnect()
+
+
+class _Characteristics:
+    """Those of one device, also after the link is gone; UUIDs have 16 or 128 bits."""
+
+    def __init__(self) -> None:
+        self._by_uuid: dict[str, BleakGATTCharacteristic] = {}
+
+    def learn(self, services: BleakGATTServiceCollection) -> None:
+        """Take in what the device has now; of two with one UUID, the first counts."""
+        self._by_uuid.clear()
+        for service in services:
+            for each in service.characteristics:
+                self._by_uuid.setdefault(each.uuid.lower(), each)
+
+    def find(self, uuid: str) -> BleakGATTCharacteristic | None:
+        """Return a characteristic; None if the device has none such."""
+        return self._by_uuid.get(normalize_uuid_str(uuid))
 
 
 class Notification(NamedTuple):
@@ -81,7 +131,7 @@ class BleLink:
         self._connected_s = 0.0
         self._client: BleakClient | None = None
         self._connected = False
-        self._characteristics = Characteristics()
+        self._characteristics = _Characteristics()
         self._incoming: asyncio.Queue[Notification | None] = asyncio.Queue()
         self._lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._attempt: asyncio.Task[None] | None = None
@@ -191,7 +241,7 @@ class BleLink:
         client, self._client = self._client, None
         self._end()
         if client is not None:
-            await hang_up(client, self._attempt, self._pairing)
+            await _hang_up(client, self._attempt, self._pairing)
 
     async def _connect(self, sighting: Sighting) -> None:
         """Raise as :meth:`open` does, or a BleakError if the system forgot the device."""
@@ -219,7 +269,7 @@ class BleLink:
                 self._client = None
                 # The system may connect it yet, whatever it was told.
                 self._choice.note_given_up()
-                await hang_up(client, self._attempt, self._pairing)
+                await _hang_up(client, self._attempt, self._pairing)
                 if is_forgotten(error):
                     raise
                 self._pairing.note_drop(0.0)
