@@ -21,7 +21,7 @@ from biosensor_common.device_clock import ClockState, DeviceClock
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_common.topic_text import read_counters
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.agent.snapshot import snapshot
+from biosensor_gateway.agent.agent import snapshot
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.recording.xdf.counters import parse_readings
 from biosensor_gateway.streaming.counters import Counters, counters_text

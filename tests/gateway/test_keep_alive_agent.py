@@ -21,7 +21,7 @@ from biosensor_common import naming
 from biosensor_common.errors import ConfigError
 from biosensor_common.spec import DeviceIdentity
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.agent.known_streams import STREAMS_FILE
+from biosensor_gateway.agent.agent import STREAMS_FILE
 from biosensor_gateway.system.logs import LOG_FILE_NAME
 from tests.gateway.test_stop_command import command, stop
 

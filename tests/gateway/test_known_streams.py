@@ -12,7 +12,7 @@ from structlog.testing import capture_logs
 
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import status_file
-from biosensor_gateway.agent.known_streams import FRESH_S, STREAMS_FILE, KnownStreams
+from biosensor_gateway.agent.agent import FRESH_S, STREAMS_FILE, KnownStreams
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.sink import DeviceSink
 

@@ -17,10 +17,14 @@ from structlog.testing import capture_logs
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity
-from biosensor_gateway.agent.pauses import store
-from biosensor_gateway.agent.pauses.commands import PauseCommands
+from biosensor_gateway.agent.pauses.commands import (
+    PAUSED_FILE,
+    Pause,
+    PauseCommands,
+    load_pauses,
+    save_pauses,
+)
 from biosensor_gateway.agent.pauses.selection import chosen, device_name
-from biosensor_gateway.agent.pauses.store import PAUSED_FILE, Pause
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming.sink import DeviceSink
 
@@ -74,22 +78,22 @@ def test_without_devices_it_says_so() -> None:
 
 def test_what_was_saved_is_loaded(tmp_path: Path) -> None:
     folder = tmp_path / "not" / "there"
-    assert store.load(folder) == []
+    assert load_pauses(folder) == []
     pauses = [Pause(LEFT, SINCE), Pause(PLAIN, SINCE)]
-    store.save(folder, pauses)
-    assert store.load(folder) == pauses
+    save_pauses(folder, pauses)
+    assert load_pauses(folder) == pauses
     assert [path.name for path in folder.iterdir()] == [PAUSED_FILE]
-    store.save(folder, [])
+    save_pauses(folder, [])
     assert list(folder.iterdir()) == []
-    store.save(folder, [])
+    save_pauses(folder, [])
 
 
 def test_a_folder_that_cannot_be_written_keeps_what_it_has(tmp_path: Path) -> None:
-    store.save(tmp_path, [Pause(LEFT, SINCE)])
+    save_pauses(tmp_path, [Pause(LEFT, SINCE)])
     (tmp_path / f"{PAUSED_FILE}.{os.getpid()}").mkdir()
     with pytest.raises(OSError, match=r"paused\.json"):
-        store.save(tmp_path, [Pause(LEFT, SINCE), Pause(BELT, SINCE)])
-    assert store.load(tmp_path) == [Pause(LEFT, SINCE)]
+        save_pauses(tmp_path, [Pause(LEFT, SINCE), Pause(BELT, SINCE)])
+    assert load_pauses(tmp_path) == [Pause(LEFT, SINCE)]
 
 
 ENTRY = {"sensor": H10, "unit": "A1", "participant": "", "label": "", "since": SINCE.isoformat()}
@@ -143,7 +147,7 @@ def test_a_pause_follows_the_person_and_the_device(
 
 
 def test_who_had_withdrawn_is_paused_from_the_start_and_it_is_said(tmp_path: Path) -> None:
-    store.save(tmp_path, [Pause(LEFT, SINCE)])
+    save_pauses(tmp_path, [Pause(LEFT, SINCE)])
     sinks = [DeviceSink(LEFT, declaration(LEFT.sensor)), DeviceSink(BELT, declaration(BELT.sensor))]
     with capture_logs() as logs:
         PauseCommands(tmp_path, lambda: sinks)
@@ -165,21 +169,21 @@ async def test_pause_and_resume_are_kept(tmp_path: Path) -> None:
     assert await ask(commands, "pause", "left") == ("polar_h10/A1", True, None)
     assert await ask(commands, "pause", "left") == ("polar_h10/A1", False, None)
     assert await ask(commands, "pause", "p02") == (device_name(BELT), True, None)
-    kept = store.load(tmp_path)
+    kept = load_pauses(tmp_path)
     assert [each.identity for each in kept] == [LEFT, BELT]
     assert abs(datetime.now().astimezone() - kept[0].since) < timedelta(minutes=5)
     assert await ask(commands, "resume", "left") == ("polar_h10/A1", True, None)
     assert await ask(commands, "resume", "left") == ("polar_h10/A1", False, None)
-    assert [each.identity for each in store.load(tmp_path)] == [BELT]
+    assert [each.identity for each in load_pauses(tmp_path)] == [BELT]
     assert [sink.is_paused for sink in sinks] == [False, True]
 
 
 async def test_a_pause_of_somebody_who_is_not_in_the_settings_is_kept(tmp_path: Path) -> None:
-    store.save(tmp_path, [Pause(BELT, SINCE)])
+    save_pauses(tmp_path, [Pause(BELT, SINCE)])
     commands = PauseCommands(tmp_path, _left).commands
     await ask(commands, "pause", "left")
     await ask(commands, "resume", "left")
-    assert store.load(tmp_path) == [Pause(BELT, SINCE)]
+    assert load_pauses(tmp_path) == [Pause(BELT, SINCE)]
 
 
 async def test_what_cannot_be_kept_is_done_and_said(tmp_path: Path) -> None:
@@ -195,7 +199,7 @@ async def test_what_cannot_be_kept_is_done_and_said(tmp_path: Path) -> None:
     blocked.rmdir()
     # Asked again, it is written.
     assert await ask(commands, "pause", "left") == ("polar_h10/A1", False, None)
-    assert len(store.load(tmp_path)) == 1
+    assert len(load_pauses(tmp_path)) == 1
 
 
 @pytest.mark.nightly
@@ -215,7 +219,7 @@ async def test_an_answer_does_not_wait_for_what_is_slow(tmp_path: Path) -> None:
         assert (answer["changed"], answer["pending"]) == (True, True)
         assert str(tmp_path / PAUSED_FILE) in answer["problem"]
         assert await ask(commands, "pause", "left") == ("polar_h10/A1", False, None)
-    assert [each.identity for each in store.load(tmp_path)] == [LEFT]
+    assert [each.identity for each in load_pauses(tmp_path)] == [LEFT]
 
 
 async def test_a_request_without_a_name_is_refused(tmp_path: Path) -> None:

@@ -15,9 +15,8 @@ from structlog.testing import capture_logs
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import status_file
+from biosensor_gateway.agent.agent import UNWRITTEN_REPORTS, StatusWriter, snapshot
 from biosensor_gateway.agent.device import Device
-from biosensor_gateway.agent.snapshot import snapshot
-from biosensor_gateway.agent.status_writer import UNWRITTEN_REPORTS, StatusWriter
 from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.registry import declaration

@@ -3,27 +3,32 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pylsl
 import structlog
+from pydantic import BaseModel, Field, TypeAdapter
+from pylsl import local_clock
 
 from biosensor_common.device_clock import ClockState
 from biosensor_common.heap import limit_arenas
+from biosensor_common.refusals import Refusals
+from biosensor_common.spec import DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.control_server import Command, Conversation
 from biosensor_gateway.agent.device import Device
 from biosensor_gateway.agent.feed import Feed
 from biosensor_gateway.agent.fleet import Fleet, FleetChanges
-from biosensor_gateway.agent.known_streams import KnownStreams
 from biosensor_gateway.agent.marking import MarkerCommands
 from biosensor_gateway.agent.pauses.commands import PauseCommands
 from biosensor_gateway.agent.reloading import ReadSettings, Reloading
-from biosensor_gateway.agent.snapshot import snapshot
-from biosensor_gateway.agent.status_writer import StatusWriter
+from biosensor_gateway.agent.status import AgentStatus, RefusedStatus
+from biosensor_gateway.agent.status_file import STATUS_FILE
 from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.events import EventKind
@@ -33,12 +38,156 @@ from biosensor_gateway.streaming.outlets import Outlet, configure_lsl
 from biosensor_gateway.streaming.own_outlets import own_outlet
 from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.system import state_file
 from biosensor_gateway.system.keep_alive import restart_facts
 from biosensor_gateway.system.keep_awake import KeepAwake, system_inhibitor
 
 REPORT_INTERVAL_S = 1.0
 
 _log = structlog.get_logger("biosensor_gateway.agent")
+
+
+def snapshot(
+    devices: Iterable[Device], *, virtual: bool = False, own: Iterable[Refusals] = ()
+) -> AgentStatus:
+    """Describe the agent and every device of it.
+
+    Parameters
+    ----------
+    devices
+    virtual
+        Whether they are.
+    own
+        What of the agent's own streams is not passed on.
+    """
+    restarts = restart_facts(os.environ)
+    return AgentStatus(
+        written=time.time(),
+        lsl_time=local_clock(),
+        process=os.getpid(),
+        virtual=virtual,
+        restarts=int(restarts.get("restarts", 0)),
+        last_end=str(restarts.get("last_end", "")),
+        refusals=[told for each in own for told in RefusedStatus.of(each)],
+        devices=[device.status() for device in devices],
+    )
+
+
+UNWRITTEN_REPORTS = 3
+"""After so many in a row that were refused, the log says so."""
+
+
+class StatusWriter:
+    """Writes the status of devices, and says in the log once that it cannot.
+
+    Parameters
+    ----------
+    folder
+        Where the file goes.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._refused = 0
+        self._said = False
+
+    def write(self, status: dict[str, Any]) -> None:
+        """Replace the file; what cannot be written now is written with the next report."""
+        try:
+            status_file.write_status(self._folder, status)
+            self._refused = 0
+        except OSError as error:
+            self._refused += 1
+            # Windows refuses while somebody reads it, and a second later does not.
+            patience = UNWRITTEN_REPORTS if isinstance(error, PermissionError) else 1
+            if not self._said and self._refused >= patience:
+                self._said = True
+                _log.warning(
+                    "the status file cannot be written; `status` will not work", error=str(error)
+                )
+
+
+# Recorders look for a stream that has vanished, and take a second to find it again. A device takes
+# its own seconds to be connected. After a kill both can happen at the same time.
+STREAMS_FILE = "streams.json"
+FRESH_S = 300.0
+"""Who starts an agent later than this begins something new: perhaps other devices are worn."""
+
+
+class _Known(BaseModel):
+    identity: DeviceIdentity
+    info: DeviceInfo
+    rates: dict[str, Annotated[float, Field(ge=0, allow_inf_nan=False)]]
+
+
+_FILE = TypeAdapter(list[_Known])
+
+
+class KnownStreams:
+    """What is known of the streams of an agent's devices, in a file of the state folder.
+
+    The file is there from the first connection of a device to a clean end.
+
+    Parameters
+    ----------
+    folder
+        The state folder.
+    sinks
+        Returns those of all devices whose streams fit into this process.
+    """
+
+    def __init__(self, folder: Path, sinks: Callable[[], Iterable[DeviceSink]]) -> None:
+        self._path = folder / STREAMS_FILE
+        self._folder = folder
+        self._sinks = sinks
+        self._kept: list[_Known] = []
+        self._has_failed = False
+
+    def expect(self) -> None:
+        """Open the outlets that a run had which was killed a short while ago."""
+        sinks = {sink.identity: sink for sink in self._sinks()}
+        for known in self._left_behind():
+            sink = sinks.get(known.identity)
+            if sink is not None:
+                sink.expect(known.info, known.rates)
+
+    def keep(self) -> None:
+        """Write down what is known, if that has changed."""
+        known = [
+            _Known(identity=sink.identity, info=sink.info, rates=dict(sink.told_rates))
+            for sink in self._sinks()
+            if sink.is_open
+        ]
+        if known == self._kept or self._has_failed:
+            return
+        try:
+            state_file.replace(self._path, _FILE.dump_json(known, indent=1).decode())
+        except OSError as error:
+            # Streams appear later after a kill, and nothing else.
+            self._has_failed = True
+            _log.warning(f"cannot write {self._path}: {error.strerror or error}")
+        self._kept = known
+
+    def forget(self) -> None:
+        """Remove the file: the agent ends as it should."""
+        with contextlib.suppress(OSError):
+            self._path.unlink()
+
+    def _left_behind(self) -> list[_Known]:
+        try:
+            # Written once a second for as long as the agent lives.
+            lived_s = (self._folder / STATUS_FILE).stat().st_mtime
+            if time.time() - lived_s > FRESH_S:
+                return []
+            return _FILE.validate_json(state_file.read(self._path))
+        except FileNotFoundError:
+            return []
+        except (OSError, ValueError):
+            _log.warning(
+                f"{self._path} is damaged, so streams appear only when their devices are "
+                "connected; it is written anew then"
+            )
+            return []
 
 
 class Agent:
