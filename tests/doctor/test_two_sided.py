@@ -28,7 +28,7 @@ from biosensor_common.errors import (
     TransportError,
     TransportReason,
 )
-from biosensor_gateway.doctor.guide import GUIDE
+from biosensor_gateway.doctor.context import GUIDE
 from tests.doctor.outlets import Offered
 
 LOCAL, OTHER = "127.0.0.1", "127.0.0.2"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -13,10 +14,28 @@ from biosensor_common.errors import ConfigError, SpecError
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.single_instance import is_held
 from biosensor_gateway.devices.registry import declared
-from biosensor_gateway.doctor.guide import GUIDE
 from biosensor_gateway.settings.models import DeviceSettings, GatewaySettings, LslSettings
 
 LAB_RECORDER_PORT = 22345
+
+_PIP = f"{sys.executable} -m pip install --force-reinstall"
+
+GUIDE = Guide(
+    program="the agent",
+    package="biosensor_gateway",
+    distribution="biosensor-gateway",
+    install=f"in the folder of the project: {sys.executable} -m pip install .",
+    install_pylsl=f"{_PIP} pylsl",
+    libraries={name: f"{_PIP} {name}" for name in ("bleak", "numpy")},
+    ask_itself="biosensor-gateway config lsl",
+    ask_others="where LabRecorder is: biosensor-gateway config lsl --for two-pc --peer {peer}",
+    correct_file="biosensor-gateway config lsl --force",
+    edit="biosensor-gateway config edit",
+    alone=(
+        "run it alone: biosensor-gateway doctor --only {check}; if it fails again, report it with "
+        "the output of: biosensor-gateway doctor --json"
+    ),
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from uuid import UUID
 
 from biosensor_common.doctor import programs
 from biosensor_common.doctor.finding import Finding, note, ok, warning
-from biosensor_gateway.doctor import windows_power
 from biosensor_gateway.doctor.context import Context
 from biosensor_gateway.doctor.device_kinds import by_bluetooth_le
 
@@ -20,6 +21,34 @@ _HELD_OFF = (
     "the lid is closed."
 )
 _NOT_HELD_OFF = "A recording ends with the sleep, and keep_awake is off in the settings."
+
+# Of winnt.h: GUID_SLEEP_SUBGROUP and GUID_STANDBY_TIMEOUT.
+_SLEEP = UUID("238c9fa8-0aad-41ed-83f4-97be242c8f20")
+_STANDBY_TIMEOUT = UUID("29f6c1db-86da-48c5-9fdb-f2b67b1f44da")
+
+
+def _sleep_timeout_s() -> int | None:
+    """Return after how many idle seconds on mains Windows sleeps; 0 never, None unknown."""
+    if sys.platform != "win32":
+        return None
+    scheme = ctypes.c_void_p()
+    seconds = ctypes.c_uint32()
+    try:
+        library = ctypes.WinDLL("powrprof")
+        if library.PowerGetActiveScheme(None, ctypes.byref(scheme)):
+            return None
+        failed = library.PowerReadACValueIndex(
+            None, scheme, _guid(_SLEEP), _guid(_STANDBY_TIMEOUT), ctypes.byref(seconds)
+        )
+        ctypes.WinDLL("kernel32").LocalFree(scheme)
+    except (OSError, AttributeError):
+        # Systems that are no full Windows have no schemes.
+        return None
+    return None if failed else seconds.value
+
+
+def _guid(value: UUID) -> ctypes.Array[ctypes.c_char]:
+    return ctypes.create_string_buffer(value.bytes_le, len(value.bytes_le))
 
 
 def examine(context: Context) -> Iterator[Finding]:
@@ -65,7 +94,7 @@ def _linux_sleep() -> str | None:
 
 
 def _windows_sleep() -> str | None:
-    seconds = windows_power.sleep_timeout_s()
+    seconds = _sleep_timeout_s()
     return f"after {seconds / 60:g} minutes on mains" if seconds else None
 
 
