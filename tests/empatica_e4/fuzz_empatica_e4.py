@@ -11,8 +11,14 @@ import math
 from collections.abc import Sequence
 
 from biosensor_gateway.devices.empatica_e4.driver.emitter import E4Emitter
-from biosensor_gateway.devices.empatica_e4.driver.messages import Event, Message, Sample, Stream
-from biosensor_gateway.devices.empatica_e4.driver.protocol import MAX_LINE_BYTES, E4Protocol
+from biosensor_gateway.devices.empatica_e4.driver.protocol import (
+    MAX_LINE_BYTES,
+    E4Protocol,
+    Event,
+    Message,
+    Sample,
+    Stream,
+)
 from tests.fuzz.breaking import Fault, instead
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink
 from tests.fuzz.contract import ensure

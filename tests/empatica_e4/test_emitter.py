@@ -11,7 +11,7 @@ from structlog.testing import capture_logs
 
 from biosensor_gateway.devices.empatica_e4.declaration import SPEC
 from biosensor_gateway.devices.empatica_e4.driver.emitter import WINDOW_S, E4Emitter
-from biosensor_gateway.devices.empatica_e4.driver.messages import Sample, Stream
+from biosensor_gateway.devices.empatica_e4.driver.protocol import Sample, Stream
 from tests.rigs.emitter_sink import EmitterSink
 
 UNIX_S = 1_680_442_024.0

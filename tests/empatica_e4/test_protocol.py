@@ -11,17 +11,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.empatica_e4.driver.messages import (
+from biosensor_gateway.devices.empatica_e4.driver.protocol import (
+    MAX_LINE_BYTES,
+    E4Protocol,
     Event,
     Flaw,
     Malformed,
     Message,
     Reply,
     Sample,
-)
-from biosensor_gateway.devices.empatica_e4.driver.protocol import (
-    MAX_LINE_BYTES,
-    E4Protocol,
     request,
 )
 

@@ -19,7 +19,9 @@ from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.empatica_e4.driver.emitter import DATA_NAMES, E4Emitter
-from biosensor_gateway.devices.empatica_e4.driver.messages import (
+from biosensor_gateway.devices.empatica_e4.driver.protocol import (
+    SUBSCRIBED,
+    E4Protocol,
     Event,
     Malformed,
     Message,
@@ -28,8 +30,8 @@ from biosensor_gateway.devices.empatica_e4.driver.messages import (
     Sample,
     Stream,
     Wristband,
+    request,
 )
-from biosensor_gateway.devices.empatica_e4.driver.protocol import SUBSCRIBED, E4Protocol, request
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.dialogue import Dialogue

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 from math import inf
 
-from biosensor_gateway.devices.empatica_e4.driver.messages import Sample, Stream
+from biosensor_gateway.devices.empatica_e4.driver.protocol import Sample, Stream
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog
 from biosensor_gateway.transports.early import Early
