@@ -10,24 +10,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from biosensor_common.errors import ProtocolError
-from biosensor_gateway.devices.vernier_respiration_belt.driver import replies
 from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import (
     BeltChannels,
     choose_channels,
 )
 from biosensor_gateway.devices.vernier_respiration_belt.driver.emitter import VernierEmitter
-from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import (
+from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
+    HEADER_SIZE,
+    Channel,
+    Head,
     Measurement,
     Message,
-    Reply,
-)
-from biosensor_gateway.devices.vernier_respiration_belt.driver.packets import (
-    HEADER_SIZE,
-    Head,
     PacketParser,
+    Reply,
+    VernierProtocol,
+    parse_channel,
+    parse_device_info,
+    parse_mask,
+    parse_status,
 )
-from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import VernierProtocol
-from biosensor_gateway.devices.vernier_respiration_belt.driver.replies import Channel
 from tests.fuzz.breaking import Fault, forgets_what_it_holds
 from tests.fuzz.checked_sink import ARRIVAL_S, CheckedSink
 from tests.fuzz.contract import ensure
@@ -70,10 +71,10 @@ def _read(pieces: Sequence[bytes]) -> tuple[list[Message], int, int]:
 def _read_replies(payloads: Sequence[bytes]) -> None:
     channels: list[Channel] = []
     for payload in payloads:
-        replies.parse_status(payload)
-        replies.parse_device_info(payload)
-        replies.parse_mask(payload)
-        channel = replies.parse_channel(payload)
+        parse_status(payload)
+        parse_device_info(payload)
+        parse_mask(payload)
+        channel = parse_channel(payload)
         channels += [channel] if channel is not None else []
     try:
         chosen = choose_channels(channels)
@@ -119,7 +120,7 @@ def seeds() -> Seeds:
 
 
 FAULT: Fault = (
-    "biosensor_gateway.devices.vernier_respiration_belt.driver.packets.PacketParser",
+    "biosensor_gateway.devices.vernier_respiration_belt.driver.protocol.PacketParser",
     "feed",
     forgets_what_it_holds,
 )

@@ -11,7 +11,7 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import (
     BeltChannels,
     choose_channels,
 )
-from biosensor_gateway.devices.vernier_respiration_belt.driver.replies import Channel
+from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import Channel
 
 
 def channel(

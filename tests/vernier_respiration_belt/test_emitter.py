@@ -12,14 +12,15 @@ from structlog.testing import capture_logs
 from biosensor_gateway.devices.vernier_respiration_belt.declaration import SPEC
 from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import BeltChannels
 from biosensor_gateway.devices.vernier_respiration_belt.driver.emitter import VernierEmitter
-from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import (
+from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
+    Channel,
     Measurement,
     MeasurementKind,
     Notice,
     Reply,
+    Status,
     Unknown,
 )
-from biosensor_gateway.devices.vernier_respiration_belt.driver.replies import Channel, Status
 from tests.rigs.emitter_sink import EmitterSink
 
 NAN = math.nan

@@ -10,16 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_common.device_clock import DeviceClock
-from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import (
-    Measurement,
-    MeasurementKind,
-)
 from biosensor_gateway.devices.vernier_respiration_belt.driver.numbering import (
     HELD_PACKETS,
     LOST_LIMIT_S,
     Arrived,
     Numbering,
     Placed,
+)
+from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
+    Measurement,
+    MeasurementKind,
 )
 
 JITTER_S = 0.04

@@ -13,22 +13,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.vernier_respiration_belt.driver import protocol, replies
-from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import (
+from biosensor_gateway.devices.vernier_respiration_belt.driver import protocol
+from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
+    Head,
     Measurement,
     MeasurementKind,
     Message,
     Notice,
+    PacketParser,
     Reply,
     Unknown,
-)
-from biosensor_gateway.devices.vernier_respiration_belt.driver.packets import (
-    Head,
-    PacketParser,
+    VernierProtocol,
     encode,
     fragments,
 )
-from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import VernierProtocol
 
 
 class _Vector(NamedTuple):
@@ -152,7 +150,7 @@ def test_notices_have_no_samples(name: str) -> None:
 
 def test_status() -> None:
     vector = _VECTORS["conv_03_rsp_get_status"]
-    assert replies.parse_status(vector.data[6:]) == replies.Status(
+    assert protocol.parse_status(vector.data[6:]) == protocol.Status(
         vector.expected["main_fw"],
         vector.expected["ble_fw"],
         vector.expected["battery_percent"],
@@ -162,7 +160,7 @@ def test_status() -> None:
 
 def test_device_info() -> None:
     vector = _VECTORS["conv_05_rsp_get_device_info"]
-    assert replies.parse_device_info(vector.data[6:]) == replies.Identity(
+    assert protocol.parse_device_info(vector.data[6:]) == protocol.Identity(
         vector.expected["order_code"],
         vector.expected["serial"],
         vector.expected["name"],
@@ -174,7 +172,7 @@ def test_device_info() -> None:
 def test_masks() -> None:
     for name in ("conv_07_rsp_get_available_mask", "conv_09_rsp_get_default_mask"):
         vector = _VECTORS[name]
-        mask = replies.parse_mask(vector.data[6:])
+        mask = protocol.parse_mask(vector.data[6:])
         assert mask is not None
         assert mask == vector.expected["mask"]
         assert protocol.channels_of(mask) == vector.expected["channels"]
@@ -184,27 +182,27 @@ def test_masks() -> None:
 def test_channels(number: int) -> None:
     (vector,) = (v for n, v in _VECTORS.items() if n.endswith(f"rsp_get_sensor_info_{number}"))
     names = ("number", "description", "unit", "min_period_us", "max_period_us", "granularity_us")
-    expected = replies.Channel(*(vector.expected[name] for name in names))
-    assert replies.parse_channel(vector.data[6:]) == expected
+    expected = protocol.Channel(*(vector.expected[name] for name in names))
+    assert protocol.parse_channel(vector.data[6:]) == expected
 
 
 def test_a_channel_without_a_sensor_is_none() -> None:
     payload = bytearray(_VECTORS["conv_11_rsp_get_sensor_info_1"].data[6:])
     payload[2:6] = bytes(4)
-    assert replies.parse_channel(bytes(payload)) is None
+    assert protocol.parse_channel(bytes(payload)) is None
 
 
 @given(st.binary(max_size=200))
 def test_payloads_of_any_length_are_read_or_refused(payload: bytes) -> None:
-    for parse in (replies.parse_status, replies.parse_device_info, replies.parse_channel):
+    for parse in (protocol.parse_status, protocol.parse_device_info, protocol.parse_channel):
         parse(payload)
-    assert (replies.parse_mask(payload) is None) == (len(payload) < 4)
+    assert (protocol.parse_mask(payload) is None) == (len(payload) < 4)
 
 
 def test_refusals_are_told_from_warnings() -> None:
     status = _VECTORS["rsp_error_command_not_recognised"].data[6]
-    assert status & replies.REFUSED
-    assert not 0xCC & replies.REFUSED
+    assert status & protocol.REFUSED
+    assert not 0xCC & protocol.REFUSED
 
 
 @given(st.lists(st.integers(0, 10_000), max_size=40))

@@ -10,11 +10,11 @@ import pytest
 
 from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import BeltChannels
 from biosensor_gateway.devices.vernier_respiration_belt.driver.emitter import VernierEmitter
-from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import (
+from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
+    Channel,
     Measurement,
     MeasurementKind,
 )
-from biosensor_gateway.devices.vernier_respiration_belt.driver.replies import Channel
 from tests.rigs.emitter_sink import EmitterSink
 
 PERIOD_S, DRIFT = 0.1, 30e-6

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
-from biosensor_gateway.devices.vernier_respiration_belt.driver.replies import Channel
+from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import Channel
 
 
 @dataclass(frozen=True, slots=True)

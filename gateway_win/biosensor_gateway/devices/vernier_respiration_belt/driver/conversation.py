@@ -8,15 +8,17 @@ from typing import NamedTuple
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.devices.sink import Sink
-from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import Message, Reply
-from biosensor_gateway.devices.vernier_respiration_belt.driver.packets import encode, fragments
 from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
     COMMAND_UUID,
+    REFUSED,
     RESPONSE_UUID,
     Command,
+    Message,
+    Reply,
     VernierProtocol,
+    encode,
+    fragments,
 )
-from biosensor_gateway.devices.vernier_respiration_belt.driver.replies import REFUSED
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.dialogue import Dialogue
 

@@ -19,7 +19,7 @@ from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.discovery import Found
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.sink import Sink
-from biosensor_gateway.devices.vernier_respiration_belt.driver import protocol, replies
+from biosensor_gateway.devices.vernier_respiration_belt.driver import protocol
 from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import (
     BeltChannels,
     choose_channels,
@@ -30,7 +30,7 @@ from biosensor_gateway.devices.vernier_respiration_belt.driver.conversation impo
     Heard,
 )
 from biosensor_gateway.devices.vernier_respiration_belt.driver.emitter import VernierEmitter
-from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import Unknown
+from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import Unknown
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.transports.ble import BleLink
 from biosensor_gateway.transports.ble_choice import Choice
@@ -78,7 +78,7 @@ class VernierDriver:
         self._emitter = emitter
         self._link = BleLink(choice, sink.clock)
         self._rssi: tuple[int | None, float] = (None, 0.0)
-        self._status: tuple[replies.Status | None, float] = (None, 0.0)
+        self._status: tuple[protocol.Status | None, float] = (None, 0.0)
         self._conversation: Conversation | None = None
         self._channels: BeltChannels | None = None
 
@@ -90,8 +90,8 @@ class VernierDriver:
         await belt.begin()
         await _wake(belt)
         answer = await belt.ask(protocol.GET_STATUS)
-        self._status = (replies.parse_status(answer.payload), answer.arrival_s)
-        identity = replies.parse_device_info((await belt.ask(protocol.DEVICE_INFO)).payload)
+        self._status = (protocol.parse_status(answer.payload), answer.arrival_s)
+        identity = protocol.parse_device_info((await belt.ask(protocol.DEVICE_INFO)).payload)
         channels = await self._ask_channels(belt)
         self._period_us = channels.period_us(self._period_us)
         await belt.order(protocol.set_period(self._period_us))
@@ -138,12 +138,12 @@ class VernierDriver:
         await self._link.close()
 
     async def _ask_channels(self, belt: Conversation) -> BeltChannels:
-        mask = replies.parse_mask((await belt.ask(protocol.AVAILABLE_CHANNELS)).payload)
+        mask = protocol.parse_mask((await belt.ask(protocol.AVAILABLE_CHANNELS)).payload)
         answers = [
             await belt.ask(protocol.sensor_info(number))
             for number in protocol.channels_of(mask or 0)
         ]
-        channels = [replies.parse_channel(answer.payload) for answer in answers]
+        channels = [protocol.parse_channel(answer.payload) for answer in answers]
         return choose_channels([channel for channel in channels if channel is not None])
 
     async def _start(
@@ -168,9 +168,9 @@ class VernierDriver:
                 # The measurements may go on all the same.
                 self._emitter.log.warning(str(error))
             else:
-                self._take_status(replies.parse_status(answer.payload), answer.arrival_s)
+                self._take_status(protocol.parse_status(answer.payload), answer.arrival_s)
 
-    def _take_status(self, status: replies.Status | None, arrival_s: float) -> None:
+    def _take_status(self, status: protocol.Status | None, arrival_s: float) -> None:
         if status is not None:
             self._emitter.take_status(status, arrival_s)
 
@@ -185,7 +185,7 @@ async def _wake(belt: Conversation) -> None:
         await belt.order(protocol.INIT)
 
 
-def _device_info(identity: replies.Identity | None) -> DeviceInfo:
+def _device_info(identity: protocol.Identity | None) -> DeviceInfo:
     if identity is None:
         return DeviceInfo()
     return DeviceInfo("", identity.order_code, identity.serial_number, identity.firmware)

@@ -9,18 +9,18 @@ from statistics import fmean, pstdev
 
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.devices.vernier_respiration_belt.driver.channels import BeltChannels
-from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import (
-    Measurement,
-    MeasurementKind,
-    Message,
-    Notice,
-)
 from biosensor_gateway.devices.vernier_respiration_belt.driver.numbering import (
     Arrived,
     Numbering,
     Placed,
 )
-from biosensor_gateway.devices.vernier_respiration_belt.driver.replies import Status
+from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import (
+    Measurement,
+    MeasurementKind,
+    Message,
+    Notice,
+    Status,
+)
 from biosensor_gateway.system.device_log import DeviceLog
 
 QUALITY_PERIOD_S = 10.0

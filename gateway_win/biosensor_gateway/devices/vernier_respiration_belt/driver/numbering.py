@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 from biosensor_common.clocks import PacketTimeline
 from biosensor_common.device_clock import ClockState
-from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import Measurement
+from biosensor_gateway.devices.vernier_respiration_belt.driver.protocol import Measurement
 
 HELD_PACKETS = 5
 """The least delayed of so many packets is hardly delayed."""

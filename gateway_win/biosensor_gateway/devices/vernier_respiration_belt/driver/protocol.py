@@ -7,22 +7,10 @@ confirmed by bytes of a real belt.
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import IntEnum, unique
-from typing import NamedTuple
-
-from biosensor_gateway.devices.vernier_respiration_belt.driver.messages import (
-    Measurement,
-    MeasurementKind,
-    Message,
-    Notice,
-    Reply,
-    Unknown,
-)
-from biosensor_gateway.devices.vernier_respiration_belt.driver.packets import (
-    Head,
-    Packet,
-    PacketParser,
-)
+from typing import NamedTuple, TypeAlias
 
 SERVICE_UUID = "d91714ef-28b9-4f91-ba16-f0d9a604f112"
 COMMAND_UUID = "f4bf14a6-c7d5-4b6d-8aa8-df1a7c83adcb"
@@ -32,6 +20,303 @@ _ALL_CHANNELS = 0xFF
 _FROM_NOW = 0
 _REPLY_PAYLOAD_AT = 6
 _KIND_AT = 4
+
+
+@unique
+class MeasurementKind(IntEnum):
+    """Fifth byte of a measurement packet."""
+
+    NORMAL_REAL32 = 0x06
+    WIDE_REAL32 = 0x07
+    SINGLE_REAL32 = 0x08
+    SINGLE_INT32 = 0x09
+    APERIODIC_REAL32 = 0x0A
+    APERIODIC_INT32 = 0x0B
+    START_TIME = 0x0C
+    DROPPED = 0x0D
+    PERIOD = 0x0E
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """Answer to a command.
+
+    Attributes
+    ----------
+    counter
+        The device's packet counter, 0 to 255.
+    command
+        Id of the command that is answered.
+    echo
+        Counter of the command that is answered.
+    payload
+    """
+
+    counter: int
+    command: int
+    echo: int
+    payload: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """Samples of one or several channels, oldest first.
+
+    Attributes
+    ----------
+    counter
+        The device's packet counter, 0 to 255.
+    kind
+    samples
+        By channel number, in the channel's unit; NaN is "no value". All channels
+        have the same number of samples.
+    """
+
+    counter: int
+    kind: MeasurementKind
+    samples: Mapping[int, tuple[float, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """Start time, period, or that the device dropped samples; the content is not documented."""
+
+    counter: int
+    kind: MeasurementKind
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """A packet that cannot be decoded; its bytes count as dropped."""
+
+    counter: int
+
+
+Message: TypeAlias = Reply | Measurement | Notice | Unknown
+
+_STATUS = struct.Struct("<BBBBHBBHBB")
+_DEVICE_INFO = struct.Struct("<16s16s32sHHBBBBHBBH6sI64s")
+_SENSOR_INFO = struct.Struct("<bBIBB60s32sdddIQIII")
+_MASK = struct.Struct("<I")
+
+REFUSED = 0x33
+"""Status bits: not recognised, ignored, and two internal errors; the others are warnings."""
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """State of the belt.
+
+    Attributes
+    ----------
+    firmware
+        Version of the main processor, ``major.minor.build``.
+    ble_firmware
+        Version of the radio.
+    battery_percent
+    charger
+        0 idle, 1 charging, 2 complete, 3 error.
+    """
+
+    firmware: str
+    ble_firmware: str
+    battery_percent: int
+    charger: int
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """What the belt is; texts are as printed on it."""
+
+    order_code: str
+    serial_number: str
+    name: str
+    firmware: str
+    description: str
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """What a channel measures.
+
+    Attributes
+    ----------
+    number
+    description
+    unit
+        As the device writes it; may be empty.
+    min_period_us, max_period_us, granularity_us
+        Sampling periods that it can have.
+    """
+
+    number: int
+    description: str
+    unit: str
+    min_period_us: int
+    max_period_us: int
+    granularity_us: int
+
+
+def parse_status(payload: bytes) -> Status | None:
+    """Decode the reply to ``GET_STATUS``; None if it is too short."""
+    if len(payload) < _STATUS.size:
+        return None
+    fields = _STATUS.unpack_from(payload)
+    _, _, major, minor, build, ble_major, ble_minor, ble_build, battery, charger = fields
+    return Status(
+        f"{major}.{minor}.{build}", f"{ble_major}.{ble_minor}.{ble_build}", battery, charger
+    )
+
+
+def parse_device_info(payload: bytes) -> Identity | None:
+    """Decode the reply to ``DEVICE_INFO``; None if it is too short."""
+    if len(payload) < _DEVICE_INFO.size:
+        return None
+    fields = _DEVICE_INFO.unpack_from(payload)
+    order_code, serial, name, description = (_text(fields[at]) for at in (0, 1, 2, -1))
+    major, minor, build = fields[7:10]
+    return Identity(order_code, serial, name, f"{major}.{minor}.{build}", description)
+
+
+def parse_mask(payload: bytes) -> int | None:
+    """Decode the reply to ``AVAILABLE_CHANNELS``, bit n for channel n; None if too short."""
+    return _MASK.unpack_from(payload)[0] if len(payload) >= _MASK.size else None
+
+
+def parse_channel(payload: bytes) -> Channel | None:
+    """Decode the reply to ``SENSOR_INFO``; None if it is too short or there is no such channel."""
+    if len(payload) < _SENSOR_INFO.size:
+        return None
+    fields = _SENSOR_INFO.unpack_from(payload)
+    number, sensor_id = fields[0], fields[2]
+    if sensor_id == 0:
+        return None
+    min_period, max_period, _, granularity, _ = fields[10:]
+    return Channel(
+        number, _text(fields[5]), _text(fields[6]), min_period, max_period, granularity
+    )  # fmt: skip
+
+
+def _text(field: bytes) -> str:
+    return field.split(b"\0")[0].decode("utf-8", "replace").strip()
+
+
+# A packet is ``head, total length, counter, checksum, body``, and comes in as many notifications as
+# the connection makes of it.
+HEADER_SIZE = 4
+MAX_FRAGMENT = 20
+"""What fits into a write whatever the connection's MTU."""
+
+_CHECKSUM_AT = 3
+
+
+@unique
+class Head(IntEnum):
+    """First byte of a packet."""
+
+    COMMAND = 0x58
+    REPLY = 0x98
+    MEASUREMENT = 0x20
+
+
+_FROM_DEVICE = frozenset({Head.REPLY, Head.MEASUREMENT})
+
+
+class Packet(NamedTuple):
+    """A packet whose checksum is right.
+
+    Attributes
+    ----------
+    head
+    counter
+        The sender's own, one byte.
+    data
+        The whole packet.
+    """
+
+    head: Head
+    counter: int
+    data: bytes
+
+
+class PacketParser:
+    """Cuts a byte stream into packets, and finds the next one after damage.
+
+    Bytes that begin no valid packet are dropped one by one, so the result does not
+    depend on how the bytes were cut. At most one packet (255 bytes) is kept.
+    """
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+        self.dropped_bytes = 0
+
+    @property
+    def buffered(self) -> int:
+        """Bytes of an incomplete packet."""
+        return len(self._buffer)
+
+    def feed(self, data: bytes) -> list[Packet]:
+        """Return the packets that are complete now."""
+        self._buffer += data
+        packets: list[Packet] = []
+        while self._buffer:
+            length = self._complete_length()
+            if length is None:
+                break
+            if length == 0 or not _is_sound(self._buffer[:length]):
+                del self._buffer[0]
+                self.dropped_bytes += 1
+                continue
+            packet = bytes(self._buffer[:length])
+            del self._buffer[:length]
+            packets.append(Packet(Head(packet[0]), packet[2], packet))
+        return packets
+
+    def give_up(self) -> list[Packet]:
+        """Drop the start of a packet whose rest will not come; return what it hid."""
+        packets: list[Packet] = []
+        while self._buffer:
+            del self._buffer[0]
+            self.dropped_bytes += 1
+            packets += self.feed(b"")
+        return packets
+
+    def _complete_length(self) -> int | None:
+        """Return the length of the first packet, 0 if there is none, None if bytes are missing."""
+        if self._buffer[0] not in _FROM_DEVICE:
+            return 0
+        if len(self._buffer) < 2:
+            return None
+        length = self._buffer[1]
+        if length <= HEADER_SIZE:
+            return 0
+        return length if len(self._buffer) >= length else None
+
+
+def encode(counter: int, body: bytes) -> bytes:
+    """Return a command packet.
+
+    Raises
+    ------
+    ValueError
+        If the counter or the length does not fit into a byte.
+    """
+    packet = bytearray((Head.COMMAND, HEADER_SIZE + len(body), counter, 0)) + body
+    packet[_CHECKSUM_AT] = _checksum(packet)
+    return bytes(packet)
+
+
+def fragments(packet: bytes) -> list[bytes]:
+    """Return a packet in pieces that fit into one write each."""
+    return [packet[at : at + MAX_FRAGMENT] for at in range(0, len(packet), MAX_FRAGMENT)]
+
+
+def _is_sound(packet: bytearray) -> bool:
+    return packet[_CHECKSUM_AT] == _checksum(packet)
+
+
+def _checksum(packet: bytearray) -> int:
+    return (sum(packet) - packet[_CHECKSUM_AT]) & 0xFF
 
 
 @unique
