@@ -6,7 +6,6 @@ negative number of samples is lost.
 
 from __future__ import annotations
 
-from biosensor_gateway.devices.movesense.driver.assembly import Assembler
 from biosensor_gateway.devices.movesense.driver.emitter import MovesenseEmitter, PacketSeries
 from biosensor_gateway.devices.movesense.driver.measurements import (
     HEART_RATE,
@@ -17,6 +16,7 @@ from biosensor_gateway.devices.movesense.driver.measurements import (
     movement,
 )
 from biosensor_gateway.devices.movesense.driver.protocol import (
+    Assembler,
     Kind,
     is_refused_greeting,
     parse_greeting,

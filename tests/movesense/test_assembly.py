@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from biosensor_gateway.devices.movesense.driver.assembly import Assembler, Packet
-from biosensor_gateway.devices.movesense.driver.protocol import Kind, Message
+from biosensor_gateway.devices.movesense.driver.protocol import Assembler, Kind, Message, Packet
 
 FULL, SAMPLE = 4 + 8 * 36, 36
 

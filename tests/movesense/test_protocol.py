@@ -13,13 +13,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_gateway.devices.movesense.driver import protocol
-from biosensor_gateway.devices.movesense.driver.payloads import (
+from biosensor_gateway.devices.movesense.driver.protocol import (
+    Kind,
+    Message,
     parse_ecg,
     parse_heart_rate,
+    parse_message,
     parse_temperature,
     parse_vectors,
 )
-from biosensor_gateway.devices.movesense.driver.protocol import Kind, Message, parse_message
 
 VECTORS: list[dict[str, Any]] = json.loads(
     (Path(__file__).parent / "vectors/movesense_gsp.json").read_text(encoding="utf-8")

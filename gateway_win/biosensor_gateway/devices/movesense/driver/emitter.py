@@ -17,14 +17,14 @@ from biosensor_gateway.devices.ble_heart_rate.driver.stored_beats import (
     PlacedBeat,
     StoredBeats,
 )
-from biosensor_gateway.devices.movesense.driver.assembly import Packet
 from biosensor_gateway.devices.movesense.driver.measurements import (
     HEART_RATE,
     TEMPERATURE,
     Measurement,
 )
-from biosensor_gateway.devices.movesense.driver.payloads import (
+from biosensor_gateway.devices.movesense.driver.protocol import (
     Block,
+    Packet,
     in_g,
     parse_ecg,
     parse_heart_rate,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import NamedTuple
 
-from biosensor_gateway.devices.movesense.driver.payloads import (
+from biosensor_gateway.devices.movesense.driver.protocol import (
     ECG_SAMPLES,
     STAMP_BYTES,
     VECTOR_BYTES,

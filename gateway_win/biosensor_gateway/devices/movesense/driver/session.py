@@ -10,7 +10,6 @@ from biosensor_common.errors import GatewayError, ProtocolError, ProtocolReason
 from biosensor_common.spec import DeviceInfo
 from biosensor_gateway.devices.ble_heart_rate.driver.strap import Strap
 from biosensor_gateway.devices.movesense.driver import protocol
-from biosensor_gateway.devices.movesense.driver.assembly import Assembler
 from biosensor_gateway.devices.movesense.driver.emitter import MovesenseEmitter
 from biosensor_gateway.devices.movesense.driver.measurements import HELLO_REFERENCE, Measurement
 from biosensor_gateway.devices.movesense.driver.protocol import (
@@ -18,6 +17,7 @@ from biosensor_gateway.devices.movesense.driver.protocol import (
     DATA,
     OUT_OF_SLOTS,
     TOO_MANY_REQUESTS,
+    Assembler,
     Greeting,
     Kind,
     Message,

@@ -16,8 +16,11 @@ from bumble.gatt import Characteristic, CharacteristicValue, Service
 
 from biosensor_gateway.devices.ble_heart_rate.simulator.expected import EXPECTED as ANY_STRAP
 from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
-from biosensor_gateway.devices.ble_heart_rate.simulator.strap import STRAP_EFFECTS, Strap
-from biosensor_gateway.devices.ble_heart_rate.simulator.strap_device import StrapDevice
+from biosensor_gateway.devices.ble_heart_rate.simulator.strap import (
+    STRAP_EFFECTS,
+    Strap,
+    StrapDevice,
+)
 from biosensor_gateway.devices.movesense.simulator import wire
 from biosensor_gateway.devices.movesense.simulator.streams import MeasurementStream, stream
 from biosensor_gateway.devices.movesense.simulator.wire import FULL_MTU
