@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from biosensor_gateway.devices.line_sensor.driver.driver import row_protocol
 from biosensor_gateway.devices.line_sensor.driver.protocol.frames import CHECKSUMS
-from biosensor_gateway.devices.line_sensor.driver.protocol.rows import BadLine, Flaw, Row
+from biosensor_gateway.devices.line_sensor.driver.protocol.lines import BadLine, Flaw, Row
 from biosensor_gateway.devices.line_sensor.simulator.boards import crc16
 from tests.line_sensor.conftest import line_settings
 

@@ -17,16 +17,16 @@ from biosensor_common.spec import SensorSpec
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.line_sensor.driver.emitter import LineEmitter
 from biosensor_gateway.devices.line_sensor.driver.links import line_link
-from biosensor_gateway.devices.line_sensor.driver.protocol.csv import CsvReader
 from biosensor_gateway.devices.line_sensor.driver.protocol.frames import (
     FrameProtocol,
     checked_format,
 )
-from biosensor_gateway.devices.line_sensor.driver.protocol.json_lines import JsonReader
-from biosensor_gateway.devices.line_sensor.driver.protocol.lines import LineProtocol
-from biosensor_gateway.devices.line_sensor.driver.protocol.rows import (
+from biosensor_gateway.devices.line_sensor.driver.protocol.lines import (
     BadLine,
+    CsvReader,
     Flaw,
+    JsonReader,
+    LineProtocol,
     Row,
     RowProtocol,
 )

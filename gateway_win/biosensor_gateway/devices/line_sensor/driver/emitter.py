@@ -13,7 +13,7 @@ from biosensor_gateway.devices.line_sensor.driver.protocol.frames import (
     checked_format,
     turns_over_at,
 )
-from biosensor_gateway.devices.line_sensor.driver.protocol.rows import Row
+from biosensor_gateway.devices.line_sensor.driver.protocol.lines import Row
 from biosensor_gateway.devices.line_sensor.driver.settings import TICKS_S, LineSettings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog

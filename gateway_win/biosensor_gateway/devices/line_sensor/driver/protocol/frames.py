@@ -9,7 +9,7 @@ from collections.abc import Callable
 from math import isfinite, nan
 from types import MappingProxyType
 
-from biosensor_gateway.devices.line_sensor.driver.protocol.rows import BadLine, Flaw, Row
+from biosensor_gateway.devices.line_sensor.driver.protocol.lines import BadLine, Flaw, Row
 
 _SHOWN = 16
 # Python's codes of numbers; `x` is a byte that means nothing.

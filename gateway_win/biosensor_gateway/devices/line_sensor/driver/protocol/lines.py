@@ -1,19 +1,98 @@
-"""Cuts text into lines, and has each of them read."""
+"""Cuts text into lines, and reads a row of numbers from each: separated values, or JSON."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+import re
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from enum import Enum, unique
+from math import isfinite, isnan, nan
+from types import MappingProxyType
+from typing import NamedTuple, Protocol, cast
 
-from biosensor_gateway.devices.line_sensor.driver.protocol.rows import (
-    MAX_LINE_BYTES,
-    BadLine,
-    Flaw,
-    Row,
-    Wrong,
-)
+from biosensor_gateway.devices.line_sensor.declaration import SKIPPED, Column
 
 COMMENT = b"#"
-_SHOWN = 60
+_SHOWN_BYTES = 60
+
+Row = tuple[float, ...]
+"""A value for each column of the settings, NaN where the line has none."""
+
+MAX_LINE_BYTES = 4096
+SEPARATORS = MappingProxyType({"comma": ",", "semicolon": ";", "tab": "\t", "space": " "})
+"""What stands between values, by the word for it in the settings."""
+
+# Python's own `float` takes underscores, too, and digits of any alphabet.
+_NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+# As boards print them: Arduino's Print has these three.
+_NO_VALUE = frozenset({"", "nan", "inf", "-inf", "+inf", "ovf"})
+_SHOWN_CHARACTERS = 20
+_SHOWN_KEYS = 5
+_LONGEST_KEY = 20
+
+
+@unique
+class Flaw(Enum):
+    """What is wrong with a line."""
+
+    COUNT = "count"
+    """Not as many values as the settings name columns."""
+    NOT_A_NUMBER = "not_a_number"
+    NOT_JSON = "not_json"
+    NO_KEYS = "no_keys"
+    """JSON without what the settings ask for."""
+    TOO_LONG = "too_long"
+    NOT_TEXT = "not_text"
+    NO_FRAME = "no_frame"
+    """Bytes where the beginning of a record should be, or a record of another length."""
+    CHECKSUM = "checksum"
+
+
+class Wrong(NamedTuple):
+    """Why a line is none; `why` is a clause for a person that names what does not fit."""
+
+    flaw: Flaw
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class BadLine:
+    """What is not passed on.
+
+    Attributes
+    ----------
+    flaw
+    raw
+        The line, or its beginning.
+    size
+        Its bytes on the wire.
+    why
+        A clause for a person that names what does not fit.
+    """
+
+    flaw: Flaw
+    raw: bytes
+    size: int
+    why: str
+
+
+class RowProtocol(Protocol):
+    """Reads what a device sends, cut in any way."""
+
+    @property
+    def buffered(self) -> int:
+        """Bytes that wait for the rest of their line."""
+        ...
+
+    def feed(self, data: bytes) -> list[Row | BadLine]:
+        """Take bytes of a stream; return the rows that are complete. Never raises."""
+        ...
+
+    def feed_whole(self, data: bytes) -> list[Row | BadLine]:
+        """Take a message that ends where its last line ends. Never raises."""
+        ...
+
 
 ReadLine = Callable[[str], Row | Wrong | None]
 """Gives the values of a line, or what is wrong with it; None for one that means nothing."""
@@ -67,13 +146,167 @@ class LineProtocol:
             self._is_skipping = False
             return None
         if size > MAX_LINE_BYTES:
-            return BadLine(Flaw.TOO_LONG, raw[:_SHOWN], size, f"is longer than {MAX_LINE_BYTES}")
+            return BadLine(
+                Flaw.TOO_LONG, raw[:_SHOWN_BYTES], size, f"is longer than {MAX_LINE_BYTES}"
+            )
         line = raw.strip()
         if not line or line.startswith(COMMENT):
             return None
         if not line.isascii() or b"\0" in line:
-            return BadLine(Flaw.NOT_TEXT, line[:_SHOWN], size, "is no text")
+            return BadLine(Flaw.NOT_TEXT, line[:_SHOWN_BYTES], size, "is no text")
         said = self._read_line(line.decode("ascii"))
         if isinstance(said, Wrong):
-            return BadLine(said.flaw, line[:_SHOWN], size, said.why)
+            return BadLine(said.flaw, line[:_SHOWN_BYTES], size, said.why)
         return said
+
+
+class CsvReader:
+    """Reads lines of values; an empty one is no value.
+
+    Parameters
+    ----------
+    labels
+        Of the columns.
+    separator
+        A key of `SEPARATORS`. With any but the comma, numbers may have a decimal comma.
+    needed
+        Positions of the columns that each line must have a value in.
+    """
+
+    def __init__(self, labels: Sequence[str], separator: str, needed: Collection[int] = ()) -> None:
+        self._needed = frozenset(needed)
+        self._labels = tuple(labels)
+        self._separator = separator
+
+    def __call__(self, line: str) -> Row | Wrong | None:
+        """Read a line; one that has the columns' labels is a heading and means nothing."""
+        values = _split(line, self._separator)
+        if len(values) != len(self._labels):
+            return Wrong(Flaw.COUNT, self._miscounted(line, len(values)))
+        row: list[float] = []
+        for position, label in enumerate(self._labels):
+            value = _without_label(values[position], label)
+            number = 0.0 if label == SKIPPED else self._number(value)
+            if number is None or (position in self._needed and isnan(number)):
+                if tuple(values) == self._labels:
+                    return None
+                shown = value[:_SHOWN_CHARACTERS]
+                return Wrong(Flaw.NOT_A_NUMBER, f"has {shown!r} in column {label}, no number")
+            row.append(number)
+        return tuple(row)
+
+    def _number(self, value: str) -> float | None:
+        if self._separator != "comma":
+            value = value.replace(",", ".")
+        if _NUMBER.fullmatch(value):
+            number = float(value)
+            return number if abs(number) < float("inf") else nan
+        return nan if value.lower() in _NO_VALUE else None
+
+    def _miscounted(self, line: str, count: int) -> str:
+        wanted = len(self._labels)
+        said = f"has {_values(count)} between {self._separator}s, and columns names {wanted}"
+        others = [each for each in SEPARATORS if len(_split(line, each)) == wanted]
+        if line.startswith(("{", "[")):
+            return f'{said}; it looks like format = "json"'
+        if others:
+            return f'{said}; it has as many with separator = "{others[0]}"'
+        return said
+
+
+def _split(line: str, separator: str) -> list[str]:
+    if separator == "space":
+        return line.split()
+    return [each.strip() for each in line.split(SEPARATORS[separator])]
+
+
+def _without_label(value: str, label: str) -> str:
+    """Return what is behind the label, as Arduino's plotter has it: ``gsr:512``."""
+    told, colon, number = value.partition(":")
+    return number.strip() if colon and label in (told.strip(), SKIPPED) else value
+
+
+def _values(count: int) -> str:
+    return "1 value" if count == 1 else f"{count} values"
+
+
+class JsonReader:
+    """Reads objects by their keys, and arrays by the order of the columns.
+
+    A column's value is that of the key with its label, or of that key inside the object that its
+    stream's name is the key of. What is missing or null is no value.
+
+    Parameters
+    ----------
+    columns
+        Of the settings.
+    needed
+        Positions of those that each line must have.
+    """
+
+    def __init__(self, columns: Sequence[Column], needed: Collection[int] = ()) -> None:
+        self._columns = tuple(columns)
+        self._needed = frozenset(needed)
+
+    def __call__(self, line: str) -> Row | Wrong | None:
+        """Read a line."""
+        try:
+            said: object = json.loads(line)
+        except (ValueError, RecursionError):
+            hint = "" if line.startswith(("{", "[")) else '; is it format = "csv"?'
+            return Wrong(Flaw.NOT_JSON, f"is no JSON{hint}")
+        if isinstance(said, dict):
+            return self._of_object(cast("dict[str, object]", said))
+        if isinstance(said, list):
+            return self._of_array(cast("list[object]", said))
+        return Wrong(Flaw.NOT_JSON, "is neither a JSON object nor an array")
+
+    def _of_object(self, said: dict[str, object]) -> Row | Wrong:
+        values = [_looked_up(said, each) for each in self._columns]
+        missing = [
+            each.label
+            for position, (each, value) in enumerate(zip(self._columns, values, strict=True))
+            if value is None and (position in self._needed)
+        ]
+        if missing or all(value is None for value in values):
+            wanted = missing or [each.label for each in self._columns if not each.is_skipped]
+            has = (
+                ", ".join(ascii(each[:_LONGEST_KEY]) for each in list(said)[:_SHOWN_KEYS]) or "none"
+            )
+            names = ", ".join(wanted[:_SHOWN_KEYS])
+            return Wrong(Flaw.NO_KEYS, f"has no key {names}; its keys are {has}")
+        return self._row(values)
+
+    def _of_array(self, said: list[object]) -> Row | Wrong:
+        if len(said) != len(self._columns):
+            wanted = len(self._columns)
+            return Wrong(Flaw.COUNT, f"has {len(said)} values, and columns names {wanted}")
+        return self._row(said)
+
+    def _row(self, values: Sequence[object]) -> Row | Wrong:
+        row: list[float] = []
+        for each, value in zip(self._columns, values, strict=True):
+            number = nan if each.is_skipped else _number(value)
+            if number is None:
+                return Wrong(Flaw.NOT_A_NUMBER, f"has no number in {each.label}")
+            row.append(number)
+        return tuple(row)
+
+
+def _looked_up(said: dict[str, object], each: Column) -> object:
+    inner = said.get(each.stream)
+    if isinstance(inner, dict) and each.label in inner:
+        return cast("dict[str, object]", inner)[each.label]
+    return said.get(each.label)
+
+
+def _number(value: object) -> float | None:
+    if value is None:
+        return nan
+    if not isinstance(value, int | float):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:
+        return nan
+    return number if isfinite(number) else nan
