@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from biosensor_gateway.devices.brainflow.driver.timeline import SampleCount
+from biosensor_gateway.devices.brainflow.driver.emitter import SampleCount
 
 
 @given(

@@ -13,11 +13,14 @@ from biosensor_gateway.devices.brainflow.declaration import (
     board_spec,
     board_streams,
 )
-from biosensor_gateway.devices.brainflow.driver.emitter import PresetEmitter, own_clock
+from biosensor_gateway.devices.brainflow.driver.emitter import (
+    COUNTS_UP_TO,
+    PresetEmitter,
+    own_clock,
+)
 from biosensor_gateway.devices.brainflow.driver.frames import Frames, Rows, Told
 from biosensor_gateway.devices.brainflow.driver.process import ProcessLink, described, refusal
 from biosensor_gateway.devices.brainflow.driver.settings import BrainFlowSettings
-from biosensor_gateway.devices.brainflow.driver.timeline import COUNTS_UP_TO
 from biosensor_gateway.devices.driver import Connected, DriverEntry, own_settings
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.settings.models import DeviceSettings

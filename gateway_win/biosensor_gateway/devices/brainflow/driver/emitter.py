@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 from biosensor_common.device_clock import DeviceClock
 from biosensor_gateway.devices.brainflow.declaration import BoardStream, Description
 from biosensor_gateway.devices.brainflow.driver.frames import Rows
-from biosensor_gateway.devices.brainflow.driver.timeline import SampleCount
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog
 
@@ -19,6 +19,50 @@ _OLDEST_S = 10.0
 """BrainFlow is asked 50 times a second; a stamp that is older was made before the clock was set."""
 _WATCHED_S = 10.0
 _RATE_ERROR = 0.05
+
+# BrainFlow's stamps are the computer's time of day at arrival, so the board's clock is its count of
+# samples by its rate.
+COUNTS_UP_TO = MappingProxyType(
+    {
+        ("SYNTHETIC_BOARD", 0): 256,
+        ("SYNTHETIC_BOARD", 1): 256,
+        ("CYTON_BOARD", 0): 256,
+        ("GANGLION_BOARD", 0): 201,
+    }
+)
+"""Where a board's packet number begins anew, for presets in which it counts samples.
+
+Of all others it counts something else, or BrainFlow counts itself: what is lost is not known.
+"""
+
+
+class SampleCount:
+    """Follows the packet number of one preset; `turns_over_at` is 0 where it counts nothing."""
+
+    def __init__(self, turns_over_at: int) -> None:
+        self._turn = turns_over_at
+        self._number: float | None = None
+        self._count = -1
+
+    def place(self, numbers: NDArray[np.float64]) -> tuple[NDArray[np.int64], int]:
+        """Return the place of each sample since the start, and how many are missing before them.
+
+        Parameters
+        ----------
+        numbers : array, shape (n_samples,)
+            Packet numbers.
+        """
+        if not self._turn:
+            steps = np.ones(len(numbers), np.int64)
+        else:
+            first = numbers[0] - 1 if self._number is None else self._number
+            differences = np.diff(numbers, prepend=first)
+            # A number that stays is one more sample all the same.
+            steps = np.maximum(1, np.round(differences % self._turn)).astype(np.int64)
+            self._number = float(numbers[-1])
+        places = self._count + np.cumsum(steps)
+        self._count = int(places[-1])
+        return places, int(steps.sum()) - len(steps)
 
 
 class _Stamps(Protocol):
