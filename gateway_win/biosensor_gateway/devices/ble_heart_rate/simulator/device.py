@@ -8,8 +8,11 @@ from typing import Any, Unpack
 
 from biosensor_gateway.devices.ble_heart_rate.simulator.expected import EXPECTED
 from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
-from biosensor_gateway.devices.ble_heart_rate.simulator.strap import STRAP_EFFECTS, Strap
-from biosensor_gateway.devices.ble_heart_rate.simulator.strap_device import StrapDevice
+from biosensor_gateway.devices.ble_heart_rate.simulator.strap import (
+    STRAP_EFFECTS,
+    Strap,
+    StrapDevice,
+)
 from biosensor_gateway.simulation.effects import lasting, on_part
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral

@@ -35,6 +35,7 @@ from biosensor_gateway.simulation.power import PowerSwitch
 from biosensor_gateway.simulation.specimen import Specimen
 from biosensor_gateway.simulation.truth import Truth
 from biosensor_gateway.simulation.untidy_radio import UNTIDY_RADIO
+from biosensor_gateway.simulation.virtual_device import VirtualDevice
 
 _BATTERY_PERCENT = 87
 
@@ -358,3 +359,15 @@ STRAP_EFFECTS: Effects[Strap] = MappingProxyType(
 def _call(functions: Sequence[Callable[[], None]]) -> None:
     for function in functions:
         function()
+
+
+class StrapDevice(VirtualDevice):
+    """A virtual device that is on while its strap is; a subclass makes the strap."""
+
+    _strap: Strap
+
+    async def _start(self) -> None:
+        await self._strap.start()
+
+    async def _stop(self) -> None:
+        await self._strap.stop()

@@ -16,8 +16,11 @@ from bumble.gatt import Characteristic, Service
 
 from biosensor_gateway.devices.ble_heart_rate.simulator.expected import EXPECTED as ANY_STRAP
 from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
-from biosensor_gateway.devices.ble_heart_rate.simulator.strap import STRAP_EFFECTS, Strap
-from biosensor_gateway.devices.ble_heart_rate.simulator.strap_device import StrapDevice
+from biosensor_gateway.devices.ble_heart_rate.simulator.strap import (
+    STRAP_EFFECTS,
+    Strap,
+    StrapDevice,
+)
 from biosensor_gateway.simulation.effects import Effect, on_part
 from biosensor_gateway.simulation.faults import FaultKind
 from biosensor_gateway.simulation.peripheral import Peripheral

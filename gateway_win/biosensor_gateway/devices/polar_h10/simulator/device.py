@@ -12,8 +12,11 @@ from bumble.core import UUID
 from bumble.gatt import Characteristic, Service
 
 from biosensor_gateway.devices.ble_heart_rate.simulator.services import Identity
-from biosensor_gateway.devices.ble_heart_rate.simulator.strap import STRAP_EFFECTS, Strap
-from biosensor_gateway.devices.ble_heart_rate.simulator.strap_device import StrapDevice
+from biosensor_gateway.devices.ble_heart_rate.simulator.strap import (
+    STRAP_EFFECTS,
+    Strap,
+    StrapDevice,
+)
 from biosensor_gateway.devices.polar_h10.simulator.expected import EXPECTED
 from biosensor_gateway.devices.polar_h10.simulator.pmd_service import PmdService
 from biosensor_gateway.devices.polar_h10.simulator.products import H10, Product
