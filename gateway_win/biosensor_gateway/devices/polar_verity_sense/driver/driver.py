@@ -135,6 +135,7 @@ def _version(info: DeviceInfo) -> tuple[int, ...]:
     return tuple(int(number) for number in _VERSION_NUMBER.findall(info.firmware_version)[:3])
 
 
+# The SDK mode has more rates and ranges, and neither heart rate nor intervals.
 _LEAVE_SDK_MODE = stop(Measurement.SDK_MODE)
 _ENTER_SDK_MODE = start(Measurement.SDK_MODE, {})
 
