@@ -68,7 +68,7 @@ def test_any_numbers_become_channels(tmp_path: Path, storage: StoragePlugin) -> 
     made.write_bag(tmp_path / "robot", _robot(), storage)
     imported = import_bag(tmp_path / "robot", tmp_path / "robot.xdf")
     assert dict(imported.streams) == {"/joint_states": 200, "/load": 200, "/said": 1}
-    assert imported.left_out == {"/camera": "its field data holds bytes, not numbers"}
+    assert imported.left_out == {"/camera": "its field data holds images or the like, no numbers"}
     assert not imported.damages
     joints, load, said = load_by_pyxdf(tmp_path / "robot.xdf")
     assert joints["info"]["name"] == ["joint_states"]

@@ -19,16 +19,20 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import Reader
 
+from biosensor_common.errors import GatewayError
 from biosensor_common.quantities import ChannelFormat
+from biosensor_common.ros.fields import bulk_of, fields_of, has_header
 from biosensor_common.ros_clock import NS_PER_S
 from biosensor_common.stream_header import StreamHeader
 from biosensor_common.topic_shape import queue_depth
 from biosensor_gateway.devices.registry import declaration, declaration_names
 from biosensor_gateway.recording.bag import types
+from biosensor_gateway.recording.bag.messages import Topic
 from biosensor_gateway.recording.export.mcap.numbers import RawNumbers
 from biosensor_gateway.recording.export.mcap.standard_messages import standard_messages
 from biosensor_gateway.recording.export.mcap.texts import counters_message
 from lsl_to_ros.lsl.blocks import Run
+from lsl_to_ros.ros_to_lsl import fields
 from lsl_to_ros.topics import messages
 from lsl_to_ros.topics.cdr import SampleEncoder
 from lsl_to_ros.topics.standard_messages import STANDARD_MESSAGES
@@ -101,6 +105,21 @@ def test_counters_have_the_nodes_bytes() -> None:
     kind = messages.DiagnosticArray
     node = messages.counters_message(text, _Clock().to_time(0.0))
     assert deserialize_message(counters_message(STAMP_NS, text), kind) == node
+
+
+def test_types_have_the_nodes_fields() -> None:
+    compared = 0
+    for name in types.typestore().fielddefs:
+        try:
+            live = fields.message_class(name)
+        except GatewayError:
+            continue
+        compared += 1
+        definition = types.MessageType(Topic("/a", name)).definition
+        assert fields_of(definition) == fields.fields_of(live), name
+        assert has_header(definition) == fields.has_header(live), name
+        assert bulk_of(definition) == fields.bulk_of(live), name
+    assert compared > 100
 
 
 def test_our_messages_are_those_that_colcon_builds() -> None:

@@ -72,7 +72,7 @@ FAULTS: dict[str, Fault] = {
     "lsl_config": ("biosensor_gateway.recording.lsl_api_cfg.LslFile", "adapt", always(None)),
     "lsl_header": ("biosensor_common.lsl_header", "read_channels", always(NO_CHANNELS)),
     "naming": ("biosensor_common.naming", "_escape", instead(any_text)),
-    "ros_to_lsl": ("lsl_to_ros.ros_to_lsl.layout", "_names_in", instead(any_names)),
+    "ros_to_lsl": ("biosensor_common.ros.layout", "_names_in", instead(any_names)),
     "settings": ("biosensor_gateway.settings.toml_lines._Scanner", "_note", instead(any_path)),
     "status": ("tests.fuzz.targets.status", "read_status", instead(any_status)),
     "xdf": ("biosensor_gateway.recording.xdf.container", "_damage", ends_too_late),

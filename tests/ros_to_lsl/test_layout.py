@@ -12,8 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_common.errors import SpecError, SpecReason
-from lsl_to_ros.ros_to_lsl.fields import all_fields, fields_of, message_class, type_name
-from lsl_to_ros.ros_to_lsl.layout import Layout, LayoutChangedError
+from biosensor_common.ros.fields import all_fields
+from biosensor_common.ros.layout import Layout, LayoutChangedError
+from lsl_to_ros.ros_to_lsl.fields import fields_of, message_class, type_name
 
 # Their own annotations are partial.
 Duration = message_class("builtin_interfaces/msg/Duration")

@@ -20,8 +20,9 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from biosensor_common.errors import ConfigError, SpecError
-from lsl_to_ros.ros_to_lsl.fields import Field, fields_of, has_header, message_class
-from lsl_to_ros.ros_to_lsl.layout import Layout, LayoutChangedError
+from biosensor_common.ros.fields import Field
+from biosensor_common.ros.layout import Layout, LayoutChangedError
+from lsl_to_ros.ros_to_lsl.fields import fields_of, has_header, message_class
 from lsl_to_ros.ros_to_lsl.outlets import Origin, sample_info
 from lsl_to_ros.ros_to_lsl.parameters import requests_of
 from lsl_to_ros.ros_to_lsl.requests import Requests

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from biosensor_common.errors import SpecError
 from biosensor_common.quantities import ChannelFormat
+from biosensor_common.ros.fields import FieldKind, all_fields, bulk_of, fields_of, has_header
+from biosensor_common.ros.layout import Layout, LayoutChangedError
 from biosensor_common.ros_clock import NS_PER_S
 from biosensor_gateway.recording.bag.errors import MessageError, UnsuitableError
 from biosensor_gateway.recording.bag.headers import (
@@ -20,7 +23,6 @@ from biosensor_gateway.recording.bag.headers import (
     facts_of_topic,
     header_xml,
 )
-from biosensor_gateway.recording.bag.layout import Layout, LayoutChangedError, has_header, layout_of
 from biosensor_gateway.recording.bag.messages import Message, Topic
 from biosensor_gateway.recording.bag.recorded_streams import RecordedStream
 from biosensor_gateway.recording.bag.stream_writer import StreamWriter
@@ -148,7 +150,11 @@ class AnyTopic:
 
     def __init__(self, topic: Topic, new_stream: NewStream, to_lsl: ToLsl) -> None:
         self._topic, self._kind = topic, MessageType(topic)
-        self._has_header = has_header(self._kind)
+        definition = self._kind.definition
+        self._has_header, self._bulk = has_header(definition), bulk_of(definition)
+        self._fields = fields_of(definition)
+        leaves = (each for each in all_fields(self._fields) if each.kind is not FieldKind.MESSAGE)
+        self._has_numbers = any(each.kind is not FieldKind.TEXT for each in leaves)
         self._new_stream, self._to_lsl = new_stream, to_lsl
         self._writers: dict[tuple[tuple[str, str], ...], StreamWriter] = {}
         self._layout: Layout | None = None
@@ -169,7 +175,7 @@ class AnyTopic:
         assert self._writer is not None
         self._writer.add(self._to_lsl(np.array([stamp_ns])), samples)
 
-    def _values(self, message: Any) -> list[float]:
+    def _values(self, message: Any) -> Sequence[float]:
         """Return the numbers of a message, and have the stream that fits them."""
         layout = self._layout or self._lay_out(message)
         try:
@@ -179,21 +185,29 @@ class AnyTopic:
             return self._lay_out(message).read(message)
 
     def _lay_out(self, message: Any) -> Layout:
-        self._layout = layout = layout_of(self._kind, message)
-        is_text = not layout.channels
+        if self._bulk:
+            raise UnsuitableError(f"its field {self._bulk} holds images or the like, no numbers")
+        try:
+            layout = Layout(self._fields, message)
+        except SpecError as error:
+            raise UnsuitableError(str(error)) from error
+        is_text = not self._has_numbers
         if is_text and not isinstance(getattr(message, "data", None), str):
             raise UnsuitableError(f"{self._topic.type_name} has no numbers")
-        self._writer = self._writers.get(layout.channels)
+        if not is_text and not layout.channels:
+            raise MessageError("its sequences are empty, so that it has no number")
+        self._layout = layout
+        channels = tuple((each.label, each.unit) for each in layout.channels) or (("text", ""),)
+        self._writer = self._writers.get(channels)
         if self._writer is None:
             form = ChannelFormat.STRING if is_text else ChannelFormat.DOUBLE64
-            channels = (("text", ""),) if is_text else layout.channels
             facts = facts_of_topic(
                 self._topic.name, self._topic.type_name, channels, form, len(self._writers)
             )
             source = "header" if self._stamp_ns(message) else "log"
             origin = Origin(self._topic.name, self._topic.type_name, source)
             self._writer = self._new_stream(header_xml(facts, origin), form, len(channels))
-            self._writers[layout.channels] = self._writer
+            self._writers[channels] = self._writer
         return layout
 
     def _stamp_ns(self, message: Any) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
@@ -18,9 +18,11 @@ from rosbags.typesys import (
 from rosbags.typesys.base import normalize_fieldname
 from rosbags.typesys.store import Typestore
 
+from biosensor_common.ros.fields import Definition, Slot
 from biosensor_gateway.recording.bag.errors import MessageError
 from biosensor_gateway.recording.bag.messages import Topic
 
+_ARRAYS = (Nodetype.ARRAY, Nodetype.SEQUENCE)
 SAMPLES = "biosensor_msgs/msg/Samples"
 EVENT = "biosensor_msgs/msg/Event"
 
@@ -68,10 +70,10 @@ class MessageType:
         self._store = _defined(topic) if topic.definition else typestore()
         self._require(self.name, ())
 
-    def fields(self, name: str) -> list[tuple[str, tuple[Nodetype, Any]]]:
-        """Return the fields of a type that it needs, with what they are."""
-        fields: Sequence[tuple[str, Any]] = self._store.fielddefs[name][1]
-        return [(normalize_fieldname(field), what) for field, what in fields]
+    @property
+    def definition(self) -> Definition:
+        """What a message consists of."""
+        return _Stored(self._store, self.name)
 
     def _require(self, name: str, within: tuple[str, ...]) -> None:
         """See to it that a type is known, with all that it needs, and is not inside itself."""
@@ -81,15 +83,15 @@ class MessageType:
             raise MessageError(f"the type {name} is inside itself")
         if name in _READ_BY_NAME:
             self._require_fields(name)
-        for _, (node, what) in self.fields(name):
-            is_array = node in (Nodetype.ARRAY, Nodetype.SEQUENCE)
-            inner_node, inner = what[0] if is_array else (node, what)
+        fields: Any = self._store.fielddefs[name][1]
+        for _, (node, what) in fields:
+            inner_node, inner = what[0] if node in _ARRAYS else (node, what)
             if inner_node is Nodetype.NAME:
                 self._require(inner, (*within, name))
 
     def _require_fields(self, name: str) -> None:
         """See to it that a type has the fields that it has everywhere else; more do no harm."""
-        defined = dict(self.fields(name))
+        defined = dict(self._store.fielddefs[name][1])
         for field, what in typestore().fielddefs[name][1]:
             if defined.get(field) != what:
                 text = f"its bag defines {name} without the field {field}, or as another type"
@@ -107,6 +109,35 @@ class MessageType:
             return self._store.deserialize_cdr(content, self.name)
         except (SerdeError, IndexError, OverflowError, MemoryError) as error:
             raise MessageError(f"it is no {self.name}") from error
+
+
+class _Stored:
+    """The definition of a type that a store has."""
+
+    def __init__(self, store: Typestore, name: str) -> None:
+        self._store, self.name = store, name
+
+    def slots(self) -> Iterator[Slot]:
+        definition: Any = self._store.fielddefs[self.name]
+        constants, fields = definition
+        for field, (node, what) in fields:
+            is_array = node in _ARRAYS
+            inner, bound = what if is_array else ((node, what), 0)
+            is_message = inner[0] is Nodetype.NAME
+            prefix = f"{field.upper()}_"
+            yield Slot(
+                normalize_fieldname(field),
+                "" if is_message else inner[1][0],
+                _Stored(self._store, inner[1]) if is_message else None,
+                size=(bound if node is Nodetype.ARRAY else None) if is_array else 1,
+                is_array=is_array,
+                has_limit=is_array and bool(bound),
+                values={
+                    value: name.removeprefix(prefix)
+                    for name, _, value in constants
+                    if name.startswith(prefix) and type(value) is int
+                },
+            )
 
 
 def _defined(topic: Topic) -> Typestore:

@@ -10,7 +10,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from biosensor_common.errors import GatewayError
-from lsl_to_ros.ros_to_lsl.fields import all_fields, bulk_of, fields_of, message_class
+from biosensor_common.ros.fields import all_fields
+from lsl_to_ros.ros_to_lsl.fields import bulk_of, fields_of, message_class
 
 QUEUE = 1000
 """A second of the fastest topics that Python can take."""

@@ -27,7 +27,7 @@ from biosensor_common import naming
 from biosensor_common.description_xml import append_children
 from biosensor_common.lsl_outlet import LslOutlet
 from biosensor_common.quantities import ChannelFormat, ContentType
-from lsl_to_ros.ros_to_lsl.channels import Channel
+from biosensor_common.ros.layout import Channel
 from lsl_to_ros.ros_to_lsl.publisher_clock import ClockState
 from lsl_to_ros.ros_to_lsl.stamping import StampSource
 

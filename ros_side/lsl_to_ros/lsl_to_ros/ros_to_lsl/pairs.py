@@ -10,8 +10,8 @@ from typing import Any, Generic, TypeVar
 
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
+from biosensor_common.ros.layout import is_part
 from lsl_to_ros.ros_to_lsl.fields import FramedList, framed_list, type_name
-from lsl_to_ros.ros_to_lsl.layout import is_part
 from lsl_to_ros.ros_to_lsl.requests import SendAs, TopicRequest
 from lsl_to_ros.taking import RosMessage
 

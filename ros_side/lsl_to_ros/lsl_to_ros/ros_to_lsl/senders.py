@@ -10,8 +10,9 @@ from typing import Any, Protocol
 from biosensor_common.errors import SpecError, SpecReason
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
-from lsl_to_ros.ros_to_lsl.fields import Field, FieldKind, all_fields, bulk_of, fields_of
-from lsl_to_ros.ros_to_lsl.layout import Layout, LayoutChangedError, is_part
+from biosensor_common.ros.fields import Field, FieldKind, all_fields
+from biosensor_common.ros.layout import Layout, LayoutChangedError, is_part
+from lsl_to_ros.ros_to_lsl.fields import bulk_of, fields_of
 from lsl_to_ros.ros_to_lsl.outlets import MarkerOutlet, Origin, SampleOutlet
 from lsl_to_ros.ros_to_lsl.requests import SendAs, TopicRequest
 from lsl_to_ros.ros_to_lsl.texts import ToText, as_json, has_records, is_text, marker_of, text_of

@@ -9,7 +9,8 @@ from operator import attrgetter
 from typing import Any, cast
 
 from biosensor_common.errors import SpecError, SpecReason
-from lsl_to_ros.ros_to_lsl.fields import FRAMES, NAMES, Field, FieldKind, fields_of
+from biosensor_common.ros.fields import NAMES, Field, FieldKind
+from lsl_to_ros.ros_to_lsl.fields import FRAMES, fields_of
 from lsl_to_ros.taking import RosMessage
 
 ToText = Callable[[Any], str]

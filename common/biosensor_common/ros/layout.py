@@ -16,9 +16,11 @@ from typing import Any, NamedTuple, Protocol
 
 from biosensor_common.errors import SpecError, SpecReason
 from biosensor_common.lsl_header import MAX_CHANNELS
-from lsl_to_ros.ros_to_lsl.channels import Channel, channel_of
-from lsl_to_ros.ros_to_lsl.fields import NAMES, Field, FieldKind
-from lsl_to_ros.taking import RosMessage
+from biosensor_common.ros.fields import NAMES, Field, FieldKind
+from biosensor_common.ros.quantities import NOTHING_KNOWN, channel_type
+
+RosMessage = Any
+"""An object with the fields of its type as attributes, of rclpy or of a reader of bags."""
 
 _EXACT_UP_TO = 2.0**53
 _PLACE = re.compile(r"\[(\d+)\]")
@@ -26,6 +28,27 @@ _PLACE = re.compile(r"\[(\d+)\]")
 
 class LayoutChangedError(Exception):
     """A message has other sequences than the one that the layout was made from."""
+
+
+class Channel(NamedTuple):
+    """One number of a message.
+
+    Attributes
+    ----------
+    path
+        Where it is: ``position[0]``.
+    label
+        The same, with the element's name where it has one: ``panda_joint1.position``.
+    values
+        Names of its values, if the type enumerates them.
+    """
+
+    path: str
+    label: str
+    unit: str
+    kind: str
+    values: Mapping[int, str]
+    is_wide: bool = False
 
 
 class _Before(NamedTuple):
@@ -116,7 +139,7 @@ class _Names:
 
     def read(self, message: RosMessage, values: list[float]) -> None:
         del values
-        got = self._get(message)
+        got = list(self._get(message))
         if got and got != self._names:
             raise LayoutChangedError
 
@@ -184,6 +207,13 @@ class Layout:
         return ""
 
 
+def _channel_of(field: Field, path: str, label: str) -> Channel:
+    """Return the channel of a field, or of an element of one."""
+    measured = field.measured
+    kind = NOTHING_KNOWN.kind if measured is NOTHING_KNOWN else channel_type(measured, field.name)
+    return Channel(path, label, measured.unit, kind, field.values, field.is_wide)
+
+
 def _read_parts(
     fields: Sequence[Field],
     message: RosMessage,
@@ -200,7 +230,7 @@ def _read_parts(
         if each.kind is FieldKind.TEXT:
             continue  # nothing is dropped: text goes out as markers
         if not each.is_array:
-            found.append(channel_of(each, before.path + each.path, before.label + each.path))
+            found.append(_channel_of(each, before.path + each.path, before.label + each.path))
             scalars.append(each)
             continue  # nothing is dropped: it is a part by now
         if scalars:
@@ -235,7 +265,7 @@ def _array_part(
             deeper = _Before(f"{at}.", f"{named}.")
             inside.append(_read_parts(field.elements, element, deeper, found))
         else:
-            found.append(channel_of(field, at, named))
+            found.append(_channel_of(field, at, named))
     if field.kind is FieldKind.MESSAGE:
         return _Messages(field, inside, len(found) - begin, most)
     return _Numbers(field, len(elements), most)
@@ -297,4 +327,4 @@ def _check(
 def _number(value: Any, kind: FieldKind) -> float:  # noqa: ANN401 - by its kind
     if kind is FieldKind.TIME:
         return value.sec + value.nanosec * 1e-9
-    return float(value[0]) if kind is FieldKind.BYTE else value
+    return float(value[0]) if isinstance(value, bytes) else value
