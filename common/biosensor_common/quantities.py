@@ -229,3 +229,7 @@ class MessageType(StrEnum):
     def integer_range(self) -> tuple[int, int] | None:
         """Smallest and largest value of an integer message, None for the others."""
         return {MessageType.UINT8: (0, 255), MessageType.UINT16: (0, 65535)}.get(self)
+
+
+STANDARD_GRAVITY = 9.80665
+"""In m/s², exactly (3rd General Conference on Weights and Measures, 1901)."""

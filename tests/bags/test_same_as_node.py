@@ -5,10 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pytest
-from numpy.typing import NDArray
-from rclpy.serialization import deserialize_message
 from rosbags.interfaces import (
     Connection,
     ConnectionExtRosbag2,
@@ -20,91 +16,13 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import Reader
 
 from biosensor_common.errors import GatewayError
-from biosensor_common.quantities import ChannelFormat
 from biosensor_common.ros.fields import bulk_of, fields_of, has_header
-from biosensor_common.ros_clock import NS_PER_S
-from biosensor_common.stream_header import StreamHeader
 from biosensor_common.topic_shape import queue_depth
-from biosensor_gateway.devices.registry import declaration, declaration_names
 from biosensor_gateway.recording.bag import types
 from biosensor_gateway.recording.bag.messages import Topic
-from biosensor_gateway.recording.export.mcap.numbers import RawNumbers
-from biosensor_gateway.recording.export.mcap.standard_messages import standard_messages
-from biosensor_gateway.recording.export.mcap.texts import counters_message
-from lsl_to_ros.lsl.blocks import Run
 from lsl_to_ros.ros_to_lsl import fields
-from lsl_to_ros.topics import messages
-from lsl_to_ros.topics.cdr import SampleEncoder
-from lsl_to_ros.topics.standard_messages import STANDARD_MESSAGES
 from tests.bags import made
-from tests.rigs.recorded_topics import RecordedPublisher, header_of
 from tests.xdf import xdf_file
-
-STREAMS = [
-    (name, stream.data_name) for name in declaration_names() for stream in declaration(name).streams
-]
-DTYPES = {ChannelFormat.FLOAT32: np.float32, ChannelFormat.INT16: "i2", ChannelFormat.INT32: "i4"}
-STAMP_NS = 1_790_000_000_123_456_789
-
-
-class _Clock:
-    """The node's, which shows a time that was chosen."""
-
-    def to_time(self, stamp: float) -> Any:
-        return messages.Time(sec=STAMP_NS // NS_PER_S, nanosec=STAMP_NS % NS_PER_S)
-
-
-def _values(header: StreamHeader) -> NDArray[Any]:
-    rng = np.random.default_rng(len(header.labels))
-    values = rng.integers(0, 200, (6, len(header.labels))).astype(np.float64) / 8
-    if header.format.is_float:
-        values[2] = np.nan
-        values[3, 0] = np.nan
-        values[4, -1] = np.inf
-    return values.astype(DTYPES[header.format])
-
-
-@pytest.mark.parametrize(("sensor", "data"), STREAMS)
-def test_raw_messages_have_the_nodes_bytes(sensor: str, data: str) -> None:
-    header = header_of(sensor, data)
-    if header.message_type.is_text:
-        return
-    values = _values(header)
-    ours = RawNumbers(header.message_type, len(header.labels))
-    theirs = SampleEncoder(header.message_type, len(header.labels))
-    kind = messages.CLASSES[header.message_type]
-    for own, node in zip(ours.encode(values), theirs.encode(values), strict=True):
-        assert str(deserialize_message(own, kind)) == str(deserialize_message(node, kind))
-
-
-@pytest.mark.parametrize(("sensor", "data"), STREAMS)
-def test_standard_messages_have_the_nodes_bytes(sensor: str, data: str) -> None:
-    header = header_of(sensor, data, "p01", "left")
-    node = {each.topic_of(header): each for each in STANDARD_MESSAGES if each.topic_of(header)}
-    ours = {each.data: each for each in standard_messages(header, "p01/x_left")}
-    assert list(ours) == list(node)
-    for name, writer in node.items():
-        publisher = RecordedPublisher(writer.message_class)
-        values = _values(header)
-        run = Run(values, np.zeros(len(values)), 0)
-        writer(publisher, header, "p01/x_left", _Clock()).write(run)  # type: ignore[arg-type]
-        made_here = ours[name].encode(np.full(len(values), STAMP_NS), values)
-        kind = writer.message_class
-        assert ours[name].type_name == publisher.type_name
-        for own, published in zip(made_here, publisher.messages, strict=True):
-            # By their text: NaN is no equal of itself.
-            assert str(deserialize_message(own, kind)) == str(published)
-
-
-def test_counters_have_the_nodes_bytes() -> None:
-    text = (
-        '{"zephyr-U1-ecg":{"pushed":12,"lost":0,"last_stamp":10.25,"clock":{"offset_s":1.5,'
-        '"drift_ppm":-2.0,"residual_rms_s":0.001,"reanchors":0}},'
-        '"a":{"pushed":1,"lost":2,"last_stamp":0.0}}'
-    )
-    kind = messages.DiagnosticArray
-    node = messages.counters_message(text, _Clock().to_time(0.0))
-    assert deserialize_message(counters_message(STAMP_NS, text), kind) == node
 
 
 def test_types_have_the_nodes_fields() -> None:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pylsl
 import pytest
+from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float32, Float32MultiArray, UInt8
 
 from biosensor_common import open_files
@@ -21,6 +22,7 @@ from biosensor_common.naming import resolve_topics
 from biosensor_common.quantities import ChannelFormat, MessageType
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
+from biosensor_common.ros.standard_messages import standard_messages
 from biosensor_common.spec import DeviceIdentity
 from biosensor_common.stream_header import CoreFields, foreign_header
 from lsl_to_ros.accounts.counters import Delays, Lost, NodeCounters
@@ -41,8 +43,12 @@ from lsl_to_ros.topics.outputs import open_outputs
 from lsl_to_ros.topics.pacing import Lane, Pace, Pacer
 from lsl_to_ros.topics.publishers import TopicTypeError
 from lsl_to_ros.topics.register import Register
-from lsl_to_ros.topics.standard_messages import TemperatureWriter
-from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter, StreamContext
+from lsl_to_ros.topics.writers import (
+    ChunkWriter,
+    NumberWriter,
+    StandardMessageWriter,
+    StreamContext,
+)
 from tests.refusals.provoked import Shown, at_node, fake, in_entry, provokes
 from tests.rigs.recorded_topics import RecordedPublisher
 from tests.rigs.recorded_topics import header_of as declared
@@ -61,7 +67,8 @@ def bridge(kind: MessageType = MessageType.FLOAT32, *, is_known: bool = True) ->
     stamping = Stamping(RosTime(NODE), lambda: 0.0 if is_known else None)
     published = {MessageType.UINT8: UInt8}.get(kind, Float32)
     raw = NumberWriter(RecordedPublisher(published), kind, 1, counters.refusals)
-    timed = TemperatureWriter(RecordedPublisher(Float32), header, "zephyr", stamping)
+    (temperature,) = standard_messages(declared("zephyr", "st"), "zephyr")
+    timed = StandardMessageWriter(RecordedPublisher(Temperature), temperature, stamping)
     chunk = ChunkWriter(RecordedPublisher(Float32MultiArray), KIND, 1)
     return Bridge(header, Outputs(raw, [timed], chunk), ON, counters, stamping)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 _NODE, _AGENT = "ros_side/lsl_to_ros/lsl_to_ros", "gateway_win/biosensor_gateway"
 _PATTERNS = (
+    "common/biosensor_common/ros/layout.py",
     *(f"{_NODE}/lsl/{each}.py" for each in (
         "delivery", "descriptions", "discovery", "inlets", "namesakes", "pulls",
         "reading", "rivals",
@@ -15,7 +16,7 @@ _PATTERNS = (
     f"{_NODE}/routing.py",
     f"{_NODE}/taking.py",
     *(f"{_NODE}/ros_to_lsl/{each}.py" for each in (
-        "application", "bridge", "events", "graph", "layout", "losses", "outlets",
+        "application", "bridge", "events", "graph", "losses", "outlets",
         "pairs", "senders", "stamping", "texts", "topic",
     )),
     *(f"{_AGENT}/streaming/{each}.py" for each in (

@@ -6,10 +6,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import pytest
+from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.time import Time as RclpyTime
 
 from biosensor_common.spec import DeviceIdentity, FromDevice
 from biosensor_common.stream_header import StreamHeader
@@ -103,6 +105,11 @@ class RecordedPublisher(TopicPublisher):
             list(message.data) if hasattr(message.data, "__len__") else message.data
             for message in self.messages
         ]
+
+
+def message_time(unix_ns: int) -> Time:
+    """Return a time as messages have it."""
+    return RclpyTime(nanoseconds=unix_ns).to_msg()
 
 
 class Clocks(Stamping):

@@ -13,16 +13,15 @@ from std_msgs.msg import Float32
 
 from biosensor_common.quantities import MessageType
 from biosensor_common.refusals import Refusals
+from biosensor_common.ros.standard_messages import standard_messages
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from lsl_to_ros.accounts.counters import NodeCounters
 from lsl_to_ros.lsl.blocks import Block
 from lsl_to_ros.parameters.streams import StreamSettings
 from lsl_to_ros.topics import bridge as bridge_module
 from lsl_to_ros.topics.bridge import Bridge, Outputs
-from lsl_to_ros.topics.outputs import CountersWriter
-from lsl_to_ros.topics.standard_messages import TemperatureWriter
-from lsl_to_ros.topics.writers import NumberWriter
-from tests.rigs.recorded_topics import Clocks, RecordedPublisher, header_of
+from lsl_to_ros.topics.writers import CountersWriter, NumberWriter, StandardMessageWriter
+from tests.rigs.recorded_topics import Clocks, RecordedPublisher, header_of, message_time
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros
@@ -43,9 +42,10 @@ class Skin:
         self.warnings: list[str] = []
         self.counters = NodeCounters(refusals=Refusals(self.warnings.append))
         refusals = self.counters.refusals
+        (temperature,) = standard_messages(header, "zephyr")
         outputs = Outputs(
             raw=NumberWriter(self.raw, MessageType.FLOAT32, 1, refusals),
-            timed=[TemperatureWriter(self.timed, header, "zephyr", self.clocks)],
+            timed=[StandardMessageWriter(self.timed, temperature, self.clocks)],
         )
         self.bridge = Bridge(header, outputs, SETTINGS, self.counters, self.clocks)
 
@@ -61,7 +61,7 @@ class Skin:
     def expect(self, *stamps: float) -> None:
         messages = self.timed.messages
         assert [message.temperature for message in messages] == list(stamps)
-        times = [self.clocks.ros_time.to_msg(stamp + OFFSET_S) for stamp in stamps]
+        times = [message_time(self.clocks.ros_time.to_ns(stamp + OFFSET_S)) for stamp in stamps]
         assert [message.header.stamp for message in messages] == times
 
 
@@ -196,7 +196,7 @@ def test_the_agents_counters_have_a_stamp_of_their_own(ros: Ros) -> None:
     agent = Agent(ros)
     agent.send(report(1), report(2))
     stamps = [message.header.stamp for message in agent.publisher.messages]
-    assert stamps == [agent.clocks.ros_time.to_msg(s + OFFSET_S) for s in (1.0, 2.0)]
+    assert stamps == [message_time(agent.clocks.ros_time.to_ns(s + OFFSET_S)) for s in (1.0, 2.0)]
     assert (agent.counters.unfit, agent.warnings) == (0, [])
 
 

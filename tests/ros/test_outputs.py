@@ -19,16 +19,16 @@ from std_msgs.msg import (
 from biosensor_common.naming import TopicName
 from biosensor_common.quantities import ChannelFormat, MessageType
 from biosensor_common.refusals import Refusals
+from biosensor_common.ros.standard_messages import standard_messages
 from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
 from biosensor_gateway.devices.registry import declaration, declaration_names
 from lsl_to_ros.accounts.counters import Lost
 from lsl_to_ros.lsl.blocks import Run
 from lsl_to_ros.topics.bridge import Outputs
-from lsl_to_ros.topics.messages import CLASSES
-from lsl_to_ros.topics.outputs import HAS_STAMPED_TOPICS, open_outputs
+from lsl_to_ros.topics.messages import CLASSES, HAS_STAMPED_TOPICS
+from lsl_to_ros.topics.outputs import open_outputs
 from lsl_to_ros.topics.pacing import Pace, Pacer
 from lsl_to_ros.topics.publishers import TopicPublisher, TopicPublishers
-from lsl_to_ros.topics.standard_messages import STANDARD_MESSAGES
 from lsl_to_ros.topics.writers import ChunkWriter, NumberWriter, StreamContext
 from tests.rigs.recorded_topics import Clocks, header_of
 
@@ -79,11 +79,7 @@ def test_the_topics_of_a_declared_stream(
     base = f"topics/{sensor_name}"
     outputs = open_outputs(publishers, context(ros, header, base))
     expected = {data_name: header.message_type.value}
-    expected |= {
-        name: f"sensor_msgs/msg/{standard.message_class.__name__}"
-        for standard in STANDARD_MESSAGES
-        if (name := standard.topic_of(header))
-    }
+    expected |= {each.data: each.type_name for each in standard_messages(header, "")}
     if header.chunk:
         expected[f"{header.chunk}_chunk"] = MessageType.FLOAT32_MULTI_ARRAY.value
     has_time = header.message_type is MessageType.DIAGNOSTIC_ARRAY

@@ -18,11 +18,13 @@ from biosensor_common.quantities import (
     ContentType,
     Unit,
 )
+from biosensor_common.ros.standard_messages import standard_messages
 from biosensor_common.stream_header import StreamHeader
 from biosensor_gateway.devices.registry import declaration, declaration_names
 from lsl_to_ros.lsl.blocks import Run
-from lsl_to_ros.topics.standard_messages import STANDARD_MESSAGES, StandardMessageWriter
-from tests.rigs.recorded_topics import Clocks, RecordedPublisher, header_of
+from lsl_to_ros.topics.messages import STANDARD_CLASSES
+from lsl_to_ros.topics.writers import StandardMessageWriter
+from tests.rigs.recorded_topics import Clocks, RecordedPublisher, header_of, message_time
 
 if TYPE_CHECKING:
     from tests.ros.conftest import Ros
@@ -68,23 +70,25 @@ UNKNOWN = [0.0] * 9
 FRAME = "p01/zephyr_left"
 
 
-def standard_messages_of(header: StreamHeader) -> dict[str, type[StandardMessageWriter]]:
-    return {name: writer for writer in STANDARD_MESSAGES if (name := writer.topic_of(header))}
+def classes_of(header: StreamHeader) -> dict[str, type[Any]]:
+    return {
+        each.data: STANDARD_CLASSES[each.type_name] for each in standard_messages(header, FRAME)
+    }
 
 
 class Wire:
     """Samples of a stream on their way to a standard message's subscribers."""
 
     def __init__(self, ros: Ros, header: StreamHeader, kind: type[Any]) -> None:
-        (writer,) = [
-            writer
-            for writer in standard_messages_of(header).values()
-            if writer.message_class is kind
+        (messages,) = [
+            each
+            for each in standard_messages(header, FRAME)
+            if STANDARD_CLASSES[each.type_name] is kind
         ]
         self.clocks = Clocks(ros.node, 12.5)
         self.publisher = RecordedPublisher(kind)
         self._header = header
-        self._writer = writer(self.publisher, header, FRAME, self.clocks)
+        self._writer = StandardMessageWriter(self.publisher, messages, self.clocks)
 
     def send(self, *samples: list[float], start: float = 100.0) -> list[Any]:
         """Write a run; return the messages so far."""
@@ -96,8 +100,7 @@ class Wire:
 @pytest.mark.parametrize(("sensor_name", "data_name"), STREAMS)
 def test_which_standard_messages_a_declared_stream_has(sensor_name: str, data_name: str) -> None:
     header = header_of(sensor_name, data_name)
-    standard = standard_messages_of(header)
-    found = {name: writer.message_class for name, writer in standard.items()}
+    found = classes_of(header)
     if sensor_name in FIRST_SENSORS:
         expected = EXPECTED.get((sensor_name, data_name), {})
     else:
@@ -124,18 +127,18 @@ def test_every_expected_message_is_of_a_declared_stream() -> None:
     ids=lambda header: f"{header.content_type}-{header.units[0]}-{header.roles[-2:]}",
 )
 def test_what_only_looks_alike_has_no_standard_message(header: StreamHeader) -> None:
-    assert standard_messages_of(header) == {}
+    assert classes_of(header) == {}
 
 
 def test_a_sensor_that_this_version_has_never_heard_of_has_them_too() -> None:
     core = replace(SKIN, identity=replace(SKIN.identity, sensor="new_patch"), data_name="core")
-    assert set(standard_messages_of(core)) == {"core_temperature"}
+    assert set(classes_of(core)) == {"core_temperature"}
     roles = (*ACCELERATION, *ORIENTATION[::-1])
     units = tuple(role.unit for role in roles)
     motion = replace(MOTION, data_name="head", labels=tuple("abcdefg"), units=units, roles=roles)
-    assert set(standard_messages_of(motion)) == {"head_imu"}
+    assert set(classes_of(motion)) == {"head_imu"}
     charge = replace(BATTERY, data_name="accumulator", labels=("full",), content_type="Power")
-    assert set(standard_messages_of(charge)) == {"accumulator_state"}
+    assert set(classes_of(charge)) == {"accumulator_state"}
 
 
 @pytest.mark.nightly
@@ -245,7 +248,9 @@ def test_every_message_says_where_and_when_it_was_measured(
     wire = Wire(ros, header, kind)
     sample = [1.0] * len(header.labels)
     messages = wire.send(sample, sample, sample, start=200.0)
-    times = [wire.clocks.ros_time.to_msg(200.0 + 12.5 + place * 0.25) for place in range(3)]
+    times = [
+        message_time(wire.clocks.ros_time.to_ns(200.0 + 12.5 + place * 0.25)) for place in range(3)
+    ]
     expected = [Header(stamp=time, frame_id=FRAME) for time in times]
     assert [message.header for message in messages] == expected
 

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 
-from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.serialization import deserialize_message
 
+from biosensor_common.ros.texts import counters_message
 from biosensor_common.topic_text import CLOCK_FACTS, read_counters
-from lsl_to_ros.topics.messages import counters_message
 from tests.fuzz.contract import ensure
 
 _CLOCK = {f"clock_{fact}" for fact in CLOCK_FACTS}
@@ -27,5 +28,5 @@ def check(data: bytes) -> None:
     for entry in counters.values():
         ensure(all(map(math.isfinite, entry.values())), "no counter", entry)
         ensure(entry.keys() - _CLOCK == {"pushed", "lost", "last_stamp"}, "other counters", entry)
-    message = counters_message(text, Time())
+    message = deserialize_message(counters_message(0, text), DiagnosticArray)
     ensure(len(message.status) == len(counters), "not all are told", counters)

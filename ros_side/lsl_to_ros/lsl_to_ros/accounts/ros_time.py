@@ -6,7 +6,6 @@ import time
 
 import numpy as np
 import pylsl
-from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
 from rclpy.node import Node
 
@@ -47,12 +46,11 @@ class RosTime:
         with np.errstate(invalid="ignore"):
             return (lsl_s + offset_s >= 0) & (lsl_s + offset_s < MAX_TIME_S)
 
-    def to_msg(self, lsl_s: float) -> Time:
-        """ROS time of a stamp on this machine's LSL clock."""
+    def to_ns(self, lsl_s: float) -> int:
+        """ROS time of a stamp on this machine's LSL clock, in nanoseconds."""
         if self._clock.ros_time_is_active:
-            return self._clock.now().to_msg()
-        seconds, nanoseconds = divmod(self._tracker.to_ros_ns(lsl_s), NS_PER_S)
-        return Time(sec=seconds, nanosec=nanoseconds)
+            return self._clock.now().nanoseconds
+        return self._tracker.to_ros_ns(lsl_s)
 
     def to_lsl_s(self, wall_ns: int) -> float:
         """LSL time of a time on this machine's system clock, in nanoseconds since 1970."""

@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pylsl
-from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
 
 from biosensor_common.ros_clock import NS_PER_S
@@ -60,7 +59,7 @@ class Stamping:
         return self._ros_time.to_lsl_s(_to_ns(stamp)) if self.is_unix else stamp + correction
 
     def are_times(self, stamps: Stamps) -> NDArray[np.bool_]:
-        """Say of each stamp whether :meth:`to_time` has a time for it.
+        """Say of each stamp whether :meth:`to_ns` has a time for it.
 
         Raises
         ------
@@ -71,15 +70,16 @@ class Stamping:
         is_time = self._ros_time.are_times(stamps + correction)
         return is_time | _are_unix(stamps, correction)
 
-    def to_time(self, stamp: float) -> Time:
-        """Return the ROS time of a stamp.
+    def to_ns(self, stamps: Stamps) -> NDArray[np.int64]:
+        """Return the ROS times of stamps, in nanoseconds.
 
         Raises
         ------
         ValueError
-            If the sender's clock is not known yet, or the stamp is not finite.
+            If the sender's clock is not known yet, or a stamp is not finite.
         """
-        return self._ros_time.to_msg(self.local(stamp))
+        times = [self._ros_time.to_ns(self.local(stamp)) for stamp in stamps.tolist()]
+        return np.array(times, np.int64)
 
 
 def _are_unix(stamps: Stamps | np.float64, correction: float) -> NDArray[np.bool_]:

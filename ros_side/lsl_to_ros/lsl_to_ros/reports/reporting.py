@@ -15,7 +15,7 @@ from lsl_to_ros.accounts.ros_time import RosTime
 from lsl_to_ros.reports.diagnostics import LEASE_S
 from lsl_to_ros.reports.merging import merged
 from lsl_to_ros.reports.processes import Concern, ProcessFacts, node_status, process_status
-from lsl_to_ros.topics.outputs import HAS_STAMPED_TOPICS
+from lsl_to_ros.topics.messages import HAS_STAMPED_TOPICS
 from lsl_to_ros.topics.publishers import make_publisher
 
 TOPIC = "~/streams"

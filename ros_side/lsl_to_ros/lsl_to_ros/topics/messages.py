@@ -1,18 +1,17 @@
-"""Finds ROS messages by the names that streams give them, and builds those of text."""
+"""Finds the classes of ROS messages by the names that streams give them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from importlib import import_module
 from typing import Any
 
-from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import BatteryState, Imu, MagneticField, Temperature
 from std_msgs.msg import (
     Empty,
     Float32,
     Float32MultiArray,
     Float64MultiArray,
-    Header,
     Int32MultiArray,
     Int64MultiArray,
     String,
@@ -21,7 +20,6 @@ from std_msgs.msg import (
 )
 
 from biosensor_common.quantities import MessageType
-from biosensor_common.topic_text import Sample, read_counters, text_of
 
 CLASSES: dict[MessageType, type[Any]] = {
     MessageType.DIAGNOSTIC_ARRAY: DiagnosticArray,
@@ -35,39 +33,33 @@ CLASSES: dict[MessageType, type[Any]] = {
     MessageType.UINT8: UInt8,
     MessageType.UINT16: UInt16,
 }
+STANDARD_CLASSES: dict[str, type[Any]] = {
+    f"sensor_msgs/msg/{each.__name__}": each
+    for each in (BatteryState, Imu, MagneticField, Temperature)
+}
+"""Of what a stream has beside its own topics: see `biosensor_common.ros.standard_messages`."""
 
 
-def text_builder(message_type: MessageType) -> Callable[[Sample], Empty | String]:
-    """Return what makes a message of one sample of text.
+def _own() -> dict[bool, type[Any]]:
+    try:
+        own = import_module("biosensor_msgs.msg")
+    except ImportError:
+        # nothing is dropped: the reports say that there are no stamped topics
+        return {}
+    return {True: own.Event, False: own.Samples}
+
+
+_OWN = _own()
+HAS_STAMPED_TOPICS = bool(_OWN)
+"""Whether the package ``biosensor_msgs``, which has to be built, can be imported."""
+
+
+def stamped_class(message_type: MessageType) -> type[Any]:
+    """Return what a stream's stamped topic carries: ``Event`` of text, else ``Samples``.
 
     Raises
     ------
     KeyError
-        If it is no such message type.
+        If there are no stamped topics.
     """
-    return _TEXT_BUILDERS[message_type]
-
-
-def counters_message(text: str, stamp: Time) -> DiagnosticArray:
-    """Make a message of one sample of the agent's counters.
-
-    Raises
-    ------
-    ValueError
-        If it is not what an agent writes.
-    """
-    statuses = [
-        DiagnosticStatus(
-            level=DiagnosticStatus.OK,
-            name=source_id,
-            values=[KeyValue(key=key, value=str(value)) for key, value in counters.items()],
-        )
-        for source_id, counters in read_counters(text).items()
-    ]
-    return DiagnosticArray(header=Header(stamp=stamp), status=statuses)
-
-
-_TEXT_BUILDERS: dict[MessageType, Callable[[Sample], Empty | String]] = {
-    MessageType.EMPTY: lambda _: Empty(),
-    MessageType.STRING: lambda sample: String(data=text_of(sample)),
-}
+    return _OWN[message_type.is_text]

@@ -6,17 +6,22 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
 from biosensor_common.naming import TopicName
 from biosensor_common.quantities import MessageType
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
+from biosensor_common.ros import numbers
+from biosensor_common.ros.numbers import RawNumbers, StampedNumbers
+from biosensor_common.ros.standard_messages import StandardMessage
+from biosensor_common.ros.texts import StampedTexts, counters_message, raw_text
 from biosensor_common.stream_header import StreamHeader
+from biosensor_common.topic_text import text_of
 from lsl_to_ros.accounts.counters import Lost
 from lsl_to_ros.accounts.stamping import Stamping
 from lsl_to_ros.lsl.blocks import Run
-from lsl_to_ros.topics import cdr, messages
 from lsl_to_ros.topics.chunker import Chunker
 from lsl_to_ros.topics.publishers import TopicPublisher
 
@@ -56,7 +61,7 @@ class Writer(ABC):
 
 
 class NumberWriter(Writer):
-    """One message of numbers a sample, without a stamp."""
+    """One message of numbers per sample, without a stamp."""
 
     def __init__(
         self,
@@ -67,38 +72,100 @@ class NumberWriter(Writer):
     ) -> None:
         super().__init__(publisher)
         self._type = message_type
-        self._limits = message_type.integer_range
-        self._encode = cdr.SampleEncoder(message_type, channels).encode
+        self._messages = RawNumbers(message_type, channels)
         self._refuse = refusals.refuse
 
     def write(self, run: Run) -> None:
         """Publish each sample; those beyond an integer message's range are refused alone."""
         samples = run.samples
-        if self._limits is not None:
-            samples = self._fitting(samples, *self._limits)
-        self.publisher.publish(*self._encode(samples))
-
-    def _fitting(self, samples: NDArray[Any], low: int, high: int) -> NDArray[Any]:
-        fits = ((samples >= low) & (samples <= high)).all(axis=1)
-        if fits.all():
-            return samples
-        value = samples[~fits][0, 0]
-        why = f"{value} does not fit into {self._type}"
-        self._refuse(Refusal.UNFIT, int((~fits).sum()), why=why)
-        return samples[fits]
+        fits = self._messages.fitting(samples)
+        if fits is not None:
+            why = f"{samples[~fits][0, 0]} does not fit into {self._type}"
+            self._refuse(Refusal.UNFIT, int((~fits).sum()), why=why)
+            samples = samples[fits]
+        self.publisher.publish(*self._messages.encode(samples))
 
 
 class TextWriter(Writer):
-    """One message of text a sample, or one that only says that it came."""
+    """One message of text per sample, or one that only says that it came."""
 
     def __init__(self, publisher: TopicPublisher, message_type: MessageType) -> None:
         super().__init__(publisher)
-        self._build = messages.text_builder(message_type)
+        self._type = message_type
 
     def write(self, run: Run) -> None:
         """Publish each sample."""
         for sample in run.samples:
-            self.publisher.publish(self._build(sample))
+            self.publisher.publish(raw_text(self._type, text_of(sample)))
+
+
+class CountersWriter(Writer):
+    """The agent's counters, whose message has a stamp of its own."""
+
+    def __init__(self, publisher: TopicPublisher, stamping: Stamping) -> None:
+        super().__init__(publisher)
+        self._stamping = stamping
+
+    def write(self, run: Run) -> None:
+        """Publish each report."""
+        times = self._stamping.to_ns(run.stamps).tolist()
+        for time_ns, sample in zip(times, run.samples, strict=True):
+            self.publisher.publish(counters_message(time_ns, sample[0]))
+
+
+class SamplesWriter(Writer):
+    """``<data>_stamped`` of numbers: one message for the samples that came together."""
+
+    def __init__(self, publisher: TopicPublisher, context: StreamContext) -> None:
+        super().__init__(publisher)
+        self._messages = StampedNumbers(context.header, context.frame_id)
+        self._stamping, self._lost = context.stamping, context.lost
+
+    def write(self, run: Run) -> None:
+        """Publish a run as one message."""
+        # One time for all, for the relation of the clocks may change from one to the next.
+        first_ns = self._stamping.to_ns(run.stamps[:1])
+        offsets = np.rint((run.stamps - run.stamps[0]) * 1e9).astype(np.int64)
+        lost = self._lost()
+        message = self._messages.encode(
+            first_ns + offsets,
+            run.samples,
+            run.sequence,
+            lost.count,
+            lost_is_estimated=lost.is_estimated,
+        )
+        self.publisher.publish(message)
+
+
+class EventWriter(Writer):
+    """``<data>_stamped`` of text: one message per sample."""
+
+    def __init__(self, publisher: TopicPublisher, context: StreamContext) -> None:
+        super().__init__(publisher)
+        self._messages = StampedTexts(context.frame_id)
+        self._stamping = context.stamping
+
+    def write(self, run: Run) -> None:
+        """Publish each event."""
+        times = self._stamping.to_ns(run.stamps).tolist()
+        for number, (time_ns, sample) in enumerate(zip(times, run.samples, strict=True)):
+            message = self._messages.encode(time_ns, text_of(sample), run.sequence + number)
+            self.publisher.publish(message)
+
+
+class StandardMessageWriter(Writer):
+    """One message of ``sensor_msgs`` per sample."""
+
+    def __init__(
+        self, publisher: TopicPublisher, messages: StandardMessage, stamping: Stamping
+    ) -> None:
+        super().__init__(publisher)
+        self._messages, self._stamping = messages, stamping
+
+    def write(self, run: Run) -> None:
+        """Publish each sample."""
+        times = self._stamping.to_ns(run.stamps)
+        self.publisher.publish(*self._messages.encode(times, run.samples))
 
 
 class ChunkWriter:
@@ -108,14 +175,14 @@ class ChunkWriter:
         self.publisher = publisher
         self._type = message_type
         self._channels = channels
-        self._dtype = cdr.wire_dtype(message_type)
+        self._dtype = numbers.wire_dtype(message_type)
         self._chunker = Chunker(channels * self._dtype.itemsize)
 
     def add(self, samples: NDArray[Any], length: int) -> None:
         """Add samples of shape [samples, channels]; publish the chunks that they fill."""
-        for chunk in self._chunker.add(cdr.to_bytes(samples, self._dtype), length):
+        for chunk in self._chunker.add(numbers.to_bytes(samples, self._dtype), length):
             if self.publisher.is_wanted:
-                self.publisher.publish(cdr.chunk_message(self._type, chunk, self._channels))
+                self.publisher.publish(numbers.chunk_message(self._type, chunk, self._channels))
 
     def discard(self) -> int:
         """Give up the partial chunk; return its samples."""

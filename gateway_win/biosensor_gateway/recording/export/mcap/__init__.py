@@ -1,6 +1,5 @@
 """Writes a recording as a bag of ROS 2 (MCAP), as if the node had published it and it was recorded.
 
 :mod:`.bag` opens topics and keeps messages in the order of time, :mod:`.stream_topics` gives a
-stream the topics that it has in the node, and :mod:`.numbers`, :mod:`.texts` and
-:mod:`.standard_messages` make messages by their bytes.
+stream the topics that it has in the node, and `biosensor_common.ros` makes the messages.
 """

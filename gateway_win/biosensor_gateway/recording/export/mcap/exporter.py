@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from biosensor_common.ros.cdr import ENCAPSULATION, text
 from biosensor_common.ros_clock import MAX_TIME_S, NS_PER_S
 from biosensor_gateway.recording.bag.recorded_streams import (
     TOPIC,
@@ -20,7 +21,6 @@ from biosensor_gateway.recording.contents.stream import Samples, Stream
 from biosensor_gateway.recording.contents.wall_clock import WallClock
 from biosensor_gateway.recording.export.exporter import Missing, Order, Progress
 from biosensor_gateway.recording.export.mcap.bag import Bag, new_bag
-from biosensor_gateway.recording.export.mcap.cdr import ENCAPSULATION, text
 from biosensor_gateway.recording.export.mcap.stream_topics import StreamTopics, names_of
 from biosensor_gateway.recording.xdf.container import RecordingError, RecordingReason
 

@@ -11,21 +11,21 @@ from rosbags.interfaces import Connection
 
 from biosensor_common.naming import TopicName, resolve_topics
 from biosensor_common.quantities import MessageType
+from biosensor_common.ros.numbers import RawNumbers, StampedNumbers
+from biosensor_common.ros.standard_messages import (
+    StandardMessage,
+    standard_messages,
+)
+from biosensor_common.ros.texts import (
+    StampedTexts,
+    counters_message,
+    raw_text,
+)
 from biosensor_common.topic_shape import queue_depth
 from biosensor_common.topic_text import text_of
 from biosensor_gateway.recording.bag.types import EVENT, SAMPLES
 from biosensor_gateway.recording.contents.stream import Stream
 from biosensor_gateway.recording.export.mcap.bag import Bag
-from biosensor_gateway.recording.export.mcap.numbers import RawNumbers, StampedNumbers
-from biosensor_gateway.recording.export.mcap.standard_messages import (
-    StandardMessage,
-    standard_messages,
-)
-from biosensor_gateway.recording.export.mcap.texts import (
-    StampedTexts,
-    counters_message,
-    raw_text,
-)
 
 PREFIX = "biosensors"
 # A message is there when its last sample is, so it is to hold not too many.
@@ -132,7 +132,7 @@ class StreamTopics:
     def _write_numbers(self, unix_ns: NDArray[np.int64], values: NDArray[Any]) -> None:
         assert self._raw_numbers is not None
         fits = self._raw_numbers.fitting(values)
-        if fits.all():
+        if fits is None:
             self._bag.add(self._raw, unix_ns, self._raw_numbers.encode(values))
         else:
             unfit = values[~fits][0, 0]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapWriter
 
-from biosensor_gateway.recording.export.mcap.cdr import cut
+from biosensor_common.ros.cdr import cut
 
 if TYPE_CHECKING:
     # It is there for type checkers only.

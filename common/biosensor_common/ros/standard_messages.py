@@ -1,4 +1,11 @@
-"""Makes the messages of ``sensor_msgs`` that a stream has beside its own, as the node does."""
+"""Makes the messages of ``sensor_msgs`` that a stream has beside its own.
+
+What a channel means is read from its role in the header, so a new sensor gets them, too. Values are
+in SI units as the messages demand. A covariance that is unknown is all zeros, and one whose first
+element is -1 says that the quantity itself is missing: that is the messages' own convention.
+Nothing says which way a device's world frame points, so neither orientation nor acceleration is
+turned.
+"""
 
 from __future__ import annotations
 
@@ -9,20 +16,24 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from biosensor_common import standard_topics
 from biosensor_common.quantities import (
     ACCELERATION,
     MAGNETIC_FIELD,
     ORIENTATION,
+    STANDARD_GRAVITY,
     ChannelRole,
+    ContentType,
+    Unit,
 )
+from biosensor_common.ros.cdr import HeadedRows, aligned, text
 from biosensor_common.stream_header import StreamHeader
-from biosensor_gateway.recording.export.mcap.cdr import HeadedRows, aligned, text
 
 _FLOAT64, _FLOAT32 = np.dtype("<f8"), np.dtype("<f4")
 _TESLA_PER_MICROTESLA = 1e-6
 # Battery states: three times unknown, a battery is present, and two empty lists of cells.
 _BATTERY = bytes([0, 0, 0, 1, *bytes(8)])
+
+_BATTERY_AMONG_OTHERS = "bat_state"
 
 Floats = NDArray[np.float64]
 
@@ -72,10 +83,10 @@ def standard_messages(header: StreamHeader, frame_id: str) -> list[StandardMessa
 
     battery_rows = HeadedRows(frame_id, _FLOAT32, 7, _battery_tail(header))
     kinds = (
-        (standard_topics.temperature, "Temperature", _temperature, _doubles(frame_id, 2)),
-        (standard_topics.battery_state, "BatteryState", charge, battery_rows),
-        (standard_topics.imu, "Imu", motion, _doubles(frame_id, 37)),
-        (standard_topics.magnetic_field, "MagneticField", field, _doubles(frame_id, 12)),
+        (_temperature_topic, "Temperature", _temperature, _doubles(frame_id, 2)),
+        (_battery_state_topic, "BatteryState", charge, battery_rows),
+        (_imu_topic, "Imu", motion, _doubles(frame_id, 37)),
+        (_magnetic_field_topic, "MagneticField", field, _doubles(frame_id, 12)),
     )
     return [
         StandardMessage(data, f"sensor_msgs/msg/{name}", fill, rows)
@@ -116,10 +127,34 @@ def _imu(orientation: Floats, in_g: Floats) -> Floats:
     rows[~is_known, 4] = -1.0
     rows[:, 16] = -1.0
     has_acceleration = ~np.isnan(in_g).any(axis=1)
-    rows[has_acceleration, 25:28] = standard_topics.STANDARD_GRAVITY * in_g[has_acceleration]
+    rows[has_acceleration, 25:28] = STANDARD_GRAVITY * in_g[has_acceleration]
     rows[~has_acceleration, 28] = -1.0
     return rows
 
 
 def _magnetic_field(microtesla: Floats) -> Floats:
     return np.hstack((_TESLA_PER_MICROTESLA * microtesla, np.zeros((len(microtesla), 9))))
+
+
+def _temperature_topic(header: StreamHeader) -> str:
+    """Return ``<data>_temperature``, empty if the stream is none."""
+    fits = header.content_type == ContentType.TEMPERATURE and header.units == (Unit.CELSIUS,)
+    return f"{header.data_name}_temperature" if fits else ""
+
+
+def _battery_state_topic(header: StreamHeader) -> str:
+    """Return ``<data>_state`` of the charge alone, ``bat_state`` of one among others, or empty."""
+    if ChannelRole.STATE_OF_CHARGE not in header.roles:
+        return ""
+    return f"{header.data_name}_state" if len(header.roles) == 1 else _BATTERY_AMONG_OTHERS
+
+
+def _imu_topic(header: StreamHeader) -> str:
+    """Return ``<data>_imu`` of orientation with acceleration, else empty."""
+    has_it = {*ORIENTATION, *ACCELERATION} <= set(header.roles)
+    return f"{header.data_name}_imu" if has_it else ""
+
+
+def _magnetic_field_topic(header: StreamHeader) -> str:
+    """Return ``<data>_mag`` of a magnetic field in three axes, else empty."""
+    return f"{header.data_name}_mag" if set(MAGNETIC_FIELD) <= set(header.roles) else ""

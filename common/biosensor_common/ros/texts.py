@@ -5,12 +5,12 @@ from __future__ import annotations
 import struct
 
 from biosensor_common.quantities import MessageType
+from biosensor_common.ros.cdr import ENCAPSULATION, aligned, stamp, text
 from biosensor_common.topic_text import read_counters
-from biosensor_gateway.recording.export.mcap.cdr import ENCAPSULATION, aligned, stamp, text
 
 _SEQUENCE = struct.Struct("<Q")
-# A message without fields has a byte all the same.
-_EMPTY = ENCAPSULATION + b"\0"
+# A message without fields has a byte all the same, and ends at an aligned place.
+_EMPTY = ENCAPSULATION + bytes(4)
 _OK = b"\0"
 _NO_TEXT = text("")
 

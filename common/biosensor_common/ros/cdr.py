@@ -1,8 +1,9 @@
 """Puts parts of messages together as the bytes that go over the wire.
 
 They are those of the common data representation (OMG, DDSI-RTPS 2.5, 10.2), little-endian, as
-``serialize_message`` of ROS gives them. To fill an object and have it serialised costs ten times
-as much, and a recording of two hours makes 14 million messages.
+``serialize_message`` of ROS gives them. To fill an object and have it serialised costs
+several times as much with rclpy and ten times with a library for bags, and a recording of two hours
+makes 14 million messages.
 """
 
 from __future__ import annotations

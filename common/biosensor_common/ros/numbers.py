@@ -1,0 +1,177 @@
+"""Makes the messages of streams of numbers: raw, in chunks and stamped."""
+
+from __future__ import annotations
+
+import struct
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from biosensor_common.quantities import ChannelFormat, MessageType
+from biosensor_common.ros.cdr import ENCAPSULATION, aligned, cut, stamp, text, texts
+from biosensor_common.stream_header import StreamHeader
+
+# Lengths of chunks may be changed at any time; a head of each that is in use.
+_CHUNK_SHAPES = 256
+# So many samples are faster as rows of one array.
+_MANY = 100
+_DTYPES: dict[MessageType, np.dtype[Any]] = {
+    MessageType.FLOAT32: np.dtype("<f4"),
+    MessageType.FLOAT32_MULTI_ARRAY: np.dtype("<f4"),
+    MessageType.FLOAT64_MULTI_ARRAY: np.dtype("<f8"),
+    MessageType.INT32_MULTI_ARRAY: np.dtype("<i4"),
+    MessageType.INT64_MULTI_ARRAY: np.dtype("<i8"),
+    MessageType.UINT8: np.dtype("<u1"),
+    MessageType.UINT16: np.dtype("<u2"),
+}
+_COUNT, _SIZE_AND_STRIDE = struct.Struct("<I"), struct.Struct("<II")
+_DATA_OFFSET = 0
+_COUNTS = struct.Struct("<Qq?")
+UNKNOWN_LOSS = -1
+"""What a recording has: nobody knows what was lost before the recorder."""
+_NO_VALUES = bytes(4)
+
+
+def wire_dtype(message_type: MessageType) -> np.dtype[Any]:
+    """Return the type of a message's values.
+
+    Raises
+    ------
+    KeyError
+        If the message holds no numbers.
+    """
+    return _DTYPES[message_type]
+
+
+def to_bytes(samples: NDArray[Any], dtype: np.dtype[Any]) -> bytes:
+    """Return samples as values of another type; a float too large for it becomes infinite."""
+    if samples.dtype == dtype:
+        return samples.tobytes()
+    with np.errstate(over="ignore"):
+        return samples.astype(dtype).tobytes()
+
+
+class RawNumbers:
+    """One message per sample, without a stamp.
+
+    Parameters
+    ----------
+    channels
+        Values in one sample; 1 for a message that is no array.
+    """
+
+    def __init__(self, message_type: MessageType, channels: int) -> None:
+        self._dtype = _DTYPES[message_type]
+        self._size = channels * self._dtype.itemsize
+        self._limits = message_type.integer_range
+        self._head, self._tail = ENCAPSULATION, b""
+        if message_type.is_array:
+            self._head = _array_head(self._dtype, channels, channels=channels)
+        else:
+            # As ROS has it: messages of a fixed size end at an aligned place.
+            self._tail = bytes(-self._size % 4)
+
+    def fitting(self, values: NDArray[Any]) -> NDArray[np.bool_] | None:
+        """Say of each sample whether the message can hold it; None if it can hold them all.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n, n_channels)
+        """
+        if self._limits is None:
+            return None
+        low, high = self._limits
+        fits = np.asarray(((values >= low) & (values <= high)).all(axis=1), np.bool_)
+        return None if fits.all() else fits
+
+    def encode(self, values: NDArray[Any]) -> list[bytes]:
+        """Return the messages of samples that fit, of shape (n, n_channels)."""
+        head, tail, size = self._head, self._tail, self._size
+        wire = to_bytes(values, self._dtype)
+        # A live stream mostly brings one sample or a few, a recording thousands.
+        if len(wire) == size:
+            return [head + wire + tail]
+        if len(values) < _MANY:
+            return [head + wire[at : at + size] + tail for at in range(0, len(wire), size)]
+        begin, end = len(head), len(head) + size
+        rows = np.zeros((len(values), end + len(tail)), np.uint8)
+        rows[:, :begin] = np.frombuffer(head, np.uint8)
+        rows[:, begin:end] = np.frombuffer(wire, np.uint8).reshape(len(values), size)
+        return cut(rows.tobytes(), rows.shape[1])
+
+
+def chunk_message(message_type: MessageType, values: bytes, channels: int) -> bytes:
+    """Make a chunk of values in row-major order; ``layout.dim`` = [samples, channels]."""
+    return _chunk_head(message_type, len(values), channels) + values
+
+
+@lru_cache(_CHUNK_SHAPES)
+def _chunk_head(message_type: MessageType, size: int, channels: int) -> bytes:
+    dtype = _DTYPES[message_type]
+    count = size // dtype.itemsize
+    return _array_head(dtype, count, samples=count // channels, channels=channels)
+
+
+def _array_head(dtype: np.dtype[Any], count: int, **sizes: int) -> bytes:
+    """Return what stands before *count* values, which end an array's message.
+
+    Parameters
+    ----------
+    **sizes
+        Of its dimensions, by their labels; the stride of each spans all that follow.
+    """
+    content, stride = _COUNT.pack(len(sizes)), count
+    for label, size in sizes.items():
+        content = aligned(content + text(label), 4) + _SIZE_AND_STRIDE.pack(size, stride)
+        stride //= size
+    content += _COUNT.pack(_DATA_OFFSET) + _COUNT.pack(count)
+    return ENCAPSULATION + aligned(content, dtype.itemsize)
+
+
+class StampedNumbers:
+    """``biosensor_msgs/Samples``: one message for samples that came together."""
+
+    def __init__(self, header: StreamHeader, frame_id: str) -> None:
+        self._is_int64 = header.format is ChannelFormat.INT64
+        self._frame = aligned(text(frame_id), 8)
+        names = aligned(texts(header.labels), 4) + texts(header.units)
+        # The counts before it end in one byte.
+        self._names = bytes(3) + aligned(names, 4)
+
+    def encode(
+        self,
+        unix_ns: NDArray[np.int64],
+        values: NDArray[Any],
+        sequence: int,
+        lost: int = UNKNOWN_LOSS,
+        *,
+        lost_is_estimated: bool = False,
+    ) -> bytes:
+        """Return the message of some samples.
+
+        Parameters
+        ----------
+        unix_ns : ndarray of int64, shape (n,)
+        values : ndarray, shape (n, n_channels)
+        sequence
+            Number of the first.
+        lost
+            Samples of the stream that were lost so far.
+        """
+        offsets = (unix_ns - unix_ns[0]).tobytes()
+        content = self._frame + _COUNTS.pack(sequence, lost, lost_is_estimated) + self._names
+        content = _with_values(content, len(unix_ns), offsets)
+        dtype = "<i8" if self._is_int64 else "<f8"
+        wire = values.astype(dtype).tobytes()
+        if self._is_int64:
+            content = _with_values(content + _NO_VALUES, values.size, wire)
+        else:
+            content = _with_values(content, values.size, wire) + _NO_VALUES
+        return ENCAPSULATION + stamp(int(unix_ns[0])) + content
+
+
+def _with_values(content: bytes, count: int, values: bytes) -> bytes:
+    """Append a sequence of values of 8 bytes each."""
+    return aligned(content + count.to_bytes(4, "little"), 8) + values
