@@ -61,6 +61,7 @@ check: venv-dev
 	$(RUN) ruff format --check $(PYTHON_FILES)
 	.venv/bin/pyright
 	.venv/bin/lint-imports
+	$(RUN) tests.docs.house
 	$(DOCS_SITE)
 
 bench: venv-dev
