@@ -12,8 +12,8 @@ stream belongs without having heard of the sensor before::
     </biosensor>
 
 A channel whose meaning agent or node act on has a ``<role>`` beside its label and
-unit. Both ``<role>`` and ``<is_state>`` are optional: headers of 0.1.0 have neither,
-and readers of 0.1.0 ignore them.
+unit. Both ``<role>`` and ``<is_state>`` are optional: a channel without the one means
+nothing in particular, a stream without the other is no state.
 
 What is read comes from the network and is not trusted: it is limited in size,
 names are checked, and a block that does not fit the stream that carries it is
@@ -32,8 +32,7 @@ from biosensor_common import naming
 from biosensor_common.derived import read_derived
 from biosensor_common.description_xml import read_xml
 from biosensor_common.errors import SpecError, SpecReason
-from biosensor_common.header_0_1_0 import inferred_roles, inferred_state
-from biosensor_common.header_channels import Channels, Roles, fitting, read_channels
+from biosensor_common.header_channels import Channels, read_channels
 from biosensor_common.quantities import (
     Category,
     ChannelFormat,
@@ -181,7 +180,6 @@ def _own(
         label=_field(core, block, "label"),
     )
     data_name = _field(core, block, "data_name")
-    roles, is_state = _meaning(core, block, channels)
     header = StreamHeader(
         identity=identity,
         data_name=data_name,
@@ -189,31 +187,24 @@ def _own(
         content_type=core.content_type,
         labels=channels.labels,
         units=channels.units,
-        roles=roles,
+        roles=channels.roles,
         rate=core.rate,
         format=core.format,
         message_type=_member(core, MessageType, _field(core, block, "message_type")),
         chunk=_field(core, block, "chunk"),
-        is_state=is_state,
+        is_state=_is_state(core, block),
         replay=replay,
     )
     _check(core, header)
     return header
 
 
-def _meaning(core: CoreFields, block: ET.Element, channels: Channels) -> tuple[Roles, bool]:
-    """Return the channels' roles and whether the stream is a state: as said, else inferred."""
-    says_state = block.find("is_state") is not None
-    if says_state or channels.says_roles:
-        return channels.roles, says_state and _truth(core, block, "is_state")
-    roles = inferred_roles(core.content_type, channels.labels)
-    return fitting(roles, channels.units), inferred_state(core.content_type, core.rate)
-
-
-def _truth(core: CoreFields, block: ET.Element, name: str) -> bool:
-    text = _field(core, block, name)
+def _is_state(core: CoreFields, block: ET.Element) -> bool:
+    if block.find("is_state") is None:
+        return False
+    text = _field(core, block, "is_state")
     if text not in ("true", "false"):
-        message = f"{core}: <{name}> is {text!r} instead of 'true' or 'false'"
+        message = f"{core}: <is_state> is {text!r} instead of 'true' or 'false'"
         raise SpecError(SpecReason.INVALID, message)
     return text == "true"
 

@@ -17,7 +17,7 @@ from biosensor_gateway.recording.xdf.container import Damage
 from tests.fuzz.breaking import Fault, always, instead
 from tests.fuzz.contract import NAMES, SENSORS, corpus_of, inputs, load, module_of, strictly
 
-NO_CHANNELS = Channels((), (), (), says_roles=False)
+NO_CHANNELS = Channels((), (), ())
 
 
 def ends_too_late(find_damage: Any) -> Any:
