@@ -18,7 +18,7 @@ from biosensor_gateway.devices.registry import declaration, declaration_names
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
 from biosensor_gateway.streaming.events.contact import ContactWatch
-from biosensor_gateway.streaming.events.device import DeviceEvents, follow
+from biosensor_gateway.streaming.events.device import DeviceEvents
 from biosensor_gateway.streaming.events.gaps import SETTLE_S, Gap, GapWatch
 from biosensor_gateway.streaming.pause_gate import RESUME_GUARD_S
 from biosensor_gateway.streaming.sink import DeviceSink
@@ -66,7 +66,7 @@ def sink() -> Generator[DeviceSink]:
 
 @pytest.fixture
 def events(sink: DeviceSink, announcer: NotedAnnouncer) -> DeviceEvents:
-    return follow(sink, announcer)
+    return sink.follow(announcer)
 
 
 def opened(sink: DeviceSink, announcer: NotedAnnouncer) -> None:
@@ -107,7 +107,7 @@ def test_what_a_device_decides_is_announced_when_it_changes(
 @pytest.mark.nightly
 def test_participant_and_label_are_said_where_they_are_set(announcer: NotedAnnouncer) -> None:
     sink = DeviceSink(DeviceIdentity(H10, "U1", "p01", "left"), declaration(H10))
-    events = follow(sink, announcer)
+    events = sink.follow(announcer)
     events.reanchored("below", 1.23456789)
     assert announcer.noted == [
         {
@@ -219,7 +219,7 @@ def test_a_pause_from_before_the_start_is_announced_as_such(
     sink: DeviceSink, announcer: NotedAnnouncer
 ) -> None:
     sink.pause()
-    follow(sink, announcer)
+    sink.follow(announcer)
     assert announcer.take() == [{"event": "paused", "kept": True}]
 
 

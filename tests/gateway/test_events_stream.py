@@ -27,7 +27,6 @@ from biosensor_gateway.settings.file import load_settings
 from biosensor_gateway.streaming import own_outlets
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import TICK_S, Announcer
-from biosensor_gateway.streaming.events.device import follow
 from biosensor_gateway.streaming.events.log_errors import log_errors
 from biosensor_gateway.streaming.outlets import Outlet
 from biosensor_gateway.streaming.sink import DeviceSink
@@ -221,7 +220,7 @@ async def test_nothing_that_fails_in_it_reaches_the_data(
     sink = DeviceSink(DeviceIdentity("zephyr", unit), declaration("zephyr"), virtual_clock)
     with capture_logs() as logs:
         async with announcing(0.1, broken, virtual_clock) as announcer:
-            events = follow(sink, announcer)
+            events = sink.follow(announcer)
             monkeypatch.setattr(Outlet, "push_text", broken)
             sink.open(DeviceInfo(), {})
             reader = await asyncio.to_thread(inlet, f"zephyr-{unit}-ecg")

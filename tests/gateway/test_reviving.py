@@ -22,7 +22,6 @@ from biosensor_gateway.devices.driver import Connected
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.streaming import silence as silence_module
 from biosensor_gateway.streaming.events.announcer import Announcer
-from biosensor_gateway.streaming.events.device import follow
 from biosensor_gateway.streaming.silence import Remedy, Silence
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.clock import Clock
@@ -118,7 +117,7 @@ class SupervisedDriver:
         self.sink = NotedSilences(unit, clock)
         self.announcer = Announcer(0.0, dict, clock=clock)
         self.supervisor = Supervisor(lambda: kind(self), self.sink, self.states.append)
-        self.supervisor.on_drop = follow(self.sink, self.announcer).dropped
+        self.supervisor.on_drop = self.sink.follow(self.announcer).dropped
         self.task = asyncio.create_task(self.supervisor.run())
 
     @property

@@ -20,7 +20,7 @@ from biosensor_gateway.agent.supervisor import Supervisor
 from biosensor_gateway.devices.registry import declared, driver
 from biosensor_gateway.settings.models import DeviceSettings
 from biosensor_gateway.streaming.events.announcer import Announcer
-from biosensor_gateway.streaming.events.device import DeviceEvents, follow
+from biosensor_gateway.streaming.events.device import DeviceEvents
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.clock import LSL_CLOCK, Clock
 
@@ -74,7 +74,7 @@ class Device:
 
     def announce_to(self, announcer: Announcer) -> None:
         """Make events of what happens to it from now on."""
-        self._events = follow(self.sink, announcer)
+        self._events = self.sink.follow(announcer)
         self.supervisor.on_drop = self._events.dropped
 
     def close(self, announcer: Announcer) -> None:

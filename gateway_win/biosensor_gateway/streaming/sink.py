@@ -16,9 +16,10 @@ from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
 from biosensor_gateway.streaming.charge import Charge
 from biosensor_gateway.streaming.counters import Counters
 from biosensor_gateway.streaming.device_outlets import DeviceOutlets, differences
+from biosensor_gateway.streaming.events.announcer import Announcer
+from biosensor_gateway.streaming.events.device import DeviceEvents
 from biosensor_gateway.streaming.gaps import Gaps
 from biosensor_gateway.streaming.jumps import JumpReports, Jumps
-from biosensor_gateway.streaming.observer import SinkObserver
 from biosensor_gateway.streaming.outlets import MAX_STAMP_ERROR_S
 from biosensor_gateway.streaming.pause_gate import PauseGate
 from biosensor_gateway.streaming.plausibility import Plausibility
@@ -70,7 +71,7 @@ class DeviceSink:
         self.clock = clock
         self.watch = StreamWatch(clock)
         self.spec = spec
-        self.observer: SinkObserver | None = None
+        self.observer: DeviceEvents | None = None
         self.tap: Callable[[str, ArrayLike, Sequence[float]], None] | None = None
         self.silent: frozenset[str] = frozenset()
         self.charge = Charge(spec)
@@ -113,6 +114,14 @@ class DeviceSink:
     def is_open(self) -> bool:
         """Whether the outlets exist."""
         return bool(self._outlets.counters)
+
+    def follow(self, announcer: Announcer) -> DeviceEvents:
+        """Announce what happens to the device from now on."""
+        self.observer = events = DeviceEvents(
+            self.identity, self.spec, self.clock, announcer, is_paused=self.is_paused
+        )
+        announcer.watch(events.tick)
+        return events
 
     def expect(self, info: DeviceInfo, rates: Mapping[str, float]) -> None:
         """Create the outlets ahead of the connection; see :meth:`DeviceOutlets.expect`."""

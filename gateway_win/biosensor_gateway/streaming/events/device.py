@@ -6,14 +6,14 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from numpy.typing import ArrayLike
 
-from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
 from biosensor_gateway.streaming.events import EventKind
 from biosensor_gateway.streaming.events.announcer import Announcer
 from biosensor_gateway.streaming.events.contact import ContactWatch
 from biosensor_gateway.streaming.events.gaps import Gap, GapWatch
 from biosensor_gateway.streaming.events.log_errors import log_errors
 from biosensor_gateway.streaming.silence import Silence
-from biosensor_gateway.streaming.sink import DeviceSink
+from biosensor_gateway.system.clock import Clock
 
 
 def device_facts(identity: DeviceIdentity) -> dict[str, str]:
@@ -24,28 +24,34 @@ def device_facts(identity: DeviceIdentity) -> dict[str, str]:
 
 
 class DeviceEvents:
-    """Observes one device; see :class:`~biosensor_gateway.streaming.observer.SinkObserver`.
+    """Is told by one device's sink what happens; neither raises nor waits.
 
-    Gaps are followed only while the device is not paused.
+    Of a paused device nothing is told that was measured, and no gap is followed. All times are
+    LSL times in seconds.
 
     Parameters
     ----------
-    sink
-        The device's.
     announcer
         Where the events go.
     """
 
-    def __init__(self, sink: DeviceSink, announcer: Announcer) -> None:
-        self._clock = sink.clock
-        identity = sink.identity
+    def __init__(
+        self,
+        identity: DeviceIdentity,
+        spec: SensorSpec,
+        clock: Clock,
+        announcer: Announcer,
+        *,
+        is_paused: bool,
+    ) -> None:
+        self._clock = clock
         self._announcer = announcer
         self._names = device_facts(identity)
         self._gaps = GapWatch()
-        self._contact = ContactWatch(sink.spec)
+        self._contact = ContactWatch(spec)
         self._connections = 0
         self._is_connected = False
-        self._is_paused = sink.is_paused
+        self._is_paused = is_paused
         if self._is_paused:
             self._say(EventKind.PAUSED, facts={"kept": True})
 
@@ -56,7 +62,7 @@ class DeviceEvents:
 
     @log_errors
     def connected(self, info: DeviceInfo, changes: Mapping[str, tuple[object, object]]) -> None:
-        """Announce the connection, and what has changed with it."""
+        """Announce the connection, and what has changed with it: before and after, by name."""
         self._is_connected = True
         self._connections += 1
         facts: dict[str, object] = {"connection": self._connections}
@@ -76,7 +82,7 @@ class DeviceEvents:
 
     @log_errors
     def sampled(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
-        """Follow gaps, and whether the sensor is worn."""
+        """Follow gaps, and whether the sensor is worn; of text there are stamps only."""
         self._gaps.sampled(data_name, stamps[0], stamps[-1], self._clock())
         for is_on, at in self._contact.changes(data_name, samples, stamps):
             kind = EventKind.ON_BODY if is_on else EventKind.OFF_BODY
@@ -84,13 +90,16 @@ class DeviceEvents:
 
     @log_errors
     def lost(self, data_name: str, count: int, since_s: float) -> None:
-        """Add to a gap."""
+        """Add samples that are missing behind the one of `since_s` to a gap."""
         if not self._is_paused:
             self._gaps.lost(data_name, count, since_s)
 
     @log_errors
     def reanchored(self, cause: str, size_s: float | None, times: int = 1) -> None:
-        """Announce a jump of the stamps, or several together."""
+        """Announce a jump of the stamps, or several together; None if its size is unknown.
+
+        Of several, the cause is the last one's and the size that of all.
+        """
         facts: dict[str, object] = {"cause": cause}
         if size_s is not None:
             facts["seconds"] = round(size_s, 6)
@@ -152,11 +161,3 @@ class DeviceEvents:
         self, kind: EventKind, at: float | None = None, facts: Mapping[str, object] | None = None
     ) -> None:
         self._announcer.announce(kind, self._names | dict(facts or {}), at)
-
-
-def follow(sink: DeviceSink, announcer: Announcer) -> DeviceEvents:
-    """Announce what happens to a device from now on."""
-    events = DeviceEvents(sink, announcer)
-    sink.observer = events
-    announcer.watch(events.tick)
-    return events

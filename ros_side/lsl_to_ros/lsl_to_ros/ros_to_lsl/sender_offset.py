@@ -18,6 +18,7 @@ from rclpy.node import Node
 
 from biosensor_common.ros_clock import NS_PER_S
 from lsl_to_ros.ros_to_lsl.publisher_clock import Offset
+from lsl_to_ros.ros_to_lsl.topic import Topic
 from lsl_to_ros.taking import TakenElsewhere
 
 ANSWERS = 5
@@ -66,24 +67,6 @@ class Bounds:
         return Offset(self._least_ns / NS_PER_S, self._most_ns / NS_PER_S)
 
 
-class Measured(Protocol):
-    """Who wants to know a publisher's clock."""
-
-    @property
-    def sender(self) -> str:
-        """Full name of the node that publishes; empty if there is none, or several."""
-        ...
-
-    @property
-    def wants_offset(self) -> bool:
-        """Whether its clock is to be measured."""
-        ...
-
-    def take_offset(self, offset: Offset) -> None:
-        """Take in what was measured."""
-        ...
-
-
 class SenderOffsets:
     """Measures the clocks of nodes, as long as somebody wants to know them."""
 
@@ -91,9 +74,9 @@ class SenderOffsets:
         self._node = node
         self._asked: dict[str, SenderOffset] = {}
 
-    def look(self, topics: Iterable[Measured]) -> None:
+    def look(self, topics: Iterable[Topic]) -> None:
         """Do what is due; a few times a second."""
-        wanted: dict[str, list[Measured]] = {}
+        wanted: dict[str, list[Topic]] = {}
         for each in topics:
             if each.sender and each.wants_offset:
                 wanted.setdefault(each.sender, []).append(each)
