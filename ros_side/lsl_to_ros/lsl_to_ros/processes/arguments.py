@@ -6,7 +6,8 @@ import re
 from collections.abc import Iterator, Sequence
 
 _BEGIN, _END = "--ros-args", "--"
-# They come with what the first process starts the others with, as they are by then.
+# They come with what the first process starts the others with, as they are by then: a file of them
+# names the node.
 _OF_PARAMETERS = frozenset({"-p", "--param", "--params-file"})
 _REMAPS = frozenset({"-r", "--remap"})
 # Of whichever node.
