@@ -17,7 +17,6 @@ def wrapped(text: str, width: int | None, hang: int = 0) -> str:
 
     Parameters
     ----------
-    text
     width
         Of the terminal; None leaves the line as it is.
     hang

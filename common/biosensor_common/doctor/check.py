@@ -33,7 +33,6 @@ class Check(NamedTuple):
     ----------
     name
         Name for ``--only``, and of its module.
-    category
     title
         What it looks at, for the help.
     package

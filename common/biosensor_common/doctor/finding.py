@@ -26,7 +26,6 @@ class Finding:
 
     Attributes
     ----------
-    level
     what
         What is the case, one sentence or less.
     why

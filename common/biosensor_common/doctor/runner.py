@@ -22,7 +22,6 @@ class Report:
     ----------
     checks
         What was to be looked at.
-    findings
     seconds
         How long it took.
     """

@@ -11,7 +11,6 @@ class SurveyedStream:
 
     Attributes
     ----------
-    name, source_id, uid, host, format
     ports
         Of its data and of its service.
     offset_s

@@ -92,7 +92,6 @@ class Field:
     size
         Of a fixed array; None of a sequence, whose size only a message tells; 1 of what is no
         array.
-    is_array
     measured
         What it measures.
     is_wide

@@ -29,7 +29,6 @@ class Absence(NamedTuple):
         Its ``sensor/unit``.
     name
         What people call it, and whose it is.
-    is_paused
     is_partial
         Whether it streams, and something is wrong with a part of its streams.
     since

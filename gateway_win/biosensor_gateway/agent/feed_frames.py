@@ -49,7 +49,6 @@ class Samples(NamedTuple):
 
     Attributes
     ----------
-    source_id
     stamps : shape (n,)
         LSL times in seconds.
     values : shape (n, n_channels)

@@ -20,7 +20,6 @@ class Service(NamedTuple):
     ----------
     title
         What a person calls it.
-    host, port
     program
         What has to run there.
     ca_file

@@ -34,7 +34,6 @@ class StreamTest:
 
     Attributes
     ----------
-    samples
     first_s, last_s
         LSL times of the first and the newest sample.
     settled_samples, settled_s
@@ -209,7 +208,6 @@ def chosen_device(
 
     Parameters
     ----------
-    sensor_name
     unit
         Which one of those that are configured; empty for the only one.
     configured

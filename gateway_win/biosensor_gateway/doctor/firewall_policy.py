@@ -42,7 +42,6 @@ class Rule:
         As the user sees it.
     allows
         Whether it lets in; else it blocks.
-    is_active
     program
         Full path; empty for all programs.
     protocols
@@ -90,7 +89,6 @@ def read_rule(text: str, variables: Mapping[str, str] = os.environ) -> Rule | No
 
     Parameters
     ----------
-    text
     variables
         What stands for names such as ``%ProgramFiles%`` in the program's path.
 

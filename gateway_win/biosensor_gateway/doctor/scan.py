@@ -33,7 +33,6 @@ class Section:
 
     Attributes
     ----------
-    title
     found
         Devices that a driver recognises, strongest signal first.
     others
@@ -168,7 +167,6 @@ def described(
 
     Parameters
     ----------
-    sections
     configured
         Devices of the settings.
     """

@@ -44,7 +44,6 @@ class Mismatch:
         Who else wears its sensors.
     is_all
         Whether `named` wears none of them.
-    sentence
     """
 
     named: str

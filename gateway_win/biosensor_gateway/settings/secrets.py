@@ -48,7 +48,6 @@ class SecretName:
 
     Attributes
     ----------
-    sensor
     name
         Unique for the sensor.
     variable

@@ -27,10 +27,8 @@ class Heard(NamedTuple):
 
     Attributes
     ----------
-    address
     data
         Its payload, undecoded.
-    rssi_dbm
     is_response
         Whether it answers a scan request.
     """

@@ -120,7 +120,6 @@ class Fault:
 
     Attributes
     ----------
-    kind
     value
         In the unit of the kind; for those in seconds, infinity never ends.
     """
@@ -141,7 +140,6 @@ class ScheduledFault:
 
     Attributes
     ----------
-    fault
     start_s
         Seconds after the virtual devices were started.
     sensor

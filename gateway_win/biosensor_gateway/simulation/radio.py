@@ -27,7 +27,6 @@ class Radio:
 
     Parameters
     ----------
-    world
     host_mtu
         The ATT MTU that hosts ask for; 23 leaves everybody with 20 bytes a packet.
 

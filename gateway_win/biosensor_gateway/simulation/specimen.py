@@ -32,10 +32,6 @@ class Specimen:
         What it sends leaves up to so much late [s].
     kept
         Limit of its truth [samples of each stream]; None = all.
-
-    Attributes
-    ----------
-    wearer, seed, drift_ppm, jitter_s, kept
     """
 
     __slots__ = ("drift_ppm", "jitter_s", "kept", "seed", "wearer")

@@ -63,7 +63,6 @@ class VirtualDevice(ABC):
 
     Attributes
     ----------
-    world
     specimen
         Who wears it, and how far it is from a perfect one.
     truth

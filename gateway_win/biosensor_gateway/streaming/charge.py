@@ -30,7 +30,6 @@ class Charge:
 
         Parameters
         ----------
-        data_name
         samples : array_like, shape (n_samples, n_channels) or (n_samples,)
         stamps : sequence of float, length n_samples
         """

@@ -35,7 +35,6 @@ class JumpReports:
 
     Parameters
     ----------
-    clock
     say
         Is told of each jump, or of several at once.
     """

@@ -92,7 +92,6 @@ class Timing(NamedTuple):
 
     Attributes
     ----------
-    timed_by
     uncertainty_s
         In seconds, either way; None if it was not measured.
     """

@@ -51,7 +51,6 @@ class PauseGate:
 
         Parameters
         ----------
-        now
         since
             Unix time in s at which it was asked for, if that was earlier.
         """

@@ -37,7 +37,6 @@ class Silence:
         Data names.
     seconds
         Since the last data of the one that is silent for longest, while the agent ran.
-    remedy
     attempts
         New connections that did not help.
     why

@@ -30,7 +30,6 @@ class DeviceLog:
     ----------
     name
         Whose sentences they are: ``biosensor_gateway.`` and the sensor.
-    identity
     """
 
     def __init__(self, name: str, identity: DeviceIdentity) -> None:

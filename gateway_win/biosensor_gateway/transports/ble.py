@@ -97,7 +97,6 @@ class Notification(NamedTuple):
     ----------
     uuid
         Characteristic, 128-bit, lower case.
-    data
     arrival
         LSL clock when it arrived, in seconds.
     """

@@ -93,7 +93,6 @@ class Choice:
 
         Parameters
         ----------
-        seen
         from_generic
             The other one is of a generic kind.
         """

@@ -85,7 +85,6 @@ class Pairing:
 
         Parameters
         ----------
-        error
         is_unanswered
             Something was asked of the device that it may refuse to who is not paired, and
             nothing of that kind has come through yet.

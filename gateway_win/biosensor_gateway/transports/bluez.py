@@ -30,7 +30,6 @@ class KnownDevice(NamedTuple):
         What it said of itself last.
     is_connected
         By whichever program, one that has ended included.
-    is_paired
     is_listened_to
         A program is notified of what the device measures; also while the connection is being
         set up. BlueZ ends the notifications of a program that has ended.

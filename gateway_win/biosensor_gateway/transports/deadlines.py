@@ -31,7 +31,6 @@ async def within(
 
     Parameters
     ----------
-    seconds
     operation
         Cancelled, and left to itself, when the time is over or nobody waits any more.
     unless

@@ -56,7 +56,6 @@ class Dialogue(Generic[_MessageT, _CommandT]):
 
         Parameters
         ----------
-        command
         match
             Gets each message, before the listener and before anything that came later, and
             returns the answer once it is complete.

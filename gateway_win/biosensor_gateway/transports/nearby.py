@@ -16,7 +16,6 @@ class Advertisement:
         MAC address; on macOS an identifier that holds for this computer only.
     name
         Empty while it has not been heard.
-    rssi_dbm
     service_uuids
         128-bit, lower case.
     manufacturer_data

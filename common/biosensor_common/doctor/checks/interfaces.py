@@ -31,7 +31,6 @@ class Interface:
 
     Attributes
     ----------
-    name
     addresses
         Its IPv4 addresses.
     has_multicast

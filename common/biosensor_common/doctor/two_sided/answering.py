@@ -58,7 +58,6 @@ class Answerer:
         0 for any that is free.
     address
         Of this computer; all of them unless one is named.
-    patience_s
 
     Attributes
     ----------

@@ -29,7 +29,6 @@ class Channel:
 
     Parameters
     ----------
-    connection
     name
         What a sentence calls the other end.
     """

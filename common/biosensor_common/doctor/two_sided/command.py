@@ -165,7 +165,6 @@ def check_with(context: Context, program: str, host: str, port: int, code: str) 
 
     Parameters
     ----------
-    context
     program
         ``agent`` or ``node``.
     host

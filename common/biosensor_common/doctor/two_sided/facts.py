@@ -35,7 +35,6 @@ class Computer:
         Whether the other's address is in a network of one of its adapters.
     session
         LSL session.
-    ports
     keeps_to_itself
         Whether its LSL looks for streams on this computer only.
     asks_the_other
@@ -120,9 +119,6 @@ class End:
 
     Attributes
     ----------
-    computer
-    arrivals
-    look
     own
         Streams that are sent from here.
     seen

@@ -26,7 +26,6 @@ class Party:
 
     Attributes
     ----------
-    end
     name
         Its host name, or "this computer".
     on
@@ -68,7 +67,6 @@ def to_open(party: Party, other: str, ways: Sequence[Way]) -> str:
         Whose ports.
     other
         Address of the computer that is to be let in.
-    ways
     """
     computer = party.computer
     who = firewall_rules.NEIGHBOURS if computer.is_near else other

@@ -51,7 +51,6 @@ def open_ports(other: str, ports: Iterable[int], own: str = "") -> set[int]:
     ----------
     other
         Its address.
-    ports
     own
         Address of this computer to do it from; empty for the system's choice.
     """

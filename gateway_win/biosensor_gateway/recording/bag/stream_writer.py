@@ -53,7 +53,6 @@ class StreamWriter:
     ----------
     first, last
         Stamps of the first and the last sample, 0 without samples.
-    sample_count
     clock_offsets
         Those that are in the file.
     """

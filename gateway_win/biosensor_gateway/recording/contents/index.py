@@ -54,7 +54,6 @@ class IndexedStream:
         LSL time on the stream's clock, and what to add to it to get the recorder's, in s.
     footer
         None if the recorder did not come to write it.
-    sample_count
     """
 
     header: RecordedHeader

@@ -79,7 +79,6 @@ class Exporter(Protocol):
         ----------
         chosen
             Streams and span of time.
-        order
         target
             File or folder to make; there is none yet. Its name is final, its folder is not.
         progress
@@ -106,7 +105,6 @@ class SampleCount:
 
     Parameters
     ----------
-    chosen
     progress
         Is told at most once for each percent.
     """

@@ -167,7 +167,6 @@ def what_is_missing(
         The streams there are.
     wanted
         Those of them that are to be recorded.
-    order
     """
     if not wanted:
         whose = "of this agent " if presence.visible else ""

@@ -178,7 +178,6 @@ class PlayedOutlet:
 
         Parameters
         ----------
-        samples
         stamps : ndarray of float64, shape (n_samples,)
             LSL times of now.
         """

@@ -29,7 +29,6 @@ def prepared(wanted: Wanted, allowed_by: str) -> Generator[Player]:
 
     Parameters
     ----------
-    wanted
     allowed_by
         How to play although a real stream is there, for the sentence that refuses it.
 

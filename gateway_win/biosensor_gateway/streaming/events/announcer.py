@@ -84,7 +84,6 @@ class Announcer:
 
         Parameters
         ----------
-        kind
         facts
             What belongs to the event, for JSON.
         at

@@ -52,7 +52,6 @@ class PublisherClock:
 
     Attributes
     ----------
-    state
     offset
         What was measured; None if nothing was.
     """

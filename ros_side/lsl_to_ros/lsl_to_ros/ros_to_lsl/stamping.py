@@ -66,7 +66,6 @@ class MessageStamping:
     ----------
     ros_time
         This computer's clock to LSL time.
-    has_header
     by_arrival
         Take no other than the time of arrival.
 

@@ -27,7 +27,6 @@ class Topic:
 
     Attributes
     ----------
-    bridge
     kind
         Type of the messages; None before it is known.
     quality

@@ -44,10 +44,8 @@ def describe(root: Path, name: str, subjects: Subjects, written: set[str]) -> No
 
     Parameters
     ----------
-    root
     name
         Of the recording.
-    subjects
     written
         Labels of those who have a folder.
 

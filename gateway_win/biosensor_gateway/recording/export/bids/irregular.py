@@ -21,7 +21,6 @@ def write_irregular(path: Path, batches: Iterator[Samples]) -> int:
 
     Parameters
     ----------
-    path
     batches
         Times are seconds since zero.
 

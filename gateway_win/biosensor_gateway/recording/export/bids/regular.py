@@ -33,10 +33,8 @@ class RegularTable:
 
     Attributes
     ----------
-    path
     start_s
         Time of the first row.
-    samples, empty_rows
     largest_displacement_s
         How far a sample is from the time of its row at most.
     moved
@@ -62,7 +60,6 @@ def write_regular(
         Packed if its name ends in ``.gz``.
     batches
         The samples of the part; times are seconds since zero.
-    part
     rate_hz
         Rows a second.
 

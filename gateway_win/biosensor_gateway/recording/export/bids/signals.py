@@ -59,8 +59,6 @@ class SignalWriter:
 
     Parameters
     ----------
-    chosen
-    timeline
     root
         Of the dataset.
     count

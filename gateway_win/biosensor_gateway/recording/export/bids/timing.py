@@ -30,7 +30,6 @@ class Part:
 
     Attributes
     ----------
-    count
     start_s
         Time of its first row.
     """
@@ -49,7 +48,6 @@ class Timing:
         Of the samples between gaps; the nominal rate if they do not tell.
     gaps
         Steps that are longer than those of neighbours can be.
-    longest_gap_s
     parts
         At least one; in the order of the file.
     rows

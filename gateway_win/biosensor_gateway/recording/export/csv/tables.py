@@ -30,8 +30,6 @@ def table_file(path: Path, *, is_packed: bool, level: int = _GZIP_LEVEL) -> Gene
 
     Parameters
     ----------
-    path
-    is_packed
     level
         Of gzip, 1 to 9.
 

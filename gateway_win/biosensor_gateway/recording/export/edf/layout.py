@@ -84,7 +84,6 @@ def layout(count: int, rate_hz: float) -> Layout:
 
     Parameters
     ----------
-    count
     rate_hz
         In `RATES_HZ`.
     """

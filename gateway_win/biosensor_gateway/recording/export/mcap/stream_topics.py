@@ -58,7 +58,6 @@ class Unfit:
 
     Attributes
     ----------
-    count
     what
         Of the first, as the rest of a sentence.
     """

@@ -48,7 +48,6 @@ class Survey:
         By their numbers.
     damages
         What cannot be read.
-    has_file_header
     """
 
     size: int
