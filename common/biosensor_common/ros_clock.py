@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 SLEW_S = 1.0
 STEP_NS = 1_000_000
@@ -61,19 +60,6 @@ def measure_offset_ns(
     return min(brackets)[1]
 
 
-@dataclass(frozen=True, slots=True)
-class OffsetStep:
-    """A jump of the system clock against the LSL clock, applied at once.
-
-    Attributes
-    ----------
-    size_ns : int
-        New offset minus the one that was in use, in nanoseconds.
-    """
-
-    size_ns: int
-
-
 class OffsetTracker:
     """Maps LSL times to ROS times with an offset that is measured again and again.
 
@@ -101,7 +87,7 @@ class OffsetTracker:
         """How often the offset jumped."""
         return self._steps
 
-    def update(self, offset_ns: int, now_s: float) -> OffsetStep | None:
+    def update(self, offset_ns: int, now_s: float) -> int | None:
         """Take in a measurement.
 
         Parameters
@@ -113,8 +99,9 @@ class OffsetTracker:
 
         Returns
         -------
-        OffsetStep or None
-            The step, if there was one.
+        int or None
+            If the system clock jumped against the LSL clock, which is applied at once: the new
+            offset minus the one that was in use, in nanoseconds.
 
         Raises
         ------
@@ -126,7 +113,7 @@ class OffsetTracker:
         if abs(change) > STEP_NS:
             self._knots = ((now_s, offset_ns),)
             self._steps += 1
-            return OffsetStep(change)
+            return change
         past = tuple(knot for knot in self._knots if knot[0] < now_s)
         ramp = ((now_s, present), (now_s + SLEW_S, offset_ns))
         self._knots = past[-KNOTS_KEPT:] + ramp

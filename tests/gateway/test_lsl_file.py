@@ -13,14 +13,14 @@ import pytest
 
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.lsl_config import LslOverrides, effective_config
-from biosensor_gateway.recording.lsl_api_cfg import LabRecorderSettings, LslFile, Ports, changes
+from biosensor_gateway.recording.lsl_api_cfg import LslFile, Ports, changes
 
 if TYPE_CHECKING:
     from tests.gateway.conftest import Outcome
 
 Run = Callable[..., "Outcome"]
 
-SINGLE = LabRecorderSettings("default", ("127.0.0.1",), 256)
+SINGLE = ("default", ("127.0.0.1",), 256)
 OWN = """\
 ; mine
 [tuning]
@@ -56,9 +56,9 @@ def put(path: Path, text: str) -> None:
     path.write_bytes(text.encode())
 
 
-def adapted(text: str, wanted: LabRecorderSettings = SINGLE) -> LslFile:
+def adapted(text: str, wanted: tuple[str, tuple[str, ...], int] = SINGLE) -> LslFile:
     file = LslFile(text, "lsl_api.cfg")
-    file.adapt(wanted)
+    file.adapt(*wanted)
     return file
 
 
@@ -87,7 +87,7 @@ def test_a_new_file_holds_what_labrecorder_needs_and_why() -> None:
 
 
 def test_a_file_for_two_computers_gives_their_reason() -> None:
-    file = adapted("", LabRecorderSettings("lab2", ("10.0.0.5", "pc7"), 64))
+    file = adapted("", ("lab2", ("10.0.0.5", "pc7"), 64))
     assert (file.session_id, file.known_peers) == ("lab2", ("10.0.0.5", "pc7"))
     assert file.ports == Ports(16571, 16572, 16635)
     assert "multicast may not get through" in file.text
@@ -127,8 +127,8 @@ def test_adapting_again_changes_nothing() -> None:
 def test_a_changed_setting_does_not_pile_up_comments() -> None:
     file = LslFile("", "lsl_api.cfg")
     for session in ("default", "lab2", "lab3"):
-        file.adapt(LabRecorderSettings(session, ("127.0.0.1",), 256))
-    assert file.text == adapted("", LabRecorderSettings("lab3", ("127.0.0.1",), 256)).text
+        file.adapt(session, ("127.0.0.1",), 256)
+    assert file.text == adapted("", ("lab3", ("127.0.0.1",), 256)).text
 
 
 def test_a_larger_range_of_ports_and_other_first_ports_stay() -> None:
@@ -163,7 +163,7 @@ def test_what_liblsl_cannot_read_is_named(text: str, line: int, words: str, tmp_
 
 def test_the_agent_and_the_node_take_over_what_is_written(tmp_path: Path) -> None:
     path = tmp_path / "lsl_api.cfg"
-    put(path, adapted(OWN, LabRecorderSettings("lab2", ("127.0.0.1",), 512)).text)
+    put(path, adapted(OWN, ("lab2", ("127.0.0.1",), 512)).text)
     file = LslFile(effective_config(path, LslOverrides()), "effective")
     assert file.session_id == "lab2"
     assert file.known_peers == ("10.0.0.5", "127.0.0.1")

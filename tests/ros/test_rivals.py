@@ -75,9 +75,9 @@ class Node:
         return any("seen again after a cut" in each for each in self.warnings)
 
     def look(self) -> None:
-        changes = self.discovery.update()
-        self.gone += changes.gone
-        for inlet in changes.ready:
+        ready, gone = self.discovery.update()
+        self.gone += gone
+        for inlet in ready:
             inlet.deliver_to(self.receiver)
         for inlet in self.discovery.inlets:
             if inlet.state is InletState.READY and inlet not in self.deaf:

@@ -13,11 +13,12 @@ import pytest
 from rosidl_parser import definition
 
 from lsl_to_ros.accounts.ros_time import RosTime
+from lsl_to_ros.accounts.status import StreamStatus
 from lsl_to_ros.ros_to_lsl import outlets, pairs
 from lsl_to_ros.ros_to_lsl.bridge import Bridge, MessageType
 from lsl_to_ros.ros_to_lsl.fields import message_class, type_name
 from lsl_to_ros.ros_to_lsl.publisher_clock import Offset
-from lsl_to_ros.ros_to_lsl.reports import TopicStatus, topic_facts, topic_status
+from lsl_to_ros.ros_to_lsl.reports import topic_facts, topic_status
 from lsl_to_ros.ros_to_lsl.requests import SendAs, TopicRequest
 from lsl_to_ros.ros_to_lsl.stamping import StampSource
 from lsl_to_ros.ros_to_lsl.topic import Topic
@@ -111,9 +112,14 @@ class Sent:
 
     def status(self) -> Any:
         topic = SimpleNamespace(
-            bridge=self.bridge, kind=self.kind, name="/t", publishers=1, quality="reliable"
+            bridge=self.bridge,
+            status=StreamStatus(),
+            kind=self.kind,
+            name="/t",
+            publishers=1,
+            quality="reliable",
         )
-        return topic_status(TopicStatus(cast("Topic", topic)))
+        return topic_status(cast("Topic", topic))
 
 
 @pytest.fixture(autouse=True)

@@ -15,7 +15,7 @@ from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.lsl_config import config_places, home_config_file, user_config_file
 from biosensor_gateway.cli.loading import settings_or_defaults
 from biosensor_gateway.cli.options import SettingsOption
-from biosensor_gateway.recording.lsl_api_cfg import LOOPBACK, LabRecorderSettings, LslFile, changes
+from biosensor_gateway.recording.lsl_api_cfg import LOOPBACK, LslFile, changes
 from biosensor_gateway.settings.models import LslSettings
 
 
@@ -69,14 +69,10 @@ def write_lsl_file(
     path = (out or home_config_file(Path.home())).expanduser()
     lsl = settings_or_defaults(settings).lsl
     local = (LOOPBACK,) if arrangement is Arrangement.SINGLE_PC else ()
-    wanted = LabRecorderSettings(
-        lsl.session_id or _session_of_own_file(),
-        tuple(dict.fromkeys((*local, *peers))),
-        lsl.port_range,
-    )
+    session_id = lsl.session_id or _session_of_own_file()
     before = _read(path)
     file = LslFile(before or "", str(path))
-    file.adapt(wanted)
+    file.adapt(session_id, tuple(dict.fromkeys((*local, *peers))), lsl.port_range)
     _store(path, before, file.text, force=force)
     _report(path, file, others=peers)
 

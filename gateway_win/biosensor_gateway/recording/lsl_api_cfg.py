@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from biosensor_common.doctor.lsl_api_file import (
     LOOPBACK,
@@ -25,7 +24,7 @@ from biosensor_common.doctor.lsl_api_file import (
     Ports,
 )
 
-__all__ = ["LOOPBACK", "LabRecorderSettings", "LslFile", "Ports", "changes"]
+__all__ = ["LOOPBACK", "LslFile", "Ports", "changes"]
 
 _HEADER = """\
 ; Settings of the Lab Streaming Layer for LabRecorder and the other LSL programs of this
@@ -42,25 +41,6 @@ _WHY_LOOPBACK = (
 )
 _WHY_PEERS = ("; The computers to ask directly, because multicast may not get through to them.",)
 _OWN_COMMENTS = frozenset((*_WHY_SESSION, *_WHY_PORTS, *_WHY_LOOPBACK, *_WHY_PEERS))
-
-
-@dataclass(frozen=True, slots=True)
-class LabRecorderSettings:
-    """What LabRecorder's configuration must hold.
-
-    Attributes
-    ----------
-    session_id
-        The agent's session.
-    known_peers
-        Hosts to ask directly.
-    port_range
-        Number of ports that the agent's streams may have.
-    """
-
-    session_id: str
-    known_peers: tuple[str, ...]
-    port_range: int
 
 
 class LslFile(LslApiFile):
@@ -88,15 +68,25 @@ class LslFile(LslApiFile):
         """The file as it is now."""
         return "".join(line.text for line in self._lines)
 
-    def adapt(self, wanted: LabRecorderSettings) -> None:
-        """Make it hold what LabRecorder needs; other peers and a larger range of ports stay."""
-        if self._get(SESSION) != wanted.session_id:
-            self._set(SESSION, wanted.session_id, _WHY_SESSION)
-        peers = tuple(dict.fromkeys((*self.known_peers, *wanted.known_peers)))
+    def adapt(self, session_id: str, known_peers: Sequence[str], port_range: int) -> None:
+        """Make it hold what LabRecorder needs; other peers and a larger range of ports stay.
+
+        Parameters
+        ----------
+        session_id
+            The agent's.
+        known_peers
+            Hosts to ask directly.
+        port_range
+            Number of ports that the agent's streams may have.
+        """
+        if self._get(SESSION) != session_id:
+            self._set(SESSION, session_id, _WHY_SESSION)
+        peers = tuple(dict.fromkeys((*self.known_peers, *known_peers)))
         if peers != self.known_peers or not self._get(PEERS).startswith("{"):
             self._set(PEERS, "{" + ", ".join(peers) + "}", _why_peers(peers))
-        if self._number(PORT_RANGE, 0) < wanted.port_range:
-            self._set(PORT_RANGE, str(wanted.port_range), _WHY_PORTS)
+        if self._number(PORT_RANGE, 0) < port_range:
+            self._set(PORT_RANGE, str(port_range), _WHY_PORTS)
 
     def _set(self, name: tuple[str, str], value: str, why: Sequence[str]) -> None:
         section, key = name

@@ -9,12 +9,13 @@ from __future__ import annotations
 from biosensor_common.doctor import lsl_text
 from biosensor_common.errors import ConfigError
 from biosensor_common.lsl_config import LslOverrides, effective_config
-from biosensor_gateway.recording.lsl_api_cfg import LabRecorderSettings, LslFile, Ports, changes
+from biosensor_gateway.recording.lsl_api_cfg import LslFile, Ports, changes
 from tests.fuzz.contract import ensure
 from tests.fuzz.scratch import written
 
 _PEERS = ("10.0.0.7", "lab-pc.local")
-_WANTED = LabRecorderSettings("study7", _PEERS, 300)
+_SESSION = "study7"
+_WANTED = (_SESSION, _PEERS, 300)
 
 
 def check(data: bytes) -> None:
@@ -45,11 +46,11 @@ def _adapt(text: str) -> None:
         return
     _are_ports(file.ports)
     peers = file.known_peers
-    file.adapt(_WANTED)
+    file.adapt(*_WANTED)
     again = LslFile(file.text, "lsl_api.cfg")
-    ensure(again.session_id == _WANTED.session_id, "another session", file.text)
+    ensure(again.session_id == _SESSION, "another session", file.text)
     ensure(set(peers) | set(_PEERS) <= set(again.known_peers), "peers are missing", file.text)
-    again.adapt(_WANTED)
+    again.adapt(*_WANTED)
     ensure(again.text == file.text, "once was not enough", file.text, again.text)
     for line in changes(text, file.text):
         line.encode()

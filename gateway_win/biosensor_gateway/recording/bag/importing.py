@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from biosensor_common.clock_pair import ClockPair
 from biosensor_common.quantities import ChannelFormat
@@ -168,13 +167,13 @@ class _Conversion:
                 self._sinks[name] = StampedTopic(
                     topic,
                     self._new_stream_of(name),
-                    self._to_lsl,
+                    self._wall.to_lsl,
                     self._survey.recorded.get(name),
                     self._survey.facts.get(name),
                     self._survey.raw_type(name),
                 )
             else:
-                self._sinks[name] = AnyTopic(topic, self._new_stream_of(name), self._to_lsl)
+                self._sinks[name] = AnyTopic(topic, self._new_stream_of(name), self._wall.to_lsl)
         except MessageError as error:
             self.left_out[name] = str(error)
 
@@ -200,9 +199,6 @@ class _Conversion:
         if self._since_boundary > _BOUNDARY_BYTES:
             self._since_boundary = 0
             self._file.write(writing.boundary())
-
-    def _to_lsl(self, unix_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-        return self._wall.to_lsl(unix_ns)
 
 
 def wall_pairs(wall: WallClock) -> list[ClockPair]:

@@ -12,7 +12,6 @@ from rclpy.node import Node
 from biosensor_common.ros_clock import (
     MAX_TIME_S,
     NS_PER_S,
-    OffsetStep,
     OffsetTracker,
     measure_offset_ns,
 )
@@ -34,8 +33,8 @@ class RosTime:
         """How often the system clock jumped against the LSL clock."""
         return self._tracker.steps
 
-    def refresh(self) -> OffsetStep | None:
-        """Measure again, once a second; returns a jump of the system clock."""
+    def refresh(self) -> int | None:
+        """Measure again, once a second; return a jump of the system clock in nanoseconds."""
         return self._tracker.update(_measure(), pylsl.local_clock())
 
     def are_times(self, lsl_s: NDArray[np.float64]) -> NDArray[np.bool_]:

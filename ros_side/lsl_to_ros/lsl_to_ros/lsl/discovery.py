@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import count
 from time import monotonic
-from typing import NamedTuple
 
 import pylsl
 
@@ -90,13 +89,6 @@ class FileRoom:
     def _forget(self, uid: str) -> None:
         if uid in self._names:
             self._refusals.over(Refusal.NO_FILES, self._names.pop(uid)[1])
-
-
-class Changes(NamedTuple):
-    """What is new since the last look."""
-
-    ready: list[Inlet]
-    gone: list[Inlet]
 
 
 class Discovery:
@@ -184,8 +176,8 @@ class Discovery:
             self._predicate = wanted
             self._resolver = resolver(wanted)
 
-    def update(self) -> Changes:
-        """Open inlets for new streams; return those that became ready or ended."""
+    def update(self) -> tuple[list[Inlet], list[Inlet]]:
+        """Open inlets for new streams; return those that became ready, and those that ended."""
         gone = self._ended()
         results = sorted(filter(self._is_for_us, self._resolver.results()), key=by_start)
         found = {info.uid(): info for info in results}
@@ -207,7 +199,7 @@ class Discovery:
         for inlet in ready:
             inlet.is_served = self._is_to_be_served(inlet)
             self._announced.add(inlet.uid)
-        return Changes(ready, gone)
+        return ready, gone
 
     def stop(self) -> None:
         """End all inlets."""

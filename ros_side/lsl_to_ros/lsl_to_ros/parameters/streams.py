@@ -140,8 +140,8 @@ class Parameters:
     def _declare(self, sensor: str, data_name: str, chunk: str) -> None:
         for owner, keys in (
             (sensor, tuple(DEFAULTS)),
-            (f"{sensor}.{_token(data_name)}", (SENSOR_ENABLE,)),
-            (f"{sensor}.{_token(chunk)}", tuple(DEFAULTS) if chunk else ()),
+            (f"{sensor}.{naming.sanitise(data_name)}", (SENSOR_ENABLE,)),
+            (f"{sensor}.{naming.sanitise(chunk)}", tuple(DEFAULTS) if chunk else ()),
         ):
             for key in keys:
                 name = f"{owner}.{key}"
@@ -206,11 +206,7 @@ def prefixes(identity: DeviceIdentity, data_name: str) -> list[str]:
     if identity.participant:
         participant = naming.sanitise(identity.participant)
         sensors = [f"{participant}.{sensor}" for sensor in sensors] + sensors
-    return [f"{sensor}.{_token(data_name)}" for sensor in sensors] + sensors
-
-
-def _token(data_name: str) -> str:
-    return naming.sanitise(data_name)
+    return [f"{sensor}.{naming.sanitise(data_name)}" for sensor in sensors] + sensors
 
 
 def _is_unset(parameter: Parameter) -> bool:

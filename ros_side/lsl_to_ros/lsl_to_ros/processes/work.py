@@ -112,9 +112,9 @@ class Work:
 
     def part(self) -> Part:
         """Return what there is to report; call it once a second."""
-        step = self.ros_time.refresh()
-        if step is not None:
-            jump = f"the system clock jumped by {step.size_ns / 1e9:.6f} s; stamps follow"
+        jump_ns = self.ros_time.refresh()
+        if jump_ns is not None:
+            jump = f"the system clock jumped by {jump_ns / 1e9:.6f} s; stamps follow"
             self._warn_for_all(jump)
         return self._survey.part()
 
@@ -137,8 +137,8 @@ class Work:
 
     def _look(self) -> None:
         """See what streams and what subscribers there are."""
-        changes = self._discovery.update()
-        if self._routing.update(changes.ready, changes.gone):
+        ready, gone = self._discovery.update()
+        if self._routing.update(ready, gone):
             self._listed()
         self._routing.count_readers()
         self._pump.look()

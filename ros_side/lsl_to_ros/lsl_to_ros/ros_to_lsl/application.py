@@ -33,7 +33,6 @@ from lsl_to_ros.ros_to_lsl.graph import Graph, are_named
 from lsl_to_ros.ros_to_lsl.parameters import read_requests
 from lsl_to_ros.ros_to_lsl.reports import (
     PROGRAM,
-    TopicStatus,
     node_status,
     topic_facts,
     topic_status,
@@ -77,7 +76,7 @@ class RosToLsl(Node):
         self._log = LimitedLog(self.get_logger())
         self._refusals = Refusals(self._log.warn)
         self._ros_time = RosTime(self)
-        self._topics: dict[str, TopicStatus] = {}
+        self._topics: dict[str, Topic] = {}
         self._events = Events(self, self._facts)
         self._taker = Taker(self, self._fail)
         self._group = TakenElsewhere()
@@ -100,13 +99,13 @@ class RosToLsl(Node):
         """Send what has come, and end."""
         self._taker.stop()
         for each in self._topics.values():
-            each.topic.bridge.end()
+            each.bridge.end()
 
     def _open(self, request: TopicRequest) -> None:
         say = partial(self._say, request.topic)
         bridge = Bridge(request, self._ros_time, say, by_arrival=self._requests.by_arrival)
         topic = Topic(self, self._taker, self._group, bridge, say)
-        self._topics[request.topic] = TopicStatus(topic)
+        self._topics[request.topic] = topic
 
     def _look(self) -> None:
         """See who publishes what, and do what is due."""
@@ -116,15 +115,15 @@ class RosToLsl(Node):
         self._looks += 1
         is_to_ask_all = self._looks % LOOKS_BETWEEN == 0
         for each in self._topics.values():
-            if is_to_ask_all or each.topic.kind is None:
-                self._follow(graph, each.topic)
+            if is_to_ask_all or each.kind is None:
+                self._follow(graph, each)
         if monotonic() > self._missed_s:
             self._missed_s = math.inf
             self._say_missing(graph)
         now = pylsl.local_clock()
         for each in self._topics.values():
-            each.topic.bridge.look(now)
-        self._offsets.look(each.topic for each in self._topics.values())
+            each.bridge.look(now)
+        self._offsets.look(self._topics.values())
         self._events.look(now)
 
     def _open_small(self, graph: Graph) -> None:
@@ -168,7 +167,7 @@ class RosToLsl(Node):
         """Say which topics nobody publishes: a name may be misspelt."""
         published = [name for name in graph.topics if name not in self._topics]
         for name, each in self._topics.items():
-            if not each.topic.publishers:
+            if not each.publishers:
                 similar = get_close_matches(name, published, n=1)
                 question = f"; is {similar[0]} meant?" if similar else ""
                 # nothing is dropped: there is nothing yet
@@ -185,17 +184,17 @@ class RosToLsl(Node):
         self._refusals.refuse(Refusal.SEND_FAILED, about=topic, why=repr(error))
 
     def _facts(self) -> dict[str, Any]:
-        return {name: topic_facts(each.topic) for name, each in list(self._topics.items())}
+        return {name: topic_facts(each) for name, each in list(self._topics.items())}
 
     def _report(self) -> None:
-        step = self._ros_time.refresh()
-        if step is not None:
+        jump_ns = self._ros_time.refresh()
+        if jump_ns is not None:
             self._offsets.restart()
             # nothing is dropped: clocks are judged anew
-            self._log.warn(f"the system clock jumped by {step.size_ns / 1e9:.6f} s; stamps follow")
+            self._log.warn(f"the system clock jumped by {jump_ns / 1e9:.6f} s; stamps follow")
             for each in self._topics.values():
-                each.topic.bridge.clock_was_set()
-        streams = sum(len(each.topic.bridge.streams) for each in self._topics.values())
+                each.bridge.clock_was_set()
+        streams = sum(len(each.bridge.streams) for each in self._topics.values())
         statuses = [
             node_status(
                 len(self._topics), streams, self._ros_time.steps, self._left_out, self._refusals

@@ -14,27 +14,17 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from biosensor_common.refusal import Level
 from biosensor_common.refusals import Refusals, Refused
-from lsl_to_ros.accounts.status import StreamStatus
 from lsl_to_ros.reports.diagnostics import STALE_AFTER_S, status, words_of
 from lsl_to_ros.ros_to_lsl.bridge import Bridge
 from lsl_to_ros.ros_to_lsl.stamping import StampSource
 from lsl_to_ros.ros_to_lsl.topic import Topic
 
 PROGRAM = "ros_to_lsl"
-
-
-@dataclass(slots=True)
-class TopicStatus:
-    """What the reports of one topic remember."""
-
-    topic: Topic
-    status: StreamStatus = field(default_factory=StreamStatus)
 
 
 def node_status(
@@ -53,13 +43,12 @@ def node_status(
     return status("node", _level(present), message, values, program=PROGRAM)
 
 
-def topic_status(each: TopicStatus) -> DiagnosticStatus:
+def topic_status(topic: Topic) -> DiagnosticStatus:
     """Describe one topic."""
-    topic = each.topic
     bridge = topic.bridge
     lost = bridge.losses.lost
-    rate = each.status.meter.rate(bridge.received, bridge.newest_s)
-    level, message = _judge(topic, each.status)
+    rate = topic.status.meter.rate(bridge.received, bridge.newest_s)
+    level, message = _judge(topic)
     values = {
         "type": topic.kind.name if topic.kind else bridge.request.type_name,
         "publishers": str(topic.publishers),
@@ -100,9 +89,9 @@ def topic_facts(topic: Topic) -> dict[str, object]:
     }
 
 
-def _judge(topic: Topic, status: StreamStatus) -> tuple[bytes, str]:
+def _judge(topic: Topic) -> tuple[bytes, str]:
     bridge = topic.bridge
-    silent_s = status.silence(bridge.received)
+    silent_s = topic.status.silence(bridge.received)
     bridge.judge_clocks()
     present = bridge.refusals.present
     errors = [each.sentence for each in present if each.what.level is Level.ERROR]

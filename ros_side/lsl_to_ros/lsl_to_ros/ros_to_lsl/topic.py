@@ -12,6 +12,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from biosensor_common.errors import GatewayError
 from biosensor_common.refusal import Refusal
+from lsl_to_ros.accounts.status import StreamStatus
 from lsl_to_ros.ros_to_lsl.bridge import OLD_MESSAGES_S, Bridge, MessageType
 from lsl_to_ros.ros_to_lsl.fields import message_class
 from lsl_to_ros.ros_to_lsl.graph import Quality, are_named, full_name, quality_of
@@ -27,6 +28,8 @@ class Topic:
 
     Attributes
     ----------
+    status
+        What reports remember of it.
     kind
         Type of the messages; None before it is known.
     quality
@@ -46,7 +49,7 @@ class Topic:
         say: Callable[[str], None],
     ) -> None:
         self._node, self._taker, self._group, self._say = node, taker, group, say
-        self.bridge = bridge
+        self.bridge, self.status = bridge, StreamStatus()
         self.kind: MessageType | None = None
         self.quality = Quality()
         self.publishers, self.sender = 0, ""
