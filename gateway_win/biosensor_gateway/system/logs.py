@@ -90,7 +90,7 @@ def configure_logs(
         up before stays, so the caller can go on with ``folder=None``.
     """
     file = _file_handler(folder, settings.max_bytes, settings.keep_files) if folder else None
-    _remove_own_handlers()
+    end_logs()
     root = logging.getLogger()
     for handler in (_console_handler(title, verbose=verbose), file):
         if handler is not None:
@@ -108,7 +108,7 @@ def log_to_file_alone(folder: Path) -> None:
         As for `configure_logs`.
     """
     file = _file_handler(folder, _NEVER_FULL, 0)
-    _remove_own_handlers()
+    end_logs()
     logging.getLogger().addHandler(file)
     _configure(logging.INFO)
 
@@ -136,7 +136,9 @@ def flush_logs(limit_s: float = LAST_LINES_S) -> bool:
 
 def end_logs() -> None:
     """Write the last lines, in `LAST_LINES_S` at most for each output, and log no more."""
-    _remove_own_handlers()
+    for handler in _own_handlers():
+        logging.getLogger().removeHandler(handler)
+        handler.close()
 
 
 @contextlib.contextmanager
@@ -163,7 +165,7 @@ def console_relayed() -> Generator[Panel | None]:
         if panel is not None:
             stack.callback(panel.close)
         yield panel
-    _remove_own_handlers()
+    end_logs()
 
 
 @contextlib.contextmanager
@@ -179,12 +181,6 @@ def _panel(handler: QueuedHandler | None) -> Generator[Panel | None]:
 
 def _own_handlers() -> list[QueuedHandler]:
     return [each for each in logging.getLogger().handlers if isinstance(each, QueuedHandler)]
-
-
-def _remove_own_handlers() -> None:
-    for handler in _own_handlers():
-        logging.getLogger().removeHandler(handler)
-        handler.close()
 
 
 def _console_handler(title: Callable[[str], str], *, verbose: bool) -> QueuedHandler | None:

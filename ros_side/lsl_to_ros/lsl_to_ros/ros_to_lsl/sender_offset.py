@@ -88,7 +88,7 @@ class SenderOffsets:
             offset = self._asked[name].look()
             if offset is not None:
                 for each in those:
-                    each.take_offset(offset)
+                    each.bridge.take_offset(offset)
 
     def restart(self) -> None:
         """Give up what is being measured, since this computer's own clock was set."""

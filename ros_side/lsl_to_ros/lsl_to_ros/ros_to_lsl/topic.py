@@ -16,7 +16,6 @@ from lsl_to_ros.accounts.status import StreamStatus
 from lsl_to_ros.ros_to_lsl.bridge import OLD_MESSAGES_S, Bridge, MessageType
 from lsl_to_ros.ros_to_lsl.fields import message_class
 from lsl_to_ros.ros_to_lsl.graph import Quality, are_named, full_name, quality_of
-from lsl_to_ros.ros_to_lsl.publisher_clock import Offset
 from lsl_to_ros.taking import MessageInfo, RosMessage, TakenElsewhere, Taker, nobody
 
 _USUAL = Quality()
@@ -68,10 +67,6 @@ class Topic:
     def wants_offset(self) -> bool:
         """Whether its publisher's clock is to be measured."""
         return any(each.wants_offset for each in self.bridge.stampings)
-
-    def take_offset(self, offset: Offset) -> None:
-        """Take in what was measured of its publisher's clock."""
-        self.bridge.take_offset(offset)
 
     def follow(self, publishers: Sequence[TopicEndpointInfo]) -> int:
         """Take in who publishes it now; return how many messages were newly lost on the way."""
