@@ -10,6 +10,7 @@ import pylsl
 
 from biosensor_common.errors import SpecError
 from biosensor_common.lsl.inlets import read_description, unopened_inlet
+from biosensor_common.lsl.namesakes import numbered
 from biosensor_common.lsl_header import read_header
 from biosensor_common.stream_header import CoreFields, StreamHeader, foreign_header
 from biosensor_gateway.page.network.stream import NetworkStream
@@ -55,13 +56,14 @@ class Descriptions:
     def _settle(self, stream: NetworkStream, reading: _Reading, now: float) -> None:
         assert reading.task is not None
         try:
-            stream.header, note = reading.task.result()
+            header, note = reading.task.result()
+            stream.header = numbered(header, stream.namesake)
             stream.note = note or stream.note
             stream.has_description = True
         except RuntimeError:
             # The outlet may have ended, or its computer does not answer.
             reading.task, reading.not_before_s = None, now + _RETRY_S
-            stream.header = stream.header or foreign_header(stream.core)
+            stream.header = stream.header or numbered(foreign_header(stream.core), stream.namesake)
             if reading.tries >= _MOST_TRIES:
                 stream.has_description = True
                 stream.note = "its description could not be read: its computer does not answer"

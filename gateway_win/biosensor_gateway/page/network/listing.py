@@ -9,11 +9,12 @@ import pylsl
 
 from biosensor_common.announcements import read_core
 from biosensor_common.errors import SpecError
+from biosensor_common.lsl.namesakes import Namesakes, by_start
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.stream_header import CoreFields
 from biosensor_gateway.page.network.receiver import Receiver
-from biosensor_gateway.page.network.stream import UNSEEN_S, NetworkStream
+from biosensor_gateway.page.network.stream import UNSEEN_S, NetworkStream, claim_of
 
 MAX_STREAMS = 400
 FORGET_S = 300.0
@@ -38,6 +39,7 @@ class Listing:
         self._left_out = 0
         self._numbers = count(1)
         self._waiting: dict[str, float] = {}
+        self._namesakes = Namesakes()
 
     def update(self, infos: Iterable[pylsl.StreamInfo], now: float) -> list[Receiver]:
         """Take in what a resolver reports; return the inlets that are of no more use.
@@ -49,7 +51,8 @@ class Listing:
         now
             Local LSL time.
         """
-        found = {info.uid(): info for info in infos}
+        # As a node does, whichever was found first.
+        found = {info.uid(): info for info in sorted(infos, key=by_start)}
         known = {stream.uid for stream in self.streams.values()}
         for stream in self.streams.values():
             if stream.uid in found:
@@ -75,21 +78,39 @@ class Listing:
         away = [each for each in before if each.lost_s is not None or _is_unseen(each, now)]
         if away:
             self._waiting.pop(info.uid(), None)
+            away[0].namesake = self._namesake(info, now)
             return away[0].follow(info, core, now)
         since = self._waiting.setdefault(info.uid(), now)
-        if not before or now - since > _BOTH_ALIVE_S:
+        claim = claim_of(core)
+        beside = any(not each.is_ours and each.claim == claim for each in self.streams.values())
+        if not (before or beside) or now - since > _BOTH_ALIVE_S:
             twin = Refusal.EITHER_SENDER.told()
-            self._add(info, core, now, note=twin if before else "")
+            number = self._namesake(info, now)
+            self._add(info, core, now, number, note=twin if before or beside else "")
         return None  # nothing is dropped: it is listed, or waits for the end of another one
 
-    def _add(self, info: pylsl.StreamInfo, core: CoreFields, now: float, note: str) -> None:
+    def _namesake(self, info: pylsl.StreamInfo, now: float) -> int:
+        """Return a sender's number; of ours a node takes one only, which is no other stream."""
+        claim = claim_of(read_core(info))
+        live = {
+            each.uid
+            for each in self.streams.values()
+            if not (each.is_ours or each.is_gone(now)) and each.claim == claim
+        }
+        return self._namesakes.number(info, live)
+
+    def _add(
+        self, info: pylsl.StreamInfo, core: CoreFields, now: float, namesake: int, note: str
+    ) -> None:
         if len(self.streams) >= MAX_STREAMS and not self._drop_one(now):
             self._left_out += 1
             self.refusals.refuse(Refusal.NOT_LISTED, self._left_out, most=MAX_STREAMS)
             return
         self._waiting.pop(info.uid(), None)
         number = next(self._numbers)
-        self.streams[number] = NetworkStream(number, info, core, info.uid(), now, note=note)
+        self.streams[number] = NetworkStream(
+            number, info, core, info.uid(), now, namesake=namesake, note=note
+        )
 
     def _drop_one(self, now: float) -> bool:
         """Make room by forgetting what has been gone the longest."""

@@ -15,6 +15,11 @@ UNSEEN_S = 1.5
 _DEAF_S = 2.0
 
 
+def claim_of(core: CoreFields) -> tuple[str, str, str, str]:
+    """Return what a stream is called by; one that has no source_id, on its computer alone."""
+    return core.source_id, core.name, core.content_type, core.source_id or core.hostname
+
+
 @dataclass(slots=True, eq=False)
 class NetworkStream:
     """A stream, over all outlets that it had one after the other.
@@ -29,6 +34,8 @@ class NetworkStream:
         Local LSL time at which a resolver reported that outlet last.
     header
         None while it is read for the first time.
+    namesake
+        Its number among live senders that claim to be one stream, from 1.
     note
         What is wrong with it, one sentence.
     has_description
@@ -43,6 +50,7 @@ class NetworkStream:
     uid: str
     seen_s: float
     header: StreamHeader | None = None
+    namesake: int = 1
     note: str = ""
     has_description: bool = False
     lost_s: float | None = None
@@ -56,6 +64,11 @@ class NetworkStream:
     def is_ours(self) -> bool:
         """Whether an agent of ours sends it."""
         return self.header is not None and not self.header.foreign
+
+    @property
+    def claim(self) -> tuple[str, str, str, str]:
+        """See `claim_of`."""
+        return claim_of(self.core)
 
     def continues_as(self, core: CoreFields) -> bool:
         """Whether that announces this stream, come back.

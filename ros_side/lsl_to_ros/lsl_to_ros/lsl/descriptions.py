@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pylsl
 
 from biosensor_common.errors import SpecError
@@ -34,11 +32,3 @@ def header_of(info: pylsl.StreamInfo, core: CoreFields, refusals: Refusals) -> S
         return foreign_header(core)
     refusals.over(Refusal.NO_DESCRIPTION, about(info))
     return header
-
-
-def numbered(header: StreamHeader, number: int) -> StreamHeader:
-    """Return the header of one of several streams that claim to be the same."""
-    if number == 1:
-        return header
-    name = f"{header.data_name}_{number}"
-    return replace(header, data_name=name, chunk=name if header.chunk else "")

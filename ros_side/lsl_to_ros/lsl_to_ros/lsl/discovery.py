@@ -10,6 +10,7 @@ import pylsl
 
 from biosensor_common import open_files
 from biosensor_common.errors import SpecError
+from biosensor_common.lsl.namesakes import Namesakes, by_start
 from biosensor_common.lsl.predicates import (
     EVERYTHING,
     Predicate,
@@ -25,7 +26,6 @@ from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from lsl_to_ros.lsl.descriptions import about
 from lsl_to_ros.lsl.inlets import FROM_ROS, Inlet, InletState
-from lsl_to_ros.lsl.namesakes import Namesakes, by_start
 from lsl_to_ros.lsl.rivals import Rivals, Swap
 from lsl_to_ros.lsl.share import ALL, Share
 

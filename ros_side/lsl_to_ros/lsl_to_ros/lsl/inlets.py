@@ -12,6 +12,7 @@ from pylsl import util
 
 from biosensor_common.announcements import read_core
 from biosensor_common.lsl.inlets import read_description, unopened_inlet
+from biosensor_common.lsl.namesakes import numbered
 from biosensor_common.lsl.predicates import Predicate, all_of, has, none_of
 from biosensor_common.quantities import ChannelFormat
 from biosensor_common.refusal import Refusal
@@ -20,7 +21,7 @@ from biosensor_common.stream_header import StreamHeader
 from lsl_to_ros.lsl.buffering import buffer_length
 from lsl_to_ros.lsl.corrections import Corrections
 from lsl_to_ros.lsl.delivery import Delivery, Receiver
-from lsl_to_ros.lsl.descriptions import about, header_of, numbered
+from lsl_to_ros.lsl.descriptions import about, header_of
 from lsl_to_ros.lsl.liblsl import matches_query
 from lsl_to_ros.lsl.reading import Reading
 
@@ -60,7 +61,7 @@ class Inlet:
     refusals
         Is told when the stream or its description is unusable, and when reading it failed.
     number
-        Of those that claim to be this stream, see :class:`~lsl_to_ros.lsl.namesakes.Namesakes`.
+        Of those that claim to be this stream, see `biosensor_common.lsl.namesakes`.
 
     Raises
     ------

@@ -8,10 +8,31 @@ and shape, as far as these differ: it gets it back whenever it or the node start
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Protocol
 
-import pylsl
+from biosensor_common.announcements import Announcement
+from biosensor_common.stream_header import StreamHeader
+
+
+class Sender(Announcement, Protocol):
+    """A stream as a resolver gives it: ``pylsl.StreamInfo``."""
+
+    def uid(self) -> str:
+        """Return what is its own, and new with each start."""
+        ...
+
+    def created_at(self) -> float:
+        """Return when it was started, on its computer's clock."""
+        ...
+
+
+def numbered(header: StreamHeader, number: int) -> StreamHeader:
+    """Return the header of one of several streams that claim to be the same."""
+    if number == 1:
+        return header
+    name = f"{header.data_name}_{number}"
+    return replace(header, data_name=name, chunk=name if header.chunk else "")
 
 
 class _Place(NamedTuple):
@@ -35,7 +56,7 @@ class Namesakes:
     def __init__(self) -> None:
         self._numbers: dict[tuple[str, str, str], list[_Number]] = {}
 
-    def number(self, info: pylsl.StreamInfo, live: Collection[str]) -> int:
+    def number(self, info: Sender, live: Collection[str]) -> int:
         """Return a sender's number, from 1.
 
         Parameters
@@ -43,7 +64,7 @@ class Namesakes:
         info
             As a resolver gave it.
         live
-            Uids of the senders that are served now; their numbers are taken.
+            Uids of the senders that are served or shown now; their numbers are taken.
         """
         uid, place = info.uid(), _place_of(info)
         given = self._numbers.setdefault((info.source_id(), info.name(), info.type()), [])
@@ -57,12 +78,12 @@ class Namesakes:
         return given.index(chosen) + 1
 
 
-def by_start(info: pylsl.StreamInfo) -> tuple[float, str]:
+def by_start(info: Sender) -> tuple[float, str]:
     """Return what sorts senders by their start, whichever was found first."""
     return info.created_at(), info.uid()
 
 
-def _place_of(info: pylsl.StreamInfo) -> _Place:
+def _place_of(info: Sender) -> _Place:
     return _Place(
         info.hostname(), info.channel_format(), info.channel_count(), info.nominal_srate()
     )
