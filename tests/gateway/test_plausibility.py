@@ -14,6 +14,7 @@ from structlog.testing import capture_logs
 from biosensor_common.errors import SpecError
 from biosensor_common.naming import source_id
 from biosensor_common.quantities import NOT_PHYSICAL, Unit
+from biosensor_common.refusals import LATELY_S
 from biosensor_common.spec import ChannelSpec, DeviceIdentity, DeviceInfo
 from biosensor_gateway.agent.device import Device
 from biosensor_gateway.agent.supervisor import Supervisor
@@ -22,7 +23,7 @@ from biosensor_gateway.devices.bluetooth_health.driver.driver import HealthEmitt
 from biosensor_gateway.devices.bluetooth_health.driver.services import ROWS
 from biosensor_gateway.devices.registry import declaration, declaration_names
 from biosensor_gateway.streaming.counters import Counters
-from biosensor_gateway.streaming.plausibility import AHEAD_LIMIT_S, SHOWN_S
+from biosensor_gateway.streaming.plausibility import AHEAD_LIMIT_S
 from biosensor_gateway.streaming.sink import DeviceSink
 from biosensor_gateway.system.clock import LslClock
 
@@ -64,7 +65,14 @@ class _Sent:
     def status(self) -> str:
         """Return what is said of the device."""
         device = Device(Supervisor(lambda: pytest.fail("nobody connects"), self.sink), self.sink)
-        return device.status().error or ""
+        told = device.status()
+        assert told.error is None
+        return "; ".join(
+            f"{source.rpartition('-')[2]}: {each.sentence}"
+            for source, stream in sorted(told.streams.items())
+            for each in stream.refusals
+            if each.now
+        )
 
     def _take(self, data_name: str, samples: ArrayLike, stamps: Sequence[float]) -> None:
         rows = np.asarray(samples, np.float64).reshape(len(stamps), -1)
@@ -94,13 +102,12 @@ def test_a_value_that_cannot_be_is_left_out_counted_and_said() -> None:
     assert (sent.counters("cycling").refused, sent.counters("cycling").pushed) == (2, 3)
     assert (sent.counters("temp").refused, sent.counters("temp").pushed) == (1, 0)
     assert sent.status() == (
-        "connected, but it tells what cannot be, which is not sent: "
-        "cycling (speed was 9.1e+09 m/s, which is not between 0 and 50; 2 so far); "
-        "temp (body was 1e+127 celsius, which is not between -50 and 100; 1 so far)"
+        "cycling: 2 samples were not sent: speed was 9.1e+09 m/s, which is not between 0 and 50; "
+        "temp: 1 sample was not sent: body was 1e+127 celsius, which is not between -50 and 100"
     )
     # Once for each stream.
     assert [entry["data"] for entry in logs] == ["cycling", "temp"]
-    sent.time.now_s += SHOWN_S
+    sent.time.now_s += LATELY_S + 1
     assert sent.status() == ""
     sent.sink.close()
 
@@ -166,6 +173,33 @@ def test_intervals_that_are_told_twice_are_not_sent_for_long(repeated: int) -> N
     assert _beats(sent, 300, repeated) < 2 * AHEAD_LIMIT_S + 20
     assert sent.counters("ibi").refused > 300
     assert "intervals between beats add up to more than the time that has passed" in sent.status()
+    sent.sink.close()
+
+
+@pytest.mark.parametrize("repeated", [1, 2])
+def test_a_strap_that_repeats_beats_is_noticed_after_a_few_and_what_was_sent_is_told(
+    repeated: int,
+) -> None:
+    sent = _Sent("ble_heart_rate")
+    _beats(sent, 12, repeated)
+    told = [value for (value,) in sent.rows["ibi"]]
+    twice = len(told) - len(set(told))
+    assert 0 < twice <= 4
+    assert f"so some are told twice; {twice} told twice before were sent" in sent.status()
+    sent.sink.close()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_beats_of_a_pacemaker_that_arrive_in_bundles_are_believed(seed: int) -> None:
+    # Each is like the one before.
+    sent, chance = _Sent("ble_heart_rate"), np.random.default_rng(seed)
+    due_s = sent.time.now_s
+    for _ in range(200):
+        count = int(chance.integers(1, 5))
+        due_s += 0.75 * count
+        sent.time.now_s = max(sent.time.now_s, due_s + float(chance.uniform(0.0, 0.5)))
+        sent.emit("ibi", [0.75] * count)
+    assert sent.counters("ibi").refused == 0
     sent.sink.close()
 
 

@@ -93,7 +93,7 @@ class Device:
             since=sink.gate.since if sink.is_paused else supervisor.away_since,
             worn=None if self._events is None else self._events.is_worn,
             connections=supervisor.connections,
-            error=supervisor.last_error or sink.plausibility.doubt,
+            error=supervisor.last_error,
             dropped_bytes=sink.dropped_bytes,
             battery_percent=sink.charge.percent if supervisor.is_connected else None,
             clock=_clock_status(sink.clock_state),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -13,18 +14,21 @@ from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.spec import SensorSpec, StreamSpec
 from biosensor_gateway.streaming.counters import Counters
-from biosensor_gateway.system.clock import Clock
 from biosensor_gateway.system.device_log import DeviceLog, Once
 
 AHEAD_LIMIT_S = 5.0
 """Beats that arrive late have had their time; so far ahead of it are only those told twice."""
+ALIKE_LIMIT = 0.3
+"""Part of it that is enough where beats that begin before the newest ended have its length."""
+_LEAST_ALIKE = 2
+_REMEMBERED = 4
+_OVERLAP = 0.3
 MOST_AHEAD_S, MOST_BEHIND_S = 15.0, 60.0
 _TOLD_TWICE = (
     "intervals between beats add up to more than the time that has passed, so some are told twice"
 )
 
-
-SHOWN_S = 60.0
+_SENT_TWICE = "; {} told twice before were sent"
 
 
 class _Checked(NamedTuple):
@@ -50,12 +54,11 @@ class _Checked(NamedTuple):
 
 
 class Plausibility:
-    """Checks the samples of one device, and remembers for a person what was not believed."""
+    """Checks the samples of one device."""
 
-    def __init__(self, spec: SensorSpec, clock: Clock, log: DeviceLog) -> None:
-        self._clock, self._log = clock, log
+    def __init__(self, spec: SensorSpec, log: DeviceLog) -> None:
+        self._log = log
         self._is_new = Once()
-        self._doubts: dict[str, tuple[float, str, Counters]] = {}
         self._bounds = {
             stream.data_name: _Bounds(stream)
             for stream in spec.streams
@@ -78,22 +81,9 @@ class Plausibility:
         if checked.why:
             counters.refused += checked.refused
             refusals.refuse(Refusal.IMPLAUSIBLE, checked.refused, why=checked.why)
-            self._doubts[data_name] = self._clock(), checked.why, counters
             if self._is_new(data_name, checked.what):
                 self._log.warning("values are not sent", data=data_name, cause=checked.why)
         return checked.samples, checked.times
-
-    @property
-    def doubt(self) -> str | None:
-        """What was not sent in the last minute; None if that is nothing."""
-        since_s = self._clock() - SHOWN_S
-        parts = [
-            f"{name} ({why}; {counters.refused} so far)"
-            for name, (time_s, why, counters) in sorted(self._doubts.items())
-            if time_s > since_s
-        ]
-        said = "connected, but it tells what cannot be, which is not sent"
-        return f"{said}: {'; '.join(parts)}" if parts else None
 
 
 class _Bounds:
@@ -119,8 +109,8 @@ class _Bounds:
             return checked
         rows = values.reshape(len(times), self._width)
         beats = self._beats
-        if beats is not None and beats.are_ahead(float(np.nansum(rows[:, 0])), max(times)):
-            return _Checked((), (), len(times), _TOLD_TWICE)
+        if beats is not None and beats.are_ahead(rows[:, 0].tolist(), times):
+            return _Checked((), (), len(times), beats.why)
         outside = (rows < self._low) | (rows > self._high)
         if not outside.any():
             return checked
@@ -149,18 +139,48 @@ class _Beats:
     def __init__(self) -> None:
         self._ahead_s = 0.0
         self._newest_s: float | None = None
+        # Those told last, and how many were like one of them and of a time before the newest.
+        self._last: deque[float] = deque(maxlen=_REMEMBERED)  # nothing is dropped: a memory
+        self._alike = self._sent_twice = 0
+        self._is_noticed = False
 
-    def are_ahead(self, sum_s: float, newest_s: float) -> bool:
+    @property
+    def why(self) -> str:
+        """Say what is wrong if they are ahead."""
+        before = _SENT_TWICE.format(self._sent_twice) if self._sent_twice else ""
+        return f"{_TOLD_TWICE}{before}"
+
+    def are_ahead(self, intervals: Sequence[float], times: Sequence[float]) -> bool:
         """Take intervals in; tell whether they are too many for the time that has passed.
 
         Those that come first may be older. Time that passed without intervals is kept for a
         while, for what was held up.
         """
         before_s = self._newest_s
+        alike = self._count_alike(intervals, times)
+        self._alike += alike
+        newest_s = max(times)
         if before_s is None:
             self._newest_s = newest_s
             return False
         self._newest_s = max(before_s, newest_s)
-        ahead_s = max(self._ahead_s + sum_s - (self._newest_s - before_s), -MOST_BEHIND_S)
+        passed_s = self._newest_s - before_s
+        ahead_s = max(self._ahead_s + float(np.nansum(intervals)) - passed_s, -MOST_BEHIND_S)
         self._ahead_s = min(ahead_s, MOST_AHEAD_S)
-        return ahead_s > AHEAD_LIMIT_S
+        if ahead_s <= 0:
+            self._alike, self._is_noticed = 0, False
+        if ahead_s <= AHEAD_LIMIT_S * (ALIKE_LIMIT if self._alike >= _LEAST_ALIKE else 1.0):
+            return False
+        self._sent_twice += 0 if self._is_noticed else self._alike - alike
+        self._is_noticed = True
+        return True
+
+    def _count_alike(self, intervals: Sequence[float], times: Sequence[float]) -> int:
+        """Return how many have the length of one before and begin before the newest ended."""
+        count, newest_s = 0, -np.inf if self._newest_s is None else self._newest_s
+        for interval_s, time_s in zip(intervals, times, strict=True):
+            overlap_s = newest_s - (time_s - interval_s)
+            count += interval_s in self._last and overlap_s > _OVERLAP * interval_s
+            newest_s = max(newest_s, time_s)
+            self._last.append(interval_s)
+        return count

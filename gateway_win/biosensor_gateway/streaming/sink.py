@@ -84,7 +84,7 @@ class DeviceSink:
         self._is_new = Once()
         self.gate = PauseGate()
         self._gaps = Gaps(clock)
-        self.plausibility = Plausibility(spec, clock, self._log)
+        self.plausibility = Plausibility(spec, self._log)
         self.info = DeviceInfo()
         self.told_rates: Mapping[str, float] = {}
         self.dropped_bytes = self._told_bytes = 0
