@@ -179,3 +179,31 @@ def test_trouble_has_a_colour_only_where_there_are_colours() -> None:
     rows = table().rows(status(device(state="backoff", error=REASON)))
     assert any(line.colour for line in picture(rows, (), WIDE, colours=True))
     assert not any(line.colour for line in picture(rows, (), WIDE, colours=False))
+
+
+def refused(sentence: str, what: str = "implausible", *, now: bool = True) -> dict[str, Any]:
+    return {"what": what, "level": "warn", "sentence": sentence, "count": 2, "now": now}
+
+
+def test_what_is_not_passed_on_stands_below_its_device_while_it_is_of_now() -> None:
+    told = [refused("12 bytes of the device made no valid message", "garbled")]
+    heart = stream(2, 100.0, 0.0) | {"refusals": [refused("2 samples were not sent: hr was 500")]}
+    wind = stream(2, 100.0, 0.0) | {"refusals": [refused("it was long ago", now=False)]}
+    rest = stream(2, 100.0, 0.0) | {"refusals": [refused("9 samples were withheld", "paused")]}
+    streams = {"polar_h10-A-hr": heart, "polar_h10-A-ibi": wind, "polar_h10-A-ecg": rest}
+    rows = table().rows(status(device(streams=streams, refusals=told)))
+    assert [each.strip() for each in drawn(rows)[3:5]] == [
+        "12 bytes of the device made no valid message",
+        "polar_h10-A-hr: 2 samples were not sent: hr was 500",
+    ]
+    assert len(drawn(rows)) == 7
+    assert any(line.colour for line in picture(rows, (), WIDE, colours=True)[2:])
+
+
+def test_what_the_agent_itself_does_not_pass_on_stands_below_the_table() -> None:
+    shown: list[str] = []
+    panel = Panel(Outflow("nowhere", lambda _lines: None), lambda: None)
+    panel.show = lambda drawing: shown.extend(line.text for line in drawing(WIDE))  # pyright: ignore[reportAttributeAccessIssue]
+    told = refused("a marker was sent that nobody receives", "unheard_marker")
+    LiveTable(panel, colours=False).report(status(device()) | {"refusals": [told]})
+    assert "a marker was sent that nobody receives" in shown

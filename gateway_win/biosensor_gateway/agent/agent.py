@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import os
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,9 +17,10 @@ from pylsl import local_clock
 
 from biosensor_common.device_clock import ClockState
 from biosensor_common.heap import limit_arenas
+from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
-from biosensor_gateway.agent import status_file
+from biosensor_gateway.agent import feature_refusals, status_file
 from biosensor_gateway.agent.control_server import Command, Conversation
 from biosensor_gateway.agent.device import Device
 from biosensor_gateway.agent.feed import Feed
@@ -48,20 +49,25 @@ _log = structlog.get_logger("biosensor_gateway.agent")
 
 
 def snapshot(
-    devices: Iterable[Device], *, virtual: bool = False, own: Iterable[Refusals] = ()
+    devices: Iterable[Device],
+    *,
+    virtual: bool = False,
+    own: Iterable[Refusals] = (),
+    features: Sequence[RefusedStatus] = (),
 ) -> AgentStatus:
     """Describe the agent and every device of it.
 
     Parameters
     ----------
-    devices
     virtual
-        Whether they are.
+        Whether the devices are.
     own
         What of the agent's own streams is not passed on.
+    features
+        What programs that compute live features say.
     """
     restarts = restart_facts(os.environ)
-    return AgentStatus(
+    status = AgentStatus(
         written=time.time(),
         lsl_time=local_clock(),
         process=os.getpid(),
@@ -71,6 +77,8 @@ def snapshot(
         refusals=[told for each in own for told in RefusedStatus.of(each)],
         devices=[device.status() for device in devices],
     )
+    feature_refusals.add(status, features)
+    return status
 
 
 UNWRITTEN_REPORTS = 3
@@ -306,10 +314,15 @@ class Agent:
             for device in self.devices:
                 device.sink.release()
                 merged |= device.sink.counters
-            outlet.push_text(counters_text(merged, self._clocks()), pylsl.local_clock())
+            outlet.push_text(
+                counters_text(merged, self._clocks(), self._refused()), pylsl.local_clock()
+            )
             own = (announcer.refusals, self._markers.refusals)
             virtual = self._reloading.is_virtual
-            status = snapshot(self.devices, virtual=virtual, own=own).model_dump()
+            features = feature_refusals.read(self._folder)
+            status = snapshot(
+                self.devices, virtual=virtual, own=own, features=features
+            ).model_dump()
             self.on_status(status)
             self._status.write(status)
             self._feed.tell(status)
@@ -318,6 +331,14 @@ class Agent:
             # After a computer's sleep the missed reports are not made up for.
             due = max(due + REPORT_INTERVAL_S, loop.time())
             await asyncio.sleep(max(0.0, due - loop.time()))
+
+    def _refused(self) -> dict[str, list[str]]:
+        """Say what is not passed on now, but nothing of a pause: what it withholds tells beats."""
+        return {
+            source: [e.sentence for e in refusals.present if e.what is not Refusal.PAUSED]
+            for device in self.devices
+            for source, refusals in device.sink.refused.items()
+        }
 
     def _clocks(self) -> dict[str, ClockState]:
         """Clocks of the devices, each by the source_id of the first of its streams."""

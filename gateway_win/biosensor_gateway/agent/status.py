@@ -48,6 +48,8 @@ class RefusedStatus(BaseModel):
     ----------
     what
         A word of `biosensor_common.refusal.Refusal`.
+    about
+        Which stream it is of, if that is not where it stands.
     level
         ``warn`` or ``error``.
     sentence
@@ -61,6 +63,7 @@ class RefusedStatus(BaseModel):
     """
 
     what: str
+    about: str = ""
     level: str
     sentence: str
     count: int
@@ -76,6 +79,7 @@ class RefusedStatus(BaseModel):
         return [
             cls(
                 what=each.what.word,
+                about=each.about,
                 level=each.what.level.name.lower(),
                 sentence=each.sentence_about,
                 count=each.count,

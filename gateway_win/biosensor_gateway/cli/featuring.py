@@ -10,6 +10,7 @@ from pathlib import Path
 import typer
 
 from biosensor_common.errors import ConfigError, ConfigReason
+from biosensor_gateway.agent.feature_refusals import FeatureRefusals
 from biosensor_gateway.cli.recordings import wrong_recording
 from biosensor_gateway.cli.screen import say
 from biosensor_gateway.features.errors import FeatureError, FeatureReason
@@ -18,6 +19,7 @@ from biosensor_gateway.features.offline import SUFFIXES, compute
 from biosensor_gateway.features.sources import Source
 from biosensor_gateway.recording.xdf.printing import printable
 from biosensor_gateway.settings.models import LslSettings
+from biosensor_gateway.settings.places import state_folder
 from biosensor_gateway.streaming.outlets import configure_lsl
 
 _AS_CONFIG = {
@@ -40,13 +42,17 @@ async def watch_live(lsl: LslSettings) -> None:
     configure_lsl(lsl.overrides)
     stopping = threading.Event()
     say("looking for raw streams; end it by Ctrl-C")
-    work = asyncio.get_running_loop().run_in_executor(None, Live(_Saying()).run, stopping)
+    refusals = FeatureRefusals(state_folder())
+    live = Live(_Saying(), report=refusals.write)
+    work = asyncio.get_running_loop().run_in_executor(None, live.run, stopping)
     try:
         await asyncio.shield(work)
     except asyncio.CancelledError:
         stopping.set()
         await work
         raise
+    finally:
+        refusals.close()
 
 
 def compute_recording(file: Path, output: Path | None, *, print_json: bool) -> None:

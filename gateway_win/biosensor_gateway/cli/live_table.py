@@ -13,6 +13,7 @@ from biosensor_common.terminal import shortened, wrapped
 from biosensor_gateway.agent.absences import names
 from biosensor_gateway.agent.rate_meter import RateMeter
 from biosensor_gateway.agent.state import STATE_WORDS, is_sending
+from biosensor_gateway.cli.status_words import refused_now
 from biosensor_gateway.system.panel import Line, Panel, Size
 
 _WELL = frozenset({"streaming", "paused"})
@@ -20,6 +21,7 @@ _HEADINGS = ("Device", "State", "Rate", "Lost", "Battery")
 _GAP = 2
 _LEAST_NAME = 12
 _MOST_LINES_OF_ERROR = 2
+_MOST_REFUSED = 3
 _AND_MORE = " ..."
 _BOLD, _YELLOW = "\x1b[1m", "\x1b[33m"
 
@@ -33,6 +35,12 @@ class Row(NamedTuple):
     lost: str
     battery: str
     error: str
+    refused: tuple[str, ...] = ()
+
+    @property
+    def cells(self) -> Sequence[str]:
+        """What stands below the headings."""
+        return self[: len(_HEADINGS)]  # pyright: ignore[reportReturnType]
 
 
 class LiveTable:
@@ -58,7 +66,8 @@ class LiveTable:
     def report(self, status: Mapping[str, Any]) -> None:
         """Show what the agent's status says; see `snapshot`."""
         rows = self.rows(status)
-        self._panel.show(partial(picture, rows, self._foot(), colours=self._colours))
+        foot = (*refused_now(status).values(), *self._foot())
+        self._panel.show(partial(picture, rows, foot, colours=self._colours))
 
     def _running(self) -> Sequence[str]:
         return running_foot(int(monotonic() - self._begun_s))
@@ -85,6 +94,7 @@ class LiveTable:
             str(lost) if is_of_now else "-",
             "-" if battery is None else f"{battery:.0f} %",
             " ".join((device["error"] or "").split()),
+            tuple(" ".join(each.split()) for each in refused_now(device).values()),
         )
 
     def _rate(self, device: Mapping[str, Any], now: float) -> float | None:
@@ -139,11 +149,14 @@ def _body(rows: Sequence[Row], width: int, room: int) -> Iterator[Line]:
 
 
 def _device(row: Row, columns: Mapping[int, int], width: int) -> Iterator[Line]:
-    is_well = row.state in _WELL and not row.error
+    is_well = row.state in _WELL and not row.error and not row.refused
     colour = "" if is_well else _YELLOW
-    yield Line(_line(row, columns), colour)
-    if row.error:
-        told = wrapped(f"  {row.error}", width, 2).splitlines()
+    yield Line(_line(row.cells, columns), colour)
+    shown = [each for each in (row.error, *row.refused[:_MOST_REFUSED]) if each]
+    if (more := len(row.refused) - _MOST_REFUSED) > 0:
+        shown.append(f"and {more} more such sentences")
+    for sentence in shown:
+        told = wrapped(f"  {sentence}", width, 2).splitlines()
         if len(told) > _MOST_LINES_OF_ERROR:
             last = told[_MOST_LINES_OF_ERROR - 1][: width - len(_AND_MORE)]
             told = [*told[: _MOST_LINES_OF_ERROR - 1], last + _AND_MORE]
@@ -153,7 +166,8 @@ def _device(row: Row, columns: Mapping[int, int], width: int) -> Iterator[Line]:
 def _columns(rows: Sequence[Row], width: int) -> dict[int, int]:
     """Return the width of each column that fits; those on the right go first."""
     sizes = [
-        max(cell_len(row[column]) for row in (_HEADINGS, *rows)) for column in range(len(_HEADINGS))
+        max(cell_len(cells[column]) for cells in (_HEADINGS, *(row.cells for row in rows)))
+        for column in range(len(_HEADINGS))
     ]
     shown = len(sizes)
     while shown > 1 and width - _wide(sizes[1:shown]) < min(_LEAST_NAME, sizes[0]):

@@ -18,7 +18,11 @@ from biosensor_common.relay import console
 from biosensor_common.terminal import wrapped
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.cli.live_table import LiveTable
-from biosensor_gateway.cli.status_words import device_sentence, restart_sentences
+from biosensor_gateway.cli.status_words import (
+    device_sentence,
+    refused_now,
+    restart_sentences,
+)
 from biosensor_gateway.system.panel import Line, Panel, Size
 from biosensor_gateway.system.terminal import cursor_moves, shows_colours, terminal_size
 
@@ -86,14 +90,17 @@ class _Lines:
 
     def status(self, status: Mapping[str, Any]) -> None:
         devices = [device_sentence(each) for each in status["devices"]] or [_NO_DEVICE]
-        self._say([*restart_sentences(status), *devices])
+        sentences = {each: each for each in (*restart_sentences(status), *devices)}
+        for part in (status, *status["devices"]):
+            sentences |= refused_now(part)
+        self._say(sentences)
 
     def absence(self, sentence: str) -> None:
-        self._say([sentence])
+        self._say({sentence: sentence})
 
-    def _say(self, sentences: list[str]) -> None:
-        for each in sentences:
-            if each not in self._said:
+    def _say(self, sentences: dict[str, str]) -> None:
+        for about, each in sentences.items():
+            if about not in self._said:
                 typer.echo(f"{time.strftime('%H:%M:%S')} {each}")
         self._said = set(sentences)
 

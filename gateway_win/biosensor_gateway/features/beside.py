@@ -12,9 +12,11 @@ import threading
 from io import FileIO
 
 from biosensor_common.ending import end_within
+from biosensor_gateway.agent.feature_refusals import FeatureRefusals
 from biosensor_gateway.features.live import Live
 from biosensor_gateway.features.sources import Source
 from biosensor_gateway.settings.models import LslSettings
+from biosensor_gateway.settings.places import state_folder
 from biosensor_gateway.streaming.outlets import configure_lsl
 
 
@@ -35,7 +37,11 @@ def send_for_another() -> int:
         end_within()
 
     threading.Thread(target=read_to_the_end, daemon=True).start()
-    Live(_Telling()).run(stopping)
+    refusals = FeatureRefusals(state_folder())
+    try:
+        Live(_Telling(), report=refusals.write).run(stopping)
+    finally:
+        refusals.close()
     return 0
 
 

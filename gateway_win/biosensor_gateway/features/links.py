@@ -78,7 +78,7 @@ class Link:
         asking: ThreadPoolExecutor,
         motions: Motions,
     ) -> None:
-        self.uid = info.uid()
+        self.uid, self._name = info.uid(), source.name
         self._asking = asking
         self._opening = asking.submit(open_inlet, info, _OPEN_S, _BUFFER_S)
         # On one computer stamps stay as they are, to the last bit.
@@ -132,7 +132,8 @@ class Link:
         if self._computer.left_out > self._told:
             new = self._computer.left_out - self._told // 2
             self._told = 2 * self._computer.left_out
-            found.append((Refusal.STAMPS_LEFT_OUT, new, self._computer.remark()))
+            why = self._computer.remark().removeprefix(f"{self._name}: ")
+            found.append((Refusal.STAMPS_LEFT_OUT, new, why))
         if new := self._computer.without_value - self._told_values:
             self._told_values += new
             found.append((Refusal.NO_FINITE_VALUE, new, ""))

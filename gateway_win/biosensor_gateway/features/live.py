@@ -146,11 +146,20 @@ class Live:
         Is told what is found.
     clock
         LSL's.
+    report
+        Is given all refusals about twice a second, in a thread that may wait.
     """
 
-    def __init__(self, told: Told, clock: Callable[[], float] = pylsl.local_clock) -> None:
-        self._told, self._clock = told, clock
-        self._refuse = Refusals(told.refused).refuse
+    def __init__(
+        self,
+        told: Told,
+        clock: Callable[[], float] = pylsl.local_clock,
+        report: Callable[[Refusals], None] | None = None,
+    ) -> None:
+        self._told, self._clock, self._report = told, clock, report
+        self.refusals = Refusals(told.refused, clock=clock)
+        self._refuse = self.refusals.refuse
+        self._reported: Future[None] | None = None
         # By uid: what it is called over restarts.
         self._known: dict[str, str] = {}
         self._waiting: list[_Seen] = []
@@ -172,12 +181,18 @@ class Live:
             while not stopping.wait(READ_S):
                 if count % LOOK_EVERY == 0:
                     self.look(resolver.results())
+                    self._tell()
                 count += 1
                 self.read()
         finally:
             self._asking.shutdown(wait=False, cancel_futures=True)
             for stage in self._stages.values():
                 stage.close()
+
+    def _tell(self) -> None:
+        """Report the refusals, unless the last report still waits for a slow disk."""
+        if self._report is not None and (self._reported is None or self._reported.done()):
+            self._reported = self._asking.submit(self._report, self.refusals)
 
     def look(self, infos: Sequence[pylsl.StreamInfo]) -> None:
         """Take note of what is on the network, and begin with what is described by now."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from biosensor_common.device_clock import ClockState
@@ -39,11 +39,14 @@ class Counters:
 
 
 def counters_text(
-    counters: Mapping[str, Counters], clocks: Mapping[str, ClockState] | None = None
+    counters: Mapping[str, Counters],
+    clocks: Mapping[str, ClockState] | None = None,
+    refused: Mapping[str, Sequence[str]] | None = None,
 ) -> str:
     """Sample of the ``counters`` stream: JSON, by source_id.
 
-    A device's clock is in the entry of one of its streams, if it has one.
+    A device's clock is in the entry of one of its streams, if it has one. So are sentences of what
+    is not passed on as it came, in those streams of which there is any now.
 
     The node compares ``pushed`` with what it pulled up to ``last_stamp``. What a pause
     withholds is not told: the number of beats in a second is a heart rate.
@@ -55,11 +58,16 @@ def counters_text(
                 "lost": c.lost,
                 "last_stamp": c.last_stamp,
                 **_clock_entry((clocks or {}).get(source_id)),
+                **_refused_entry((refused or {}).get(source_id, ())),
             }
             for source_id, c in counters.items()
         },
         separators=(",", ":"),
     )
+
+
+def _refused_entry(sentences: Sequence[str]) -> dict[str, Sequence[str]]:
+    return {"refused": sentences} if sentences else {}
 
 
 def _clock_entry(clock: ClockState | None) -> dict[str, dict[str, float]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 from biosensor_common.quantities import ContentType
 from biosensor_common.refusal import Refusal
@@ -18,17 +18,32 @@ def is_counters(stream: NetworkStream) -> bool:
     return stream.is_ours and stream.core.content_type == ContentType.COUNTERS
 
 
-def lost_by_source(streams: Iterable[NetworkStream], refusals: Refusals) -> dict[str, int]:
-    """Return how many samples never reached their agent, by source_id."""
-    found: dict[str, int] = {}
+class Counted(NamedTuple):
+    """What an agent tells of one of its streams.
+
+    Attributes
+    ----------
+    lost
+        How many samples never reached it; None if it does not say.
+    refused
+        What is not passed on as it came now, one sentence each.
+    """
+
+    lost: int | None
+    refused: tuple[str, ...]
+
+
+def counted_by_source(streams: Iterable[NetworkStream], refusals: Refusals) -> dict[str, Counted]:
+    """Return what agents tell of their streams, by source_id."""
+    found: dict[str, Counted] = {}
     for stream in streams:
         # What an agent counted in a recording is of another day.
         if is_counters(stream) and not (stream.header and stream.header.replay):
-            found.update(_lost(stream, refusals))
+            found.update(_counted(stream, refusals))
     return found
 
 
-def _lost(stream: NetworkStream, refusals: Refusals) -> dict[str, int]:
+def _counted(stream: NetworkStream, refusals: Refusals) -> dict[str, Counted]:
     text, about = stream.received.raw, stream.core.name
     try:
         counted: object = json.loads(text[:MAX_COUNTERS]) if text else {}
@@ -39,9 +54,14 @@ def _lost(stream: NetworkStream, refusals: Refusals) -> dict[str, int]:
         refusals.refuse(Refusal.NO_COUNTS, about=about, why="they are no object")
         return {}
     entries = cast("Mapping[str, Any]", counted).items()
-    return {source: count for source, entry in entries if (count := _count(entry)) is not None}
+    return {
+        source: _entry(cast("Mapping[str, Any]", entry))
+        for source, entry in entries
+        if isinstance(entry, Mapping)
+    }
 
 
-def _count(entry: object) -> int | None:
-    count = cast("Mapping[str, Any]", entry).get("lost") if isinstance(entry, Mapping) else None
-    return count if isinstance(count, int) else None
+def _entry(entry: Mapping[str, Any]) -> Counted:
+    lost, refused = entry.get("lost"), entry.get("refused")
+    sentences = cast("list[object]", refused) if isinstance(refused, list) else []
+    return Counted(lost if isinstance(lost, int) else None, tuple(map(str, sentences)))

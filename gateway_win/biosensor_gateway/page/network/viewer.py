@@ -16,7 +16,7 @@ from biosensor_gateway.page.history import is_of_now
 from biosensor_gateway.page.network.devices import device_view, group_of
 from biosensor_gateway.page.network.inlets import MAX_INLETS
 from biosensor_gateway.page.network.listing import Listing
-from biosensor_gateway.page.network.losses import is_counters, lost_by_source
+from biosensor_gateway.page.network.losses import Counted, counted_by_source, is_counters
 from biosensor_gateway.page.network.models import (
     NetworkView,
     SeenState,
@@ -66,11 +66,12 @@ class Viewer:
         self._begun_s = now if self._begun_s is None else self._begun_s
         streams = list(listing.streams.values())
         self._name(streams)
-        lost = lost_by_source(streams, listing.refusals)
+        counted = counted_by_source(streams, listing.refusals)
+        lost = {source: e.lost for source, e in counted.items() if e.lost is not None}
         windows = chosen(wanted)
         self._keys = {each.core.source_id: str(each.number) for each in streams}
         views = {
-            each.number: self._stream(each, lost, windows.get(each.number, set()), now)
+            each.number: self._stream(each, counted, windows.get(each.number, set()), now)
             for each in streams
         }
         known = sorted((each for each in streams if each.header), key=group_of)
@@ -97,14 +98,14 @@ class Viewer:
             self._topics = {number: f"/{topic.name}" for number, topic in resolved.items()}
 
     def _stream(
-        self, stream: NetworkStream, lost: dict[str, int], firsts: set[int], now: float
+        self, stream: NetworkStream, counted: dict[str, Counted], firsts: set[int], now: float
     ) -> SeenStreamView:
         core, received = stream.core, stream.received
         is_text = core.format is ChannelFormat.STRING
         state, silent_s = _state(stream, now)
         is_fresh = state in (SeenState.STREAMING, SeenState.WAITING) and not _is_over(stream, now)
         first = _window(stream, 0, is_fresh=is_fresh)
-        count, is_estimated = _lost(stream, lost)
+        count, is_estimated = _lost(stream, counted)
         return SeenStreamView(
             source_id=str(stream.number),
             data_name=readable(stream.header.data_name if stream.header else core.content_type),
@@ -122,7 +123,7 @@ class Viewer:
             is_signal=core.content_type not in TYPES_OF_DEVICE,
             seen=state,
             silent_s=silent_s,
-            note=readable(stream.note, 400) or _clock_note(stream),
+            note=_note(stream, counted),
             is_lost_estimated=is_estimated,
             is_text=is_text,
             texts=[] if is_counters(stream) else _texts(stream, now),
@@ -196,10 +197,11 @@ def _window(stream: NetworkStream, first: int, *, is_fresh: bool) -> WindowView:
     )
 
 
-def _lost(stream: NetworkStream, lost: dict[str, int]) -> tuple[int | None, bool]:
+def _lost(stream: NetworkStream, counted: dict[str, Counted]) -> tuple[int | None, bool]:
     """Return how many samples are lost, and whether only the stamps say so."""
     if stream.is_ours:
-        return lost.get(stream.core.source_id), False
+        known = counted.get(stream.core.source_id)
+        return (known.lost if known else None), False
     is_known = stream.core.rate > 0 and stream.received.count > 0
     return (stream.received.missing if is_known else None), True
 
@@ -211,6 +213,13 @@ def _texts(stream: NetworkStream, now: float) -> list[TextView]:
         )
         for each in reversed(stream.received.texts)
     ]
+
+
+def _note(stream: NetworkStream, counted: dict[str, Counted]) -> str:
+    """Say what is wrong with a stream, by itself or by what its agent tells of it."""
+    told = counted.get(stream.core.source_id) if stream.is_ours else None
+    own = stream.note or _clock_note(stream)
+    return readable("; ".join(each for each in (own, *(told.refused if told else ())) if each), 400)
 
 
 def _clock_note(stream: NetworkStream) -> str:

@@ -2,8 +2,9 @@
 
 import { html } from "../vendor/preact-htm.js";
 import { Features, marksOf } from "./features.js";
+import { Refused } from "./refusals.js";
 import { Spark } from "./spark.js";
-import { momentOf, rateOf, stateOf, streamsOf, valueOf } from "./words.js";
+import { momentOf, rateOf, refusalsOf, stateOf, streamsOf, valueOf } from "./words.js";
 
 const SHOWN = 4;
 
@@ -36,6 +37,7 @@ function Card({ live, device, onOpen }) {
       </div>
       <${Features} live=${live} device=${device} />
       ${device.error && html`<p class="reason small">${device.error}</p>`}
+      <${Refused} refusals=${refusalsOf(device)} />
       <p class="facts small soft">
         <span>battery ${battery === null ? "–" : `${battery.toFixed(0)} %`}</span>
         ${device.replay ? html`<span class="file">from ${device.replay}</span>` : html`<span>lost ${device.lost ?? "–"}</span>`}

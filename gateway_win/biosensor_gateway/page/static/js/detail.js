@@ -7,7 +7,8 @@ import { lineOf, Plot } from "./draw.js";
 import { Features, featuresOf, marksOf } from "./features.js";
 import { Clock, Log } from "./inside.js";
 import { useKept } from "./kept.js";
-import { ageOf, figure, rateOf, streamsOf } from "./words.js";
+import { AllRefused } from "./refusals.js";
+import { ageOf, figure, rateOf, refusalsOf, streamsOf } from "./words.js";
 
 const NAMED = 12;
 const VALUES = 5;
@@ -146,6 +147,7 @@ export function Detail({ live, device, isVirtual, act, onClose }) {
       ${plotted.map((stream) => html`<${Trace} key=${stream.source_id} live=${live} stream=${stream} marks=${marksOf(device, stream)} />`)}
       <h3>Streams</h3>
       <${Streams} device=${device} />
+      <${AllRefused} refusals=${refusalsOf(device)} />
       ${!device.replay && html`<${Clock} clock=${device.clock} />`}
       ${act && html`<${Log} device=${device} />`}
       ${act && !isVirtual && html`<h3>Who wears it</h3><${Edit} key=${device.name} device=${device} act=${act} />

@@ -3,11 +3,13 @@
 import { html, useEffect } from "../vendor/preact-htm.js";
 import { mainStreams } from "./cards.js";
 import { featuresOf, shownFeatures } from "./features.js";
+import { Refused } from "./refusals.js";
 import { streamsOf } from "./words.js";
 
 const WINDOW_S = 10;
 const SPARK_PIXELS = 300;
 const PLOT_PIXELS = 900;
+const MOST_REFUSED = 10;
 // The server answers no more.
 const MOST_ASKED = 200;
 
@@ -27,6 +29,7 @@ export function Notices({ status }) {
     ${status.problem && html`<section class="panel problem" role="alert"><h2>The settings file has a mistake</h2><p>${status.problem}</p><p class="small soft">Until it is mended, the agent goes on with what it had.</p></section>`}
     ${status.virtual && html`<p class="panel notice">These are virtual sensors: their signals are made up or were recorded.</p>`}
     ${status.restarts > 0 && html`<p class="panel notice">The agent had died (${status.last_end}) and was started again. What it could not send then is a gap in every stream.</p>`}
+    ${status.refusals.some((each) => each.now) && html`<section class="panel amber"><h2>Not all is passed on as it came</h2><${Refused} refusals=${status.refusals} most=${MOST_REFUSED} /></section>`}
     ${status.skipped > 0 && html`<p class="panel notice small">This page was too slow for ${status.skipped} samples, and left them out of its traces. Streams and recordings have them.</p>`}`;
 }
 

@@ -2,6 +2,7 @@
 
 const STATES = {
   streaming: ["●", "good", "streaming"],
+  partly: ["◐", "warn", "streaming, but not all as it came"],
   "not worn": ["◐", "warn", "not worn"],
   discovering: ["◌", "warn", "looking for it"],
   connecting: ["◌", "warn", "connecting"],
@@ -28,7 +29,8 @@ export function momentOf(unixS) {
 export function stateOf(device) {
   if (device.replay) return { sign: "↻", tone: "replayed", word: "replay, not a person" };
   const isOff = device.state === "streaming" && device.worn === false;
-  const state = device.paused ? "paused" : isOff ? "not worn" : device.state;
+  const isPartly = device.state === "streaming" && refusalsOf(device).some((each) => each.now);
+  const state = device.paused ? "paused" : isOff ? "not worn" : isPartly ? "partly" : device.state;
   const [sign, tone, word] = STATES[state] ?? ["?", "bad", state];
   return { sign, tone, word };
 }
@@ -36,6 +38,14 @@ export function stateOf(device) {
 // The agent names its streams; those of the network have numbers only.
 export function streamsOf(device) {
   return Object.values(device.streams);
+}
+
+// What was not passed on as it came: of a device and all its streams, the worst first. A pause has a state of its own on each card.
+export function refusalsOf(device) {
+  const ofStreams = streamsOf(device).flatMap((stream) =>
+    (stream.refusals ?? []).map((each) => ({ ...each, sentence: `${stream.data_name}: ${each.sentence}` })));
+  const all = [...(device.refusals ?? []), ...ofStreams];
+  return all.filter((each) => each.what !== "paused").sort((a, b) => (b.level === "error") - (a.level === "error"));
 }
 
 export function personOf(device) {

@@ -11,6 +11,7 @@ import { lostOf, seenOf, span, trafficOf } from "./words.js";
 const MOST_BYTES = 1e6;
 const TEXTS = 3;
 const NAMED = 6;
+const NOTES = 3;
 
 export function Seen({ each }) {
   const { sign, tone, word } = seenOf(each);
@@ -72,7 +73,8 @@ function Card({ live, device, visible, onOpen }) {
       <${Features} live=${live} device=${device} />
       ${texts(device).map((stream) => html`<${Entries} key=${stream.source_id} stream=${stream} most=${3} />`)}
       <${Unseen} streams=${streams.filter(isHeavy)} />
-      ${notes.length > 0 && html`<p class="note small">${notes[0].note}</p>`}
+      ${notes.slice(0, NOTES).map((each) => html`<p class="note small">${each.data_name}: ${each.note}</p>`)}
+      ${notes.length > NOTES && html`<p class="note small">and ${notes.length - NOTES} more, in the details</p>`}
       <p class="facts small soft">
         <span>on ${device.host}</span>
         ${device.replay && html`<span class="file">replay of ${device.replay}</span>`}

@@ -1,0 +1,78 @@
+"""What live features leave out is in the agent's status: with its stream, or with the agent."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from biosensor_common.refusal import Refusal
+from biosensor_common.refusals import Refusals
+from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.agent import feature_refusals
+from biosensor_gateway.agent.device import Device
+from biosensor_gateway.agent.feature_refusals import STALE_AFTER_S, FeatureRefusals
+from biosensor_gateway.agent.snapshot import snapshot
+from biosensor_gateway.agent.supervisor import Supervisor
+from biosensor_gateway.devices.registry import declaration
+from biosensor_gateway.streaming import outlets
+from biosensor_gateway.streaming.sink import DeviceSink
+from tests.gateway.test_status_file import NoDriver
+from tests.rigs.memory_outlet import MemoryOutlet
+
+
+def strap(patch: pytest.MonkeyPatch) -> Device:
+    patch.setattr(outlets, "LslOutlet", MemoryOutlet)
+    sink = DeviceSink(DeviceIdentity("polar_h10", "A1", "P01"), declaration("polar_h10"))
+    sink.open(DeviceInfo(), {})
+    return Device(Supervisor(NoDriver, sink), sink)
+
+
+def told() -> Refusals:
+    refusals = Refusals()
+    why = "its stamps stepped back once"
+    refusals.refuse(Refusal.STAMPS_LEFT_OUT, 3, about="P01-polar_h10-A1-ecg", why=why)
+    refusals.refuse(Refusal.NO_FEATURES, about="Pleth", why="stream 'Pleth' has no unit")
+    return refusals
+
+
+def test_it_stands_with_its_stream_or_with_the_agent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    FeatureRefusals(tmp_path).write(told())
+    device = strap(monkeypatch)
+    status = snapshot([device], features=feature_refusals.read(tmp_path))
+    streams = status.devices[0].streams
+    (of_stream,) = streams["P01@polar_h10-ecg"].refusals
+    assert of_stream.sentence == "its live features: its stamps stepped back once"
+    assert (of_stream.what, of_stream.level, of_stream.now) == ("stamps_left_out", "warn", True)
+    (of_agent,) = status.refusals
+    assert of_agent.sentence == "live features of Pleth: stream 'Pleth' has no unit"
+
+
+def test_it_is_over_when_its_program_has_ended(tmp_path: Path) -> None:
+    mine = FeatureRefusals(tmp_path)
+    mine.write(told())
+    assert len(feature_refusals.read(tmp_path)) == 2
+    mine.close()
+    assert feature_refusals.read(tmp_path) == []
+
+
+def test_what_a_killed_program_left_is_of_another_time_and_goes(tmp_path: Path) -> None:
+    FeatureRefusals(tmp_path).write(told())
+    path = tmp_path / f"features-{os.getpid()}.json"
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps(content | {"written": time.time() - STALE_AFTER_S - 1}))
+    assert feature_refusals.read(tmp_path) == []
+    assert not path.exists()
+
+
+def test_without_a_word_there_is_no_file_and_a_damaged_one_does_no_harm(tmp_path: Path) -> None:
+    FeatureRefusals(tmp_path).write(Refusals())
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "features-1.json").write_text("{")
+    (tmp_path / "features-2.json").write_bytes(b"\xff")
+    assert feature_refusals.read(tmp_path) == []
