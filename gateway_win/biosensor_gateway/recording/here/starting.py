@@ -153,6 +153,8 @@ class _Starter:
                 raise _recording(self._folder)
             command = (*way.command, *self._job.command)
             job = Job(command, replace(self._job.kept, recorder=way.title))
+            # Whoever watches it grow would read on in the middle of what the next program writes.
+            Path(job.kept.file).open("wb").close()
             self._folder.give(job, self._config)
             lock.release()
             launch(self._state)

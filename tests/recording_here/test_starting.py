@@ -1,0 +1,45 @@
+"""A recording that takes several tries to begin, with a keeper that is none."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from biosensor_common.lsl_config import LslOverrides
+from biosensor_gateway.recording.here import starting
+from biosensor_gateway.recording.here.errors import RecorderError, RecorderReason
+from biosensor_gateway.recording.here.memory import RecorderFolder
+from biosensor_gateway.recording.labrecorder.file_name import Place
+from biosensor_gateway.recording.labrecorder.starting import Order
+from biosensor_gateway.recording.labrecorder.streams import Presence, VisibleStream
+
+
+def test_the_next_try_begins_with_an_empty_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, sizes = tmp_path / "a.xdf", list[int]()
+
+    def launch(state: Path) -> None:
+        """Find no stream, having written something; the second time, not even run."""
+        sizes.append(file.stat().st_size)
+        if len(sizes) == 2:
+            raise OSError("enough")
+        file.write_bytes(b"XDF: and what was found")
+        folder = RecorderFolder(state)
+        folder.keep(replace(folder.job().kept, started=time.time(), ended=time.time(), code=2))
+
+    monkeypatch.setattr(starting, "launch", launch)
+    stream = VisibleStream("a", "a-id", "here")
+    with pytest.raises(RecorderError) as refused:
+        starting.begin(
+            tmp_path / "state",
+            Order(Place(file=file)),
+            lambda: Presence((stream,), (), ()),
+            LslOverrides(),
+            counts_up=True,
+        )
+    assert refused.value.reason is RecorderReason.UNWRITABLE
+    assert sizes == [0, 0]
