@@ -22,13 +22,13 @@ compile() {
 }
 
 compile gateway pyproject.toml "$@"
-compile ros pyproject.toml --extra ros --extra simulate "$@"
-compile dev pyproject.toml --extra ros --extra simulate --extra dev "$@"
+compile ros pyproject.toml --extra ros "$@"
+compile dev pyproject.toml --extra ros --extra dev "$@"
 # The one Python that is in the installer, so that each package is there in one version.
 python=$(sed -n 's/^PYTHON = "\(.*\)"$/\1/p' installer/layout.py)
 printf 'pyinstaller>=6.16\ncyclonedx-python-lib>=11\n' |
     lock freeze --python-platform x86_64-pc-windows-msvc --python-version "$python" \
-        pyproject.toml - --extra simulate "$@"
+        pyproject.toml - "$@"
 compile colcon requirements/colcon.in "$@"
 echo 'uv>=0.9' | compile uv - "$@"
 # Looks for known vulnerabilities of all of these: .github/workflows/advisories.yml.

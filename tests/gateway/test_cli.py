@@ -193,7 +193,7 @@ def test_a_virtual_device_says_which_package_it_needs(
     arguments = ("run", "--simulate", "polar_h10")
     with cli_process(tmp_path, *arguments, before=before) as process:
         assert process.wait(30) == 2
-    assert "biosensor-gateway[simulate]" in (tmp_path / "stderr.txt").read_text()
+    assert "the virtual polar_h10 needs bumble" in (tmp_path / "stderr.txt").read_text()
 
 
 def test_status_without_an_agent_fails(run: Run) -> None:

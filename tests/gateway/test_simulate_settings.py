@@ -92,6 +92,6 @@ def test_wrong_settings_are_named(run: Run, started: list[GatewaySettings], sett
 def test_the_node_of_the_demo_is_in_the_agents_session(settings: Path) -> None:
     settings.parent.mkdir(parents=True)
     settings.write_text(TEXT.replace("lab7", "42"))
-    node = demonstration.programs(["polar_h10"])["node"]
+    node = demonstration.node_command()
     assert 'session_id:="42"' in node
     assert 'known_peers:=["192.168.1.20"]' in node

@@ -53,6 +53,11 @@ COMMANDS = (
         "marking:mark",
         "Send a marker with the streams: what happens now. One can be undone, not deleted.",
     ),
+    _command(
+        "try",
+        "trying:try_out",
+        "Try it without hardware: a page with virtual sensors, a recording, and its tables.",
+    ),
     _command("demo", "demo:demo", "Show all virtual devices on their way to ROS topics."),
     _command(
         "status", "status:status", "Show what the running agent does; exit code 1 if none runs."

@@ -25,11 +25,23 @@ def demo_devices() -> dict[str, str]:
     }
 
 
+def first_devices() -> dict[str, str]:
+    """Return those with which ``try`` begins, as `demo_devices` does all."""
+    return {name: called for name, called in demo_devices().items() if sensor(name).introduces}
+
+
 def fitting_devices(room: Room) -> tuple[dict[str, str], str]:
     """Return the devices whose streams fit into one process, and a sentence on the others."""
     devices = demo_devices()
     said = room.share_out({name: len(declaration(name).streams) for name in devices})
     return {name: called for name, called in devices.items() if room.has(name)}, said
+
+
+def unfilled_streams(called: str, seconds: float) -> dict[str, str]:
+    """Return by data name why a stream of a device is still empty so long after it connected."""
+    filled = virtual_class(called).filled
+    reasons = {name: _reason(each, seconds) for name, each in filled.items()}
+    return {name: reason for name, reason in reasons.items() if reason}
 
 
 def expected_topics(

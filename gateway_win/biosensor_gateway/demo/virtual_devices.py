@@ -103,7 +103,7 @@ def virtual_class(name: str) -> type[VirtualDevice]:
     except ModuleNotFoundError as error:
         message = (
             f"the virtual {name} needs {error.name}, which is not installed; "
-            "run: pip install 'biosensor-gateway[simulate]'"
+            "run: pip install --upgrade --force-reinstall biosensor-gateway"
         )
         raise ConfigError(ConfigReason.NOT_FOUND, message) from error
     if not (isinstance(found, type) and issubclass(found, VirtualDevice)):

@@ -26,6 +26,8 @@ class Sensor:
         usual one; what ``run --simulate`` calls ``zephyr`` and ``zephyr:recording``.
     demo
         The variant that the demo runs.
+    introduces
+        Whether ``try`` begins with it: the few whose signals most people look for.
     service
         The vendor's program by which its devices are reached; empty if there is none.
     precedence
@@ -37,5 +39,6 @@ class Sensor:
     driver: str
     virtual: Mapping[str, str] = field(default_factory=dict[str, str])
     demo: str = ""
+    introduces: bool = False
     service: str = ""
     precedence: int = 0

@@ -9,4 +9,5 @@ SENSOR = Sensor(
     virtual={
         "": "biosensor_gateway.devices.polar_h10.simulator:SimulatedPolarH10",
     },
+    introduces=True,
 )

@@ -9,4 +9,5 @@ SENSOR = Sensor(
     virtual={
         "": "biosensor_gateway.devices.shimmer3_gsr.simulator:SimulatedShimmer3",
     },
+    introduces=True,
 )

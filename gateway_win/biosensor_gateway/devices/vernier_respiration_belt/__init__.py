@@ -9,4 +9,5 @@ SENSOR = Sensor(
     virtual={
         "": "biosensor_gateway.devices.vernier_respiration_belt.simulator:SimulatedBelt",
     },
+    introduces=True,
 )

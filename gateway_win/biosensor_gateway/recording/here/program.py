@@ -26,7 +26,8 @@ def find_program() -> Path:
         if program.is_file():
             return program.absolute()
     message = (
-        "LabRecorder's program is not there: it comes along for Windows and Linux on x86-64 only"
+        "LabRecorder's program is not there: it comes along for Windows, for Linux on x86-64 and "
+        "ARM, and for macOS on ARM only"
     )
     raise RecorderError(RecorderReason.NO_PROGRAM, message)
 

@@ -1,0 +1,302 @@
+"""Shows agent, page, a recording and its tables with virtual devices alone: what ``try`` does."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from types import FrameType
+from typing import Any, NoReturn
+
+from biosensor_common.errors import GatewayError, TransportError, TransportReason
+from biosensor_common.naming import lsl_name, source_id
+from biosensor_common.quantities import waits_for_receivers
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.agent.declared_streams import declared_streams
+from biosensor_gateway.agent.readiness import wait_until_ready
+from biosensor_gateway.agent.status import DeclaredStream
+from biosensor_gateway.agent.status_file import running_status
+from biosensor_gateway.agent.stopping import stop_agent
+from biosensor_gateway.cli.loading import settings_or_defaults
+from biosensor_gateway.cli.screen import console, say, table_of_names
+from biosensor_gateway.demo.demonstration import (
+    CHUNK_LENGTH,
+    agent_command,
+    has_ros,
+    node_command,
+    show_topics,
+)
+from biosensor_gateway.demo.expectation import (
+    expected_topics,
+    first_devices,
+    fitting_devices,
+    unfilled_streams,
+)
+from biosensor_gateway.demo.programs import Programs, state_of
+from biosensor_gateway.devices.registry import declaration, sensor_title
+from biosensor_gateway.page.running import ADDRESS, ask_for_window, ask_to_end
+from biosensor_gateway.recording.contents.choice import Wish
+from biosensor_gateway.recording.export import printing
+from biosensor_gateway.recording.export.exporting import Task, export
+from biosensor_gateway.recording.here.recording import Recording
+from biosensor_gateway.recording.labrecorder.file_name import Place
+from biosensor_gateway.recording.labrecorder.starting import Order
+from biosensor_gateway.recording.labrecorder.streams import Presence, expected_devices, look
+from biosensor_gateway.recording.xdf.expectation import ExpectedStream
+from biosensor_gateway.recording.xdf.findings import Level
+from biosensor_gateway.recording.xdf.verdict import Colour, Verdict, check
+from biosensor_gateway.streaming.room import Room
+from biosensor_gateway.system.browser import open_page
+from biosensor_gateway.system.own_command import own_command
+
+RECORDED_S = 10.0
+_READY_S, _PAGE_S = 90.0, 60.0
+"""What a slow computer may take."""
+_ASK_S = 0.2
+_LOOK_S = 5.0
+_LEAST_TABLE_S = 10.0
+_TABLES = "csv"
+_PAGE = "page"
+
+
+class Trial:
+    """One try-out.
+
+    Parameters
+    ----------
+    folder
+        Keeps recording and tables.
+    seconds
+        Counted from when all sensors stream; None goes on until Ctrl-C.
+    opens
+        Whether to open the page in the browser.
+    """
+
+    def __init__(self, folder: Path, seconds: float | None, *, opens: bool) -> None:
+        self._kept, self._seconds, self._opens = folder, seconds, opens
+        self._settings = settings_or_defaults(None)
+
+    def run(self, *, every: bool) -> int:
+        """Show all; return the exit code of the command.
+
+        Raises
+        ------
+        GatewayError
+            What keeps it from being shown.
+        """
+        devices, left_out = fitting_devices(Room.here()) if every else (first_devices(), "")
+        with ExitStack() as stack:
+            work = stack.enter_context(
+                tempfile.TemporaryDirectory(prefix="biosensor-try-", ignore_cleanup_errors=True)
+            )
+            self._work = Path(work)
+            self._state = state_of(self._work)
+            self._programs = Programs(self._work)
+            self._recording = Recording(self._state)
+            stack.callback(signal.signal, signal.SIGINT, signal.getsignal(signal.SIGINT))
+            try:
+                with _requests_interrupt():
+                    code = self._show(devices, stack)
+            except KeyboardInterrupt:
+                say("Ended before all of it was shown.")
+                code = 1
+            finally:
+                # The programs are ended, however often somebody presses Ctrl-C.
+                signal.signal(signal.SIGINT, signal.SIG_IGN)
+                self._end_recording()
+        if self._kept.is_dir():
+            say(f"Ended. What was recorded stays in {self._kept}")
+        if left_out:
+            say(left_out)
+        return code or (1 if left_out else 0)
+
+    def _show(self, devices: Mapping[str, str], stack: ExitStack) -> int:
+        names = ", ".join(map(sensor_title, devices))
+        say(f"Virtual sensors, no hardware: {names}. They take a moment to start.")
+        self._start(stack, "agent", agent_command(devices.values()))
+        stack.callback(_ended, lambda: stop_agent(self._state))
+        self._start(stack, _PAGE, own_command(["page", "--no-open"]))
+        stack.callback(_ended, lambda: ask_to_end(self._state))
+        if has_ros():
+            self._start(stack, "node", node_command())
+        self._say_address()
+        is_ready = self._wait_until_ready()
+        begun = time.monotonic()
+        is_good = self._record(devices) and is_ready
+        code = self._go_on(devices, begun)
+        return code if is_good else 1
+
+    def _start(self, stack: ExitStack, name: str, command: Sequence[str]) -> None:
+        stack.enter_context(self._programs.started(name, command))
+
+    def _say_address(self) -> None:
+        deadline = time.monotonic() + _PAGE_S
+        while (answer := ask_for_window(self._state)) is None:
+            self._programs.require_running()
+            if time.monotonic() > deadline:
+                message = f"the page has not started within {_PAGE_S:g} s; try it again"
+                raise TransportError(TransportReason.SILENT, message)
+            time.sleep(_ASK_S)
+        address = str(answer[ADDRESS])
+        if self._opens and open_page(address, in_window=False):
+            say("The page is open in your browser.")
+        else:
+            say("Open the page in a browser on this computer; the address is good once:")
+            say(f"  {address}")
+
+    def _wait_until_ready(self) -> bool:
+        deadline = time.monotonic() + _READY_S
+        while True:
+            ready = wait_until_ready(self._state, _LOOK_S)
+            if ready.ready:
+                say(f"{ready.devices} sensors stream.")
+                return True
+            self._programs.require_running()
+            if time.monotonic() > deadline:
+                say(f"These do not stream after {_READY_S:g} s, and the rest goes on without:")
+                for each in ready.missing:
+                    say(f"- {each.sentence}")
+                return False
+
+    def _record(self, devices: Mapping[str, str]) -> bool:
+        """Make a recording and its tables; return whether all that can be in it is in it."""
+        expected = [*expected_streams(running_status(self._state), devices)]
+        order = Order(Place(self._kept), only_ours=True, allow_missing=True, without_away=True)
+        started = self._recording.start(order, self._look, self._settings.lsl.overrides)
+        for warning in started.warnings:
+            say(f"! {warning}")
+        say(f"Recording for {RECORDED_S:g} s, as by the page's button ...")
+        self._wait(time.monotonic() + RECORDED_S)
+        file = self._recording.stop().file
+        verdict = check(file, expected)
+        print_verdict(verdict)
+        outcome = export(file, Task([_TABLES], Wish()), _unwatched)
+        for sentence in printing.sentences(outcome):
+            say(sentence)
+        return verdict.colour is not Colour.RED and outcome.is_certain
+
+    def _look(self) -> Presence:
+        expected = expected_devices(self._settings, self._state)
+        return look(self._settings, expected, socket.gethostname())
+
+    def _go_on(self, devices: Mapping[str, str], begun: float) -> int:
+        # By the page's buttons.
+        self._programs.may_end = {"agent", _PAGE}
+        until = None if self._seconds is None else begun + self._seconds
+        if until is None:
+            say("The page goes on until you press Ctrl-C here.")
+        if has_ros():
+            left = None if until is None else max(_LEAST_TABLE_S, until - time.monotonic())
+            topics = expected_topics(left, CHUNK_LENGTH, devices)
+            shown = {topic: why for topic, why in topics.items() if topic.split("/")[2] in devices}
+            return show_topics(left, shown, self._programs, self._work)
+        with suppress(KeyboardInterrupt):
+            self._wait(until)
+        return 0
+
+    def _wait(self, until: float | None) -> None:
+        while until is None or time.monotonic() < until:
+            self._programs.require_running()
+            if self._programs.has_ended(_PAGE):
+                say("The page was ended in the browser.")
+                return
+            time.sleep(_ASK_S)
+
+    def _end_recording(self) -> None:
+        """End what is being recorded, also by the page's button."""
+        if self._recording.is_running:
+            try:
+                file = self._recording.stop().file
+            except GatewayError as error:
+                say(f"! {error}")
+            else:
+                say(f"What was being recorded is in {file}")
+
+
+def expected_streams(
+    status: Mapping[str, Any], devices: Mapping[str, str]
+) -> Iterator[ExpectedStream]:
+    """Yield what the first recording of an agent must have.
+
+    Parameters
+    ----------
+    status
+        The agent's.
+    devices
+        Its virtual devices by sensor, as ``run --simulate`` names them.
+    """
+    for device in status["devices"]:
+        parts = (device["sensor"], device["unit"], device["participant"], device["label"])
+        identity = DeviceIdentity(*parts)
+        empty = unfilled_streams(devices[identity.sensor], RECORDED_S)
+        states = {each.data_name for each in declaration(identity.sensor).streams if each.is_state}
+        own = [DeclaredStream.model_validate(each) for each in device.get("declared", ())]
+        for each in declared_streams(identity.sensor, own):
+            # One that was told before it began may not be told again in so short a time.
+            is_told_once = waits_for_receivers(
+                each.content_type,
+                is_regular=each.nominal_hz != 0,
+                is_state=each.data_name in states,
+            )
+            yield ExpectedStream(
+                lsl_name(identity, each.data_name),
+                source_id(identity, each.data_name),
+                must_have_samples=not is_told_once and each.data_name not in empty,
+            )
+
+
+def print_verdict(verdict: Verdict) -> None:
+    """Print the table of a recording, and what is wrong with it."""
+    named = sorted(verdict.streams, key=lambda each: each.name)
+    rows = [
+        (
+            each.name,
+            str(each.samples),
+            str(each.gaps),
+            "-" if each.lost is None else str(each.lost),
+        )
+        for each in named
+    ]
+    terminal = console()
+    terminal.print(table_of_names(("stream", "samples", "gaps", "lost"), rows, terminal.width))
+    for each in verdict.findings:
+        if each.level is not Level.NOTE:
+            say(f"{each.level}: {each.stream}: {each.text}" if each.stream else each.text)
+    say(f"{verdict.colour}: {verdict.sentence}")
+    if verdict.colour is not Colour.RED and not all(each.samples for each in named):
+        say("Streams without samples tell what seldom happens, such as a battery's charge.")
+
+
+def _unwatched(_format: str, _seconds: float) -> Callable[[float], None]:
+    return lambda _done: None
+
+
+def _ended(end: Callable[[], object]) -> None:
+    """Ask a program to end that may have ended by the same Ctrl-C."""
+    with suppress(GatewayError):
+        end()
+
+
+@contextmanager
+def _requests_interrupt() -> Generator[None]:
+    """Have the end of the terminal, or of the session, do as Ctrl-C."""
+
+    def interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
+        raise KeyboardInterrupt
+
+    numbers = [signal.SIGTERM, signal.SIGBREAK if sys.platform == "win32" else signal.SIGHUP]
+    before = {each: signal.getsignal(each) for each in numbers}
+    for number, handler in before.items():
+        # As under nohup.
+        if handler != signal.SIG_IGN:
+            signal.signal(number, interrupt)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,44 @@
+"""``biosensor-gateway try``, as far as its help needs it; `trial` does the rest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+_FOLDER = Path("biosensor-gateway-try")
+
+
+def try_out(
+    seconds: Annotated[
+        float | None,
+        typer.Option(
+            min=1,
+            help="End so many seconds after the sensors stream, though not before the recording.",
+            show_default="Ctrl-C",
+        ),
+    ] = None,
+    browser: Annotated[
+        bool,
+        typer.Option(
+            "--open/--no-open", help="Open the page in the browser, or print its address."
+        ),
+    ] = True,
+    folder: Annotated[
+        Path, typer.Option(help="Where the recording and its tables go; all else goes at the end.")
+    ] = _FOLDER,
+    every: Annotated[
+        bool,
+        typer.Option("--all", help="With a virtual device of each kind; keeps two cores busy."),
+    ] = False,
+) -> None:
+    """Try it without hardware: a page with virtual sensors, a recording, and its tables.
+
+    Where rclpy is there, the topics, too. Your settings, recordings and a running agent stay as
+    they are. Exit codes: 0 all is there, 1 a stream is missing in the recording or else something
+    did not work, 3 this computer is too busy for all topics.
+    """
+    from biosensor_gateway.cli.trial import Trial  # takes a second
+
+    raise typer.Exit(Trial(folder.absolute(), seconds, opens=browser).run(every=every))
