@@ -67,3 +67,14 @@ def test_a_device_that_falls_silent_is_named_and_no_other(
     first, *missing = err.splitlines()
     assert re.fullmatch(r"not ready after 2\d s:", first)
     assert [line.startswith("- zephyr (virtual): ") for line in missing] == [True]
+
+
+def test_what_a_model_has_only_in_name_is_not_waited_for(
+    cli_process: StartCli, tmp_path: Path
+) -> None:
+    # The virtual Muse 2 has no optics of an Athena, and its settings switch the aux off.
+    with cli_process(tmp_path, "run", "--simulate", "muse"):
+        waiting = wait_ready(tmp_path, "--timeout", str(DEADLINE_S), "--json")
+        out, err = waiting.communicate(timeout=2 * DEADLINE_S)
+        assert (waiting.returncode, err) == (0, "")
+    assert json.loads(out)["streams"] == len({"eeg", "ppg", "acc", "gyro"})

@@ -101,7 +101,7 @@ class StreamStatus(BaseModel):
     nominal_hz
         Declared rate, 0 for streams that come when they come.
     silent
-        Whether the settings switch it off.
+        Whether the settings switch it off, or this model has it only in name.
     refusals
         What was not passed on as it came.
     """

@@ -29,7 +29,7 @@ class Connected:
     rates
         Nominal rate in Hz by data name, for streams declared ``FROM_DEVICE``.
     silent
-        Data names of the streams that the settings switch off.
+        Data names of the streams that the settings switch off, or that this model has only in name.
     refused
         Data names of the streams that this device does not send, or not to us.
     denied

@@ -206,7 +206,7 @@ class Opened(NamedTuple):
     ----------
     info
     silent
-        Data names of streams that the settings switch off.
+        Data names of streams that the settings switch off, or that it does not have.
     refused
         Data names of streams that it does not have.
     """
@@ -264,7 +264,8 @@ class MuseSession:
         refused = {"ppg"} if self._is_athena else {"optics"}
         if not (self._is_athena or self._link.has(PPG[0])):
             refused.add("ppg")
-        silent = _OPTIONAL - wanted - refused
+        # Nobody waits for what this model has only in name.
+        silent = _OPTIONAL - wanted | refused
         model = model_of(serial) or ("Muse S Athena" if self._is_athena else "")
         info = DeviceInfo("", model, serial, text_of(version, "fw"))
         return Opened(info, frozenset(silent), frozenset(refused))
