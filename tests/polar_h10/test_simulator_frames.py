@@ -11,9 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from biosensor_gateway.devices.polar_h10.simulator import frames
-from biosensor_gateway.devices.polar_h10.simulator.delta import block, compress
 from biosensor_gateway.devices.polar_h10.simulator.device import manufacturer_data
-from biosensor_gateway.devices.polar_h10.simulator.frames import PulseInterval
+from biosensor_gateway.devices.polar_h10.simulator.frames import PulseInterval, block, compress
 from biosensor_gateway.devices.polar_h10.simulator.pmd import (
     Measurement,
     Setting,

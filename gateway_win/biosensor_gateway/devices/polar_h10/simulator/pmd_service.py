@@ -16,8 +16,7 @@ from biosensor_gateway.devices.ble_heart_rate.simulator.measurement import RR_TI
 from biosensor_gateway.devices.ble_heart_rate.simulator.strap import Strap
 from biosensor_gateway.devices.polar_h10.simulator import frames, pmd
 from biosensor_gateway.devices.polar_h10.simulator.control_point import ControlPoint
-from biosensor_gateway.devices.polar_h10.simulator.delta import Integers
-from biosensor_gateway.devices.polar_h10.simulator.frames import PulseInterval
+from biosensor_gateway.devices.polar_h10.simulator.frames import Integers, PulseInterval
 from biosensor_gateway.devices.polar_h10.simulator.pmd import (
     ATT_HEADER_BYTES,
     FULL_MTU,

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from biosensor_gateway.devices.polar_h10.simulator import frames
-from biosensor_gateway.devices.polar_h10.simulator.delta import Integers
+from biosensor_gateway.devices.polar_h10.simulator.frames import Integers
 from biosensor_gateway.devices.polar_h10.simulator.pmd import Measurement, Setting
 from biosensor_gateway.devices.polar_h10.simulator.products import Product
 from biosensor_gateway.simulation.wearer import Floats, Wearer
