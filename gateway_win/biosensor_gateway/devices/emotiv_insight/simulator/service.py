@@ -22,11 +22,10 @@ from biosensor_gateway.devices.emotiv_insight.simulator.errors import Code, RpcE
 from biosensor_gateway.devices.emotiv_insight.simulator.headset import Headset, Timing
 from biosensor_gateway.devices.emotiv_insight.simulator.listener import Client, Listener
 from biosensor_gateway.devices.emotiv_insight.simulator.methods import Methods
-from biosensor_gateway.devices.emotiv_insight.simulator.mishaps import Mishaps
 from biosensor_gateway.devices.emotiv_insight.simulator.models import Model
 from biosensor_gateway.devices.emotiv_insight.simulator.sessions import Session, Sessions
 from biosensor_gateway.devices.emotiv_insight.simulator.signals import Signals
-from biosensor_gateway.devices.emotiv_insight.simulator.streaming import Stage, Stream
+from biosensor_gateway.devices.emotiv_insight.simulator.streaming import Mishaps, Stage, Stream
 from biosensor_gateway.devices.emotiv_insight.simulator.warnings import Announcement, warning
 from biosensor_gateway.simulation.crystal import Crystal
 from biosensor_gateway.simulation.specimen import Specimen
