@@ -14,7 +14,7 @@ import numpy as np
 from biosensor_gateway.devices.shimmer.driver.battery import charge_percent
 from biosensor_gateway.devices.shimmer.driver.calibration import Block, stored
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
-from biosensor_gateway.devices.shimmer.driver.crc import CrcMode, checksum
+from biosensor_gateway.devices.shimmer.driver.commands import CrcMode, checksum
 from biosensor_gateway.devices.shimmer.driver.emitter import Measurement, ShimmerEmitter
 from biosensor_gateway.devices.shimmer.driver.exg import GAINS, Exg, Use, registers_for
 from biosensor_gateway.devices.shimmer.driver.kind import Kind

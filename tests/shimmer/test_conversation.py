@@ -16,8 +16,8 @@ from biosensor_common.errors import (
 )
 from biosensor_gateway.devices.shimmer.driver import commands
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
+from biosensor_gateway.devices.shimmer.driver.commands import CrcMode, checksum
 from biosensor_gateway.devices.shimmer.driver.conversation import Conversation
-from biosensor_gateway.devices.shimmer.driver.crc import CrcMode, checksum
 from biosensor_gateway.devices.shimmer.driver.messages import (
     Ack,
     ExpansionPower,

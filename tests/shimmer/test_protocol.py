@@ -10,7 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
-from biosensor_gateway.devices.shimmer.driver.crc import CrcMode, checksum
+from biosensor_gateway.devices.shimmer.driver.commands import CrcMode, checksum
 from biosensor_gateway.devices.shimmer.driver.messages import (
     Ack,
     BatteryReading,

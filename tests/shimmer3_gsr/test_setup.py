@@ -10,8 +10,8 @@ from structlog.testing import capture_logs
 
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.devices.shimmer.driver import commands
+from biosensor_gateway.devices.shimmer.driver.commands import CrcMode
 from biosensor_gateway.devices.shimmer.driver.conversation import Conversation
-from biosensor_gateway.devices.shimmer.driver.crc import CrcMode
 from biosensor_gateway.devices.shimmer.driver.kind import Kind, identify
 from biosensor_gateway.devices.shimmer.driver.messages import (
     BatteryReading,

@@ -17,8 +17,7 @@ from biosensor_gateway.devices.shimmer.driver.battery import (
     percent,
 )
 from biosensor_gateway.devices.shimmer.driver.channels import Channel, Layout
-from biosensor_gateway.devices.shimmer.driver.commands import TICKS_PER_S
-from biosensor_gateway.devices.shimmer.driver.crc import CrcMode, crc16
+from biosensor_gateway.devices.shimmer.driver.commands import TICKS_PER_S, CrcMode, crc16
 from biosensor_gateway.devices.shimmer.driver.messages import (
     BatteryReading,
     Charging,

@@ -14,8 +14,7 @@ from biosensor_common.errors import (
 )
 from biosensor_gateway.devices.shimmer.driver import commands
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
-from biosensor_gateway.devices.shimmer.driver.commands import STOP_STREAMING
-from biosensor_gateway.devices.shimmer.driver.crc import CrcMode
+from biosensor_gateway.devices.shimmer.driver.commands import STOP_STREAMING, CrcMode
 from biosensor_gateway.devices.shimmer.driver.messages import (
     Ack,
     ExpansionPower,

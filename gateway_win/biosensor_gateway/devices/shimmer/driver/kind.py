@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from biosensor_common.errors import ProtocolError, ProtocolReason
 from biosensor_gateway.devices.shimmer.driver import commands
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
+from biosensor_gateway.devices.shimmer.driver.commands import CrcMode
 from biosensor_gateway.devices.shimmer.driver.conversation import Conversation
-from biosensor_gateway.devices.shimmer.driver.crc import CrcMode
 from biosensor_gateway.devices.shimmer.driver.messages import Firmware, FirmwareKind, Hardware
 from biosensor_gateway.devices.shimmer.driver.replies import ReplyForm
 

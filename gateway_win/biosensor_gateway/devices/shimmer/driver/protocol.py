@@ -8,7 +8,7 @@ Every message from the device begins with a byte that tells its kind::
     00 ...      data packet, while streaming
     8A ...      status or battery, asked for or not, also while streaming
 
-With checksums (see `crc`), each of them ends in one. Before an unasked status older
+With checksums (see `checksum`), each of them ends in one. Before an unasked status older
 firmware puts an ACK, which acknowledges nothing: ``FF 8A 71`` is never a bare ACK.
 """
 
@@ -18,7 +18,7 @@ from collections import deque
 from dataclasses import replace
 
 from biosensor_gateway.devices.shimmer.driver.channels import Layout
-from biosensor_gateway.devices.shimmer.driver.crc import CrcMode, checksum
+from biosensor_gateway.devices.shimmer.driver.commands import CrcMode, checksum
 from biosensor_gateway.devices.shimmer.driver.messages import (
     Ack,
     Message,
