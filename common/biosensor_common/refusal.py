@@ -201,6 +201,7 @@ class Refusal(Enum):
         "waited_too_long",
         "{samples} {were} given up: nobody received the stream, and {most} are the most that wait",
     )
+    LEFT_OUT = _passing("left_out", "{samples} {were} left out: {why}")
     GARBLED = _passing("garbled", "{count} bytes of the device made no valid message")
     NO_OUTLET = _standing(
         "no_outlet",

@@ -155,7 +155,7 @@ def test_a_dropped_frame_is_a_loss_once_the_next_one_comes(
 def test_a_clock_that_stands_still_is_said_once(emitter: PolarEmitter, sink: EmitterSink) -> None:
     with capture_logs() as logs:
         for number in range(3):
-            emitter.frame(ecg(0), arrival(number))
+            emitter.frame(ecg(0)[:10] + bytes([number, 0, 0]) * COUNT, arrival(number))
     assert len(logs) == 1
     assert len(sink.emitted["ecg"]) == 3 * COUNT
 

@@ -15,6 +15,8 @@ from typing import NamedTuple
 
 EXCUSE = "nothing is dropped:"
 REPORTS = frozenset({"refuse", "hold", "_refuse"})
+IN_DRIVERS = REPORTS | {"lost", "left_out"}
+"""Verbs of a driver's sink; it adds to `dropped_bytes`, too."""
 _LOGS = frozenset(
     {"debug", "info", "inform", "warn", "warning", "error", "exception", "critical", "print"}
     | {"_warn", "_say", "say", "_inform"}
@@ -30,8 +32,15 @@ class Drop(NamedTuple):
     what: str
 
 
-def drops(source: str) -> list[Drop]:
-    """Return all of a module."""
+def drops(source: str, reports: frozenset[str] = REPORTS) -> list[Drop]:
+    """Return all of a module.
+
+    Parameters
+    ----------
+    source
+    reports
+        Methods by which it reports.
+    """
     tree, lines = ast.parse(source), source.splitlines()
     # A comment in a line of its own is of the next one.
     excused = {
@@ -42,7 +51,7 @@ def drops(source: str) -> list[Drop]:
     found: set[Drop] = set()
     for function in ast.walk(tree):
         if isinstance(function, _Function) and not is_answer(function):
-            found.update(_in_block(function.body, excused, is_reported=False))
+            found.update(_in_block(function.body, excused, reports, is_reported=False))
     return sorted(found)
 
 
@@ -53,24 +62,26 @@ def is_answer(function: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
     return is_property or returns.strip("'\"") in _ANSWERS
 
 
-def _in_block(body: list[ast.stmt], excused: set[int], *, is_reported: bool) -> Iterator[Drop]:
+def _in_block(
+    body: list[ast.stmt], excused: set[int], reports: frozenset[str], *, is_reported: bool
+) -> Iterator[Drop]:
     """Look at the statements of a block; a report in one covers those that follow it there."""
     reported = is_reported
     for statement in body:
-        reported = reported or _calls(statement, REPORTS)
+        reported = reported or _reports(statement, reports)
         is_excused = statement.lineno in excused
         if not (reported or is_excused):
             yield from _of(statement)
         for block in _blocks(statement):
             inside = [each for each in block if not isinstance(each, _Function | ast.ClassDef)]
-            yield from _in_block(inside, excused, is_reported=False)
+            yield from _in_block(inside, excused, reports, is_reported=False)
         for handler in getattr(statement, "handlers", []):
             first = handler.body[0].lineno
             is_excused = bool({handler.lineno, first} & excused)
-            is_told = _reports_or_raises(handler)
+            is_told = _reports_or_raises(handler, reports)
             if not (is_excused or is_told):
                 yield Drop(handler.lineno, "except")
-            yield from _in_block(handler.body, excused, is_reported=False)
+            yield from _in_block(handler.body, excused, reports, is_reported=False)
 
 
 def _of(statement: ast.stmt) -> Iterator[Drop]:
@@ -95,9 +106,16 @@ def _is_empty(value: ast.expr | None) -> bool:
     return isinstance(value, ast.List | ast.Tuple) and not value.elts
 
 
-def _reports_or_raises(handler: ast.ExceptHandler) -> bool:
+def _reports(statement: ast.stmt, reports: frozenset[str]) -> bool:
+    """Whether it reports: by a method, or, in a driver, by adding to the bytes that it drops."""
+    if isinstance(statement, ast.AugAssign):
+        return "lost" in reports and "dropped_bytes" in ast.unparse(statement.target)
+    return _calls(statement, reports)
+
+
+def _reports_or_raises(handler: ast.ExceptHandler, reports: frozenset[str]) -> bool:
     is_raised = any(isinstance(each, ast.Raise) for each in ast.walk(handler))
-    return is_raised or any(_calls(each, REPORTS) for each in handler.body)
+    return is_raised or any(_reports(each, reports) for each in handler.body)
 
 
 def _calls(statement: ast.stmt, names: frozenset[str]) -> bool:

@@ -19,6 +19,7 @@ import pytest
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo
+from biosensor_gateway.devices.polar_h10.driver.emitter import PolarEmitter
 from biosensor_gateway.devices.registry import declaration
 from biosensor_gateway.features import links
 from biosensor_gateway.features.live import Live
@@ -31,7 +32,9 @@ from biosensor_gateway.streaming.markers import MarkerKind, MarkerStream
 from biosensor_gateway.streaming.outlets import MAX_WAITING, Outlet
 from biosensor_gateway.streaming.own_outlets import spare_outlet
 from biosensor_gateway.streaming.sink import DeviceSink
+from tests.polar_h10.test_emitter import ECG, arrival, ecg
 from tests.refusals.provoked import Shown, fake, in_status, provokes
+from tests.rigs.emitter_sink import EmitterSink
 from tests.rigs.memory_outlet import MemoryOutlet
 from tests.rigs.set_clock import SetClock
 from tests.ros.test_namesakes import Info
@@ -110,6 +113,17 @@ def waited_too_long(patch: pytest.MonkeyPatch) -> Shown:
     return in_status(outlet.refusals)
 
 
+@provokes(Refusal.LEFT_OUT)
+def left_out(patch: pytest.MonkeyPatch) -> Shown:
+    del patch
+    strap = EmitterSink("polar_h10")
+    emitter = PolarEmitter(strap)
+    emitter.started(ECG, 130, 1.0)
+    for _ in range(2):
+        emitter.frame(ecg(0), arrival(0))
+    return in_status(strap.refusals)
+
+
 @provokes(Refusal.GARBLED)
 def garbled(patch: pytest.MonkeyPatch) -> Shown:
     zephyr = sink(patch)
@@ -170,8 +184,8 @@ def features(patch: pytest.MonkeyPatch, unit: str, stamps: Sequence[float], valu
         live.look([info])
         now[0] += 2.0
     live.read()
-    # A line of the agent's log is all that there is of it.
-    return Shown(1, said[0])
+    assert said
+    return in_status(live.refusals)
 
 
 @provokes(Refusal.NO_FEATURES)

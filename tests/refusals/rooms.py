@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from tests.refusals.drops import IN_DRIVERS, REPORTS
+
 ROOT = Path(__file__).parents[2]
 _NODE, _AGENT = "ros_side/lsl_to_ros/lsl_to_ros", "gateway_win/biosensor_gateway"
 _PATTERNS = (
@@ -21,17 +23,29 @@ _PATTERNS = (
     )),
     *(f"{_AGENT}/streaming/{each}.py" for each in (
         "sink", "outlets", "device_outlets", "own_outlets", "pause_gate", "markers",
-        "events/announcer",
+        "events/announcer", "plausibility", "silence",
     )),
     f"{_AGENT}/agent/marking.py",
-    *(f"{_AGENT}/features/{each}.py" for each in ("chains", "links", "live", "runs", "sources")),
+    *(f"{_AGENT}/features/{each}.py" for each in (
+        "beside", "breathing", "chains", "filters", "heart", "links", "live", "motion", "offline",
+        "outputs", "quality", "r_peaks", "runs", "skin", "sources",
+    )),
+    *(f"{_AGENT}/pulses/{each}.py" for each in ("filters", "finding")),
+    *(f"{_NODE}/accounts/{each}.py" for each in ("gaps", "lateness", "load", "losses")),
     *(f"{_AGENT}/page/network/{each}.py" for each in (
         "inlets", "listing", "losses", "placing", "reader", "received", "receiver",
     )),
 )  # fmt: skip
+_DRIVERS = (f"{_AGENT}/devices/*/driver/emitter.py", f"{_AGENT}/devices/*/driver/*_emitter.py",
+            f"{_AGENT}/devices/*/driver/rows.py")  # fmt: skip
 
 
 def data_rooms() -> list[Path]:
     """Return their files."""
-    found = sorted(path for each in _PATTERNS for path in ROOT.glob(each))
+    found = sorted({path for each in (*_PATTERNS, *_DRIVERS) for path in ROOT.glob(each)})
     return [path for path in found if path.name != "__init__.py"]
+
+
+def reports_of(room: Path) -> frozenset[str]:
+    """Return the methods by which a room reports: drivers have the verbs of their sink."""
+    return IN_DRIVERS if "driver" in room.parts else REPORTS

@@ -102,6 +102,10 @@ class Sink(Protocol):
         """Count samples that the device measured and that never arrived."""
         ...
 
+    def left_out(self, count: int, why: str) -> None:
+        """Count samples that arrived and are not emitted, such as copies; *why* is a clause."""
+        ...
+
     def heard(self, *data_names: str) -> None:
         """Note that the device said something valid: about these streams, or in general.
 

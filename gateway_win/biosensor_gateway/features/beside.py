@@ -57,6 +57,7 @@ class _Telling:
 def _tell(sentence: str) -> None:
     line = " ".join(sentence.split())
     # Who reads may have died, and the end of the input says so, too.
+    # nothing is dropped: who reads may have died, and the end of the input says so, too
     with contextlib.suppress(OSError):
         sys.stdout.buffer.write(f"{line}\n".encode(errors="replace"))
         sys.stdout.buffer.flush()

@@ -60,7 +60,7 @@ class Breathing:
         if limit <= 0:
             # Nothing is known yet, or nothing moves.
             self._low = self._high = here
-            return []
+            return []  # nothing is dropped: nothing is known yet, or nothing moves
         if self._is_up:
             self._high = max(self._high, here, key=_value)
             if self._high.value - here.value >= limit:
@@ -71,7 +71,7 @@ class Breathing:
             self._low = min(self._low, here, key=_value)
             if here.value - self._low.value >= limit:
                 self._is_up, self._high = True, here
-        return []
+        return []  # nothing is dropped: no breath ends here
 
     def _breath(self, stamp: float, depth: float) -> list[Event]:
         interval_s, self._last = stamp - self._last, stamp
@@ -79,7 +79,7 @@ class Breathing:
         if not low <= interval_s <= high:
             # The first, or one after a pause: there is no interval between neighbours.
             self._intervals.clear()
-            return []
+            return []  # nothing is dropped: the breath is told, and has no interval
         self._intervals.append(_Point(stamp, interval_s))
         while self._intervals[0].stamp <= stamp - at.BR_WINDOW_S:
             self._intervals.popleft()
@@ -120,6 +120,7 @@ class _Usual:
     def __init__(self, length: int) -> None:
         self._length = length
         self._block: list[float] = []
+        # nothing is dropped: a memory of spans, not of samples
         self._spans: deque[float] = deque(maxlen=at.BREATH_BLOCKS)
         self._median = 0.0
 

@@ -63,6 +63,6 @@ class Decimator:
         """Give stamp and mean of each group; the stamp is that of its middle."""
         if self._factor == 1:
             yield from zip(stamps.tolist(), values.tolist(), strict=True)
-            return
+            return  # nothing is dropped: all samples were given as they are
         for times, group in self._hops.take(stamps, values):
             yield (float(times[0]) + float(times[-1])) / 2, float(group.sum()) / self._factor

@@ -144,7 +144,7 @@ class Heart:
             is_good = self._trust is None or quality >= at.GOOD_QUALITY
             taken = [each for each in last if is_good and low <= each.length_s <= high]
         if len(taken) < at.HR_LEAST:
-            return []
+            return []  # nothing is dropped: hr_live_quality says how few there are
         rate = 60 * len(taken) / math.fsum(each.length_s for each in taken)
         covered = _covered(taken, self._stamp, window_s)
         beside = (float(len(taken)), len(valid) / len(last), covered, quality, NOTHING)
@@ -156,14 +156,14 @@ class Heart:
     def _variability(self) -> list[Event]:
         assert self._begin is not None
         if self._stamp - self._begin < min(at.HRV_WINDOWS_S):
-            return []
+            return []  # nothing is dropped: the first window is not full yet
         values: list[float] = []
         beside: list[float] = []
         for window_s in at.HRV_WINDOWS_S:
             if self._stamp - self._begin < window_s:
                 values += [NOTHING] * 4
                 beside += [NOTHING] * 4
-                continue
+                continue  # nothing is dropped: the window is not full yet, and NaN says so
             last = [each for each in self._kept if each.stamp > self._stamp - window_s]
             valid = [each for each in last if each.is_valid]
             share, covered = len(valid) / len(last), _covered(valid, self._stamp, window_s)

@@ -92,12 +92,13 @@ def _sources(streams: Sequence[Stream]) -> tuple[_Pairs, list[str]]:
     by_header = {id(stream.meaning): stream for stream in streams}
     for stream in streams:
         if is_feature(stream.header.xml):
-            continue
+            continue  # nothing is dropped: features of features are not asked for
         try:
             source = judge(stream.header.name, stream.header.source_id, stream.meaning)
         except FeatureError as error:
+            # nothing is dropped: `refused` is printed
             refused.append(str(error))
-            continue
+            continue  # nothing is dropped: as above
         if source is not None:
             found.append(source)
     return [(by_header[id(each.header)], each) for each in choose(found, set())], refused
@@ -141,7 +142,7 @@ class _Written:
     def chunk(self, events: Sequence[Event]) -> bytes:
         own = [each for each in events if each.feature == self._feature.name]
         if not own:
-            return b""
+            return b""  # nothing is dropped: there is nothing
         stamps = np.array([each.stamp for each in own])
         values: NDArray[np.float32] = np.array([each.values for each in own], np.float32)
         self.first = self.first if self.sample_count else float(stamps[0])

@@ -202,7 +202,7 @@ def features_of(content_type: str, data_name: str, unit: str) -> tuple[Feature, 
         ContentType.RESPIRATION: "power within 0.05 to 0.8 Hz",
     }
     if content_type not in of_type:
-        return ()
+        return ()  # nothing is dropped: no feature is of its type
     features = of_type[ContentType(content_type)]
     if content_type in judged:
         algorithm = judged[ContentType(content_type)]

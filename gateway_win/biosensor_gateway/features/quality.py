@@ -207,6 +207,7 @@ class Quality:
         piece = max(1, round(at.QUALITY_EVERY_S[content_type] * rate))
         self._hops = Hops(piece)
         self._window_s = at.QUALITY_WINDOW_S[content_type]
+        # nothing is dropped: what a window slides over
         self._pieces: deque[Array] = deque(maxlen=max(1, round(self._window_s * rate / piece)))
         self._told: deque[tuple[float, float]] = deque()
 
@@ -216,7 +217,7 @@ class Quality:
         for times, piece in self._hops.take(stamps, values):
             self._pieces.append(piece)
             if len(self._pieces) < (self._pieces.maxlen or 0):
-                continue
+                continue  # nothing is dropped: the first window is not full yet
             quality, reasons = self._judge(np.concatenate(self._pieces), self._rate)
             told = tuple(float(each in reasons) for each in REASONS)
             stamp = float(times[-1])

@@ -83,7 +83,7 @@ class RPeaks:
         size = len(self._energy)
         begin, end = size - self._hop - self._near, size - self._near
         if begin < self._near + self._late + self._around + 1:
-            return []
+            return []  # nothing is dropped: it waits for more samples
         here = self._energy[begin - 1 : end + 1]
         middle = here[1:-1]
         tops = np.flatnonzero((middle > here[:-2]) & (middle >= here[2:])) + begin
@@ -119,12 +119,15 @@ class _Hamilton:
         self._learns_until = round(at.LEARNING_S * rate)
         self._begin_anew(0)
         self._last: _Peak | None = None
+        # nothing is dropped: a memory of beats
         self._intervals: deque[float] = deque(maxlen=at.PEAKS_KEPT)
 
     def _begin_anew(self, place: int) -> None:
         self._learnt: list[_Peak] | None = []
         self._learns_from = place
+        # nothing is dropped: a memory of beats
         self._beats: deque[float] = deque(maxlen=at.PEAKS_KEPT)
+        # nothing is dropped: a memory of noise
         self._noise: deque[float] = deque([0.0], maxlen=at.PEAKS_KEPT)
         self._passed_over: list[_Peak] = []
 
@@ -132,7 +135,7 @@ class _Hamilton:
         """Take a peak in; return beats."""
         if self._learnt is not None:
             self._learnt.append(peak)
-            return []
+            return []  # nothing is dropped: it is judged when learning ends
         return self._judge(peak)
 
     def pass_time(self, place: int) -> list[Beat]:
@@ -147,7 +150,7 @@ class _Hamilton:
 
     def _learn(self, place: int) -> list[Beat]:
         if place - self._learns_from < self._learns_until or not self._learnt:
-            return []
+            return []  # nothing is dropped: it goes on learning
         second = round(self._rate)
         largest: dict[int, float] = {}
         for peak in self._learnt:
@@ -167,7 +170,7 @@ class _Hamilton:
         last = self._last
         since_s = np.inf if last is None else (peak.apex - last.apex) / self._rate
         if since_s < at.REFRACTORY_S:
-            return []
+            return []  # nothing is dropped: no beat follows another one so fast
         is_t_wave = (
             last is not None and since_s < at.T_WAVE_S and peak.slope < at.T_WAVE_SHARE * last.slope
         )
@@ -176,17 +179,17 @@ class _Hamilton:
         self._noise.append(peak.energy)
         if since_s >= at.T_WAVE_S:
             self._passed_over.append(peak)
-        return []
+        return []  # nothing is dropped: a peak that is no beat; `_search_back` may take it
 
     def _search_back(self, place: int) -> list[Beat]:
         if self._last is None or len(self._intervals) < 2 or not self._passed_over:
-            return []
+            return []  # nothing is dropped: there is nothing to look for
         usual = median(self._intervals)
         if place - self._last.place < at.SEARCH_BACK_INTERVALS * usual:
-            return []
+            return []  # nothing is dropped: a beat may still come
         best = max(self._passed_over, key=lambda peak: peak.energy)
         if best.energy < at.SEARCH_BACK_SHARE * self._threshold:
-            return []
+            return []  # nothing is dropped: none of them is a beat
         return self._accept(best)
 
     def _accept(self, peak: _Peak) -> list[Beat]:

@@ -39,6 +39,7 @@ class Skin:
         length = max(1, round(at.SCR_SMOOTHING_S * slow))
         self._smooth = MovingMean(length)
         self._late_s = (length - 1) / 2 / slow
+        # nothing is dropped: what a median slides over
         self._levels: deque[float] = deque(maxlen=round(at.SCL_WINDOW_S * slow))
         self._every = max(1, round(at.SCL_EVERY_S * slow))
         self._count = 0
@@ -88,22 +89,23 @@ class _Responses:
         """Return the stamp of the peak of a response that is over, and its three values."""
         if self._trough is None or self._peak is None:
             self._trough = self._peak = here
-            return None
+            return None  # nothing is dropped: the first level of all
         if here.level > self._peak.level:
             self._peak = here
-            return None
+            return None  # nothing is dropped: the response still rises
         height = self._peak.level - self._trough.level
         if self._peak is self._trough or height < self._limit:
             # Not a response yet: a lower trough is a later onset.
             if here.level <= self._trough.level:
                 self._trough = self._peak = here
-            return None
+            return None  # nothing is dropped: there is no response yet
         if self._peak.level - here.level < self._fall:
-            return None
+            return None  # nothing is dropped: the response is not over yet
         trough, peak = self._trough, self._peak
         self._trough = self._peak = here
         rise_s = peak.stamp - trough.stamp
         if not at.SCR_RISE_S[0] <= rise_s <= at.SCR_RISE_S[1]:
+            # nothing is dropped: what rises so fast or slowly is no response, by definition
             return None
         return peak.stamp, (height, rise_s, trough.level)
 
@@ -116,7 +118,9 @@ class _Largest:
     """
 
     def __init__(self, length: int) -> None:
+        # nothing is dropped: what a filter slides over
         self._before: deque[float] = deque(maxlen=length + 1)
+        # nothing is dropped: no response rises for longer
         self._rises: deque[_Point] = deque(maxlen=round(2 * at.SCR_RISE_S[1] * length))
         self._kept: deque[_Point] = deque()
         self._second = 0.0

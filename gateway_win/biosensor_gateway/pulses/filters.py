@@ -55,6 +55,7 @@ class MovingMean:
 
     def __init__(self, length: int) -> None:
         self._length = length
+        # nothing is dropped: what a filter slides over
         self._values: deque[float] = deque(maxlen=length)
         self._sum, self._count = 0.0, 0
 

@@ -61,6 +61,7 @@ class Polarity:
         self.sign = 1.0
         self._length = round(at.SKEWNESS_PIECE_S * rate)
         self._piece: list[float] = []
+        # nothing is dropped: a memory of skewness
         self._kept: deque[float] = deque(maxlen=at.SKEWNESS_PIECES)
 
     def take(self, filtered: float) -> float:
@@ -101,11 +102,14 @@ class Pulses:
         self._wait = min((beat - peak) // 2, round(at.AHEAD_S * rate))
         self._late = self._wait + (peak - 1) // 2
         self._least = peak
+        # nothing is dropped: what a maximum slides over
         self._peaks: deque[float] = deque(maxlen=self._wait + 1)
         self._around = round(_APEX_S * rate)
+        # nothing is dropped: no pulse lasts longer
         self._kept: deque[_Kept] = deque(maxlen=round(_KEPT_S * rate))
+        # nothing is dropped: a memory of heights
         self._heights: deque[float] = deque(maxlen=at.KEPT)
-        self._rises: deque[float] = deque(maxlen=at.KEPT)
+        self._rises: deque[float] = deque(maxlen=at.KEPT)  # nothing is dropped: a memory of rises
         self._length = 0
         self._last = float("-inf")
 
@@ -120,7 +124,7 @@ class Pulses:
         limit = beat + at.OFFSET * self._offset.take(clipped)
         if self._peaks[0] > limit and len(self._kept) > self._late + self._around:
             self._length += 1
-            return []
+            return []  # nothing is dropped: the pulse goes on
         length, self._length = self._length, 0
         return self._block(length) if length >= self._least else []
 
@@ -132,7 +136,7 @@ class Pulses:
         begin = max(1, end - length)
         top = max(range(begin, end), key=upright.__getitem__, default=None)
         if top is None:
-            return []
+            return []  # nothing is dropped: there was no pulse
         beat = self._beat(kept, top)
         since_s = beat.stamp - self._last
         if since_s > at.LOST_S:
@@ -141,7 +145,7 @@ class Pulses:
         rise = self._rise(kept, top)
         usual = median(self._rises) if self._rises else 0.0
         if since_s < at.REFRACTORY_S or rise < at.LEAST_SHARE * usual:
-            return []
+            return []  # nothing is dropped: it is no pulse of its own
         passed = [self._beat(kept, each) for each in self._passed_over(kept, upright, top)]
         self._last, self.height = beat.stamp, upright[top]
         self._heights.append(upright[top])
@@ -155,7 +159,7 @@ class Pulses:
         second wave of a pulse is not and has not.
         """
         if not self._heights:
-            return []
+            return []  # nothing is dropped: nothing is known of pulses yet
         near = round(at.EARLY_S * self._rate)
         begin = next((n for n in range(top) if kept[n][0] >= self._last), top)
         limit = at.EARLY_SHARE * min(median(self._heights), upright[top])
@@ -164,7 +168,7 @@ class Pulses:
         for place in range(begin + near, top - near):
             is_top = upright[place - 1] < upright[place] >= upright[place + 1]
             if not is_top or upright[place] < limit or place - last < near:
-                continue
+                continue  # nothing is dropped: it is no top of a pulse
             valley = max(min(upright[last:place]), min(upright[place:top]))
             if valley < at.VALLEY_SHARE * upright[place]:
                 found.append(place)

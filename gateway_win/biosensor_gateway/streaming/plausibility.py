@@ -82,6 +82,7 @@ class Plausibility:
             counters.refused += checked.refused
             refusals.refuse(Refusal.IMPLAUSIBLE, checked.refused, why=checked.why)
             if self._is_new(data_name, checked.what):
+                # nothing is dropped: it was reported above
                 self._log.warning("values are not sent", data=data_name, cause=checked.why)
         return checked.samples, checked.times
 

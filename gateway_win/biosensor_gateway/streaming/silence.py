@@ -169,7 +169,7 @@ class StreamWatch:
         for name in names:
             stream = self._streams.get(name)
             if stream is None:
-                continue
+                continue  # nothing is dropped: this watch does not follow that stream
             stream.heard_s = stream.waited_from_s = now
             stream.is_enabled_again = stream.is_excused = False
             was_denied = self._denied.pop(name, None) is not None
@@ -225,7 +225,7 @@ class StreamWatch:
         self._patience_s = patience_s
         overdue = self._overdue()
         if not overdue:
-            return None
+            return None  # nothing is dropped: no stream is silent
         if can_enable and not all(each.is_enabled_again for each in overdue.values()):
             # What has stopped together is taken together, also where more patience is due.
             together = self._overdue(0.5)

@@ -281,6 +281,10 @@ class DeviceSink:
         if missed and self.observer is not None:
             self.observer.lost(data_name, missed, begin)
 
+    def left_out(self, count: int, why: str) -> None:
+        """Count samples that arrived and are not emitted, such as copies; *why* is a clause."""
+        self.refusals.refuse(Refusal.LEFT_OUT, count, why=why)
+
     def _sendable(
         self, data_name: str, samples: ArrayLike, times: Sequence[float]
     ) -> tuple[ArrayLike, Sequence[float]]:

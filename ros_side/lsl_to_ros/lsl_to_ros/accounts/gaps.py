@@ -64,11 +64,11 @@ class GapFinder:
             return [gap for place, stamp in stepwise for gap in self._find_one(place, stamp)]
         finite = np.flatnonzero(np.isfinite(stamps))
         if not len(finite):
-            return []
+            return []  # nothing is dropped: NaN stamps are reported where they are published
         times = stamps[finite]
         previous, self._last = self._last, float(times[-1])
         if math.isinf(self._longest_step):
-            return []
+            return []  # nothing is dropped: an irregular stream has no gaps
         with np.errstate(over="ignore"):
             steps = np.diff(times, prepend=times[0] if previous is None else previous)
         places = np.flatnonzero(steps > self._longest_step)
@@ -76,10 +76,10 @@ class GapFinder:
 
     def _find_one(self, place: int, stamp: float) -> Sequence[Gap]:
         if not math.isfinite(stamp):
-            return ()
+            return ()  # nothing is dropped: as above
         previous, self._last = self._last, stamp
         if previous is None or stamp - previous <= self._longest_step:
-            return ()
+            return ()  # nothing is dropped: there is no gap
         return (self._gap(place, stamp - previous),)
 
     def _gap(self, place: int, step_s: float) -> Gap:

@@ -50,6 +50,7 @@ class Backlog:
     """
 
     def __init__(self) -> None:
+        # nothing is dropped: a memory of the node's own load
         self._marks: deque[tuple[float, int]] = deque(maxlen=MOST_MARKS)
 
     def age(self, now_s: float, gone: int, waiting: int) -> float:

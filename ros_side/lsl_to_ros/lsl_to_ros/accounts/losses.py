@@ -55,10 +55,12 @@ class CountersComparison:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._pulled = 0
+        # nothing is dropped: a memory of stamps; all are counted
         self._recent: deque[float] = deque(maxlen=_RECENT)
         self._base: int | None = None
         self._before: int | None = None
         self._at_least_before = 0
+        # nothing is dropped: a later report has all counts of an earlier one
         self._waiting: deque[_Report] = deque(maxlen=_WAITING)
         self._device = self._transport = 0
         # What was lost of outlets that have ended.
@@ -95,7 +97,7 @@ class CountersComparison:
         with self._lock:
             if not pushed:
                 self._take_device(lost)
-                return
+                return  # nothing is dropped: nothing was pushed yet
             self._waiting.append(_Report(pushed, lost, last_stamp))
             self._settle()
 
@@ -131,15 +133,15 @@ class CountersComparison:
             later = self._pulled_after(report.last_stamp)
             missing = report.pushed - (self._pulled - later)
             if not later and not self._is_complete(missing):
-                return
+                return  # nothing is dropped: it waits for the samples of this report
             self._waiting.popleft()
             if later == _RECENT:
-                continue
+                continue  # nothing is dropped: a later report tells the same
             if self._base is None and later == self._pulled:
                 # Reports may come before the stream is attached: what was pushed between
                 # this one and the first sample is in no count yet.
                 self._at_least_before = report.pushed
-                continue
+                continue  # nothing is dropped: a later report tells the same
             if self._base is None:
                 self._base = self._before = missing
             self._transport = missing - self._base

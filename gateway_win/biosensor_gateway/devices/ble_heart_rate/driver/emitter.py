@@ -101,7 +101,7 @@ class StrapEmitter:
 
     def _intervals(self, measured: HeartRateMeasurement, arrival_s: float) -> None:
         if self.has_better_intervals:
-            return
+            return  # nothing is dropped: the sensor tells better ones
         intervals_s = measured.intervals_s
         if measured.is_saturated:
             # Nobody knows how long it was: beats are counted anew from the one that ended it.

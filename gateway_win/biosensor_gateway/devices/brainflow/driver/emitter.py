@@ -125,7 +125,10 @@ class PresetEmitter:
     def take(self, rows: Rows, arrival_s: float) -> None:
         """Emit what came together; *arrival_s* is the LSL time when it was handed on."""
         values = rows.values
-        if values.shape[0] != self._rows or not values.shape[1]:
+        if not values.shape[1]:
+            return  # nothing is dropped: there is nothing
+        if values.shape[0] != self._rows:
+            self._sink.dropped_bytes += values.nbytes
             return
         places, lost = self._count.place(values[self._number_row])
         age_s = rows.now_s - float(values[self._stamp_row, -1])
@@ -137,7 +140,7 @@ class PresetEmitter:
             samples = values[list(stream.rows)].T
             if stream.is_state:
                 self._emit_changes(stream, samples, times)
-                continue
+                continue  # nothing is dropped: its changes are sent
             if lost:
                 self._sink.lost(stream.spec.data_name, lost)
             self._stamps.emit(stream.spec.data_name, samples, times)
@@ -159,7 +162,7 @@ class PresetEmitter:
             self._begin = measured_s, place
         elapsed_s = measured_s - self._begin[0]
         if elapsed_s < _WATCHED_S:
-            return
+            return  # nothing is dropped: the rate is watched for longer
         rate = (place - self._begin[1]) / elapsed_s
         self._begin = measured_s, place
         if abs(rate / self._rate_hz - 1) > _RATE_ERROR:

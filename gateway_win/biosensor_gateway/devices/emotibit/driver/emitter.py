@@ -149,7 +149,7 @@ class EmotiBitEmitter:
         if self._thermometer:
             if packet.tag == self._thermometer:
                 self._add("st", 0, packet, time_s)
-            return
+            return  # nothing is dropped: the other thermometer is chosen once and for all
         self._first_temperatures.setdefault(packet.tag, []).append((packet, time_s))
         if time_s - min(first[0][1] for first in self._first_temperatures.values()) >= CHOOSING_S:
             self._thermometer = min(self._first_temperatures, key=THERMOMETERS.index)
@@ -172,7 +172,7 @@ class EmotiBitEmitter:
                 row = [count, 0.0] if is_clipping else [0.0, count]
                 self._sink.emit("quality", [row], [time_s])
             case _:
-                return
+                return  # nothing is dropped: packets of other kinds are no samples
 
     def _tell_intervals(self, packet: Packet, time_s: float) -> None:
         """Several intervals of one packet end one after another, the last one at its time."""

@@ -193,7 +193,7 @@ class SensorRows:
         own = self._last[channel]
         if own is not None and time_s < own[0]:
             # It was overtaken by the first one of all.
-            return
+            return  # nothing is dropped: its stream begins with the packet that overtook it
         last = self._place(channel, len(values), time_s, gap=gap)
         self._last[channel] = (time_s, last)
         for index, value in enumerate(values, last - len(values) + 1):

@@ -167,7 +167,6 @@ class EmotivEmitter:
         self._not_yet_heard: set[str] = set()
         self._clock_leads = False
         self._moves_by_gyroscope = False
-        self.duplicates = 0
 
     def connected(self, eeg_rate_hz: float, motion_rate_hz: float, *, headset_stayed: bool) -> None:
         """Prepare for a new connection.
@@ -199,7 +198,7 @@ class EmotivEmitter:
         """
         lost = self._lost_before(sample, arrival_s)
         if lost is None:
-            self.duplicates += 1
+            self._sink.left_out(1, "they came twice")
             return
         self._observe(sample, arrival_s)
         match sample.stream:
@@ -232,7 +231,7 @@ class EmotivEmitter:
         if sample.stream in CLOCK_STREAMS:
             self._clock_leads = True
         elif self._clock_leads and not self._is_clock_set(sample.time_s, arrival_s):
-            return
+            return  # nothing is dropped: only the clock is not told of it
         self._sink.observe(sample.time_s, arrival_s, sample.stream)
 
     def _is_clock_set(self, time_s: float, arrival_s: float) -> bool:
@@ -252,6 +251,7 @@ class EmotivEmitter:
                 self._sink.lost(data_name, lost)
         if stream in self._not_yet_heard:
             names = {"unit": self._sink.identity.unit, "data": stream, "samples": lost}
+            # nothing is dropped: `lost` has counted them
             _log.warning("samples were lost between two connections, by estimate", **names)
 
     def _emit(self, data_name: str, sample: Sample, labels: Sequence[str]) -> None:

@@ -154,7 +154,7 @@ class E4Emitter:
             self._anchored = True
         self._early.keep(*fresh)
         if not self._anchored:
-            return
+            return  # nothing is dropped: `_early` keeps it until the clock is known
         by_stream: dict[Stream, list[Sample]] = {}
         for sample in self._early.take():
             by_stream.setdefault(sample.stream, []).append(sample)
@@ -178,7 +178,7 @@ class E4Emitter:
         if stream is Stream.TAG:
             for time in times:
                 self._sink.emit_text("tag", _TAG, time)
-            return
+            return  # nothing is dropped: tags were sent
         values = [sample.values for sample in samples]
         if stream is Stream.ACC:
             values = [tuple(count / ACC_COUNTS_PER_G for count in xyz) for xyz in values]
@@ -203,7 +203,7 @@ class E4Emitter:
     def _follow_loss(self, count: int, arrival_s: float) -> None:
         lost_s = self._estimate.take(count, arrival_s) if count else None
         if lost_s is None:
-            return
+            return  # nothing is dropped: nothing is known of losses yet
         self._loss = min(1.0, lost_s / WINDOW_S)
         self._emit_quality(self._last_times[Stream.BVP])
         if lost_s:
@@ -220,6 +220,7 @@ class E4Emitter:
             self._owed[stream] -= whole
             self._sink.lost(DATA_NAMES[stream], whole)
         seconds = round(lost_s, 2)
+        # nothing is dropped: `lost` has counted them
         self.log.warning("samples lost on the radio, estimated from their number", seconds=seconds)
 
     def _emit_quality(self, time_s: float) -> None:

@@ -18,6 +18,8 @@ from biosensor_gateway.devices.line_sensor.driver.settings import TICKS_S, LineS
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog
 
+_TWICE = "they came twice or out of order"
+_NO_PLACE = "their count or their time is no number"
 _KEPT_LINES = 1.5
 LEAP_S = 10.0
 LEAP = 1000
@@ -174,6 +176,7 @@ class LineEmitter:
         batch = _Batch()
         for row in rows:
             if not self._is_placed(row):
+                self._sink.left_out(1, _NO_PLACE)
                 continue
             doubted, self._doubted = self._doubted, None
             breaks = not self._is_first and not self._goes_on(row, arrival_s)
@@ -186,7 +189,7 @@ class LineEmitter:
                 breaks = breaks and not is_believed
             if breaks:
                 self._doubted = row, arrival_s
-                continue
+                continue  # nothing is dropped: `_doubted` keeps it until the next one tells
             self._place(row, arrival_s, batch)
         self._emit(batch, arrival_s)
 
@@ -259,7 +262,7 @@ class LineEmitter:
         if count is not None and count.order is Order.LATE:
             self._leave_out()
             self._arrival_s = arrival_s
-            return
+            return  # nothing is dropped: `_leave_out` counts it
         if count is not None and count.order is Order.RESTART and self._is_behind(row):
             self._time.begin_anew()
         elif self._is_first and self._was_off(row, gap_s):
@@ -270,7 +273,7 @@ class LineEmitter:
         time = self._placed(self._time, row, self._at_time, (gap_s + SLACK_S) / self._tick_s)
         if time is not None and time.order is Order.LATE and count is None and self._overtakes:
             self._leave_out()
-            return
+            return  # nothing is dropped: `_leave_out` counts it
         anew = [each for each in (count, time) if each is not None and each.order is Order.RESTART]
         if anew:
             self._begin_anew(batch, arrival_s, is_clock=(time or count) in anew)
@@ -301,10 +304,12 @@ class LineEmitter:
         return count.value / self._rate_hz if count is not None and self._rate_hz else 0.0
 
     def _leave_out(self) -> None:
+        self._sink.left_out(1, _TWICE)
         self._log.warn_once("lines came twice or out of order; they are left out")
 
     def _begin_anew(self, batch: _Batch, arrival_s: float, *, is_clock: bool) -> None:
         """Send what came before the device was restarted, and forget where it was."""
+        # nothing is dropped: `_emit` sends what came before
         self._log.warning(
             "the device counts anew; if it was not restarted, set sequence_turns_over_at or "
             "time_turns_over_at to where it turns over"
@@ -326,7 +331,7 @@ class LineEmitter:
 
     def _emit(self, batch: _Batch, arrival_s: float) -> None:
         if not batch.rows:
-            return
+            return  # nothing is dropped: there is nothing
         self._sink.heard()
         if self._is_stamped:
             self._sink.observe(max(batch.device_s), arrival_s)
@@ -336,7 +341,7 @@ class LineEmitter:
             samples = [[row[each] for each in positions] for row in batch.rows]
             if name not in self._irregular:
                 emit(name, samples, times)
-                continue
+                continue  # nothing is dropped: all of it was emitted
             kept = [
                 (sample, time)
                 for sample, time in zip(samples, times, strict=True)

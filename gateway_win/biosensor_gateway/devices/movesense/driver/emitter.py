@@ -233,6 +233,7 @@ class MovesenseEmitter:
         placed = self._series[measurement.path].place(stamp_s, count)
         self._sink.observe(placed.times_s[-1], arrival_s, measurement.path)
         if placed.lost:
+            # nothing is dropped: `lost` counts them below
             self.log.warning(
                 "samples were lost", data=measurement.streams, count=placed.lost, estimated=True
             )
@@ -295,10 +296,10 @@ class MovesenseEmitter:
         """
         last_s = self._searched_from_s if self._beat_s is None else self._beat_s
         if last_s is None or now_s - self._quality_s < QUALITY_PERIOD_S:
-            return
+            return  # nothing is dropped: it says nothing more often
         in_contact = now_s - last_s <= NO_INTERVAL_LIMIT_S
         if in_contact and self._beat_s is None:
-            return
+            return  # nothing is dropped: nobody knows yet
         self._quality_s = now_s
         self._sink.emit_at("quality", [[float(in_contact)]], [now_s])
 

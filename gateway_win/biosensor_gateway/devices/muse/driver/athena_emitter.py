@@ -125,12 +125,13 @@ class AthenaEmitter:
         """
         is_new, self._is_new = self._is_new, False
         if self._newest is None:
-            return
+            return  # nothing is dropped: it is the first packet of all
         pause_s = arrival_s - self._newest[1]
         apart_s = stamp_s - self._newest[0] - pause_s
         is_behind = stamp_s < self._newest[0] - TURNED_BACK_S
         limit_s = (RECKONINGS_AGREE_S if is_new else LONGEST_DELAY_S) + pause_s / 1000
         if is_behind or abs(apart_s) > limit_s:
+            # nothing is dropped: its clock starts anew
             self._log.info("the device was switched off and counts anew")
             self._sink.restart_clock()
             for each in self._kinds.values():
@@ -164,6 +165,7 @@ class AthenaEmitter:
         names = [name for name in streams if name in self._wanted]
         if lost and names:
             estimated = places[0].is_anew
+            # nothing is dropped: `lost` counts them below
             self._log.warning("samples were lost", data=names, count=lost, estimated=estimated)
         for name in names:
             self._sink.lost(name, lost)
@@ -176,7 +178,7 @@ class AthenaEmitter:
             told = self._percent
             units = [unit for unit in _CHARGE_PERCENT if counts * unit <= FULLEST_PERCENT]
             if not units:
-                return
+                return  # nothing is dropped: a charge above full is none
             self._charge_unit = (
                 units[0] if told is None else min(units, key=lambda unit: abs(counts * unit - told))
             )

@@ -80,9 +80,10 @@ class RowAssembler:
         if packet.number == self._given_out:
             # It is later than it was waited for, or came twice: this moment has its rows.
             self._absent[channel] = 0
+            # nothing is dropped: this moment has its rows, and says NaN where they were late
             return []
         if self._held and packet.number == self._number and channel in self._held:
-            return []
+            return []  # nothing is dropped: it came before
         complete: list[Rows] = []
         if self._held and packet.number != self._number:
             complete.append(self._give_out())
@@ -127,6 +128,7 @@ class _Numbered:
         self._clock.observe(last, own_delay_s=self._sink.own_delay())
         times = self._clock.times(range(place.first, place.first + self._samples))
         if place.lost:
+            # nothing is dropped: `lost` counts them below
             self._log.warning(
                 "samples were lost",
                 data=list(streams),

@@ -12,6 +12,7 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     Rejected,
 )
 from biosensor_gateway.devices.polar_h10.driver.protocol.layouts import measurement_of, parse_frame
+from biosensor_gateway.devices.polar_h10.driver.protocol.stray import SeenFrame, StrayFrames
 from biosensor_gateway.devices.polar_h10.driver.protocol.timeline import FrameTimeline
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog
@@ -71,6 +72,7 @@ class PolarEmitter:
         self._factors: dict[int, float] = {}
         self._timelines: dict[tuple[int, int], FrameTimeline] = {}
         self._last: tuple[float, float] | None = None
+        self._stray = StrayFrames()
 
     @property
     def rates(self) -> Mapping[str, float]:
@@ -82,6 +84,7 @@ class PolarEmitter:
         self.strap.reconnected()
         self._running.clear()
         self.clock_runs = False
+        self._stray = StrayFrames()
 
     def started(self, measurement: Measurement, rate_hz: float | None, factor: float) -> None:
         """Prepare for the first frame of a measurement that has just been started.
@@ -97,7 +100,7 @@ class PolarEmitter:
         self._running.add(measurement)
         self._factors[measurement] = factor
         if rate_hz is None or measurement not in self.data_names:
-            return
+            return  # nothing is dropped: a measurement without a stream of its own
         self._rates[measurement] = rate_hz
         for (owner, _), timeline in self._timelines.items():
             if owner == measurement:
@@ -143,14 +146,22 @@ class PolarEmitter:
         header, samples = frame.header, frame.samples
         measurement = Measurement(header.measurement)
         if not samples or measurement not in self._rates:
+            return  # nothing is dropped: nobody started that measurement
+        key = (header.measurement, header.frame_type)
+        stray, seen = self._stray, SeenFrame(key, header.timestamp_ns, hash(repr(samples)))
+        follows = header.timestamp_ns > stray.newest_ns.get(key, -1)
+        if not follows and (why := stray.why(seen)):
+            self._sink.left_out(len(samples), why)
             return
+        stray.newest_ns[key], stray.was_late = header.timestamp_ns, False
+        stray.seen.append(seen)
         stamp_s = header.timestamp_ns / _NS
         if not self.clock_runs and self._counts_anew(stamp_s, arrival_s):
+            # nothing is dropped: its clock starts anew
             self.log.info("the device was switched off and counts anew")
             self._timelines.clear()
             self._sink.restart_clock()
         self.clock_runs, self._last = True, (stamp_s, arrival_s)
-        key = (header.measurement, header.frame_type)
         timeline = self._timelines.get(key)
         if timeline is None:
             timeline = self._timelines[key] = FrameTimeline(

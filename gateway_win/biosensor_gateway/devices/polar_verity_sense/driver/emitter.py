@@ -76,13 +76,13 @@ class OpticalEmitter(PolarEmitter):
 
     def _intervals(self, frame: PulseIntervals, arrival_s: float) -> None:
         if not frame.intervals:
-            return
+            return  # nothing is dropped: there is nothing in it
         self._moving = float(any(each.moved for each in frame.intervals))
         stamp_ns = frame.header.timestamp_ns
         if stamp_ns == _NOT_LOCATED or not self.clock_runs:
             self._batch += frame.intervals
             self._batch_s = arrival_s
-            return
+            return  # nothing is dropped: `_batch` keeps it until it has a time
         # These frames are seconds late, and so never told to the device's clock.
         lengths_s = [each.interval_ms / 1000 for each in frame.intervals]
         for each, time_s in zip(frame.intervals, walk_back(stamp_ns / _NS, lengths_s), strict=True):

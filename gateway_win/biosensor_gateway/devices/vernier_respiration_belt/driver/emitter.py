@@ -114,6 +114,7 @@ class VernierEmitter:
         """
         self._numbering.count(message.counter)
         if isinstance(message, Notice) and message.kind is MeasurementKind.DROPPED:
+            # nothing is dropped: the next counter says how many
             self.log.warning("the belt dropped samples")
             self._numbering.suspect()
         if isinstance(message, Measurement):
@@ -167,6 +168,7 @@ class VernierEmitter:
             self._sink.emit("quality", [quality], [time_s])
 
     def _lost(self, count: int) -> None:
+        # nothing is dropped: `lost` counts them below
         self.log.warning("samples were lost", samples=count, estimated=True)
         for data_name in ("force", "bpm"):
             self._sink.lost(data_name, count)

@@ -86,7 +86,7 @@ class ZephyrEmitter:
         """Return the place of a packet; None for one that came before."""
         placed = self._tracks[track].place(header, arrival_s)
         if placed is None:
-            self._log.warn_once("a packet came twice; from now on such are passed over in silence")
+            self._sink.left_out(self._tracks[track].samples, "their packet came twice")
         return placed
 
     def _times(self, track: str, placed: Placed, arrival_s: float) -> list[float]:
@@ -99,7 +99,7 @@ class ZephyrEmitter:
     ) -> None:
         placed = self._placed(data_name, header, arrival_s)
         if placed is None:
-            return
+            return  # nothing is dropped: `_placed` counts it
         times = self._times(data_name, placed, arrival_s)
         if placed.lost_packets:
             self._sink.lost(data_name, placed.lost_packets * len(times))
@@ -108,7 +108,7 @@ class ZephyrEmitter:
     def _rr(self, message: RrIntervals, arrival_s: float) -> None:
         placed = self._placed("ibi", message.header, arrival_s)
         if placed is None:
-            return
+            return  # nothing is dropped: `_placed` counts it
         times = self._times("ibi", placed, arrival_s)
         if placed.lost_packets:
             # How many beats fell into the gap is unknown, so none is counted as lost.
@@ -121,7 +121,7 @@ class ZephyrEmitter:
     ) -> None:
         placed = self._placed("vitals", header, arrival_s)
         if placed is None:
-            return
+            return  # nothing is dropped: `_placed` counts it
         time_s = placed.stamp_s
         self._sink.observe(time_s, arrival_s, "vitals")
         for data_name in self._vitals if placed.lost_packets else ():
@@ -170,6 +170,7 @@ class ZephyrEmitter:
         self._emit_vitals(message.header, values, arrival_s)
 
     def _event(self, message: Event) -> None:
+        # nothing is dropped: an event is no sample
         self._log.info("event", name=message.name)
         if message.name == "worn_change" and len(message.data) >= 2:
             self._quality[0] = float(message.data[1] > 0)

@@ -53,10 +53,14 @@ class PacketTrack:
     stamped_at_end
         The stamp is that of the moment when the packet is complete, not of its
         first sample.
+
+    Attributes
+    ----------
+    samples
     """
 
     def __init__(self, samples: int, period_s: float, *, stamped_at_end: bool = False) -> None:
-        self._samples = samples
+        self.samples = samples
         self._duration_s = samples * period_s
         self._period_s = period_s
         self._age_s = 0.0 if stamped_at_end else self._duration_s
@@ -85,14 +89,14 @@ class PacketTrack:
             self._stamped.append(header)
         lost = self._lost(header.sequence, stamp, arrival_s)
         self._numbers.place(header.sequence)
-        first = self._timeline.place(stamp, self._samples, lost * self._samples)
+        first = self._timeline.place(stamp, self.samples, lost * self.samples)
         self._arrival_s = arrival_s
         self._next_s = first + self._duration_s
         return Placed(stamp, first, lost)
 
     def times(self, first_s: float) -> list[float]:
         """Device time of each sample of a packet."""
-        return [first_s + index * self._period_s for index in range(self._samples)]
+        return [first_s + index * self._period_s for index in range(self.samples)]
 
     def _came_before(self, header: Header, arrival_s: float) -> bool:
         if header.device_s is not None:
