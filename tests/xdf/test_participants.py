@@ -83,6 +83,11 @@ def test_a_files_name_says_whose_it_is(name: str, participant: str) -> None:
 
 def judged(named: str, *identities: DeviceIdentity, events: list[object] | None = None) -> Report:
     """Judge a recording of heart rates, and of what an agent says in it."""
+    return judge(read(recorded(*identities, events=events), NAME.format(named)))
+
+
+def recorded(*identities: DeviceIdentity, events: list[object] | None = None) -> bytes:
+    """Return a recording of heart rates, and of what an agent says in it."""
     parts: list[bytes] = []
     for number, each in enumerate(identities, 1):
         parts += [
@@ -99,7 +104,7 @@ def judged(named: str, *identities: DeviceIdentity, events: list[object] | None 
             x.offsets(9, (1005, 1010, 1015)),
             x.footer(9, len(texts)),
         ]
-    return judge(read(x.xdf(*parts), NAME.format(named)))
+    return x.xdf(*parts)
 
 
 def strap(participant: str, unit: str = "A1") -> DeviceIdentity:

@@ -45,6 +45,9 @@ class Kept:
         Why it ended without having been asked to; empty if it was asked.
     recorder
         What the program is, for a sentence.
+    without
+        source_ids of the sensors that did not stream when it was begun all the same, which a person
+        has confirmed.
     """
 
     file: str
@@ -55,6 +58,7 @@ class Kept:
     code: int | None = None
     problem: str = ""
     recorder: str = LAB_RECORDER
+    without: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,4 +201,5 @@ def _kept(content: dict[str, Any]) -> Kept:
         code=None if code is None else int(code),
         problem=str(content["problem"]),
         recorder=str(content.get("recorder", LAB_RECORDER)),
+        without=tuple(str(each) for each in content.get("without", ())),
     )

@@ -69,7 +69,8 @@ def begin(
         failed.callback(_release, file)
         _require_space(file)
         what = predicate(wanted) if order.only_ours else EVERYTHING
-        kept = Kept(str(file), tuple(each.source_id for each in ours if each.source_id), 0.0)
+        required = tuple(each.source_id for each in ours if each.source_id)
+        kept = Kept(str(file), required, 0.0, without=tuple(sorted(presence.away_ids)))
         job = Job((file.name, what), kept)
         starter = _Starter(state, folder, job, lsl, begun + order.growth_s)
         missed, remarks = starter.start(wanted, ours)

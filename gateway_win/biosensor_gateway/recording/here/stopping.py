@@ -53,7 +53,7 @@ def end(folder: RecorderFolder) -> StoppedHere:
         streams=len(seen.streams),
         with_samples=len(seen.with_samples),
         took_s=took_s,
-        verdict=check(file, expected),
+        verdict=check(file, expected, kept.without),
         warnings=tuple(_warnings(kept)),
     )
 

@@ -86,6 +86,8 @@ class Presence:
         Who wears the devices of which there is a stream.
     away
         One sentence part a device that does not stream, by what the agent says.
+    away_ids
+        source_ids of all their streams.
     """
 
     visible: tuple[VisibleStream, ...]
@@ -93,6 +95,7 @@ class Presence:
     missing: tuple[str, ...]
     worn: tuple[Worn, ...] = ()
     away: tuple[str, ...] = ()
+    away_ids: frozenset[str] = frozenset()
 
 
 def expected_devices(settings: GatewaySettings, state: Path) -> tuple[ExpectedDevice, ...]:
@@ -163,6 +166,7 @@ def look(settings: GatewaySettings, expected: Sequence[ExpectedDevice], own_host
                       if not device.source_ids <= present),
         worn=tuple(device.worn for device in expected if device.source_ids & present),
         away=tuple(device.away for device in expected if device.away),
+        away_ids=frozenset[str]().union(*(e.source_ids for e in expected if e.away)),
     )  # fmt: skip
 
 

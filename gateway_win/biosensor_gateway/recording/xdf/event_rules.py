@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
 from biosensor_common.spec import DeviceIdentity
@@ -24,15 +24,24 @@ def tells_devices(recording: Recording) -> bool:
     return any(_states(each) for each in events)
 
 
-def judge_devices(streams: Sequence[Measured], extent: Extent) -> Iterator[Finding]:
-    """Say what was not recorded, or not to the end, of the devices that an agent had."""
+def judge_devices(
+    streams: Sequence[Measured], extent: Extent, without: Collection[str] = ()
+) -> Iterator[Finding]:
+    """Say what was not recorded, or not to the end, of the devices that an agent had.
+
+    Parameters
+    ----------
+    streams, extent
+    without
+        source_ids of those that a person has left out on purpose.
+    """
     for events in streams:
         if not events.stream.header.is_events:
             continue
         own = [each for each in streams if _is_beside(each, events)]
         yield from _left_out(own, events)
         yield from _removed(own, events, extent)
-        yield from _away(own, events, extent)
+        yield from _away(own, events, extent, without)
 
 
 def _is_beside(stream: Measured, events: Measured) -> bool:
@@ -76,7 +85,9 @@ def _removed(own: Sequence[Measured], events: Measured, extent: Extent) -> Itera
         yield Finding(Level.ERROR, "removed", "", text)
 
 
-def _away(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterator[Finding]:
+def _away(
+    own: Sequence[Measured], events: Measured, extent: Extent, without: Collection[str]
+) -> Iterator[Finding]:
     """Say of each recorded device when it was paused, or not connected."""
     for device, spells in _spells(events.stream.texts).items():
         streams = [each for each in own if _device(each) == device]
@@ -91,6 +102,9 @@ def _away(own: Sequence[Measured], events: Measured, extent: Extent) -> Iterator
         due = [each for each in streams if not each.stream.header.may_be_older] or streams
         if any(each.stream.sample_count for each in due):
             yield Finding(Level.WARNING, "away", "", f"{device}{who} was {said}")
+        elif any(each.stream.header.source_id in without for each in streams):
+            text = f"{device}{who} was {said}, and was left out on purpose: nothing of it is there"
+            yield Finding(Level.WARNING, "away", "", text)
         else:
             text = f"{device}{who} was {said}, and nothing of it was recorded"
             yield Finding(Level.ERROR, "away", "", text)

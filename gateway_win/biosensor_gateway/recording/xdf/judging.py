@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 from biosensor_gateway.recording.participants import Worn, compare, participant_of
 from biosensor_gateway.recording.xdf.agent_rules import compare_with_agent
@@ -21,8 +21,10 @@ _MOST_DAMAGES = 10
 _SEVERITY = list(Level)
 
 
-def judge(recording: Recording, expected: Sequence[ExpectedStream] = ()) -> Report:
-    """Measure every stream of a recording and say what is wrong."""
+def judge(
+    recording: Recording, expected: Sequence[ExpectedStream] = (), without: Collection[str] = ()
+) -> Report:
+    """Measure every stream of a recording and say what is wrong; see `check` of the verdict."""
     streams = [Measured(stream, measure(stream)) for stream in recording.streams]
     streams, findings = compare_with_agent(streams)
     length = extent(streams)
@@ -34,7 +36,7 @@ def judge(recording: Recording, expected: Sequence[ExpectedStream] = ()) -> Repo
         *_duplicates(streams),
         *_unaligned(streams),
         *_replayed(streams),
-        *judge_devices(streams, length),
+        *judge_devices(streams, length, without),
         *judge_robot_clocks(streams),
         *findings,
         *(finding for each in streams for finding in judge_stream(each, length)),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from enum import StrEnum, unique
 from pathlib import Path
@@ -61,15 +61,24 @@ class Verdict:
     findings: tuple[Finding, ...]
 
 
-def check(file: Path, expected: Sequence[ExpectedStream] = ()) -> Verdict:
+def check(
+    file: Path, expected: Sequence[ExpectedStream] = (), without: Collection[str] = ()
+) -> Verdict:
     """Read a recording and judge it.
+
+    Parameters
+    ----------
+    file
+    expected
+    without
+        source_ids of sensors that a person has left out on purpose.
 
     Raises
     ------
     RecordingError
         If there is no such file, it cannot be read, or it is no XDF file.
     """
-    return verdict(judge(read_recording(file), expected))
+    return verdict(judge(read_recording(file), expected, without))
 
 
 def verdict(report: Report) -> Verdict:

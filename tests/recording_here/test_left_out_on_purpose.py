@@ -1,0 +1,51 @@
+"""A recording that a person began without a sensor ends amber, and says that it was on purpose."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from biosensor_common.spec import DeviceIdentity
+from biosensor_gateway.recording.here import stopping
+from biosensor_gateway.recording.here.memory import Job, Kept, RecorderFolder
+from biosensor_gateway.recording.here.stopping import end
+from biosensor_gateway.recording.labrecorder.recording_file import glance
+from biosensor_gateway.recording.xdf.verdict import Colour, Verdict
+from tests.xdf.test_participants import heartbeat, recorded, strap
+
+AWAY = "polar_h10/A1 of P01 was paused the whole time, and "
+
+
+@pytest.fixture(autouse=True)
+def empty(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.xdf.test_participants.STAMPS", [])
+    # Nobody writes the file, so there is no need to wait until that has ended.
+    monkeypatch.setattr(stopping, "wait_until_closed", lambda file, *_: glance(file))
+
+
+def ended(folder: Path, *without: str) -> Verdict:
+    """End a recording in which a strap of P01 has sent nothing."""
+    file = folder / "sub-P01_ses-S001_task-Default_run-001_eeg.xdf"
+    other = DeviceIdentity("zephyr", "B", "P01")
+    events: list[object] = [heartbeat(polar_h10__A1="paused", zephyr__B="streaming")]
+    file.write_bytes(recorded(strap("P01"), other, events=events))
+    kept = Kept(str(file), (), started=1.0, ended=2.0, code=0, without=without)
+    recorder = RecorderFolder(folder)
+    recorder.give(Job((), kept), "")
+    recorder.keep(kept)
+    return end(recorder).verdict
+
+
+def test_it_is_amber_with_a_sentence(tmp_path: Path) -> None:
+    verdict = ended(tmp_path, "P01@polar_h10-hr", "P01@polar_h10-ecg")
+    texts = [each.text for each in verdict.findings if each.code == "away"]
+    assert texts == [f"{AWAY}was left out on purpose: nothing of it is there"]
+    assert verdict.colour is Colour.AMBER
+
+
+def test_without_a_word_of_a_person_it_is_red(tmp_path: Path) -> None:
+    verdict = ended(tmp_path, "P01@zephyr-hr")
+    texts = [each.text for each in verdict.findings if each.code == "away"]
+    assert texts == [f"{AWAY}nothing of it was recorded"]
+    assert verdict.colour is Colour.RED
