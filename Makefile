@@ -13,7 +13,7 @@
 # make changelog [VERSION=]  the fragments of changelog.d joined into CHANGELOG.md; shown without a version
 # make bench, make format, make lock
 SHELL := /bin/sh
-PYTHON_FILES := common gateway_win installer ros_side tests typings
+PYTHON_FILES := common gateway_win hatch_build.py installer ros_side tests typings
 RUN := .venv/bin/python -m
 SECONDS :=
 # The tests start thousands of programs. Where the environment forbids Python to keep what it has

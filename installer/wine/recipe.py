@@ -34,6 +34,8 @@ _LOCK = ROOT / "requirements" / "freeze.txt"
 _PRODUCT = (
     ROOT / "pyproject.toml",
     ROOT / "LICENSE",
+    ROOT / "README.md",
+    ROOT / "hatch_build.py",
     ROOT / "common" / "biosensor_common",
     ROOT / "gateway_win" / "biosensor_gateway",
 )

@@ -33,7 +33,7 @@ def test_it_shows_a_few_sensors_and_all_on_request() -> None:
 def test_a_recording_must_have_samples_of_what_is_measured_and_the_rest_must_be_there() -> None:
     expected = {
         each.name: each.must_have_samples
-        for each in expected_streams(_status("polar_h10"), {"polar_h10": "polar_h10"})
+        for each in expected_streams(_status("polar_h10"), {"polar_h10": "polar_h10"}, 10.0)
     }
     prefix = "polar_h10-virtual"
     assert all(expected[f"{prefix}-{each}"] for each in ("ecg", "acc", "hr", "ibi"))
@@ -43,7 +43,7 @@ def test_a_recording_must_have_samples_of_what_is_measured_and_the_rest_must_be_
 
 def test_what_a_device_cannot_fill_in_so_short_a_time_is_not_demanded() -> None:
     devices = {"empatica_e4": "empatica_e4"}
-    expected = {each.name: each for each in expected_streams(_status("empatica_e4"), devices)}
+    expected = {each.name: each for each in expected_streams(_status("empatica_e4"), devices, 10.0)}
     # Nobody presses its button.
     assert not expected["empatica_e4-virtual-tag"].must_have_samples
 

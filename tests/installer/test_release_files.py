@@ -77,17 +77,19 @@ def test_a_job_may_do_nothing_that_it_does_not_name(path: Path) -> None:
         assert "uses" in job or job["timeout-minutes"]
 
 
-def test_only_the_job_that_publishes_may_write() -> None:
+def test_only_the_jobs_that_publish_may_write() -> None:
     writers = {
         (name, job): rights["permissions"]
         for name in (path.stem for path in WORKFLOWS if path.stem != "docs")
         for job, rights in workflow(name)["jobs"].items()
         if rights["permissions"] != {"contents": "read"}
     }
-    publishing = {"contents": "write", "id-token": "write", "attestations": "write"}
-    assert writers == {("release", "release"): publishing}
-    # It runs nothing of the repository or of its dependencies.
-    assert not any("checkout" in step.get("uses", "") for step in steps("release", "release"))
+    releasing = {"contents": "write", "id-token": "write", "attestations": "write"}
+    publishing = {"contents": "read", "id-token": "write"}
+    assert writers == {("release", "release"): releasing, ("release", "publish"): publishing}
+    # They run nothing of the repository or of its dependencies.
+    for job in ("release", "publish"):
+        assert not any("checkout" in step.get("uses", "") for step in steps("release", job))
 
 
 def test_nothing_checked_out_keeps_the_token() -> None:
@@ -112,7 +114,11 @@ def test_a_release_is_made_of_tags_and_by_hand() -> None:
     loaded = workflow("release")
     assert loaded["on"] == {"push": {"tags": ["v*"]}, "workflow_dispatch": None}
     assert loaded["jobs"]["release"]["if"] == "startsWith(github.ref, 'refs/tags/v')"
-    assert loaded["jobs"]["release"]["needs"] == ["build", "nightly"]
+    assert loaded["jobs"]["release"]["needs"] == ["build", "packages", "nightly"]
+    # What is there can never be replaced, so it comes last.
+    assert loaded["jobs"]["publish"]["needs"] == "release"
+    assert loaded["jobs"]["publish"]["if"] == loaded["jobs"]["release"]["if"]
+    assert loaded["jobs"]["packages"]["needs"] == "check"
     assert loaded["jobs"]["nightly"]["uses"] == "./.github/workflows/nightly.yml"
     assert loaded["jobs"]["build"]["needs"] == "check"
 
@@ -162,10 +168,13 @@ def test_pull_requests_run_what_a_change_must_pass() -> None:
 def test_unit_tests_run_on_each_python_of_the_project() -> None:
     pythons = workflow("unit")["jobs"]["unit"]["strategy"]["matrix"]["python"]
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    allowed = SpecifierSet(project["requires-python"])
-    assert pythons == [f"3.{minor}" for minor in range(30) if f"3.{minor}" in allowed]
-    classifiers = [f"Programming Language :: Python :: {python}" for python in pythons]
-    assert [each for each in classifiers if each not in project["classifiers"]] == []
+    # No Python that comes later is shut out.
+    assert project["requires-python"] == f">={pythons[0]}"
+    minors = [int(each.removeprefix("3.")) for each in pythons]
+    assert minors == list(range(minors[0], minors[-1] + 1))
+    prefix = "Programming Language :: Python :: "
+    said = [each.removeprefix(prefix) for each in project["classifiers"] if prefix in each]
+    assert said == pythons
 
 
 def test_each_part_of_a_nightly_run_is_a_job_and_a_report_joins_them() -> None:

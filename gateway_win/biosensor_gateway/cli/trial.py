@@ -54,8 +54,8 @@ from biosensor_gateway.streaming.room import Room
 from biosensor_gateway.system.browser import open_page
 from biosensor_gateway.system.own_command import own_command
 
-RECORDED_S = 10.0
-_READY_S, _PAGE_S = 90.0, 60.0
+RECORDED_S, _LEAST_RECORDED_S = 10.0, 3.0
+_READY_S, _PAGE_S = 90.0, 90.0
 """What a slow computer may take."""
 _ASK_S = 0.2
 _LOOK_S = 5.0
@@ -79,6 +79,7 @@ class Trial:
 
     def __init__(self, folder: Path, seconds: float | None, *, opens: bool) -> None:
         self._kept, self._seconds, self._opens = folder, seconds, opens
+        self._recorded_s = min(RECORDED_S, max(_LEAST_RECORDED_S, seconds or RECORDED_S))
         self._settings = settings_or_defaults(None)
 
     def run(self, *, every: bool) -> int:
@@ -136,7 +137,7 @@ class Trial:
 
     def _say_address(self) -> None:
         deadline = time.monotonic() + _PAGE_S
-        while (answer := ask_for_window(self._state)) is None:
+        while (answer := self._ask_for_page()) is None:
             self._programs.require_running()
             if time.monotonic() > deadline:
                 message = f"the page has not started within {_PAGE_S:g} s; try it again"
@@ -148,6 +149,15 @@ class Trial:
         else:
             say("Open the page in a browser on this computer; the address is good once:")
             say(f"  {address}")
+
+    def _ask_for_page(self) -> Mapping[str, Any] | None:
+        try:
+            return ask_for_window(self._state)
+        except TransportError as error:
+            # It starts, which takes its time on a busy computer.
+            if error.reason is not TransportReason.SILENT:
+                raise
+            return None
 
     def _wait_until_ready(self) -> bool:
         deadline = time.monotonic() + _READY_S
@@ -165,13 +175,13 @@ class Trial:
 
     def _record(self, devices: Mapping[str, str]) -> bool:
         """Make a recording and its tables; return whether all that can be in it is in it."""
-        expected = [*expected_streams(running_status(self._state), devices)]
+        expected = [*expected_streams(running_status(self._state), devices, self._recorded_s)]
         order = Order(Place(self._kept), only_ours=True, allow_missing=True, without_away=True)
         started = self._recording.start(order, self._look, self._settings.lsl.overrides)
         for warning in started.warnings:
             say(f"! {warning}")
-        say(f"Recording for {RECORDED_S:g} s, as by the page's button ...")
-        self._wait(time.monotonic() + RECORDED_S)
+        say(f"Recording for {self._recorded_s:g} s, as by the page's button ...")
+        self._wait(time.monotonic() + self._recorded_s)
         file = self._recording.stop().file
         verdict = check(file, expected)
         print_verdict(verdict)
@@ -219,7 +229,7 @@ class Trial:
 
 
 def expected_streams(
-    status: Mapping[str, Any], devices: Mapping[str, str]
+    status: Mapping[str, Any], devices: Mapping[str, str], seconds: float
 ) -> Iterator[ExpectedStream]:
     """Yield what the first recording of an agent must have.
 
@@ -229,11 +239,13 @@ def expected_streams(
         The agent's.
     devices
         Its virtual devices by sensor, as ``run --simulate`` names them.
+    seconds
+        Its length.
     """
     for device in status["devices"]:
         parts = (device["sensor"], device["unit"], device["participant"], device["label"])
         identity = DeviceIdentity(*parts)
-        empty = unfilled_streams(devices[identity.sensor], RECORDED_S)
+        empty = unfilled_streams(devices[identity.sensor], seconds)
         states = {each.data_name for each in declaration(identity.sensor).streams if each.is_state}
         own = [DeclaredStream.model_validate(each) for each in device.get("declared", ())]
         for each in declared_streams(identity.sensor, own):
