@@ -1,7 +1,11 @@
-"""Makes the page of the package from README.md, whose links lead nowhere outside the repository.
+"""Makes the page of the package from README.md, and wheels for Linux that hold liblsl.
 
-The variable ``REPOSITORY_URL`` names the repository, as for the site of the documents. Without it
-the page has the words of the links, and no pictures: better than links to nowhere.
+The links of README.md lead nowhere outside of the repository. The variable ``REPOSITORY_URL``
+names it, as for the site of the documents. Without it the page has the words of the links, and no
+pictures: better than links to nowhere.
+
+The variable ``BIOSENSOR_GATEWAY_LIBLSL`` names a folder that ``python -m installer.liblsl`` has
+made, called after a processor; the wheel is then for that one.
 """
 
 from __future__ import annotations
@@ -11,10 +15,27 @@ import re
 from pathlib import Path
 from typing import Any
 
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 from hatchling.metadata.plugin.interface import MetadataHookInterface
 
 _LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
 _PLACEHOLDER = "REPOSITORY_URL"
+_LIBLSL, _LIBRARY = "BIOSENSOR_GATEWAY_LIBLSL", "biosensor_liblsl"
+
+
+class CustomBuildHook(BuildHookInterface[Any]):
+    """Puts liblsl into a wheel for one processor."""
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Say what is in the wheel and what it is for; nothing for an editable one."""
+        named = os.environ.get(_LIBLSL, "")
+        if not named or version != "standard":
+            return
+        folder = Path(named)
+        build_data["pure_python"] = False
+        # As old a glibc as the library needs.
+        build_data["tag"] = f"py3-none-manylinux_2_26_{folder.name}"
+        build_data["force_include"][str(folder / _LIBRARY)] = _LIBRARY
 
 
 class CustomMetadataHook(MetadataHookInterface):

@@ -29,6 +29,8 @@ python=$(sed -n 's/^PYTHON = "\(.*\)"$/\1/p' installer/layout.py)
 printf 'pyinstaller>=6.16\ncyclonedx-python-lib>=11\n' |
     lock freeze --python-platform x86_64-pc-windows-msvc --python-version "$python" \
         pyproject.toml - "$@"
+# Holds liblsl for Linux on ARM and with an older glibc; nothing else of it is used.
+echo 'mne-lsl>=1.14' | compile liblsl - --no-deps "$@"
 compile colcon requirements/colcon.in "$@"
 echo 'uv>=0.9' | compile uv - "$@"
 # Looks for known vulnerabilities of all of these: .github/workflows/advisories.yml.

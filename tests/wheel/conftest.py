@@ -31,9 +31,14 @@ def uv(
     return done.stdout
 
 
-def build(source: Path, folder: Path, option: str, repository: str = "") -> Path:
+def build(
+    source: Path, folder: Path, option: str, repository: str = "", liblsl: Path | None = None
+) -> Path:
     """Build one package of a source, ``--wheel`` or ``--sdist``; return it."""
-    known = {"REPOSITORY_URL": repository}
+    known = {
+        "REPOSITORY_URL": repository,
+        "BIOSENSOR_GATEWAY_LIBLSL": "" if liblsl is None else str(liblsl),
+    }
     uv("build", "--quiet", option, "--out-dir", folder, source, variables=known)
     (built,) = (each for each in folder.iterdir() if each.suffix in (".whl", ".gz"))
     return built
@@ -55,7 +60,7 @@ class Installed:
         self.upgrade(wheel)
 
     def upgrade(self, wheel: Path) -> None:
-        self._install("--no-deps", wheel)
+        self._install("--no-deps", "--reinstall", wheel)
 
     def _install(self, *what: str | Path) -> None:
         uv("pip", "install", "--quiet", "--python", self._environment / "bin" / "python", *what)

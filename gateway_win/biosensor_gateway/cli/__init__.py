@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 import sys
 import time
 from pathlib import Path
 from types import TracebackType
 from typing import TextIO
 
+from biosensor_common import liblsl
 from biosensor_common.open_files import raise_limit
 
 __all__ = ["main"]
@@ -39,6 +41,7 @@ def _run() -> None:
     _say_anything()
     # First, so that whatever is started from here inherits it.
     raise_limit()
+    liblsl.provide(os.environ)
     if len(sys.argv) == 1:
         _lead_after_a_double_click()
     if sys.argv[1:2] == [KEEP_RECORDING]:

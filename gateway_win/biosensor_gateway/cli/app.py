@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 from typer.core import TyperGroup
 
-from biosensor_common import open_files
+from biosensor_common import liblsl, open_files
 from biosensor_common.errors import ConfigError, GatewayError, SpecError, SpecReason
 from biosensor_gateway.cli.quick_help import QuickGroup
 from biosensor_gateway.cli.table import COMMANDS
@@ -50,8 +50,10 @@ def main() -> None:
         _fail(error, EXIT_USAGE if is_mistyped else EXIT_FAILED)
     except GatewayError as error:
         _fail(error, EXIT_FAILED)
-    except OSError as error:
-        sentence = refusal(error)
+    except (OSError, RuntimeError) as error:
+        sentence = liblsl.what_is_missing(error)
+        if not sentence and isinstance(error, OSError):
+            sentence = refusal(error)
         if not sentence:
             raise
         _fail(sentence, EXIT_FAILED)

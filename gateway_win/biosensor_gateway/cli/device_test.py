@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Sequence
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.markup import escape
@@ -15,10 +15,11 @@ from biosensor_common.quantities import Unit
 from biosensor_gateway.cli.chosen_devices import chosen_devices
 from biosensor_gateway.cli.options import JsonOption, SettingsOption
 from biosensor_gateway.cli.screen import console, say
-from biosensor_gateway.doctor import device_test
-from biosensor_gateway.doctor.device_test import DeviceTest
 from biosensor_gateway.settings.models import LogSettings
 from biosensor_gateway.system.logs import configure_logs
+
+if TYPE_CHECKING:
+    from biosensor_gateway.doctor.device_test import DeviceTest
 
 
 def test(
@@ -30,6 +31,8 @@ def test(
     as_json: JsonOption = False,
 ) -> None:
     """Connect to one device, show what it sends and what is wrong; nothing is streamed."""
+    from biosensor_gateway.doctor import device_test  # takes a second, and needs liblsl
+
     configure_logs(LogSettings(level="error"), None)
     with chosen_devices(settings, sensor if simulate else "") as configured:
         device = device_test.chosen_device(sensor, unit, configured)

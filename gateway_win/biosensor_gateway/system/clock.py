@@ -9,16 +9,11 @@ from __future__ import annotations
 
 import asyncio
 import ctypes
+from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Protocol, TypeVar
 
-from pylsl.lib import lib
-
 _T = TypeVar("_T")
-
-# pylsl's own call lets other threads of Python run meanwhile. This one takes 0.1 us and is asked
-# six times for each sample: to wait for one's turn again costs far more than it gives.
-_local_clock = ctypes.PYFUNCTYPE(ctypes.c_double)(("lsl_local_clock", lib))
 
 
 class Clock(Protocol):
@@ -40,9 +35,15 @@ class Clock(Protocol):
 class LslClock:
     """The time that LSL stamps with."""
 
+    def __init__(self) -> None:
+        self._now: Callable[[], float] | None = None
+
     def __call__(self) -> float:
         """Return the time now, in seconds."""
-        return _local_clock()
+        now = self._now
+        if now is None:
+            now = self._now = _local_clock()
+        return now()
 
     def new_event_loop(self) -> asyncio.AbstractEventLoop:
         """Make an event loop."""
@@ -51,6 +52,15 @@ class LslClock:
     def wait_for(self, future: Future[_T], limit_s: float) -> _T:
         """Block until another thread has the result; raise TimeoutError after `limit_s`."""
         return future.result(limit_s)
+
+
+def _local_clock() -> Callable[[], float]:
+    # Only now: settings and help do without LSL.
+    from pylsl.lib import lib
+
+    # pylsl's own call lets other threads of Python run meanwhile. This one takes 0.1 us and is
+    # asked six times for each sample: to wait for one's turn again costs far more than it gives.
+    return ctypes.PYFUNCTYPE(ctypes.c_double)(("lsl_local_clock", lib))
 
 
 LSL_CLOCK = LslClock()

@@ -6,6 +6,7 @@ import os
 import sys
 from importlib import import_module
 
+from biosensor_common import liblsl
 from biosensor_common.heap import limit_arenas
 from biosensor_common.open_files import raise_limit
 from lsl_to_ros.command_line import FURTHER, settle
@@ -15,11 +16,13 @@ def main() -> None:
     """Run the node until SIGINT or SIGTERM; exit code 0, or 2 for unusable settings."""
     raise_limit()
     limit_arenas(os.environ)
-    # A further process is started by the first one.
-    if sys.argv[1:2] != [FURTHER]:
-        settle("lsl_to_ros", sys.argv[1:], _usage)
-    # Not before: ROS's libraries begin threads when they are imported, whose arenas stay.
-    import_module("lsl_to_ros.application").run()
+    liblsl.provide(os.environ)
+    with liblsl.needed_by("lsl_to_ros"):
+        # A further process is started by the first one.
+        if sys.argv[1:2] != [FURTHER]:
+            settle("lsl_to_ros", sys.argv[1:], _usage)
+        # Not before: ROS's libraries begin threads when they are imported, whose arenas stay.
+        import_module("lsl_to_ros.application").run()
 
 
 def _usage() -> str:

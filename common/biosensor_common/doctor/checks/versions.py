@@ -10,6 +10,7 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from biosensor_common import liblsl
 from biosensor_common.doctor.context import Context
 from biosensor_common.doctor.finding import Finding, error, ok, warning
 from biosensor_common.doctor.guide import Guide
@@ -52,7 +53,7 @@ def _lsl(guide: Guide) -> Iterator[Finding]:
         yield error(
             f"pylsl cannot be used: {_first_line(problem)}",
             "Without the Lab Streaming Layer's library (liblsl) there are no streams.",
-            _missing_liblsl(guide),
+            liblsl.remedy(guide.install_pylsl),
         )
         return
     yield ok(f"pylsl {version('pylsl')}, {Path(pylsl.__file__).parent}")
@@ -88,16 +89,6 @@ def _version(name: str) -> str:
         return version(name)
     except PackageNotFoundError:
         return "of an unknown version"
-
-
-def _missing_liblsl(guide: Guide) -> str:
-    if sys.platform == "linux" and platform.machine() not in {"x86_64", "AMD64"}:
-        return (
-            "pylsl brings no liblsl for this processor: install it from "
-            "https://github.com/sccn/liblsl/releases or build it, then set PYLSL_LIB to the "
-            "path of liblsl.so"
-        )
-    return guide.install_pylsl
 
 
 def _first_line(problem: BaseException) -> str:

@@ -8,8 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import pylsl
-
 from biosensor_common import naming
 from biosensor_common.errors import ConfigError, ConfigReason
 from biosensor_common.spec import DeviceIdentity
@@ -21,7 +19,6 @@ from biosensor_gateway.devices.registry import declared
 from biosensor_gateway.recording.participants import Worn
 from biosensor_gateway.settings.models import GatewaySettings
 from biosensor_gateway.streaming.gateway import GATEWAY
-from biosensor_gateway.streaming.outlets import configure_lsl
 
 SEARCH_S = 2.0
 """Streams answer in waves; LabRecorder itself looks for one second."""
@@ -152,6 +149,8 @@ def look(settings: GatewaySettings, expected: Sequence[ExpectedDevice], own_host
     own_host
         Name of this computer, by which the agent's own streams are known.
     """
+    from biosensor_gateway.streaming.outlets import configure_lsl  # noqa: PLC0415 - as pylsl
+
     configure_lsl(settings.lsl.overrides)
     there = [device for device in expected if not device.away]
     needed = frozenset[str]().union(*(device.source_ids for device in expected))
@@ -171,6 +170,9 @@ def look(settings: GatewaySettings, expected: Sequence[ExpectedDevice], own_host
 
 
 def _search(needed: frozenset[str]) -> tuple[VisibleStream, ...]:
+    # Only now: help, and what was recorded, do without the library.
+    import pylsl  # noqa: PLC0415
+
     resolver = pylsl.ContinuousResolver(forget_after=2 * SEARCH_LIMIT_S)
     begun = time.monotonic()
     while True:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 
+from biosensor_common import liblsl
 from biosensor_common.doctor.context import Context
 from biosensor_common.doctor.report import as_json, as_text
 from biosensor_common.doctor.runner import run_checks
@@ -20,6 +22,7 @@ from lsl_to_ros.doctor.table import CHECKS
 def main() -> int:
     """Say what is wrong; the exit code is 1 if there are errors."""
     raise_limit()
+    liblsl.provide(os.environ)
     parser = argparse.ArgumentParser("python3 -m lsl_to_ros.doctor", description=__doc__)
     names = [check.name for check in CHECKS]
     parser.add_argument("--only", action="append", choices=names, help="run this check only")

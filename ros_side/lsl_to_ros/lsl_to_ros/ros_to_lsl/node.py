@@ -6,6 +6,7 @@ import os
 import sys
 from importlib import import_module
 
+from biosensor_common import liblsl
 from biosensor_common.heap import limit_arenas
 from biosensor_common.open_files import raise_limit
 from lsl_to_ros.command_line import settle
@@ -15,9 +16,11 @@ def main() -> None:
     """Run the node until SIGINT or SIGTERM; exit code 0, or 2 for unusable settings."""
     raise_limit()
     limit_arenas(os.environ)
-    # Not before: ROS's libraries begin threads when they are imported, whose arenas stay.
-    settle("ros_to_lsl", sys.argv[1:], _usage)
-    import_module("lsl_to_ros.ros_to_lsl.application").run()
+    liblsl.provide(os.environ)
+    with liblsl.needed_by("ros_to_lsl"):
+        # Not before: ROS's libraries begin threads when they are imported, whose arenas stay.
+        settle("ros_to_lsl", sys.argv[1:], _usage)
+        import_module("lsl_to_ros.ros_to_lsl.application").run()
 
 
 def _usage() -> str:
