@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from installer.layout import PROGRAM, WINDOWED
 from installer.wine.forwarder import forwarding_dll
 
 _QUIET = {
@@ -18,6 +19,10 @@ _QUIET = {
     "WINEDLLOVERRIDES": "mscoree,mshtml,wbemprox=;winemenubuilder.exe=d",
 }
 _OVERRIDES = r"HKCU\Software\Wine\DllOverrides"
+_OF_PROGRAM = r"HKCU\Software\Wine\AppDefaults\{}\DllOverrides"
+_PROGRAMS = (f"{PROGRAM}.exe", f"{WINDOWED}.exe", "LabRecorderCLI.exe")
+_CPP_RUNTIME = ("msvcp140", "vcruntime140", "vcruntime140_1")
+"""A fresh Windows has none of them."""
 
 
 class WineError(RuntimeError):
@@ -117,12 +122,16 @@ def windows_path(path: Path) -> str:
 
 
 def make_prefix(folder: Path, ucrtbase: bytes) -> Prefix:
-    """Make a Windows 10 in which a current CPython and numpy run.
+    """Make a fresh Windows 10 in which a current CPython and numpy run.
 
     Wine 8 lacks two things that they need; neither is ever shipped:
     functions of the C runtime, so Microsoft's own ``ucrtbase.dll`` goes in, and
     ``bcryptprimitives.dll``, of which Rust programs need one function that Wine has
     under an older name.
+
+    The programs that are shipped get no library of C++ but the one that they bring: Wine would
+    take its own in place of that, for which LabRecorder's program is too new (it takes a mutex
+    that was never initialised for one that was), so that it crashed or hung.
     """
     prefix = Prefix(folder)
     prefix.run("wineboot", "-i")
@@ -133,5 +142,9 @@ def make_prefix(folder: Path, ucrtbase: bytes) -> Prefix:
     random = forwarding_dll("bcryptprimitives.dll", {"ProcessPrng": "advapi32.SystemFunction036"})
     (system / "bcryptprimitives.dll").write_bytes(random)
     prefix.run("reg", "add", _OVERRIDES, "/v", "ucrtbase", "/d", "native,builtin", "/f")
+    for program in _PROGRAMS:
+        for library in _CPP_RUNTIME:
+            key = _OF_PROGRAM.format(program)
+            prefix.run("reg", "add", key, "/v", library, "/d", "native", "/f")
     prefix.settle()
     return prefix

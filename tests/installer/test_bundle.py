@@ -8,6 +8,7 @@ import re
 import zipfile
 from collections.abc import Iterator
 from datetime import datetime
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any, cast
 
@@ -16,10 +17,12 @@ from cyclonedx.schema import SchemaVersion
 from cyclonedx.validation.json import JsonStrictValidator
 
 from biosensor_gateway.cli.table import COMMANDS
+from installer.bundle import known
 from installer.bundle.archive import read_archive
 from installer.bundle.forbidden import refuse_forbidden
 from installer.bundle.sbom import FILE_NAME, LICENCE_TEXT, MODULE
 from installer.layout import BIN, PROGRAM, PUBLISHER, PYTHON, ROOT, portable_file, version
+from tests.rigs.windows.imports import imported
 
 pytestmark = pytest.mark.system
 
@@ -180,3 +183,24 @@ def test_the_lsl_library_is_there(files: list[str]) -> None:
 
 def test_it_is_no_larger_than_allowed(bundle: Path, files: list[str]) -> None:
     assert sum((bundle / path).stat().st_size for path in files) <= MOST_BYTES
+
+
+def test_the_library_of_c_comes_along_for_each_binary_that_asks_for_it(bundle: Path) -> None:
+    """A fresh Windows has none of it, nor has any other program to bring it."""
+    programs = bundle / BIN
+    everywhere = {each.name.lower() for each in (programs / "_internal").iterdir()}
+    wanted: dict[str, set[str]] = {}
+    for binary in programs.rglob("*"):
+        if binary.suffix.lower() in {".dll", ".exe", ".pyd"}:
+            beside = {each.name.lower() for each in binary.parent.iterdir()}
+            runtime = {
+                name
+                for name in imported(binary)
+                if any(fnmatch(name, pattern) for pattern in known.VC_RUNTIME_FILES)
+            }
+            wanted[binary.name] = runtime
+            # A package has its own below a name that nobody else has.
+            elsewhere = {each for each in runtime if re.search(r"-[0-9a-f]{32}", each)}
+            assert runtime - elsewhere <= beside | everywhere, (binary, runtime)
+    assert "msvcp140.dll" in wanted["lsl.dll"]
+    assert "msvcp140.dll" in wanted["LabRecorderCLI.exe"]

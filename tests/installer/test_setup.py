@@ -114,7 +114,7 @@ def test_windows_lists_it_among_the_installed_programs(registry: Registry, bundl
         "publisher": PUBLISHER,
         "installlocation": DEFAULT_FOLDER,
         "uninstallstring": f'"{UNINSTALLER}"',
-        "quietuninstallstring": f'"{UNINSTALLER}" /S',
+        "quietuninstallstring": f'"{UNINSTALLER}" /S _?={DEFAULT_FOLDER}',
         "nomodify": 1,
         "norepair": 1,
     }
