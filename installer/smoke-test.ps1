@@ -204,7 +204,7 @@ function Get-Silent {
 }
 
 function Test-Settings {
-    # Write and check a settings file; return the sensors that it knows.
+    # Write and check a settings file; return the sensors that it offers.
     Invoke-Gateway 'config', 'init' | Out-Host
     Invoke-Gateway 'config', 'check' | Out-Host
     $known = Select-String -LiteralPath $env:BIOSENSOR_GATEWAY_SETTINGS -Pattern '^#sensor = "(\w+)"'
@@ -229,8 +229,9 @@ function Test-Recording {
 }
 
 function Test-Streaming {
-    # All virtual sensors must stream, go on streaming, and end when they are told to.
-    param([string[]] $Sensors, [string] $Logs)
+    # All virtual sensors must stream, go on streaming, and end when they are told to. Returns
+    # which they are: not every sensor that is offered has one.
+    param([string[]] $Offered, [string] $Logs)
     $redirected = @{
         RedirectStandardOutput = Join-Path $Logs 'run.out'
         RedirectStandardError  = Join-Path $Logs 'run.err'
@@ -239,17 +240,22 @@ function Test-Streaming {
     # Without this, .NET forgets the exit code.
     $null = $agent.Handle
     try {
-        $none = @{}
-        $Sensors | ForEach-Object { $none[$_] = 0 }
-        Wait-Until { @(Get-Silent $Sensors $none).Count -eq 0 } 90 'After 90 s some virtual sensor has not sent a sample.'
+        Wait-Until { (Get-SampleCounts).Count -gt 0 } 60 'After 60 s the agent has not said what it streams.'
+        $none = Get-SampleCounts
+        $sensors = @($none.Keys)
+        $unknown = @($sensors | Where-Object { $Offered -notcontains $_ })
+        Assert-That ($unknown.Count -eq 0) "The settings file that config init wrote lacks $($unknown -join ', ')."
+        $sensors | ForEach-Object { $none[$_] = 0 }
+        Wait-Until { @(Get-Silent $sensors $none).Count -eq 0 } 90 'After 90 s some virtual sensor has not sent a sample.'
         $before = Get-SampleCounts
         Start-Sleep -Seconds $StreamingSeconds
-        $silent = @(Get-Silent $Sensors $before)
+        $silent = @(Get-Silent $sensors $before)
         Assert-That ($silent.Count -eq 0) "Within $StreamingSeconds s no sample came from: $($silent -join ', ')."
         Test-Recording (Join-Path $Logs 'recordings')
         Invoke-Gateway 'stop' | Out-Host
         Assert-That ($agent.WaitForExit(30000)) 'The agent runs on 30 s after stop.'
         Assert-That ($agent.ExitCode -eq 0) "The agent that was stopped ended with exit code $($agent.ExitCode)."
+        return $sensors
     }
     catch {
         Get-Content -LiteralPath @($redirected.Values) -ErrorAction SilentlyContinue | Out-Host
@@ -270,9 +276,9 @@ function Test-Program {
     $env:BIOSENSOR_GATEWAY_STATE = $temporary
     $env:BIOSENSOR_GATEWAY_LSL__SESSION_ID = "smoke-test-$PID"
     try {
-        $sensors = Test-Settings
+        $offered = Test-Settings
         Write-Host 'ok: config init and config check'
-        Test-Streaming $sensors $temporary
+        $sensors = Test-Streaming $offered $temporary
         Write-Host "ok: samples of $($sensors -join ', '), a green recording of them, and stop"
     }
     finally {

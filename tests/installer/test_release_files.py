@@ -16,6 +16,7 @@ import pytest
 from packaging.specifiers import SpecifierSet
 from ruamel.yaml import YAML
 
+from biosensor_gateway.demo.virtual_devices import one_of_each
 from biosensor_gateway.devices.registry import sensor_names, settings_models
 from biosensor_gateway.recording.here import starting
 from biosensor_gateway.recording.here.results import StartedHere, StoppedHere
@@ -315,6 +316,9 @@ def test_the_smoke_test_finds_every_sensor_in_a_new_settings_file() -> None:
     (pattern,) = re.findall(r"-Pattern '(.+)'", SMOKE_TEST)
     found = re.findall(pattern, template(settings_models()), re.MULTILINE)
     assert sorted(found) == sorted(sensor_names())
+    # Not each has a usual virtual device, so what streams is asked of the agent.
+    assert set(one_of_each()) < set(found)
+    assert "$sensors = @($none.Keys)" in SMOKE_TEST
 
 
 def test_the_smoke_test_wants_a_green_recording_of_labrecorder() -> None:
