@@ -327,3 +327,20 @@ def test_it_goes_on_with_an_outlet_that_was_started_again(tmp_path: Path) -> Non
     (stream,) = contents(file).values()
     values = [float(np.frombuffer(value, np.float32)[0]) for _, value in stream.samples]
     assert values == [float(each) for each in range(20)]
+
+
+def test_it_looks_as_long_as_other_streams_come(tmp_path: Path) -> None:
+    outlets: list[pylsl.StreamOutlet] = []
+
+    def appear() -> None:
+        for number in range(10):
+            info = pylsl.StreamInfo(f"late {number}", "EEG", 1, 0, "float32", f"late-{number}")
+            outlets.append(pylsl.StreamOutlet(info))
+            time.sleep(0.6)
+
+    appearing = threading.Thread(target=appear)
+    appearing.start()
+    file = tmp_path / "late.xdf"
+    with own_recorder(file):
+        appearing.join()
+    assert len(contents(file)) == len(outlets) == 10

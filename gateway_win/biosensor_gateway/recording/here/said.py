@@ -54,7 +54,9 @@ class Said:
     @property
     def end(self) -> str:
         """Its last words, for a sentence."""
-        words = " / ".join(line.strip() for line in self._text.splitlines() if line.strip())
+        # With another library of C++ than its own it was seen to print memory between its words.
+        text = "".join(each for each in self._text if each.isprintable() or each.isspace())
+        words = " / ".join(line.strip() for line in text.splitlines() if line.strip())
         return words[-_MOST_SAID:] or "nothing"
 
 

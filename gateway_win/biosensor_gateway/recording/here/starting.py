@@ -72,7 +72,7 @@ def begin(
         required = tuple(each.source_id for each in ours if each.source_id)
         kept = Kept(str(file), required, 0.0, without=tuple(sorted(presence.away_ids)))
         job = Job((file.name, what), kept)
-        starter = _Starter(state, folder, job, lsl, begun + order.growth_s)
+        starter = _Starter(state, folder, job, lsl, order.growth_s)
         missed, remarks = starter.start(wanted, ours)
         failed.pop_all()
     recorded = tuple(each for each in wanted if each not in missed)
@@ -98,11 +98,11 @@ class _Starter:
     """
 
     def __init__(
-        self, state: Path, folder: RecorderFolder, job: Job, lsl: LslOverrides, deadline: float
+        self, state: Path, folder: RecorderFolder, job: Job, lsl: LslOverrides, growth_s: float
     ) -> None:
         self._state, self._folder, self._job = state, folder, job
         self._config = effective_config(user_config_file(os.environ, Path.home(), Path.cwd()), lsl)
-        self._deadline = deadline
+        self._growth_s = growth_s
 
     def start(
         self, wanted: tuple[VisibleStream, ...], required: tuple[VisibleStream, ...]
@@ -133,7 +133,7 @@ class _Starter:
         required: tuple[VisibleStream, ...],
     ) -> tuple[VisibleStream, ...]:
         # Some tries, if streams are missed; each may take as long.
-        until = min(time.monotonic() + WAY_S, self._deadline)
+        until = time.monotonic() + min(WAY_S, self._growth_s)
         while True:
             self._launch(way)
             with contextlib.ExitStack() as failed:

@@ -30,7 +30,9 @@ TAKE_EVERY_S = 0.02
 """What liblsl has and nobody has taken is gone with the outlet that sent it."""
 FLUSH_EVERY_S = 0.5
 BOUNDARY_EVERY_S = 10.0
-_SEARCH_S, _MOST_STREAMS = 2.0, 1 << 16
+_QUIET_S, _LONGEST_S = 2.0, 10.0
+"""It looks until no other stream has come for so long, and for so long at most."""
+_LOOK_EVERY_S = 0.1
 _OPEN_S = 8.0
 _OPENED_AT_ONCE = 32
 _LAST_S = 0.2
@@ -139,13 +141,27 @@ class _Recorder:
 
     def _opened(self) -> list[ReceivedStream]:
         """Open all that there are; those that do not answer are as if they were not there."""
-        infos = pylsl.resolve_bypred(self._predicate, _MOST_STREAMS, _SEARCH_S)
-        found = {info.uid(): info for info in infos}.values()
+        found = self._found()
         opened = list(self._pool.map(self._open, range(1, len(found) + 1), found))
         streams = [each for each in opened if each is not None]
         for each in streams:
             _say(f"Found {each.title} matching '{self._predicate}'")
         return streams
+
+    def _found(self) -> list[pylsl.StreamInfo]:
+        """Look for streams; of many, on a busy computer, some answer late."""
+        resolver = pylsl.ContinuousResolver(pred=self._predicate)
+        found: dict[str, pylsl.StreamInfo] = {}
+        begun = last_new = time.monotonic()
+        while True:
+            now = time.monotonic()
+            infos = {info.uid(): info for info in resolver.results()}
+            if infos.keys() - found.keys():
+                last_new = now
+            found |= infos
+            if now >= min(last_new + _QUIET_S, begun + _LONGEST_S):
+                return list(found.values())
+            time.sleep(_LOOK_EVERY_S)
 
     def _open(self, number: int, info: pylsl.StreamInfo) -> ReceivedStream | None:
         try:

@@ -1,0 +1,14 @@
+"""What is understood of the words of a program that records."""
+
+from __future__ import annotations
+
+from biosensor_gateway.recording.here.said import Said
+
+
+def test_the_last_words_have_no_letters_that_nobody_can_read() -> None:
+    said = Said("Found a@pc matching 'x'\r\n\0\0\0\x07Started data collection for stream a.\r\n\0")
+    assert said.end == "Found a@pc matching 'x' / Started data collection for stream a."
+
+
+def test_nothing_is_said_of_one_that_said_nothing() -> None:
+    assert Said("\0\0\r\n").end == "nothing"
