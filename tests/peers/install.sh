@@ -18,9 +18,11 @@ export UV_PYTHON_DOWNLOADS=never UV_LINK_MODE=copy UV_SYSTEM_CERTS=1
 .uv/bin/uv venv --quiet --clear --python .venv/bin/python .venv-peers
 .uv/bin/uv pip install --quiet --python .venv-peers/bin/python \
     --require-hashes --only-binary :all: -r "$lock"
-# Under the GPL, so in no lock of the project: test programs, here and nowhere else.
+# Under the GPL (of docutils only an editor's file, which its wheel does not have), so in no lock of
+# the project: test programs, here and nowhere else.
 .uv/bin/uv pip install --quiet --python .venv-peers/bin/python \
     --no-deps --require-hashes --only-binary :all: -r - <<'GPL'
+docutils==0.23 --hash=sha256:25d013af9bf23bc1c7b2b093dff4208166c53a94786c9e447808335ef1185fea --hash=sha256:746f5060322511280a1e50eb76846ed6bf2342984b2ac04dc42caa1a8d78799e
 godirect==1.2.1 --hash=sha256:79e31737fede29c011945f031b450cc70ad5c49e7beef2e2c35e50dbba814ffd --hash=sha256:d8fac756cd782659a6ae11e0abb1c8d80924bdb2d08d8edffca5fcaa5f8a2201
 pyshimmer==1.0.0 --hash=sha256:de8fafbcd43a9dc4749bedb8ccad6461bda709246c8e6bbc4b89e28f38a29893 --hash=sha256:fd5393d6346d04c53d4b64c9c4268415f48492828b467b4ab1ee0d5948b83e50
 GPL

@@ -16,6 +16,7 @@ from tests.wheel.conftest import ROOT, UV, Installed, build, users, uv
 
 pytestmark = [pytest.mark.nightly, pytest.mark.timeout(600)]
 
+PEERS = ROOT / ".venv-peers/bin/python"
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 
 
@@ -23,7 +24,7 @@ PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 def test_a_package_index_would_take_it(tmp_path: Path, repository: str) -> None:
     built = [build(ROOT, tmp_path / kind, f"--{kind}", repository) for kind in ("wheel", "sdist")]
     done = subprocess.run(
-        [sys.executable, "-m", "twine", "check", "--strict", *built],
+        [PEERS, "-m", "twine", "check", "--strict", *built],
         capture_output=True,
         text=True,
         check=False,
