@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from itertools import accumulate
 
 import numpy as np
@@ -47,14 +47,16 @@ def _counted_each_second(*, lost: int = 0, more: int = 0) -> list[dict[str, Coun
     ]
 
 
-def _file(stamps: list[float], counted: list[Mapping[str, Counters]] | None) -> bytes:
+def _file(
+    stamps: list[float], counted: list[Mapping[str, Counters]] | None, off: Collection[str] = ()
+) -> bytes:
     parts = [
         own_header(1, STRAP, "ecg"),
         x.samples(1, "float32", [[1.0]] * len(stamps), [*stamps]) if stamps else b"",
         _end(1, len(stamps)),
     ]
     if counted is not None:
-        texts = [[counters_text(counters)] for counters in counted]
+        texts = [[counters_text(counters, off=off)] for counters in counted]
         times = [1001.0 + k for k in range(len(texts))]
         parts += [own_header(2, AGENT, "counters"), x.samples(2, "string", texts, times)]
         parts += [_end(2, len(texts))]
@@ -91,6 +93,21 @@ def test_pushed_and_nothing_recorded() -> None:
     report = check(_file([], [*_counted_each_second()]))
     name = lsl_name(STRAP, "ecg")
     assert ("not-recorded", name) in codes(report, Level.ERROR)
+
+
+def test_what_the_settings_switch_off_is_not_missing() -> None:
+    counted = [{ECG: Counters()} for _ in range(SECONDS)]
+    report = check(_file([], [*counted], off={ECG}))
+    assert report.is_good
+    assert codes(report) == {("off", lsl_name(STRAP, "ecg"))}
+    assert codes(check(_file([], [*counted])), Level.ERROR) == {
+        ("no-samples", lsl_name(STRAP, "ecg"))
+    }
+
+
+def test_what_was_pushed_is_missing_also_where_it_was_switched_off() -> None:
+    report = check(_file([], [*_counted_each_second()], off={ECG}))
+    assert ("not-recorded", lsl_name(STRAP, "ecg")) in codes(report, Level.ERROR)
 
 
 def test_without_counters_it_says_so() -> None:

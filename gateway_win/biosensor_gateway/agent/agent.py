@@ -315,7 +315,8 @@ class Agent:
                 device.sink.release()
                 merged |= device.sink.counters
             outlet.push_text(
-                counters_text(merged, self._clocks(), self._refused()), pylsl.local_clock()
+                counters_text(merged, self._clocks(), self._refused(), self._off()),
+                pylsl.local_clock(),
             )
             own = (announcer.refusals, self._markers.refusals)
             virtual = self._reloading.is_virtual
@@ -331,6 +332,9 @@ class Agent:
             # After a computer's sleep the missed reports are not made up for.
             due = max(due + REPORT_INTERVAL_S, loop.time())
             await asyncio.sleep(max(0.0, due - loop.time()))
+
+    def _off(self) -> set[str]:
+        return {source for device in self.devices for source in device.sink.off}
 
     def _refused(self) -> dict[str, list[str]]:
         """Say what is not passed on now, but nothing of a pause: what it withholds tells beats."""

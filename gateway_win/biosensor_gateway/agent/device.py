@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from math import isfinite
 
-from biosensor_common import naming
 from biosensor_common.device_clock import ClockState
 from biosensor_gateway.agent.pauses.selection import device_name
 from biosensor_gateway.agent.status import (
@@ -109,12 +108,12 @@ def _clock_status(state: ClockState) -> ClockStatus | None:
 
 
 def _stream_status(sink: DeviceSink) -> dict[str, StreamStatus]:
-    silent = {naming.source_id(sink.identity, data_name) for data_name in sink.silent}
+    off = sink.off
     return {
         source: StreamStatus(
             **asdict(counters),
             nominal_hz=sink.nominal_rates[source],
-            silent=source in silent,
+            silent=source in off,
             refusals=RefusedStatus.of(sink.refused[source]),
         )
         for source, counters in sink.counters.items()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from biosensor_common.device_clock import ClockState
@@ -42,11 +42,13 @@ def counters_text(
     counters: Mapping[str, Counters],
     clocks: Mapping[str, ClockState] | None = None,
     refused: Mapping[str, Sequence[str]] | None = None,
+    off: Collection[str] = (),
 ) -> str:
     """Sample of the ``counters`` stream: JSON, by source_id.
 
     A device's clock is in the entry of one of its streams, if it has one. So are sentences of what
-    is not passed on as it came, in those streams of which there is any now.
+    is not passed on as it came, in those streams of which there is any now. Streams that are *off*,
+    because the settings or the model of the device have none, say so: nothing of them is missing.
 
     The node compares ``pushed`` with what it pulled up to ``last_stamp``. What a pause
     withholds is not told: the number of beats in a second is a heart rate.
@@ -59,6 +61,7 @@ def counters_text(
                 "last_stamp": c.last_stamp,
                 **_clock_entry((clocks or {}).get(source_id)),
                 **_refused_entry((refused or {}).get(source_id, ())),
+                **({"off": True} if source_id in off else {}),
             }
             for source_id, c in counters.items()
         },

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from biosensor_common.clocks import MonotonicStamps
 from biosensor_common.device_clock import ClockState, DeviceClock
+from biosensor_common.naming import source_id
 from biosensor_common.refusal import Refusal
 from biosensor_common.refusals import Refusals
 from biosensor_common.spec import DeviceIdentity, DeviceInfo, SensorSpec
@@ -94,6 +95,11 @@ class DeviceSink:
     def refused(self) -> dict[str, Refusals]:
         """What of each stream was not passed on as it came, by source_id."""
         return self._outlets.refusals
+
+    @property
+    def off(self) -> set[str]:
+        """Return the streams that the settings or the model have none of, by source_id."""
+        return {source_id(self.identity, data_name) for data_name in self.silent}
 
     @property
     def clock_state(self) -> ClockState:

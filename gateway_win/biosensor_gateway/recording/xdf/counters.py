@@ -28,6 +28,7 @@ class Reading(NamedTuple):
     pushed: int
     lost: int
     last_stamp: float
+    is_off: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +45,15 @@ class RecordedCounters:
         Samples that the agent counted as lost before LSL while it was recorded.
     restarts
         How often the agent began to count anew.
+    is_off
+        The settings or the model of the device have no such data.
     """
 
     pushed: int
     held: int
     lost: int
     restarts: int = 0
+    is_off: bool = False
 
 
 def parse_readings(texts: Iterable[str]) -> tuple[dict[str, list[Reading]], int]:
@@ -78,7 +82,12 @@ def parse_readings(texts: Iterable[str]) -> tuple[dict[str, list[Reading]], int]
 def _entries(text: str) -> dict[str, Reading]:
     content = cast("Mapping[str, Mapping[str, Any]]", json.loads(text))
     entries = {
-        source_id: Reading(int(entry["pushed"]), int(entry["lost"]), float(entry["last_stamp"]))
+        source_id: Reading(
+            int(entry["pushed"]),
+            int(entry["lost"]),
+            float(entry["last_stamp"]),
+            entry.get("off") is True,
+        )
         for source_id, entry in content.items()
     }
     if not all(np.isfinite(reading.last_stamp) for reading in entries.values()):
@@ -112,6 +121,7 @@ def compare(
         held=sum(part.held for part in parts),
         lost=sum(part.lost for part in parts),
         restarts=len(runs) - 1,
+        is_off=readings[-1].is_off,
     )
 
 

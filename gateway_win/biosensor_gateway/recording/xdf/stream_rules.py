@@ -63,7 +63,10 @@ def _samples(measured: Measured, _extent: Extent) -> Iterator[Verdict]:
     header = measured.stream.header
     if measured.stream.sample_count:
         return
-    if header.is_regular:
+    if measured.counters is not None and measured.counters.is_off:
+        text = "it is switched off in the settings, or this model of the device has no such data"
+        yield Level.NOTE, "off", text
+    elif header.is_regular:
         text = f"it should have {header.rate:g} samples a second and holds none"
         yield Level.ERROR, "no-samples", text
     elif header.content_type == "Markers":
