@@ -23,7 +23,7 @@ from biosensor_common.topic_text import read_counters
 from biosensor_gateway.agent import status_file
 from biosensor_gateway.agent.agent import snapshot
 from biosensor_gateway.devices.registry import declaration
-from biosensor_gateway.recording.xdf.counters import parse_readings
+from biosensor_gateway.recording.xdf.counters import Reading, parse_readings
 from biosensor_gateway.streaming.counters import Counters, counters_text
 from biosensor_gateway.streaming.sink import DeviceSink
 
@@ -180,4 +180,4 @@ def test_readers_of_the_counters_are_not_disturbed_by_it() -> None:
     assert (entry["pushed"], entry["lost"], entry["last_stamp"]) == (5, 4, 2.5)
     readings, unreadable = parse_readings([text])
     assert (unreadable, list(readings)) == (0, ["a-1-x"])
-    assert readings["a-1-x"][0] == (5, 4, 2.5)
+    assert readings["a-1-x"] == [Reading(5, 4, 2.5)]

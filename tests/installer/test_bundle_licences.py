@@ -60,7 +60,8 @@ def test_every_dependency_may_be_shipped() -> None:
     lock = (ROOT / "requirements" / "gateway.txt").read_text(encoding="utf-8")
     wanted = {normalised(name) for name in re.findall(r"^([\w.-]+)==", lock, re.MULTILINE)}
     here = read_distributions((Path(sysconfig.get_path("purelib")),))
-    ours = [each for each in here if each.name in wanted]
+    # Bumble names them for radios that it drives itself; the installer leaves them out.
+    ours = [each for each in here if each.name in wanted - {"libusb-package", "libusb1"}]
     assert len(ours) > len(wanted) / 2
     for each in ours:
         licence = normalise(known.LICENCES.get(each.name) or declared(each))

@@ -63,7 +63,9 @@ class Oscillator:
         self._rate_hz, self._late_s = rate_hz, late_s
         self._nominal_s = 1 / rate_hz
         self._period_s = period_s or self._nominal_s
+        # nothing is dropped: these are times, not samples
         self._points: deque[Point] = deque(maxlen=POINTS)
+        # nothing is dropped: nor are these
         self._line: deque[tuple[int, float]] = deque(maxlen=_KEPT)
 
     def anew(self) -> Oscillator:
@@ -74,13 +76,13 @@ class Oscillator:
         """Note when a sample was read, which is behind all before; *count* came with it."""
         if not self._line:
             self._begin(index, count, read_s)
-            return
+            return  # nothing is dropped: the line begins with it
         read_s -= self._late_s
         before, before_s = self._line[-1]
         expected_s = before_s + (index - before) * self._period_s
         if index - before > count and abs(read_s - expected_s) > AGREES_S:
             self.restart(index, count, read_s + self._late_s)
-            return
+            return  # nothing is dropped: a new line begins with it
         gain = GAIN_SETTLED if self._span_s > SETTLED_S else GAIN
         end_s = expected_s + gain * (read_s - expected_s)
         if index - before > count:
@@ -127,7 +129,7 @@ class Oscillator:
 
     def _note(self, index: int, read_s: float) -> None:
         if self._points and read_s < self._points[-1][1] + POINT_EVERY_S:
-            return
+            return  # nothing is dropped: a time that the rate needs no point of
         self._points.append((index, read_s))
         if self._span_s > LEAST_S:
             indices, times = zip(*self._points, strict=True)

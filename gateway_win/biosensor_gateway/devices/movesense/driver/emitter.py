@@ -97,6 +97,7 @@ class PacketSeries:
     def __init__(self, nominal_hz: float) -> None:
         self._nominal_hz = nominal_hz
         self._nominal_s = 1 / nominal_hz
+        # nothing is dropped: these are stamps of packets that have been emitted
         self._stamps: deque[tuple[int, float]] = deque(maxlen=WINDOW_PACKETS)
         self._index = 0
         self._next_s: float | None = None

@@ -66,6 +66,7 @@ class PulseRate:
 
     def __init__(self, rate_hz: float) -> None:
         self._rate_hz = rate_hz
+        # nothing is dropped: of these the median is taken
         self._intervals: deque[float] = deque(maxlen=INTERVALS_KEPT)
         self._restart()
 
@@ -84,7 +85,7 @@ class PulseRate:
         self._latest_s = time_s
         found = self._pulses.take(time_s, millivolts)
         if self._pulses.height < SMALLEST_PEAK_MV:
-            return []
+            return []  # nothing is dropped: the wave itself is emitted
         return [rate for beat in found for rate in self._beat(beat.apex_s)]
 
     def found(self, time_s: float) -> bool:
@@ -106,12 +107,12 @@ class PulseRate:
         self._last_beat_s = peak_s
         if interval_s > LONGEST_INTERVAL_S:
             self._intervals.clear()
-            return []
+            return []  # nothing is dropped: the first beat after a pause ends no interval
         if not self._fits(interval_s):
             self._misfits += 1
             if self._misfits >= MISFITS_TOLERATED:
                 self._intervals.clear()
-            return []
+            return []  # nothing is dropped: the wave is emitted, and this is no beat of it
         self._misfits = 0
         self._intervals.append(interval_s)
         return [HeartRate(peak_s, 60 / median(self._intervals))] if self._has_rate else []

@@ -48,7 +48,9 @@ class _Fit:
     """
 
     def __init__(self, period_s: float) -> None:
+        # nothing is dropped: these are copies, of which the quality is told
         self._breath: deque[float] = deque(maxlen=max(1, round(JUDGED_S / period_s)))
+        # nothing is dropped: these, too
         self._still: deque[float] = deque(maxlen=max(2, round(FLAT_FOR_S / period_s)))
 
     def add(self, forces: Iterable[float]) -> None:
