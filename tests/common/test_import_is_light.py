@@ -16,8 +16,11 @@ from importlib import import_module
 from pkgutil import walk_packages
 import biosensor_common
 for module in walk_packages(biosensor_common.__path__, "biosensor_common."):
-    # The one is a part of a program of its own, which asks LSL; the others are of pylsl's kind.
-    if module.name.partition(".")[2] not in ("doctor.survey", "lsl.inlets", "lsl_outlet"):
+    # Of a program of its own, which asks LSL; of pylsl's kind; bytes of messages from arrays.
+    if module.name.partition(".")[2] not in (
+        "doctor.survey", "lsl.inlets", "lsl_outlet",
+        "ros.cdr", "ros.numbers", "ros.standard_messages", "ros.texts",
+    ):
         import_module(module.name)
 print(*sys.modules)
 """
