@@ -18,6 +18,7 @@ from biosensor_common.errors import GatewayError, ProtocolError, TransportError
 from biosensor_gateway.devices.brainflow.declaration import board_spec, board_streams
 from biosensor_gateway.devices.brainflow.driver import process as process_module
 from biosensor_gateway.devices.brainflow.driver.driver import DRIVER
+from biosensor_gateway.devices.brainflow.driver.settings import BrainFlowSettings
 from tests.brainflow.conftest import ENVIRONMENT, BoardRun, board_settings
 from tests.rigs.driver_run import NotedSink, supervised
 from tests.rigs.polling import until
@@ -94,9 +95,12 @@ async def test_a_process_that_is_killed_or_hangs_is_replaced(
     started: list[subprocess.Popen[bytes]] = []
     real = process_module.start
 
-    def noted(*arguments: object) -> subprocess.Popen[bytes]:
-        started.append(real(*arguments))  # type: ignore[arg-type]
-        return started[-1]
+    def noted(settings: BrainFlowSettings, command: str) -> subprocess.Popen[bytes]:
+        process = real(settings, command)
+        # Those that describe a board end by themselves.
+        if command == "stream":
+            started.append(process)
+        return process
 
     monkeypatch.setattr(process_module, "start", noted)
     async with supervised(BoardRun()) as run:
@@ -114,10 +118,10 @@ async def test_no_process_outlives_an_agent_that_is_killed(tmp_path: Path) -> No
     program = (
         "import os, sys, time\n"
         "from tests.brainflow.conftest import board_settings\n"
-        "from biosensor_gateway.devices.brainflow.driver.process import order, start\n"
+        "from biosensor_gateway.devices.brainflow.driver.process import _order, start\n"
         "settings = board_settings()\n"
         "process = start(settings, 'stream')\n"
-        "process.stdin.write(order(settings, (0,)))\n"
+        "process.stdin.write(_order(settings, (0,)))\n"
         "process.stdin.flush()\n"
         "process.stdout.read(100)\n"
         f"open({str(noted)!r}, 'w').write(str(process.pid))\n"

@@ -16,8 +16,9 @@ fi
 echo "Setting up .venv-peers from $lock ..." >&2
 export UV_PYTHON_DOWNLOADS=never UV_LINK_MODE=copy UV_SYSTEM_CERTS=1
 .uv/bin/uv venv --quiet --clear --python .venv/bin/python .venv-peers
+# The lock has all but docutils, which comes next.
 .uv/bin/uv pip install --quiet --python .venv-peers/bin/python \
-    --require-hashes --only-binary :all: -r "$lock"
+    --no-deps --require-hashes --only-binary :all: -r "$lock"
 # Under the GPL (of docutils only an editor's file, which its wheel does not have), so in no lock of
 # the project: test programs, here and nowhere else.
 .uv/bin/uv pip install --quiet --python .venv-peers/bin/python \
