@@ -84,3 +84,33 @@ def test_a_topic_that_stays_empty_is_named_and_fails(published: str, tmp_path: P
     assert f"{absent}: {word}" in ended.stdout, ended.stdout + ended.stderr
     assert "/biosensors/test/late: not expected, later" in ended.stdout
     assert f"{published}: " not in ended.stdout
+
+
+def test_a_state_that_was_published_before_is_shown(tmp_path: Path) -> None:
+    state = "/biosensors/test/state"
+    expected = tmp_path / "expected.json"
+    expected.write_text(json.dumps({state: ""}))
+    program = _PUBLISH_ONCE.format(topic=state)
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as source:
+        try:
+            assert source.stdout is not None
+            assert source.stdout.readline() == b"published\n"
+            ended = _run("lsl_to_ros.live_table", "--seconds", "3", "--expect", str(expected))
+        finally:
+            source.kill()
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    (row,) = (line for line in ended.stdout.splitlines() if line.startswith(state))
+    assert "87" in row.split()
+
+
+_PUBLISH_ONCE = """
+import rclpy, time
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import Float32
+rclpy.init()
+node = rclpy.create_node("source")
+qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+node.create_publisher(Float32, "{topic}", qos).publish(Float32(data=87.0))
+print("published", flush=True)
+time.sleep(600)
+"""

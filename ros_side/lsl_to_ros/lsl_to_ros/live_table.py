@@ -28,6 +28,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
@@ -110,9 +111,18 @@ class LiveTable(Node):
             kind = types[kinds[0]]
             self.rows[topic] = row = Row(topic, kind)
             subscription = self.create_subscription(
-                CLASSES[kind], topic, nobody, QUEUE_DEPTH, callback_group=self._group
+                CLASSES[kind], topic, nobody, self._profile(topic), callback_group=self._group
             )
             self._taker.add(subscription, partial(self._take, row))
+
+    def _profile(self, topic: str) -> QoSProfile:
+        # A state that was published before is shown, too; who offers none would not be heard so.
+        offers = [each.qos_profile for each in self.get_publishers_info_by_topic(topic)]
+        is_latched = offers and all(
+            each.durability is DurabilityPolicy.TRANSIENT_LOCAL for each in offers
+        )
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if is_latched else DurabilityPolicy.VOLATILE
+        return QoSProfile(depth=QUEUE_DEPTH, durability=durability)
 
     def stop(self) -> None:
         """Take what has come, and nothing more."""
