@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 from biosensor_gateway.devices.ble_heart_rate.driver.emitter import StrapEmitter
 from biosensor_gateway.devices.polar_h10.driver.protocol.control_point import Measurement
@@ -12,7 +14,6 @@ from biosensor_gateway.devices.polar_h10.driver.protocol.frames import (
     Rejected,
 )
 from biosensor_gateway.devices.polar_h10.driver.protocol.layouts import measurement_of, parse_frame
-from biosensor_gateway.devices.polar_h10.driver.protocol.stray import SeenFrame, StrayFrames
 from biosensor_gateway.devices.polar_h10.driver.protocol.timeline import FrameTimeline
 from biosensor_gateway.devices.sink import Sink
 from biosensor_gateway.system.device_log import DeviceLog
@@ -24,8 +25,45 @@ DATA_NAMES: Mapping[Measurement, str] = {
 """Streams of the strap by measurement."""
 RECKONINGS_AGREE_S = 1.0
 """How exactly a device that stayed on agrees with the host on the length of a pause."""
+LATE_S = 5.0
+"""A frame whose stamp is older than the newest by more was stamped by a clock that was set."""
+_SEEN_KEPT = 64
 _NS = 1e9
 _MEASUREMENTS = frozenset(Measurement)
+
+
+class _SeenFrame(NamedTuple):
+    """What tells a frame from others."""
+
+    series: tuple[int, int]
+    timestamp_ns: int
+    content: int
+
+
+class _SeenFrames:
+    """Finds frames that came twice or behind later ones, as reported in polar-ble-sdk #387."""
+
+    def __init__(self) -> None:
+        self._newest_ns: dict[tuple[int, int], int] = {}
+        # nothing is dropped: these are remembered, not held back
+        self._seen: deque[_SeenFrame] = deque(maxlen=_SEEN_KEPT)
+        self._was_late = False
+
+    def reason(self, frame: _SeenFrame) -> str:
+        """Return why a frame must be left out, as a clause; empty if it must not."""
+        behind_ns = self._newest_ns.get(frame.series, -1) - frame.timestamp_ns
+        if behind_ns >= 0:
+            if frame in self._seen:
+                return "they came twice"
+            # Two late ones in a row are of a clock that was set back.
+            if 0 < behind_ns < LATE_S * _NS and not self._was_late:
+                self._was_late = True
+                return "they came behind later ones, and are counted as lost"
+            self._seen.clear()
+        self._newest_ns[frame.series] = frame.timestamp_ns
+        self._was_late = False
+        self._seen.append(frame)
+        return ""
 
 
 class PolarEmitter:
@@ -72,7 +110,7 @@ class PolarEmitter:
         self._factors: dict[int, float] = {}
         self._timelines: dict[tuple[int, int], FrameTimeline] = {}
         self._last: tuple[float, float] | None = None
-        self._stray = StrayFrames()
+        self._seen = _SeenFrames()
 
     @property
     def rates(self) -> Mapping[str, float]:
@@ -84,7 +122,7 @@ class PolarEmitter:
         self.strap.reconnected()
         self._running.clear()
         self.clock_runs = False
-        self._stray = StrayFrames()
+        self._seen = _SeenFrames()
 
     def started(self, measurement: Measurement, rate_hz: float | None, factor: float) -> None:
         """Prepare for the first frame of a measurement that has just been started.
@@ -148,13 +186,10 @@ class PolarEmitter:
         if not samples or measurement not in self._rates:
             return  # nothing is dropped: nobody started that measurement
         key = (header.measurement, header.frame_type)
-        stray, seen = self._stray, SeenFrame(key, header.timestamp_ns, hash(repr(samples)))
-        follows = header.timestamp_ns > stray.newest_ns.get(key, -1)
-        if not follows and (why := stray.why(seen)):
-            self._sink.left_out(len(samples), why)
+        reason = self._seen.reason(_SeenFrame(key, header.timestamp_ns, hash(repr(samples))))
+        if reason:
+            self._sink.left_out(len(samples), reason)
             return
-        stray.newest_ns[key], stray.was_late = header.timestamp_ns, False
-        stray.seen.append(seen)
         stamp_s = header.timestamp_ns / _NS
         if not self.clock_runs and self._counts_anew(stamp_s, arrival_s):
             # nothing is dropped: its clock starts anew
