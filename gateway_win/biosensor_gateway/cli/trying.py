@@ -26,7 +26,8 @@ def try_out(
         ),
     ] = True,
     folder: Annotated[
-        Path, typer.Option(help="Where the recording and its tables go; all else goes at the end.")
+        Path,
+        typer.Option(help="Where recording and tables are kept; all else is removed at the end."),
     ] = _FOLDER,
     every: Annotated[
         bool,
